@@ -13,12 +13,14 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::sync::{Mutex, PoisonError};
 
-/// What the tests of the default program leave out: GPUs and networks, and what only they need.
-const DEFAULT: [&str; 5] = ["--workspace", "--exclude", "m4_gpu", "--exclude", "m4_nets"];
+/// What the tests of the default program leave out: networks. Without features nothing of GPUs is compiled.
+const DEFAULT: [&str; 3] = ["--workspace", "--exclude", "m4_nets"];
 /// What `full` adds to the program, with the crates whose tests it changes.
-const FULL: [&str; 10] = [
+const FULL: [&str; 12] = [
     "--package",
-    "m4_gpu",
+    "m4_kernels",
+    "--package",
+    "m4_train",
     "--package",
     "m4_nets",
     "--package",

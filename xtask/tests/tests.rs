@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 use xtask::tests::{Tests, lacking, parse, summary};
 
 const LINES: &str = "ffmpeg\tinstall ffmpeg\tvideo::plays\tcrates/m4_io/tests/video.rs:7\tit is not on the PATH\n\
-                     vulkan\tinstall a driver\tgpu::draws\tcrates/m4_gpu/tests/gpu/main.rs:3\tno adapter\n\
+                     vulkan\tinstall a driver\tgpu::draws\tcrates/m4_kernels/tests/gpu/main.rs:3\tno adapter\n\
                      ffmpeg\tinstall ffmpeg\tvideo::plays\tcrates/m4_io/tests/video.rs:7\tit is not on the PATH\n";
 
 #[test]

@@ -3,7 +3,7 @@
 //! One frame flows through the folders in this order, and its gradient flows back:
 //!
 //! ```text
-//! slice -> project -> shade -> bin -> blend -> photo          adam, score
+//! slice -> project -> shade -> bin -> blend -> loss          adam, score
 //! ```
 //!
 //! | folder | what it does |
@@ -11,21 +11,34 @@
 //! | `slice` | 4D splat to 3D splat at an instant |
 //! | `project` | 3D splat to an ellipse on the image |
 //! | `shade` | 4D spherindrical harmonics to colour |
-//! | `bin` | ellipses to depth-ordered tile lists |
+//! | `tile_binning` | ellipses to depth-ordered tile lists |
 //! | `blend` | tile lists to an image |
-//! | `photo` | L1 + SSIM and its gradient |
+//! | `loss` | L1 + SSIM and its gradient |
 //! | `adam` | sparse parameter update |
 //! | `score` | time-weighted error per splat |
 //!
 //! In each folder `mod.rs` is the contract, `reference.rs` the definition (generic over f32 and f64,
-//! slow on purpose, the oracle of the tests) and `cpu.rs` the SIMD twin that the product runs.
-//! [`Renderer`] strings the CPU twins together. Lengths are checked when data enters
+//! slow on purpose, the oracle of the tests), `cpu.rs` the SIMD twin that the product runs, and `gpu.rs` the twin in CubeCL
+//! (feature `gpu`; its devices, memory, sorts and sums are in `gpu`). [`Renderer`] strings the CPU twins together. Lengths are checked when data enters
 //! ([`m4_core::Splats`], [`FrameGradient`]); inside, kernels index freely.
+
+#![cfg_attr(
+    feature = "gpu",
+    expect(
+        clippy::manual_div_ceil,
+        clippy::manual_is_multiple_of,
+        clippy::approx_constant,
+        clippy::collapsible_if,
+        reason = "kernels are expanded: their front end has no such methods, and conditions at compile time stand alone"
+    )
+)]
 
 pub mod adam;
 pub mod bench;
 pub mod blend;
-pub mod photo;
+#[cfg(feature = "gpu")]
+pub mod gpu;
+pub mod loss;
 pub mod project;
 pub mod reference;
 pub mod score;
@@ -38,8 +51,10 @@ mod order;
 mod renderer;
 mod simd;
 mod stage;
+mod stats;
 
 pub use frame::{CameraGradient, Frame, FrameGradient, Gradients, View, Wanted};
 pub use order::morton_order;
 pub use renderer::{FrameStats, Renderer};
 pub use simd::{ENV as SIMD_ENV, SimdLevel, SimdLevelError};
+pub use stats::StepStats;

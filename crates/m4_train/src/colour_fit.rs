@@ -25,93 +25,49 @@ pub(crate) fn frames_drawn(rounds: usize, all: usize) -> f64 {
     }
 }
 
-/// Sums over the pixels of all frames, `[channel][n]`, as derivatives with respect to the constant coefficient.
-#[derive(Debug)]
-pub(crate) struct ColourSums {
-    residual: [Vec<f32>; 3],
-    weight: [Vec<f32>; 3],
-}
-
-/// Which of the sums.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Sum {
-    /// Of weight times image minus target.
-    Residual,
-    /// Of weights.
-    Weight,
-}
-
-impl ColourSums {
-    /// Of `n` splats.
-    pub fn new(n: usize) -> Self {
-        let zero = || std::array::from_fn(|_| vec![0.0; n]);
-        Self {
-            residual: zero(),
-            weight: zero(),
-        }
-    }
-
-    /// Before the next round: weights stay what they are.
-    pub fn next_round(&mut self) {
-        self.residual.iter_mut().for_each(|plane| plane.fill(0.0));
-    }
-
-    /// Adds the gradients of a frame with respect to the constant coefficients, one column per channel; rows that are not
-    /// `touched` hold anything.
-    pub fn add(&mut self, which: Sum, columns: &[Vec<f32>], touched: &[u8]) {
-        let sums = match which {
-            Sum::Residual => &mut self.residual,
-            Sum::Weight => &mut self.weight,
-        };
-        for (sum, column) in sums.iter_mut().zip(columns) {
-            let rows = column.par_chunks(CHUNK_ROWS).zip(touched.par_chunks(CHUNK_ROWS));
-            let chunks = sum.par_chunks_mut(CHUNK_ROWS).zip(rows);
-            chunks.for_each(|(sum, (column, touched))| {
-                // of a long video most chunks lie in other frames
-                if touched.iter().all(|&t| t == 0) {
-                    return;
-                }
-                for ((sum, &g), &touched) in sum.iter_mut().zip(column).zip(touched) {
-                    *sum += if touched == 0 { 0.0 } else { g };
-                }
-            });
-        }
-    }
-
-    /// Sums that were made elsewhere; without weights those there are stay.
-    pub fn replace(&mut self, residual: [Vec<f32>; 3], weight: [Vec<f32>; 3]) {
-        self.residual = residual;
-        if !weight[0].is_empty() {
-            self.weight = weight;
-        }
-    }
-
-    /// Moves the colours.
-    pub fn apply(&self, splats: &mut Splats) {
-        let constant = splats.layout().colour_terms() == 1;
-        for k in 0..3 {
-            let column = splats.column_mut(Column::Colour, k);
-            for ((c, &residual), &weight) in column.iter_mut().zip(&self.residual[k]).zip(&self.weight[k]) {
-                // never seen, or too dark to have a gradient
-                if weight <= 0.0 {
-                    continue;
-                }
-                let missing = residual / (weight + Y00 * DAMPING_PX);
-                let moved = *c - missing / Y00;
-                let floor = if constant {
-                    (DARKEST - 0.5) / Y00
-                } else {
-                    f32::NEG_INFINITY
-                };
-                *c = moved.max(floor.min(*c));
+/// Adds the gradients of a frame with respect to the constant coefficients, one column per channel, to `sums`, `[channel][n]`; rows that
+/// are not `touched` hold anything.
+pub(crate) fn add_seen(sums: &mut [Vec<f32>; 3], columns: &[Vec<f32>], touched: &[u8]) {
+    for (sum, column) in sums.iter_mut().zip(columns) {
+        let rows = column.par_chunks(CHUNK_ROWS).zip(touched.par_chunks(CHUNK_ROWS));
+        let chunks = sum.par_chunks_mut(CHUNK_ROWS).zip(rows);
+        chunks.for_each(|(sum, (column, touched))| {
+            // of a long video most chunks lie in other frames
+            if touched.iter().all(|&t| t == 0) {
+                return;
             }
+            for ((sum, &g), &touched) in sum.iter_mut().zip(column).zip(touched) {
+                *sum += if touched == 0 { 0.0 } else { g };
+            }
+        });
+    }
+}
+
+/// Moves the colours, given the sums over the pixels of all frames, `[channel][n]`: of weight times image minus target, and of weights.
+pub(crate) fn correct(splats: &mut Splats, residual: &[Vec<f32>; 3], weight: &[Vec<f32>; 3]) {
+    let constant = splats.layout().colour_terms() == 1;
+    for k in 0..3 {
+        let column = splats.column_mut(Column::Colour, k);
+        for ((c, &residual), &weight) in column.iter_mut().zip(&residual[k]).zip(&weight[k]) {
+            // never seen, or too dark to have a gradient
+            if weight <= 0.0 {
+                continue;
+            }
+            let missing = residual / (weight + Y00 * DAMPING_PX);
+            let moved = *c - missing / Y00;
+            let floor = if constant {
+                (DARKEST - 0.5) / Y00
+            } else {
+                f32::NEG_INFINITY
+            };
+            *c = moved.max(floor.min(*c));
         }
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use super::{ColourSums, DAMPING_PX, DARKEST, Sum, Y00, frames_drawn};
+    use super::{DAMPING_PX, DARKEST, Y00, add_seen, correct, frames_drawn};
     use m4_core::{Column, SplatLayout, Splats};
 
     #[test]
@@ -128,25 +84,23 @@ mod tests {
             time_degree: 0,
         };
         let mut splats = Splats::zeros(layout, 3, 0);
-        let mut sums = ColourSums::new(3);
+        let zero = || [0, 1, 2].map(|_| vec![0.0; 3]);
+        let (mut residual, mut weight) = (zero(), zero());
         let nan = f32::NAN;
         // weights 0.5 and 0.25 on two pixels that lack 0.2 and 0.4; the second splat is seen nowhere
         let weights = [0.75 * Y00, nan, 2.0 * Y00];
         let residuals = [-(0.5 * 0.2 + 0.25 * 0.4) * Y00, nan, 4.0 * Y00];
-        sums.add(
-            Sum::Weight,
+        add_seen(
+            &mut weight,
             &[weights.to_vec(), weights.to_vec(), weights.to_vec()],
             &[1, 0, 1],
         );
-        for _ in 0..2 {
-            sums.next_round();
-            sums.add(
-                Sum::Residual,
-                &[residuals.to_vec(), vec![0.0; 3], vec![0.0; 3]],
-                &[1, 0, 1],
-            );
-        }
-        sums.apply(&mut splats);
+        add_seen(
+            &mut residual,
+            &[residuals.to_vec(), vec![0.0; 3], vec![0.0; 3]],
+            &[1, 0, 1],
+        );
+        correct(&mut splats, &residual, &weight);
         let red = splats.column(Column::Colour, 0);
         let want = 0.2 / (0.75 + DAMPING_PX);
         assert!((red[0] * Y00 - want).abs() < 1e-6, "{}", red[0] * Y00);

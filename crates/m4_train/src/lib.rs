@@ -4,23 +4,21 @@
 //! in an order drawn again for each epoch, draw it, compare (L1 + SSIM), step every splat that was seen. Every
 //! hundred steps [`density`] looks at what is still wrong and adds or removes splats there.
 //!
-//! Steps are taken here or on a [`device`] ([`Trainer::use_device`]), which has kernels of its own for the same definitions; schedule,
-//! choice of frames and checkpoints stay here.
+//! Steps are taken by a [`backend`], the CPU or a GPU ([`Trainer::use_backend`]); schedule, choice of frames and checkpoints are the same for
+//! both.
 //!
 //! A run is a function of capture, first splats, settings and seed: the same bits come out for any
 //! number of threads, and a run that was stopped, saved ([`Trainer::state`]) and resumed
 //! ([`Trainer::resume`]) ends with the bits of the uninterrupted one.
 #![forbid(unsafe_code)]
 
+pub mod backend;
 pub mod config;
 pub mod density;
-pub mod device;
 pub mod init;
 
-mod batch;
 mod colour_fit;
 mod error;
-mod frames;
 mod metrics;
 mod pace;
 mod pick;
@@ -31,8 +29,8 @@ mod schedule;
 mod state;
 mod trainer;
 
+pub use backend::{Backend, BackendError, BackendMaker};
 pub use config::{AdamConfig, DensityConfig, RateConfig, RefineConfig, TrainConfig};
-pub use device::{Device, DeviceError, DeviceMaker};
 pub use error::TrainError;
 pub use metrics::MetricsEvent;
 pub use pace::affordable_iterations;

@@ -14,7 +14,7 @@ pub struct MetricsEvent {
     pub l1: f64,
     /// Mean structural similarity of the training frames.
     pub ssim: f64,
-    /// PSNR of the frame looked at last, dB (colours clamped to 0..1).
+    /// PSNR of the frame rendered last, dB (colours clamped to 0..1).
     pub psnr: f64,
     /// Splats without time parameters.
     pub splats_static: usize,
@@ -34,7 +34,7 @@ pub struct MetricsEvent {
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct Totals {
     pub steps: usize,
-    /// Frames looked at: as many a step as a batch has.
+    /// Frames rendered: as many per step as a batch has.
     pub frames: usize,
     pub loss: f64,
     pub l1: f64,

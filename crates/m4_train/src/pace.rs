@@ -2,9 +2,9 @@
 
 use crate::{
     TrainError,
+    backend::{BackendError, BackendMaker},
     colour_fit::frames_drawn,
     config::{DensityConfig, RefineConfig, TrainConfig},
-    device::{DeviceError, DeviceMaker},
     scale::SceneScale,
     trainer::Trainer,
 };
@@ -24,7 +24,7 @@ const MOST_GROWTH: f64 = 4.0;
 /// Fewer iterations than this are no training.
 const LEAST: usize = 50;
 
-/// The number of iterations that take `seconds` on rayon's current pool, or on a `device`: trial steps on a copy of `splats` with what density control may add.
+/// The number of iterations that take `seconds` on rayon's current pool, or on a `backend`: trial steps on a copy of `splats` with what density control may add.
 /// A multiple of 10, at least 50. Unlike everything else in this crate it depends on the machine: with the number that it returns,
 /// training is a function of its inputs again.
 ///
@@ -36,14 +36,14 @@ pub fn affordable_iterations(
     splats: &Splats,
     config: &TrainConfig,
     level: SimdLevel,
-    device: Option<DeviceMaker<'_>>,
+    backend: Option<BackendMaker<'_>>,
     seconds: f64,
 ) -> Result<usize, TrainError> {
     if capture.frames.is_empty() {
         return Err(TrainError::NoFrames);
     }
     let grown = grown(splats, &apparent_sizes(capture, splats), config)?;
-    let step_s = trial(capture, &grown, config, level, device)?;
+    let step_s = trial(capture, &grown, config, level, backend)?;
     let fits = frames_drawn(config.colour_fit_rounds, capture.frames.len()) / config.batch as f64;
     let count = (PLANNED * seconds / step_s.max(1e-6) - fits).max(0.0) as usize;
     Ok((count / 10 * 10).max(LEAST))
@@ -88,13 +88,13 @@ fn apparent_sizes(capture: &Capture, splats: &Splats) -> Vec<f32> {
     (0..splats.n_static()).into_par_iter().map(one).collect()
 }
 
-/// Median seconds of a step.
+/// Median seconds of a step; where steps return before they are done, the mean.
 fn trial(
     capture: &Capture,
     splats: &Splats,
     config: &TrainConfig,
     level: SimdLevel,
-    device: Option<DeviceMaker<'_>>,
+    backend: Option<BackendMaker<'_>>,
 ) -> Result<f64, TrainError> {
     let config = TrainConfig {
         // never the last: that one does more
@@ -111,40 +111,32 @@ fn trial(
         ..config.clone()
     };
     let mut trainer = Trainer::new(capture, splats.clone(), config, level)?;
-    if let Some(make) = device {
-        return remote_trial(trainer, make);
+    if let Some(make) = backend {
+        let backend = make().map_err(|BackendError(why)| TrainError::Device {
+            why,
+            iteration: 0,
+            good_iteration: 0,
+        })?;
+        trainer.use_backend(backend)?;
     }
-    trainer.prepare_frames();
-    let mut times = Vec::with_capacity(STEPS);
-    for _ in 0..STEPS {
-        let start = Instant::now();
-        trainer.step()?;
-        times.push(start.elapsed().as_secs_f64());
-    }
-    let times = &mut times[WARM_UP..];
-    let middle = times.len() / 2;
-    Ok(*times.select_nth_unstable_by(middle, f64::total_cmp).1)
-}
-
-/// Mean seconds of a step on a device, waiting for it twice in all: steps alone return before they are done.
-fn remote_trial(mut trainer: Trainer<'_>, make: DeviceMaker<'_>) -> Result<f64, TrainError> {
-    let device = make().map_err(|DeviceError(why)| TrainError::Device {
-        why,
-        iteration: 0,
-        good_iteration: 0,
-    })?;
-    trainer.use_device(device);
+    let counted = STEPS - WARM_UP;
+    // steps that return before they are done are timed together
+    let parts = match trainer.is_synchronous() {
+        true => vec![1; counted],
+        false => vec![counted],
+    };
     let mut steps = |count: usize| -> Result<f64, TrainError> {
         let start = Instant::now();
         for _ in 0..count {
-            trainer.gpu_step()?;
+            trainer.step()?;
         }
-        trainer.look_at_remote()?;
-        Ok(start.elapsed().as_secs_f64())
+        trainer.report()?;
+        Ok(start.elapsed().as_secs_f64() / count as f64)
     };
     steps(WARM_UP)?;
-    let counted = STEPS - WARM_UP;
-    Ok(steps(counted)? / counted as f64)
+    let mut times = parts.into_iter().map(&mut steps).collect::<Result<Vec<f64>, _>>()?;
+    let middle = times.len() / 2;
+    Ok(*times.select_nth_unstable_by(middle, f64::total_cmp).1)
 }
 
 #[cfg(test)]

@@ -112,26 +112,8 @@ impl Refinement {
         }
     }
 
-    /// One step of the exposure of `frame`: `g` is the gradient with respect to the corrected colours,
-    /// `rgb` the colours before. `g` becomes the gradient with respect to `rgb`.
-    pub fn step_exposure(&mut self, config: &RefineConfig, frame: usize, rgb: &[Vec<f32>; 3], g: &mut [Vec<f32>; 3]) {
-        let old = self.frames[frame].exposure;
-        let mut d = [0.0f64; 12];
-        for i in 0..rgb[0].len() {
-            let gi = [g[0][i], g[1][i], g[2][i]];
-            for r in 0..3 {
-                for k in 0..3 {
-                    d[4 * r + k] += f64::from(gi[r] * rgb[k][i]);
-                }
-                d[4 * r + 3] += f64::from(gi[r]);
-            }
-        }
-        pull_back(&old, g);
-        self.step_exposure_along(config, frame, d);
-    }
-
     /// One step of the exposure of `frame` along its gradient: rows of the matrix, each followed by its offset.
-    pub fn step_exposure_along(&mut self, config: &RefineConfig, frame: usize, mut d: [f64; 12]) {
+    pub fn step_exposure(&mut self, config: &RefineConfig, frame: usize, mut d: [f64; 12]) {
         let fit = &mut self.frames[frame];
         let old = fit.exposure;
         let pull = f64::from(config.exposure_pull);
@@ -150,6 +132,22 @@ impl Refinement {
             fit.exposure.offset[r] += delta[4 * r + 3] as f32;
         }
     }
+}
+
+/// The gradient with respect to an exposure: rows of the matrix, each followed by its offset. `g` is that with respect to the corrected
+/// colours, `rgb` the colours before.
+pub(crate) fn exposure_gradient(rgb: &[Vec<f32>; 3], g: &[Vec<f32>; 3]) -> [f64; 12] {
+    let mut d = [0.0f64; 12];
+    for i in 0..rgb[0].len() {
+        let gi = [g[0][i], g[1][i], g[2][i]];
+        for r in 0..3 {
+            for k in 0..3 {
+                d[4 * r + k] += f64::from(gi[r] * rgb[k][i]);
+            }
+            d[4 * r + 3] += f64::from(gi[r]);
+        }
+    }
+    d
 }
 
 /// Turns a gradient with respect to corrected colours into that with respect to the colours before.
@@ -174,7 +172,7 @@ pub(crate) fn expose(exposure: &Exposure, rgb: &[Vec<f32>; 3], out: &mut [Vec<f3
 
 #[cfg(test)]
 mod tests {
-    use super::{Refinement, expose};
+    use super::{Refinement, expose, exposure_gradient};
     use crate::config::RefineConfig;
     use m4_core::{Camera, Exposure, Intrinsics, Se3};
 
@@ -201,10 +199,10 @@ mod tests {
         let mut error = 0.0;
         for _ in 0..2000 {
             expose(&fit.frames[0].exposure, &rgb, &mut got);
-            let mut g: [Vec<f32>; 3] =
+            let g: [Vec<f32>; 3] =
                 std::array::from_fn(|c| got[c].iter().zip(&want[c]).map(|(a, b)| (a - b) / 64.0).collect());
             error = g.iter().flatten().map(|v| v.abs()).fold(0.0, f32::max) * 64.0;
-            fit.step_exposure(&config, 0, &rgb, &mut g);
+            fit.step_exposure(&config, 0, exposure_gradient(&rgb, &g));
         }
         assert!(error < 0.02, "largest error {error}");
     }

@@ -68,10 +68,10 @@ pub use m4_core as core;
 pub use m4_core::{Progress, Silent};
 pub use m4_eval as eval;
 pub use m4_geometry as reconstruction;
-#[cfg(feature = "gpu")]
-pub use m4_gpu as gpu;
 pub use m4_io as io;
 pub use m4_kernels as kernels;
+#[cfg(feature = "gpu")]
+pub use m4_kernels::gpu;
 #[cfg(feature = "nets")]
 pub use m4_nets as nets;
 pub use m4_train as training;

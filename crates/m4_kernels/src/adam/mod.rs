@@ -11,6 +11,8 @@
 //! *after* this step's increment.
 
 pub mod cpu;
+#[cfg(feature = "gpu")]
+pub mod gpu;
 pub mod reference;
 
 /// The constants of Adam.

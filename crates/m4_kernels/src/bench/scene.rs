@@ -144,7 +144,7 @@ pub(super) fn views(width: usize, height: usize, kind: SceneKind) -> Vec<View> {
 }
 
 /// What the first camera sees in the middle of the clip, as a photograph.
-pub(super) fn picture(width: usize, height: usize) -> [Vec<u8>; 3] {
+pub(super) fn image(width: usize, height: usize) -> [Vec<u8>; 3] {
     let camera = camera(width, height);
     let mut planes: [Vec<u8>; 3] = Default::default();
     for (x, y) in (0..width * height).map(|i| (i % width, i / width)) {

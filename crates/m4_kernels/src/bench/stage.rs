@@ -4,8 +4,8 @@ use super::{Counts, Kernel, SceneKind, scene, useful_evaluations};
 use crate::{
     FrameGradient, Gradients, Renderer, SimdLevel, View, Wanted,
     adam::cpu::{self as adam, AdamConfig, AdamState},
+    loss::cpu::{self as photometric, LossScratch, Target},
     morton_order,
-    photo::cpu::{self as photo, PhotoScratch, Target},
 };
 use m4_core::{ShapeError, Splats};
 use std::time::{Duration, Instant};
@@ -68,7 +68,7 @@ impl BenchScene {
         Ok(Self {
             splats: splats.gather(&morton_order(&splats))?,
             views: scene::views(width, height, kind),
-            target: Target::from_bytes(width, height, scene::picture(width, height))?,
+            target: Target::from_bytes(width, height, scene::image(width, height))?,
         })
     }
 }
@@ -90,7 +90,7 @@ pub struct Bench {
     scene: BenchScene,
     level: SimdLevel,
     renderer: Renderer,
-    scratch: PhotoScratch,
+    scratch: LossScratch,
     gradient: FrameGradient,
     gradients: Gradients,
     state: AdamState,
@@ -109,7 +109,7 @@ impl Bench {
             state: AdamState::new(&scene.splats),
             rates: vec![RATE; scene.splats.columns().len()],
             renderer: Renderer::new(level),
-            scratch: PhotoScratch::default(),
+            scratch: LossScratch::default(),
             gradients: Gradients::default(),
             scene,
             level,
@@ -151,7 +151,7 @@ impl Bench {
         let frame = self.renderer.render(&self.scene.splats, &self.scene.views[view]);
         let drawn = Instant::now();
         let (target, gradient) = (&self.scene.target, &mut self.gradient.rgb);
-        let loss = photo::loss(self.level, target, &frame.rgb, LAMBDA_SSIM, &mut self.scratch, gradient);
+        let loss = photometric::loss(self.level, target, &frame.rgb, LAMBDA_SSIM, &mut self.scratch, gradient);
         let photo = drawn.elapsed();
         self.renderer.backward(
             &self.scene.splats,
@@ -192,7 +192,7 @@ impl Bench {
         let splats = &self.scene.splats;
         let frame = self.renderer.render(splats, view);
         let pixels = frame.width * frame.height;
-        photo::loss(
+        photometric::loss(
             self.level,
             &self.scene.target,
             &frame.rgb,

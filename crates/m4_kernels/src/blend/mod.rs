@@ -18,6 +18,8 @@
 //! final image alone.
 
 pub(crate) mod cpu;
+#[cfg(feature = "gpu")]
+pub(crate) mod gpu;
 pub(crate) mod planes;
 pub mod reference;
 
@@ -25,5 +27,7 @@ pub mod reference;
 pub const ALPHA_MAX: f64 = 0.99;
 /// Contributions under this are skipped (3DGS): half a grey level of 8 bits has no effect.
 pub const ALPHA_MIN: f64 = 1.0 / 255.0;
+/// Base-2 logarithm of [`ALPHA_MIN`]: kernels compare exponents.
+pub const LOG2_ALPHA_MIN: f64 = -7.994_353_436_858_858;
 /// A pixel is finished before its transmittance would fall under this (3DGS).
 pub const T_MIN: f64 = 1e-4;

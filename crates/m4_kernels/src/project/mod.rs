@@ -19,6 +19,8 @@
 use m4_core::Intrinsics;
 
 pub(crate) mod cpu;
+#[cfg(feature = "gpu")]
+pub(crate) mod gpu;
 pub mod reference;
 
 /// The smallest near plane, world units: a splat at depth 0 or behind has no image, whatever the view

@@ -10,4 +10,6 @@
 //! splat that reaches no pixel scores 0. Sums over frames and their factors (`1 / K`, the frame's loss)
 //! are the caller's: a twin adds a frame's score to what is there.
 
+#[cfg(feature = "gpu")]
+pub mod gpu;
 pub mod reference;

@@ -12,6 +12,8 @@
 //! gradient.
 
 pub(crate) mod cpu;
+#[cfg(feature = "gpu")]
+pub(crate) mod gpu;
 pub mod reference;
 
 /// `Y_0`.

@@ -19,6 +19,8 @@
 //! prove that the velocity form is the same model.
 
 pub(crate) mod cpu;
+#[cfg(feature = "gpu")]
+pub mod gpu;
 pub mod reference;
 
 /// Splats whose temporal marginal is at most this are left out of a frame: `|dt| > 2.448 sd`

@@ -49,7 +49,7 @@ pub(crate) struct Chunk {
     pub(crate) dynamic: bool,
     /// Where its projected splats start among all.
     place: usize,
-    /// Who reaches each band, in the order of the rows.
+    /// The splats that reach each band, in the order of the rows.
     pub(crate) bands: Vec<Handover>,
     groups: Vec<Group>,
     parts: Vec<Part>,

@@ -8,6 +8,8 @@
 
 pub(crate) mod cpu;
 pub(crate) mod extent;
+#[cfg(feature = "gpu")]
+pub mod gpu;
 pub(crate) mod handover;
 mod order;
 pub mod reference;

@@ -10,6 +10,6 @@ mod determinism;
 mod edge_cases;
 mod finite_differences;
 mod fixtures;
-mod photo_loss;
+mod loss;
 mod tools;
 mod twins;

@@ -7,7 +7,7 @@ use m4_core::{
 };
 use m4_kernels::{
     blend::reference::{CHANNELS, Cutoff},
-    photo::reference::photo,
+    loss::reference::photometric,
     project::reference::Pinhole,
     reference::{BackwardForm, Geometry, SceneGradient, Setup, Splat, backward, expose, expose_vjp, render},
     slice::reference::{Gaussian, Life, RotorGaussian, Shape},
@@ -48,11 +48,11 @@ impl<T: Real> Target<T> {
         }
     }
 
-    /// `photo(exposed colours) + weight mean (sum of w (z - z_gt))^2`.
+    /// `photometric(exposed colours) + weight mean (sum of w (z - z_gt))^2`.
     pub fn loss(&self, pixels: &[[T; CHANNELS]], width: usize, exposure: &[[T; 4]; 3]) -> Loss<T> {
         let height = pixels.len() / width;
         let rgb = planes(&expose(pixels, exposure));
-        let (mut value, d_rgb) = photo(
+        let (mut value, d_rgb) = photometric(
             [&rgb[0], &rgb[1], &rgb[2]],
             [&self.rgb[0], &self.rgb[1], &self.rgb[2]],
             width,

@@ -1,4 +1,4 @@
-//! The CPU twins of photo, adam and bin against their references.
+//! The CPU twins of loss, adam and bin against their references.
 
 use crate::twin::{every_level, view};
 use m4_core::{Camera, CounterRng, SplatLayout, Splats};
@@ -9,15 +9,15 @@ use m4_kernels::{
         cpu::{AdamConfig, AdamState, step},
         reference,
     },
-    photo::{
-        cpu::{PhotoScratch, Target, error_map, loss},
-        reference::photo,
+    loss::{
+        cpu::{LossScratch, Target, error_map, loss},
+        reference::photometric,
     },
     tile_binning::reference::tiles,
 };
 use m4_testkit::{SceneSpec, assert_gradient, random_camera, random_splats};
 
-fn picture(index: u64, n: usize) -> [Vec<f32>; 3] {
+fn image(index: u64, n: usize) -> [Vec<f32>; 3] {
     std::array::from_fn(|c| {
         let mut rng = CounterRng::new(31, index, c as u64);
         // waves with noise: windows with much and with little contrast
@@ -32,7 +32,7 @@ fn exact(planes: &[Vec<f32>; 3]) -> [Vec<f64>; 3] {
 }
 
 #[test]
-fn a_photograph_is_the_picture_of_its_bytes() {
+fn a_photograph_is_the_image_of_its_bytes() {
     let (width, height) = (37, 22);
     let bytes: [Vec<u8>; 3] = [0, 1, 2].map(|k| (0..width * height).map(|i| ((i * (k + 3)) % 256) as u8).collect());
     let floats = bytes
@@ -48,7 +48,7 @@ fn a_photograph_is_the_picture_of_its_bytes() {
             .zip(&bytes)
             .for_each(|(to, from)| to.copy_from_slice(from));
     });
-    let x = picture(90, width * height);
+    let x = image(90, width * height);
     for target in [&photograph, &again] {
         let colours = target.rgb();
         for (a, b) in colours.iter().flatten().zip(floating.rgb().iter().flatten()) {
@@ -57,7 +57,7 @@ fn a_photograph_is_the_picture_of_its_bytes() {
         every_level(|level| {
             let [a, b] = [target, &floating].map(|target| {
                 let mut gradient = Default::default();
-                let loss = loss(level, target, &x, 0.2, &mut PhotoScratch::default(), &mut gradient);
+                let loss = loss(level, target, &x, 0.2, &mut LossScratch::default(), &mut gradient);
                 (loss.total, exact(&gradient).concat())
             });
             assert!((a.0 - b.0).abs() < 1e-6, "{level}: {} for {}", a.0, b.0);
@@ -68,7 +68,7 @@ fn a_photograph_is_the_picture_of_its_bytes() {
 }
 
 #[test]
-fn photo_of_every_size() {
+fn loss_of_every_size() {
     let sizes = [
         (1, 1),
         (3, 2),
@@ -81,15 +81,15 @@ fn photo_of_every_size() {
         (101, 23),
     ];
     every_level(|level| {
-        let (mut scratch, mut got) = (PhotoScratch::default(), Default::default());
+        let (mut scratch, mut got) = (LossScratch::default(), Default::default());
         for (index, (width, height)) in sizes.into_iter().enumerate() {
             for lambda in [0.0, 0.2, 1.0] {
                 let n = width * height;
-                let (x, y) = (picture(2 * index as u64, n), picture(2 * index as u64 + 1, n));
+                let (x, y) = (image(2 * index as u64, n), image(2 * index as u64 + 1, n));
                 let target = Target::new(width, height, y.clone()).unwrap();
                 let parts = loss(level, &target, &x, lambda, &mut scratch, &mut got);
                 let (a, b) = (exact(&x), exact(&y));
-                let (want, gradient) = photo(
+                let (want, gradient) = photometric(
                     [&a[0], &a[1], &a[2]],
                     [&b[0], &b[1], &b[2]],
                     width,
@@ -111,14 +111,14 @@ fn photo_of_every_size() {
 }
 
 #[test]
-fn photo_of_equal_and_of_flat_pictures() {
+fn loss_of_equal_and_of_flat_images() {
     every_level(|level| {
         let (width, height) = (37, 21);
         let flat: [Vec<f32>; 3] = std::array::from_fn(|c| vec![0.25 * c as f32; width * height]);
-        for x in [picture(9, width * height), flat] {
+        for x in [image(9, width * height), flat] {
             let target = Target::new(width, height, x.clone()).unwrap();
             let mut gradient = Default::default();
-            let parts = loss(level, &target, &x, 0.2, &mut PhotoScratch::default(), &mut gradient);
+            let parts = loss(level, &target, &x, 0.2, &mut LossScratch::default(), &mut gradient);
             assert!(parts.total.abs() < 1e-6 && parts.l1 == 0.0, "{level}: {parts:?}");
             // per pixel and channel a wrong sign of L1 alone would be 0.8 / count = 3e-4
             let largest = gradient.iter().flatten().fold(0.0f32, |m, g| m.max(g.abs()));
@@ -128,15 +128,15 @@ fn photo_of_equal_and_of_flat_pictures() {
 }
 
 #[test]
-fn photo_refuses_planes_of_another_size() {
-    assert!(Target::new(3, 2, picture(0, 5)).is_err());
+fn loss_refuses_planes_of_another_size() {
+    assert!(Target::new(3, 2, image(0, 5)).is_err());
 }
 
 #[test]
 fn error_map_is_the_mean_absolute_difference() {
     every_level(|level| {
         let (width, height) = (19, 7);
-        let (x, y) = (picture(1, width * height), picture(2, width * height));
+        let (x, y) = (image(1, width * height), image(2, width * height));
         let target = Target::new(width, height, y.clone()).unwrap();
         let mut got = Vec::new();
         error_map(level, &target, &x, &mut got);

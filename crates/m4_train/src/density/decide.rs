@@ -4,7 +4,7 @@ use super::error_mask::quantile;
 use super::{Origin, Plan, Scores};
 use crate::config::{DensityConfig, PruneRule};
 
-/// What a decision looks at beside the scores; all `[n]`.
+/// What a decision looks at besides the scores; all `[n]`.
 #[derive(Debug, Clone, Copy)]
 pub struct SplatView<'a> {
     /// How many rows are static.
@@ -34,7 +34,7 @@ impl Decision {
     }
 }
 
-/// Who is cloned, split and pruned.
+/// The splats to clone, split and prune.
 ///
 /// A splat is densified when its score is above the threshold and among the best `budget`; ties go to
 /// the lower row. Pruned are splats of low opacity and, when due, those that the score rule names; in the literal rule a splat may be cloned and pruned in one round, then its clone

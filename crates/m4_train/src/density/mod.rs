@@ -5,9 +5,9 @@
 //! | `error_mask` | error map to masked error |
 //! | `score` | masked errors of K frames to two scores per splat |
 //! | `rules` | what a round goes by |
-//! | `decide` | scores to who is cloned, split and pruned |
+//! | `decide` | scores to the splats to clone, split and prune |
 //! | `plan` | decisions to rows: which splats the next set is made of |
-//! | `new_splats` | what clones and children look like |
+//! | `new_splats` | the parameters of clones and children |
 //!
 //! Readings where the paper is open (docs/spec/optimiser.md 4.4): p(t) is the marginal with peak 1; a splat's
 //! footprint are the pixels that it is composited on; scores are raw sums of error. Both scores are
@@ -16,6 +16,8 @@
 
 mod decide;
 mod error_mask;
+#[cfg(feature = "gpu")]
+mod gpu;
 mod new_splats;
 mod plan;
 mod rules;
@@ -24,7 +26,7 @@ mod score;
 pub use decide::{Decision, SplatView, decide};
 pub use error_mask::masked_error;
 pub use new_splats::apply;
-pub(crate) use new_splats::{apply_to_splats, rearrange};
+pub(crate) use new_splats::rearrange;
 pub use plan::{Origin, Plan};
 pub use rules::Rules;
 pub(crate) use score::{ScoreInput, score};

@@ -43,8 +43,8 @@ pub fn apply(
     Ok(())
 }
 
-/// [`apply`] without the optimiser's state, which is elsewhere.
-pub(crate) fn apply_to_splats(
+/// [`apply`] without the optimiser's state.
+fn apply_to_splats(
     config: &DensityConfig,
     plan: &Plan,
     splats: &mut Splats,

@@ -3,24 +3,22 @@
 
 use super::{Scores, masked_error};
 use crate::{
-    config::DensityConfig,
-    frames::FrameStore,
-    refine::{Refinement, expose},
+    backend::{FrameStore, ScoreSettings},
+    refine::expose,
 };
-use m4_core::Splats;
-use m4_kernels::photo::cpu::{PhotoScratch, error_map, loss};
+use m4_core::{Exposure, Splats};
+use m4_kernels::loss::cpu::{LossScratch, error_map, loss};
 use m4_kernels::{Renderer, SimdLevel, View};
 
 /// What scoring needs beside splats and frames.
 pub(crate) struct ScoreInput<'a, 'c> {
     pub level: SimdLevel,
-    pub config: &'a DensityConfig,
-    pub lambda_ssim: f32,
-    pub store: &'a mut FrameStore<'c>,
-    /// Exposures; `None` when they are not corrected.
-    pub fit: Option<&'a Refinement>,
+    pub settings: &'a ScoreSettings,
+    pub frames: &'a mut FrameStore<'c>,
+    /// By frame; those beyond are not corrected.
+    pub exposures: &'a [Exposure],
     pub renderer: &'a mut Renderer,
-    pub scratch: &'a mut PhotoScratch,
+    pub scratch: &'a mut LossScratch,
 }
 
 /// Draws `splats` in each of `frames`, with the view that goes with it, and adds up what is wrong
@@ -35,30 +33,30 @@ pub(crate) fn score(input: &mut ScoreInput<'_, '_>, splats: &Splats, frames: &[(
     let (mut gradient, mut exposed): ([Vec<f32>; 3], [Vec<f32>; 3]) = Default::default();
     let share = 1.0 / frames.len().max(1) as f32;
     for (frame, view) in frames {
-        let target = input.store.target(*frame);
+        let target = input.frames.target(*frame);
         let drawn = input.renderer.render(splats, view);
-        let rgb = match input.fit {
-            Some(fit) => {
-                expose(&fit.frames[*frame].exposure, &drawn.rgb, &mut exposed);
+        let rgb = match input.exposures.get(*frame) {
+            Some(exposure) => {
+                expose(exposure, &drawn.rgb, &mut exposed);
                 &exposed
             }
             None => &drawn.rgb,
         };
-        let photo = loss(
+        let terms = loss(
             input.level,
             target,
             rgb,
-            input.lambda_ssim,
+            input.settings.lambda_ssim,
             input.scratch,
             &mut gradient,
         );
         error_map(input.level, target, rgb, &mut errors);
-        masked_error(&mut errors, input.config.error_threshold, input.config.error_range);
+        masked_error(&mut errors, input.settings.threshold, input.settings.range);
         one.fill(0.0);
         input.renderer.score(&errors, &mut one);
         for i in 0..n {
             scores.densify[i] += one[i] * share;
-            scores.prune[i] += one[i] * photo.total as f32;
+            scores.prune[i] += one[i] * terms.total as f32;
         }
     }
     scores

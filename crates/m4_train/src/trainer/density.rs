@@ -3,7 +3,8 @@
 use super::Trainer;
 use crate::{
     TrainError,
-    density::{Decision, Plan, Rules, ScoreInput, Scores, apply, score},
+    backend::{DensityRound, ScoreSettings},
+    density::{Decision, Rules, apply},
     pick::purpose,
 };
 use m4_core::CounterRng;
@@ -38,68 +39,55 @@ impl Trainer<'_> {
 
     fn round(&mut self, due: Decision, min_opacity: f32) -> Result<(), TrainError> {
         let (config, scale) = (self.config.density.clone(), self.scale.clone());
-        let rules = Rules {
-            config: &config,
-            due,
-            min_opacity,
-            scale: &scale,
-        };
-        if self.gpu.is_some() && self.densify_on_gpu(&rules)? {
-            return Ok(());
+        let mut views = Vec::new();
+        if due.densify || due.prune_by_score {
+            self.prepare()?;
+            views = self.frames_to_score();
         }
-        self.download_splats()?;
-        let scores = if due.densify || due.prune_by_score {
-            self.scores()?
-        } else {
-            let none = vec![0.0; self.splats.n()];
-            Scores {
-                densify: none.clone(),
-                prune: none,
-            }
+        let round = DensityRound {
+            views: &views,
+            scores: ScoreSettings {
+                lambda_ssim: self.config.lambda_ssim,
+                threshold: config.error_threshold,
+                range: config.error_range,
+            },
+            rules: Rules {
+                config: &config,
+                due,
+                min_opacity,
+                scale: &scale,
+            },
+            seed: self.config.seed,
+            iteration: self.iteration,
         };
-        let plan = rules.plan(&self.splats, &scores);
-        self.carry_out(&plan)
+        let Some(stats) = self.ask(|backend| backend.densify(&round))? else {
+            return self.round_here(&round);
+        };
+        if !stats.changes_nothing() {
+            self.counts = (stats.n_static, stats.n_dynamic);
+            self.reorder()?;
+        }
+        Ok(())
     }
 
-    fn carry_out(&mut self, plan: &Plan) -> Result<(), TrainError> {
+    /// A round that the backend does not support: scored there, decided and carried out here.
+    fn round_here(&mut self, round: &DensityRound<'_>) -> Result<(), TrainError> {
+        let scores = self.ask(|backend| backend.score(round.views, &round.scores))?;
+        self.download()?;
+        let plan = round.rules.plan(&self.splats, &scores);
         // A set of splats is never emptied: whatever the rules say, there must be something to train.
         if plan.changes_nothing() || plan.rows.is_empty() {
             return Ok(());
         }
-        if self.gpu.is_some() {
-            return self.carry_out_on_gpu(plan);
-        }
-        apply(
-            &self.config.density,
-            plan,
-            &mut self.splats,
-            &mut self.adam,
-            self.config.seed,
-            self.iteration,
-        )?;
+        self.synchronize()?;
+        let (config, splats, adam) = (round.rules.config, &mut self.splats, &mut self.adam);
+        apply(config, &plan, splats, adam, round.seed, round.iteration)?;
+        self.prepare()?;
         self.reorder()
     }
 
-    /// Both scores, over one draw of frames.
-    fn scores(&mut self) -> Result<Scores, TrainError> {
-        let frames = self.frames_to_score();
-        if self.gpu.is_some() {
-            return self.score_on_gpu(&frames);
-        }
-        let mut input = ScoreInput {
-            level: self.level,
-            config: &self.config.density,
-            lambda_ssim: self.config.lambda_ssim,
-            store: &mut self.store,
-            fit: self.config.refine.exposure.then_some(&self.fit),
-            renderer: &mut self.renderer,
-            scratch: &mut self.photo,
-        };
-        Ok(score(&mut input, &self.splats, &frames))
-    }
-
     /// Frames drawn for the scores, and how they are seen.
-    pub(super) fn frames_to_score(&self) -> Vec<(usize, View)> {
+    fn frames_to_score(&self) -> Vec<(usize, View)> {
         let mut rng = CounterRng::new(self.config.seed, purpose::DENSIFY_FRAMES, self.iteration as u64);
         let picked = rng.sample(self.times.len(), self.config.density.frames);
         picked.into_iter().map(|f| (f, self.view(f))).collect()

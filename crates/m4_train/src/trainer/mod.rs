@@ -2,14 +2,13 @@
 
 mod colour;
 mod density;
-mod gpu;
 mod save;
 mod step;
 
 use crate::{
     MetricsEvent, TrainError,
+    backend::{Backend, CpuBackend},
     config::TrainConfig,
-    frames::FrameStore,
     metrics::Totals,
     pick::Picker,
     rates::RateBasis,
@@ -18,12 +17,11 @@ use crate::{
     state::{Reader, read_adam, read_refinement},
 };
 use cpu_time::ProcessTime;
-use gpu::GpuBackend;
 use m4_core::{Capture, Column, Progress, Splats, TrainState};
 use m4_kernels::adam::cpu::AdamState;
-use m4_kernels::photo::cpu::PhotoScratch;
-use m4_kernels::{FrameGradient, Gradients, Renderer, SimdLevel, View, morton_order};
+use m4_kernels::{SimdLevel, View, morton_order};
 use std::time::Instant;
+use step::StepReport;
 
 /// Splats nearer than this share of the median depth are not drawn. The reference has 0.2 scene units whatever the scale
 /// (docs/spec/optimiser.md 1.6).
@@ -45,14 +43,29 @@ pub enum Outcome {
 #[derive(Debug)]
 pub struct Trainer<'a> {
     config: TrainConfig,
-    level: SimdLevel,
-    store: FrameStore<'a>,
+    capture: &'a Capture,
+    /// Where splats live while they are trained.
+    backend: Box<dyn Backend + 'a>,
+    /// The frames that the backend lacks.
+    frames_wanted: Option<&'a Capture>,
+    /// The backend has splats and state; `adam` has nothing then.
+    is_uploaded: bool,
+    /// `splats` are those of the backend.
+    is_current: bool,
+    /// Static and dynamic splats, wherever they are.
+    counts: (usize, usize),
+    /// When splats were last copied to go back to.
+    kept: Instant,
+    /// What the last steps found.
+    last: StepReport,
     /// Frames, one per frame of the capture.
     times: Vec<f64>,
     time_frames: usize,
     duration_s: Option<f64>,
     scale: SceneScale,
+    /// The last that were checked to be finite: those of iteration `good`.
     splats: Splats,
+    good: usize,
     adam: AdamState,
     fit: Refinement,
     picker: Picker,
@@ -60,20 +73,9 @@ pub struct Trainer<'a> {
     background: [f32; 3],
     first_splats: usize,
     basis: RateBasis,
-    /// The last splats that were checked to be finite, and their iteration.
-    good: Option<(usize, Splats)>,
-    renderer: Renderer,
-    frame_gradient: FrameGradient,
-    gradients: Gradients,
-    /// Sum over the frames of a step; empty while a step is one frame.
-    batch_sum: Gradients,
-    photo: PhotoScratch,
-    exposed: [Vec<f32>; 3],
     totals: Totals,
     seconds: f64,
     processor_seconds: f64,
-    /// Where steps are taken, if not here.
-    gpu: Option<GpuBackend>,
 }
 
 impl<'a> Trainer<'a> {
@@ -176,7 +178,14 @@ impl<'a> Trainer<'a> {
         level: SimdLevel,
     ) -> Self {
         Self {
-            store: FrameStore::new(capture, config.target_cache_mb),
+            capture,
+            backend: Box::new(CpuBackend::new(capture, config.target_cache_mb, level)),
+            frames_wanted: None,
+            is_uploaded: false,
+            is_current: true,
+            counts: (splats.n_static(), splats.n_dynamic()),
+            kept: Instant::now(),
+            last: StepReport::NONE,
             times: capture.frames.iter().map(|f| f.t).collect(),
             time_frames: capture.time_frames,
             duration_s: capture.duration_s,
@@ -184,24 +193,16 @@ impl<'a> Trainer<'a> {
             fit: Refinement::new(capture.frames.iter().map(|f| f.camera)),
             picker: Picker::new(config.seed, capture.frames.len()),
             iteration: 0,
-            good: None,
-            renderer: Renderer::new(level),
-            frame_gradient: FrameGradient::default(),
-            gradients: Gradients::default(),
-            batch_sum: Gradients::default(),
-            photo: PhotoScratch::default(),
-            exposed: Default::default(),
+            good: 0,
             totals: Totals::default(),
             seconds: 0.0,
             processor_seconds: 0.0,
-            gpu: None,
             splats,
             adam,
             basis,
             background,
             first_splats,
             config,
-            level,
         }
     }
 
@@ -240,14 +241,10 @@ impl<'a> Trainer<'a> {
                 });
             }
             let (started, processor) = (Instant::now(), ProcessTime::try_now());
-            let report = match self.gpu {
-                Some(_) => self.gpu_step().and_then(|()| {
-                    // a device is asked when there is something to say, and not between
-                    let due = self.event_is_due(end);
-                    due.then(|| self.look_at_remote()).transpose()
-                })?,
-                None => Some(self.step()?),
-            };
+            self.step()?;
+            // where it costs waiting, the backend is asked for events only
+            let due = self.event_is_due(end) || self.backend.is_synchronous();
+            let report = due.then(|| self.report()).transpose()?;
             self.seconds += started.elapsed().as_secs_f64();
             let spent = processor.and_then(|start| start.try_elapsed());
             self.processor_seconds += spent.unwrap_or_default().as_secs_f64();
@@ -256,8 +253,7 @@ impl<'a> Trainer<'a> {
                 metrics(&self.event(report.psnr));
             }
             if done.is_multiple_of(10) || done == end {
-                let (fixed, moving) = self.counts();
-                let splats = fixed + moving;
+                let splats = self.counts.0 + self.counts.1;
                 let note = match report {
                     Some(report) => format!("loss {:.4}, {splats} splats", report.loss),
                     None => format!("{splats} splats"),
@@ -283,6 +279,25 @@ impl<'a> Trainer<'a> {
     #[must_use]
     pub fn iteration(&self) -> usize {
         self.iteration
+    }
+
+    /// Takes steps on `backend` from here on instead of the CPU. The result depends on it as on a SIMD level: the same device gives
+    /// the same bits, another one last digits of its own.
+    /// With corrections of cameras or exposures every step waits for the device.
+    ///
+    /// # Errors
+    ///
+    /// [`TrainError::Device`] if the backend that was used before fails to give its splats back.
+    pub fn use_backend(&mut self, backend: Box<dyn Backend + 'a>) -> Result<(), TrainError> {
+        self.synchronize()?;
+        self.backend = backend;
+        self.frames_wanted = Some(self.capture);
+        Ok(())
+    }
+
+    /// Whether steps are done when they return.
+    pub(crate) fn is_synchronous(&self) -> bool {
+        self.backend.is_synchronous()
     }
 
     /// The splats as they are.
@@ -317,7 +332,7 @@ impl<'a> Trainer<'a> {
     fn event(&mut self, psnr: f64) -> MetricsEvent {
         let t = std::mem::take(&mut self.totals);
         let n = t.frames.max(1) as f64;
-        let (splats_static, splats_dynamic) = self.counts();
+        let (splats_static, splats_dynamic) = self.counts;
         MetricsEvent {
             iteration: self.iteration,
             loss: t.loss / n,

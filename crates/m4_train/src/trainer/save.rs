@@ -18,11 +18,11 @@ impl Trainer<'_> {
         self.scene_of(splats)
     }
 
-    /// Shows the scene and what [`resume`](Self::resume) needs beside it to `look`, without a copy of either.
-    pub fn save<R>(&mut self, look: impl FnOnce(&Scene, &TrainState<'_>) -> R) -> R {
+    /// Shows the scene and what [`resume`](Self::resume) needs beside it to `show`, without a copy of either.
+    pub fn save<R>(&mut self, show: impl FnOnce(&Scene, &TrainState<'_>) -> R) -> R {
         let splats = self.take_splats();
         let scene = self.scene_of(splats);
-        let out = look(&scene, &self.state());
+        let out = show(&scene, &self.state());
         self.splats = scene.splats;
         out
     }

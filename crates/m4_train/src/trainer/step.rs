@@ -1,18 +1,22 @@
-//! One iteration.
+//! One iteration, the same for every backend.
 
 use super::Trainer;
 use crate::{
-    TrainError, batch::add_touched, density::rearrange, metrics::psnr, rates::rates, refine::expose, schedule,
+    TrainError,
+    backend::{Backend, BackendError, StepSettings, StepView, targets},
+    rates::rates,
+    schedule,
 };
-use m4_kernels::adam::cpu::{AdamState, step as adam_step};
-use m4_kernels::photo::cpu::loss;
-use m4_kernels::{Wanted, morton_order};
+use m4_core::Exposure;
+use m4_kernels::{View, adam::cpu::AdamState};
+use std::time::{Duration, Instant};
 
-/// What an iteration found.
+/// What the last steps found.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct StepReport {
+    /// Mean over the frames.
     pub loss: f64,
-    /// Of the frame, dB; NaN unless an event is due.
+    /// Of the last frame, dB; NaN from a backend that measures it for events alone.
     pub psnr: f64,
 }
 
@@ -24,49 +28,42 @@ impl StepReport {
     };
 }
 
-/// What drawing one frame found.
-#[derive(Debug, Clone, Copy)]
-struct Look {
-    loss: f64,
-    psnr: f64,
-}
-
 impl Trainer<'_> {
-    /// Draws the frames of a step, compares, and moves every splat that was seen.
-    pub(crate) fn step(&mut self) -> Result<StepReport, TrainError> {
-        if self.good.is_none() {
-            self.good = Some((self.iteration, self.splats.clone()));
-        }
+    /// Draws the frames of a step, compares, moves every splat that was seen, and does what is due after it.
+    pub(crate) fn step(&mut self) -> Result<(), TrainError> {
         let (i, n, batch) = (self.iteration, self.config.iterations, self.config.batch);
-        let (mut total, mut last) = (0.0, f64::NAN);
-        for k in 0..batch {
-            let frame = self.picker.pick(i * batch + k);
-            if k == 1 {
-                // the first frame starts the sum; what comes back is written over
-                std::mem::swap(&mut self.gradients, &mut self.batch_sum);
-            }
-            let look = self.look(frame)?;
-            if k > 0 {
-                add_touched(&mut self.batch_sum, &self.gradients, self.splats.n_static());
-            }
-            total += look.loss / batch as f64;
-            last = look.psnr;
-        }
-        let gradients = if batch > 1 { &self.batch_sum } else { &self.gradients };
+        self.prepare()?;
+        let frames: Vec<usize> = (0..batch).map(|k| self.picker.pick(i * batch + k)).collect();
+        let views: Vec<View> = frames.iter().map(|&f| self.view(f)).collect();
         let x = schedule::progress(i, n);
         let mut lr = rates(&self.config.lr, self.splats.layout(), &self.scale, self.basis, x);
         let faster = (batch as f32).sqrt();
         lr.iter_mut().for_each(|rate| *rate *= faster);
-        adam_step(
-            self.level,
-            &mut self.splats,
-            gradients,
-            &mut self.adam,
-            &self.config.adam,
-            &lr,
-        );
-        self.totals.steps += 1;
-        self.totals.touched += gradients.touched.iter().filter(|&&v| v != 0).count();
+        let refine = &self.config.refine;
+        let refining = i >= refine.from;
+        let (camera, exposure) = (refining && (refine.poses || refine.focal), refining && refine.exposure);
+        let views: Vec<StepView<'_>> = frames
+            .iter()
+            .zip(&views)
+            .map(|(&frame, view)| StepView {
+                frame,
+                view,
+                camera,
+                exposure,
+            })
+            .collect();
+        let settings = StepSettings {
+            lambda_ssim: self.config.lambda_ssim,
+            rates: &lr,
+            adam: self.config.adam,
+            psnr: (i + 1).is_multiple_of(self.config.metrics_every) || i + 1 == n,
+        };
+        self.ask(|backend| backend.step(&views, &settings))?;
+        self.is_current = false;
+        if camera || exposure || self.backend.is_synchronous() {
+            // cameras and exposures are corrected before they are used again
+            self.report()?;
+        }
 
         self.iteration += 1;
         self.guard()?;
@@ -75,117 +72,156 @@ impl Trainer<'_> {
         if reorder > 0 && self.iteration.is_multiple_of(reorder) {
             self.reorder()?;
         }
-        if self.colours_are_due() {
-            self.fit_colours();
-            self.guard()?;
+        if self.config.colour_fit_rounds > 0 && self.iteration == self.config.iterations {
+            self.fit_colours()?;
         }
-        Ok(StepReport {
-            loss: total,
-            psnr: last,
-        })
+        Ok(())
     }
 
-    /// Draws a frame, compares, and leaves the gradients of the splats; cameras are corrected at once.
-    fn look(&mut self, frame: usize) -> Result<Look, TrainError> {
-        let (i, n) = (self.iteration, self.config.iterations);
-        let refining = i >= self.config.refine.from;
-        let exposing = self.config.refine.exposure && refining;
-
-        let view = self.view(frame);
-        let target = self.store.target(frame);
-        let drawn = self.renderer.render(&self.splats, &view);
-        let rgb = if self.config.refine.exposure {
-            expose(&self.fit.frames[frame].exposure, &drawn.rgb, &mut self.exposed);
-            &self.exposed
-        } else {
-            &drawn.rgb
-        };
-        let lambda = self.config.lambda_ssim;
-        let out = &mut self.frame_gradient;
-        let photo = loss(self.level, target, rgb, lambda, &mut self.photo, &mut out.rgb);
-        let (done, every) = (i + 1, self.config.metrics_every);
-        let psnr = if done.is_multiple_of(every) || done == n {
-            psnr(rgb, &target.rgb())
-        } else {
-            f64::NAN
-        };
-        if exposing {
-            self.fit
-                .step_exposure(&self.config.refine, frame, &drawn.rgb, &mut out.rgb);
+    /// Waits for the backend, adds its statistics to the totals, corrects cameras and exposures, and returns loss and PSNR.
+    pub(crate) fn report(&mut self) -> Result<StepReport, TrainError> {
+        let stats = self.ask(|backend| backend.stats())?;
+        if stats.steps == 0 {
+            return Ok(self.last);
         }
-        if !photo.total.is_finite() {
+        let lambda = f64::from(self.config.lambda_ssim);
+        let loss = (1.0 - lambda) * stats.l1 + lambda * (1.0 - stats.ssim);
+        if !loss.is_finite() {
             return Err(self.back_to_good("the loss"));
         }
-
-        let wanted = Wanted {
-            camera: refining && (self.config.refine.poses || self.config.refine.focal),
-            ..Wanted::default()
-        };
-        self.renderer.backward(&self.splats, out, wanted, &mut self.gradients);
-        if wanted.camera {
-            self.fit.step(
-                &self.config.refine,
-                frame,
-                &view.camera,
-                &self.gradients.camera,
-                f64::from(self.scale.median_depth),
-            );
-        }
-        let t = &mut self.totals;
-        t.frames += 1;
-        t.loss += photo.total;
-        t.l1 += photo.l1;
-        t.ssim += photo.ssim;
-        Ok(Look {
-            loss: photo.total,
-            psnr,
-        })
-    }
-
-    /// Prepares every image, so that steps cost what they cost after the first epoch.
-    pub(crate) fn prepare_frames(&mut self) {
-        self.store.prepare_all();
-    }
-
-    /// Lays splats and optimiser state out along a Morton curve.
-    pub(super) fn reorder(&mut self) -> Result<(), TrainError> {
-        let order = morton_order(&self.splats);
-        self.splats.rearrange(&order)?;
-        rearrange(&mut self.adam, &order)?;
-        Ok(())
-    }
-
-    pub(super) fn guard_is_due(&self) -> bool {
-        self.iteration.is_multiple_of(self.config.guard_every) || self.iteration == self.config.iterations
-    }
-
-    /// Keeps the splats if they are finite, and goes back to those kept if they are not; now and then.
-    pub(super) fn guard(&mut self) -> Result<(), TrainError> {
-        if !self.guard_is_due() {
-            return Ok(());
-        }
-        if !self.splats.is_finite() {
+        if !stats.splats_are_finite {
             return Err(self.back_to_good("a parameter of a splat"));
         }
-        if let Some((iteration, splats)) = &mut self.good {
-            *iteration = self.iteration;
-            splats.clone_from(&self.splats);
+        let (t, steps, frames) = (&mut self.totals, stats.steps as f64, stats.frames as f64);
+        t.frames += stats.frames;
+        t.steps += stats.steps;
+        t.loss += loss * frames;
+        t.l1 += stats.l1 * frames;
+        t.ssim += stats.ssim * frames;
+        t.touched += (stats.touched * steps).round() as usize;
+        for (frame, gradient) in stats.exposures {
+            self.fit.step_exposure(&self.config.refine, frame, gradient);
+        }
+        for (frame, gradient) in &stats.cameras {
+            let drawn = self.fit.camera(*frame);
+            let median_depth = f64::from(self.scale.median_depth);
+            self.fit
+                .step(&self.config.refine, *frame, &drawn, gradient, median_depth);
+        }
+        self.last = StepReport { loss, psnr: stats.psnr };
+        Ok(self.last)
+    }
+
+    /// Frames, splats and exposures are on the backend: before anything is drawn.
+    pub(super) fn prepare(&mut self) -> Result<(), TrainError> {
+        if let Some(capture) = self.frames_wanted.take() {
+            self.ask(|backend| backend.set_frames(targets(capture)))?;
+        }
+        if !self.is_uploaded {
+            let nothing = AdamState::new(&self.splats.gather(&[])?);
+            let adam = std::mem::replace(&mut self.adam, nothing);
+            self.good = self.iteration;
+            let uploaded = self.backend.upload(&self.splats, adam);
+            uploaded.map_err(|error| self.backend_failed(&error))?;
+            (self.is_uploaded, self.is_current) = (true, true);
+            self.counts = (self.splats.n_static(), self.splats.n_dynamic());
+        }
+        if self.config.refine.exposure {
+            let exposures: Vec<Exposure> = self.fit.frames.iter().map(|f| f.exposure).collect();
+            self.ask(|backend| backend.set_exposures(&exposures))?;
         }
         Ok(())
     }
 
-    pub(super) fn back_to_good(&mut self, what: &'static str) -> TrainError {
-        let iteration = self.iteration;
-        if let Some((good, splats)) = self.good.take() {
-            // without the moments, which led here, and without a device that has others
-            self.gpu = None;
-            self.adam = AdamState::new(&splats);
-            (self.iteration, self.splats) = (good, splats);
+    /// Lays splats and the optimiser's state out along a Morton curve.
+    pub(super) fn reorder(&mut self) -> Result<(), TrainError> {
+        self.ask(|backend| backend.reorder())?;
+        self.is_current = false;
+        Ok(())
+    }
+
+    /// Checks now and then that everything is finite, and keeps the splats if so. A backend that must be waited for is not asked for
+    /// them more often than the settings say; which of the finite states is kept changes nothing in a run that does not fail.
+    fn guard(&mut self) -> Result<(), TrainError> {
+        let last = self.iteration == self.config.iterations;
+        if !last && !self.iteration.is_multiple_of(self.config.guard_every) {
+            return Ok(());
         }
+        self.report()?;
+        let pause = Duration::try_from_secs_f32(self.config.keep_every_s).unwrap_or(Duration::MAX);
+        if !last && !self.backend.is_synchronous() && self.kept.elapsed() < pause {
+            return Ok(());
+        }
+        self.download()?;
+        self.kept = Instant::now();
+        Ok(())
+    }
+
+    /// The splats here become those of the backend, if they are finite.
+    pub(super) fn download(&mut self) -> Result<(), TrainError> {
+        if !self.is_current {
+            let splats = self.ask(|backend| backend.splats())?;
+            if !splats.is_finite() {
+                return Err(self.back_to_good("a parameter of a splat"));
+            }
+            (self.splats, self.good, self.is_current) = (splats, self.iteration, true);
+        }
+        Ok(())
+    }
+
+    /// Brings everything back from the backend.
+    ///
+    /// # Errors
+    ///
+    /// [`TrainError::Device`] if it failed; the trainer then has the last good splats.
+    pub(super) fn synchronize(&mut self) -> Result<(), TrainError> {
+        if self.is_uploaded {
+            let (splats, adam) = self.ask(|backend| backend.take())?;
+            self.is_uploaded = false;
+            if !splats.is_finite() {
+                return Err(self.back_to_good("a parameter of a splat"));
+            }
+            (self.splats, self.adam) = (splats, adam);
+            (self.good, self.is_current) = (self.iteration, true);
+        }
+        Ok(())
+    }
+
+    /// Asks the backend for something; where it fails the trainer goes back to its last good splats.
+    pub(super) fn ask<R>(
+        &mut self,
+        ask: impl FnOnce(&mut dyn Backend) -> Result<R, BackendError>,
+    ) -> Result<R, TrainError> {
+        let answer = ask(self.backend.as_mut());
+        answer.map_err(|error| self.backend_failed(&error))
+    }
+
+    fn backend_failed(&mut self, error: &BackendError) -> TrainError {
+        let iteration = self.iteration;
+        self.go_back();
+        TrainError::Device {
+            why: error.to_string(),
+            iteration,
+            good_iteration: self.iteration,
+        }
+    }
+
+    fn back_to_good(&mut self, what: &'static str) -> TrainError {
+        let iteration = self.iteration;
+        self.go_back();
         TrainError::Diverged {
             what,
             iteration,
             good_iteration: self.iteration,
         }
+    }
+
+    /// Goes back to the splats here, without the moments, which led to the failure.
+    fn go_back(&mut self) {
+        self.adam = AdamState::new(&self.splats);
+        self.iteration = self.good;
+        (self.is_uploaded, self.is_current) = (false, true);
+        self.counts = (self.splats.n_static(), self.splats.n_dynamic());
+        self.last = StepReport::NONE;
     }
 }

@@ -1,5 +1,9 @@
 //! A synthetic video whose splats, cameras and motion are known.
 
+mod watched;
+
+pub use watched::Watched;
+
 use m4_core::{Capture, CaptureFrame, Column, CompactMask, CounterRng, Intrinsics, Plane, SplatLayout, Splats};
 use m4_kernels::{Renderer, SimdLevel, View};
 use m4_testkit::{MovingScene, moving_scene};

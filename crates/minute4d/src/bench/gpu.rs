@@ -5,9 +5,10 @@ use super::{BenchConfig, Case, GpuCase, GpuMachine};
 use crate::device::DeviceChoice;
 use crate::{Error, Observer};
 use cpu_time::ProcessTime;
-use m4_gpu::{Bench, Choice, Drawing, Found, Gpu, GpuError, Laps, Plan, adapters, best};
-use m4_kernels::SimdLevel;
 use m4_kernels::bench::{Bench as Host, Counts, Kernel, SceneConfig};
+use m4_kernels::gpu::{Choice, Gpu, GpuError, Laps, Plan, adapters, best};
+use m4_kernels::{SimdLevel, StepStats};
+use m4_train::backend::gpu::{Bench, Drawing};
 use std::time::{Duration, Instant};
 
 /// Steps behind one another are repeated until they take this long at least, so that the one wait does not count.
@@ -16,7 +17,7 @@ const LONG: Duration = Duration::from_millis(500);
 const REPEATS: usize = 3;
 /// Steps behind one another at most.
 const MOST: usize = 20_000;
-/// Share of SSIM in the loss, as [`m4_gpu::Bench`] has it.
+/// Share of SSIM in the loss, as [`Bench`] has it.
 const LAMBDA_SSIM: f64 = 0.2;
 
 /// The GPU that is chosen, started; `None` for the processor.
@@ -111,23 +112,23 @@ struct Steps {
 fn time_steps(bench: &mut Bench, steps: usize, cancelled: &dyn Fn() -> bool) -> Result<Steps, Error> {
     let views = bench.views();
     let kernels = fastest(views, steps, |view| bench.laps(view))?;
-    bench.found()?;
+    bench.stats()?;
     all_views(bench, views)?;
-    let before = loss(&bench.found()?);
+    let before = loss(&bench.stats()?);
     let (ms, busy, count) = behind_one_another(steps, views, cancelled, |rounds| {
         for _ in 0..rounds {
             all_views(bench, views)?;
         }
         bench.wait()
     })?;
-    bench.found()?;
+    bench.stats()?;
     all_views(bench, views)?;
     Ok(Steps {
         kernels,
         step: Step {
             ms,
             busy,
-            loss: [before, loss(&bench.found()?)],
+            loss: [before, loss(&bench.stats()?)],
         },
         count,
     })
@@ -137,8 +138,8 @@ fn all_views(bench: &mut Bench, views: usize) -> Result<(), GpuError> {
     (0..views).try_for_each(|view| bench.step(view))
 }
 
-fn loss(found: &Found) -> f64 {
-    (1.0 - LAMBDA_SSIM) * found.l1 + LAMBDA_SSIM * (1.0 - found.ssim)
+fn loss(stats: &StepStats) -> f64 {
+    (1.0 - LAMBDA_SSIM) * stats.l1 + LAMBDA_SSIM * (1.0 - stats.ssim)
 }
 
 struct Frames {

@@ -51,7 +51,7 @@ pub struct GpuCase {
     pub behind_one_another: usize,
     /// Frames a second when each is copied to the host, one after the other.
     pub read_frames_per_s: f64,
-    /// What training was expected to take on the GPU (`m4_gpu::Plan`), bytes.
+    /// What training was expected to take on the GPU (`m4_kernels::gpu::Plan`), bytes.
     pub planned_bytes: u64,
     /// What its buffers took, with the bench's own, bytes.
     pub in_use_bytes: u64,

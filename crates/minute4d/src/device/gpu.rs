@@ -1,14 +1,13 @@
 //! An open GPU.
 
 use super::NetworkDevice;
-use super::training::GpuTraining;
 use crate::Error;
 use m4_core::Splats;
 #[cfg(feature = "nets")]
-use m4_gpu::Runtime;
-use m4_gpu::{Choice, Gpu, Renderer, adapters, best};
+use m4_kernels::gpu::Runtime;
+use m4_kernels::gpu::{Choice, Gpu, Renderer, adapters, best};
 use m4_kernels::{Frame, View};
-use m4_train::{Device, DeviceError};
+use m4_train::backend::{Backend, gpu::GpuBackend};
 
 /// A GPU that was started.
 #[derive(Debug, Clone)]
@@ -60,12 +59,9 @@ impl OpenGpu {
     }
 
     /// Takes training steps of `batch` frames on it, within `max_vram_mb`.
-    ///
-    /// # Errors
-    ///
-    /// [`DeviceError`] when it fails.
-    pub fn training(&self, max_vram_mb: Option<usize>, batch: usize) -> Result<Box<dyn Device>, DeviceError> {
-        Ok(Box::new(GpuTraining::new(self.gpu.clone(), max_vram_mb, batch)))
+    #[must_use]
+    pub fn training(&self, max_vram_mb: Option<usize>, batch: usize) -> Box<dyn Backend> {
+        Box::new(GpuBackend::new(self.gpu.clone(), max_vram_mb, batch))
     }
 }
 

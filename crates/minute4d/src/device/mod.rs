@@ -5,8 +5,6 @@ mod gpu;
 mod network;
 #[cfg(not(feature = "gpu"))]
 mod no_gpu;
-#[cfg(feature = "gpu")]
-mod training;
 
 #[cfg(feature = "gpu")]
 pub use gpu::{GpuPainter, OpenGpu};

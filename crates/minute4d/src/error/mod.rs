@@ -114,7 +114,7 @@ pub enum Error {
     /// The requested GPU is missing, does not start, or failed.
     #[cfg(feature = "gpu")]
     #[error(transparent)]
-    Gpu(#[from] m4_gpu::GpuError),
+    Gpu(#[from] m4_kernels::gpu::GpuError),
     /// A GPU was requested in a build without GPU support.
     #[error(
         "this program was built without GPU support, which --device gpu needs: `{BUILD_FULL}` builds it with them; --device cpu works without"

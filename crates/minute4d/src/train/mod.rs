@@ -16,7 +16,7 @@ use checkpoint::{CheckpointTimer, Checkpoints};
 use m4_core::{Capture, Progress, Scene, Splats, TrainState};
 use m4_io::capture::Split;
 use m4_io::scene::safetensors;
-use m4_train::{DeviceError, DeviceMaker, MetricsEvent, Outcome, TrainError, Trainer};
+use m4_train::{BackendError, BackendMaker, MetricsEvent, Outcome, TrainError, Trainer};
 use metrics::MetricsLog;
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -117,8 +117,8 @@ fn train(
     let settings = &run.job.settings;
     let gpu = run.gpu.clone();
     let make = || match &gpu {
-        Some(gpu) => gpu.training(run.job.device.max_vram_mb, settings.train.batch),
-        None => Err(DeviceError("no GPU was started".to_owned())),
+        Some(gpu) => Ok(gpu.training(run.job.device.max_vram_mb, settings.train.batch)),
+        None => Err(BackendError("no GPU was started".to_owned())),
     };
     folder::remove_file(&run.path(SCENE_FILE))?;
     // it would show another scene
@@ -142,7 +142,7 @@ fn train(
             let budget_s = settings.train.budget_s;
             let left_s = end.map(|end| end.saturating_duration_since(Instant::now()).as_secs_f64());
             if let Some(seconds) = affordable(budget_s, left_s) {
-                let trial = run.gpu.as_ref().map(|_| &make as DeviceMaker<'_>);
+                let trial = run.gpu.as_ref().map(|_| &make as BackendMaker<'_>);
                 let n = m4_train::affordable_iterations(capture, &splats, &config, run.level, trial, seconds)?;
                 if budget_s > 0.0 || n < config.iterations {
                     config.iterations = n;
@@ -158,13 +158,8 @@ fn train(
             (trainer, log)
         }
     };
-    if gpu.is_some() {
-        let device = make().map_err(|DeviceError(why)| TrainError::Device {
-            why,
-            iteration: trainer.iteration(),
-            good_iteration: trainer.iteration(),
-        })?;
-        trainer.use_device(device);
+    if let Some(gpu) = &gpu {
+        trainer.use_backend(gpu.training(run.job.device.max_vram_mb, settings.train.batch))?;
     }
     let observer = run.job.observer;
     let total = trainer.iterations();

@@ -3,7 +3,7 @@
 use super::{BATCH, CHUNK, Sums, Used, backward, forward, score};
 use crate::{
     blend::{
-        ALPHA_MIN,
+        ALPHA_MIN, LOG2_ALPHA_MIN,
         planes::{BandGradient, BandPlace, BandPlanes},
     },
     simd::{SimdLevel, dispatch},
@@ -122,4 +122,9 @@ fn tiles_that_a_splat_does_not_reach_may_be_left_out() {
             }
         }
     }
+}
+
+#[test]
+fn the_least_exponent_is_the_logarithm_of_the_least_alpha() {
+    assert!((LOG2_ALPHA_MIN - ALPHA_MIN.log2()).abs() < 1e-14);
 }

@@ -1,0 +1,45 @@
+//! What the GPU versions of the kernels share: devices, memory, sorts, sums, and the launches of a frame. The kernels are the files `gpu.rs` of
+//! the folders beside this one, in CubeCL: one source for Vulkan, Metal, DX12 and CUDA.
+//!
+//! ```text
+//! project -> sort by depth -> bin -> sort by tile -> blend -> loss
+//! adam <- project backward <- blend backward <- gradient of the loss
+//! ```
+//!
+//! Splats, moments, frames and everything between stay on the device while it trains; a step uploads a camera and reads
+//! nothing back. There are no floating-point atomics: every tile entry has a slot of its own for its sums, and each
+//! splat adds its slots up in order, so that the same seed gives the same bits on the same device. How many entries
+//! there are is known on the device alone: buffers are sized by capacity, and a peak that is read now and then says
+//! when they must grow.
+//!
+//! [`Renderer`] draws one view and its gradient and reads them back: for images, and for the tests that compare with
+//! the CPU.
+
+pub mod buffer;
+#[cfg(feature = "cuda")]
+mod cuda;
+mod device;
+mod error;
+pub(crate) mod eye;
+pub mod frames;
+pub mod gather;
+pub mod log;
+mod memory;
+pub mod morton;
+mod plan;
+mod probe;
+mod renderer;
+pub mod scan;
+pub mod sort;
+pub mod splats;
+mod stopwatch;
+pub mod tally;
+pub mod vector;
+pub mod work;
+
+pub use device::{Adapter, AdapterKind, Choice, Gpu, Runtime, adapters, best, missing_for_cuda};
+pub use error::GpuError;
+pub use memory::DeviceMemory;
+pub use plan::{Part, Plan};
+pub use renderer::Renderer;
+pub use stopwatch::{Laps, Stopwatch};

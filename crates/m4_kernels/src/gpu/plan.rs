@@ -1,0 +1,327 @@
+//! Plans the device memory of training or rendering before it starts.
+
+use crate::gpu::scan::Scan;
+use crate::gpu::sort::Sort;
+use crate::gpu::splats::parts;
+use crate::gpu::work::{CHECKPOINT, Size};
+use crate::gpu::{Gpu, GpuError, eye::EYE, tally::LOSSES};
+use crate::project::gpu::RECORD;
+use crate::tile_binning::gpu::reach::{REACH, TILE};
+use m4_core::SplatLayout;
+
+/// Entries of tiles that memory is first made for: this many a splat, and at least as many as [`LEAST_ENTRIES`]. Of a video
+/// most splats are missing at an instant; the first frame says how many entries it takes, and is drawn again.
+const FIRST_ENTRIES: usize = 1;
+const LEAST_ENTRIES: usize = 1 << 16;
+
+/// One part of a [`Plan`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Part {
+    /// Its contents.
+    pub what: &'static str,
+    /// All of its buffers, bytes.
+    pub bytes: u64,
+    /// The largest of them, bytes.
+    pub largest: u64,
+}
+
+/// The memory that something takes on the device, part by part. The runtime rounds buffers up and keeps some for
+/// itself; measured, that is a few per cent.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Plan {
+    doing: &'static str,
+    parts: Vec<Part>,
+    frame_bytes: u64,
+    frames: usize,
+    /// Memory of a second set of gradients.
+    batch: Part,
+}
+
+/// The buffers of a part, counted in numbers of four bytes.
+fn part(what: &'static str, buffers: &[usize]) -> Part {
+    // a buffer has at least one number
+    let bytes = buffers.iter().map(|&len| 4 * len.max(1) as u64);
+    Part {
+        what,
+        bytes: bytes.clone().sum(),
+        largest: bytes.max().unwrap_or(0),
+    }
+}
+
+impl Plan {
+    /// Training of `n_static` and `n_dynamic` splats on `frames` images of `size` (columns, rows) that stay on the
+    /// device, eight bits per channel, with room for `entries` entries of tile lists ([`first_entries`](Self::first_entries) at first; a
+    /// trainer makes more where a frame has more).
+    #[must_use]
+    pub fn training(
+        n_static: usize,
+        n_dynamic: usize,
+        layout: SplatLayout,
+        size: (usize, usize),
+        frames: usize,
+        entries: usize,
+    ) -> Self {
+        let n = n_static + n_dynamic;
+        let (width, height) = size;
+        let size = Size {
+            n,
+            width,
+            height,
+            entries,
+            training: true,
+        };
+        let columns = columns(n_static, n_dynamic, layout);
+        let pixels = size.pixels();
+        let mut parts = vec![
+            part("splats", &columns),
+            part("moments", &[&columns[..], &columns[..], &[n]].concat()),
+            part("gradients", &columns),
+        ];
+        parts.extend(work(&size));
+        let cubes = n.div_ceil(256);
+        parts.push(part("loss", &[9 * pixels, 9 * size.tiles(), cubes, LOSSES + 1]));
+        parts.push(density_control(&columns, n, pixels));
+        // planes of bytes, each in words of its own
+        let frame = part("frames", &[3 * pixels.div_ceil(4)]);
+        parts.push(Part {
+            what: "frames",
+            bytes: frame.bytes * frames as u64,
+            largest: if frames > 0 { frame.largest } else { 0 },
+        });
+        Self {
+            doing: "training",
+            parts,
+            frame_bytes: frame.bytes,
+            frames,
+            batch: part("gradients of a batch", &[&columns[..], &[n]].concat()),
+        }
+    }
+
+    /// Drawing of this many splats into images of `size`, as [`training`](Self::training).
+    #[must_use]
+    pub fn drawing(
+        n_static: usize,
+        n_dynamic: usize,
+        layout: SplatLayout,
+        size: (usize, usize),
+        entries: usize,
+    ) -> Self {
+        let (width, height) = size;
+        let size = Size {
+            n: n_static + n_dynamic,
+            width,
+            height,
+            entries,
+            training: false,
+        };
+        let mut parts = vec![part("splats", &columns(n_static, n_dynamic, layout))];
+        parts.extend(work(&size));
+        Self {
+            doing: "drawing",
+            parts,
+            frame_bytes: 0,
+            frames: 0,
+            batch: part("gradients of a batch", &[]),
+        }
+    }
+
+    /// With the second set of gradients that steps of several frames add theirs up in.
+    #[must_use]
+    pub fn with_batches(mut self) -> Self {
+        self.parts.push(self.batch);
+        self
+    }
+
+    /// Entries of tile lists that memory is first made for; a trainer and a renderer make more where a frame has more.
+    #[must_use]
+    pub fn first_entries(splats: usize) -> usize {
+        (FIRST_ENTRIES * splats).max(LEAST_ENTRIES)
+    }
+
+    /// The parts: splats, moments, gradients, and so on.
+    #[must_use]
+    pub fn parts(&self) -> &[Part] {
+        &self.parts
+    }
+
+    /// All parts together, bytes.
+    #[must_use]
+    pub fn total(&self) -> u64 {
+        self.parts.iter().map(|part| part.bytes).sum()
+    }
+
+    /// What one frame takes, bytes; 0 for drawing.
+    #[must_use]
+    pub fn frame_bytes(&self) -> u64 {
+        self.frame_bytes
+    }
+
+    /// All but the frames, bytes.
+    #[must_use]
+    pub fn without_frames(&self) -> u64 {
+        self.total() - self.frame_bytes * self.frames as u64
+    }
+
+    /// The bytes that `limit_bytes` leaves for frames, 0 if it leaves none: with less than all of them need, frames are
+    /// to be sent to the device as they are used.
+    #[must_use]
+    pub fn frames_budget(&self, limit_bytes: u64) -> u64 {
+        limit_bytes.saturating_sub(self.without_frames())
+    }
+
+    /// Whether everything fits into `limit_bytes`.
+    ///
+    /// # Errors
+    ///
+    /// [`GpuError::OverLimit`] with the size of every part.
+    pub fn check(&self, limit_bytes: u64) -> Result<(), GpuError> {
+        if self.total() <= limit_bytes {
+            return Ok(());
+        }
+        Err(GpuError::OverLimit {
+            doing: self.doing,
+            needed: megabytes(self.total()),
+            limit: limit_bytes / 1_000_000,
+            parts: self.to_string(),
+        })
+    }
+
+    /// Whether the device allows buffers as large as the largest of each part.
+    ///
+    /// # Errors
+    ///
+    /// [`GpuError::TooLarge`] with the part whose buffer is not allowed.
+    pub fn check_buffers(&self, gpu: &Gpu) -> Result<(), GpuError> {
+        self.parts
+            .iter()
+            .try_for_each(|part| gpu.fits(part.what, part.largest as usize))
+    }
+}
+
+impl std::fmt::Display for Plan {
+    /// `splats 6 MB, moments 11 MB, ...`
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        for (i, part) in self.parts.iter().enumerate() {
+            let comma = if i == 0 { "" } else { ", " };
+            write!(f, "{comma}{} {} MB", part.what, megabytes(part.bytes))?;
+        }
+        Ok(())
+    }
+}
+
+fn megabytes(bytes: u64) -> u64 {
+    bytes.div_ceil(1_000_000)
+}
+
+/// Temporary memory: scores of splats and the order of a frame's errors, or the order of the scores and the outcome of each
+/// splat, or splats and a moment twice while their rows change, or the sums of colours.
+fn density_control(columns: &[usize], n: usize, pixels: usize) -> Part {
+    let mut scores = vec![2 * n, 2 * n, pixels, pixels, pixels, 2 * pixels.div_ceil(256)];
+    scores.extend(Sort::lengths(pixels));
+    let mut decision = vec![2 * n, 2 * n, n, n, n, 2 * n, 2 * n, n.div_ceil(256)];
+    decision.extend(Sort::lengths(n));
+    decision.extend(Scan::lengths(2 * n));
+    let rows = [columns, columns, &[n, 2 * n, 2 * n, n, n, n]].concat();
+    let what = "density control";
+    let all = [
+        part(what, &scores),
+        part(what, &decision),
+        part(what, &rows),
+        part(what, &[6 * n]),
+    ];
+    Part {
+        what,
+        bytes: all.iter().map(|part| part.bytes).max().unwrap_or(0),
+        largest: all.iter().map(|part| part.largest).max().unwrap_or(0),
+    }
+}
+
+/// The three buffers of numbers per splat.
+fn columns(n_static: usize, n_dynamic: usize, layout: SplatLayout) -> [usize; 3] {
+    let [geometry, colour, time] = parts(layout).map(|columns| columns.len());
+    let n = n_static + n_dynamic;
+    [geometry * n, colour * n, time * n_dynamic]
+}
+
+/// What [`Work`](crate::gpu::work::Work) makes.
+fn work(size: &Size) -> Vec<Part> {
+    let (n, entries, tiles, pixels) = (size.n, size.entries, size.tiles(), size.pixels());
+    let mut splats = vec![RECORD * n, REACH * n, n, n, 1, n, n, n, n, EYE, 1];
+    splats.extend(Sort::lengths(n));
+    splats.extend(Scan::lengths(n));
+    let mut lists = vec![entries; 4];
+    lists.extend(Sort::lengths(entries));
+    lists.extend([2 * tiles, tiles, tiles]);
+    lists.extend(Scan::lengths(tiles));
+    let mut parts = vec![
+        part("splats of a frame", &splats),
+        part("tile lists", &lists),
+        part("image", &[5 * pixels, pixels]),
+    ];
+    if size.training {
+        let buckets = size.buckets();
+        parts.push(part("gradients of tile entries", &[RECORD * entries]));
+        parts.push(part(
+            "what gradients start from",
+            &[buckets, CHECKPOINT * TILE * TILE * buckets],
+        ));
+        parts.push(part("gradient of the image", &[5 * pixels, 5 * pixels]));
+    }
+    parts
+}
+
+#[cfg(test)]
+mod tests {
+    use super::Plan;
+    use crate::gpu::GpuError;
+    use m4_core::SplatLayout;
+
+    const LAYOUT: SplatLayout = SplatLayout {
+        isotropic: false,
+        sh_degree: 0,
+        time_degree: 0,
+    };
+
+    fn plan(frames: usize) -> Plan {
+        Plan::training(20_000, 80_000, LAYOUT, (480, 360), frames, Plan::first_entries(100_000))
+    }
+
+    #[test]
+    fn splat_memory_is_the_size_of_the_columns() {
+        let plan = plan(10);
+        let of = |what| plan.parts().iter().find(|p| p.what == what).unwrap().bytes;
+        let splats = 4 * (14 * 100_000 + 5 * 80_000);
+        assert_eq!(of("splats"), splats);
+        assert_eq!(of("moments"), 2 * splats + 4 * 100_000);
+        assert_eq!(of("frames"), 10 * 3 * 480 * 360);
+        assert_eq!(plan.total(), plan.without_frames() + 10 * plan.frame_bytes());
+        assert_eq!(plan.clone().with_batches().total(), plan.total() + splats + 4 * 100_000);
+    }
+
+    #[test]
+    fn exceeding_the_memory_limit_lists_every_part() {
+        let plan = plan(500);
+        assert!(plan.check(plan.total()).is_ok());
+        let error = plan.check(100_000_000).unwrap_err();
+        assert!(matches!(error, GpuError::OverLimit { limit: 100, .. }), "{error}");
+        let text = error.to_string();
+        for part in plan.parts() {
+            assert!(text.contains(part.what), "{text} lacks {}", part.what);
+        }
+    }
+
+    #[test]
+    fn remaining_memory_is_given_to_frames() {
+        let plan = plan(500);
+        let ten = plan.without_frames() + 10 * plan.frame_bytes();
+        assert_eq!(plan.frames_budget(ten), 10 * plan.frame_bytes());
+        assert_eq!(plan.frames_budget(1000), 0);
+        assert!(plan.frames_budget(u64::MAX) > 500 * plan.frame_bytes());
+    }
+
+    #[test]
+    fn drawing_takes_less_than_training() {
+        let drawing = Plan::drawing(20_000, 80_000, LAYOUT, (480, 360), Plan::first_entries(100_000));
+        assert!(drawing.total() * 3 < plan(0).total(), "{drawing} for {}", plan(0));
+    }
+}

@@ -1,0 +1,138 @@
+//! Renders one view and reads it back: for images, and for tests that compare with the CPU.
+
+use crate::gpu::buffer::Buffer;
+use crate::gpu::splats::{DeviceSplats, parts};
+use crate::gpu::work::{Size, Work};
+use crate::gpu::{Gpu, GpuError, Plan};
+use crate::{Frame, FrameGradient, Gradients, View};
+use m4_core::Splats;
+
+/// Draws splats that stay on the device. The twin of [`crate::Renderer`].
+#[derive(Debug)]
+pub struct Renderer {
+    gpu: Gpu,
+    splats: DeviceSplats,
+    work: Option<Work>,
+}
+
+impl Renderer {
+    /// Copies `splats` to the device.
+    ///
+    /// # Errors
+    ///
+    /// [`GpuError::TooLarge`] if they do not fit into its buffers.
+    pub fn new(gpu: Gpu, splats: &Splats) -> Result<Self, GpuError> {
+        Ok(Self {
+            splats: DeviceSplats::upload(&gpu, splats)?,
+            gpu,
+            work: None,
+        })
+    }
+
+    /// The image of `view`.
+    ///
+    /// # Errors
+    ///
+    /// [`GpuError`] if it does not fit or the device fails.
+    pub fn render(&mut self, view: &View) -> Result<Frame, GpuError> {
+        self.draw(view, false)?;
+        let k = &view.camera.intrinsics;
+        let pixels = k.width * k.height;
+        let work = self.work.as_ref().ok_or_else(nothing_drawn)?;
+        let image = work.image.read_floats(&self.gpu.client, "drawing an image")?;
+        let plane = |k: usize| image[k * pixels..(k + 1) * pixels].to_vec();
+        Ok(Frame {
+            width: k.width,
+            height: k.height,
+            rgb: [plane(0), plane(1), plane(2)],
+            transmittance: plane(3),
+            depth: if view.with_depth { plane(4) } else { Vec::new() },
+        })
+    }
+
+    /// The gradient of a loss with respect to the splats, given that with respect to the image of `view`; that of
+    /// the camera and of the background are left 0.
+    ///
+    /// # Errors
+    ///
+    /// As [`render`](Self::render).
+    ///
+    /// # Panics
+    ///
+    /// If the planes of the gradient are not as long as the image (those of alpha and depth may be empty).
+    pub fn backward(&mut self, view: &View, gradient: &FrameGradient, out: &mut Gradients) -> Result<(), GpuError> {
+        self.draw(view, true)?;
+        let pixels = view.camera.intrinsics.width * view.camera.intrinsics.height;
+        let with_depth = view.with_depth && !gradient.depth.is_empty();
+        let [r, g, b] = &gradient.rgb;
+        let mut planes = Vec::with_capacity(5 * pixels);
+        for plane in [r, g, b, &gradient.alpha, &gradient.depth] {
+            assert!(
+                plane.is_empty() || plane.len() == pixels,
+                "backward: the gradient has the image's size"
+            );
+            planes.extend_from_slice(plane);
+            if plane.is_empty() {
+                planes.resize(planes.len() + pixels, 0.0);
+            }
+        }
+        let doing = "computing a gradient";
+        let result = self.splats.like(&self.gpu);
+        let work = self.work.as_mut().ok_or_else(nothing_drawn)?;
+        work.gradient = Buffer::floats(&self.gpu.client, &planes);
+        work.backward(
+            &self.gpu,
+            &self.splats,
+            &result,
+            view.mip,
+            !gradient.alpha.is_empty(),
+            with_depth,
+            None,
+        );
+        let touched = work.touched.read_words(&self.gpu.client, doing)?;
+        let columns = result.download(&self.gpu, doing)?;
+        debug_assert_eq!(parts(self.splats.layout)[2].end, columns.columns().len());
+        *out = Gradients {
+            columns: columns.columns().to_vec(),
+            touched: touched[..self.splats.n].iter().map(|&t| t as u8).collect(),
+            ..Gradients::default()
+        };
+        Ok(())
+    }
+
+    /// Draws, again with more memory where a frame has more entries than there is room for.
+    fn draw(&mut self, view: &View, training: bool) -> Result<(), GpuError> {
+        let k = &view.camera.intrinsics;
+        let n = self.splats.n;
+        let mut size = Size {
+            n,
+            width: k.width,
+            height: k.height,
+            entries: Plan::first_entries(n),
+            training,
+        };
+        if let Some(work) = &self.work {
+            size.entries = work.size.entries;
+        }
+        loop {
+            let mut work = match self.work.take() {
+                Some(work) if work.size == size => work,
+                _ => Work::new(&self.gpu, size)?,
+            };
+            work.draw(&self.gpu, &self.splats, view);
+            let peak = work.peak(&self.gpu, "drawing an image")?;
+            self.work = Some(work);
+            if peak <= size.entries {
+                return Ok(());
+            }
+            size.entries = peak + peak / 4;
+        }
+    }
+}
+
+fn nothing_drawn() -> GpuError {
+    GpuError::Failed {
+        doing: "drawing an image",
+        why: "nothing was drawn".to_owned(),
+    }
+}

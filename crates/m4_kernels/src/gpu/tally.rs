@@ -1,0 +1,208 @@
+//! Statistics of steps, accumulated on the device and read at once.
+
+#![expect(missing_docs, reason = "`cube` generates items beside those that it is written at")]
+
+use crate::StepStats;
+use crate::gpu::buffer::{Buffer, cubes, units};
+use crate::gpu::scan::scan_cube;
+use crate::gpu::{Gpu, GpuError};
+use crate::loss::gpu::cube_sum;
+use cubecl::prelude::*;
+
+/// The largest number of tile entries that a frame wanted.
+const PEAK: usize = 0;
+const STEPS: usize = 1;
+/// Splats moved, summed over the steps: low and high word.
+const TOUCHED: usize = 2;
+const FRAMES: usize = 4;
+/// Not 0 where the loss of a frame was not finite.
+const BAD_LOSS: usize = 5;
+/// Not 0 where a parameter is not finite.
+const BAD_SPLAT: usize = 6;
+/// Floats: sums over the frames, and the last frame's mean squared error.
+const SSIM: usize = 7;
+const L1: usize = 8;
+const SQUARES: usize = 9;
+/// Losses, one per view that is recorded separately.
+pub const LOSSES: usize = 10;
+
+/// The sums on the device.
+#[derive(Debug)]
+pub struct Tally {
+    /// As the constants of this module say; the first number is the peak of tile entries.
+    pub buffer: Buffer,
+    /// Splats touched, one number per cube.
+    parts: Buffer,
+}
+
+impl Tally {
+    /// Makes room for another number of splats.
+    pub fn resize(&mut self, gpu: &Gpu, n: usize) {
+        self.parts = Buffer::empty(&gpu.client, n.div_ceil(256));
+    }
+
+    /// Empty, with room for the losses of `views` views, of `n` splats.
+    pub fn new(gpu: &Gpu, views: usize, n: usize) -> Self {
+        Self {
+            buffer: Self::fresh(gpu, views),
+            parts: Buffer::empty(&gpu.client, n.div_ceil(256)),
+        }
+    }
+
+    fn fresh(gpu: &Gpu, views: usize) -> Buffer {
+        Buffer::words(&gpu.client, &vec![0; LOSSES + views])
+    }
+
+    /// Adds the sums of a frame's tiles, three per tile and channel of which `values` make a mean, and keeps the loss as that
+    /// of view `view`.
+    pub fn frame(&self, gpu: &Gpu, sums: &Buffer, tiles: usize, values: usize, view: usize, lambda: f32) {
+        add_up::launch(
+            &gpu.client,
+            cubes(1, 1),
+            units(),
+            sums.arg(),
+            self.buffer.arg(),
+            3 * tiles as u32,
+            values as f32,
+            lambda,
+            view as u32,
+        );
+    }
+
+    /// Counts a step, and the splats among `n` that it touched.
+    pub fn step(&self, gpu: &Gpu, touched: &Buffer, n: usize) {
+        count_touched::launch(
+            &gpu.client,
+            cubes(n, 256),
+            units(),
+            touched.arg(),
+            self.parts.arg(),
+            n as u32,
+        );
+        add_step::launch(
+            &gpu.client,
+            cubes(1, 1),
+            units(),
+            self.parts.arg(),
+            self.buffer.arg(),
+            n.div_ceil(256) as u32,
+        );
+    }
+
+    /// Waits, returns the statistics and the most tile entries that a frame wanted, and starts again.
+    ///
+    /// # Errors
+    ///
+    /// [`GpuError`] if the device failed.
+    pub fn take(&mut self, gpu: &Gpu, doing: &'static str) -> Result<(StepStats, usize), GpuError> {
+        let words = self.buffer.read_words(&gpu.client, doing)?;
+        self.buffer = Self::fresh(gpu, words.len() - LOSSES);
+        let float = |at: usize| f64::from(f32::from_bits(words[at]));
+        let (steps, frames) = (words[STEPS] as usize, words[FRAMES] as usize);
+        let touched = u64::from(words[TOUCHED]) | u64::from(words[TOUCHED + 1]) << 32;
+        let mean = |at: usize| float(at) / frames.max(1) as f64;
+        let stats = StepStats {
+            steps,
+            frames,
+            l1: if words[BAD_LOSS] == 0 { mean(L1) } else { f64::NAN },
+            ssim: mean(SSIM),
+            psnr: if frames == 0 {
+                f64::NAN
+            } else {
+                (-10.0 * float(SQUARES).log10()).min(100.0)
+            },
+            touched: touched as f64 / steps.max(1) as f64,
+            cameras: Vec::new(),
+            exposures: Vec::new(),
+            splats_are_finite: words[BAD_SPLAT] == 0,
+        };
+        Ok((stats, words[PEAK] as usize))
+    }
+}
+
+/// Whether a number is neither infinite nor NaN, by its bits: compilers of shaders may take it for granted.
+#[cube]
+pub fn is_finite(value: f32) -> bool {
+    (u32::reinterpret(value) & 0x7f80_0000u32) != 0x7f80_0000u32
+}
+
+/// Notes a parameter that is not finite.
+#[cube]
+pub(crate) fn check_parameter(value: f32, tally: &mut [u32]) {
+    if !is_finite(value) {
+        // all writers write the same value
+        tally[BAD_SPLAT] = 1u32;
+    }
+}
+
+#[cube]
+fn add_float(tally: &mut [u32], #[comptime] at: usize, value: f32) {
+    let sum = f32::reinterpret(tally[at]) + value;
+    tally[at] = u32::reinterpret(sum);
+}
+
+/// Adds the means of a frame's SSIM and differences, and keeps its loss.
+#[cube(launch)]
+fn add_up(sums: &[f32], tally: &mut [u32], cubes: u32, count: f32, lambda: f32, view: u32) {
+    let mut shared = Shared::<[f32]>::new_slice(256usize);
+    let mut ssim = 0.0f32;
+    let mut difference = 0.0f32;
+    let mut square = 0.0f32;
+    let mut k = UNIT_POS;
+    while k < cubes {
+        ssim += sums[(3u32 * k) as usize];
+        difference += sums[(3u32 * k + 1u32) as usize];
+        square += sums[(3u32 * k + 2u32) as usize];
+        k += 256u32;
+    }
+    let ssim = cube_sum(ssim, &mut shared) / count;
+    let difference = cube_sum(difference, &mut shared) / count;
+    let square = cube_sum(square, &mut shared) / count;
+    if UNIT_POS == 0u32 {
+        let loss = (1.0f32 - lambda) * difference + lambda * (1.0f32 - ssim);
+        tally[FRAMES] += 1u32;
+        if !is_finite(loss) {
+            tally[BAD_LOSS] = 1u32;
+        }
+        add_float(tally, SSIM, ssim);
+        add_float(tally, L1, difference);
+        tally[SQUARES] = u32::reinterpret(square);
+        tally[LOSSES + view as usize] = u32::reinterpret(loss);
+    }
+}
+
+/// How many splats each cube of 256 touched.
+#[cube(launch)]
+fn count_touched(touched: &[u32], parts: &mut [u32], n: u32) {
+    let mut shared = Shared::<[u32]>::new_slice(256usize);
+    let i = ABSOLUTE_POS as u32;
+    let mut mine = 0u32;
+    if i < n && touched[i as usize] != 0u32 {
+        mine = 1u32;
+    }
+    let before = scan_cube(mine, &mut shared);
+    if UNIT_POS == 255u32 && (CUBE_POS as u32) < parts.len() as u32 {
+        parts[CUBE_POS] = before + mine;
+    }
+}
+
+#[cube(launch)]
+fn add_step(parts: &[u32], tally: &mut [u32], count: u32) {
+    let mut shared = Shared::<[u32]>::new_slice(256usize);
+    let mut mine = 0u32;
+    let mut k = UNIT_POS;
+    while k < count {
+        mine += parts[k as usize];
+        k += 256u32;
+    }
+    let before = scan_cube(mine, &mut shared);
+    if UNIT_POS == 255u32 {
+        let old = tally[TOUCHED];
+        let sum = old + before + mine;
+        tally[TOUCHED] = sum;
+        if sum < old {
+            tally[TOUCHED + 1] += 1u32;
+        }
+        tally[STEPS] += 1u32;
+    }
+}

@@ -1,0 +1,418 @@
+//! The memory and the kernel launches of one frame.
+
+use crate::blend::gpu::{self as blend, backward as blend_backward, pixels};
+use crate::gpu::buffer::{Buffer, cubes, units};
+use crate::gpu::eye::eye;
+use crate::gpu::scan::Scan;
+use crate::gpu::sort::{Pairs, Sort};
+use crate::gpu::splats::DeviceSplats;
+use crate::gpu::stopwatch::Stopwatch;
+use crate::gpu::{Gpu, GpuError};
+use crate::project::gpu::{RECORD, project, project_backward};
+use crate::tile_binning::gpu as tile_binning;
+use crate::tile_binning::gpu::reach::{REACH, TILE};
+use crate::{View, bench::Kernel};
+use cubecl::prelude::{CubeCount, CubeDim};
+
+/// Entries of a bucket, and units of its cube.
+const BUCKET: usize = 32;
+/// Numbers of a checkpoint: transmittance, colours, depth.
+pub const CHECKPOINT: usize = 5;
+
+/// The sizes that memory is allocated for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Size {
+    /// Splats.
+    pub n: usize,
+    /// Pixels.
+    pub width: usize,
+    /// Pixels.
+    pub height: usize,
+    /// Entries of tiles at most; those beyond, the farthest, are left out.
+    pub entries: usize,
+    /// For the gradient too.
+    pub training: bool,
+}
+
+impl Size {
+    fn across(&self) -> usize {
+        self.width.div_ceil(TILE)
+    }
+
+    /// Tiles of the image.
+    #[must_use]
+    pub fn tiles(&self) -> usize {
+        self.across() * self.height.div_ceil(TILE)
+    }
+
+    /// Pixels of the image.
+    #[must_use]
+    pub fn pixels(&self) -> usize {
+        self.width * self.height
+    }
+
+    /// Buckets at most.
+    #[must_use]
+    pub fn buckets(&self) -> usize {
+        self.entries / BUCKET + self.tiles()
+    }
+
+    /// Digits of a tile's number that the sort looks at.
+    fn tile_bits(&self) -> u32 {
+        (usize::BITS - self.tiles().leading_zeros()).div_ceil(4) * 4
+    }
+}
+
+/// Buffers for frames of one size.
+#[derive(Debug)]
+pub struct Work {
+    /// What there is room for.
+    pub size: Size,
+    pub(crate) eye: Buffer,
+    pub(crate) records: Buffer,
+    reaches: Buffer,
+    pub(crate) depth: Pairs,
+    all: Buffer,
+    by_depth: Sort,
+    counts: Buffer,
+    pub(crate) sorted_counts: Buffer,
+    pub(crate) offsets: Buffer,
+    count: Scan,
+    entries: Pairs,
+    by_tile: Sort,
+    splat_of_slot: Buffer,
+    pub(crate) splat_of_entry: Buffer,
+    pub(crate) ranges: Buffer,
+    bucket_counts: Buffer,
+    pub(crate) bucket_offsets: Buffer,
+    bucket_count: Scan,
+    pub(crate) tile_of_bucket: Buffer,
+    checkpoints: Buffer,
+    pub(crate) ends: Buffer,
+    planes: Buffer,
+    pub(crate) sums: Buffer,
+    /// The largest number of entries that a frame wanted, first of what may be more numbers.
+    pub peak: Buffer,
+    /// Off outside of benches.
+    pub stopwatch: Stopwatch,
+    /// Red, green, blue, transmittance, depth: planes.
+    pub image: Buffer,
+    /// The loss's gradient with respect to those (alpha instead of transmittance).
+    pub gradient: Buffer,
+    /// 1 for splats that reached a pixel.
+    pub touched: Buffer,
+}
+
+impl Work {
+    /// Buffers for frames of `size`.
+    ///
+    /// # Errors
+    ///
+    /// [`GpuError`] if a buffer is larger than the device allows.
+    pub fn new(gpu: &Gpu, size: Size) -> Result<Self, GpuError> {
+        let client = &gpu.client;
+        let (n, tiles, pixels, entries) = (size.n, size.tiles(), size.pixels(), size.entries);
+        let only_training = |len: usize| if size.training { len } else { 1 };
+        let (buckets, sums) = (only_training(size.buckets()), only_training(RECORD * entries));
+        let checkpoints = CHECKPOINT * TILE * TILE * buckets;
+        for (what, len) in [
+            ("the splats of a frame", RECORD * n),
+            ("the tile entries of a frame", entries),
+            ("the gradients of the tile entries", sums),
+            ("what the gradient starts from in each tile", checkpoints),
+            ("the image", 5 * pixels),
+        ] {
+            gpu.fits(what, 4 * len)?;
+        }
+        // a cube a tile along one dimension
+        if tiles > 65_535 {
+            return Err(GpuError::TooLarge {
+                what: "the image",
+                needed: 20 * pixels / 1_000_000,
+                limit: 20 * 65_535 * TILE * TILE / 1_000_000,
+                name: gpu.adapter().name.clone(),
+            });
+        }
+        let empty = |len: usize| Buffer::empty(client, len);
+        Ok(Self {
+            size,
+            eye: empty(1),
+            records: empty(RECORD * n),
+            reaches: empty(REACH * n),
+            depth: Pairs::empty(client, n),
+            all: Buffer::words(client, &[n as u32]),
+            by_depth: Sort::new(client, n),
+            counts: empty(n),
+            sorted_counts: empty(n),
+            offsets: empty(n),
+            count: Scan::new(client, n),
+            entries: Pairs::empty(client, entries),
+            by_tile: Sort::new(client, entries),
+            splat_of_slot: empty(entries),
+            splat_of_entry: empty(entries),
+            ranges: empty(2 * tiles),
+            bucket_counts: empty(tiles),
+            bucket_offsets: empty(tiles),
+            bucket_count: Scan::new(client, tiles),
+            tile_of_bucket: empty(buckets),
+            checkpoints: empty(checkpoints),
+            ends: empty(pixels),
+            planes: empty(only_training(5 * pixels)),
+            sums: empty(sums),
+            peak: Buffer::words(client, &[0]),
+            stopwatch: Stopwatch::default(),
+            image: empty(5 * pixels),
+            gradient: empty(only_training(5 * pixels)),
+            touched: empty(n),
+        })
+    }
+
+    /// Becomes memory for frames of `size`. What was there is given up first: both at once would be twice as much. After an
+    /// error there is room for nothing.
+    ///
+    /// # Errors
+    ///
+    /// [`GpuError`] if a buffer is larger than the device allows.
+    pub fn remake(&mut self, gpu: &Gpu, size: Size) -> Result<(), GpuError> {
+        let nothing = Size {
+            n: 0,
+            width: 1,
+            height: 1,
+            entries: 1,
+            training: false,
+        };
+        *self = Self::new(gpu, nothing)?;
+        *self = Self::new(gpu, size)?;
+        Ok(())
+    }
+
+    /// Draws `splats`, of which there are as many as the memory is for, into [`image`](Self::image).
+    pub fn draw(&mut self, gpu: &Gpu, splats: &DeviceSplats, view: &View) {
+        let client = &gpu.client;
+        let (size, n) = (self.size, self.size.n);
+        let (tiles, width, height) = (size.tiles(), size.width as u32, size.height as u32);
+        self.eye = Buffer::floats(client, &eye(view));
+        project::launch(
+            client,
+            cubes(n, 256),
+            units(),
+            splats.geometry.arg(),
+            splats.colour.arg(),
+            splats.time.arg(),
+            self.eye.arg(),
+            self.records.arg(),
+            self.reaches.arg(),
+            self.depth.keys.arg(),
+            self.depth.values.arg(),
+            self.counts.arg(),
+            n as u32,
+            splats.n_static as u32,
+            splats.spec(view.mip),
+        );
+        self.stopwatch.lap(gpu, Kernel::Project);
+        // an even number of passes: the order is back in `depth`
+        self.by_depth.run(client, &self.depth, &self.all, 32);
+        tile_binning::gather::launch(
+            client,
+            cubes(n, 256),
+            units(),
+            self.depth.values.arg(),
+            self.counts.arg(),
+            self.sorted_counts.arg(),
+            n as u32,
+        );
+        self.count.run(client, &self.sorted_counts, &self.offsets);
+        let count = self.count.total();
+        tile_binning::note_peak::launch(client, cubes(1, 1), CubeDim::new_1d(1), count.arg(), self.peak.arg());
+        tile_binning::emit::launch(
+            client,
+            cubes(n, 256),
+            units(),
+            self.depth.values.arg(),
+            self.sorted_counts.arg(),
+            self.offsets.arg(),
+            self.reaches.arg(),
+            self.eye.arg(),
+            self.entries.keys.arg(),
+            self.splat_of_slot.arg(),
+            self.entries.values.arg(),
+            n as u32,
+            size.across() as u32,
+        );
+        let sorted = self.by_tile.run(client, &self.entries, count, size.tile_bits());
+        tile_binning::pick::launch(
+            client,
+            cubes(size.entries, 256),
+            units(),
+            sorted.values.arg(),
+            self.splat_of_slot.arg(),
+            count.arg(),
+            self.splat_of_entry.arg(),
+        );
+        self.ranges.clear(client);
+        tile_binning::ranges::launch(
+            client,
+            cubes(size.entries, 256),
+            units(),
+            sorted.keys.arg(),
+            count.arg(),
+            self.ranges.arg(),
+            size.entries as u32,
+            tiles as u32,
+        );
+        if size.training {
+            self.make_buckets(gpu);
+        }
+        self.stopwatch.lap(gpu, Kernel::Bin);
+        blend::blend::launch(
+            client,
+            cubes(tiles, 1),
+            units(),
+            self.records.arg(),
+            self.splat_of_entry.arg(),
+            self.ranges.arg(),
+            self.eye.arg(),
+            self.bucket_offsets.arg(),
+            self.image.arg(),
+            self.checkpoints.arg(),
+            self.ends.arg(),
+            width,
+            height,
+            view.with_depth,
+            size.training,
+        );
+        self.stopwatch.lap(gpu, Kernel::Blend);
+    }
+
+    /// Cuts the lists of the tiles into buckets.
+    fn make_buckets(&self, gpu: &Gpu) {
+        let (client, tiles) = (&gpu.client, self.size.tiles());
+        blend_backward::bucket_counts::launch(
+            client,
+            cubes(tiles, 256),
+            units(),
+            self.ranges.arg(),
+            self.bucket_counts.arg(),
+            tiles as u32,
+        );
+        self.bucket_count.run(client, &self.bucket_counts, &self.bucket_offsets);
+        blend_backward::bucket_tiles::launch(
+            client,
+            cubes(tiles, 256),
+            units(),
+            self.bucket_counts.arg(),
+            self.bucket_offsets.arg(),
+            self.tile_of_bucket.arg(),
+            tiles as u32,
+        );
+    }
+
+    /// The gradient with respect to `splats`, into `out` and [`touched`](Self::touched), from
+    /// [`gradient`](Self::gradient); of the frame drawn last. Into `camera` that with respect to the camera, ten sums for
+    /// each cube of 256 splats.
+    pub fn backward(
+        &mut self,
+        gpu: &Gpu,
+        splats: &DeviceSplats,
+        out: &DeviceSplats,
+        mip: bool,
+        with_alpha: bool,
+        with_depth: bool,
+        camera: Option<&Buffer>,
+    ) {
+        let client = &gpu.client;
+        let (size, n) = (self.size, self.size.n);
+        let (width, height) = (size.width as u32, size.height as u32);
+        // all since the image was drawn
+        self.stopwatch.lap(gpu, Kernel::Photo);
+        pixels::pixels::launch(
+            client,
+            cubes(size.pixels(), 256),
+            units(),
+            self.image.arg(),
+            self.gradient.arg(),
+            self.planes.arg(),
+            size.pixels() as u32,
+            with_alpha,
+            with_depth,
+        );
+        let (count, dim) = self.cubes_of_buckets();
+        blend_backward::blend_backward::launch(
+            client,
+            count,
+            dim,
+            self.records.arg(),
+            self.splat_of_entry.arg(),
+            self.slots().arg(),
+            self.ranges.arg(),
+            self.tile_of_bucket.arg(),
+            self.bucket_offsets.arg(),
+            self.buckets().arg(),
+            self.checkpoints.arg(),
+            self.planes.arg(),
+            self.ends.arg(),
+            self.sums.arg(),
+            width,
+            height,
+            with_depth,
+        );
+        self.stopwatch.lap(gpu, Kernel::BlendBackward);
+        project_backward::launch(
+            client,
+            cubes(n, 256),
+            units(),
+            splats.geometry.arg(),
+            splats.colour.arg(),
+            splats.time.arg(),
+            self.eye.arg(),
+            self.depth.values.arg(),
+            self.sorted_counts.arg(),
+            self.offsets.arg(),
+            self.sums.arg(),
+            out.geometry.arg(),
+            out.colour.arg(),
+            out.time.arg(),
+            self.touched.arg(),
+            camera.unwrap_or(&self.peak).arg(),
+            n as u32,
+            splats.n_static as u32,
+            splats.spec(mip),
+            camera.is_some(),
+        );
+        self.stopwatch.lap(gpu, Kernel::ProjectBackward);
+    }
+
+    /// How many entries the frame drawn last wanted.
+    ///
+    /// # Errors
+    ///
+    /// [`GpuError`] if the device failed.
+    pub fn entries(&self, gpu: &Gpu, doing: &'static str) -> Result<usize, GpuError> {
+        Ok(self.count.total().read_words(&gpu.client, doing)?[0] as usize)
+    }
+
+    /// The slot of each entry, tile after tile, of the frame drawn last.
+    pub(crate) fn slots(&self) -> &Buffer {
+        // where the sort left it: an odd number of passes ends in its own memory
+        &self.by_tile.result(&self.entries, self.size.tile_bits()).values
+    }
+
+    /// How many buckets the frame drawn last has, one number.
+    pub(crate) fn buckets(&self) -> &Buffer {
+        self.bucket_count.total()
+    }
+
+    /// Cubes of a bucket each, as many as there may be.
+    pub(crate) fn cubes_of_buckets(&self) -> (CubeCount, CubeDim) {
+        (cubes(self.size.buckets(), 1), CubeDim::new_1d(BUCKET as u32))
+    }
+
+    /// The largest number of entries that a frame wanted since this memory was made.
+    ///
+    /// # Errors
+    ///
+    /// [`GpuError`] if the device failed.
+    pub fn peak(&self, gpu: &Gpu, doing: &'static str) -> Result<usize, GpuError> {
+        Ok(self.peak.read_words(&gpu.client, doing)?[0] as usize)
+    }
+}

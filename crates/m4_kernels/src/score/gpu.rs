@@ -1,0 +1,168 @@
+//! The scores of one frame (Minute4D Eq. 9, Minute4D Eq. 10): sums of the errors over the pixels that each splat is blended on (a slot per tile
+//! and splat, as in the backward pass), times the temporal marginal of the splat at that instant.
+
+use crate::blend::gpu::LOG2_ALPHA_MIN;
+use crate::gpu::Gpu;
+use crate::gpu::buffer::{Buffer, cubes, units};
+use crate::gpu::eye::TIME;
+use crate::gpu::splats::DeviceSplats;
+use crate::gpu::work::Work;
+use crate::project::gpu::RECORD;
+use crate::slice::gpu::life;
+use cubecl::prelude::*;
+
+/// The errors of a frame and their weights.
+#[derive(Debug, Clone, Copy)]
+pub struct FrameScore<'a> {
+    /// Error of each pixel.
+    pub errors: &'a Buffer,
+    /// Errors above the first number count; none where the second is 0.
+    pub cut: &'a Buffer,
+    /// Holds the loss of the frame as the bits of a float,
+    pub tally: &'a Buffer,
+    /// here.
+    pub loss: usize,
+    /// Weight of the frame in the first score.
+    pub share: f32,
+}
+
+/// Adds the scores of the frame that `work` drew last to `scores`, `[2][n]`: errors times `share`, errors times loss.
+pub fn add(gpu: &Gpu, work: &Work, splats: &DeviceSplats, frame: &FrameScore<'_>, scores: &Buffer) {
+    let (client, n) = (&gpu.client, splats.n);
+    let (count, dim) = work.cubes_of_buckets();
+    score_slots::launch(
+        client,
+        count,
+        dim,
+        work.records.arg(),
+        work.splat_of_entry.arg(),
+        work.slots().arg(),
+        work.ranges.arg(),
+        work.tile_of_bucket.arg(),
+        work.bucket_offsets.arg(),
+        work.buckets().arg(),
+        work.ends.arg(),
+        frame.errors.arg(),
+        frame.cut.arg(),
+        work.sums.arg(),
+        work.size.width as u32,
+        work.size.height as u32,
+    );
+    score_splats::launch(
+        client,
+        cubes(n, 256),
+        units(),
+        splats.geometry.arg(),
+        splats.time.arg(),
+        work.eye.arg(),
+        work.depth.values.arg(),
+        work.sorted_counts.arg(),
+        work.offsets.arg(),
+        work.sums.arg(),
+        frame.tally.arg(),
+        scores.arg(),
+        n as u32,
+        splats.n_static as u32,
+        frame.loss as u32,
+        frame.share,
+    );
+}
+
+/// The errors that count (Minute4D Eq. 8), summed over the pixels of a tile that a splat is blended on: a cube a bucket, a unit an entry.
+#[cube(launch)]
+fn score_slots(
+    records: &[f32],
+    splats: &[u32],
+    slots: &[u32],
+    ranges: &[u32],
+    tile_of: &[u32],
+    offsets: &[u32],
+    bucket_count: &[u32],
+    ends: &[u32],
+    errors: &[f32],
+    cut: &[f32],
+    sums: &mut [f32],
+    width: u32,
+    height: u32,
+) {
+    let mut weights = Shared::<[f32]>::new_slice(256usize);
+    let mut lasts = Shared::<[u32]>::new_slice(256usize);
+    let bucket = CUBE_POS as u32;
+    if bucket < bucket_count[0] {
+        let tile = tile_of[bucket as usize];
+        let start = ranges[(2u32 * tile) as usize];
+        let entry = start + (bucket - offsets[tile as usize]) * 32u32 + UNIT_POS;
+        let across = (width + 15u32) / 16u32;
+        let (left, top) = ((tile % across) * 16u32, (tile / across) * 16u32);
+        let mut p = UNIT_POS;
+        while p < 256u32 {
+            let (x, y) = (left + p % 16u32, top + p / 16u32);
+            let mut weight = 0.0f32;
+            let mut last = 0u32;
+            if x < width && y < height {
+                let at = (y * width + x) as usize;
+                last = ends[at];
+                let error = errors[at];
+                if cut[1] > 0.0f32 && error > cut[0] {
+                    weight = error;
+                }
+            }
+            weights[p as usize] = weight;
+            lasts[p as usize] = last;
+            p += 32u32;
+        }
+        sync_cube();
+        if entry < ranges[(2u32 * tile + 1u32) as usize] {
+            let r = splats[entry as usize] as usize * RECORD;
+            let (u, v) = (records[r], records[r + 1]);
+            let (a, b, c) = (records[r + 2], records[r + 3], records[r + 4]);
+            let log_opacity = records[r + 5];
+            let mut sum = 0.0f32;
+            for p in 0u32..256u32 {
+                let dx = u - f32::cast_from(left + p % 16u32);
+                let dy = v - f32::cast_from(top + p / 16u32);
+                let power = a * dx * dx + b * dx * dy + c * dy * dy;
+                let exponent = log_opacity - power;
+                if entry < lasts[p as usize] && power >= 0.0f32 && exponent >= LOG2_ALPHA_MIN {
+                    sum += weights[p as usize];
+                }
+            }
+            sums[slots[entry as usize] as usize] = sum;
+        }
+    }
+}
+
+/// Adds up each splat's slots in their order; `scores` are `[2][n]`.
+#[cube(launch)]
+fn score_splats(
+    geometry: &[f32],
+    time: &[f32],
+    eye: &[f32],
+    order: &[u32],
+    counts: &[u32],
+    offsets: &[u32],
+    sums: &[f32],
+    tally: &[u32],
+    scores: &mut [f32],
+    n: u32,
+    n_static: u32,
+    loss_at: u32,
+    share: f32,
+) {
+    let p = ABSOLUTE_POS as u32;
+    if p < n {
+        let count = counts[p as usize];
+        if count > 0u32 {
+            let i = order[p as usize];
+            let mut sum = 0.0f32;
+            for k in 0u32..count {
+                sum += sums[(offsets[p as usize] + k) as usize];
+            }
+            let life = life(geometry, time, i, n, n_static, eye[TIME]);
+            let score = sum * life.marginal;
+            let loss = f32::reinterpret(tally[loss_at as usize]);
+            scores[i as usize] += score * share;
+            scores[(n + i) as usize] += score * loss;
+        }
+    }
+}

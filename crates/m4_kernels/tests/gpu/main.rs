@@ -1,0 +1,21 @@
+//! The kernels on a GPU agree with those of the processor. Without a GPU they run on a software Vulkan driver (lavapipe), where
+//! that is installed (`apt-get install mesa-vulkan-drivers`); without that either, every test says so and ends.
+
+#![expect(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
+
+mod edge_cases;
+mod twins;
+
+use m4_kernels::gpu::{Choice, Gpu};
+
+/// A GPU, or a software Vulkan driver (lavapipe); `None`, and said so, where there is neither.
+#[track_caller]
+fn gpu(test: &str) -> Option<Gpu> {
+    match Gpu::open(Choice::Best).or_else(|_| Gpu::open(Choice::Software)) {
+        Ok(gpu) => Some(gpu),
+        Err(error) => {
+            m4_testkit::skip(m4_testkit::Need::Vulkan, &format!("{test}: {error}"));
+            None
+        }
+    }
+}

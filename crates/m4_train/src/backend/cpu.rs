@@ -1,0 +1,274 @@
+//! Training steps on the CPU.
+
+use super::{
+    Backend, BackendError, ColourSums, DensityRound, DensityStats, FrameStore, ScoreSettings, StepSettings, StepView,
+    batch::add_touched,
+};
+use crate::{
+    colour_fit::add_seen,
+    density::{ScoreInput, Scores, apply, rearrange, score},
+    metrics::psnr,
+    refine::{expose, exposure_gradient, pull_back},
+};
+use m4_core::{Capture, Column, Exposure, ShapeError, SplatLayout, Splats};
+use m4_kernels::adam::cpu::{AdamState, step as adam_step};
+use m4_kernels::loss::cpu::{LossScratch, Target, loss};
+use m4_kernels::{FrameGradient, Gradients, Renderer, SimdLevel, StepStats, View, Wanted, morton_order};
+
+/// Splats, frames and scratch memory in host memory.
+#[derive(Debug)]
+pub struct CpuBackend<'a> {
+    level: SimdLevel,
+    frames: FrameStore<'a>,
+    exposures: Vec<Exposure>,
+    splats: Splats,
+    adam: AdamState,
+    renderer: Renderer,
+    frame_gradient: FrameGradient,
+    gradients: Gradients,
+    /// Sum over the frames of a step; empty while a step has one frame.
+    sum: Gradients,
+    scratch: LossScratch,
+    exposed: [Vec<f32>; 3],
+    /// Sums, not yet means.
+    stats: StepStats,
+}
+
+impl<'a> CpuBackend<'a> {
+    /// Without splats. Of the frames of `capture` at most `cache_mb` megabytes are kept in the form that the loss needs.
+    #[must_use]
+    pub fn new(capture: &'a Capture, cache_mb: usize, level: SimdLevel) -> Self {
+        let nothing = nothing();
+        Self {
+            level,
+            frames: FrameStore::new(capture, cache_mb),
+            exposures: Vec::new(),
+            adam: AdamState::new(&nothing),
+            splats: nothing,
+            renderer: Renderer::new(level),
+            frame_gradient: FrameGradient::default(),
+            gradients: Gradients::default(),
+            sum: Gradients::default(),
+            scratch: LossScratch::default(),
+            exposed: Default::default(),
+            stats: StepStats::default(),
+        }
+    }
+
+    /// Renders a frame, compares it, and leaves the gradients of the splats.
+    fn frame(&mut self, step: &StepView<'_>, settings: &StepSettings<'_>) {
+        let target = self.frames.target(step.frame);
+        let drawn = &self.renderer.render(&self.splats, step.view).rgb;
+        let exposure = self.exposures.get(step.frame);
+        let rgb = exposed(exposure, drawn, &mut self.exposed);
+        let out = &mut self.frame_gradient.rgb;
+        let terms = loss(self.level, target, rgb, settings.lambda_ssim, &mut self.scratch, out);
+        let stats = &mut self.stats;
+        stats.frames += 1;
+        stats.l1 += terms.l1;
+        stats.ssim += terms.ssim;
+        stats.psnr = match settings.psnr {
+            true => psnr(rgb, &target.rgb()),
+            false => f64::NAN,
+        };
+        if let Some(exposure) = exposure {
+            if step.exposure {
+                stats.exposures.push((step.frame, exposure_gradient(drawn, out)));
+            }
+            pull_back(exposure, out);
+        }
+        self.backward(step.camera);
+        if step.camera {
+            self.stats.cameras.push((step.frame, self.gradients.camera));
+        }
+    }
+
+    fn backward(&mut self, camera: bool) {
+        let wanted = Wanted {
+            camera,
+            ..Wanted::default()
+        };
+        self.renderer
+            .backward(&self.splats, &self.frame_gradient, wanted, &mut self.gradients);
+    }
+
+    /// Leaves image minus target as the gradient.
+    fn residual(&mut self, frame: usize, view: &View) {
+        let target = self.frames.target(frame).rgb();
+        let drawn = &self.renderer.render(&self.splats, view).rgb;
+        let exposure = self.exposures.get(frame);
+        let rgb = exposed(exposure, drawn, &mut self.exposed);
+        let out = &mut self.frame_gradient.rgb;
+        for ((out, rgb), target) in out.iter_mut().zip(rgb).zip(&target) {
+            out.clear();
+            out.extend(rgb.iter().zip(target).map(|(a, b)| a - b));
+        }
+        if let Some(exposure) = exposure {
+            pull_back(exposure, out);
+        }
+    }
+
+    /// Adds the gradients of the constant coefficients of the colours.
+    fn add_colours(&mut self, sums: &mut [Vec<f32>; 3]) {
+        self.backward(false);
+        let first = self.splats.layout().column(Column::Colour);
+        let columns = &self.gradients.columns[first..first + 3];
+        add_seen(sums, columns, &self.gradients.touched);
+    }
+}
+
+fn nothing() -> Splats {
+    let layout = SplatLayout {
+        isotropic: false,
+        sh_degree: 0,
+        time_degree: 0,
+    };
+    Splats::zeros(layout, 0, 0)
+}
+
+/// What is compared with a frame.
+fn exposed<'a>(exposure: Option<&Exposure>, drawn: &'a [Vec<f32>; 3], out: &'a mut [Vec<f32>; 3]) -> &'a [Vec<f32>; 3] {
+    match exposure {
+        Some(exposure) => {
+            expose(exposure, drawn, out);
+            out
+        }
+        None => drawn,
+    }
+}
+
+fn failed(error: ShapeError) -> BackendError {
+    BackendError(error.to_string())
+}
+
+impl Backend for CpuBackend<'_> {
+    fn name(&self) -> String {
+        "cpu".to_owned()
+    }
+
+    fn is_synchronous(&self) -> bool {
+        true
+    }
+
+    fn set_frames(&mut self, frames: Vec<Target>) -> Result<(), BackendError> {
+        self.frames = FrameStore::given(frames);
+        Ok(())
+    }
+
+    fn set_exposures(&mut self, exposures: &[Exposure]) -> Result<(), BackendError> {
+        self.exposures.clear();
+        self.exposures.extend_from_slice(exposures);
+        Ok(())
+    }
+
+    fn upload(&mut self, splats: &Splats, adam: AdamState) -> Result<(), BackendError> {
+        // so that steps cost what they cost after the first epoch
+        self.frames.prepare();
+        self.splats.clone_from(splats);
+        self.adam = adam;
+        Ok(())
+    }
+
+    fn take(&mut self) -> Result<(Splats, AdamState), BackendError> {
+        let nothing = nothing();
+        let adam = std::mem::replace(&mut self.adam, AdamState::new(&nothing));
+        Ok((std::mem::replace(&mut self.splats, nothing), adam))
+    }
+
+    fn splats(&mut self) -> Result<Splats, BackendError> {
+        Ok(self.splats.clone())
+    }
+
+    fn set_splats(&mut self, splats: &Splats) -> Result<(), BackendError> {
+        self.splats.clone_from(splats);
+        Ok(())
+    }
+
+    fn reorder(&mut self) -> Result<(), BackendError> {
+        let order = morton_order(&self.splats);
+        self.splats.rearrange(&order).map_err(failed)?;
+        rearrange(&mut self.adam, &order).map_err(failed)
+    }
+
+    fn step(&mut self, views: &[StepView<'_>], settings: &StepSettings<'_>) -> Result<(), BackendError> {
+        for (k, view) in views.iter().enumerate() {
+            if k == 1 {
+                // the first frame starts the sum; what comes back is written over
+                std::mem::swap(&mut self.gradients, &mut self.sum);
+            }
+            self.frame(view, settings);
+            if k > 0 {
+                add_touched(&mut self.sum, &self.gradients, self.splats.n_static());
+            }
+        }
+        let gradients = match views.len() {
+            0 => return Ok(()),
+            1 => &self.gradients,
+            _ => &self.sum,
+        };
+        adam_step(
+            self.level,
+            &mut self.splats,
+            gradients,
+            &mut self.adam,
+            &settings.adam,
+            settings.rates,
+        );
+        self.stats.steps += 1;
+        self.stats.touched += gradients.touched.iter().filter(|&&v| v != 0).count() as f64;
+        Ok(())
+    }
+
+    fn stats(&mut self) -> Result<StepStats, BackendError> {
+        let mut stats = std::mem::take(&mut self.stats);
+        let (frames, steps) = (stats.frames.max(1) as f64, stats.steps.max(1) as f64);
+        stats.l1 /= frames;
+        stats.ssim /= frames;
+        stats.touched /= steps;
+        // the trainer checks them when it copies them
+        stats.splats_are_finite = true;
+        Ok(stats)
+    }
+
+    fn score(&mut self, views: &[(usize, View)], settings: &ScoreSettings) -> Result<Scores, BackendError> {
+        let mut input = ScoreInput {
+            level: self.level,
+            settings,
+            frames: &mut self.frames,
+            exposures: &self.exposures,
+            renderer: &mut self.renderer,
+            scratch: &mut self.scratch,
+        };
+        Ok(score(&mut input, &self.splats, views))
+    }
+
+    fn densify(&mut self, round: &DensityRound<'_>) -> Result<Option<DensityStats>, BackendError> {
+        let scores = self.score(round.views, &round.scores)?;
+        let plan = round.rules.plan(&self.splats, &scores);
+        let mut stats = DensityStats::default();
+        if !plan.rows.is_empty() && !plan.changes_nothing() {
+            let (config, splats, adam) = (round.rules.config, &mut self.splats, &mut self.adam);
+            apply(config, &plan, splats, adam, round.seed, round.iteration).map_err(failed)?;
+            (stats.cloned, stats.split, stats.pruned) = (plan.cloned, plan.split, plan.pruned);
+        }
+        (stats.n_static, stats.n_dynamic) = (self.splats.n_static(), self.splats.n_dynamic());
+        Ok(Some(stats))
+    }
+
+    fn colour_sums(&mut self, views: &[(usize, View)], with_weight: bool) -> Result<ColourSums, BackendError> {
+        let n = self.splats.n();
+        let mut sums = ColourSums {
+            residual: std::array::from_fn(|_| vec![0.0; n]),
+            weight: std::array::from_fn(|_| vec![0.0; if with_weight { n } else { 0 }]),
+        };
+        for (frame, view) in views {
+            self.residual(*frame, view);
+            self.add_colours(&mut sums.residual);
+            if with_weight {
+                self.frame_gradient.rgb.iter_mut().for_each(|plane| plane.fill(1.0));
+                self.add_colours(&mut sums.weight);
+            }
+        }
+        Ok(sums)
+    }
+}

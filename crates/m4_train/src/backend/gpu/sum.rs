@@ -1,0 +1,117 @@
+//! Sums the gradients of several frames on the device.
+
+use super::GpuTrainer;
+use cubecl::prelude::*;
+use m4_kernels::gpu::Gpu;
+use m4_kernels::gpu::buffer::{Buffer, cubes, units};
+use m4_kernels::gpu::splats::{DeviceSplats, parts};
+
+/// The sum so far, or, while the trainer's own memory holds that, the memory of the next frame.
+#[derive(Debug)]
+pub(crate) struct Batch {
+    gradients: DeviceSplats,
+    touched: Buffer,
+}
+
+impl Batch {
+    fn new(gpu: &Gpu, splats: &DeviceSplats) -> Self {
+        Self {
+            gradients: splats.like(gpu),
+            touched: Buffer::empty(&gpu.client, splats.n),
+        }
+    }
+}
+
+impl GpuTrainer {
+    /// What the first frame left becomes the sum.
+    pub(crate) fn start_sum(&mut self) {
+        let (n, n_static) = (self.splats.n, self.splats.n_static);
+        if !self
+            .batch
+            .as_ref()
+            .is_some_and(|b| b.gradients.n == n && b.gradients.n_static == n_static)
+        {
+            self.batch = Some(Batch::new(&self.gpu, &self.splats));
+        }
+        self.swap_sum();
+    }
+
+    /// Exchanges the sum with what the last frame left.
+    pub(crate) fn swap_sum(&mut self) {
+        if let Some(batch) = &mut self.batch {
+            std::mem::swap(&mut batch.gradients, &mut self.gradients);
+            std::mem::swap(&mut batch.touched, &mut self.work.touched);
+        }
+    }
+
+    /// Adds what the last frame left.
+    pub(crate) fn add_to_sum(&self) {
+        let Some(batch) = &self.batch else { return };
+        let (client, n, n_static) = (&self.gpu.client, self.splats.n, self.splats.n_static);
+        let (sum, more) = (&batch.gradients, &self.gradients);
+        for (k, columns) in parts(self.splats.layout).into_iter().enumerate() {
+            let [sum, more] = [sum, more].map(|s| s.buffers()[k]);
+            let first = if k == 2 { n_static } else { 0 };
+            let rows = n - first;
+            if rows == 0 {
+                continue;
+            }
+            add_touched::launch(
+                client,
+                cubes(rows, 256),
+                units(),
+                sum.arg(),
+                more.arg(),
+                batch.touched.arg(),
+                self.work.touched.arg(),
+                rows as u32,
+                first as u32,
+                columns.len() as u32,
+            );
+        }
+        unite::launch(
+            client,
+            cubes(n, 256),
+            units(),
+            batch.touched.arg(),
+            self.work.touched.arg(),
+            n as u32,
+        );
+    }
+}
+
+/// Adds the rows that `new` names; rows that neither names hold anything.
+#[cube(launch)]
+fn add_touched(
+    sum: &mut [f32],
+    more: &[f32],
+    old: &[u32],
+    new: &[u32],
+    rows: u32,
+    first: u32,
+    #[comptime] columns: u32,
+) {
+    let i = ABSOLUTE_POS as u32;
+    if i < rows {
+        let splat = (first + i) as usize;
+        if new[splat] != 0u32 {
+            let seen = old[splat] != 0u32;
+            for c in 0u32..columns {
+                let at = (c * rows + i) as usize;
+                let mut value = more[at];
+                if seen {
+                    value += sum[at];
+                }
+                sum[at] = value;
+            }
+        }
+    }
+}
+
+#[cube(launch)]
+fn unite(old: &mut [u32], new: &[u32], n: u32) {
+    let i = ABSOLUTE_POS;
+    if i < n as usize {
+        old[i] |= new[i];
+    }
+}

@@ -1,0 +1,209 @@
+//! The pixels of a frame whose error is large enough to count (Minute4D Eq. 7).
+
+use crate::config::ErrorRange;
+use cubecl::prelude::*;
+use m4_kernels::gpu::Gpu;
+use m4_kernels::gpu::buffer::{Buffer, cubes, units};
+use m4_kernels::gpu::frames::DeviceFrame;
+use m4_kernels::gpu::sort::{Pairs, Sort};
+use m4_kernels::loss::gpu::target_at;
+
+/// The errors of a frame, and from where on they count.
+#[derive(Debug)]
+pub(crate) struct Mask {
+    pixels: usize,
+    /// Mean over the channels of the absolute differences.
+    pub errors: Buffer,
+    /// Smallest and largest of each cube of 256.
+    extremes: Buffer,
+    /// The error that must be exceeded, and 1 where any may.
+    pub cut: Buffer,
+    /// For quantiles: the errors' bits, which lie in the order of the errors.
+    sorted: Option<Quantile>,
+}
+
+#[derive(Debug)]
+struct Quantile {
+    /// The place of the error in order.
+    place: usize,
+    pairs: Pairs,
+    sort: Sort,
+    count: Buffer,
+}
+
+impl Mask {
+    /// For frames of this many pixels, of which there are some.
+    pub fn new(gpu: &Gpu, pixels: usize, range: ErrorRange) -> Self {
+        let client = &gpu.client;
+        let sorted = match range {
+            ErrorRange::MinMax => None,
+            ErrorRange::Quantile { high } => Some(Quantile {
+                place: (((pixels - 1) as f32 * high.clamp(0.0, 1.0)) as usize).min(pixels - 1),
+                pairs: Pairs::empty(client, pixels),
+                sort: Sort::new(client, pixels),
+                count: Buffer::words(client, &[pixels as u32]),
+            }),
+        };
+        Self {
+            pixels,
+            errors: Buffer::empty(client, pixels),
+            extremes: Buffer::empty(client, 2 * pixels.div_ceil(256)),
+            cut: Buffer::empty(client, 2),
+            sorted,
+        }
+    }
+
+    /// The errors of `image`, and the cut.
+    pub fn find(&self, gpu: &Gpu, image: &Buffer, frame: &DeviceFrame, threshold: f32) {
+        let (client, pixels) = (&gpu.client, self.pixels);
+        error_map::launch(
+            client,
+            cubes(pixels, 256),
+            units(),
+            image.arg(),
+            frame.samples.arg(),
+            self.errors.arg(),
+            self.extremes.arg(),
+            pixels as u32,
+            frame.worth,
+            frame.wide,
+        );
+        match &self.sorted {
+            None => cut_of_extremes::launch(
+                client,
+                cubes(1, 1),
+                units(),
+                self.extremes.arg(),
+                self.cut.arg(),
+                pixels.div_ceil(256) as u32,
+                threshold,
+            ),
+            Some(quantile) => {
+                let Quantile {
+                    place,
+                    pairs,
+                    sort,
+                    count,
+                } = quantile;
+                bits::launch(
+                    client,
+                    cubes(pixels, 256),
+                    units(),
+                    self.errors.arg(),
+                    pairs.keys.arg(),
+                    pixels as u32,
+                );
+                let sorted = sort.run(client, pairs, count, 32);
+                cut_of_quantile::launch(
+                    client,
+                    cubes(1, 1),
+                    CubeDim::new_1d(1),
+                    sorted.keys.arg(),
+                    self.cut.arg(),
+                    *place as u32,
+                    threshold,
+                );
+            }
+        }
+    }
+}
+
+/// Mean over the channels of the absolute differences (Minute4D Eq. 6), 0 where that is not finite; smallest and largest of
+/// each cube.
+#[cube(launch)]
+fn error_map(
+    image: &[f32],
+    target: &[u32],
+    errors: &mut [f32],
+    extremes: &mut [f32],
+    pixels: u32,
+    worth: f32,
+    #[comptime] wide: bool,
+) {
+    let mut low = Shared::<[f32]>::new_slice(256usize);
+    let mut high = Shared::<[f32]>::new_slice(256usize);
+    let i = ABSOLUTE_POS as u32;
+    let unit = UNIT_POS as usize;
+    low[unit] = f32::new(3.0e38f32);
+    high[unit] = f32::new(0.0f32);
+    if i < pixels {
+        let mut sum = 0.0f32;
+        #[unroll]
+        for channel in 0u32..3u32 {
+            let x = image[(channel * pixels + i) as usize];
+            sum += (x - target_at(target, i, channel, pixels, worth, wide)).abs();
+        }
+        let mut error = sum * (1.0f32 / 3.0f32);
+        if (u32::reinterpret(error) & 0x7f80_0000u32) == 0x7f80_0000u32 {
+            error = 0.0f32;
+        }
+        errors[i as usize] = error;
+        low[unit] = error;
+        high[unit] = error;
+    }
+    sync_cube();
+    let mut half = 128u32;
+    while half > 0u32 {
+        if UNIT_POS < half {
+            let other = (UNIT_POS + half) as usize;
+            low[unit] = low[unit].min(low[other]);
+            high[unit] = high[unit].max(high[other]);
+        }
+        sync_cube();
+        half /= 2u32;
+    }
+    let at = 2 * CUBE_POS;
+    if UNIT_POS == 0u32 && at + 1 < extremes.len() {
+        extremes[at] = low[0];
+        extremes[at + 1] = high[0];
+    }
+}
+
+/// Writes the cut of a range; nothing counts in one without width.
+#[cube]
+fn write_cut(low: f32, high: f32, threshold: f32, cut: &mut [f32]) {
+    cut[0] = low + threshold * (high - low);
+    cut[1] = f32::new(0.0f32);
+    if high > low {
+        cut[1] = f32::new(1.0f32);
+    }
+}
+
+#[cube(launch)]
+fn cut_of_extremes(extremes: &[f32], cut: &mut [f32], count: u32, threshold: f32) {
+    let mut lows = Shared::<[f32]>::new_slice(256usize);
+    let mut highs = Shared::<[f32]>::new_slice(256usize);
+    let mut low = f32::new(3.0e38f32);
+    let mut high = f32::new(0.0f32);
+    let mut k = UNIT_POS;
+    while k < count {
+        low = low.min(extremes[(2u32 * k) as usize]);
+        high = high.max(extremes[(2u32 * k + 1u32) as usize]);
+        k += 256u32;
+    }
+    lows[UNIT_POS as usize] = low;
+    highs[UNIT_POS as usize] = high;
+    sync_cube();
+    if UNIT_POS == 0u32 {
+        for k in 1usize..256usize {
+            low = low.min(lows[k]);
+            high = high.max(highs[k]);
+        }
+        write_cut(low, high, threshold, cut);
+    }
+}
+
+#[cube(launch)]
+fn bits(errors: &[f32], keys: &mut [u32], pixels: u32) {
+    let i = ABSOLUTE_POS;
+    if i < pixels as usize {
+        keys[i] = u32::reinterpret(errors[i]);
+    }
+}
+
+#[cube(launch)]
+fn cut_of_quantile(keys: &[u32], cut: &mut [f32], place: u32, threshold: f32) {
+    if ABSOLUTE_POS == 0 {
+        write_cut(f32::new(0.0f32), f32::reinterpret(keys[place as usize]), threshold, cut);
+    }
+}

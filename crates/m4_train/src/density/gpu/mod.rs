@@ -1,0 +1,95 @@
+//! A round of density control on the device (Minute4D sec. 3.3): scores, the choice of splats to clone, split and prune, and the new rows.
+//!
+//! | file | what it does |
+//! |---|---|
+//! | `error_mask` | the pixels whose error counts |
+//! | `score` | masked errors of some frames to two scores per splat |
+//! | `rank` | scores to the best that may grow, and the range that prune scores are measured in |
+//! | `outcomes` | the rows that each splat keeps and adds, and their number |
+//! | `new_splats` | the next rows, and the parameters of clones and halves |
+//!
+//! Rows are laid out by one exclusive sum: static splats that stay, then the new ones, then the same of dynamic splats. All
+//! that is read back is how many there are.
+
+mod error_mask;
+mod new_splats;
+mod outcomes;
+mod rank;
+mod score;
+
+use crate::backend::gpu::{GpuTrainer, TRAINING};
+use crate::backend::{DensityRound, DensityStats};
+use crate::config::CloneOpacity;
+use cubecl::prelude::Client;
+use m4_kernels::gpu::GpuError;
+use m4_kernels::gpu::buffer::Buffer;
+use m4_kernels::gpu::gather::gathered;
+use m4_kernels::gpu::work::Size;
+
+impl GpuTrainer {
+    /// Clones, splits and prunes splats by the rules of `round`. Halves always lie along the longest axis. Survivors keep the optimiser's state, new splats start from
+    /// nothing. Rows are in their old order, static before dynamic, the new ones after those that stay; halves lie 0.6
+    /// standard deviations to both sides along the longest axis, 0.8 as long there. Where nothing would be left, nothing
+    /// changes.
+    ///
+    /// # Errors
+    ///
+    /// [`GpuError`] if there is no such frame, if there is no room, or if the device failed; the trainer is not to be used
+    /// after that.
+    pub fn densify(&mut self, round: &DensityRound<'_>) -> Result<DensityStats, GpuError> {
+        let n = self.splats.n;
+        let unchanged = DensityStats {
+            n_static: self.splats.n_static,
+            n_dynamic: n - self.splats.n_static,
+            ..DensityStats::default()
+        };
+        if n == 0 {
+            return Ok(unchanged);
+        }
+        let client = self.gpu.client.clone();
+        let outcomes = self.outcomes(&client, round)?;
+        let (grown, next) = outcomes.read(&client, TRAINING)?;
+        if grown.changes_nothing() || next == 0 {
+            return Ok(unchanged);
+        }
+        let share = round.rules.config.clone_opacity == CloneOpacity::Share;
+        let rows = new_splats::Rows::new(&client, &outcomes, (n, unchanged.n_static), next);
+        let shape = (next, grown.n_static);
+        self.gather_adam(&rows.states, shape);
+        let splats = gathered(&self.gpu, &self.splats, &rows.sources, shape);
+        rows.shape(&client, &self.splats, &splats, share);
+        self.splats = splats;
+        self.gradients = self.splats.like(&self.gpu);
+        self.make(Size {
+            n: next,
+            ..self.work.size
+        })?;
+        Ok(grown)
+    }
+
+    fn outcomes(&mut self, client: &Client, round: &DensityRound<'_>) -> Result<outcomes::Outcomes, GpuError> {
+        let (n, rules) = (self.splats.n, &round.rules);
+        let (config, due) = (rules.config, rules.due);
+        let scores = match due.densify || due.prune_by_score {
+            true => self.scores(round.views, &round.scores)?,
+            // of no consequence
+            false => Buffer::empty(client, 2 * n),
+        };
+        let rank = rank::Rank::new(client, n);
+        let budget = if due.densify { due.budget(config, n) } else { 0 };
+        let grows = rank.best(client, config.densify_threshold, budget, &scores);
+        let range = match due.prune_by_score {
+            true => rank.prune_range(client, config.prune_rule, &scores),
+            // no range, no pruning by score
+            false => Buffer::floats(client, &[0.0, 0.0]),
+        };
+        Ok(outcomes::Outcomes::new(
+            client,
+            &self.splats,
+            rules,
+            &grows,
+            &scores,
+            &range,
+        ))
+    }
+}

@@ -1,0 +1,257 @@
+//! The outcome of density control for each splat: the rows that it keeps and adds, and their totals.
+
+use crate::backend::DensityStats;
+use crate::config::{PruneRule, SplitSize};
+use crate::density::Rules;
+use cubecl::prelude::*;
+use m4_kernels::gpu::GpuError;
+use m4_kernels::gpu::buffer::{Buffer, cubes, units};
+use m4_kernels::gpu::scan::{Scan, scan_cube};
+use m4_kernels::gpu::splats::DeviceSplats;
+
+/// Rows of the next splats: static that stay, new static, dynamic that stay, new dynamic.
+pub(super) struct Outcomes {
+    /// How many rows each splat leaves (0 or 1) and adds (0 to 2), `[2 n]` in that order.
+    pub sizes: Buffer,
+    /// Their positions.
+    pub places: Buffer,
+    /// Cloned, split, pruned, splats, static splats.
+    counts: Buffer,
+}
+
+impl Outcomes {
+    /// `grows` are flags, `range` the scores that count as 0 and 1.
+    pub fn new(
+        client: &Client,
+        splats: &DeviceSplats,
+        rules: &Rules<'_>,
+        grows: &Buffer,
+        prune_scores: &Buffer,
+        range: &Buffer,
+    ) -> Self {
+        let n = splats.n;
+        let (config, scale) = (rules.config, rules.scale);
+        let (literal, opacity) = match config.prune_rule {
+            PruneRule::Literal => (rules.due.prune_by_score, 0.0),
+            PruneRule::WithOpacity { opacity, .. } => (false, opacity),
+        };
+        let (size, centres): (f32, &[[f32; 3]]) = match config.split_size {
+            SplitSize::Extent { share } => (share * scale.extent, &[]),
+            SplitSize::Pixels { pixels } => (pixels, &scale.centres),
+        };
+        let everywhere = matches!(config.split_size, SplitSize::Extent { .. });
+        let blocks = n.div_ceil(256);
+        let (sizes, places) = (Buffer::empty(client, 2 * n), Buffer::empty(client, 2 * n));
+        let (parts, counts) = (Buffer::empty(client, blocks), Buffer::empty(client, 5));
+        decide::launch(
+            client,
+            cubes(n, 256),
+            units(),
+            splats.geometry.arg(),
+            grows.arg(),
+            prune_scores.arg(),
+            range.arg(),
+            Buffer::floats(client, centres.as_flattened()).arg(),
+            sizes.arg(),
+            parts.arg(),
+            n as u32,
+            splats.n_static as u32,
+            centres.len() as u32,
+            rules.min_opacity,
+            size,
+            scale.focal_px,
+            config.prune_threshold,
+            opacity,
+            splats.layout.isotropic,
+            literal,
+            everywhere,
+        );
+        Scan::new(client, 2 * n).run(client, &sizes, &places);
+        count_up::launch(
+            client,
+            cubes(1, 1),
+            units(),
+            parts.arg(),
+            sizes.arg(),
+            places.arg(),
+            counts.arg(),
+            blocks as u32,
+            n as u32,
+            splats.n_static as u32,
+        );
+        Self { sizes, places, counts }
+    }
+
+    /// Waits, and says how many were cloned, split and pruned, and how many splats there are to be.
+    pub fn read(&self, client: &Client, doing: &'static str) -> Result<(DensityStats, usize), GpuError> {
+        let counts = self.counts.read_words(client, doing)?;
+        let [cloned, split, pruned, next, n_static] = [0, 1, 2, 3, 4].map(|k: usize| counts[k] as usize);
+        let grown = DensityStats {
+            cloned,
+            split,
+            pruned,
+            n_static,
+            n_dynamic: next - n_static,
+        };
+        Ok((grown, next))
+    }
+}
+
+/// Where row `i` is among the numbers of those that stay; of the new ones it is `n_static` or `n - n_static` farther.
+#[cube]
+pub(super) fn stay_of(i: u32, n_static: u32) -> u32 {
+    let mut stay = i;
+    if i >= n_static {
+        stay = i + n_static;
+    }
+    stay
+}
+
+#[cube]
+pub(super) fn birth_of(i: u32, n: u32, n_static: u32) -> u32 {
+    let mut birth = i + n_static;
+    if i >= n_static {
+        birth = i + n;
+    }
+    birth
+}
+
+/// The largest standard deviation.
+#[cube]
+fn largest(geometry: &[f32], i: u32, n: u32, #[comptime] isotropic: bool) -> f32 {
+    let mut log = geometry[(3u32 * n + i) as usize];
+    if comptime!(!isotropic) {
+        log = log
+            .max(geometry[(4u32 * n + i) as usize])
+            .max(geometry[(5u32 * n + i) as usize]);
+    }
+    log.exp()
+}
+
+/// Distance to the nearest of some points; next to infinite where there are none.
+#[cube]
+fn nearest(geometry: &[f32], centres: &[f32], count: u32, i: u32, n: u32) -> f32 {
+    let mut square = 3.0e38f32;
+    for c in 0u32..count {
+        let mut sum = 0.0f32;
+        for k in 0u32..3u32 {
+            let d = centres[(3u32 * c + k) as usize] - geometry[(k * n + i) as usize];
+            sum += d * d;
+        }
+        square = square.min(sum);
+    }
+    square.sqrt()
+}
+
+/// Clones, splits and prunes: prune scores are normalised and compared with the threshold (Minute4D Eq. 10).
+#[cube(launch)]
+fn decide(
+    geometry: &[f32],
+    grows: &[u32],
+    scores: &[f32],
+    range: &[f32],
+    centres: &[f32],
+    sizes: &mut [u32],
+    parts: &mut [u32],
+    n: u32,
+    n_static: u32,
+    centre_count: u32,
+    min_opacity: f32,
+    size: f32,
+    focal_px: f32,
+    threshold: f32,
+    low_opacity: f32,
+    #[comptime] isotropic: bool,
+    #[comptime] literal: bool,
+    #[comptime] everywhere: bool,
+) {
+    let mut shared = Shared::<[u32]>::new_slice(256usize);
+    let i = ABSOLUTE_POS as u32;
+    // cloned, split and pruned of at most 256 splats share a number, ten bits each
+    let mut mine = 0u32;
+    if i < n {
+        let scale = largest(geometry, i, n, isotropic);
+        let mut limit = size;
+        if comptime!(!everywhere) {
+            limit = size * nearest(geometry, centres, centre_count, i, n) / focal_px;
+        }
+        let column = comptime!(if isotropic { 4u32 } else { 10u32 });
+        // beyond that it is 0 in any case, and no exponential is infinite
+        let logit = geometry[(column * n + i) as usize].max(-80.0f32);
+        let opacity = 1.0f32 / (1.0f32 + (-logit).exp());
+        let hopeless = opacity < min_opacity;
+        let mut by_score = false;
+        let (low, high) = (range[0usize], range[1usize]);
+        if high > low {
+            let score = ((scores[(n + i) as usize] - low) / (high - low)).clamp(0.0f32, 1.0f32);
+            if comptime!(literal) {
+                by_score = score > threshold;
+            } else {
+                by_score = score > threshold && opacity < low_opacity;
+            }
+        }
+        let mut stays = 1u32;
+        let mut births = 0u32;
+        let grow = grows[i as usize] != 0u32;
+        if grow && scale > limit {
+            stays = 0u32;
+            births = 2u32;
+            mine = 1u32 << 10u32;
+        } else {
+            if hopeless {
+                stays = 0u32;
+                mine = 1u32 << 20u32;
+            } else {
+                if grow {
+                    births = 1u32;
+                    mine = 1u32;
+                    if comptime!(literal) {
+                        if by_score {
+                            stays = 0u32;
+                            mine = (1u32 << 20u32) + 1u32;
+                        }
+                    }
+                } else {
+                    if by_score {
+                        stays = 0u32;
+                        mine = 1u32 << 20u32;
+                    }
+                }
+            }
+        }
+        sizes[stay_of(i, n_static) as usize] = stays;
+        sizes[birth_of(i, n, n_static) as usize] = births;
+    }
+    let before = scan_cube(mine, &mut shared);
+    if UNIT_POS == 255u32 && (CUBE_POS as u32) < parts.len() as u32 {
+        parts[CUBE_POS] = before + mine;
+    }
+}
+
+#[cube(launch)]
+fn count_up(parts: &[u32], sizes: &[u32], places: &[u32], counts: &mut [u32], blocks: u32, n: u32, n_static: u32) {
+    let mut shared = Shared::<[u32]>::new_slice(256usize);
+    for k in 0u32..3u32 {
+        let mut mine = 0u32;
+        let mut block = UNIT_POS;
+        while block < blocks {
+            mine += (parts[block as usize] >> (10u32 * k)) & 1023u32;
+            block += 256u32;
+        }
+        let before = scan_cube(mine, &mut shared);
+        if UNIT_POS == 255u32 {
+            counts[k as usize] = before + mine;
+        }
+        sync_cube();
+    }
+    if UNIT_POS == 0u32 {
+        let last = (2u32 * n - 1u32) as usize;
+        let all = places[last] + sizes[last];
+        let mut fixed = all;
+        if n_static < n {
+            fixed = places[(2u32 * n_static) as usize];
+        }
+        counts[3usize] = all;
+        counts[4usize] = fixed;
+    }
+}

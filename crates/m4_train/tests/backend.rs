@@ -1,0 +1,183 @@
+//! A backend that must be waited for gives the bits of one that need not, and one that fails leaves the last splats that were checked.
+#![expect(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
+
+use crate::common::{Watched, disturbed, video};
+use m4_core::Silent;
+use m4_kernels::SimdLevel;
+use m4_train::backend::CpuBackend;
+use m4_train::{DensityConfig, TrainConfig, TrainError, Trainer, config::SplitPlacement};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+/// Density control, a fit of colours and a new order within this many steps.
+fn config() -> TrainConfig {
+    let mut config = TrainConfig::fast();
+    config.iterations = 100;
+    config.seed = 5;
+    config.density = DensityConfig {
+        from: 20,
+        every: 20,
+        prune_every: 40,
+        ..DensityConfig::fast()
+    };
+    config.reorder_every = 30;
+    config.guard_every = 25;
+    config.keep_every_s = 0.0;
+    config
+}
+
+#[test]
+fn asynchronous_steps_and_density_control_of_the_trainer_give_the_same_bits() {
+    let (scene, capture) = video();
+    let mut cameras = config();
+    let refine = &mut cameras.refine;
+    (refine.poses, refine.focal, refine.exposure, refine.from) = (true, true, true, 20);
+    let faithful = TrainConfig {
+        iterations: 60,
+        keep_every_s: 1e9,
+        ..TrainConfig::faithful()
+    };
+    let drawn = DensityConfig {
+        split_placement: SplitPlacement::Sample,
+        ..config().density
+    };
+    let literal = DensityConfig {
+        split_placement: SplitPlacement::LongestAxis,
+        final_opacity: 0.1,
+        from: 20,
+        every: 20,
+        prune_every: 20,
+        ..DensityConfig::faithful()
+    };
+    for (config, own) in [
+        (config(), 4),
+        (cameras, 4),
+        (TrainConfig { batch: 3, ..config() }, 4),
+        (faithful, 0),
+        (
+            TrainConfig {
+                density: drawn,
+                ..config()
+            },
+            4,
+        ),
+        (
+            TrainConfig {
+                density: literal,
+                keep_every_s: 1e9,
+                ..config()
+            },
+            6,
+        ),
+    ] {
+        let run = |watched: Option<Option<&Arc<AtomicUsize>>>| {
+            let splats = disturbed(&scene, 2);
+            let mut trainer = Trainer::new(&capture, splats, config.clone(), SimdLevel::best()).unwrap();
+            if let Some(rounds) = watched {
+                let cpu = CpuBackend::new(&capture, 0, SimdLevel::best());
+                trainer
+                    .use_backend(Box::new(Watched::new(Box::new(cpu), rounds)))
+                    .unwrap();
+            }
+            let mut events = Vec::new();
+            // stopped and asked in between, as checkpoints do
+            trainer.run_until(37, &Silent, &mut |e| events.push(*e)).unwrap();
+            let middle = trainer.scene();
+            trainer.run(&Silent, &mut |e| events.push(*e)).unwrap();
+            let counts: Vec<_> = events
+                .iter()
+                .map(|e| (e.iteration, e.splats_static, e.splats_dynamic))
+                .collect();
+            let losses: Vec<f64> = events.iter().map(|e| e.loss).collect();
+            let state = format!("{:?}", trainer.state());
+            (middle, trainer.scene(), state, counts, losses)
+        };
+        let rounds = Arc::new(AtomicUsize::new(0));
+        let here = run(None);
+        for (there, decider) in [
+            (run(Some(Some(&rounds))), "the backend"),
+            (run(Some(None)), "the trainer"),
+        ] {
+            assert!(here.0 == there.0, "after 37 steps, {decider} decides");
+            assert!(here.1 == there.1, "at the end, {decider} decides");
+            assert!(here.2 == there.2, "the optimiser's state, {decider} decides");
+            assert_eq!(here.3, there.3, "splats, {decider} decides");
+            for (i, (a, b)) in here.4.iter().zip(&there.4).enumerate() {
+                assert!((a - b).abs() < 1e-9, "loss of event {i}: {a} and {b}");
+            }
+        }
+        assert_eq!(rounds.load(Ordering::Relaxed), own, "rounds of the backend");
+        let (first, last) = (disturbed(&scene, 2).n(), here.1.splats.n());
+        assert_eq!(own > 0, first != last, "{first} splats became {last}");
+    }
+}
+
+#[test]
+fn a_backend_that_fails_leaves_the_last_good_splats() {
+    let (scene, capture) = video();
+    let watched = |rounds: Option<&Arc<AtomicUsize>>| {
+        Watched::new(Box::new(CpuBackend::new(&capture, 0, SimdLevel::best())), rounds)
+    };
+    let run_with = |watched: Watched<'_>, config: TrainConfig, iterations: usize| {
+        let mut trainer = Trainer::new(&capture, disturbed(&scene, 2), config, SimdLevel::best()).unwrap();
+        trainer.use_backend(Box::new(watched)).unwrap();
+        let end = trainer.run_until(iterations, &Silent, &mut |_| {});
+        (end, trainer.scene(), trainer.iteration())
+    };
+    let failing = |fails_at, rounds: Option<&Arc<AtomicUsize>>| {
+        let mut watched = watched(rounds);
+        watched.fails_at = fails_at;
+        watched
+    };
+    let run = |fails_at, iterations| run_with(failing(fails_at, None), config(), iterations);
+    let (end, kept, at) = run(31, 100);
+    let Err(TrainError::Device {
+        why,
+        iteration,
+        good_iteration,
+    }) = end
+    else {
+        panic!("{end:?}");
+    };
+    assert_eq!(
+        (why.as_str(), iteration, good_iteration, at),
+        ("the backend broke", 30, 25, 25)
+    );
+    let (end, there, _) = run(0, 25);
+    end.unwrap();
+    assert!(kept == there);
+
+    // splats are not copied more often than the settings say
+    let rarely = TrainConfig {
+        keep_every_s: 1e9,
+        ..config()
+    };
+    let rounds = Arc::new(AtomicUsize::new(0));
+    let (end, kept, at) = run_with(failing(71, Some(&rounds)), rarely, 100);
+    assert!(
+        matches!(end, Err(TrainError::Device { good_iteration: 0, .. })),
+        "{end:?}"
+    );
+    assert_eq!((at, rounds.load(Ordering::Relaxed)), (0, 3));
+    let (_, there, _) = run(0, 0);
+    assert!(kept == there);
+
+    // the backend says at the next check that a number is not finite
+    let mut broken = watched(Some(&rounds));
+    broken.breaks_at = 41;
+    let (end, kept, at) = run_with(broken, config(), 100);
+    let Err(TrainError::Diverged {
+        what,
+        iteration,
+        good_iteration,
+    }) = end
+    else {
+        panic!("{end:?}");
+    };
+    assert_eq!(
+        (what, iteration, good_iteration, at),
+        ("a parameter of a splat", 50, 25, 25)
+    );
+    let (_, there, _) = run(0, 25);
+    assert!(kept == there);
+}

@@ -1,0 +1,108 @@
+//! Scores of density control.
+
+use crate::batch::{CASTS, exposed};
+use crate::gpu;
+use crate::step::{LAMBDA, image, start};
+use m4_core::{Exposure, Splats};
+use m4_kernels::adam::cpu::AdamState;
+use m4_kernels::loss::cpu::{LossScratch, Target, error_map, loss};
+use m4_kernels::{Renderer, SimdLevel, View};
+use m4_train::backend::{ScoreSettings, gpu::GpuTrainer};
+use m4_train::config::ErrorRange;
+use m4_train::density::masked_error;
+
+fn on_the_cpu(
+    splats: &Splats,
+    frames: &[Target],
+    views: &[(usize, View)],
+    exposures: &[Exposure],
+    settings: &ScoreSettings,
+) -> [Vec<f32>; 2] {
+    let mut renderer = Renderer::new(SimdLevel::best());
+    let (mut scratch, mut gradient, mut errors) = (LossScratch::default(), Default::default(), Vec::new());
+    let mut out = [vec![0.0; splats.n()], vec![0.0; splats.n()]];
+    for (frame, view) in views {
+        let rgb = exposed(exposures.get(*frame), &renderer.render(splats, view).rgb);
+        let (level, target) = (SimdLevel::best(), &frames[*frame]);
+        let photo = loss(level, target, &rgb, settings.lambda_ssim, &mut scratch, &mut gradient);
+        error_map(level, target, &rgb, &mut errors);
+        masked_error(&mut errors, settings.threshold, settings.range);
+        let mut one = vec![0.0; splats.n()];
+        renderer.score(&errors, &mut one);
+        for (i, s) in one.iter().enumerate() {
+            out[0][i] += s / views.len() as f32;
+            out[1][i] += s * photo.total as f32;
+        }
+    }
+    out
+}
+
+#[test]
+fn scores_are_those_of_the_cpu() {
+    let Some(gpu) = gpu("scores") else { return };
+    let (splats, view) = start();
+    let frames = [image(0), image(2)];
+    let late = View { t: 6.5, ..view };
+    let views = [(1, view), (0, late), (1, late)];
+    let mut trainer = GpuTrainer::new(gpu, &splats, &AdamState::new(&splats), &frames, 1 << 14).unwrap();
+    for (threshold, range, exposures) in [
+        (0.1, ErrorRange::Quantile { high: 0.995 }, &CASTS[..0]),
+        (0.5, ErrorRange::Quantile { high: 0.5 }, &CASTS[..]),
+        (0.3, ErrorRange::MinMax, &CASTS[..1]),
+    ] {
+        trainer.set_exposures(exposures);
+        let settings = ScoreSettings {
+            lambda_ssim: LAMBDA,
+            threshold,
+            range,
+        };
+        let want = on_the_cpu(&splats, &frames, &views, exposures, &settings);
+        let got = trainer.score(&views, &settings).unwrap();
+        for (got, want) in [&got.densify, &got.prune].into_iter().zip(&want) {
+            assert!(want.iter().filter(|&&v| v > 0.1).count() > 100, "too little to compare");
+            // a pixel at the cut or a contribution at its threshold counts in one and not in the other
+            let off = got
+                .iter()
+                .zip(want)
+                .filter(|(a, b)| (*a - *b).abs() > 1e-4 * (1.0 + b.abs()));
+            let off = off.count();
+            assert!(
+                off * 50 < want.len(),
+                "{range:?}: {off} of {} scores differ",
+                want.len()
+            );
+            let (a, b): (f64, f64) = (sum(got), sum(want));
+            assert!((a - b).abs() < 1e-3 * b, "{range:?}: {a} for {b}");
+        }
+        assert_eq!(trainer.score(&views, &settings).unwrap(), got, "the same bits");
+    }
+    assert_eq!(trainer.stats().unwrap().frames, 0, "scores are no steps");
+}
+
+fn sum(values: &[f32]) -> f64 {
+    values.iter().map(|&v| f64::from(v)).sum()
+}
+
+#[test]
+fn an_image_that_is_wrong_everywhere_alike_scores_nothing() {
+    let Some(gpu) = gpu("flat errors") else { return };
+    let (splats, view) = start();
+    // nothing is drawn but the background, and the frame is black
+    let away = View {
+        near: 1e9,
+        background: [0.5; 3],
+        ..view
+    };
+    let k = &view.camera.intrinsics;
+    let black = Target::from_bytes(k.width, k.height, [0, 1, 2].map(|_| vec![0; k.width * k.height])).unwrap();
+    let mut trainer = GpuTrainer::new(gpu, &splats, &AdamState::new(&splats), [black], usize::MAX).unwrap();
+    let settings = ScoreSettings {
+        lambda_ssim: LAMBDA,
+        threshold: 0.1,
+        range: ErrorRange::MinMax,
+    };
+    let got = trainer.score(&[(0, away), (0, view)], &settings).unwrap();
+    let alone = trainer.score(&[(0, view)], &settings).unwrap();
+    assert_eq!(got.prune, alone.prune);
+    assert!(trainer.score(&[], &settings).unwrap().prune.iter().all(|&v| v == 0.0));
+}

@@ -1,0 +1,178 @@
+//! Training on a GPU learns what training on the CPU learns.
+
+use crate::common::{FRAMES, Watched, disturbed, video};
+use crate::gpu;
+use m4_core::{Capture, Silent, Splats};
+use m4_kernels::gpu::Gpu;
+use m4_kernels::{Renderer, SimdLevel, View};
+use m4_testkit::MovingScene;
+use m4_train::backend::gpu::GpuBackend;
+use m4_train::config::PruneRule;
+use m4_train::{Backend, DensityConfig, TrainConfig, Trainer};
+
+fn view(scene: &MovingScene, frame: usize) -> View {
+    View {
+        camera: scene.cameras[frame],
+        t: frame as f64,
+        background: [0.0; 3],
+        near: 0.1,
+        mip: true,
+        period: (FRAMES - 1) as f32,
+        with_depth: false,
+    }
+}
+
+fn start(scene: &MovingScene) -> Splats {
+    disturbed(scene, 7)
+}
+
+fn backend(gpu: &Gpu, limit_mb: Option<usize>) -> Box<dyn Backend> {
+    Box::new(GpuBackend::new(gpu.clone(), limit_mb, 1))
+}
+
+/// Density control, a fit of colours and a new order within this many steps.
+fn config(iterations: usize) -> TrainConfig {
+    let mut config = TrainConfig::fast();
+    config.iterations = iterations;
+    config.seed = 5;
+    config.density = DensityConfig {
+        from: 20,
+        every: 20,
+        prune_every: 40,
+        ..DensityConfig::fast()
+    };
+    config.reorder_every = 30;
+    config
+}
+
+fn train<'a>(scene: &MovingScene, capture: &'a Capture, config: TrainConfig, gpu: Option<&Gpu>) -> Trainer<'a> {
+    let mut trainer = Trainer::new(capture, start(scene), config, SimdLevel::best()).unwrap();
+    if let Some(gpu) = gpu {
+        trainer.use_backend(backend(gpu, None)).unwrap();
+    }
+    trainer
+        .run(&Silent, &mut |event| assert!(event.loss.is_finite()))
+        .unwrap();
+    trainer
+}
+
+/// PSNR over all frames of the video, dB.
+fn psnr(splats: &Splats, scene: &MovingScene, capture: &Capture) -> f64 {
+    let mut renderer = Renderer::new(SimdLevel::best());
+    let (mut squares, mut values) = (0.0, 0usize);
+    for (i, frame) in capture.frames.iter().enumerate() {
+        let drawn = renderer.render(splats, &view(scene, i));
+        let (w, h) = (drawn.width, drawn.height);
+        for (c, plane) in drawn.rgb.iter().enumerate() {
+            for (at, &value) in plane.iter().enumerate() {
+                let target = f64::from(frame.rgb[(at % w, at / w)][c]) / 255.0;
+                squares += (f64::from(value.clamp(0.0, 1.0)) - target).powi(2);
+            }
+        }
+        values += 3 * w * h;
+    }
+    -10.0 * (squares / values as f64).log10()
+}
+
+#[test]
+fn a_gpu_learns_what_the_cpu_learns() {
+    let Some(gpu) = gpu("training") else {
+        return;
+    };
+    let (scene, capture) = video();
+    let before = psnr(&start(&scene), &scene, &capture);
+    let faithful = TrainConfig {
+        iterations: 60,
+        seed: 5,
+        ..TrainConfig::faithful()
+    };
+    let mut everything = config(60);
+    everything.batch = 2;
+    let refine = &mut everything.refine;
+    (refine.poses, refine.focal, refine.exposure, refine.from) = (true, true, true, 10);
+    for (config, gain) in [(config(120), 2.0), (faithful, 1.0), (everything, 1.0)] {
+        let here = train(&scene, &capture, config.clone(), None);
+        let there = train(&scene, &capture, config, Some(&gpu));
+        let [a, b] = [&here, &there].map(|t| psnr(t.splats(), &scene, &capture));
+        assert!(a > before + gain, "the CPU learns: {before:.2} to {a:.2} dB");
+        assert!((a - b).abs() < 0.1, "CPU {a:.3} dB, GPU {b:.3} dB");
+        let (n, m) = (here.splats().n() as f64, there.splats().n() as f64);
+        assert!((n - m).abs() < 0.03 * n + 2.0, "{n} and {m} splats");
+    }
+}
+
+#[test]
+fn a_gpu_densifies_and_prunes_as_the_cpu_does() {
+    let Some(gpu) = gpu("training") else {
+        return;
+    };
+    let (scene, capture) = video();
+    let mut literal = config(80);
+    literal.density = DensityConfig {
+        prune_rule: PruneRule::Literal,
+        prune_threshold: 0.5,
+        prune_every: 20,
+        max_growth: 2.0,
+        budget: 0.2,
+        final_opacity: 0.3,
+        ..literal.density
+    };
+    for config in [config(80), literal] {
+        let there = train(&scene, &capture, config.clone(), Some(&gpu));
+        let mut here = Trainer::new(&capture, start(&scene), config, SimdLevel::best()).unwrap();
+        here.use_backend(Box::new(Watched::new(backend(&gpu, None), None)))
+            .unwrap();
+        here.run(&Silent, &mut |_| {}).unwrap();
+        let [a, b] = [&here, &there].map(|t| psnr(t.splats(), &scene, &capture));
+        let [n, m] = [&here, &there].map(|t| t.splats().n());
+        assert_ne!(n, start(&scene).n());
+        // new splats differ in their last digits
+        assert!((a - b).abs() < 0.05, "CPU {a:.3} dB, GPU {b:.3} dB");
+        assert!(n.abs_diff(m) * 100 <= n, "{n} and {m} splats");
+    }
+}
+
+#[test]
+fn the_same_gpu_gives_the_same_bits_and_a_saved_run_goes_on() {
+    let Some(gpu) = gpu("training") else {
+        return;
+    };
+    let (scene, capture) = video();
+    let whole = train(&scene, &capture, config(60), Some(&gpu));
+    let again = train(&scene, &capture, config(60), Some(&gpu));
+    assert!(whole.splats() == again.splats(), "twice the same");
+
+    let mut half = Trainer::new(&capture, start(&scene), config(60), SimdLevel::best()).unwrap();
+    half.use_backend(backend(&gpu, None)).unwrap();
+    half.run_until(33, &Silent, &mut |_| {}).unwrap();
+    let (saved, state) = (half.scene(), half.state());
+    let mut rest = Trainer::resume(&capture, saved.splats, &state, config(60), SimdLevel::best()).unwrap();
+    rest.use_backend(backend(&gpu, None)).unwrap();
+    rest.run(&Silent, &mut |_| {}).unwrap();
+    assert!(whole.splats() == rest.splats(), "resumed");
+    assert!(whole.state() == rest.state(), "the optimiser's state too");
+}
+
+#[test]
+fn memory_that_was_not_allowed_is_refused_with_numbers_and_frames_are_streamed() {
+    let Some(gpu) = gpu("training") else {
+        return;
+    };
+    let (scene, capture) = video();
+    let run = |limit_mb: Option<usize>| {
+        let mut trainer = Trainer::new(&capture, start(&scene), config(12), SimdLevel::best()).unwrap();
+        trainer.use_backend(backend(&gpu, limit_mb)).unwrap();
+        let end = trainer.run(&Silent, &mut |_| {});
+        (end, trainer.splats().clone())
+    };
+    let (end, kept) = run(Some(1));
+    let error = end.unwrap_err().to_string();
+    for part in ["MB", "splats", "moments", "frames"] {
+        assert!(error.contains(part), "{part}: {error}");
+    }
+    assert_eq!(kept.n(), start(&scene).n());
+    // as little as it takes
+    let enough = (2..200).find(|&mb| run(Some(mb)).0.is_ok()).unwrap();
+    let (unlimited, limited) = (run(None).1, run(Some(enough)).1);
+    assert!(unlimited == limited, "{enough} MB");
+}
