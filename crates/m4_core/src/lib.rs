@@ -19,7 +19,6 @@ pub mod covariance4;
 pub mod quat;
 pub mod rotor;
 
-mod cache;
 mod camera;
 mod capture;
 mod compact_depth;
@@ -39,7 +38,6 @@ mod state;
 mod tracks;
 mod video;
 
-pub use cache::{Cache, NoCache, ScopedCache, kept, load, store};
 pub use camera::{Camera, Intrinsics};
 pub use capture::{Capture, CaptureFrame};
 pub use compact_depth::CompactDepth;

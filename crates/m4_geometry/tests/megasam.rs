@@ -3,14 +3,14 @@
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
 use m4_core::{
-    Camera, Intrinsics, NoCache, Plane, RgbImage, Se3, Silent, Sim3,
+    Camera, Intrinsics, Plane, RgbImage, Se3, Silent, Sim3,
     nalgebra::{Matrix4, Vector3, Vector4},
 };
 use m4_geometry::cvd::pairs::{FlowField, FramePair};
 use m4_geometry::graph::EdgeChanges;
 use m4_geometry::megasam::{
     DepthPrior, MegasamGeometry, MegasamInput, MegasamSettings, PairFlow, PairFlowError, TrackingSize, reconstruct,
-    resize_area, resize_bilinear, resize_nearest,
+    resize_area, resize_bilinear, resize_nearest, track,
 };
 use m4_geometry::tracker::{Correspondence, CorrespondenceError, Revision};
 use m4_testkit::shared;
@@ -332,7 +332,8 @@ fn true_flow_gives_true_cameras_and_depth() {
         focal_is_free: true,
         prior: Some(&prior),
     };
-    let found = reconstruct(&input, &mut truth, &mut flow, &settings, &Silent, &NoCache).unwrap();
+    let tracked = track(&input, &mut truth, &settings, &Silent).unwrap();
+    let found = reconstruct(&input, tracked, &mut flow, &settings, &Silent).unwrap();
     let (path, scale) = path_error(&found, &scene);
     let turn = turn_error_deg(&found, &scene);
     let focal = found.lens.fx / lens.fx - 1.0;

@@ -27,7 +27,7 @@ pub use differences::{Differences, Side, central_differences};
 pub use fixture::{FixtureCamera, FixtureSplat, GradientCase, GradientFixtures, gradient_fixtures};
 pub use formula::{FormulaWeights, formula, formula_input, write_formula_weights};
 pub use harm::harm;
-pub use interrupt::{MemoryCache, StopAtPoll};
+pub use interrupt::StopAtPoll;
 pub use levels::on_every_level;
 pub use shared::shared;
 pub use skip::{Need, SKIPPED_VARIABLE, skip};

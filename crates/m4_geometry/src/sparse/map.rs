@@ -11,7 +11,7 @@ use m4_core::{Progress, Se3, nalgebra::Vector3};
 use rayon::prelude::*;
 
 /// What is known so far.
-#[derive(Debug, Clone, serde::Serialize, serde::Deserialize)]
+#[derive(Debug, Clone)]
 pub(crate) struct Map {
     /// Focal length, working pixels.
     pub focal: f64,

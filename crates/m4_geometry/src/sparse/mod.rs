@@ -41,7 +41,6 @@ mod selection;
 mod tracking;
 mod triangulate;
 mod two_view;
-mod work;
 mod zoom;
 mod zoomed;
 
@@ -51,10 +50,17 @@ mod tests;
 pub use config::SparseConfig;
 pub use error::SparseError;
 pub use followed::{Followed, follow};
-pub use known::{FocalSource, Known, Recovered};
+pub use known::{FocalSource, Recovered};
 pub use posed::with_cameras;
-pub use reconstruct::{reconstruct, recover};
-pub use work::Work;
+
+/// Fails once the user asked to stop.
+fn stopped(progress: &dyn m4_core::Progress) -> Result<(), SparseError> {
+    if progress.cancelled() {
+        Err(SparseError::Cancelled)
+    } else {
+        Ok(())
+    }
+}
 
 /// Epipolar and reprojection errors above this do not count as agreement, working pixels.
 const INLIER_PX: f64 = 2.0;

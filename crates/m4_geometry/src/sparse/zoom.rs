@@ -16,7 +16,7 @@ use m4_core::{
 use rayon::prelude::*;
 
 /// One frame of a camera that stays in place.
-#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Aim {
     /// World to camera.
     pub rotation: Matrix3<f64>,
@@ -25,7 +25,7 @@ pub(crate) struct Aim {
 }
 
 /// A camera that stays in place and zooms.
-#[derive(Debug, Clone, serde::Serialize, serde::Deserialize)]
+#[derive(Debug, Clone)]
 pub(crate) struct Zooming {
     /// One a frame; the world is the camera of frame 0.
     pub aims: Vec<Aim>,

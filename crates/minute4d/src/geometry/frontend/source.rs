@@ -4,7 +4,7 @@ use super::{MonoClip, Plan};
 use crate::Error;
 use crate::device::NetworkDevice;
 use crate::steps::Steps;
-use m4_core::{Progress, RgbImage};
+use m4_core::RgbImage;
 use m4_geometry::dense::{FlowSource, InverseSearch};
 
 impl Plan {
@@ -32,17 +32,16 @@ impl Plan {
     /// [`Error`] where a network cannot be loaded or fails, or the user stops.
     pub fn depth(
         &self,
-        pictures: &[&RgbImage],
+        images: &[&RgbImage],
         focal_px: Option<f64>,
         device: &NetworkDevice,
         steps: &Steps<'_>,
-        progress: &dyn Progress,
     ) -> Result<Option<MonoClip>, Error> {
         #[cfg(feature = "nets")]
-        return MonoClip::measure(self, pictures, focal_px, &device.device, steps, progress);
+        return MonoClip::measure(self, images, focal_px, &device.device, steps);
         #[cfg(not(feature = "nets"))]
         {
-            let _ = (pictures, focal_px, device, steps, progress);
+            let _ = (images, focal_px, device, steps);
             Ok(None)
         }
     }
