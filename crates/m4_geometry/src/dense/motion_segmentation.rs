@@ -12,7 +12,7 @@ use super::shot::Shot;
 use super::smooth::Smoother;
 use super::sources::Sources;
 use super::static_depth::{self, Measured, Swept};
-use m4_core::{Progress, RgbImage};
+use m4_core::{Progress, RgbImage, dilated};
 
 /// How often depth and motion are estimated in turn: the second round knows the masks of the first.
 const ROUNDS: usize = 2;
@@ -164,9 +164,7 @@ impl Clip<'_> {
     fn sharpened(&self, before: Option<&[Vec<u8>]>, moving: &[Vec<u8>]) -> Result<Masks, DenseError> {
         let (width, height) = (self.width, self.height);
         let measured = self.measured(before)?;
-        let near = self.each("growing masks", |i| {
-            plate::grown(width, height, &moving[i], plate::GUARD_PX)
-        })?;
+        let near = self.each("growing masks", |i| dilated(&moving[i], width, height, plate::GUARD_PX))?;
         let background = self.each("filling depth", |i| {
             let mut measured = self.mono.with_prior(i, &measured[i], Some(&near[i]));
             for (c, near) in measured.confidence.iter_mut().zip(&near[i]) {

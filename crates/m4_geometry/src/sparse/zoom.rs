@@ -7,10 +7,9 @@
 use super::bundle::Jacobian;
 use super::rotation::{matches, spread};
 use super::tracking::RawTrack;
-use super::triangulate::median;
 use super::two_view::Match;
 use m4_core::{
-    Se3, exp_so3,
+    Se3, exp_so3, median,
     nalgebra::{Matrix3, Matrix4, Vector3, Vector4},
 };
 use rayon::prelude::*;

@@ -23,7 +23,7 @@ pub const STAGE: &str = "enhance";
 pub struct EnhanceReport {
     /// The capture that was made.
     pub path: PathBuf,
-    /// The segmentation method: `none`, `flow`, `mobilesam` or `sam2`.
+    /// The segmentation method: `none`, `mobilesam` or `sam2`.
     pub segmenter: String,
     /// The tracking method: `none`, `flow` or `tapip3d`.
     pub tracker: String,

@@ -1,7 +1,8 @@
 //! Caches optical flow between two images in the finished steps.
 
 use crate::steps::Steps;
-use m4_geometry::dense::{Flow, FlowError, FlowPicture, FlowSource};
+use m4_core::Flow;
+use m4_geometry::dense::{FlowError, FlowPicture, FlowSource};
 
 /// A source of flow whose results are cached. The same images are measured again after an interruption, and when depth is estimated
 /// again with better cameras.
@@ -78,7 +79,8 @@ mod tests {
     use super::CachedFlow;
     use crate::Silent;
     use crate::steps::Steps;
-    use m4_geometry::dense::{Flow, FlowError, FlowPicture, FlowSource, InverseSearch};
+    use m4_core::Flow;
+    use m4_geometry::dense::{FlowError, FlowPicture, FlowSource, InverseSearch};
     use std::sync::atomic::{AtomicUsize, Ordering};
 
     static MEASURED: AtomicUsize = AtomicUsize::new(0);

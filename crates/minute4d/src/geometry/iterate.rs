@@ -5,7 +5,7 @@
 
 use crate::steps::Steps;
 use crate::{Error, Observer};
-use m4_core::{Mask, Plane, Progress, Sim3, nalgebra::Vector3};
+use m4_core::{Mask, Plane, Progress, Sim3, median, nalgebra::Vector3};
 use m4_geometry::dense::DenseFrame;
 use m4_geometry::reconstruction::{CameraMotion, Motion, SparseReconstruction, Track};
 use m4_geometry::sparse::{Followed, Recovered, SparseConfig, SparseError};
@@ -175,11 +175,8 @@ fn shift_px(first: &SparseReconstruction, second: &SparseReconstruction, pairs: 
             });
         }
     }
-    let middles = shifts.iter_mut().filter(|s| s.len() >= POINTS_A_FRAME).map(|s| {
-        let middle = s.len() / 2;
-        *s.select_nth_unstable_by(middle, f64::total_cmp).1
-    });
-    middles.fold(0.0, f64::max)
+    let known = shifts.iter_mut().filter(|s| s.len() >= POINTS_A_FRAME);
+    known.filter_map(|s| median(s)).fold(0.0, f64::max)
 }
 
 /// Whether most of a track lies within masks (above 0) of the size of the frames.

@@ -3,8 +3,7 @@
 //! front one.
 
 use super::super::bodies::{Clip, ROUND_TRIP_PX};
-use super::super::flow::Flow;
-use super::super::shot::quantile;
+use m4_core::{Flow, quantile};
 use std::collections::BTreeMap;
 
 /// How far from a region its neighbour is asked, in image widths.
