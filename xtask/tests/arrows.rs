@@ -14,20 +14,27 @@ fn arrows(rows: &[(&str, &[&str])]) -> Arrows {
 const TABLE: &str = "
 | crate | what it is |
 |---|---|
-| `m4_core` | Knows no scene and no io. |
+| `m4_core` | Knows no kernel and no io. |
 
 | crate | one sentence | depends on |
 |---|---|---|
 | `m4_core` | Vectors, or all of them. | nothing of ours |
-| `m4_core` | What exists. | `m4_core` |
-| `m4_io` | Bytes. | math, scene |
-| `m4_testkit` | Tests. | math, scene |
+| `m4_kernels` | What exists. | `m4_core` |
+| `m4_io` | Bytes. | core, kernels |
+| `m4_testkit` | Tests. | core, kernels |
 | `minute4d` | The library. | all of the above but testkit |
 | `minute4d_cli` | The program. | minute4d |
 ";
 
 fn crates() -> BTreeSet<String> {
-    set(&["m4_core", "m4_core", "m4_io", "m4_testkit", "minute4d", "minute4d_cli"])
+    set(&[
+        "m4_core",
+        "m4_kernels",
+        "m4_io",
+        "m4_testkit",
+        "minute4d",
+        "minute4d_cli",
+    ])
 }
 
 #[test]
@@ -46,10 +53,10 @@ fn nothing_comes_from_git() {
 fn the_table_is_read_with_and_without_prefixes() {
     let want = arrows(&[
         ("m4_core", &[]),
-        ("m4_core", &["m4_core"]),
-        ("m4_io", &["m4_core", "m4_core"]),
-        ("m4_testkit", &["m4_core", "m4_core"]),
-        ("minute4d", &["m4_io", "m4_core", "m4_core"]),
+        ("m4_kernels", &["m4_core"]),
+        ("m4_io", &["m4_core", "m4_kernels"]),
+        ("m4_testkit", &["m4_core", "m4_kernels"]),
+        ("minute4d", &["m4_io", "m4_core", "m4_kernels"]),
         ("minute4d_cli", &["minute4d"]),
     ]);
     assert_eq!(allowed(TABLE, &crates()), want);
@@ -68,13 +75,15 @@ fn an_arrow_that_points_back_is_found() {
         "testkit is for the tests of every crate"
     );
 
-    actual.normal.insert("m4_core".to_owned(), set(&["m4_core", "m4_io"]));
-    actual.dev.insert("m4_core".to_owned(), set(&["m4_core"]));
+    actual
+        .normal
+        .insert("m4_kernels".to_owned(), set(&["m4_core", "m4_io"]));
+    actual.dev.insert("m4_core".to_owned(), set(&["m4_kernels"]));
     let found = violations(&actual, &may);
     assert_eq!(found.len(), 2, "{found:?}");
-    assert!(found[0].contains("m4_core has a dependency on m4_io"), "{found:?}");
+    assert!(found[0].contains("m4_kernels has a dependency on m4_io"), "{found:?}");
     assert!(
-        found[1].contains("m4_core has a dev-dependency on m4_core"),
+        found[1].contains("m4_core has a dev-dependency on m4_kernels"),
         "{found:?}"
     );
 }
@@ -91,7 +100,7 @@ fn only_tests_of_measuring_crates_may_read_data() {
         actual.dev.insert(from.to_owned(), set(dev));
         violations(&actual, &may).len()
     };
-    assert_eq!(with(&[], &["m4_io", "m4_train::init"], "m4_train"), 0);
+    assert_eq!(with(&[], &["m4_io"], "m4_train"), 0);
     assert_eq!(with(&["m4_io"], &[], "m4_train"), 1);
     assert_eq!(with(&[], &["m4_io"], "m4_core"), 1);
     assert_eq!(with(&[], &["m4_geometry"], "m4_train"), 1);

@@ -5,7 +5,7 @@ use crate::{CompactMask, Plane};
 /// A number per pixel, 0 for nothing in particular, held as runs of equal numbers.
 ///
 /// Things are large and smooth: a map takes some hundred bytes a thing where it would take two a pixel.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 pub struct CompactIds {
     width: usize,
     height: usize,

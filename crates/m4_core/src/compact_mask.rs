@@ -3,7 +3,7 @@
 use crate::{Mask, Plane};
 
 /// A mask of one bit per pixel.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 pub struct CompactMask {
     width: usize,
     height: usize,

@@ -1,6 +1,7 @@
 //! The scalar that every reference kernel is generic over.
 
 use nalgebra::RealField;
+use std::cmp::Ordering;
 
 /// `f32` or `f64`.
 ///
@@ -11,6 +12,8 @@ pub trait Real: RealField + Copy + Default + Send + Sync + 'static {
     fn of(x: f64) -> Self;
     /// This value as `f64`, exact.
     fn f64(self) -> f64;
+    /// The total order of IEEE 754.
+    fn order(&self, other: &Self) -> Ordering;
 }
 
 impl Real for f32 {
@@ -21,6 +24,10 @@ impl Real for f32 {
     fn f64(self) -> f64 {
         f64::from(self)
     }
+
+    fn order(&self, other: &Self) -> Ordering {
+        self.total_cmp(other)
+    }
 }
 
 impl Real for f64 {
@@ -30,5 +37,9 @@ impl Real for f64 {
 
     fn f64(self) -> f64 {
         self
+    }
+
+    fn order(&self, other: &Self) -> Ordering {
+        self.total_cmp(other)
     }
 }

@@ -2,7 +2,7 @@
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
 use m4_core::{
-    Camera, CounterRng, Intrinsics, NoCache, Plane, Se3, Silent,
+    Camera, CounterRng, Intrinsics, Plane, Se3, Silent,
     nalgebra::{Matrix4, Vector4},
 };
 use m4_geometry::cvd::pairs::{FlowView, PairStore, pair_list};
@@ -146,7 +146,7 @@ fn spoiled_depth_is_mended() {
             disparity: &start,
             uncertainty: &uncertainty,
         };
-        let found = optimise(&input, &pairs, &CvdSettings::default(), &Silent, &NoCache).unwrap();
+        let found = optimise(&input, &pairs, &CvdSettings::default(), &Silent).unwrap();
         let (before, after) = (abs_rel(&scene, &start), abs_rel(&scene, &found.disparity));
         eprintln!("{name}: AbsRel of static regions {before:.4} to {after:.4}");
         assert!(before > 0.07 && after < 0.2 * before, "{name}: {before} to {after}");

@@ -1,13 +1,12 @@
 //! Depth and masks on a drawn scene whose answer is known: a textured wall, a box in front of it that
 //! stands still, and another that moves.
 
-use m4_core::{Cache, Camera, Intrinsics, Mask, NoCache, Plane, Progress, RgbImage, Se3, Silent, nalgebra::Vector3};
+use m4_core::{Camera, Intrinsics, Mask, Plane, Progress, RgbImage, Se3, Silent, nalgebra::Vector3};
 use m4_geometry::dense::{
     DenseConfig, DenseError, DenseFrame, InverseSearch, MonoDepth, MonoError, MonoKind, MonoMap, SegmentError,
-    SegmentMask, SegmentPrompt, Segmenter, Sources, UserMasks,
+    SegmentMask, SegmentPrompt, Segmenter, Sources, estimate,
 };
 use m4_geometry::reconstruction::{CameraMotion, Motion, SparseReconstruction, Track};
-use m4_testkit::{MemoryCache, StopAtPoll};
 use std::borrow::Cow;
 use std::sync::Mutex;
 
@@ -18,24 +17,19 @@ fn estimate_depth(
     config: &DenseConfig,
     progress: &dyn Progress,
 ) -> Result<Vec<DenseFrame>, DenseError> {
-    keeping(frames, sparse, config, progress, &NoCache)
+    dense(frames, sparse, &Sources::flow(&InverseSearch), config, progress)
 }
 
-/// The same, with finished parts on a cache.
-fn keeping(
+/// With nothing given.
+fn dense(
     frames: &[&RgbImage],
     sparse: &SparseReconstruction,
+    sources: &Sources<'_>,
     config: &DenseConfig,
     progress: &dyn Progress,
-    cache: &dyn Cache,
 ) -> Result<Vec<DenseFrame>, DenseError> {
-    let flow = InverseSearch;
-    let sources = Sources {
-        cache,
-        ..Sources::flow(&flow)
-    };
-    m4_geometry::dense::estimate_depth(frames, sparse, &sources, &UserMasks::default(), config, progress)
-        .map(|dense| dense.frames)
+    let found = estimate(frames, sparse, sources, None, config, progress)?;
+    found.enlarge(frames, progress).map(|dense| dense.frames)
 }
 
 const SIZE: (usize, usize) = (128, 96);
@@ -204,34 +198,6 @@ fn any_number_of_threads_gives_the_same_bits() {
         })
     };
     assert_eq!(run(1), run(3));
-}
-
-#[test]
-fn stopped_depth_resumes_to_identical_bits() {
-    const FEW: usize = 6;
-    let drawn = draw(0.06);
-    let frames = &references(&drawn)[..FEW];
-    let sparse = first(&sparse(&drawn, CameraMotion::Parallax), FEW);
-    let config = DenseConfig::default();
-    let go = |progress: &dyn Progress, cache: &dyn Cache| keeping(frames, &sparse, &config, progress, cache);
-    let counter = StopAtPoll::after(usize::MAX);
-    let want = go(&counter, &NoCache).unwrap();
-    let polls = counter.asked();
-    let mut spared = Vec::new();
-    // Once in each phase.
-    for at in (0..polls).step_by(FEW) {
-        let cache = MemoryCache::default();
-        let stopped = go(&StopAtPoll::after(at), &cache);
-        let stop = matches!(stopped, Err(DenseError::Cancelled { .. }));
-        assert!(stop, "{stopped:?}");
-        let rest = StopAtPoll::after(usize::MAX);
-        assert!(go(&rest, &cache).unwrap() == want, "stopped at poll {at} of {polls}");
-        spared.push(polls - rest.asked());
-    }
-    // Of rounds, sharp masks and depth of static regions, each spares more than the one before.
-    spared.sort_unstable();
-    spared.dedup();
-    assert!(spared.len() >= 5, "{spared:?}");
 }
 
 fn first(sparse: &SparseReconstruction, n: usize) -> SparseReconstruction {
@@ -414,25 +380,25 @@ fn a_segmenter_is_believed_where_it_means_the_same() {
                 ..Sources::flow(&flow)
             };
             let config = DenseConfig::default();
-            m4_geometry::dense::estimate_depth(&frames, &good, &sources, &UserMasks::default(), &config, &Silent)
+            dense(&frames, &good, &sources, &config, &Silent)
         };
         let plain = with(None).unwrap();
         let sharp = with(Some(&Oracle::Truth(&drawn))).unwrap();
-        let ((_, before), (_, after)) = (score(&drawn, &plain.frames), score(&drawn, &sharp.frames));
+        let ((_, before), (_, after)) = (score(&drawn, &plain), score(&drawn, &sharp));
         assert!(
             after > 0.9 && after > before + 0.05,
             "{motion:?}: {before:.3} to {after:.3}"
         );
         // The whole image is not dynamic.
         let same = with(Some(&Oracle::Everything)).unwrap();
-        assert!(same.frames == plain.frames, "{motion:?}");
+        assert!(same == plain, "{motion:?}");
         let failed = with(Some(&Oracle::Fails)).unwrap_err();
         assert!(matches!(failed, DenseError::Segment { .. }), "{failed}");
 
         let pool = rayon::ThreadPoolBuilder::new().num_threads(3).build().unwrap();
         let oracle = Oracle::Truth(&drawn);
         let again = pool.install(|| with(Some(&oracle)).unwrap());
-        assert!(again.frames == sharp.frames, "{motion:?}");
+        assert!(again == sharp, "{motion:?}");
     }
 }
 
@@ -459,21 +425,13 @@ fn dynamic_regions_take_depth_from_a_sensor() {
     let drawn = draw(0.08);
     let frames: Vec<&RgbImage> = drawn.images.iter().collect();
     let sparse = sparse(&drawn, CameraMotion::Parallax);
-    let masks = UserMasks {
-        masks: Some(&drawn.moving),
+    let sources = Sources {
+        mono: &Network(&drawn),
+        ..Sources::flow(&InverseSearch)
     };
-    let found = m4_geometry::dense::estimate_depth(
-        &frames,
-        &sparse,
-        &Sources {
-            mono: &Network(&drawn),
-            ..Sources::flow(&InverseSearch)
-        },
-        &masks,
-        &DenseConfig::default(),
-        &Silent,
-    )
-    .unwrap();
+    let config = DenseConfig::default();
+    let found = estimate(&frames, &sparse, &sources, Some(&drawn.moving), &config, &Silent).unwrap();
+    let found = found.enlarge(&frames, &Silent).unwrap();
     for (i, found) in found.frames.iter().enumerate() {
         let pixels = (0..SIZE.0 * SIZE.1).map(|p| (p % SIZE.0, p / SIZE.0));
         let mut errors: Vec<f32> = pixels

@@ -3,14 +3,14 @@
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
 use m4_core::{
-    Camera, Intrinsics, NoCache, Plane, RgbImage, Se3, Silent, Sim3,
+    Camera, Flow, Intrinsics, Plane, RgbImage, Se3, Silent, Sim3,
     nalgebra::{Matrix4, Vector3, Vector4},
 };
-use m4_geometry::cvd::pairs::{FlowField, FramePair};
+use m4_geometry::cvd::pairs::FramePair;
 use m4_geometry::graph::EdgeChanges;
 use m4_geometry::megasam::{
     DepthPrior, MegasamGeometry, MegasamInput, MegasamSettings, PairFlow, PairFlowError, TrackingSize, reconstruct,
-    resize_area, resize_bilinear, resize_nearest,
+    resize_area, resize_bilinear, resize_nearest, track,
 };
 use m4_geometry::tracker::{Correspondence, CorrespondenceError, Revision};
 use m4_testkit::shared;
@@ -248,23 +248,22 @@ impl PairFlow for Truth<'_> {
         "truth"
     }
 
-    fn both(&mut self, pair: FramePair, a: &RgbImage, b: &RgbImage) -> Result<[FlowField; 2], PairFlowError> {
+    fn both(&mut self, pair: FramePair, a: &RgbImage, b: &RgbImage) -> Result<[Flow; 2], PairFlowError> {
         assert_eq!((a.size(), b.size()), (self.size.cropped, self.size.cropped));
         let (width, height) = self.size.cropped;
         let way = |i: usize, j: usize| {
-            let mut field = FlowField {
+            let mut field = Flow {
                 width,
                 height,
-                x: Vec::new(),
-                y: Vec::new(),
+                ..Flow::default()
             };
             for n in 0..width * height {
                 let (x, y) = ((n % width) as f64, (n / width) as f64);
                 let seen = self.seen(i, j, x, y);
                 // What is hidden is far from where it came when it goes back.
                 let miss = if seen.visible { 0.0 } else { 50.0 };
-                field.x.push(seen.at[0] - x as f32 + miss);
-                field.y.push(seen.at[1] - y as f32);
+                field.u.push(seen.at[0] - x as f32 + miss);
+                field.v.push(seen.at[1] - y as f32);
             }
             field
         };
@@ -332,7 +331,8 @@ fn true_flow_gives_true_cameras_and_depth() {
         focal_is_free: true,
         prior: Some(&prior),
     };
-    let found = reconstruct(&input, &mut truth, &mut flow, &settings, &Silent, &NoCache).unwrap();
+    let tracked = track(&input, &mut truth, &settings, &Silent).unwrap();
+    let found = reconstruct(&input, tracked, &mut flow, &settings, &Silent).unwrap();
     let (path, scale) = path_error(&found, &scene);
     let turn = turn_error_deg(&found, &scene);
     let focal = found.lens.fx / lens.fx - 1.0;

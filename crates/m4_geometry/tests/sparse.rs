@@ -1,8 +1,8 @@
 //! The sparse half on rendered images, and on the shared benchmark where it is present.
 
 use m4_core::{Camera, Intrinsics, Plane, RgbImage, Se3, Silent, Sim3, exp_so3, nalgebra::Vector3};
-use m4_geometry::reconstruction::{CameraMotion, Motion};
-use m4_geometry::sparse::{SparseConfig, SparseError, reconstruct};
+use m4_geometry::reconstruction::{CameraMotion, Motion, SparseReconstruction};
+use m4_geometry::sparse::{SparseConfig, SparseError, track_features};
 
 const FRAMES: usize = 12;
 
@@ -65,12 +65,17 @@ fn render_all(cameras: &[Camera]) -> Vec<RgbImage> {
     (0..).zip(cameras).map(|(i, c)| render(c, f64::from(i))).collect()
 }
 
+fn reconstruct(frames: &[&RgbImage], config: &SparseConfig) -> Result<SparseReconstruction, SparseError> {
+    let found = track_features(frames, config, &Silent)?.recover(None, config, &Silent)?;
+    Ok(found.sparse)
+}
+
 #[test]
 fn a_rendered_room_is_reconstructed() {
     let truth = cameras(0.06, 0.008);
-    let images = render_all(&truth);
+    let render_all = render_all(&truth);
     let found =
-        reconstruct(&images.iter().collect::<Vec<_>>(), &SparseConfig::default(), &Silent).expect("a reconstruction");
+        reconstruct(&render_all.iter().collect::<Vec<_>>(), &SparseConfig::default()).expect("a reconstruction");
     assert_eq!(found.camera_motion, CameraMotion::Parallax, "{:?}", found.warnings);
     let centres = |cameras: &[Camera]| cameras.iter().map(Camera::centre).collect::<Vec<_>>();
     let (ours, want) = (centres(&found.cameras), centres(&truth));
@@ -116,19 +121,19 @@ fn a_rendered_room_is_reconstructed() {
 #[test]
 fn static_and_turning_cameras_are_distinguished() {
     let still = render_all(&cameras(0.0, 0.0));
-    let found = reconstruct(&still.iter().collect::<Vec<_>>(), &SparseConfig::default(), &Silent).expect("a pose");
+    let found = reconstruct(&still.iter().collect::<Vec<_>>(), &SparseConfig::default()).expect("a pose");
     assert_eq!(found.camera_motion, CameraMotion::Static);
     let turning = render_all(&cameras(0.0, 0.01));
-    let found = reconstruct(&turning.iter().collect::<Vec<_>>(), &SparseConfig::default(), &Silent).expect("rotations");
+    let found = reconstruct(&turning.iter().collect::<Vec<_>>(), &SparseConfig::default()).expect("rotations");
     assert_eq!(found.camera_motion, CameraMotion::RotationOnly, "{:?}", found.warnings);
     assert!(!found.warnings.is_empty());
 }
 
 #[test]
 fn bad_input_is_refused() {
-    let run = |images: &[RgbImage]| {
-        let all: Vec<&RgbImage> = images.iter().collect();
-        reconstruct(&all, &SparseConfig::default(), &Silent).map(|_| ())
+    let run = |render_all: &[RgbImage]| {
+        let all: Vec<&RgbImage> = render_all.iter().collect();
+        reconstruct(&all, &SparseConfig::default()).map(|_| ())
     };
     let plain = |w, h| Plane::filled(w, h, [90_u8; 3]);
     assert_eq!(run(&[]), Err(SparseError::TooFewFrames { found: 0 }));
@@ -158,7 +163,7 @@ fn bad_input_is_refused() {
         fov_deg: Some(f64::NAN),
         ..SparseConfig::default()
     };
-    let got = reconstruct(&[&a, &b], &config, &Silent).map(|_| ());
+    let got = reconstruct(&[&a, &b], &config).map(|_| ());
     assert!(
         matches!(got, Err(SparseError::Setting { name: "fov_deg", .. })),
         "{got:?}"

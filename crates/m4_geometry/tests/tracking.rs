@@ -1,13 +1,12 @@
 //! A room, a moving ball and a camera that walks: everything is recovered from noisy flow.
 
+use crate::track_support::{DenseFlow, FlowCorrespondence};
 use m4_core::{
     CounterRng, Se3, Silent, Sim3,
     nalgebra::{Vector3, Vector6},
 };
 use m4_geometry::dba::{Grid, Pinhole};
-use m4_geometry::tracker::{
-    Clip, DenseFlow, FlowCorrespondence, FrameInput, Tracked, TrackerError, TrackerSettings, track,
-};
+use m4_geometry::tracker::{Clip, FrameInput, Tracked, TrackerError, TrackerSettings, track};
 use std::convert::Infallible;
 
 const GRID: Grid = Grid { width: 96, height: 64 };

@@ -27,7 +27,6 @@
     expect(
         clippy::manual_div_ceil,
         clippy::manual_is_multiple_of,
-        clippy::approx_constant,
         clippy::collapsible_if,
         reason = "kernels are expanded: their front end has no such methods, and conditions at compile time stand alone"
     )

@@ -1,17 +1,4 @@
-//! Optical flow of any network.
-
-/// Where each pixel of one image is in another.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Flow {
-    /// Columns.
-    pub width: usize,
-    /// Rows.
-    pub height: usize,
-    /// `[height][width]` pixels to the right.
-    pub u: Vec<f32>,
-    /// `[height][width]` pixels down.
-    pub v: Vec<f32>,
-}
+//! Errors of networks for optical flow.
 
 /// Why there is no flow.
 #[derive(Debug, thiserror::Error)]

@@ -43,7 +43,7 @@ pub use device::gpu;
 pub use device::{Compute, cpu};
 pub use dinov2::BackboneSize;
 pub use droid::{DroidError, DroidMemory, DroidNet};
-pub use flow::{Flow, FlowError};
+pub use flow::FlowError;
 pub use load::LoadError;
 pub use lpips::{Lpips, LpipsError, LpipsImage, LpipsNet, LpipsScore};
 pub use mobile_sam::{MaskPrediction, MobileSam, PointPrompt, Prompt, SamError};

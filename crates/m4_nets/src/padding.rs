@@ -1,9 +1,9 @@
 //! Images of any size as networks for flow take them, and their flow in the images' size.
 
+use crate::FlowError;
 use crate::ops::tensor;
-use crate::{Flow, FlowError};
 use burn_core::tensor::{Device, Tensor};
-use m4_core::RgbImage;
+use m4_core::{Flow, RgbImage};
 
 /// How an image lies within the padded one: in the middle.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

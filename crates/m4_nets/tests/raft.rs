@@ -2,9 +2,9 @@
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
 use crate::common::{fixtures, floats, png, read_image, real_weights};
-use m4_core::{Plane, RgbImage};
+use m4_core::{Flow, Plane, RgbImage};
 use m4_nets::raft::{LowFlow, Raft, RaftFlow};
-use m4_nets::{Flow, FlowError, LoadError, cpu};
+use m4_nets::{FlowError, LoadError, cpu};
 use m4_testkit::write_formula_weights;
 use std::fs;
 use std::path::{Path, PathBuf};

@@ -1,36 +1,9 @@
-//! Interrupts and resumes work.
+//! Interrupts work.
 
-use m4_core::{Cache, Progress};
-use std::collections::HashMap;
+use m4_core::Progress;
 use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::{Mutex, MutexGuard, PoisonError};
 
-/// A cache in memory.
-#[derive(Debug, Default)]
-pub struct MemoryCache(Mutex<HashMap<String, Vec<u8>>>);
-
-impl MemoryCache {
-    fn all(&self) -> MutexGuard<'_, HashMap<String, Vec<u8>>> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    /// Removes what has this name.
-    pub fn remove(&self, name: &str) {
-        self.all().remove(name);
-    }
-}
-
-impl Cache for MemoryCache {
-    fn get(&self, name: &str) -> Option<Vec<u8>> {
-        self.all().get(name).cloned()
-    }
-
-    fn put(&self, name: &str, bytes: &[u8]) {
-        self.all().insert(name.to_owned(), bytes.to_vec());
-    }
-}
-
-/// Says stop from the so-manieth time on that it is asked.
+/// Says stop from a given poll on.
 #[derive(Debug)]
 pub struct StopAtPoll {
     at: usize,

@@ -26,7 +26,7 @@ pub use compare::{Agreement, Flips, assert_gradient, assert_image};
 pub use differences::{Differences, Side, central_differences};
 pub use fixture::{FixtureCamera, FixtureSplat, GradientCase, GradientFixtures, gradient_fixtures};
 pub use formula::{FormulaWeights, formula, formula_input, write_formula_weights};
-pub use interrupt::{MemoryCache, StopAtPoll};
+pub use interrupt::StopAtPoll;
 pub use levels::on_every_level;
 pub use mutate::mutate;
 pub use shared::shared;

@@ -1,5 +1,4 @@
 //! A backend that must be waited for gives the bits of one that need not, and one that fails leaves the last splats that were checked.
-#![expect(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
 
 use crate::common::{Watched, disturbed, video};
 use m4_core::Silent;

@@ -2,7 +2,7 @@
 
 use crate::error::OutputError;
 use crate::record::{GEOMETRY_FILE, RUN_FILE, RunRecord, Status};
-use crate::{Error, geometry};
+use crate::{Error, capture_folder};
 use std::fs::{self, File, TryLockError};
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
@@ -182,7 +182,7 @@ fn clear(folder: &Path) -> Result<(), Error> {
     remove_checkpoints(folder)?;
     let capture = folder.join(CAPTURE_FOLDER);
     if capture.is_dir() {
-        geometry::clear(&capture)?;
+        capture_folder::clear(&capture)?;
     }
     Ok(())
 }

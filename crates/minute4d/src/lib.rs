@@ -46,12 +46,14 @@ pub mod viewer;
 #[cfg(feature = "nets")]
 pub mod weights;
 
+mod capture_folder;
 mod clock;
 mod error;
 mod hash;
 mod job;
 mod pipeline;
 mod progress;
+mod stage;
 mod steps;
 mod workspace;
 

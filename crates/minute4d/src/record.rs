@@ -286,6 +286,23 @@ fn once() -> usize {
 }
 
 impl GeometryRecord {
+    /// Creates the record of a stage that is about to run with this key and these settings.
+    pub(crate) fn begin(input: Input, key: String, settings: Value) -> Self {
+        Self {
+            format: GEOMETRY_FORMAT.to_owned(),
+            version: VERSION,
+            minute4d: env!("CARGO_PKG_VERSION").to_owned(),
+            status: Status::Running,
+            input,
+            key,
+            settings,
+            found: None,
+            seconds: 0.0,
+            peak_memory_bytes: None,
+            warnings: Vec::new(),
+        }
+    }
+
     /// Writes the record into the capture, atomically.
     ///
     /// # Errors

@@ -9,7 +9,6 @@
 use crate::Observer;
 use crate::folder;
 use crate::progress::RecordingObserver;
-use m4_core::{Cache, ScopedCache};
 use serde::{Serialize, de::DeserializeOwned};
 use std::fs;
 use std::io::Write;
@@ -77,24 +76,22 @@ impl<'a> Steps<'a> {
         Ok(value)
     }
 
-    /// Returns a stored value.
+    /// Returns a stored value, bit by bit.
     pub fn load<T: DeserializeOwned>(&self, name: &str) -> Option<T> {
-        m4_core::load(self, name)
+        postcard::from_bytes(&self.get(name)?).ok()
     }
 
     /// Stores a value.
     pub fn store(&self, name: &str, value: &impl Serialize) {
-        m4_core::store(self, name, value);
+        // One that cannot be serialised is computed again.
+        if let Ok(bytes) = postcard::to_stdvec(value) {
+            self.put(name, &bytes);
+        }
     }
 
-    /// Receives warnings.
+    /// Receives progress and warnings, and says when to stop.
     pub fn observer(&self) -> &'a dyn Observer {
         self.observer
-    }
-
-    /// Returns the steps whose names begin with `prefix`, for repeated work.
-    pub fn part<'s>(&'s self, prefix: &'s str) -> ScopedCache<'s> {
-        ScopedCache { cache: self, prefix }
     }
 
     /// Removes all steps, when the stage is done or its key has changed.
@@ -140,17 +137,17 @@ impl<'a> Steps<'a> {
             ));
         }
     }
-}
 
-impl Cache for Steps<'_> {
-    fn get(&self, name: &str) -> Option<Vec<u8>> {
+    /// Returns stored bytes; `None` if there are none or they are damaged.
+    pub fn get(&self, name: &str) -> Option<Vec<u8>> {
         let mut file = fs::read(self.path(name)).ok()?;
         let bytes = file.get(MAGIC.len() + HASH..)?;
         let whole = file.starts_with(MAGIC) && file[MAGIC.len()..][..HASH] == *self.hash(name, bytes).as_bytes();
         whole.then(|| file.split_off(MAGIC.len() + HASH))
     }
 
-    fn put(&self, name: &str, bytes: &[u8]) {
+    /// Stores bytes.
+    pub fn put(&self, name: &str, bytes: &[u8]) {
         if !self.usable.load(Ordering::Relaxed) {
             return;
         }
@@ -170,7 +167,7 @@ pub(crate) fn remove(folder: &Path) {
 mod tests {
     use super::Steps;
     use crate::{Observer, StageEvent};
-    use m4_core::{Cache, Progress};
+    use m4_core::Progress;
     use std::convert::Infallible;
     use std::fs;
     use std::sync::Mutex;
@@ -214,8 +211,6 @@ mod tests {
         let again = Steps::open(dir.path(), "k", &heard);
         assert_eq!(step(&again, 1.0).to_bits(), nan.to_bits(), "from disk, bit by bit");
         assert_eq!(*heard.0.lock().unwrap(), ["blurred", "blurred"]);
-        again.part("second").put("x", b"12");
-        assert_eq!((again.get("x"), again.get("second-x")), (None, Some(b"12".to_vec())));
         assert_eq!(step(&Steps::open(dir.path(), "other", &heard), 2.0), 2.0, "another key");
         let last = Steps::open(dir.path(), "other", &heard);
         last.remove();

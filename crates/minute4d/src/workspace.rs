@@ -5,7 +5,8 @@ use crate::device::OpenGpu;
 use crate::folder::{self, Lock};
 use crate::progress::RecordingObserver;
 use crate::record::{Device, FileRecord, Input, RunRecord, StageRecord, Status, peak_memory_bytes};
-use crate::{Error, Job, StageEvent, hash};
+use crate::stage::{self, Ended, StageFolder};
+use crate::{Error, Job, Observer, hash};
 use m4_kernels::SimdLevel;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -204,59 +205,62 @@ impl<'a> Workspace<'a> {
         Ok(true)
     }
 
-    /// Runs a stage: reports its start, and records its warnings, seconds and files.
+    /// Runs a stage that writes `files`: records its seconds, warnings and files.
     pub fn stage<R>(
         &mut self,
         name: &'static str,
         key: String,
-        task: (Option<&'static str>, f64),
+        (because, seconds): (Option<&'static str>, f64),
         files: &[&str],
         work: impl FnOnce(&mut Self, &RecordingObserver<'_>) -> Result<R, Error>,
     ) -> Result<R, Error> {
-        let (because, seconds_before) = task;
-        let observer = self.job.observer;
-        observer.stage(name, StageEvent::Started { because });
-        let (start, keeper) = (Instant::now(), RecordingObserver::new(observer).until(self.until));
         let begun = StageRecord {
             key,
             done: false,
-            seconds: seconds_before,
+            seconds,
             peak_memory_bytes: None,
             warnings: Vec::new(),
         };
         self.record.stages.insert(name.to_owned(), begun);
-        self.record.write(&self.folder)?;
-        let outcome = work(self, &keeper);
-        let spent = start.elapsed().as_secs_f64();
+        stage::run(self, name, because, |run, recorder| {
+            let result = work(run, recorder)?;
+            for &file in files {
+                let path = run.path(file);
+                let blake3 = hash::of_path(&path)?;
+                let bytes = fs::metadata(&path)
+                    .map_err(|source| Error::Read { path, source })?
+                    .len();
+                run.record.files.insert(file.to_owned(), FileRecord { bytes, blake3 });
+            }
+            Ok(result)
+        })
+    }
+}
+
+impl<'a> StageFolder<'a> for Workspace<'a> {
+    fn observer(&self) -> &'a dyn Observer {
+        self.job.observer
+    }
+
+    fn until(&self) -> Option<Instant> {
+        self.until
+    }
+
+    fn begin(&mut self, _: &'static str) -> Result<(), Error> {
+        self.record.write(&self.folder)
+    }
+
+    fn end(&mut self, name: &'static str, ended: &Ended) -> Result<(), Error> {
         if let Some(stage) = self.record.stages.get_mut(name) {
-            stage.seconds = seconds_before + spent;
+            stage.seconds += ended.seconds;
             stage.peak_memory_bytes = peak_memory_bytes();
-            stage.warnings = keeper.warnings();
+            stage.warnings.clone_from(&ended.warnings);
+            stage.done = ended.status == Status::Finished;
         }
-        let result = outcome.map_err(|error| match error {
-            error @ Error::Stopped { .. } => error,
-            error if error.is_stop() => Error::Stopped {
-                stage: name,
-                saved: true,
-            },
-            error => error,
-        })?;
-        for &file in files {
-            let path = self.path(file);
-            let bytes = fs::metadata(&path)
-                .map_err(|source| Error::Read {
-                    path: path.clone(),
-                    source,
-                })?
-                .len();
-            let blake3 = hash::of_path(&path)?;
-            self.record.files.insert(file.to_owned(), FileRecord { bytes, blake3 });
+        match ended.status {
+            Status::Finished => self.record.write(&self.folder),
+            // `finish` writes it, once the reserved space is free
+            _ => Ok(()),
         }
-        if let Some(stage) = self.record.stages.get_mut(name) {
-            stage.done = true;
-        }
-        self.record.write(&self.folder)?;
-        observer.stage(name, StageEvent::Finished { seconds: spent });
-        Ok(result)
     }
 }

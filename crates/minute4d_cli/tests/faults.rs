@@ -62,8 +62,8 @@ fn killed_geometry_resumes_after_its_last_step() {
         steps(&dir.path("calm")).is_empty() && !dir.path("calm/capture/.steps").exists(),
         "steps go when all is done"
     );
-    // killed when corners are followed, when cameras are known, and when some frame was swept
-    for step in ["corners", "cameras", "first-swept-"] {
+    // killed when cameras are known, when some flow is, and when depth is
+    for step in ["cameras", "flow-", "dense"] {
         let mut child = program()
             .args(run(&input, &killed, &["--resume"]))
             .stdout(Stdio::null())
@@ -79,16 +79,17 @@ fn killed_geometry_resumes_after_its_last_step() {
         assert!(!dir.path("killed/capture/transforms_train.json").exists());
     }
     // one step is torn, as by a machine that lost its power
-    let torn = dir.path("killed/capture/.steps/corners");
+    let torn = dir.path("killed/capture/.steps/cameras");
     let bytes = fs::read(&torn).unwrap();
     fs::write(&torn, &bytes[..bytes.len() / 2]).unwrap();
     let ended = call(&run(&input, &killed, &["--resume"]));
     assert_eq!(ended.code, 0, "{}", ended.stderr);
-    let told = ended.events();
+    let events = ended.events();
     assert!(
-        told.iter()
+        events
+            .iter()
             .any(|e| e.to_string().contains("its finished steps are used")),
-        "{told:?}"
+        "{events:?}"
     );
     assert!(!dir.path("killed/capture/.steps").exists());
     same_result(&dir.path("calm"), &dir.path("killed"));

@@ -6,13 +6,8 @@ use m4_core::{Mask, Plane};
 #[must_use]
 pub fn dilated(mask: &Mask, radius_px: usize) -> Mask {
     let (width, height) = mask.size();
-    let reach = |i: usize, n: usize| i.saturating_sub(radius_px)..(i + radius_px + 1).min(n);
-    let rows = Plane::from_fn(width, height, |x, y| {
-        reach(x, width).map(|x| mask[(x, y)]).max().unwrap_or(0)
-    });
-    Plane::from_fn(width, height, |x, y| {
-        reach(y, height).map(|y| rows[(x, y)]).max().unwrap_or(0)
-    })
+    let grown = m4_core::dilated(mask.data(), width, height, radius_px);
+    Plane::from_fn(width, height, |x, y| grown[y * width + x])
 }
 
 #[cfg(test)]

@@ -1,10 +1,10 @@
 //! Which misreading explains the samples.
 
 use super::fit::fit;
-use super::reading::{Reading, depth_scale, errors, median};
+use super::reading::{Reading, depth_scale, errors};
 use super::report::Cause;
 use super::samples::{Pair, Samples};
-use m4_core::Camera;
+use m4_core::{Camera, median};
 
 /// Another reading of the poses is believed if it takes the error to less than this share.
 const CONVINCING: f64 = 0.5;

@@ -1,9 +1,9 @@
 //! Scale, focal length and principal point that explain flow best.
 
-use super::reading::{Reading, median};
+use super::reading::Reading;
 use super::samples::Pair;
 use m4_core::{
-    Camera,
+    Camera, median,
     nalgebra::{Matrix4, Vector4},
 };
 

@@ -2,7 +2,7 @@
 
 use super::samples::{Pair, Sample};
 use m4_core::{
-    Camera, Se3,
+    Camera, Se3, median,
     nalgebra::{Matrix3, Vector3},
 };
 
@@ -154,18 +154,6 @@ pub(super) fn depth_scale(reading: &Reading, cameras: &[Camera], pairs: &[Pair])
         .then(|| median(&mut logs))
         .flatten()
         .map(f64::exp)
-}
-
-/// The middle value.
-pub(super) fn median(values: &mut [f64]) -> Option<f64> {
-    quantile(values, 0.5)
-}
-
-/// The value below which a share `q` of the values lies.
-pub(super) fn quantile(values: &mut [f64], q: f64) -> Option<f64> {
-    let last = values.len().checked_sub(1)?;
-    let k = (q * last as f64).round() as usize;
-    Some(*values.select_nth_unstable_by(k.min(last), f64::total_cmp).1)
 }
 
 /// Lengths of all errors, pixels; infinite for points behind a camera.

@@ -1,10 +1,10 @@
 //! The report, and its words.
 
 use super::causes::{likeliest, masks_turned};
-use super::reading::{Reading, depth_errors, errors, median, quantile};
+use super::reading::{Reading, depth_errors, errors};
 use super::samples::{ConsistencyError, Pair, Samples, samples};
 use crate::dense::FlowSource;
-use m4_core::{Camera, Capture, Progress};
+use m4_core::{Camera, Capture, Progress, median, quantile};
 use serde::{Deserialize, Serialize};
 use std::fmt;
 

@@ -25,7 +25,6 @@
 //! **Unit.** Disparities and poses come and go in the caller's unit (metres, if they are metres): nothing is normalised
 //! away. Stage 1 fits a scale and a shift to each frame, which [`ConsistentDepth`] reports.
 
-mod course;
 mod error;
 mod fast;
 mod input;

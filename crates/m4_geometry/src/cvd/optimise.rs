@@ -1,12 +1,11 @@
 //! The two stages from the caller's side: checks, conventions, units.
 
-use super::course::{Course, RecordingObserver};
 use super::fast::{Descent, Moves, SimdLevel, Start};
 use super::pairs::PairSource;
 use super::reference::{DISPARITY, Pinhole, UNCERTAINTY};
 use super::settings::{ADAM_EPSILON, LEARNING_RATE, WEIGHTS, WORKING_PERCENTILE_98};
 use super::{CvdError, CvdInput, CvdSettings, PairError};
-use m4_core::{Cache, Plane, Progress, Se3};
+use m4_core::{Plane, Progress, Se3};
 use std::collections::HashSet;
 
 /// Images below this have no 5x5 neighbourhood to reflect.
@@ -30,8 +29,7 @@ pub struct ConsistentDepth {
 /// Moves the disparity of every frame until the frames agree with one another along the flow.
 ///
 /// Poses and intrinsics are held fixed, and the scale of the poses decides the scale of the result. See the module for the
-/// method and [`super::pairs::PairStore`] for the flow. The result is the same on any number of threads, and where it was
-/// interrupted and goes on from what `cache` kept of the same input and settings.
+/// method and [`super::pairs::PairStore`] for the flow. The result is the same on any number of threads.
 ///
 /// # Errors
 ///
@@ -42,7 +40,6 @@ pub fn optimise(
     pairs: &dyn PairSource,
     settings: &CvdSettings,
     progress: &dyn Progress,
-    cache: &dyn Cache,
 ) -> Result<ConsistentDepth, CvdError> {
     check(input, pairs)?;
     let k = &input.intrinsics;
@@ -78,7 +75,7 @@ pub fn optimise(
     let mut descent = Descent::new(SimdLevel::best(), lens, &w2c, pairs, &starts);
     drop(starts);
     drop(scaled);
-    run(&mut descent, pairs.pairs().len(), settings, progress, cache).map(|course| {
+    run(&mut descent, pairs.pairs().len(), settings, progress).map(|course| {
         let Course { affine, losses, .. } = course;
         let (width, height) = pairs.size();
         let plane = |data: Vec<f32>, factor: f64, limits: [f64; 2]| {
@@ -97,52 +94,44 @@ pub fn optimise(
     })
 }
 
-/// Both stages.
+/// What a descent found besides its variables.
+#[derive(Debug, Default)]
+pub(super) struct Course {
+    /// Scale and shift of each frame after the first stage.
+    pub affine: Vec<(f64, f64)>,
+    /// Loss before each step, of both stages.
+    pub losses: [Vec<f64>; 2],
+}
+
+/// Runs both stages.
 pub(super) fn run(
     descent: &mut Descent<'_>,
     pairs: usize,
     settings: &CvdSettings,
     progress: &dyn Progress,
-    cache: &dyn Cache,
 ) -> Result<Course, CvdError> {
     const MOVES: [Moves; 2] = [Moves::Affine, Moves::Pixels];
     let total = settings.steps[0] + settings.steps[1];
-    let mut keeper = RecordingObserver::new(cache);
-    let mut course = keeper.resume(descent, &MOVES).unwrap_or_default();
-    for index in course.stage..MOVES.len() {
-        let moves = MOVES[index];
-        course.stage = index;
-        if course.step == 0 {
-            descent.begin();
-            if moves == Moves::Pixels {
-                keeper.second_stage(descent);
-            }
-        }
-        while course.step < settings.steps[index] {
+    let mut course = Course::default();
+    for (index, moves) in MOVES.into_iter().enumerate() {
+        descent.begin();
+        for step in 0..settings.steps[index] {
             if progress.cancelled() {
-                keeper.save(&mut course, descent);
-                return Err(CvdError::Cancelled {
-                    stage: index + 1,
-                    step: course.step,
-                });
+                let stage = index + 1;
+                return Err(CvdError::Cancelled { stage, step });
             }
-            course.step += 1;
             let (weights, rate) = (&WEIGHTS[index], LEARNING_RATE[index]);
-            let report = descent.step(moves, weights, rate, ADAM_EPSILON, course.step)?;
-            if index == 0 && course.step == 1 && report.count == 0.0 {
+            let report = descent.step(moves, weights, rate, ADAM_EPSILON, step + 1)?;
+            if index == 0 && step == 0 && report.count == 0.0 {
                 return Err(CvdError::NoFlow { pairs });
             }
             course.losses[index].push(report.loss);
             let done = course.losses[0].len() + course.losses[1].len();
             progress.update("consistent depth", done, total, &format!("loss {:.4}", report.loss));
-            if keeper.due() {
-                keeper.save(&mut course, descent);
-            }
         }
         if moves == Moves::Affine {
             course.affine = descent.settle();
         }
-        course.step = 0;
     }
     Ok(course)
 }

@@ -50,7 +50,7 @@ impl Background {
             }
         }
         let mut sorted = out.clone();
-        let median = super::shot::quantile(&mut sorted, 0.5).unwrap_or(0.0);
+        let median = m4_core::quantile(&mut sorted, 0.5).unwrap_or(0.0);
         let noise = NOISE.max(2.0 * median);
         for v in &mut out {
             *v = (0.5 * (*v / noise - THRESHOLD)).clamp(-STATIC_VOTE, 1.0);

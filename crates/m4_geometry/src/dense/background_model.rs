@@ -8,7 +8,7 @@ use super::flow::bilinear_rgb;
 use super::pair::Pair;
 use super::shot::Shot;
 use super::smooth::{Smoother, box_blur};
-use m4_core::Camera;
+use m4_core::{Camera, dilated};
 
 /// Distances in time of the frames that a background is made of, each both ways.
 const REACHES: [usize; 5] = [2, 5, 9, 14, 20];
@@ -41,30 +41,6 @@ pub(super) struct Scene<'a> {
     pub background: &'a [Vec<f32>],
     /// `[height][width]` by frame: above 0 for what may move, generously.
     pub near: &'a [Vec<u8>],
-}
-
-/// Pixels within `reach` pixels (in the larger of the two directions) of one above 0.
-pub(super) fn grown(width: usize, height: usize, mask: &[u8], reach: usize) -> Vec<u8> {
-    let mut rows = vec![0u8; width * height];
-    for y in 0..height {
-        for x in 0..width {
-            let row = &mask[y * width..(y + 1) * width];
-            rows[y * width + x] = row[x.saturating_sub(reach)..(x + reach + 1).min(width)]
-                .iter()
-                .copied()
-                .max()
-                .unwrap_or(0);
-        }
-    }
-    let mut out = vec![0u8; width * height];
-    for y in 0..height {
-        for ny in y.saturating_sub(reach)..(y + reach + 1).min(height) {
-            for x in 0..width {
-                out[y * width + x] = out[y * width + x].max(rows[ny * width + x]);
-            }
-        }
-    }
-    out
 }
 
 /// The colour of every pixel of `zone` (above 0) if nothing moved, `[height][width]`; `None` where too few frames saw it.
@@ -101,13 +77,13 @@ fn background_colours(scene: &Scene<'_>, i: usize, zone: &[u8]) -> Vec<Option<[f
 
 fn median(values: impl Iterator<Item = f32>) -> f32 {
     let mut values: Vec<f32> = values.collect();
-    super::shot::quantile(&mut values, 0.5).unwrap_or(0.0)
+    m4_core::quantile(&mut values, 0.5).unwrap_or(0.0)
 }
 
 /// Evidence of motion a pixel, above 0 for moving, and its weight.
 fn evidence(scene: &Scene<'_>, i: usize, before: &[u8]) -> (Vec<f32>, Vec<f32>) {
     let (w, h) = (scene.width, scene.height);
-    let zone = grown(w, h, &scene.near[i], MARGIN_PX);
+    let zone = dilated(&scene.near[i], w, h, MARGIN_PX);
     let background = background_colours(scene, i, &zone);
     let frame = &scene.shots[i].frame;
     // Shadows keep the pattern of what they fall on: the background may be darker by one factor around a pixel.
@@ -160,7 +136,7 @@ mod tests {
     use super::super::smooth::Smoother;
     use super::super::sweep::Range;
     use super::super::working::WorkingFrame;
-    use super::{Scene, grown, sharpen};
+    use super::{Scene, dilated, sharpen};
     use m4_core::{
         Camera, Intrinsics, Se3,
         nalgebra::{Vector3, Vector6},
@@ -237,8 +213,8 @@ mod tests {
                 }
             })
             .collect();
-        let before: Vec<Vec<u8>> = truth.iter().map(|m| grown(W, H, m, 4)).collect();
-        let near: Vec<Vec<u8>> = before.iter().map(|m| grown(W, H, m, 2)).collect();
+        let before: Vec<Vec<u8>> = truth.iter().map(|m| dilated(m, W, H, 4)).collect();
+        let near: Vec<Vec<u8>> = before.iter().map(|m| dilated(m, W, H, 2)).collect();
         let background = vec![vec![0.25f32; W * H]; FRAMES];
         let scene = Scene {
             width: W,

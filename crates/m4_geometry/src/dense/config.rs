@@ -3,7 +3,7 @@
 use super::DenseError;
 use serde::{Deserialize, Serialize};
 
-/// Settings of [`super::estimate_depth()`].
+/// Settings of [`super::estimate()`].
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct DenseConfig {

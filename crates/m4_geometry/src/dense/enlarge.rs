@@ -1,7 +1,6 @@
 //! From the working size to the size of the frames, along the edges of the frames.
 
 use super::estimate::DenseFrame;
-use super::working::WorkingFrame;
 use m4_core::{Plane, RgbImage};
 
 /// Colour difference at which a neighbour counts half, 0..255.
@@ -11,7 +10,10 @@ const SAME_SURFACE: f32 = 0.03;
 
 /// What the working size knows of one frame; planes are `[height][width]`.
 pub(super) struct Small<'a> {
-    pub frame: &'a WorkingFrame,
+    /// Columns and rows.
+    pub size: (usize, usize),
+    /// Colours, 0..255.
+    pub rgb: &'a [[u8; 3]],
     pub disparity: &'a [f32],
     pub moving: &'a [u8],
     pub confidence: &'a [f32],
@@ -27,17 +29,14 @@ struct Neighbours {
 /// colour. Depth is averaged over one surface only, so that nothing floats between two.
 pub(super) fn enlarge(image: &RgbImage, small: &Small<'_>) -> DenseFrame {
     let (width, height) = image.size();
-    let (sx, sy) = (
-        small.frame.width as f32 / width as f32,
-        small.frame.height as f32 / height as f32,
-    );
+    let (sx, sy) = (small.size.0 as f32 / width as f32, small.size.1 as f32 / height as f32);
     let mut depth = Plane::filled(width, height, 1.0f32);
     let mut mask = Plane::filled(width, height, 0u8);
     let mut confidence = Plane::filled(width, height, 0.0f32);
     for y in 0..height {
         for x in 0..width {
             let at = ((x as f32 + 0.5) * sx - 0.5, (y as f32 + 0.5) * sy - 0.5);
-            let near = neighbours(small.frame, at, image[(x, y)]);
+            let near = neighbours(small, at, image[(x, y)]);
             let (mut moves, mut total) = (0.0, 0.0);
             for (&i, &w) in near.index.iter().zip(&near.weight) {
                 total += w;
@@ -76,8 +75,8 @@ pub(super) fn enlarge(image: &RgbImage, small: &Small<'_>) -> DenseFrame {
     }
 }
 
-fn neighbours(frame: &WorkingFrame, (x, y): (f32, f32), colour: [u8; 3]) -> Neighbours {
-    let (w, h) = (frame.width as isize, frame.height as isize);
+fn neighbours(small: &Small<'_>, (x, y): (f32, f32), colour: [u8; 3]) -> Neighbours {
+    let (w, h) = (small.size.0 as isize, small.size.1 as isize);
     let clamp = |v: f32, n: isize| (v.round() as isize).clamp(0, n - 1);
     let (cx, cy) = (clamp(x, w), clamp(y, h));
     let mut out = Neighbours {
@@ -93,7 +92,7 @@ fn neighbours(frame: &WorkingFrame, (x, y): (f32, f32), colour: [u8; 3]) -> Neig
             // A tent two pixels wide, never 0, times the likeness of the colours.
             let (dx, dy) = (x - nx as f32, y - ny as f32);
             let space = (1.6 - dx.abs()).max(0.05) * (1.6 - dy.abs()).max(0.05);
-            let differences = frame.rgb[i].iter().zip(&colour).map(|(a, b)| a.abs_diff(*b));
+            let differences = small.rgb[i].iter().zip(&colour).map(|(a, b)| a.abs_diff(*b));
             let difference = f32::from(differences.fold(0, u8::max));
             out.weight[k] = space / (1.0 + (difference / COLOUR).powi(2));
         }
@@ -104,23 +103,20 @@ fn neighbours(frame: &WorkingFrame, (x, y): (f32, f32), colour: [u8; 3]) -> Neig
 #[cfg(test)]
 mod tests {
     use super::{Small, enlarge};
-    use crate::dense::working::WorkingFrame;
-    use m4_core::{Camera, Intrinsics, Plane, Se3};
+    use crate::dense::working::rgb_and_grey;
+    use m4_core::Plane;
 
     #[test]
     fn an_edge_is_found_again_and_nothing_floats() {
         // The edge lies at full-size column 22, inside small pixel 5 of 16 (columns 20 to 23).
         let image = Plane::from_fn(64, 48, |x, _| if x < 22 { [30; 3] } else { [200; 3] });
-        let camera = Camera {
-            intrinsics: Intrinsics::centred(64, 48, 50.0),
-            c2w: Se3::identity(),
-        };
-        let frame = WorkingFrame::new(&image, &camera, 16, 12);
+        let (rgb, _) = rgb_and_grey(&image, 16, 12);
         let disparity: Vec<f32> = (0..16 * 12).map(|i| if i % 16 < 5 { 0.25 } else { 1.0 }).collect();
         let moving: Vec<u8> = (0..16 * 12).map(|i| if i % 16 < 5 { 0 } else { 255 }).collect();
         let confidence = vec![1.0; 16 * 12];
         let small = Small {
-            frame: &frame,
+            size: (16, 12),
+            rgb: &rgb,
             disparity: &disparity,
             moving: &moving,
             confidence: &confidence,

@@ -1,7 +1,6 @@
 //! The dense half from end to end.
 
 use super::background::Background;
-use super::cached::{CachedDepth, numbers};
 use super::config::DenseConfig;
 use super::enlarge::{Small, enlarge};
 use super::error::DenseError;
@@ -15,10 +14,10 @@ use super::moving_depth;
 use super::rigid_objects;
 use super::shot::{Shot, sparse_points};
 use super::sources::Sources;
-use super::static_depth::{self, Measured, Swept};
+use super::static_depth::{self, Swept};
 use super::tracks;
-use super::user_masks::UserMasks;
-use super::working::WorkingFrame;
+use super::user_masks;
+use super::working::rgb_and_grey;
 use crate::reconstruction::{CameraMotion, SparseReconstruction};
 use crate::tracks3d::{QueryGrid, TrackConfig};
 use m4_core::{Camera, DepthMap, Mask, Plane, Progress, RgbImage, Tracks};
@@ -36,7 +35,7 @@ pub struct DenseFrame {
     pub confidence: Plane<f32>,
 }
 
-/// What [`estimate_depth`] finds.
+/// Depth and motion of a clip at the size of its frames.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Dense {
     /// One per frame.
@@ -49,79 +48,96 @@ pub struct Dense {
 /// Fewer frames have no background that is seen most of the time.
 const LEAST_BACKGROUND: usize = 8;
 
-/// The result at the working size, before enlargement.
-pub(super) struct WorkingResult {
-    pub shots: Vec<Shot>,
-    pub flows: Vec<FlowPair>,
-    pub measured: Vec<Measured>,
-    pub moving: Vec<Vec<u8>>,
-    pub disparity: Vec<Vec<f32>>,
+/// Depth and motion of a clip at the working size, which [`enlarge`](Self::enlarge) brings to the size of the frames.
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct Estimate {
+    size: (usize, usize),
+    /// One over z-depth, `[frames][height][width]`.
+    disparity: Vec<Vec<f32>>,
+    /// How far the depth was measured, 0..1, `[frames][height][width]`.
+    confidence: Vec<Vec<f32>>,
+    /// Above 0 in dynamic regions, `[frames][height][width]`.
+    moving: Vec<Vec<u8>>,
+    tracks: Option<Tracks>,
 }
 
-/// Depth, motion masks and confidence for every frame and tracks of dynamic objects, given cameras and tracks; `sources` measure
-/// flow, segment dynamic regions, and provide depth.
+/// Everything but tracks.
+struct WorkingResult {
+    cameras: Vec<Camera>,
+    flows: Vec<FlowPair>,
+    confidence: Vec<Vec<f32>>,
+    moving: Vec<Vec<u8>>,
+    disparity: Vec<Vec<f32>>,
+}
+
+/// Estimates depth, motion masks and confidence of every frame and tracks of dynamic objects, given cameras and feature tracks, with the
+/// methods of `sources`. `masks` has one mask per frame, of any size, above 0 in dynamic regions; motion is not estimated then.
 ///
 /// # Errors
 ///
 /// [`DenseError`] if frames and cameras do not fit, a setting is out of range, a source fails, or the user stopped it.
-pub fn estimate_depth(
+pub fn estimate(
     frames: &[&RgbImage],
     sparse: &SparseReconstruction,
     sources: &Sources<'_>,
-    given: &UserMasks<'_>,
+    masks: Option<&[Mask]>,
     config: &DenseConfig,
     progress: &dyn Progress,
-) -> Result<Dense, DenseError> {
-    let ground = Ground::of(frames, sparse, sources, given, config, progress)?;
-    let (w, h) = ground.size;
-    let (working, flows, placed) = match CachedDepth::load(sources.cache, frames.len(), w * h) {
-        Some(placed) => {
-            let working = ground.working(frames, sparse, progress)?;
-            let flows = ground.flows(&working, sources, progress)?;
-            (working, flows, placed)
-        }
-        None => {
-            let mut stages = estimate(&ground, frames, sparse, sources, given, progress)?;
-            let placed = CachedDepth::store(&mut stages, sources.cache);
-            let working = stages.shots.into_iter().map(|shot| shot.frame).collect();
-            (working, stages.flows, placed)
-        }
-    };
+) -> Result<Estimate, DenseError> {
+    let ground = Ground::of(frames, sparse, sources, masks, config, progress)?;
+    let found = stages(&ground, frames, sparse, sources, masks, progress)?;
     let tracks = if config.tracks {
-        followed(&ground, &working, &flows, &placed, progress)?
+        let clip = tracks::Clip {
+            width: ground.size.0,
+            height: ground.size.1,
+            cameras: &found.cameras,
+            moving: &found.moving,
+            disparity: &found.disparity,
+            flows: &found.flows,
+        };
+        tracks::tracks(&clip, &QueryGrid::chains(), &TrackConfig::default(), progress)?
     } else {
         None
     };
-    let frames = each(frames.len(), "enlarging depth", progress, |i| {
-        let small = Small {
-            frame: &working[i],
-            disparity: &placed.disparity[i],
-            moving: &placed.moving[i],
-            confidence: &placed.confidence[i],
-        };
-        enlarge(frames[i], &small)
-    })?;
-    Ok(Dense { frames, tracks })
+    Ok(Estimate {
+        size: ground.size,
+        disparity: found.disparity,
+        confidence: found.confidence,
+        moving: found.moving,
+        tracks,
+    })
 }
 
-/// Tracks of dynamic points.
-fn followed(
-    ground: &Ground,
-    working: &[WorkingFrame],
-    flows: &[FlowPair],
-    placed: &CachedDepth,
-    progress: &dyn Progress,
-) -> Result<Option<Tracks>, DenseError> {
-    let cameras: Vec<Camera> = working.iter().map(|frame| frame.camera).collect();
-    let clip = tracks::Clip {
-        width: ground.size.0,
-        height: ground.size.1,
-        cameras: &cameras,
-        moving: &placed.moving,
-        disparity: &placed.disparity,
-        flows,
-    };
-    tracks::tracks(&clip, &QueryGrid::chains(), &TrackConfig::default(), progress)
+impl Estimate {
+    /// Returns depth, masks and confidence at the size of `frames`, those that the estimate was made of.
+    ///
+    /// # Errors
+    ///
+    /// [`DenseError`] for another number of frames, or if the user stopped it.
+    pub fn enlarge(self, frames: &[&RgbImage], progress: &dyn Progress) -> Result<Dense, DenseError> {
+        if frames.len() != self.disparity.len() {
+            return Err(DenseError::Given {
+                what: "estimated depth",
+                found: self.disparity.len(),
+                expected: frames.len(),
+            });
+        }
+        let (width, height) = self.size;
+        let frames = each(frames.len(), "enlarging depth", progress, |i| {
+            let small = Small {
+                size: self.size,
+                rgb: &rgb_and_grey(frames[i], width, height).0,
+                disparity: &self.disparity[i],
+                moving: &self.moving[i],
+                confidence: &self.confidence[i],
+            };
+            enlarge(frames[i], &small)
+        })?;
+        Ok(Dense {
+            frames,
+            tracks: self.tracks,
+        })
+    }
 }
 
 /// Runs `f` for every frame in parallel, in order of frames, with progress.
@@ -144,12 +160,12 @@ pub(super) fn each<T: Send>(
     all.ok_or(DenseError::Cancelled { phase })
 }
 
-fn estimate(
+fn stages(
     ground: &Ground,
     frames: &[&RgbImage],
     sparse: &SparseReconstruction,
     sources: &Sources<'_>,
-    given: &UserMasks<'_>,
+    masks: Option<&[Mask]>,
     progress: &dyn Progress,
 ) -> Result<WorkingResult, DenseError> {
     let (count, (w, h)) = (frames.len(), ground.size);
@@ -164,12 +180,7 @@ fn estimate(
     let shots = each(count, "preparing frames", progress, |i| {
         Shot::new(&working, i, &points, parallax)
     })?;
-    let swept = each(count, "sweeping depth", progress, |i| {
-        let sweep = || static_depth::sweep(&shots, i).disparity;
-        Swept {
-            disparity: numbers(sources.cache, &format!("swept-{i:05}"), w * h, sweep),
-        }
-    })?;
+    let swept: Vec<Swept> = each(count, "sweeping depth", progress, |i| static_depth::sweep(&shots, i))?;
     let still = sparse.camera_motion == CameraMotion::Static && count >= LEAST_BACKGROUND;
     let clues = MotionCues {
         cameras: working.iter().map(|f| f.camera).collect(),
@@ -190,7 +201,7 @@ fn estimate(
         sources,
         progress,
     };
-    let told = (0..count).map(|i| given.mask(i, w, h)).collect();
+    let told = masks.map(|masks| masks.iter().map(|mask| user_masks::at_size(mask, w, h)).collect());
     let MotionSegmentation {
         moving,
         measured,
@@ -219,9 +230,9 @@ fn estimate(
         mono.overrule(i, &mut disparity[i]);
     }
     Ok(WorkingResult {
-        shots,
+        cameras: clues.cameras,
         flows,
-        measured,
+        confidence: measured.into_iter().map(|measured| measured.confidence).collect(),
         moving,
         disparity,
     })

@@ -5,10 +5,10 @@ use super::error::DenseError;
 use super::estimate::each;
 use super::flow::FlowPair;
 use super::sources::Sources;
-use super::user_masks::UserMasks;
+use super::user_masks;
 use super::working::{WorkingFrame, fitting_side, working_size};
 use crate::reconstruction::{CameraMotion, SparseReconstruction};
-use m4_core::{Camera, Progress, RgbImage};
+use m4_core::{Camera, Mask, Progress, RgbImage};
 
 /// Least side of a frame, pixels.
 const LEAST_SIDE: usize = 32;
@@ -27,12 +27,12 @@ impl Ground {
         frames: &[&RgbImage],
         sparse: &SparseReconstruction,
         sources: &Sources<'_>,
-        given: &UserMasks<'_>,
+        masks: Option<&[Mask]>,
         config: &DenseConfig,
         progress: &dyn Progress,
     ) -> Result<Self, DenseError> {
         config.check()?;
-        given.check(frames.len())?;
+        user_masks::check(masks, frames.len())?;
         let (full_w, full_h) = check(frames, sparse)?;
         let count = frames.len();
         let side = fitting_side(full_w, full_h, config.working_side_px, count, config.memory_mb);

@@ -2,13 +2,13 @@
 
 use super::background::Background;
 use super::components::clean;
-use super::flow::{Flow, FlowPair, bilinear};
+use super::flow::FlowPair;
 use super::pair::Pair;
-use super::shot::{Shot, quantile};
+use super::shot::Shot;
 use super::smooth::{Smoother, box_blur};
 use super::working::WorkingFrame;
 use crate::reconstruction::{Motion, SparseReconstruction};
-use m4_core::Camera;
+use m4_core::{Camera, Flow, bilinear, quantile};
 
 /// Over how many frames flow is chained and compared, each both ways: the short span for fast motion, the long one for slow motion.
 const SPANS: [usize; 2] = [1, 4];

@@ -1,8 +1,6 @@
-//! Segments static and dynamic regions: motion spoils depth and depth shows motion, so one is found from the other
-//! in turn. Each turn is kept on the cache, so that what was interrupted goes on there.
+//! Separates dynamic from static regions: motion spoils depth and depth shows motion, so one is found from the other in turn.
 
 use super::background_model;
-use super::cached;
 use super::error::DenseError;
 use super::estimate::each;
 use super::flow::FlowPair;
@@ -14,7 +12,7 @@ use super::shot::Shot;
 use super::smooth::Smoother;
 use super::sources::Sources;
 use super::static_depth::{self, Measured, Swept};
-use m4_core::{Progress, RgbImage};
+use m4_core::{Progress, RgbImage, dilated};
 
 /// How often depth and motion are estimated in turn: the second round knows the masks of the first.
 const ROUNDS: usize = 2;
@@ -67,20 +65,13 @@ impl Clip<'_> {
             Some(given) => given,
             None => self.moving()?,
         };
-        let (measured, filled) = cached::still(self.sources.cache, self.frames.len(), self.pixels(), || {
-            let measured = self.measured(Some(&moving))?;
-            let filled = self.filled(&measured, Some(&moving))?;
-            Ok((measured, filled))
-        })?;
+        let measured = self.measured(Some(&moving))?;
+        let filled = self.filled(&measured, Some(&moving))?;
         Ok(MotionSegmentation {
             moving,
             measured,
             filled,
         })
-    }
-
-    fn pixels(&self) -> usize {
-        self.width * self.height
     }
 
     /// For every frame in parallel, with progress.
@@ -95,35 +86,29 @@ impl Clip<'_> {
 
     /// Sharp masks of dynamic regions.
     fn moving(&self) -> Result<Masks, DenseError> {
-        self.kept("moving-sharp", || {
-            let (before, last) = self.rounds()?;
-            let mut moving = if self.parallax {
-                self.sharpened(before.as_deref(), &last)?
-            } else {
-                last
-            };
-            if let Some(segmenter) = self.sources.segmenter {
-                let size = (self.width, self.height);
-                let sharp = self.each("segmenting dynamic objects", |i| {
-                    segment::sharpen(segmenter, self.frames[i], size, &moving[i])
-                        .map_err(|source| DenseError::Segment { frame: i, source })
-                })?;
-                moving = sharp.into_iter().collect::<Result<_, _>>()?;
-            }
-            Ok(moving)
-        })
-    }
-
-    fn kept(&self, name: &str, work: impl FnOnce() -> Result<Masks, DenseError>) -> Result<Masks, DenseError> {
-        cached::masks(self.sources.cache, name, self.frames.len(), self.pixels(), work)
+        let (before, last) = self.rounds()?;
+        let mut moving = if self.parallax {
+            self.sharpened(before.as_deref(), &last)?
+        } else {
+            last
+        };
+        if let Some(segmenter) = self.sources.segmenter {
+            let size = (self.width, self.height);
+            let sharp = self.each("segmenting dynamic objects", |i| {
+                segment::sharpen(segmenter, self.frames[i], size, &moving[i])
+                    .map_err(|source| DenseError::Segment { frame: i, source })
+            })?;
+            moving = sharp.into_iter().collect::<Result<_, _>>()?;
+        }
+        Ok(moving)
     }
 
     /// The masks before the last round, if any, and after it.
     fn rounds(&self) -> Result<(Option<Masks>, Masks), DenseError> {
         let mut before = None;
-        let mut last = self.kept("moving-0", || self.round(None))?;
-        for round in 1..ROUNDS {
-            let next = self.kept(&format!("moving-{round}"), || self.round(Some(&last)))?;
+        let mut last = self.round(None)?;
+        for _ in 1..ROUNDS {
+            let next = self.round(Some(&last))?;
             before = Some(std::mem::replace(&mut last, next));
         }
         Ok((before, last))
@@ -180,7 +165,7 @@ impl Clip<'_> {
         let (width, height) = (self.width, self.height);
         let measured = self.measured(before)?;
         let near = self.each("growing masks", |i| {
-            background_model::grown(width, height, &moving[i], background_model::GUARD_PX)
+            dilated(&moving[i], width, height, background_model::GUARD_PX)
         })?;
         let background = self.each("filling depth", |i| {
             let mut measured = self.mono.with_prior(i, &measured[i], Some(&near[i]));

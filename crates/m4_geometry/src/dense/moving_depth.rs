@@ -2,7 +2,7 @@
 
 use super::components::Components;
 use super::flow::FlowPair;
-use super::shot::quantile;
+use m4_core::quantile;
 use rayon::prelude::*;
 
 /// Time over which depth is smoothed along the flow, frames (decay by e).
@@ -168,7 +168,8 @@ fn steady(
 #[cfg(test)]
 mod tests {
     use super::place;
-    use crate::dense::flow::{Flow, FlowPair};
+    use crate::dense::flow::FlowPair;
+    use m4_core::Flow;
 
     const W: usize = 24;
     const H: usize = 20;

@@ -4,6 +4,7 @@ use super::pair::{Pair, parallax_px};
 use super::sweep::{Range, census};
 use super::working::WorkingFrame;
 use crate::reconstruction::{Motion, SparseReconstruction};
+use m4_core::quantile;
 
 /// Disparities tried between the farthest and the nearest surface.
 const HYPOTHESES: usize = 64;
@@ -57,13 +58,6 @@ pub(super) fn sparse_points(sparse: &SparseReconstruction, width: usize, height:
         }
     }
     out
-}
-
-/// The value below which a share `q` of the values lies; `None` for none.
-pub(crate) fn quantile(values: &mut [f32], q: f64) -> Option<f32> {
-    let last = values.len().checked_sub(1)?;
-    let k = (q * last as f64).round() as usize;
-    Some(*values.select_nth_unstable_by(k.min(last), f32::total_cmp).1)
 }
 
 /// Disparities worth trying: those of the points in the frame and around it in time, with room for

@@ -1,11 +1,10 @@
-//! What densification asks others, and where it puts what it finished.
+//! The methods that the dense stage uses.
 
 use super::flow::FlowSource;
 use super::mono::{MonoDepth, NoDepth};
 use super::segment::Segmenter;
-use m4_core::{Cache, NoCache};
 
-/// Sources of flow, masks and depth.
+/// The methods for flow, segmentation and monocular depth.
 #[derive(Clone, Copy)]
 pub struct Sources<'a> {
     /// Measures flow between neighbouring frames.
@@ -14,8 +13,6 @@ pub struct Sources<'a> {
     pub segmenter: Option<&'a dyn Segmenter>,
     /// Depth from one image: [`NoDepth`] if there is none.
     pub mono: &'a dyn MonoDepth,
-    /// Keeps what is finished of each frame, and has what an earlier attempt finished: [`NoCache`] if there is none.
-    pub cache: &'a dyn Cache,
 }
 
 impl<'a> Sources<'a> {
@@ -26,7 +23,6 @@ impl<'a> Sources<'a> {
             flow,
             segmenter: None,
             mono: &NoDepth,
-            cache: &NoCache,
         }
     }
 }

@@ -4,7 +4,6 @@ use super::aggregate::aggregate;
 use super::shot::{Shot, SparsePoint};
 use super::smooth::Smoother;
 use super::sweep::{Partner, cost_volume};
-use serde::{Deserialize, Serialize};
 
 /// Largest difference to a partner's disparity that counts as agreement, in hypothesis steps.
 const AGREE_STEPS: f32 = 1.5;
@@ -24,7 +23,7 @@ pub(super) struct Swept {
 }
 
 /// A disparity a pixel and how far to trust it.
-#[derive(Clone, Serialize, Deserialize)]
+#[derive(Clone)]
 pub(super) struct Measured {
     /// `[height][width]`: mean of the agreeing frames.
     pub disparity: Vec<f32>,

@@ -204,7 +204,11 @@ mod tests {
         // a shift of 3 and -2 pixels per unit of disparity, and a camera that also goes ahead
         let pair = |n: usize| Pair {
             a: [[1.0, 0.0, 0.2371], [0.0, 1.0, 0.3117], [0.0, 0.0, 1.0]],
-            b: [3.0 - n as f32, n as f32 - 2.0, if n % 2 == 0 { 0.0 } else { -0.2 }],
+            b: [
+                3.0 - n as f32,
+                n as f32 - 2.0,
+                if n.is_multiple_of(2) { 0.0 } else { -0.2 },
+            ],
         };
         let partners: Vec<Partner<'_>> = others
             .iter()

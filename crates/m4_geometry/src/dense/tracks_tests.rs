@@ -1,9 +1,9 @@
 //! A square that flies past a moving camera, with the flow that it makes.
 
 use super::Clip;
-use crate::dense::flow::{Flow, FlowPair};
+use crate::dense::flow::FlowPair;
 use crate::tracks3d::{QueryGrid, TrackConfig};
-use m4_core::{Camera, CounterRng, Intrinsics, Se3, Silent, Tracks};
+use m4_core::{Camera, CounterRng, Flow, Intrinsics, Se3, Silent, Tracks};
 use nalgebra::Vector3;
 
 const W: usize = 96;

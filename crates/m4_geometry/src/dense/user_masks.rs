@@ -1,36 +1,26 @@
-//! What the caller knows already.
+//! Masks that the caller provides.
 
 use super::DenseError;
 use m4_core::Mask;
 
-/// Masks of the user, taken as they are. Of any size; they are read at the nearest pixel. Known depth has a source of its
-/// own: [`super::SensorDepth`].
-#[derive(Debug, Clone, Copy, Default)]
-pub struct UserMasks<'a> {
-    /// One per frame: above 0 in dynamic regions. Motion segmentation is skipped then.
-    pub masks: Option<&'a [Mask]>,
+/// Rejects masks of another clip.
+pub(super) fn check(masks: Option<&[Mask]>, frames: usize) -> Result<(), DenseError> {
+    match masks.map(<[_]>::len).filter(|&n| n != frames) {
+        Some(found) => Err(DenseError::Given {
+            what: "masks",
+            found,
+            expected: frames,
+        }),
+        None => Ok(()),
+    }
 }
 
-impl UserMasks<'_> {
-    /// Rejects what does not fit the clip.
-    pub(super) fn check(&self, frames: usize) -> Result<(), DenseError> {
-        if let Some(found) = self.masks.map(<[_]>::len).filter(|&n| n != frames) {
-            let (what, expected) = ("masks", frames);
-            return Err(DenseError::Given { what, found, expected });
-        }
-        Ok(())
-    }
-
-    /// The given mask of a frame at the working size, 255 for moving.
-    pub(super) fn mask(&self, i: usize, width: usize, height: usize) -> Option<Vec<u8>> {
-        let mask = &self.masks?[i];
-        let at = nearest(mask.size(), width, height);
-        Some(
-            (0..width * height)
-                .map(|p| if mask[at(p)] > 0 { 255 } else { 0 })
-                .collect(),
-        )
-    }
+/// The mask at the working size, 255 in dynamic regions, read at the nearest pixel.
+pub(super) fn at_size(mask: &Mask, width: usize, height: usize) -> Vec<u8> {
+    let at = nearest(mask.size(), width, height);
+    (0..width * height)
+        .map(|p| if mask[at(p)] > 0 { 255 } else { 0 })
+        .collect()
 }
 
 /// The pixel of a plane of size `from` at the centre of pixel `p` of one of `width` x `height`.

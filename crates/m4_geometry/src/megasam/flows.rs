@@ -1,9 +1,9 @@
 //! Flow of the pairs of frames that depth is made consistent along.
 
 use super::MegasamError;
-use crate::cvd::pairs::{FlowField, FramePair, PairStore, consistency_mask, pair_list};
-use crate::dense::{Flow, FlowImage, FlowSource};
-use m4_core::{Progress, RgbImage};
+use crate::cvd::pairs::{FlowView, FramePair, PairStore, consistency_mask, pair_list};
+use crate::dense::{FlowImage, FlowSource};
+use m4_core::{Flow, Progress, RgbImage};
 
 /// Why a pair has no flow.
 #[derive(Debug, thiserror::Error)]
@@ -28,7 +28,7 @@ pub trait PairFlow {
     /// # Errors
     ///
     /// [`PairFlowError`] where it cannot be had.
-    fn both(&mut self, pair: FramePair, a: &RgbImage, b: &RgbImage) -> Result<[FlowField; 2], PairFlowError>;
+    fn both(&mut self, pair: FramePair, a: &RgbImage, b: &RgbImage) -> Result<[Flow; 2], PairFlowError>;
 }
 
 /// A source of flow that looks at each pair anew.
@@ -39,7 +39,7 @@ impl PairFlow for SourceFlow<'_> {
         self.0.name()
     }
 
-    fn both(&mut self, pair: FramePair, a: &RgbImage, b: &RgbImage) -> Result<[FlowField; 2], PairFlowError> {
+    fn both(&mut self, pair: FramePair, a: &RgbImage, b: &RgbImage) -> Result<[Flow; 2], PairFlowError> {
         let luma = |p: &[u8; 3]| 0.299 * f32::from(p[0]) + 0.587 * f32::from(p[1]) + 0.114 * f32::from(p[2]);
         let grey = [a, b].map(|image| image.data().iter().map(luma).collect::<Vec<f32>>());
         let failed = |error| PairFlowError {
@@ -49,13 +49,7 @@ impl PairFlow for SourceFlow<'_> {
         };
         let there = self.0.both(&seen(a, &grey[0]), &seen(b, &grey[1]));
         let (there, back) = there.map_err(failed)?;
-        let field = |flow: Flow| FlowField {
-            width: flow.width,
-            height: flow.height,
-            x: flow.u,
-            y: flow.v,
-        };
-        Ok([field(there), field(back)])
+        Ok([there, back])
     }
 }
 
@@ -98,9 +92,9 @@ pub(super) fn measure(
         };
         let b = image_of(pair.target);
         let [there, back] = flow.both(pair, &a, &b)?;
-        let (there, back) = (there.view().halved(), back.view().halved());
-        let mask = consistency_mask(there.view(), back.view());
-        store.push(pair, there.view(), &mask)?;
+        let [there, back] = [there, back].map(|flow| FlowView::from(&flow).halved());
+        let mask = consistency_mask((&there).into(), (&back).into());
+        store.push(pair, (&there).into(), &mask)?;
         // The next pair of the shortest step begins here.
         last = Some((pair.target, b));
         progress.update(PHASE, done + 1, pairs.len(), flow.name());

@@ -4,9 +4,9 @@
 //! ```text
 //! images --TrackingSize--> images of about 384 x 512 pixels
 //! depth from one image --DepthPrior--> disparity of every frame, one scale for the clip
-//!   -> tracker::track     cameras, focal length, static confidence at 1/8     (Correspondence: a network)
+//!   -> track              cameras, focal length, static confidence at 1/8     (Correspondence: a network)
 //!   -> flows              pairs 1, 2, 4, 8, 15 frames apart, both ways        (PairFlow: a network)
-//!   -> cvd::optimise      depth at half the size that agrees along the flow
+//!   -> reconstruct        depth at half the size that agrees along the flow
 //!   -> MegasamGeometry    in metres where the depth was
 //! ```
 //!
@@ -32,7 +32,7 @@ mod size;
 pub use error::MegasamError;
 pub use flows::{PairFlow, PairFlowError, SourceFlow};
 pub use prior::{DepthPrior, PriorKind};
-pub use reconstruct::{MegasamGeometry, MegasamInput, reconstruct};
+pub use reconstruct::{MegasamGeometry, MegasamInput, reconstruct, track};
 pub use resample::{resize_area, resize_bilinear, resize_nearest};
 pub use settings::{MegasamSettings, TAU_MOTION};
 pub use size::TrackingSize;

@@ -6,8 +6,8 @@ use super::size::CELL_PX;
 use super::{DepthPrior, MegasamError, MegasamSettings, PairFlow, PriorKind, TrackingSize};
 use crate::cvd::{ConsistentDepth, CvdInput, optimise, uncertainty_of_static};
 use crate::dba::Observability;
-use crate::tracker::{Clip, Correspondence, FrameInput, Tracked, track};
-use m4_core::{Cache, Intrinsics, Plane, Progress, RgbImage, Se3, kept};
+use crate::tracker::{self, Clip, Correspondence, FrameInput, Tracked};
+use m4_core::{Intrinsics, Plane, Progress, RgbImage, Se3};
 
 /// Disparity below which a pixel of the tracker's own counts as infinitely far, scene units.
 const LEAST_DISPARITY: f32 = 1e-3;
@@ -66,23 +66,19 @@ impl MegasamGeometry {
     }
 }
 
-/// Cameras, focal length, depth and static map of a clip.
+/// Tracks a clip: cameras, focal length, and disparity and static confidence at 1/8 (MegaSaM 3.2).
 ///
-/// `correspondence` and `flow` see images of [`TrackingSize::resized`]. Without a prior, depth starts as what the tracker
-/// found, and its unit is arbitrary. Finished parts go to `cache`, which belongs to one clip with one set of settings: what is
-/// interrupted goes on after the last of them, to the same result.
+/// `correspondence` sees images of [`TrackingSize::picture`].
 ///
 /// # Errors
 ///
-/// [`MegasamError`] for images that do not fit together or are too few, where a source fails, or when the user stops.
-pub fn reconstruct(
+/// [`MegasamError`] for images that do not fit together or are too few, where the source fails, or when the user stops.
+pub fn track(
     input: &MegasamInput<'_>,
     correspondence: &mut dyn Correspondence,
-    flow: &mut dyn PairFlow,
     settings: &MegasamSettings,
     progress: &dyn Progress,
-    cache: &dyn Cache,
-) -> Result<MegasamGeometry, MegasamError> {
+) -> Result<Tracked, MegasamError> {
     let size = check(input, settings)?;
     let frames = input.images.len();
     let grid = size.grid();
@@ -104,7 +100,28 @@ pub fn reconstruct(
     };
     let mut tracker = settings.tracker;
     tracker.optimise_focal &= input.focal_is_free;
-    let tracked = kept(cache, "tracked", || track(&clip, correspondence, &tracker, progress))?;
+    Ok(tracker::track(&clip, correspondence, &tracker, progress)?)
+}
+
+/// Makes the depth of a tracked clip consistent along the flow, and returns it with cameras and static confidence in the unit of
+/// the depth (MegaSaM 3.3).
+///
+/// `flow` sees images of [`TrackingSize::picture`]. Without a prior, depth starts as what the tracker found, and its unit is
+/// arbitrary.
+///
+/// # Errors
+///
+/// [`MegasamError`] for images that do not fit together, where the source of flow fails, or when the user stops.
+pub fn reconstruct(
+    input: &MegasamInput<'_>,
+    tracked: Tracked,
+    flow: &mut dyn PairFlow,
+    settings: &MegasamSettings,
+    progress: &dyn Progress,
+) -> Result<MegasamGeometry, MegasamError> {
+    let size = check(input, settings)?;
+    let frames = input.images.len();
+    let grid = size.grid();
     let lens = size.full_lens(&input.lens, &tracked.geometry.lens);
 
     let image_of = |frame: usize| size.resized(input.images[frame]);
@@ -135,7 +152,6 @@ pub fn reconstruct(
         &pairs,
         &settings.cvd,
         progress,
-        cache,
     )?;
     Ok(finish(input, size, lens, tracked, static_confidence, consistent))
 }

@@ -1,6 +1,5 @@
 //! A moving camera: growth from keyframes, then all frames, bundle adjustment and motion in turn.
 
-use super::SparseError;
 use super::bundle::{BundleOptions, BundleReport};
 use super::growth::{MIN_MATCHES, scan, start_pairs};
 use super::limits::Limits;
@@ -10,8 +9,8 @@ use super::priors::{FocalSource, Recovered};
 use super::reconstruct::Clip;
 use super::rotation::keyframes;
 use super::selection::{Selected, select};
+use super::{SparseError, stopped};
 use crate::reconstruction::{CameraMotion, Motion};
-use serde::{Deserialize, Serialize};
 
 /// Steps of the final bundle adjustments.
 const BUNDLE_ITERATIONS: usize = 30;
@@ -34,17 +33,12 @@ impl Clip<'_> {
     ) -> Result<Result<Recovered, SparseError>, SparseError> {
         let limits = &self.limits;
         let free_focal = self.given_focal().is_none();
-        let (keys, starts) = self.work.part("starts", || {
-            let width = self.size.width;
-            let keys = keyframes(&self.tracks, self.frames, width, likely_focal, limits.keyframe_parallax);
-            let pairs = start_pairs(&self.tracks, &keys, likely_focal, width);
-            let starts = scan(&self.tracks, &pairs, focals, self.config.seed, &self.work)?;
-            Ok((keys, starts))
-        })?;
-        let selected = self.work.part("selected", || {
-            let (tracks, frames) = (&self.tracks, self.frames);
-            select(tracks, &keys, &starts, frames, free_focal, limits, &self.work)
-        })?;
+        let (tracks, frames, width) = (&self.tracks, self.frames, self.size.width);
+        let keys = keyframes(tracks, frames, width, likely_focal, limits.keyframe_parallax);
+        let pairs = start_pairs(tracks, &keys, likely_focal, width);
+        let starts = scan(tracks, &pairs, focals, self.config.seed, self.progress)?;
+        let selected = select(tracks, &keys, &starts, frames, free_focal, limits, self.progress)?;
+        stopped(self.progress)?;
         let Some(Selected { map, rival_focal }) = selected else {
             let first = starts.iter().max_by_key(|s| s.view.inliers.len());
             return Ok(Err(SparseError::NoStart {
@@ -95,12 +89,8 @@ impl Clip<'_> {
     fn check_given_focal(&mut self, map: &Map) -> Result<(), SparseError> {
         let adjusted = |free_focal| {
             let mut map = map.clone();
-            let report = map.adjust(
-                &self.tracks,
-                &bundle_options(&self.limits, free_focal),
-                self.work.progress,
-            );
-            self.work.stopped().map(|()| (map, report))
+            let report = map.adjust(&self.tracks, &bundle_options(&self.limits, free_focal), self.progress);
+            stopped(self.progress).map(|()| (map, report))
         };
         let ((_, with), (freed, without)) = (adjusted(false)?, adjusted(true)?);
         if (freed.focal / map.focal).ln().abs() > 0.1 && without.cost < 0.8 * with.cost {
@@ -119,29 +109,25 @@ impl Clip<'_> {
     /// All frames, bundle adjustment and classification in turn.
     fn refine(&self, map: Map, free_focal: bool) -> Result<Refined, SparseError> {
         let usable = vec![true; self.tracks.len()];
-        let mut refined = self.work.part("all-frames", || {
-            self.adjusted(map, self.limits, Vec::new(), &usable, free_focal, Order::FramesFirst)
-        })?;
+        let mut refined = self.adjusted(map, self.limits, Vec::new(), &usable, free_focal, Order::FramesFirst)?;
         for round in 0..ROUNDS {
-            self.work.progress.update(
+            self.progress.update(
                 "bundle adjustment",
                 round,
                 ROUNDS,
                 &format!("focal {:.1} px", refined.map.focal / self.size.scale),
             );
-            refined = self.work.part(&format!("round-{round}"), || {
-                let Refined { map, mut limits, .. } = refined;
-                if let Some(typical) = map.median_error(&self.tracks) {
-                    limits.sharpen(typical);
-                }
-                let motions = classify(&map, &self.tracks);
-                let usable = usable_by(&motions);
-                self.adjusted(map, limits, motions, &usable, free_focal, Order::PointsFirst)
-            })?;
+            let Refined { map, mut limits, .. } = refined;
+            if let Some(typical) = map.median_error(&self.tracks) {
+                limits.sharpen(typical);
+            }
+            let motions = classify(&map, &self.tracks);
+            let usable = usable_by(&motions);
+            refined = self.adjusted(map, limits, motions, &usable, free_focal, Order::PointsFirst)?;
         }
         let usable = usable_by(&refined.motions);
         refined.map.triangulate(&self.tracks, &usable, &refined.limits);
-        self.work.progress.update("bundle adjustment", ROUNDS, ROUNDS, "");
+        self.progress.update("bundle adjustment", ROUNDS, ROUNDS, "");
         Ok(refined)
     }
 
@@ -165,7 +151,9 @@ impl Clip<'_> {
                 self.register_all(&mut map)?;
             }
         }
-        let report = map.adjust(&self.tracks, &bundle_options(&limits, free_focal), self.work.progress);
+        let report = map.adjust(&self.tracks, &bundle_options(&limits, free_focal), self.progress);
+        // an adjustment that was told to stop is not finished
+        stopped(self.progress)?;
         Ok(Refined {
             map,
             limits,
@@ -180,12 +168,12 @@ impl Clip<'_> {
             let open: Vec<usize> = (0..self.frames).filter(|&i| map.poses[i].is_none()).collect();
             let mut placed = 0;
             for frame in open {
-                self.work.stopped()?;
+                stopped(self.progress)?;
                 let beside = frame.checked_sub(1).is_some_and(|i| map.poses[i].is_some())
                     || map.poses.get(frame + 1).is_some_and(Option::is_some);
                 placed += usize::from(beside && map.register(&self.tracks, frame));
             }
-            self.work.progress.update("frames", map.registered(), self.frames, "");
+            self.progress.update("frames", map.registered(), self.frames, "");
             if placed == 0 {
                 return Ok(());
             }
@@ -193,8 +181,7 @@ impl Clip<'_> {
     }
 }
 
-/// A map of all frames, on its way.
-#[derive(Serialize, Deserialize)]
+/// A map of all frames while it is refined.
 struct Refined {
     map: Map,
     /// As sharp as the errors of the map allow.

@@ -6,12 +6,12 @@ use super::map::Map;
 use super::rotation::{matches, turn};
 use super::tracking::RawTrack;
 use super::two_view::{TwoView, relate};
-use super::{INLIER_PX, SparseError, Work};
-use m4_core::Se3;
+use super::{INLIER_PX, SparseError, stopped};
+use m4_core::{Progress, Se3};
 use rayon::prelude::*;
 
 /// Two keyframes with enough in common and enough between them.
-#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Pair {
     /// Earlier frame.
     pub a: usize,
@@ -53,7 +53,7 @@ pub(crate) fn start_pairs(tracks: &[RawTrack], keys: &[usize], focal: f64, width
 pub(crate) const MIN_MATCHES: usize = 40;
 
 /// A start: a focal length and a pair related under it.
-#[derive(Debug, Clone, serde::Serialize, serde::Deserialize)]
+#[derive(Debug, Clone)]
 pub(crate) struct Start {
     /// Working pixels.
     pub focal: f64,
@@ -72,7 +72,7 @@ pub(crate) fn scan(
     pairs: &[Pair],
     focals: &[f64],
     seed: u64,
-    work: &Work<'_>,
+    progress: &dyn Progress,
 ) -> Result<Vec<Start>, SparseError> {
     // Pairs that overlap in time say the same thing twice.
     let mut picked: Vec<(Pair, Vec<super::two_view::Match>)> = Vec::new();
@@ -85,8 +85,8 @@ pub(crate) fn scan(
     }
     let mut starts = Vec::new();
     for (done, &focal) in focals.iter().enumerate() {
-        work.stopped()?;
-        work.progress.update("focal length", done, focals.len(), "");
+        stopped(progress)?;
+        progress.update("focal length", done, focals.len(), "");
         let views: Vec<Option<TwoView>> = picked
             .par_iter()
             .enumerate()
@@ -102,7 +102,7 @@ pub(crate) fn scan(
             }));
         }
     }
-    work.progress.update("focal length", focals.len(), focals.len(), "");
+    progress.update("focal length", focals.len(), focals.len(), "");
     // Stable: the pairs of a focal length stay in order.
     starts.sort_by(|a, b| b.score.total_cmp(&a.score).then(a.focal.total_cmp(&b.focal)));
     Ok(starts)
@@ -124,7 +124,7 @@ pub(crate) fn grow(
     frames: usize,
     free_focal: bool,
     limits: &Limits,
-    work: &Work<'_>,
+    progress: &dyn Progress,
 ) -> Result<Option<Map>, SparseError> {
     let mut map = Map {
         focal: start.focal,
@@ -144,11 +144,11 @@ pub(crate) fn grow(
         free_focal,
         free_poses: true,
     };
-    map.adjust(tracks, &options(10, false), work.progress);
+    map.adjust(tracks, &options(10, false), progress);
     let mut adjusted_at = 2;
     let mut failed: Vec<usize> = Vec::new();
     loop {
-        work.stopped()?;
+        stopped(progress)?;
         let open = keys
             .iter()
             .copied()
@@ -167,13 +167,13 @@ pub(crate) fn grow(
         let count = map.registered();
         if count <= 5 || 6 * count >= 7 * adjusted_at {
             adjusted_at = count;
-            map.adjust(tracks, &options(8, free_focal && count >= 4), work.progress);
+            map.adjust(tracks, &options(8, free_focal && count >= 4), progress);
             map.triangulate(tracks, usable, limits);
         }
-        work.progress.update("keyframes", count.min(keys.len()), keys.len(), "");
+        progress.update("keyframes", count.min(keys.len()), keys.len(), "");
     }
     for _ in 0..2 {
-        map.adjust(tracks, &options(15, free_focal && map.registered() >= 3), work.progress);
+        map.adjust(tracks, &options(15, free_focal && map.registered() >= 3), progress);
         map.triangulate(tracks, usable, limits);
     }
     Ok(Some(map))

@@ -2,14 +2,13 @@
 
 use super::motion::RAYLEIGH_MEDIAN;
 use super::rotation::{KEYFRAME_PARALLAX, Sway};
-use serde::{Deserialize, Serialize};
 
 /// Bundle adjustment of all frames has a loss as wide as this many robust standard deviations of the residuals. 2.385: 95 % efficiency
 /// on normal errors (Holland and Welsch 1977).
 const CAUCHY_DEVIATIONS: f64 = 2.385;
 
 /// Thresholds that follow how much parallax there is and how large the residuals are.
-#[derive(Debug, Clone, Copy, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy)]
 pub(crate) struct Limits {
     /// Scale of the Cauchy loss of bundle adjustment, working pixels. 1 while the map grows.
     pub cauchy_px: f64,

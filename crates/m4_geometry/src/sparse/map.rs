@@ -6,12 +6,12 @@ use super::limits::Limits;
 use super::resection::{Sighting, descend, error_px, resect};
 use super::rotation::spread;
 use super::tracking::RawTrack;
-use super::triangulate::{View, median, triangulate};
-use m4_core::{Progress, Se3, nalgebra::Vector3};
+use super::triangulate::{View, triangulate};
+use m4_core::{Progress, Se3, median, nalgebra::Vector3};
 use rayon::prelude::*;
 
 /// What is known so far.
-#[derive(Debug, Clone, serde::Serialize, serde::Deserialize)]
+#[derive(Debug, Clone)]
 pub(crate) struct Map {
     /// Focal length, working pixels.
     pub focal: f64,

@@ -41,7 +41,6 @@ mod selection;
 mod tracking;
 mod triangulate;
 mod two_view;
-mod work;
 mod zoom;
 mod zoomed;
 
@@ -52,9 +51,16 @@ pub use config::SparseConfig;
 pub use error::SparseError;
 pub use feature_tracks::{FeatureTracks, track_features};
 pub use posed::with_cameras;
-pub use priors::{FocalSource, Priors, Recovered};
-pub use reconstruct::{reconstruct, recover};
-pub use work::Work;
+pub use priors::{FocalSource, Recovered};
+
+/// Fails once the user asked to stop.
+fn stopped(progress: &dyn m4_core::Progress) -> Result<(), SparseError> {
+    if progress.cancelled() {
+        Err(SparseError::Cancelled)
+    } else {
+        Ok(())
+    }
+}
 
 /// Epipolar and reprojection errors above this do not count as agreement, working pixels.
 const INLIER_PX: f64 = 2.0;

@@ -2,9 +2,9 @@
 
 use super::map::Map;
 use super::tracking::RawTrack;
-use super::triangulate::{median, triangulate};
+use super::triangulate::triangulate;
 use crate::reconstruction::Motion;
-use m4_core::nalgebra::Vector3;
+use m4_core::{median, nalgebra::Vector3};
 use rayon::prelude::*;
 
 /// Median of the length of a residual whose two components have standard deviation 1 (Rayleigh).

@@ -4,9 +4,8 @@ use super::bundle::BundleReport;
 use super::map::{Map, interpolate};
 use super::reconstruct::Clip;
 use super::tracking::RawTrack;
-use super::triangulate::median;
 use crate::reconstruction::{CameraMotion, Motion, SparseReconstruction, Track};
-use m4_core::{Camera, Intrinsics, Se3};
+use m4_core::{Camera, Intrinsics, Se3, median};
 
 impl Clip<'_> {
     /// Says what is doubtful, with numbers; the standard deviation of the logarithm of the focal length.

@@ -6,13 +6,13 @@ use super::limits::Limits;
 use super::luma::{LONGEST_SIDE_PX, WorkingSize};
 use super::map::Map;
 use super::motion::{ROUNDS, classify, median_far_error};
-use super::priors::{FocalSource, Lenses, Priors, Recovered};
+use super::priors::{FocalSource, Lenses, Recovered, part};
 use super::reconstruct::{Clip, MIN_TRACKS, check};
 use super::rotation::sway;
 use super::tracking::{RawTrack, track};
-use super::{INLIER_PX, SparseConfig, SparseError, Work};
+use super::{INLIER_PX, SparseConfig, SparseError, stopped};
 use crate::reconstruction::{CameraMotion, Motion};
-use m4_core::{Camera, RgbImage};
+use m4_core::{Camera, Mask, Progress, RgbImage};
 
 /// Share of the tracks that must agree with given poses; below, they are doubted.
 const DOUBTFUL_SHARE: f64 = 0.5;
@@ -20,19 +20,19 @@ const DOUBTFUL_SHARE: f64 = 0.5;
 const STILL_RAD: f64 = 1e-4;
 
 /// Tracks and points of a clip whose cameras are known, each with its own lens. Cameras, their world and their unit are
-/// handed out as they were given.
+/// handed out as they were given; `masks` as in [`super::Followed::recover`].
 ///
 /// # Errors
 ///
-/// [`SparseError`] as for [`super::recover`], and where cameras and frames do not fit or the poses contradict the images.
+/// [`SparseError`] as for [`super::Followed::recover`], and where cameras and frames do not fit or the poses contradict the images.
 pub fn with_cameras(
     frames: &[&RgbImage],
     cameras: &[Camera],
-    known: &Priors<'_>,
+    masks: Option<&[Mask]>,
     config: &SparseConfig,
-    work: &Work<'_>,
+    progress: &dyn Progress,
 ) -> Result<Recovered, SparseError> {
-    let (width, height) = check(frames, known, config)?;
+    let (width, height) = check(frames, masks, config)?;
     if cameras.len() != frames.len() {
         return Err(SparseError::CameraCount {
             cameras: cameras.len(),
@@ -43,8 +43,8 @@ pub fn with_cameras(
         check_camera(frame, camera, (width, height))?;
     }
     let size = WorkingSize::new(width, height, LONGEST_SIDE_PX);
-    let tracks = work.part("corners", || track(frames, size, work.progress))?;
-    posed_tracks(tracks, cameras, [width, height], size, known, config, work)
+    let tracks = track(frames, size, progress)?;
+    posed_tracks(tracks, cameras, [width, height], size, masks, config, progress)
 }
 
 /// The same from tracks.
@@ -53,11 +53,11 @@ pub(super) fn posed_tracks(
     cameras: &[Camera],
     [width, height]: [usize; 2],
     size: WorkingSize,
-    known: &Priors<'_>,
+    masks: Option<&[Mask]>,
     config: &SparseConfig,
-    work: &Work<'_>,
+    progress: &dyn Progress,
 ) -> Result<Recovered, SparseError> {
-    let (tracks, masked) = known.part(tracks, size);
+    let (tracks, masked) = part(masks, tracks, size);
     let mut clip = Clip {
         tracks,
         masked,
@@ -68,7 +68,7 @@ pub(super) fn posed_tracks(
         height,
         config,
         limits: Limits::default(),
-        work: *work,
+        progress,
         warnings: Vec::new(),
         quiet: false,
     };
@@ -124,7 +124,7 @@ impl Clip<'_> {
         let mut usable = vec![true; self.tracks.len()];
         let mut motions = Vec::new();
         for _ in 0..ROUNDS {
-            self.work.stopped()?;
+            stopped(self.progress)?;
             map.triangulate(&self.tracks, &usable, &self.limits);
             motions = classify(&map, &self.tracks);
             for (usable, motion) in usable.iter_mut().zip(&motions) {

@@ -1,17 +1,9 @@
-//! Prior knowledge about a clip, and the source of its focal length.
+//! What the caller provides of a clip: masks, lenses and the focal length.
 
 use super::luma::WorkingSize;
 use super::tracking::RawTrack;
 use crate::reconstruction::SparseReconstruction;
 use m4_core::{Camera, Intrinsics, Mask};
-
-/// Prior knowledge about a clip besides the settings.
-#[derive(Debug, Clone, Copy, Default)]
-pub struct Priors<'a> {
-    /// One per frame: above 0 in dynamic regions, of any size, read at the nearest pixel. Tracks that mostly lie there
-    /// are returned as dynamic and do not constrain the camera.
-    pub masks: Option<&'a [Mask]>,
-}
 
 /// Where the focal length comes from.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
@@ -40,18 +32,16 @@ pub struct Recovered {
 /// Share of its observations within masks from which on a track counts as dynamic.
 const MASKED_SHARE: f64 = 0.5;
 
-impl Priors<'_> {
-    /// Parts the tracks that count from those that lie in masks.
-    pub(super) fn part(&self, tracks: Vec<RawTrack>, size: WorkingSize) -> (Vec<RawTrack>, Vec<RawTrack>) {
-        let Some(masks) = self.masks else {
-            return (tracks, Vec::new());
-        };
-        tracks.into_iter().partition(|track| {
-            let inside = (track.first..).zip(&track.seen);
-            let inside = inside.filter(|(frame, at)| masks.get(*frame).is_some_and(|mask| covers(mask, size, **at)));
-            (inside.count() as f64) < MASKED_SHARE * track.seen.len() as f64
-        })
-    }
+/// Separates the tracks that count from those in masks.
+pub(super) fn part(masks: Option<&[Mask]>, tracks: Vec<RawTrack>, size: WorkingSize) -> (Vec<RawTrack>, Vec<RawTrack>) {
+    let Some(masks) = masks else {
+        return (tracks, Vec::new());
+    };
+    tracks.into_iter().partition(|track| {
+        let inside = (track.first..).zip(&track.seen);
+        let inside = inside.filter(|(frame, at)| masks.get(*frame).is_some_and(|mask| covers(mask, size, **at)));
+        (inside.count() as f64) < MASKED_SHARE * track.seen.len() as f64
+    })
 }
 
 /// True where the mask is set at `at`, working pixels from the centre.
@@ -113,7 +103,7 @@ impl Lenses<'_> {
 
 #[cfg(test)]
 mod tests {
-    use super::{Lenses, Priors};
+    use super::{Lenses, part};
     use crate::sparse::luma::WorkingSize;
     use crate::sparse::tracking::RawTrack;
     use m4_core::{Intrinsics, Plane};
@@ -128,10 +118,9 @@ mod tests {
         // the right half of frames 1 and 2, nothing in frame 3
         let half = Plane::from_fn(20, 10, |x, _| u8::from(x >= 10));
         let masks = [Plane::filled(20, 10, 255), half.clone(), half, Plane::filled(20, 10, 0)];
-        let known = Priors { masks: Some(&masks) };
-        let (kept, masked) = known.part(vec![track(-20.0), track(20.0)], size);
+        let (kept, masked) = part(Some(&masks), vec![track(-20.0), track(20.0)], size);
         assert_eq!((kept, masked), (vec![track(-20.0)], vec![track(20.0)]));
-        let (kept, masked) = Priors::default().part(vec![track(20.0)], size);
+        let (kept, masked) = part(None, vec![track(20.0)], size);
         assert_eq!((kept.len(), masked.len()), (1, 0));
     }
 

@@ -1,18 +1,17 @@
 //! The whole way from frames to a reconstruction.
 
-use super::SparseError;
 use super::config::SparseConfig;
 use super::degenerate::{standing, turning};
 use super::limits::Limits;
-use super::luma::{LONGEST_SIDE_PX, WorkingSize};
+use super::luma::WorkingSize;
 use super::map::Map;
 use super::motion::classify;
-use super::priors::{FocalSource, Lenses, Priors, Recovered};
+use super::priors::{FocalSource, Lenses, Recovered, part};
 use super::rotation::{KEYFRAME_PARALLAX, Sway, focal_candidates, focal_from_fov, matches, sway};
-use super::tracking::{RawTrack, track};
-use super::work::Work;
-use crate::reconstruction::{CameraMotion, SparseReconstruction};
-use m4_core::{Intrinsics, Progress, RgbImage};
+use super::tracking::RawTrack;
+use super::{SparseError, stopped};
+use crate::reconstruction::CameraMotion;
+use m4_core::{Intrinsics, Mask, Progress, RgbImage};
 
 /// Below this greatest median parallax (share of the width, rotation taken out) nothing can be triangulated and the camera counts as
 /// turning only. 0.004: 2 pixels of 480, some twenty times the error of a track.
@@ -26,56 +25,17 @@ const DOUBTFUL: f64 = 5.0;
 /// Fewest tracks from one frame to the next.
 pub(super) const MIN_TRACKS: usize = 20;
 
-/// Cameras, tracks and points of a clip, from its images alone (docs/spec/front-end.md 7.1,
-/// items 1 to 5).
-///
-/// The world is the camera of frame 0, scaled so that the median depth of all points is 1. One focal
-/// length is shared by all frames; the principal point is the image centre and pixels are square, unless
-/// [`SparseConfig::intrinsics`] says otherwise.
-///
-/// Static or only turning cameras are not an error: [`SparseReconstruction::camera_motion`] and the
-/// warnings say so.
-///
-/// # Errors
-///
-/// [`SparseError`] for frames of different size, settings out of range, clips in which nothing can be
-/// followed, clips in which no two frames agree on a rigid scene, and when the user stops the run.
-pub fn reconstruct(
-    frames: &[&RgbImage],
-    config: &SparseConfig,
-    progress: &dyn Progress,
-) -> Result<SparseReconstruction, SparseError> {
-    recover(frames, &Priors::default(), config, &Work::new(progress)).map(|r| r.sparse)
-}
-
-/// As [`reconstruct`], with what else is known, and with how far the focal length is known afterwards.
-///
-/// # Errors
-///
-/// As [`reconstruct`], and for masks of another number than that of the frames.
-pub fn recover(
-    frames: &[&RgbImage],
-    known: &Priors<'_>,
-    config: &SparseConfig,
-    work: &Work<'_>,
-) -> Result<Recovered, SparseError> {
-    let (width, height) = check(frames, known, config)?;
-    let size = WorkingSize::new(width, height, LONGEST_SIDE_PX);
-    let tracks = track(frames, size, work.progress)?;
-    from_tracks(tracks, frames.len(), [width, height], size, known, config, work)
-}
-
-/// The same from tracks.
+/// Cameras, tracks and points of a clip from its feature tracks.
 pub(super) fn from_tracks(
     tracks: Vec<RawTrack>,
     frames: usize,
     [width, height]: [usize; 2],
     size: WorkingSize,
-    known: &Priors<'_>,
+    masks: Option<&[Mask]>,
     config: &SparseConfig,
-    work: &Work<'_>,
+    progress: &dyn Progress,
 ) -> Result<Recovered, SparseError> {
-    let (tracks, masked) = known.part(tracks, size);
+    let (tracks, masked) = part(masks, tracks, size);
     let lens = config.intrinsics.map(|[fx, fy, cx, cy]| Intrinsics {
         width,
         height,
@@ -94,7 +54,7 @@ pub(super) fn from_tracks(
         height,
         config,
         limits: Limits::default(),
-        work: *work,
+        progress,
         warnings: Vec::new(),
         quiet: false,
     };
@@ -108,7 +68,7 @@ pub(super) fn from_tracks(
 
 pub(super) fn check(
     frames: &[&RgbImage],
-    known: &Priors<'_>,
+    masks: Option<&[Mask]>,
     config: &SparseConfig,
 ) -> Result<(usize, usize), SparseError> {
     let Some(first) = frames.first().filter(|_| frames.len() >= 2) else {
@@ -127,7 +87,7 @@ pub(super) fn check(
     if width.min(height) < 64 {
         return Err(SparseError::FrameTooSmall { width, height });
     }
-    check_masks(known, frames.len())?;
+    check_masks(masks, frames.len())?;
     let range = |name, value: Option<f64>, low: f64, high: f64, range| match value {
         Some(value) if !(value > low && value < high) => Err(SparseError::Setting { name, value, range }),
         _ => Ok(()),
@@ -144,8 +104,8 @@ pub(super) fn check(
 }
 
 /// Rejects masks of another clip.
-pub(super) fn check_masks(known: &Priors<'_>, frames: usize) -> Result<(), SparseError> {
-    match known.masks.map(<[_]>::len).filter(|&n| n != frames) {
+pub(super) fn check_masks(masks: Option<&[Mask]>, frames: usize) -> Result<(), SparseError> {
+    match masks.map(<[_]>::len).filter(|&n| n != frames) {
         Some(masks) => Err(SparseError::MaskCount { masks, frames }),
         None => Ok(()),
     }
@@ -166,7 +126,7 @@ pub(super) struct Clip<'a> {
     pub(super) height: usize,
     pub(super) config: &'a SparseConfig,
     pub(super) limits: Limits,
-    pub(super) work: Work<'a>,
+    pub(super) progress: &'a dyn Progress,
     pub(super) warnings: Vec<String>,
     /// Whether warnings are kept back for now.
     pub(super) quiet: bool,
@@ -175,7 +135,7 @@ pub(super) struct Clip<'a> {
 impl Clip<'_> {
     pub(super) fn warn(&mut self, message: String) {
         if !self.quiet {
-            self.work.progress.warn(&message);
+            self.progress.warn(&message);
         }
         self.warnings.push(message);
     }
@@ -249,7 +209,7 @@ impl Clip<'_> {
                 return Ok(self.zoomed(zoom));
             }
             for warning in walk.map_or(&self.warnings, |walk| &walk.sparse.warnings) {
-                self.work.progress.warn(warning);
+                self.progress.warn(warning);
             }
         }
         match moving {
@@ -285,7 +245,7 @@ impl Clip<'_> {
 
     /// Rotations alone.
     fn turning(&mut self, focals: &[f64], sway: &Sway) -> Result<Recovered, SparseError> {
-        self.work.stopped()?;
+        stopped(self.progress)?;
         let assumed = self.default_focal();
         let found = turning(
             &self.tracks,

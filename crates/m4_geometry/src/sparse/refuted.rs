@@ -3,9 +3,9 @@
 use super::limits::Limits;
 use super::priors::Lenses;
 use super::reconstruct::Clip;
-use super::{SparseConfig, SparseError, Work};
+use super::{SparseConfig, SparseError};
 use crate::reconstruction::CameraMotion;
-use m4_core::{Camera, ScopedCache, Sim3, log_so3, nalgebra::Vector3};
+use m4_core::{Camera, Sim3, log_so3, nalgebra::Vector3};
 
 /// How many times as many tracks must agree with other poses.
 const TIMES: usize = 2;
@@ -41,13 +41,7 @@ impl Clip<'_> {
             height: self.height,
             limits: Limits::default(),
             config: &config,
-            work: Work {
-                cache: &ScopedCache {
-                    cache: self.work.cache,
-                    prefix: "free",
-                },
-                ..self.work
-            },
+            progress: self.progress,
             warnings: Vec::new(),
             quiet: true,
         };

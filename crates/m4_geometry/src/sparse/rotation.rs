@@ -1,8 +1,8 @@
 //! Frames related by a turn of the camera alone, and what is left when that turn is taken out.
 
 use super::tracking::RawTrack;
-use super::triangulate::median;
 use super::two_view::Match;
+use m4_core::median;
 use m4_core::nalgebra::{Matrix3, Vector3};
 use rayon::prelude::*;
 

@@ -5,11 +5,11 @@ use super::growth::{Start, grow};
 use super::limits::Limits;
 use super::map::Map;
 use super::tracking::RawTrack;
-use super::{INLIER_PX, SparseError, Work};
+use super::{INLIER_PX, SparseError, stopped};
 use m4_core::Progress;
 
 /// The map that explains the tracks best.
-#[derive(Debug, Clone, serde::Serialize, serde::Deserialize)]
+#[derive(Debug, Clone)]
 pub(crate) struct Selected {
     /// The winner.
     pub map: Map,
@@ -35,7 +35,7 @@ pub(crate) fn select(
     frames: usize,
     free_focal: bool,
     limits: &Limits,
-    work: &Work<'_>,
+    progress: &dyn Progress,
 ) -> Result<Option<Selected>, SparseError> {
     let usable = vec![true; tracks.len()];
     let mut maps: Vec<Map> = Vec::new();
@@ -43,9 +43,8 @@ pub(crate) fn select(
         if tried >= ENOUGH && !maps.is_empty() {
             break;
         }
-        let grown = work.part(&format!("grown-{tried}"), || {
-            grow(tracks, &usable, keys, start, frames, free_focal, limits, work)
-        })?;
+        let grown = grow(tracks, &usable, keys, start, frames, free_focal, limits, progress)?;
+        stopped(progress)?;
         let Some(map) = grown.filter(|m| 2 * m.registered_among(keys) >= keys.len()) else {
             continue;
         };
@@ -59,8 +58,8 @@ pub(crate) fn select(
     let medians = maps.iter().filter_map(|m| m.median_error(tracks));
     let least = medians.fold(f64::INFINITY, f64::min);
     if maps.len() > 1 {
-        polish(&mut maps, tracks, least, free_focal, limits, work.progress);
-        work.stopped()?;
+        polish(&mut maps, tracks, least, free_focal, limits, progress);
+        stopped(progress)?;
     }
     let scale = (3.0 * least).clamp(0.1, INLIER_PX);
     let mut scored: Vec<(f64, Map)> = maps.into_iter().map(|m| (m.explained(tracks, scale), m)).collect();

@@ -2,13 +2,12 @@
 
 use super::luma::WorkingSize;
 use super::posed::posed_tracks;
-use super::priors::Priors;
 use super::reconstruct::from_tracks;
 use super::tracking::RawTrack;
-use super::{SparseConfig, SparseError, Work};
+use super::{SparseConfig, SparseError};
 use crate::reconstruction::{CameraMotion, Motion, SparseReconstruction, Track};
 use m4_core::{Camera, CounterRng, Intrinsics, Plane, Se3, Silent, Sim3, exp_so3, log_so3, nalgebra::Vector3};
-use m4_testkit::{MemoryCache, StopAtPoll};
+use m4_testkit::StopAtPoll;
 
 const WIDTH: usize = 640;
 const HEIGHT: usize = 480;
@@ -99,58 +98,27 @@ impl Scene {
 
 fn solve(tracks: Vec<RawTrack>, frames: usize, config: &SparseConfig) -> Result<SparseReconstruction, SparseError> {
     let size = WorkingSize::new(WIDTH, HEIGHT, WIDTH);
-    from_tracks(
-        tracks,
-        frames,
-        [WIDTH, HEIGHT],
-        size,
-        &Priors::default(),
-        config,
-        &Work::new(&Silent),
-    )
-    .map(|r| r.sparse)
+    from_tracks(tracks, frames, [WIDTH, HEIGHT], size, None, config, &Silent).map(|r| r.sparse)
 }
 
 #[test]
-fn interrupted_work_resumes_to_identical_bits() {
+fn it_stops_when_asked() {
     let scene = Scene { frames: 12, ..ROOM };
     let (tracks, _) = scene.tracks();
     let size = WorkingSize::new(WIDTH, HEIGHT, WIDTH);
     let config = SparseConfig::default();
-    let go = |work: &Work<'_>| {
-        let known = Priors::default();
-        from_tracks(
-            tracks.clone(),
-            scene.frames,
-            [WIDTH, HEIGHT],
-            size,
-            &known,
-            &config,
-            work,
-        )
-        .map(|found| format!("{found:?}"))
+    let go = |stop: &StopAtPoll| {
+        let tracks = tracks.clone();
+        from_tracks(tracks, scene.frames, [WIDTH, HEIGHT], size, None, &config, stop).map(|_| ())
     };
     let counter = StopAtPoll::after(usize::MAX);
-    let want = go(&Work::new(&counter)).unwrap();
+    go(&counter).unwrap();
     let polls = counter.asked();
     assert!(polls > 50, "asked {polls} times only");
-    let mut kept = 0;
     for at in (0..polls).step_by(polls / 16) {
-        let cache = MemoryCache::default();
-        let stopped = go(&Work {
-            progress: &StopAtPoll::after(at),
-            cache: &cache,
-        });
+        let stopped = go(&StopAtPoll::after(at));
         assert!(matches!(stopped, Err(SparseError::Cancelled)), "{stopped:?}");
-        let rest = StopAtPoll::after(usize::MAX);
-        let found = go(&Work {
-            progress: &rest,
-            cache: &cache,
-        });
-        assert!(found.unwrap() == want, "stopped at poll {at} of {polls}");
-        kept += usize::from(rest.asked() < polls);
     }
-    assert!(kept > 8, "{kept} of 16 went on from what was kept");
 }
 
 /// Trajectory error over path length after alignment, and the greatest rotation error in radians
@@ -437,17 +405,7 @@ fn the_number_of_threads_changes_nothing() {
 fn posed(cameras: &[Camera]) -> Result<SparseReconstruction, SparseError> {
     let size = WorkingSize::new(WIDTH, HEIGHT, WIDTH);
     let config = SparseConfig::default();
-    let known = Priors::default();
-    posed_tracks(
-        ROOM.tracks().0,
-        cameras,
-        [WIDTH, HEIGHT],
-        size,
-        &known,
-        &config,
-        &Work::new(&Silent),
-    )
-    .map(|r| r.sparse)
+    posed_tracks(ROOM.tracks().0, cameras, [WIDTH, HEIGHT], size, None, &config, &Silent).map(|r| r.sparse)
 }
 
 fn room_cameras(focal: f64) -> Vec<Camera> {
@@ -521,7 +479,6 @@ fn tracks_in_given_masks_are_dynamic_and_excluded() {
     let left = Plane::from_fn(64, 48, |x, _| u8::from(x < 16));
     let masks = vec![left; ROOM.frames];
     let size = WorkingSize::new(WIDTH, HEIGHT, WIDTH);
-    let known = Priors { masks: Some(&masks) };
     let config = SparseConfig::default();
     let count = tracks.len();
     let found = from_tracks(
@@ -529,9 +486,9 @@ fn tracks_in_given_masks_are_dynamic_and_excluded() {
         ROOM.frames,
         [WIDTH, HEIGHT],
         size,
-        &known,
+        Some(&masks),
         &config,
-        &Work::new(&Silent),
+        &Silent,
     );
     let found = found.expect("a reconstruction").sparse;
     assert_eq!(found.tracks.len(), count);

@@ -3,7 +3,7 @@
 use super::corners::{MIN_DISTANCE_PX, fill_empty_cells};
 use super::klt::{Template, follow, inside};
 use super::luma::{Pyramid, WorkingSize, luma};
-use super::{SparseError, Work};
+use super::{SparseError, stopped};
 use m4_core::{Progress, RgbImage};
 use rayon::prelude::*;
 
@@ -75,7 +75,7 @@ pub(crate) fn track(
         let pyramids: Vec<Pyramid> = batch.par_iter().map(|f| pyramid(f)).collect();
         for (i, current) in pyramids.into_iter().enumerate() {
             let frame = batch_index * BATCH + i;
-            Work::new(progress).stopped()?;
+            stopped(progress)?;
             if let Some(previous) = &previous {
                 let moved: Vec<Option<([f32; 2], Option<Template>)>> =
                     live.par_iter().map(|t| step(t, previous, &current)).collect();

@@ -1,7 +1,7 @@
 //! Points from rays.
 
 use m4_core::{
-    Se3,
+    Se3, median,
     nalgebra::{Matrix3, Vector3},
 };
 
@@ -91,15 +91,6 @@ fn widest_angle(views: &[View], point: &Vector3<f64>) -> f64 {
         }
     }
     widest
-}
-
-/// The middle value (the upper one of two); reorders `values`. `None` when empty.
-pub(crate) fn median(values: &mut [f64]) -> Option<f64> {
-    if values.is_empty() {
-        return None;
-    }
-    let middle = values.len() / 2;
-    Some(*values.select_nth_unstable_by(middle, f64::total_cmp).1)
 }
 
 #[cfg(test)]

@@ -10,7 +10,7 @@ use m4_core::{
 pub(crate) type Match = ([f64; 2], [f64; 2]);
 
 /// How two frames relate.
-#[derive(Debug, Clone, serde::Serialize, serde::Deserialize)]
+#[derive(Debug, Clone)]
 pub(crate) struct TwoView {
     /// First camera to second camera; translation of length 1.
     pub motion: Se3<f64>,

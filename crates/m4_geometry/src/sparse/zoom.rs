@@ -7,16 +7,15 @@
 use super::bundle::Jacobian;
 use super::rotation::{matches, spread};
 use super::tracking::RawTrack;
-use super::triangulate::median;
 use super::two_view::Match;
 use m4_core::{
-    Se3, exp_so3,
+    Se3, exp_so3, median,
     nalgebra::{Matrix3, Matrix4, Vector3, Vector4},
 };
 use rayon::prelude::*;
 
 /// One frame of a camera that stays in place.
-#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Aim {
     /// World to camera.
     pub rotation: Matrix3<f64>,
@@ -25,7 +24,7 @@ pub(crate) struct Aim {
 }
 
 /// A camera that stays in place and zooms.
-#[derive(Debug, Clone, serde::Serialize, serde::Deserialize)]
+#[derive(Debug, Clone)]
 pub(crate) struct Zooming {
     /// One per frame; the world is the camera of frame 0.
     pub aims: Vec<Aim>,

@@ -1,12 +1,12 @@
 //! Assembles the result for a zooming, not translating camera: a rotation and intrinsics per frame.
 
-use super::SparseError;
 use super::map::Map;
 use super::motion::{classify, median_far_error};
 use super::priors::{FocalSource, Lenses, Recovered};
 use super::reconstruct::{Clip, MIN_TRACKS};
 use super::tracking::RawTrack;
 use super::zoom::{Aim, MOST_PX, Zooming, range, zooming};
+use super::{SparseError, stopped};
 use crate::reconstruction::{CameraMotion, Motion};
 use m4_core::{Intrinsics, Se3, exp_so3, log_so3, nalgebra::Vector3};
 
@@ -52,10 +52,8 @@ impl Clip<'_> {
     pub(super) fn zoom(&self, focals: &[f64]) -> Result<Option<Zoom>, SparseError> {
         let assumed = self.default_focal();
         let cauchy_px = self.limits.cauchy_px;
-        let found = self.work.part("zoom", || {
-            let found = zooming(&self.tracks, self.frames, focals, assumed, MIN_TRACKS, cauchy_px);
-            Ok(found)
-        })?;
+        stopped(self.progress)?;
+        let found = zooming(&self.tracks, self.frames, focals, assumed, MIN_TRACKS, cauchy_px);
         let Some(found) = found else {
             return Ok(None);
         };

@@ -19,7 +19,6 @@ pub mod mono;
 
 mod backend;
 mod correspondence;
-mod dense_flow;
 mod error;
 mod filler;
 mod frontend;
@@ -32,7 +31,6 @@ mod update;
 
 pub use backend::Backend;
 pub use correspondence::{Correspondence, CorrespondenceError, EdgeRevision, Revision, SourceRevision};
-pub use dense_flow::{DenseFlow, FlowCorrespondence, FlowSize};
 pub use error::TrackerError;
 pub use filler::fill;
 pub use frontend::{Frontend, Submitted};

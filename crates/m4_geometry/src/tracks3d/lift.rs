@@ -4,7 +4,7 @@ use super::TrackConfig;
 use super::chain::Chain;
 use super::grid::nearest;
 use super::strip::Strip;
-use crate::dense::quantile;
+use m4_core::quantile;
 
 /// Fewest frames of a track.
 pub(super) const SHORTEST: usize = 4;

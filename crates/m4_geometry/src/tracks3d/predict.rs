@@ -126,8 +126,7 @@ fn spacing(tree: &Tree, places: &[[f32; 3]]) -> f64 {
         .par_iter()
         .map(|p| nearest(tree, p, 2).get(1).map_or(0.0, |n| n.0))
         .collect();
-    let middle = squares.len() / 2;
-    f64::from(squares.select_nth_unstable_by(middle, f32::total_cmp).1.sqrt())
+    m4_core::median(&mut squares).map_or(0.0, |square| f64::from(square.sqrt()))
 }
 
 /// How far two tracks seem to be of one body: 1 where they kept their distance, towards 0 where they did not.

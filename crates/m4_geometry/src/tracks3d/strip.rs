@@ -1,8 +1,8 @@
 //! What is kept of a clip while points are followed: flow and depth of the pixels that move, and nothing of the others.
 
 use super::PosedFrame;
-use crate::dense::{Flow, FlowError, FlowImage, FlowSource, round_trip_px};
-use m4_core::Camera;
+use crate::dense::{FlowError, FlowImage, FlowSource, round_trip_px};
+use m4_core::{Camera, Flow};
 
 /// Values of some pixels of an image.
 #[derive(Debug, Clone, Default)]

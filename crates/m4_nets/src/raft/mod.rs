@@ -14,6 +14,7 @@
 //! [`Raft::encode`] keeps what depends on one image alone; both directions of a pair share it and are computed side by side.
 //! Inside, maps are `[n, channels, height, width]`; flow is in 32 bits whatever the type of the weights.
 
+use m4_core::Flow;
 mod encoder;
 mod gru;
 #[cfg(test)]
@@ -24,7 +25,7 @@ use crate::correlation::{self, FeatureMap, Pyramid};
 use crate::flow::same_size;
 use crate::ops::convex_upsample;
 use crate::padding::{self, Padding};
-use crate::{Compute, Flow, FlowError, LoadError, load};
+use crate::{Compute, FlowError, LoadError, load};
 use burn_core as burn;
 use burn_core::module::Module;
 use burn_core::tensor::activation::{relu, tanh};

@@ -52,11 +52,9 @@ pub(crate) fn changes(frame: &CaptureFrame, config: &InitConfig, grid: &Grid, vo
     });
     // What the whole frame has in common is its exposure.
     let mut known: Vec<f32> = difference.iter().copied().filter(|d| d.is_finite()).collect();
-    if known.is_empty() {
+    let Some(common) = m4_core::median(&mut known) else {
         return out;
-    }
-    let middle = known.len() / 2;
-    let common = *known.select_nth_unstable_by(middle, f32::total_cmp).1;
+    };
 
     let patches = patch_means(&difference, gw, gh);
     let mut sizes: Vec<f32> = patches

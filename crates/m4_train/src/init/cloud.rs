@@ -1,7 +1,7 @@
 //! Unprojects depth maps to coloured points in the world.
 
 use crate::init::{InitConfig, InitError, error::stopped, free_space};
-use m4_core::{Capture, CaptureFrame, CompactMask, DepthMap, Progress, nalgebra::Vector3};
+use m4_core::{Capture, CaptureFrame, CompactMask, DepthMap, Progress, dilated, nalgebra::Vector3};
 use rayon::prelude::*;
 
 /// A pixel is dropped when its depth lies between those of two opposite neighbours and differs from both by more than this
@@ -198,7 +198,7 @@ fn look_at(frame: &CaptureFrame, config: &InitConfig, want_standing: bool) -> Pa
     part.depths = sampled.map(|i| depth.data()[i]).collect();
     let moves = moving_pixels(frame, w, h);
     if want_standing {
-        let near_moving = dilate(&moves, w, h, config.mask_margin_px);
+        let near_moving = dilated(&moves, w, h, config.mask_margin_px);
         let still = |i: usize| usable[i] && !near_moving[i];
         part.standing = Some(CompactMask::from_fn(w, h, |x, y| still(y * w + x)));
     }
@@ -219,7 +219,7 @@ pub(crate) fn standing_pixels(
     let depth = &depth.to_map();
     let (w, h) = depth.size();
     let camera = frame.camera.resized(w, h);
-    let near_moving = dilate(&moving_pixels(frame, w, h), w, h, config.mask_margin_px);
+    let near_moving = dilated(&moving_pixels(frame, w, h), w, h, config.mask_margin_px);
     let (rgb_w, rgb_h) = frame.rgb.size();
     for y in (0..h).step_by(step) {
         for x in (0..w).step_by(step) {
@@ -260,30 +260,9 @@ pub(crate) fn moving_pixels(frame: &CaptureFrame, w: usize, h: usize) -> Vec<boo
         .collect()
 }
 
-/// True within `radius` pixels (square) of a true pixel.
-pub(crate) fn dilate(mask: &[bool], w: usize, h: usize, radius: usize) -> Vec<bool> {
-    let mut wide = vec![false; w * h];
-    for y in 0..h {
-        for x in 0..w {
-            if mask[y * w + x] {
-                wide[y * w + x.saturating_sub(radius)..=y * w + (x + radius).min(w - 1)].fill(true);
-            }
-        }
-    }
-    let mut out = wide.clone();
-    for y in 0..h {
-        for other in y.saturating_sub(radius)..=(y + radius).min(h - 1) {
-            for x in 0..w {
-                out[y * w + x] |= wide[other * w + x];
-            }
-        }
-    }
-    out
-}
-
 #[cfg(test)]
 mod tests {
-    use super::{dilate, is_depth_edge};
+    use super::is_depth_edge;
     use m4_core::Plane;
 
     #[test]
@@ -293,16 +272,5 @@ mod tests {
         let blend = Plane::from_vec(5, 1, vec![2.0, 2.0, 3.3, 5.0, 5.0]).unwrap();
         let dropped: Vec<bool> = (0..5).map(|x| is_depth_edge(&blend, x, 0)).collect();
         assert_eq!(dropped, [false, false, true, false, false]);
-    }
-
-    #[test]
-    fn dilation_is_a_square_that_stays_inside() {
-        let mut mask = vec![false; 5 * 4];
-        mask[0] = true;
-        mask[2 * 5 + 4] = true;
-        let wide = dilate(&mask, 5, 4, 1);
-        let got: Vec<usize> = (0..20).filter(|&i| wide[i]).collect();
-        assert_eq!(got, [0, 1, 5, 6, 8, 9, 13, 14, 18, 19]);
-        assert_eq!(dilate(&mask, 5, 4, 0), mask);
     }
 }

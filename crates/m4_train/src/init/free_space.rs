@@ -5,7 +5,7 @@
 
 use crate::init::{
     InitConfig, InitError,
-    cloud::{Pixels, dilate, is_depth, moving_pixels},
+    cloud::{Pixels, is_depth, moving_pixels},
     error::stopped,
 };
 use m4_core::{Camera, Capture, CompactMask, Progress, nalgebra::Vector3};
@@ -105,12 +105,8 @@ impl Witness {
         let frame = &capture.frames[frame];
         let depth = frame.depth.as_ref()?.to_map();
         let (width, height) = depth.size();
-        let moves = dilate(
-            &moving_pixels(frame, width, height),
-            width,
-            height,
-            config.mask_margin_px,
-        );
+        let moves = moving_pixels(frame, width, height);
+        let moves = m4_core::dilated(&moves, width, height, config.mask_margin_px);
         let known = |i: usize| {
             let z = depth.data()[i];
             if is_depth(z) && !moves[i] { z } else { 0.0 }

@@ -101,11 +101,7 @@ impl Way {
         let places = (0..tracks.frames()).filter_map(|t| Some((t, tracks.place(t, track)?)));
         let places: Vec<(usize, [f32; 3])> = places.collect();
         let mut steps: Vec<f32> = places.windows(2).map(|w| speed(w[0], w[1])).collect();
-        let middle = steps.len() / 2;
-        let step = match steps.get(middle) {
-            Some(_) => *steps.select_nth_unstable_by(middle, f32::total_cmp).1,
-            None => 0.0,
-        };
+        let step = m4_core::median(&mut steps).unwrap_or(0.0);
         let seen = places
             .iter()
             .filter(|(t, _)| tracks.visible()[t * tracks.count() + track]);

@@ -1,19 +1,21 @@
 //! Enhances a capture by a plan.
 
-use super::plan::{Plan, Points, Things};
-use super::{EnhanceConfig, EnhanceError, Follower, masks};
+#[cfg(feature = "nets")]
+use super::masks;
+use super::plan::{Plan, Segmentation, Tracking};
+use super::{EnhanceConfig, EnhanceError};
 use crate::device::NetworkDevice;
 #[cfg(feature = "nets")]
 use crate::error::{NetworkError, NetworkMethod};
 use crate::record::plain_json;
 use crate::steps::Steps;
 use crate::{Error, Settings};
-use m4_core::{Capture, CompactIds, CompactMask, Mask, Plane, Progress};
+use m4_core::{Capture, Progress};
 use m4_geometry::dense::{FlowSource, InverseSearch};
 use m4_geometry::instances::InstanceReport;
 use m4_geometry::tracks3d::{CaptureClip, FlowTracker, QueryGrid, TrackConfig, Tracker3d};
 
-/// Refines masks, then follows points in them, each a step; returns the statistics of objects if a method tracked them.
+/// Refines masks, then tracks points in them, each a step; returns the statistics of objects if a method tracked them.
 ///
 /// # Errors
 ///
@@ -28,18 +30,23 @@ pub(crate) fn apply(
     let config = &settings.enhance;
     let flow = InverseSearch;
     let mut report = None;
-    if plan.things != Things::Nobody {
-        let work = |progress: &dyn Progress| things(&capture, &plan.things, config, &flow, device, progress);
-        let found = kept_masks(steps, capture.frames.len(), work)?;
-        for (frame, (mask, ids)) in capture.frames.iter_mut().zip(found.frames) {
+    if plan.segmentation != Segmentation::Unchanged {
+        // The report as text, the form in which it is written in the end: its variants are distinguished by names.
+        let (frames, text): (Vec<_>, String) = steps.keep("masks", |progress| {
+            let (refined, report) = segmented(&capture, &plan.segmentation, config, &flow, device, progress)?;
+            let frames = refined.frames.into_iter().map(|frame| (frame.mask, frame.instances));
+            Ok::<_, Error>((frames.collect(), plain_json(&report)?.to_string()))
+        })?;
+        for (frame, (mask, ids)) in capture.frames.iter_mut().zip(frames) {
             (frame.mask, frame.instances) = (mask, ids);
         }
-        report = Some(found.report);
+        let read = serde_json::from_str(&text).map_err(|e| Error::Internal { what: e.to_string() })?;
+        report = Some(read);
     }
-    if let Some(tracker) = tracker(&plan.points, settings, &flow, device)? {
+    if let Some(tracker) = tracker(&plan.tracking, settings, &flow, device)? {
         let clip = CaptureClip::new(&capture, settings.dense.working_side_px);
         let found = steps.keep("tracks", |progress| {
-            let followed = tracker.follow_grid(&clip, &grid(&plan.points, config), progress);
+            let followed = tracker.follow_grid(&clip, &grid(&plan.tracking, config), progress);
             followed.map(|found| found.tracks).map_err(EnhanceError::from)
         })?;
         capture.tracks = (found.count() > 0).then_some(found);
@@ -47,84 +54,26 @@ pub(crate) fn apply(
     Ok((capture, report))
 }
 
-/// Masks and maps of things, a pair a frame, and what was found.
-struct Masks {
-    frames: Vec<(Option<CompactMask>, Option<CompactIds>)>,
-    report: InstanceReport,
-}
-
-/// Name of the step that is stored last.
-const MASKS: &str = "masks";
-
-/// Masks from the finished steps, or as `work` makes them; they are steps then, one per frame.
-fn kept_masks(
-    steps: &Steps<'_>,
-    frames: usize,
-    work: impl Fn(&dyn Progress) -> Result<(Capture, InstanceReport), Error>,
-) -> Result<Masks, Error> {
-    let name = |i: usize| format!("{MASKS}-{i:05}");
-    let load = |i: usize| -> Option<(Option<CompactMask>, Option<CompactIds>)> {
-        let (mask, ids): (Option<Mask>, Option<Plane<u16>>) = steps.load(&name(i))?;
-        Some((mask.map(CompactMask::from), ids.as_ref().map(CompactIds::from)))
-    };
-    let mut made = None;
-    // As text, the form in which it is written in the end: its kinds are distinguished by names.
-    let report: String = steps.keep(MASKS, |observer| {
-        let (refined, report) = work(observer)?;
-        let mut frames = Vec::with_capacity(refined.frames.len());
-        for (i, frame) in refined.frames.into_iter().enumerate() {
-            let planes = (
-                frame.mask.as_ref().map(CompactMask::to_mask),
-                frame.instances.as_ref().map(CompactIds::to_plane),
-            );
-            steps.store(&name(i), &planes);
-            frames.push((frame.mask, frame.instances));
-        }
-        let text = plain_json(&report)?.to_string();
-        made = Some(Masks { frames, report });
-        Ok::<_, Error>(text)
-    })?;
-    if let Some(made) = made {
-        return Ok(made);
-    }
-    let kept: Option<Vec<_>> = (0..frames).map(load).collect();
-    match (kept, serde_json::from_str(&report)) {
-        (Some(frames), Ok(report)) => Ok(Masks { frames, report }),
-        _ => {
-            let (refined, report) = work(steps.observer())?;
-            let frames = refined.frames.into_iter().map(|frame| (frame.mask, frame.instances));
-            Ok(Masks {
-                frames: frames.collect(),
-                report,
-            })
-        }
-    }
-}
-
 /// Refines masks with the method that tracks objects; unchanged without one.
 #[cfg_attr(not(feature = "nets"), expect(unused_variables, reason = "only networks need it"))]
-fn things(
+fn segmented(
     capture: &Capture,
-    who: &Things,
+    method: &Segmentation,
     config: &EnhanceConfig,
     flow: &dyn FlowSource,
     device: &NetworkDevice,
     progress: &dyn Progress,
 ) -> Result<(Capture, InstanceReport), Error> {
-    match who {
-        Things::Nobody => Err(EnhanceError::NothingToDo.into()),
-        Things::Flow(pictures) => {
-            let follower = Follower::load(*pictures)?;
-            masks(
-                capture.clone(),
-                &config.masks,
-                &follower.segmenter(),
-                Some(flow),
-                progress,
-            )
+    match method {
+        Segmentation::Unchanged => Err(EnhanceError::NothingToDo.into()),
+        #[cfg(feature = "nets")]
+        Segmentation::Mobilesam => {
+            let follower = super::Follower::load(crate::geometry::Segmenter::Mobilesam)?;
+            let segmenter = follower.segmenter();
+            masks(capture.clone(), &config.masks, &segmenter, Some(flow), progress)
         }
         #[cfg(feature = "nets")]
-        Things::Sam2(path) => {
+        Segmentation::Sam2(path) => {
             let net = m4_nets::Sam2::load(path, &device.device).map_err(|source| NetworkError::Load {
                 method: NetworkMethod::Segmenter(crate::geometry::Segmenter::Sam2),
                 source: Box::new(source),
@@ -137,20 +86,20 @@ fn things(
 
 #[cfg_attr(not(feature = "nets"), expect(unused_variables, reason = "only networks need it"))]
 fn tracker<'a>(
-    who: &Points,
+    method: &Tracking,
     settings: &Settings,
     flow: &'a InverseSearch,
     device: &NetworkDevice,
 ) -> Result<Option<Box<dyn Tracker3d + 'a>>, Error> {
-    match who {
-        Points::Nobody => Ok(None),
-        Points::Flow if !settings.dense.tracks => Ok(None),
-        Points::Flow => Ok(Some(Box::new(FlowTracker {
+    match method {
+        Tracking::Unchanged => Ok(None),
+        Tracking::Flow if !settings.dense.tracks => Ok(None),
+        Tracking::Flow => Ok(Some(Box::new(FlowTracker {
             flow,
             config: TrackConfig::default(),
         }))),
         #[cfg(feature = "nets")]
-        Points::Tapip3d(path) => {
+        Tracking::Tapip3d(path) => {
             let net = m4_nets::Tapip3d::load(path, &device.device).map_err(|source| NetworkError::Load {
                 method: NetworkMethod::Tracker(super::Tracker::Tapip3d),
                 source: Box::new(source),
@@ -170,10 +119,10 @@ fn tracker<'a>(
 
 /// Where points start.
 #[cfg_attr(not(feature = "nets"), expect(unused_variables, reason = "only networks need it"))]
-fn grid(who: &Points, config: &EnhanceConfig) -> QueryGrid {
-    match who {
+fn grid(method: &Tracking, config: &EnhanceConfig) -> QueryGrid {
+    match method {
         #[cfg(feature = "nets")]
-        Points::Tapip3d(_) => QueryGrid {
+        Tracking::Tapip3d(_) => QueryGrid {
             every: config.tapip3d.every,
             spacing_px: config.tapip3d.spacing_px,
             most: config.tapip3d.most,

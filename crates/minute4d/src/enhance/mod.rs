@@ -6,7 +6,7 @@
 //!
 //! [`make`] is `minute4d enhance`, which also follows points in the new masks ([`m4_geometry::tracks3d`]); the geometry stage does the same to what its
 //! front ends find. [`masks`] does the first half on a capture in memory, with any [`VideoSegmenter`]; [`Follower`] is the one that needs no network
-//! with a memory; [`save`] writes the capture and [`REPORT_FILE`] beside its list of frames.
+//! with a memory.
 
 mod apply;
 mod config;
@@ -24,6 +24,7 @@ pub use error::EnhanceError;
 pub use follower::Follower;
 #[cfg(feature = "nets")]
 pub use sam2::Sam2Follower;
+pub(crate) use stage::moving_share;
 pub use stage::{EnhanceReport, STAGE, make};
 #[cfg(feature = "nets")]
 pub use tapip3d::Tapip3dTracker;
@@ -95,14 +96,15 @@ pub fn masks(
     Ok((capture, refined.report))
 }
 
-/// Writes a capture with its report into `folder`; see [`m4_io::capture::write()`].
-///
-/// # Errors
-///
-/// [`Error::Data`] or [`Error::Write`] if the file system refuses, or `progress` says to stop.
-pub fn save(folder: &Path, capture: &Capture, report: &InstanceReport, progress: &dyn Progress) -> Result<(), Error> {
+/// Writes a capture, with its report if it has one, into `folder`; see [`m4_io::capture::write()`].
+pub(crate) fn write(
+    folder: &Path,
+    capture: &Capture,
+    report: Option<&InstanceReport>,
+    progress: &dyn Progress,
+) -> Result<(), Error> {
     m4_io::capture::write(folder, capture, Split::Train, progress)?;
-    write_json(&folder.join(REPORT_FILE), report)
+    report.map_or(Ok(()), |report| write_json(&folder.join(REPORT_FILE), report))
 }
 
 fn coarse(capture: &Capture) -> Result<Coarse<'_>, EnhanceError> {
@@ -138,7 +140,7 @@ fn at_size(found: RefinedFrame, (width, height): (usize, usize)) -> (CompactMask
 
 #[cfg(test)]
 mod tests {
-    use super::{Follower, REPORT_FILE, masks, save};
+    use super::{Follower, REPORT_FILE, masks, write};
     use crate::geometry::Segmenter;
     use crate::{Category, Error};
     use m4_core::{Camera, Capture, CaptureFrame, CompactMask, Intrinsics, Plane, Silent};
@@ -212,7 +214,7 @@ mod tests {
             assert!(frame.mask.as_ref().unwrap().at(20 + 2 * i, 30));
         }
         let dir = tempfile::tempdir().unwrap();
-        save(dir.path(), &found, &report, &Silent).unwrap();
+        write(dir.path(), &found, Some(&report), &Silent).unwrap();
         let again = m4_io::capture::read(dir.path(), Split::Train, &CaptureOptions::default(), &Silent).unwrap();
         for (a, b) in again.frames.iter().zip(&found.frames) {
             assert_eq!((&a.instances, &a.mask), (&b.instances, &b.mask));

@@ -17,27 +17,24 @@ const MOBILE_SAM: &str = "mobile-sam";
 #[cfg(feature = "nets")]
 const TAPIP3D: &str = "tapip3d";
 
-/// Who follows things.
+/// The segmentation method.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(crate) enum Things {
-    /// None: masks stay unchanged.
-    Nobody,
-    /// Flow, with this segmenter of single images.
-    #[cfg_attr(
-        not(feature = "nets"),
-        expect(dead_code, reason = "flow alone is never chosen: it makes masks worse")
-    )]
-    Flow(Segmenter),
+pub(crate) enum Segmentation {
+    /// Masks stay unchanged.
+    Unchanged,
+    /// Optical flow, with MobileSAM for single images.
+    #[cfg(feature = "nets")]
+    Mobilesam,
     /// SAM 2.1.
     #[cfg(feature = "nets")]
     Sam2(PathBuf),
 }
 
-/// Who follows points.
+/// The tracking method.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(crate) enum Points {
-    /// None: tracks stay unchanged.
-    Nobody,
+pub(crate) enum Tracking {
+    /// Tracks stay unchanged.
+    Unchanged,
     /// Chains of flow.
     Flow,
     /// TAPIP3D.
@@ -45,11 +42,11 @@ pub(crate) enum Points {
     Tapip3d(PathBuf),
 }
 
-/// What is enhanced by whom: the weights were found.
+/// The methods, whose weights were found.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct Plan {
-    pub things: Things,
-    pub points: Points,
+    pub segmentation: Segmentation,
+    pub tracking: Tracking,
     /// The networks.
     pub used: Vec<UsedNetwork>,
 }
@@ -66,7 +63,7 @@ pub(crate) enum Before {
 impl Plan {
     /// Nothing is done.
     pub fn nothing(&self) -> bool {
-        self.things == Things::Nobody && self.points == Points::Nobody
+        self.segmentation == Segmentation::Unchanged && self.tracking == Tracking::Unchanged
     }
 
     /// Whether a network is among them.
@@ -76,22 +73,22 @@ impl Plan {
 
     /// As records name the segmentation method.
     pub fn segmenter(&self) -> &'static str {
-        match self.things {
-            Things::Nobody => Segmenter::None.name(),
-            Things::Flow(Segmenter::Mobilesam) => Segmenter::Mobilesam.name(),
-            Things::Flow(_) => "flow",
+        match self.segmentation {
+            Segmentation::Unchanged => Segmenter::None.name(),
             #[cfg(feature = "nets")]
-            Things::Sam2(_) => Segmenter::Sam2.name(),
+            Segmentation::Mobilesam => Segmenter::Mobilesam.name(),
+            #[cfg(feature = "nets")]
+            Segmentation::Sam2(_) => Segmenter::Sam2.name(),
         }
     }
 
-    /// As records name who follows points.
+    /// As records name the tracking method.
     pub fn tracker(&self) -> &'static str {
-        match self.points {
-            Points::Nobody => Tracker::None.name(),
-            Points::Flow => Tracker::Flow.name(),
+        match self.tracking {
+            Tracking::Unchanged => Tracker::None.name(),
+            Tracking::Flow => Tracker::Flow.name(),
             #[cfg(feature = "nets")]
-            Points::Tapip3d(_) => Tracker::Tapip3d.name(),
+            Tracking::Tapip3d(_) => Tracker::Tapip3d.name(),
         }
     }
 
@@ -112,15 +109,15 @@ impl Plan {
             Segmenter::Auto => sam2(),
             Segmenter::None | Segmenter::Mobilesam => None,
         };
-        let things = match (found, segmenter, before) {
+        let segmentation = match (found, segmenter, before) {
             (Some((entry, path)), ..) => {
                 used.push(used_network(entry, &path)?);
-                Things::Sam2(path)
+                Segmentation::Sam2(path)
             }
             (None, Segmenter::Mobilesam | Segmenter::Auto, Before::Motion) => match here(MOBILE_SAM) {
                 Some((entry, path)) => {
                     used.push(used_network(entry, &path)?);
-                    Things::Flow(Segmenter::Mobilesam)
+                    Segmentation::Mobilesam
                 }
                 None if segmenter == Segmenter::Mobilesam => {
                     return Err(NetworkError::Weights {
@@ -129,23 +126,27 @@ impl Plan {
                     }
                     .into());
                 }
-                None => Things::Nobody,
+                None => Segmentation::Unchanged,
             },
-            _ => Things::Nobody,
+            _ => Segmentation::Unchanged,
         };
-        let points = match (tracker, before) {
+        let tracking = match (tracker, before) {
             (Tracker::Tapip3d, _) => {
                 let (entry, path) = here(TAPIP3D).ok_or_else(|| NetworkError::Weights {
                     method: NetworkMethod::Tracker(tracker),
                     source: missing(TAPIP3D),
                 })?;
                 used.push(used_network(entry, &path)?);
-                Points::Tapip3d(path)
+                Tracking::Tapip3d(path)
             }
-            (Tracker::Auto | Tracker::Flow, Before::Motion) => Points::Flow,
-            _ => Points::Nobody,
+            (Tracker::Auto | Tracker::Flow, Before::Motion) => Tracking::Flow,
+            _ => Tracking::Unchanged,
         };
-        Ok(Self { things, points, used })
+        Ok(Self {
+            segmentation,
+            tracking,
+            used,
+        })
     }
 
     /// Finds what is asked for.
@@ -159,17 +160,17 @@ impl Plan {
             let method = NetworkMethod::Segmenter(segmenter);
             return Err(NetworkError::NotBuilt { method }.into());
         }
-        let points = match (tracker, before) {
+        let tracking = match (tracker, before) {
             (Tracker::Tapip3d, _) => {
                 let method = NetworkMethod::Tracker(tracker);
                 return Err(NetworkError::NotBuilt { method }.into());
             }
-            (Tracker::Auto | Tracker::Flow, Before::Motion) => Points::Flow,
-            _ => Points::Nobody,
+            (Tracker::Auto | Tracker::Flow, Before::Motion) => Tracking::Flow,
+            _ => Tracking::Unchanged,
         };
         Ok(Self {
-            things: Things::Nobody,
-            points,
+            segmentation: Segmentation::Unchanged,
+            tracking,
             used: Vec::new(),
         })
     }
@@ -191,8 +192,8 @@ fn missing(name: &str) -> WeightsError {
         Ok(entry) => entry,
         Err(error) => return error,
     };
-    let told = Store::of_user().and_then(|store| store.require(entry));
-    told.err().unwrap_or(WeightsError::NoFolder)
+    let error = Store::of_user().and_then(|store| store.require(entry));
+    error.err().unwrap_or(WeightsError::NoFolder)
 }
 
 #[cfg(feature = "nets")]

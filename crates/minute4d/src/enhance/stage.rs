@@ -2,16 +2,15 @@
 
 use super::apply::apply;
 use super::plan::{Before, Plan};
-use super::{EnhanceError, save};
+use super::{EnhanceError, write};
+use crate::capture_folder::CaptureFolder;
 use crate::device::NetworkDevice;
-use crate::geometry::{self, UsedNetwork};
+use crate::geometry::UsedNetwork;
 use crate::progress::RecordingObserver;
-use crate::record::{GEOMETRY_FORMAT, GeometryRecord, Input, Status, VERSION, plain_json};
-use crate::steps::Steps;
-use crate::{Error, Job, StageEvent, hash};
+use crate::record::{GeometryRecord, Input, plain_json};
+use crate::{Error, Job, hash};
 use m4_core::CompactMask;
 use m4_geometry::dense::DenseConfig;
-use m4_io::capture::Split;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -24,9 +23,9 @@ pub const STAGE: &str = "enhance";
 pub struct EnhanceReport {
     /// The capture that was made.
     pub path: PathBuf,
-    /// The segmentation method: `none`, `flow`, `mobilesam` or `sam2`.
+    /// The segmentation method: `none`, `mobilesam` or `sam2`.
     pub segmenter: String,
-    /// Who followed points: `none`, `flow` or `tapip3d`.
+    /// The tracking method: `none`, `flow` or `tapip3d`.
     pub tracker: String,
     /// Networks that took part.
     pub networks: Vec<UsedNetwork>,
@@ -69,9 +68,9 @@ pub fn make(input: &Path, out: &Path, job: &Job<'_>) -> Result<EnhanceReport, Er
         return Err(EnhanceError::NothingToDo.into());
     }
     let start = Instant::now();
-    let keeper = RecordingObserver::new(job.observer);
+    let recorder = RecordingObserver::new(job.observer);
     // Read before the folder is made, so that a wrong path leaves nothing behind.
-    let capture = crate::train::read(input, settings, &keeper)?;
+    let capture = crate::train::read(input, settings, &recorder)?;
     let part = Part {
         enhance: &settings.enhance,
         dense: &settings.dense,
@@ -79,66 +78,28 @@ pub fn make(input: &Path, out: &Path, job: &Job<'_>) -> Result<EnhanceReport, Er
         tracker: plan.tracker(),
         networks: &plan.used,
     };
-    let (written, source) = (
-        plain_json(&part)?,
-        Input {
-            path: input.display().to_string(),
-            blake3: hash::of_capture(&capture),
-        },
-    );
-    let (_lock, earlier) = geometry::open(out, job.existing)?;
-    let key = hash::of_parts(&[STAGE, env!("CARGO_PKG_VERSION"), &source.blake3, &written.to_string()]);
-    let mut record = GeometryRecord {
-        format: GEOMETRY_FORMAT.to_owned(),
-        version: VERSION,
-        minute4d: env!("CARGO_PKG_VERSION").to_owned(),
-        status: Status::Running,
-        input: source,
-        key,
-        settings: written,
-        found: None,
-        seconds: 0.0,
-        peak_memory_bytes: None,
-        warnings: Vec::new(),
+    let part = plain_json(&part)?;
+    let source = Input {
+        path: input.display().to_string(),
+        blake3: hash::of_capture(&capture),
     };
-    let because = earlier.is_some_and(|earlier| earlier.key == record.key && earlier.status != Status::Finished);
-    let because = because.then_some("because it was not finished; its finished steps are used");
-    record.write(out)?;
-    geometry::clear_results(out)?;
-    job.observer.stage(STAGE, StageEvent::Started { because });
-    let steps = Steps::open(out, &record.key, &keeper);
-    let device = if plan.has_network() {
-        job.device.choice.for_networks()?
-    } else {
-        NetworkDevice::processor()
-    };
-    let before = moving_share(&capture);
-    let outcome = apply(capture, &plan, settings, &device, &steps).and_then(|(capture, found)| {
-        match &found {
-            Some(report) => save(out, &capture, report, &keeper)?,
-            None => m4_io::capture::write(out, &capture, Split::Train, &keeper)?,
-        }
-        Ok((capture, found))
-    });
+    let key = hash::of_parts(&[STAGE, env!("CARGO_PKG_VERSION"), &source.blake3, &part.to_string()]);
+    let mut record = GeometryRecord::begin(source, key, part);
     record.seconds = start.elapsed().as_secs_f64();
-    record.warnings = keeper.warnings();
-    record.status = match &outcome {
-        Ok(_) => Status::Finished,
-        Err(error) if error.is_stop() => Status::Stopped,
-        Err(_) => Status::Failed,
-    };
-    if outcome
-        .as_ref()
-        .err()
-        .is_none_or(|error| !error.is_stop() && !error.may_pass())
-    {
-        steps.remove();
-    }
-    let written = record.write(out);
-    let (capture, found) = outcome?;
-    written?;
-    let seconds = record.seconds;
-    job.observer.stage(STAGE, StageEvent::Finished { seconds });
+    record.warnings = recorder.warnings();
+    let before = moving_share(&capture);
+    let mut folder = CaptureFolder::open(out, job.existing, record, job.observer)?;
+    let (capture, found) = folder.stage(STAGE, |folder, steps| {
+        let device = if plan.has_network() {
+            job.device.choice.for_networks()?
+        } else {
+            NetworkDevice::processor()
+        };
+        let (capture, found) = apply(capture, &plan, settings, &device, steps)?;
+        write(&folder.path, &capture, found.as_ref(), steps.observer())?;
+        Ok((capture, found))
+    })?;
+    let seconds = folder.record.seconds;
     Ok(EnhanceReport {
         path: out.to_path_buf(),
         segmenter: plan.segmenter().to_owned(),
@@ -151,7 +112,8 @@ pub fn make(input: &Path, out: &Path, job: &Job<'_>) -> Result<EnhanceReport, Er
     })
 }
 
-fn moving_share(capture: &m4_core::Capture) -> Option<f64> {
+/// Share of the pixels in masks; `None` without masks.
+pub(crate) fn moving_share(capture: &m4_core::Capture) -> Option<f64> {
     let masks = || capture.frames.iter().filter_map(|frame| frame.mask.as_ref());
     let pixels: usize = masks().map(|mask| mask.size().0 * mask.size().1).sum();
     let moving: usize = masks().map(CompactMask::count).sum();

@@ -4,7 +4,7 @@ use super::{FrameRule, Protocol, ProtocolError};
 use crate::error::OutputError;
 use crate::folder::{self, Existing, Lock};
 use crate::record::write_json;
-use crate::{Error, Observer, Settings, geometry, hash};
+use crate::{Error, Observer, Settings, capture_folder, hash};
 use m4_core::Capture;
 use m4_io::capture::{Split, TRACKS_FILE};
 use m4_io::reach::Reach;
@@ -212,7 +212,7 @@ fn clear(out: &Path) -> Result<(), Error> {
     folder::remove_file(&out.join(SPLIT_FILE))?;
     folder::remove_file(&out.join(TRACKS_FILE))?;
     for split in [Split::Train, Split::Test] {
-        geometry::clear_split(out, split)?;
+        capture_folder::clear_split(out, split)?;
     }
     Ok(())
 }

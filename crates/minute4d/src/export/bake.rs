@@ -37,13 +37,7 @@ pub(super) fn bake(scene: &Scene) -> Option<(Scene, Loss)> {
         let opacity = opacity.clamp(LEAST_OPACITY, 1.0 - LEAST_OPACITY);
         *logit = (opacity / (1.0 - opacity)).ln() as f32;
     }
-    let mut sorted = factors;
-    let middle = sorted.len() / 2;
-    let median = if sorted.is_empty() {
-        1.0
-    } else {
-        *sorted.select_nth_unstable_by(middle, f64::total_cmp).1
-    };
+    let median = m4_core::median(&mut { factors }).unwrap_or(1.0);
     let loss = Loss::Baked(format!(
         "the Mip filter, into the opacities, as the source cameras see it on average (half of the splats keep less than {:.0} % of theirs)",
         100.0 * median

@@ -1,5 +1,6 @@
 //! The confidence of the geometry: numbers, a grade and one piece of advice.
 
+use m4_core::median;
 use m4_geometry::dense::DenseFrame;
 use m4_geometry::reconstruction::{CameraMotion, Motion, SparseReconstruction};
 use m4_geometry::sparse::FocalSource;
@@ -245,11 +246,7 @@ fn parallax_rad(sparse: &SparseReconstruction) -> f64 {
             .fold(0.0, f64::max);
         angles.push(widest);
     }
-    if angles.is_empty() {
-        return 0.0;
-    }
-    let middle = angles.len() / 2;
-    *angles.select_nth_unstable_by(middle, f64::total_cmp).1
+    median(&mut angles).unwrap_or(0.0)
 }
 
 #[cfg(test)]

@@ -3,9 +3,12 @@
 //! The first cameras come from tracks of the whole image. With the masks, tracks in dynamic regions are excluded and the cameras are
 //! estimated again; if their projections change, depth and masks are computed again, too. Otherwise the first result is kept.
 
-use m4_core::{Mask, Plane, Sim3, nalgebra::Vector3};
+use crate::steps::Steps;
+use crate::{Error, Observer};
+use m4_core::{Mask, Plane, Progress, Sim3, median, nalgebra::Vector3};
 use m4_geometry::dense::DenseFrame;
 use m4_geometry::reconstruction::{CameraMotion, Motion, SparseReconstruction, Track};
+use m4_geometry::sparse::{FeatureTracks, Recovered, SparseConfig, SparseError};
 use std::collections::HashMap;
 
 /// Changes of what cameras see above this many pixels matter.
@@ -18,9 +21,64 @@ const POINTS_A_FRAME: usize = 10;
 /// New cameras must let this share of the tracks rest that rested before, masks left out: else they found less.
 const AS_MANY: f64 = 0.9;
 
+/// Cameras from tracks outside the masks of `frames`, if they differ enough from the `first` ones for depth and masks to be estimated again.
+///
+/// # Errors
+///
+/// [`Error`] if the user stops.
+pub(super) fn without_masked(
+    followed: &FeatureTracks,
+    first: &SparseReconstruction,
+    frames: &mut [DenseFrame],
+    config: &SparseConfig,
+    steps: &Steps<'_>,
+) -> Result<Option<Recovered>, Error> {
+    const PHASE: &str = "cameras from static points";
+    let masks = take_masks(frames);
+    let mut found = None;
+    if worth(first, &masks) {
+        let observer = steps.observer();
+        observer.update(PHASE, 0, 1, "");
+        // The warnings of the second pass repeat those of the first, or are given when its result is used.
+        let second = steps.keep("second-cameras", |observer| {
+            match followed.recover(Some(&masks), config, &NoWarnings(observer)) {
+                Err(stop @ SparseError::Cancelled) => Err(stop),
+                other => Ok(other.ok().filter(|r| r.sparse.camera_motion == CameraMotion::Parallax)),
+            }
+        })?;
+        let change = second
+            .as_ref()
+            .map(|second| Change::between(first, &second.sparse, |track| within(&masks, track)));
+        observer.update(
+            PHASE,
+            1,
+            1,
+            &change.map_or_else(String::new, |change| change.description()),
+        );
+        found = second.filter(|_| change.is_some_and(|change| change.matters()));
+    }
+    put_back(frames, masks);
+    Ok(found)
+}
+
+/// Passes on all but warnings.
+struct NoWarnings<'a>(&'a dyn Observer);
+
+impl Progress for NoWarnings<'_> {
+    fn update(&self, phase: &str, done: usize, total: usize, note: &str) {
+        self.0.update(phase, done, total, note);
+    }
+
+    fn warn(&self, _: &str) {}
+
+    fn cancelled(&self) -> bool {
+        self.0.cancelled()
+    }
+}
+
 /// How a second reconstruction differs from the first.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Change {
+struct Change {
     /// The frame that changed most: how far apart the two see the same points, median over them, pixels; infinite where too few
     /// points are in both.
     pub shift_px: f64,
@@ -122,15 +180,12 @@ fn shift_px(first: &SparseReconstruction, second: &SparseReconstruction, pairs: 
             });
         }
     }
-    let middles = shifts.iter_mut().filter(|s| s.len() >= POINTS_A_FRAME).map(|s| {
-        let middle = s.len() / 2;
-        *s.select_nth_unstable_by(middle, f64::total_cmp).1
-    });
-    middles.fold(0.0, f64::max)
+    let known = shifts.iter_mut().filter(|s| s.len() >= POINTS_A_FRAME);
+    known.filter_map(|s| median(s)).fold(0.0, f64::max)
 }
 
 /// Whether most of a track lies within masks (above 0) of the size of the frames.
-pub(super) fn within(masks: &[Mask], track: &Track) -> bool {
+fn within(masks: &[Mask], track: &Track) -> bool {
     let seen = masks.iter().skip(track.first_frame).zip(&track.observations);
     let inside = seen.filter(|(mask, at)| {
         let cell = |v: f32, n: usize| ((v + 0.5).max(0.0) as usize).min(n.saturating_sub(1));
@@ -140,7 +195,7 @@ pub(super) fn within(masks: &[Mask], track: &Track) -> bool {
 }
 
 /// Whether it is worth asking again: there is parallax, and something was masked that is not everything.
-pub(super) fn worth(sparse: &SparseReconstruction, masks: &[Mask]) -> bool {
+fn worth(sparse: &SparseReconstruction, masks: &[Mask]) -> bool {
     let (mut any, mut all) = (false, true);
     for m in masks.iter().flat_map(|m| m.data()) {
         any |= *m > 0;
@@ -150,7 +205,7 @@ pub(super) fn worth(sparse: &SparseReconstruction, masks: &[Mask]) -> bool {
 }
 
 /// Takes the masks out of frames; [`put_back`] undoes that.
-pub(super) fn take_masks(frames: &mut [DenseFrame]) -> Vec<Mask> {
+fn take_masks(frames: &mut [DenseFrame]) -> Vec<Mask> {
     let empty = || Plane::filled(0, 0, 0);
     frames
         .iter_mut()
@@ -159,7 +214,7 @@ pub(super) fn take_masks(frames: &mut [DenseFrame]) -> Vec<Mask> {
 }
 
 /// Gives frames their masks.
-pub(super) fn put_back(frames: &mut [DenseFrame], masks: Vec<Mask>) {
+fn put_back(frames: &mut [DenseFrame], masks: Vec<Mask>) {
     for (frame, mask) in frames.iter_mut().zip(masks) {
         frame.mask = mask;
     }

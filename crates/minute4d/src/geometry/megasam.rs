@@ -1,58 +1,56 @@
 //! Computes a capture with MegaSaM's networks (Minute4D sec. 3.1).
 
-use super::compute::{Clip, instants, moments};
-use super::frontend::{MonoClip, NetworkCorrespondence, Plan};
-use super::given::{Given, GivenError};
-use super::kept::KeptFlow;
-use crate::device::NetworkDevice;
+use super::cached_flow::CachedFlow;
+use super::clip::{Clip, FrameGeometry};
+use super::depth::KnownDepth;
+use super::frontend::NetworkCorrespondence;
+use super::given::GivenError;
+use super::methods::Context;
 use crate::record::GeometrySummary;
-use crate::steps::Steps;
-use crate::{Error, Observer, Settings};
-use m4_core::{Camera, Capture, CaptureFrame, CompactMask, DepthMap, Intrinsics, Plane, RgbImage, Video};
+use crate::{Error, Observer, enhance};
+use m4_core::{Camera, Capture, CompactMask, Intrinsics, Mask, Plane};
 use m4_geometry::megasam::{
     DepthPrior, MegasamGeometry, MegasamInput, PairFlow, SourceFlow, TAU_MOTION, TrackingSize, reconstruct,
-    resize_bilinear,
+    resize_bilinear, track,
 };
 
 /// Share of moving pixels beyond which it is likelier that the network is misread than that so much moves (docs/spec/front-end.md 1.9).
 const TOO_MUCH_MOTION: f64 = 0.6;
 
-/// Finds geometry of `clip`.
-pub(super) fn compute(
-    clip: Clip,
-    settings: &Settings,
-    plan: &Plan,
-    device: &NetworkDevice,
-    steps: &Steps<'_>,
-    observer: &dyn Observer,
-) -> Result<(Capture, GeometrySummary), Error> {
-    let Clip { video, given, focal_px } = clip;
+/// Reconstructs `clip`.
+///
+/// # Errors
+///
+/// [`Error`]: weights cannot be used, poses were given, nothing can be reconstructed, or the user stops.
+pub(super) fn compute(mut clip: Clip, context: &Context<'_>) -> Result<(Capture, GeometrySummary), Error> {
+    let (settings, steps, observer) = (&context.settings.megasam, context.steps, context.observer());
+    let (plan, device) = (&context.methods.frontend, &context.methods.device);
+    let given = &clip.given;
     if given.cameras.is_some() {
         return Err(GivenError::CamerasTwice.into());
     }
-    let images: Vec<&RgbImage> = video.frames.iter().map(|f| &f.rgb).collect();
+    let images = clip.images();
     let full = images.first().map_or((0, 0), |p| p.size());
-    let size = TrackingSize::new(full, settings.megasam.tracking_pixels)?;
-    let known_focal_px = given.lens.map(|lens| lens.fx).or(focal_px);
+    let size = TrackingSize::new(full, settings.tracking_pixels)?;
+    let known_focal_px = given.lens.map(|lens| lens.fx).or(clip.focal_px);
     let mono = match &given.depth {
         Some(_) => None,
-        None => plan.depth(&images, known_focal_px, device, steps, observer)?,
+        None => plan.depth(&images, known_focal_px, device, steps)?,
     };
-    let prior = match (&given.depth, &mono) {
-        (Some(maps), _) => Some(DepthPrior::metric(maps, &size)?),
-        (None, Some(mono)) => Some(mono.prior(&size)?),
-        (None, None) => None,
+    let depth = KnownDepth::of(given, mono);
+    let prior = match &depth {
+        KnownDepth::Given(maps) => Some(DepthPrior::metric(maps, &size)?),
+        KnownDepth::Network(mono) => Some(mono.prior(&size)?),
+        KnownDepth::Unknown => None,
     };
-    let fov_rad = mono.as_ref().and_then(|m: &MonoClip| m.fov_rad);
-    drop(mono);
+    let fov_rad = depth.fov_rad();
+    drop(depth);
     let lens = given.lens.unwrap_or_else(|| {
-        let fov_rad = fov_rad.unwrap_or(settings.megasam.default_fov_deg.to_radians());
+        let fov_rad = fov_rad.unwrap_or(settings.default_fov_deg.to_radians());
         let of_fov = 0.5 * full.0 as f64 / (0.5 * fov_rad).tan();
         Intrinsics::centred(full.0, full.1, known_focal_px.unwrap_or(of_fov))
     });
-    let times_s: Vec<f64> = instants(&video);
-    let masks = given.masks.as_deref();
-    let budget_mb = settings.megasam.memory_budget_mb;
+    let times_s: Vec<f64> = clip.video.frames.iter().map(|f| f.time_s).collect();
     let input = MegasamInput {
         images: &images,
         times_s: &times_s,
@@ -60,35 +58,30 @@ pub(super) fn compute(
         focal_is_free: known_focal_px.is_none(),
         prior: prior.as_ref(),
     };
-    let geometry = steps.keep("megasam", |observer| -> Result<_, Error> {
+    let tracked = steps.keep("cameras", |observer| -> Result<_, Error> {
+        let (masks, budget_mb) = (given.masks.as_deref(), settings.memory_budget_mb);
         let mut network = NetworkCorrespondence::load(plan, &images, masks, size, budget_mb, &device.device)?;
-        let iterations = settings.megasam.flow_iterations;
-        let (source, kept);
+        Ok(track(&input, &mut network, settings, observer)?)
+    })?;
+    let geometry = steps.keep("dense", |observer| -> Result<_, Error> {
+        let iterations = settings.flow_iterations;
+        let cached;
         let mut flow: Box<dyn PairFlow + '_> = match plan.raft_pairs(iterations, device)? {
             Some(raft) => raft,
             None => {
-                source = plan.flow(iterations, device)?;
-                kept = KeptFlow {
-                    source: source.as_ref(),
-                    cache: steps,
-                };
-                Box::new(SourceFlow(&kept))
+                let source = plan.flow(iterations, device)?;
+                cached = CachedFlow { source, steps };
+                Box::new(SourceFlow(&cached))
             }
         };
-        Ok(reconstruct(
-            &input,
-            &mut network,
-            flow.as_mut(),
-            &settings.megasam,
-            observer,
-            &steps.part("megasam"),
-        )?)
+        Ok(reconstruct(&input, tracked, flow.as_mut(), settings, observer)?)
     })?;
     drop(prior);
     warn(&geometry, known_focal_px.is_some() || fov_rad.is_some(), observer);
-    drop(images);
-    let capture = assemble(video, &geometry, &given);
-    let found = summary(&capture, &geometry, plan, &given);
+    let given_names = given.names();
+    let frames = frames(&geometry, full, clip.given.masks.take());
+    let capture = clip.capture(frames, geometry.metric, None);
+    let found = summary(&capture, &geometry, context, given_names);
     if found.moving_share > TOO_MUCH_MOTION {
         observer.warn(&format!(
             "{:.0} % of all pixels count as moving; if that is wrong, give masks of your own with --masks",
@@ -107,38 +100,28 @@ fn warn(geometry: &MegasamGeometry, focal_is_known: bool, observer: &dyn Observe
     }
 }
 
-fn assemble(video: Video, geometry: &MegasamGeometry, given: &Given) -> Capture {
-    let n = video.frames.len();
-    let (moments, duration_s) = moments(&video);
-    let frames = video.frames.into_iter().enumerate().map(|(i, frame)| {
+/// Cameras, depth and masks of images of the size `full`; masks that the user provides replace those of the network.
+fn frames(
+    geometry: &MegasamGeometry,
+    full: (usize, usize),
+    masks: Option<Vec<Mask>>,
+) -> impl Iterator<Item = FrameGeometry> {
+    (0..geometry.c2w.len()).map(move |i| {
         let (w, h) = geometry.size.scaled;
         let motion = geometry.static_at(i, w, h).map(|&m| 1.0 - m.clamp(0.0, 1.0));
-        let mask = match &given.masks {
-            Some(masks) => masks[i].clone().into(),
-            None => mask(&motion, frame.rgb.size()),
-        };
-        CaptureFrame {
-            name: format!("{i:05}"),
+        FrameGeometry {
             camera: Camera {
                 intrinsics: geometry.lens,
                 c2w: geometry.c2w[i],
             },
-            t: moments[i],
-            rgb: frame.rgb,
-            depth: Some(DepthMap::clone(&geometry.depth[i]).into()),
-            mask: Some(mask),
+            depth: geometry.depth[i].clone().into(),
+            mask: match &masks {
+                Some(masks) => masks[i].clone().into(),
+                None => mask(&motion, full),
+            },
             motion: Some(motion.map(|p| (255.0 * p).round() as u8)),
-            instances: None,
-            camera_index: None,
         }
-    });
-    Capture {
-        frames: frames.collect(),
-        time_frames: n,
-        duration_s,
-        metric: geometry.metric,
-        tracks: None,
-    }
+    })
 }
 
 /// The dynamic part, at the size of the image.
@@ -147,11 +130,14 @@ fn mask(motion: &Plane<f32>, (width, height): (usize, usize)) -> CompactMask {
     CompactMask::from_fn(width, height, |x, y| f64::from(full.row(y)[x]) > TAU_MOTION)
 }
 
-fn summary(capture: &Capture, geometry: &MegasamGeometry, plan: &Plan, given: &Given) -> GeometrySummary {
+fn summary(
+    capture: &Capture,
+    geometry: &MegasamGeometry,
+    context: &Context<'_>,
+    given: Vec<String>,
+) -> GeometrySummary {
+    let plan = &context.methods.frontend;
     let lens = geometry.lens;
-    let pixels = lens.width * lens.height * capture.frames.len();
-    let masks = capture.frames.iter().filter_map(|f| f.mask.as_ref());
-    let moving: usize = masks.map(CompactMask::count).sum();
     GeometrySummary {
         frames: capture.frames.len(),
         size: [lens.width, lens.height],
@@ -167,13 +153,13 @@ fn summary(capture: &Capture, geometry: &MegasamGeometry, plan: &Plan, given: &G
         tracks: 0,
         points: 0,
         moving_tracks: 0,
-        moving_share: moving as f64 / pixels.max(1) as f64,
+        moving_share: enhance::moving_share(capture).unwrap_or(0.0),
         frontend: plan.frontend.to_string(),
         networks: plan.used.clone(),
         keyframes: Some(geometry.keyframes.clone()),
         megasam_units_a_metre: geometry.metric.then_some(geometry.norm),
         segmenter: "none".to_owned(),
-        given: given.names(),
+        given,
         rounds: 1,
         confidence: None,
     }

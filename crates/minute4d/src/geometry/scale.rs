@@ -1,7 +1,7 @@
 //! The unit of length, which given depth determines.
 
 use super::GivenError;
-use m4_core::DepthMap;
+use m4_core::{DepthMap, median};
 use m4_geometry::reconstruction::SparseReconstruction;
 
 /// Fewest points whose depth must be given.
@@ -50,7 +50,7 @@ pub(super) fn depth_ratio(sparse: &SparseReconstruction, depth: &[DepthMap]) -> 
         }
         found += usize::from(ratios.len() > before);
     }
-    match median(ratios) {
+    match median(&mut ratios) {
         Some(ratio) if found >= NEEDED => Ok(ratio),
         _ => Err(GivenError::NoScale { found, needed: NEEDED }),
     }
@@ -72,13 +72,5 @@ pub(super) fn typical_depth(sparse: &SparseReconstruction, depth: Option<&[Depth
         let given = depth.unwrap_or_default().iter().flat_map(|d| d.data());
         depths.extend(given.filter(|z| **z > 0.0).map(|&z| f64::from(z)));
     }
-    median(depths).unwrap_or(1.0)
-}
-
-fn median(mut values: Vec<f64>) -> Option<f64> {
-    if values.is_empty() {
-        return None;
-    }
-    let middle = values.len() / 2;
-    Some(*values.select_nth_unstable_by(middle, f64::total_cmp).1)
+    median(&mut depths).unwrap_or(1.0)
 }

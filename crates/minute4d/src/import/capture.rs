@@ -2,10 +2,11 @@
 
 use super::checked::{Checked, checked};
 use super::{ImportError, ImportJob, ImportOptions, STAGE};
+use crate::capture_folder::{self, CaptureFolder};
 use crate::evaluate::{COVISIBLE_FOLDER, adopt_covisible};
 use crate::progress::RecordingObserver;
-use crate::record::{GEOMETRY_FORMAT, GeometryRecord, Input, Status, VERSION, plain_json};
-use crate::{Error, Observer, Settings, StageEvent, folder, geometry, hash};
+use crate::record::{GeometryRecord, Input, Status, plain_json};
+use crate::{Error, Observer, Settings, StageEvent, folder, hash};
 use m4_core::{Capture, CompactMask};
 use m4_io::capture::{self, Split};
 use m4_io::dataset::dycheck;
@@ -88,27 +89,15 @@ pub(super) fn make(
         path: file.display().to_string(),
         blake3: hash::of_path(file)?,
     };
-    let (_lock, _) = geometry::open(out, job.existing)?;
+    let key = hash::of_parts(&[STAGE, env!("CARGO_PKG_VERSION"), &input.blake3, &settings.to_string()]);
+    let mut capture = CaptureFolder::open(out, job.existing, GeometryRecord::begin(input, key, settings), observer)?;
     let ours = GeometryRecord::read(out)?.is_some_and(|record| record.settings.get("import").is_some());
-    geometry::clear(out)?;
+    capture_folder::clear(out)?;
     if ours {
-        geometry::clear_split(out, Split::Test)?;
+        capture_folder::clear_split(out, Split::Test)?;
         folder::remove_folder(&out.join(COVISIBLE_FOLDER))?;
     }
-    let key = hash::of_parts(&[STAGE, env!("CARGO_PKG_VERSION"), &input.blake3, &settings.to_string()]);
-    let mut record = GeometryRecord {
-        format: GEOMETRY_FORMAT.to_owned(),
-        version: VERSION,
-        minute4d: env!("CARGO_PKG_VERSION").to_owned(),
-        status: Status::Running,
-        input,
-        key,
-        settings,
-        found: None,
-        seconds: 0.0,
-        peak_memory_bytes: None,
-        warnings: Vec::new(),
-    };
+    let record = &mut capture.record;
     record.write(out)?;
     let written = write(out, &imported, (file, format), options.factor, &keeper);
     record.seconds = start.elapsed().as_secs_f64();

@@ -42,11 +42,7 @@ impl<'a> Painter<'a> {
             .map(|(&sum, &passed)| sum / (1.0 - passed))
             .filter(|z| z.is_finite() && *z > 0.0)
             .collect();
-        if seen.is_empty() {
-            return None;
-        }
-        let middle = seen.len() / 2;
-        Some(f64::from(*seen.select_nth_unstable_by(middle, f32::total_cmp).1))
+        m4_core::median(&mut seen).map(f64::from)
     }
 }
 

@@ -73,8 +73,7 @@ fn moving_depth(scene: &Scene, stop: &Stop) -> Option<f64> {
     if depths.len() < LEAST_MOVING {
         return None;
     }
-    let middle = depths.len() / 2;
-    Some(*depths.select_nth_unstable_by(middle, f64::total_cmp).1)
+    m4_core::median(&mut depths)
 }
 
 fn reach(stop: &Stop, centres: &[Vector3<f64>]) -> f64 {

@@ -38,17 +38,6 @@ pub(super) struct Frame {
     edge_weight: Vec<f32>,
 }
 
-/// What a descent goes on from: the variables of a frame and their moments.
-#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
-pub(in crate::cvd) struct FrameState {
-    disparity: Vec<f32>,
-    uncertainty: Vec<f32>,
-    moments: [Vec<f32>; 4],
-    log_scale: f64,
-    shift: f64,
-    affine_moments: [[f64; 2]; 2],
-}
-
 /// Which variables move.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(in crate::cvd) enum Moves {
@@ -269,36 +258,6 @@ impl Frame {
                 self.look(shape, scale, shift);
             }
         }
-    }
-
-    /// What it goes on from.
-    pub fn state(&self) -> FrameState {
-        FrameState {
-            disparity: self.disparity.clone(),
-            uncertainty: self.uncertainty.clone(),
-            moments: self.moments.clone(),
-            log_scale: self.log_scale,
-            shift: self.shift,
-            affine_moments: self.affine_moments,
-        }
-    }
-
-    /// Goes on from there, in a stage that has begun; false where it is of another size.
-    pub fn restore(&mut self, state: FrameState, shape: Shape, moves: Moves) -> bool {
-        let planes = [&state.disparity, &state.uncertainty].into_iter().chain(&state.moments);
-        if planes.into_iter().any(|plane| plane.len() != shape.plain()) {
-            return false;
-        }
-        self.disparity = state.disparity;
-        self.uncertainty = state.uncertainty;
-        self.moments = state.moments;
-        (self.log_scale, self.shift) = (state.log_scale, state.shift);
-        self.affine_moments = state.affine_moments;
-        match moves {
-            Moves::Pixels => self.look(shape, 1.0, 0.0),
-            Moves::Affine => self.look(shape, self.log_scale.exp() as f32, self.shift as f32),
-        }
-        true
     }
 
     /// The scale and the shift become part of the disparity.

@@ -19,7 +19,7 @@ mod schedule;
 mod shape;
 mod surface;
 
-pub(super) use frame::{FrameState, Moves};
+pub(super) use frame::Moves;
 pub(super) use level::SimdLevel;
 
 use super::pairs::{CompactFlow, PairSource};
@@ -110,39 +110,6 @@ impl<'a> Descent<'a> {
         self.frames.par_iter_mut().for_each(|frame| {
             scratch.lend(|scratch| dispatch!(level, _s => frame.begin(shape, scratch)));
         });
-    }
-
-    /// How many frames there are.
-    pub fn frames(&self) -> usize {
-        self.frames.len()
-    }
-
-    /// The disparity of each frame as it is kept inside.
-    pub fn raw_disparity(&self) -> impl Iterator<Item = &Vec<f32>> {
-        self.frames.iter().map(|frame| &frame.disparity)
-    }
-
-    /// What each frame goes on from.
-    pub fn states(&self) -> impl Iterator<Item = FrameState> {
-        self.frames.iter().map(Frame::state)
-    }
-
-    /// Begins a stage, at the disparity `begun` if that is given, and goes on from `states` in it; false where they are of
-    /// another clip, which leaves the descent unusable only if the sizes of some frames differ.
-    pub fn restore(&mut self, begun: Option<Vec<Vec<f32>>>, states: Vec<FrameState>, moves: Moves) -> bool {
-        let fits = |planes: &Vec<Vec<f32>>| {
-            planes.len() == self.frames.len() && planes.iter().all(|p| p.len() == self.shape.plain())
-        };
-        if states.len() != self.frames.len() || !begun.as_ref().is_none_or(fits) {
-            return false;
-        }
-        for (frame, disparity) in self.frames.iter_mut().zip(begun.into_iter().flatten()) {
-            frame.disparity = disparity;
-        }
-        self.begin();
-        let shape = self.shape;
-        let restored = self.frames.par_iter_mut().zip(states);
-        restored.all(|(frame, state)| frame.restore(state, shape, moves))
     }
 
     /// One step of Adam; `number` counts from 1 in each stage.

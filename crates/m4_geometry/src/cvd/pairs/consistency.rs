@@ -1,5 +1,7 @@
 //! Which pixels of a flow field return to where they started.
 
+use m4_core::Flow;
+
 /// A flow field that a caller has, planes of `[height][width]`, pixels of its own size.
 #[derive(Debug, Clone, Copy)]
 pub struct FlowView<'a> {
@@ -13,31 +15,16 @@ pub struct FlowView<'a> {
     pub y: &'a [f32],
 }
 
-/// A flow field, planes of `[height][width]`.
-#[derive(Debug, Clone, PartialEq)]
-pub struct FlowField {
-    /// Columns.
-    pub width: usize,
-    /// Rows.
-    pub height: usize,
-    /// To the right, pixels.
-    pub x: Vec<f32>,
-    /// Downwards, pixels.
-    pub y: Vec<f32>,
-}
-
 /// Greatest forward-backward error of a pixel that counts, pixels at the working size. MegaSaM: 1.
 pub const MAX_ROUND_TRIP_PX: f32 = 1.0;
 
-impl FlowField {
-    /// As a view.
-    #[must_use]
-    pub fn view(&self) -> FlowView<'_> {
-        FlowView {
-            width: self.width,
-            height: self.height,
-            x: &self.x,
-            y: &self.y,
+impl<'a> From<&'a Flow> for FlowView<'a> {
+    fn from(flow: &'a Flow) -> Self {
+        Self {
+            width: flow.width,
+            height: flow.height,
+            x: &flow.u,
+            y: &flow.v,
         }
     }
 }
@@ -45,26 +32,26 @@ impl FlowField {
 impl FlowView<'_> {
     /// The flow on an image of half the size (rounded down): bilinear at pixel centres, values scaled along.
     #[must_use]
-    pub fn halved(&self) -> FlowField {
+    pub fn halved(&self) -> Flow {
         self.resized((self.width / 2).max(1), (self.height / 2).max(1))
     }
 
     /// The flow on an image of another size: bilinear at pixel centres, clamped at the edges, values scaled along.
     #[must_use]
-    pub fn resized(&self, width: usize, height: usize) -> FlowField {
+    pub fn resized(&self, width: usize, height: usize) -> Flow {
         let (sx, sy) = (self.width as f32 / width as f32, self.height as f32 / height as f32);
-        let mut out = FlowField {
+        let mut out = Flow {
             width,
             height,
-            x: Vec::with_capacity(width * height),
-            y: Vec::with_capacity(width * height),
+            u: Vec::with_capacity(width * height),
+            v: Vec::with_capacity(width * height),
         };
         for row in 0..height {
             let y = ((row as f32 + 0.5) * sy - 0.5).clamp(0.0, (self.height - 1) as f32);
             for column in 0..width {
                 let x = ((column as f32 + 0.5) * sx - 0.5).clamp(0.0, (self.width - 1) as f32);
-                out.x.push(sample(self.width, self.height, self.x, x, y) / sx);
-                out.y.push(sample(self.width, self.height, self.y, x, y) / sy);
+                out.u.push(sample(self.width, self.height, self.x, x, y) / sx);
+                out.v.push(sample(self.width, self.height, self.y, x, y) / sy);
             }
         }
         out

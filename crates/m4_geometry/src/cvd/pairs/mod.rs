@@ -14,6 +14,6 @@ mod store;
 
 pub use compact::{CompactFlow, MASKED};
 pub(super) use compact::{LANES, stride};
-pub use consistency::{FlowField, FlowView, MAX_ROUND_TRIP_PX, consistency_mask, round_trip_px};
+pub use consistency::{FlowView, MAX_ROUND_TRIP_PX, consistency_mask, round_trip_px};
 pub use list::{FramePair, STEPS, pair_list};
 pub use store::{PairSource, PairStore};

@@ -162,19 +162,19 @@ impl PairSource for PairStore {
 mod tests {
     use super::{PairSource, PairStore};
     use crate::cvd::PairError;
-    use crate::cvd::pairs::{CompactFlow, FlowField, FramePair, MASKED};
-    use m4_core::CounterRng;
+    use crate::cvd::pairs::{CompactFlow, FramePair, MASKED};
+    use m4_core::{CounterRng, Flow};
 
     const SIZE: (usize, usize) = (21, 9);
 
-    fn field(seed: u64) -> (FlowField, Vec<bool>) {
+    fn field(seed: u64) -> (Flow, Vec<bool>) {
         let mut rng = CounterRng::new(seed, 1, 2);
         let n = SIZE.0 * SIZE.1;
-        let field = FlowField {
+        let field = Flow {
             width: SIZE.0,
             height: SIZE.1,
-            x: (0..n).map(|_| 30.0 * rng.normal() as f32).collect(),
-            y: (0..n).map(|_| 10.0 * rng.normal() as f32).collect(),
+            u: (0..n).map(|_| 30.0 * rng.normal() as f32).collect(),
+            v: (0..n).map(|_| 10.0 * rng.normal() as f32).collect(),
         };
         (field, (0..n).map(|_| rng.uniform() < 0.7).collect())
     }
@@ -187,7 +187,7 @@ mod tests {
                 source: k,
                 target: k + 1,
             };
-            store.push(pair, flow.view(), &mask).unwrap();
+            store.push(pair, (&flow).into(), &mask).unwrap();
         }
         store
     }
@@ -203,8 +203,8 @@ mod tests {
             for x in 0..32 {
                 if x < SIZE.0 && mask[y * SIZE.0 + x] {
                     let i = y * SIZE.0 + x;
-                    assert!((f32::from(row[x]) * got.unit_px - flow.x[i]).abs() <= 0.51 * got.unit_px);
-                    assert!((f32::from(row[32 + x]) * got.unit_px - flow.y[i]).abs() <= 0.51 * got.unit_px);
+                    assert!((f32::from(row[x]) * got.unit_px - flow.u[i]).abs() <= 0.51 * got.unit_px);
+                    assert!((f32::from(row[32 + x]) * got.unit_px - flow.v[i]).abs() <= 0.51 * got.unit_px);
                 } else {
                     assert_eq!(row[x], MASKED);
                 }
@@ -229,11 +229,11 @@ mod tests {
         let mut store = fill(usize::MAX);
         let (flow, mask) = field(0);
         let pair = |source, target| FramePair { source, target };
-        let twice = store.push(pair(0, 1), flow.view(), &mask).unwrap_err();
+        let twice = store.push(pair(0, 1), (&flow).into(), &mask).unwrap_err();
         assert!(twice.to_string().contains("there already"), "{twice}");
-        let same = store.push(pair(7, 7), flow.view(), &mask).unwrap_err();
+        let same = store.push(pair(7, 7), (&flow).into(), &mask).unwrap_err();
         assert!(same.to_string().contains("of one frame"), "{same}");
-        let short = store.push(pair(7, 8), flow.view(), &mask[1..]);
+        let short = store.push(pair(7, 8), (&flow).into(), &mask[1..]);
         assert!(matches!(short, Err(PairError::Length { what: "mask", .. })));
     }
 }

@@ -1,16 +1,17 @@
 //! The mask of the pairs against the original's (OpenCV and NumPy).
 
 use super::fixture::Tensors;
-use crate::cvd::pairs::{FlowField, consistency_mask, round_trip_px};
+use crate::cvd::pairs::{FlowView, consistency_mask, round_trip_px};
+use m4_core::Flow;
 
-fn field(file: &Tensors, name: &str, width: usize, height: usize) -> FlowField {
+fn field(file: &Tensors, name: &str, width: usize, height: usize) -> Flow {
     let values = file.get(name);
     let (pixels, _) = values.as_chunks::<2>();
-    FlowField {
+    Flow {
         width,
         height,
-        x: pixels.iter().map(|p| p[0] as f32).collect(),
-        y: pixels.iter().map(|p| p[1] as f32).collect(),
+        u: pixels.iter().map(|p| p[0] as f32).collect(),
+        v: pixels.iter().map(|p| p[1] as f32).collect(),
     }
 }
 
@@ -18,14 +19,14 @@ fn field(file: &Tensors, name: &str, width: usize, height: usize) -> FlowField {
 fn halved_flows_and_masks_are_those_of_the_original() {
     let file = Tensors::open("flow_consistency.safetensors");
     let half = ["fwd", "bwd"].map(|name| {
-        let got = field(&file, &format!("flow_{name}"), 64, 48).view().halved();
+        let got = FlowView::from(&field(&file, &format!("flow_{name}"), 64, 48)).halved();
         let want = field(&file, &format!("half_{name}"), 32, 24);
-        for (got, want) in got.x.iter().chain(&got.y).zip(want.x.iter().chain(&want.y)) {
+        for (got, want) in got.u.iter().chain(&got.v).zip(want.u.iter().chain(&want.v)) {
             assert!((got - want).abs() < 1e-5, "{got} {want}");
         }
         got
     });
-    let [there, back] = [half[0].view(), half[1].view()];
+    let [there, back] = half.each_ref().map(FlowView::from);
     let (error, want) = (round_trip_px(there, back), file.get("error"));
     // the original rounds positions to 1/32 pixel
     let steepest = (0..error.len())
@@ -59,15 +60,15 @@ fn halved_flows_and_masks_are_those_of_the_original() {
 
 #[test]
 fn nan_pixels_are_ignored() {
-    let mut there = FlowField {
+    let mut there = Flow {
         width: 4,
         height: 3,
-        x: vec![0.0; 12],
-        y: vec![0.0; 12],
+        u: vec![0.0; 12],
+        v: vec![0.0; 12],
     };
     let back = there.clone();
-    there.x[5] = f32::NAN;
-    there.y[6] = f32::INFINITY;
-    let mask = consistency_mask(there.view(), back.view());
+    there.u[5] = f32::NAN;
+    there.v[6] = f32::INFINITY;
+    let mask = consistency_mask((&there).into(), (&back).into());
     assert_eq!((0..12).filter(|&i| !mask[i]).collect::<Vec<_>>(), [5, 6]);
 }

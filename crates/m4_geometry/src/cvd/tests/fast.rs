@@ -1,13 +1,12 @@
 //! The fast path against the definition and the original's numbers.
 
 use super::fixture::{FRAMES, SIZE, Tensors, problem};
-use crate::cvd::course::Course;
 use crate::cvd::fast::{Descent, Moves, SimdLevel, Start};
-use crate::cvd::optimise::run;
+use crate::cvd::optimise::{Course, run};
 use crate::cvd::pairs::{CompactFlow, FlowView, FramePair, MASKED, PairSource, PairStore};
 use crate::cvd::reference::{Problem, descend};
 use crate::cvd::{CvdSettings, Weights};
-use m4_core::{NoCache, Silent};
+use m4_core::Silent;
 use m4_testkit::{Agreement, on_every_level};
 
 const PIXELS: usize = SIZE.0 * SIZE.1;
@@ -142,7 +141,7 @@ fn eight_steps_of_both_stages_are_those_of_the_original() {
     let settings = CvdSettings { steps: [8, 8] };
     on_every_level(&SimdLevel::available(), SimdLevel::name, &LEVELS, |level| {
         let mut fast = descent(level, &problem, &store, &f32s(&problem.initial), &u0);
-        let Course { affine, losses, .. } = run(&mut fast, 16, &settings, &Silent, &NoCache).unwrap();
+        let Course { affine, losses, .. } = run(&mut fast, 16, &settings, &Silent).unwrap();
         for (frame, (scale, shift)) in affine.into_iter().enumerate() {
             assert!((scale.ln() - want.get("s1_log_scale_8")[frame]).abs() < 1e-4);
             assert!((shift - want.get("s1_shift_8")[frame]).abs() < 1e-4);
@@ -175,7 +174,7 @@ fn fast_descent_matches_the_reference() {
     let settings = CvdSettings { steps: [30, 60] };
     let want = descend(&problem, &u0, &settings);
     let mut fast = descent(SimdLevel::best(), &problem, &store, &f32s(&problem.initial), &f32s(&u0));
-    let Course { losses, .. } = run(&mut fast, 16, &settings, &Silent, &NoCache).unwrap();
+    let Course { losses, .. } = run(&mut fast, 16, &settings, &Silent).unwrap();
     let (first, last) = (want.losses[0][0], want.losses[1][59]);
     assert!(last < 0.8 * first, "{first} {last}");
     assert!(
@@ -194,7 +193,7 @@ fn bits(threads: usize, budget: usize) -> Vec<u32> {
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
     pool.install(|| {
         let mut fast = descent(SimdLevel::best(), &problem, &store, &f32s(&problem.initial), &u0);
-        let Course { losses, .. } = run(&mut fast, 16, &settings, &Silent, &NoCache).unwrap();
+        let Course { losses, .. } = run(&mut fast, 16, &settings, &Silent).unwrap();
         let values = [fast.disparity().concat(), fast.uncertainty().concat()].concat();
         let losses = losses.concat().into_iter().map(|l| l as f32);
         values.into_iter().chain(losses).map(f32::to_bits).collect()

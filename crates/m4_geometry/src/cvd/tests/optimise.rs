@@ -3,10 +3,10 @@
 use crate::cvd::pairs::{FlowView, FramePair, PairStore, pair_list};
 use crate::cvd::{ConsistentDepth, CvdError, CvdInput, CvdSettings, PairError, optimise, uncertainty_of_static};
 use m4_core::{
-    Cache, CounterRng, Intrinsics, NoCache, Plane, Progress, Se3, Silent,
+    CounterRng, Intrinsics, Plane, Se3, Silent,
     nalgebra::{Vector3, Vector6},
 };
-use m4_testkit::{MemoryCache, StopAtPoll};
+use m4_testkit::StopAtPoll;
 
 const SIZE: (usize, usize) = (50, 38);
 const FRAMES: usize = 10;
@@ -126,7 +126,7 @@ fn abs_rel(clip: &Clip, disparity: &[Plane<f32>], keep: impl Fn(usize) -> bool) 
 }
 
 fn found(clip: &Clip, settings: &CvdSettings) -> ConsistentDepth {
-    optimise(&input(clip, &even()), &clip.pairs, settings, &Silent, &NoCache).unwrap()
+    optimise(&input(clip, &even()), &clip.pairs, settings, &Silent).unwrap()
 }
 
 #[test]
@@ -189,33 +189,17 @@ fn dynamic_pixels_get_low_u_and_static_depth_is_unchanged() {
 }
 
 #[test]
-fn optimisation_stops_and_resumes_to_identical_bits() {
+fn it_stops_when_asked() {
     let clip = clip(1.0, |_| false);
     let u = even();
-    let go = |progress: &dyn Progress, cache: &dyn Cache| {
-        optimise(&input(&clip, &u), &clip.pairs, &settings(3, 5), progress, cache)
-    };
-    let want = go(&Silent, &NoCache).unwrap();
     for polls in 0..7 {
-        let cache = MemoryCache::default();
-        let stopped = go(&StopAtPoll::after(polls), &cache).unwrap_err();
+        let stop = StopAtPoll::after(polls);
+        let stopped = optimise(&input(&clip, &u), &clip.pairs, &settings(3, 5), &stop).unwrap_err();
         let (stage, step) = if polls < 3 { (1, polls) } else { (2, polls - 3) };
         assert!(
             matches!(stopped, CvdError::Cancelled { stage: a, step: b } if (a, b) == (stage, step)),
             "{stopped}"
         );
-        // once more in the middle of the rest, into the other slot
-        let _ = go(&StopAtPoll::after(1), &cache);
-        let rest = StopAtPoll::after(usize::MAX);
-        assert!(go(&rest, &cache).unwrap() == want, "stopped after {polls} steps");
-        assert_eq!(rest.asked(), 8 - (polls + 1), "no step twice");
-    }
-    // a kept descent that is not whole is not used
-    for missing in ["descent-0-00001", "descent-1-00001", "descent-begun-00001", "descent"] {
-        let cache = MemoryCache::default();
-        go(&StopAtPoll::after(5), &cache).unwrap_err();
-        cache.remove(missing);
-        assert!(go(&Silent, &cache).unwrap() == want, "without {missing}");
     }
 }
 
@@ -225,7 +209,7 @@ fn broken_inputs_are_refused_with_a_reason() {
     let u = even();
     let good = input(&clip, &u);
     let message = |input: &CvdInput<'_>, pairs: &PairStore| {
-        optimise(input, pairs, &settings(1, 1), &Silent, &NoCache)
+        optimise(input, pairs, &settings(1, 1), &Silent)
             .unwrap_err()
             .to_string()
     };

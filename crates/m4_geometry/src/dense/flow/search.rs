@@ -1,8 +1,8 @@
 //! Inverse search: each patch of the first image is aligned to the second by Gauss-Newton with the
 //! Hessian of the first (Kroeger et al. 2016, section 2.1), then patches are averaged (section 2.2).
 
-use super::Flow;
 use super::pyramid::{BORDER, Level};
+use m4_core::Flow;
 
 /// Side of a patch, pixels. Kroeger et al. and the specification: 8.
 const PATCH_PX: usize = 8;

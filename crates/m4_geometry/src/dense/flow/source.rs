@@ -1,7 +1,8 @@
 //! The seam between dense geometry and whatever measures optical flow.
 
+use super::flow;
 use super::pyramid::Pyramid;
-use super::{Flow, flow};
+use m4_core::Flow;
 
 /// One image, as a source of flow sees it.
 #[derive(Debug, Clone, Copy)]

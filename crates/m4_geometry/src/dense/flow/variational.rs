@@ -1,8 +1,9 @@
 //! Variational refinement: robust equal brightness and equal gradients, robust smoothness
 //! (Brox et al. 2004; normalised as in Zimmer et al. 2011; Kroeger et al. 2016, section 2.3).
 
-use super::Flow;
 use super::pyramid::{Level, gradient};
+use m4_core::Flow;
+use m4_core::bilinear_cell;
 
 /// Linearisations of the energy per level. Kroeger et al.: level + 1; 3 measured as good.
 const REFINEMENTS: usize = 3;
@@ -64,7 +65,7 @@ fn warp(b: &Level, flow: &Flow) -> ([Vec<f32>; 3], Vec<f32>) {
             if !(qx >= 0.0 && qy >= 0.0 && qx <= (w - 1) as f32 && qy <= (h - 1) as f32) {
                 inside[i] = 0.0;
             }
-            let (c, fx, fy) = super::cell(w, h, qx, qy);
+            let (c, fx, fy) = bilinear_cell(w, h, qx, qy);
             let (w00, w10, w01, w11) = ((1.0 - fx) * (1.0 - fy), fx * (1.0 - fy), (1.0 - fx) * fy, fx * fy);
             for (out, p) in out.iter_mut().zip([&b.image, &b.dx, &b.dy]) {
                 out[i] = w00 * p[c] + w10 * p[c + 1] + w01 * p[c + w] + w11 * p[c + w + 1];

@@ -2,9 +2,8 @@
 //! one are covered and uncovered there (Stein and Hebert 2009). A pixel of the back region, moved on as its region moves, lands in the
 //! front one.
 
-use super::super::flow::Flow;
 use super::super::rigid_objects::{Clip, ROUND_TRIP_PX};
-use super::super::shot::quantile;
+use m4_core::{Flow, quantile};
 use std::collections::BTreeMap;
 
 /// How far from a region its neighbour is asked, in image widths.

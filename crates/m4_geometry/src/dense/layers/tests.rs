@@ -1,12 +1,12 @@
 //! Two blocks that pass each other behind a pole, before a wall, seen by a static or panning camera.
 
-use super::super::flow::{Flow, FlowPair};
+use super::super::flow::FlowPair;
 use super::super::rigid_objects::Clip;
-use super::super::shot::{Shot, quantile};
+use super::super::shot::Shot;
 use super::super::sweep::Range;
 use super::super::working::WorkingFrame;
 use super::{MARGIN, STEP, place, sphere};
-use m4_core::{Camera, Intrinsics, Plane, Se3, nalgebra::Vector6};
+use m4_core::{Camera, Flow, Intrinsics, Plane, Se3, nalgebra::Vector6, quantile};
 
 const W: usize = 96;
 const H: usize = 64;

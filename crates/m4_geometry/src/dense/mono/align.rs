@@ -1,5 +1,6 @@
 //! A factor and a shift that bring relative disparity to what was measured.
 
+use m4_core::median;
 /// Fewest measured pixels that a fit rests on.
 const NEEDED: usize = 100;
 /// Steps of least squares after the medians, and the width of their weights in standard deviations.
@@ -101,9 +102,4 @@ fn slope(pairs: &[(f64, f64)]) -> Option<f64> {
         sum >= half
     };
     slopes.iter().find(|s| reached(s)).map(|s| s.0)
-}
-
-fn median(values: &mut [f64]) -> Option<f64> {
-    let middle = values.len() / 2;
-    (!values.is_empty()).then(|| *values.select_nth_unstable_by(middle, f64::total_cmp).1)
 }

@@ -113,7 +113,7 @@ fn fall(
 ) {
     let typical = |shape: &rigid::Shape, k: usize| {
         let mut all: Vec<f32> = shape.known(clip, k).map(|(_, d)| d).collect();
-        super::shot::quantile(&mut all, 0.5)
+        m4_core::quantile(&mut all, 0.5)
     };
     let depth: Vec<Vec<f64>> = bodies
         .iter()

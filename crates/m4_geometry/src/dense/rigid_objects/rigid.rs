@@ -192,7 +192,7 @@ fn tilt(width: usize, disparity: &mut [f32]) {
             .filter(|(_, d)| **d > 0.0)
             .map(|(g, d)| (f64::from(*d) - row(g).dot(&plane)).abs() as f32)
             .collect();
-        let Some(scale) = super::super::shot::quantile(&mut off, 0.5) else {
+        let Some(scale) = m4_core::quantile(&mut off, 0.5) else {
             return;
         };
         let scale = 2.0 * f64::from(scale).max(1e-9);

@@ -1,10 +1,10 @@
 //! The one number that the motion of a part does not reveal.
 
 use super::super::moving_depth::{BELOW_PX, FEET_SHARE, HIDDEN_QUANTILE};
-use super::super::shot::quantile;
 use super::path::in_place;
 use super::rigid::Shape;
 use super::{Clip, Tracklet};
+use m4_core::quantile;
 
 /// Share of the frames whose lower bound of the scale the scale exceeds.
 const TOUCH_QUANTILE: f64 = 0.75;

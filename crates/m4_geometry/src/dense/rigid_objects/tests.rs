@@ -1,10 +1,10 @@
 //! Bodies on made-up clips: exact flow, a wrong guess of their distance.
 
-use super::super::flow::{Flow, FlowPair};
+use super::super::flow::FlowPair;
 use super::super::smooth::Smoother;
 use super::{Clip, place};
 use m4_core::{
-    Camera, Intrinsics, Se3, Silent,
+    Camera, Flow, Intrinsics, Se3, Silent,
     nalgebra::{Vector3, Vector6},
 };
 

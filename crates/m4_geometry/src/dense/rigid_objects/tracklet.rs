@@ -1,9 +1,9 @@
 //! A moving part through time, for as long as it stays one part.
 
 use super::super::components::Components;
-use super::super::flow::Flow;
 use super::instances::regions;
 use super::{Clip, LEAST_SHARE, ROUND_TRIP_PX, SHORTEST};
+use m4_core::Flow;
 
 /// Most frames that are adjusted together: bounds memory.
 const LONGEST: usize = 96;

@@ -1,8 +1,8 @@
 //! A mask carried to the next frame along the flow, and sharpened there along the edges of the frame.
 
 use super::scaled_frame::ScaledFrame;
-use crate::dense::{Flow, FlowPair, Smoother, bilinear, round_trip_px, to_outside};
-use m4_core::CompactMask;
+use crate::dense::{FlowPair, Smoother, round_trip_px, to_outside};
+use m4_core::{CompactMask, Flow, bilinear};
 
 /// A pixel whose way there and back misses by this much counts half, pixels of the masks' size.
 const ROUND_TRIP_PX: f32 = 1.0;

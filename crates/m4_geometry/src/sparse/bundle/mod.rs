@@ -59,7 +59,7 @@ pub(crate) struct BundleOptions {
 }
 
 /// How it went.
-#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct BundleReport {
     /// Mean loss an observation, squared pixels.
     pub cost: f64,

@@ -1,4 +1,8 @@
 //! Sums for the least-squares fit of colours: the residual of a splat's pixels, and the weight of the splat in them.
+#![expect(
+    clippy::collapsible_if,
+    reason = "kernels are expanded: conditions at compile time stand alone"
+)]
 
 use super::GpuTrainer;
 use super::trainer::TRAINING;

@@ -1,4 +1,8 @@
 //! The outcome of density control for each splat: the rows that it keeps and adds, and their totals.
+#![expect(
+    clippy::collapsible_if,
+    reason = "kernels are expanded: conditions at compile time stand alone"
+)]
 
 use crate::backend::DensityStats;
 use crate::config::{PruneRule, SplitSize};

@@ -61,11 +61,7 @@ fn spacing(tree: &ImmutableKdTree<f32, 3>, places: &[[f32; 3]]) -> f32 {
                 .filter(|_| near.len() > 1)
         })
         .collect();
-    if squares.is_empty() {
-        return 0.0;
-    }
-    let middle = squares.len() / 2;
-    squares.select_nth_unstable_by(middle, f32::total_cmp).1.sqrt()
+    m4_core::median(&mut squares).map_or(0.0, f32::sqrt)
 }
 
 impl Follow {

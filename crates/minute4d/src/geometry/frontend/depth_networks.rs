@@ -5,7 +5,7 @@ use super::{MonoClip, Part, Plan};
 use crate::Error;
 use crate::error::NetworkError;
 use crate::steps::Steps;
-use m4_core::{Plane, Progress, RgbImage};
+use m4_core::{Plane, RgbImage};
 use m4_geometry::megasam::MegasamError;
 use m4_nets::{Compute, DepthAnything, LoadError, MoGe, MoGeError, MoGeMap, MoGeOptions, UniDepth, cpu};
 use std::path::Path;
@@ -26,7 +26,8 @@ struct Networks {
     relative: Option<DepthAnything>,
 }
 
-fn kept(plane: Plane<f32>) -> Plane<f32> {
+/// The map with its longer side at most [`KEPT_SIDE`].
+fn limited(plane: Plane<f32>) -> Plane<f32> {
     let (w, h) = plane.size();
     let long = w.max(h);
     if long <= KEPT_SIDE {
@@ -80,8 +81,8 @@ impl MonoClip {
         focal_px: Option<f64>,
         device: &Compute,
         steps: &Steps<'_>,
-        progress: &dyn Progress,
     ) -> Result<Option<Self>, Error> {
+        let progress = steps.observer();
         let moge = load(Part::Moge, plan, device, |path, on| MoGe::load(path, on))?;
         let moge = moge.map(|net| Metric::MoGe(Box::new(net)));
         let unidepth = load(Part::Unidepth, plan, device, |path, on| UniDepth::load(path, on))?;
@@ -121,8 +122,8 @@ impl MonoClip {
                     let disparity = networks.relative.as_ref().map(|n| n.disparity(image));
                     let disparity = disparity.transpose().map_err(|e| failed(Box::new(e)))?;
                     let made = (
-                        measured.map(|(depth_m, fov_rad)| (kept(depth_m), fov_rad)),
-                        disparity.map(kept),
+                        measured.map(|(depth_m, fov_rad)| (limited(depth_m), fov_rad)),
+                        disparity.map(limited),
                     );
                     steps.store(&step, &made);
                     made

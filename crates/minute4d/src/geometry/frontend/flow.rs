@@ -1,36 +1,16 @@
 //! Networks for optical flow.
 
-use m4_core::{Plane, RgbImage};
-use m4_geometry::cvd::pairs::{FlowField, FramePair};
-use m4_geometry::dense::{Flow, FlowError, FlowImage, FlowSource};
+use m4_core::{Flow, Plane, RgbImage};
+use m4_geometry::cvd::pairs::FramePair;
+use m4_geometry::dense::{FlowError, FlowImage, FlowSource};
 use m4_geometry::megasam::{PairFlow, PairFlowError};
 use m4_nets::{Raft, raft::LowFlow};
 use std::collections::HashMap;
 
 const RAFT: &str = "raft";
 
-type Pair = (m4_nets::Flow, m4_nets::Flow);
-
 fn image(image: &FlowImage<'_>) -> RgbImage {
     Plane::from_fn(image.width, image.height, |x, y| image.rgb[y * image.width + x])
-}
-
-fn ours(flow: m4_nets::Flow) -> Flow {
-    Flow {
-        width: flow.width,
-        height: flow.height,
-        u: flow.u,
-        v: flow.v,
-    }
-}
-
-fn field(flow: m4_nets::Flow) -> FlowField {
-    FlowField {
-        width: flow.width,
-        height: flow.height,
-        x: flow.u,
-        y: flow.v,
-    }
 }
 
 /// RAFT; features are made once a pair, for both directions.
@@ -40,23 +20,11 @@ pub struct RaftSource {
 }
 
 impl RaftSource {
-    fn measure(&self, a: &RgbImage, b: &RgbImage) -> Result<Pair, m4_nets::FlowError> {
+    fn measure(&self, a: &RgbImage, b: &RgbImage) -> Result<(Flow, Flow), m4_nets::FlowError> {
         let (a, b) = (self.net.encode(a)?, self.net.encode(b)?);
         let [there, back] = self.net.flow_both(&a, &b, self.iterations, None)?;
         Ok((there.flow, back.flow))
     }
-}
-
-fn both(
-    name: &'static str,
-    [a, b]: [&FlowImage<'_>; 2],
-    measure: impl Fn(&RgbImage, &RgbImage) -> Result<Pair, m4_nets::FlowError>,
-) -> Result<(Flow, Flow), FlowError> {
-    let (there, back) = measure(&image(a), &image(b)).map_err(|error| FlowError::Source {
-        source_name: name.to_owned(),
-        reason: Box::new(error),
-    })?;
-    Ok((ours(there), ours(back)))
 }
 
 impl FlowSource for RaftSource {
@@ -65,7 +33,10 @@ impl FlowSource for RaftSource {
     }
 
     fn both(&self, a: &FlowImage<'_>, b: &FlowImage<'_>) -> Result<(Flow, Flow), FlowError> {
-        both(RAFT, [a, b], |a, b| self.measure(a, b))
+        self.measure(&image(a), &image(b)).map_err(|error| FlowError::Source {
+            source_name: RAFT.to_owned(),
+            reason: Box::new(error),
+        })
     }
 }
 
@@ -89,7 +60,7 @@ impl RaftPairs {
         }
     }
 
-    fn measure(&mut self, pair: FramePair, a: &RgbImage, b: &RgbImage) -> Result<[FlowField; 2], m4_nets::FlowError> {
+    fn measure(&mut self, pair: FramePair, a: &RgbImage, b: &RgbImage) -> Result<[Flow; 2], m4_nets::FlowError> {
         let begin = match (self.there.get(&pair.source), self.back.get(&pair.target)) {
             (Some(there), Some(back)) if pair.target > pair.source + 1 => Some([there, back]),
             _ => None,
@@ -98,7 +69,7 @@ impl RaftPairs {
         let [there, back] = self.net.flow_both(&a, &b, self.iterations, begin)?;
         self.there.insert(pair.source, there.low);
         self.back.insert(pair.target, back.low);
-        Ok([field(there.flow), field(back.flow)])
+        Ok([there.flow, back.flow])
     }
 }
 
@@ -107,7 +78,7 @@ impl PairFlow for RaftPairs {
         RAFT
     }
 
-    fn both(&mut self, pair: FramePair, a: &RgbImage, b: &RgbImage) -> Result<[FlowField; 2], PairFlowError> {
+    fn both(&mut self, pair: FramePair, a: &RgbImage, b: &RgbImage) -> Result<[Flow; 2], PairFlowError> {
         self.measure(pair, a, b).map_err(|error| PairFlowError {
             source_frame: pair.source,
             target_frame: pair.target,

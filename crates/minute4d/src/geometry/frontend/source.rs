@@ -4,7 +4,7 @@ use super::{MonoClip, Plan};
 use crate::Error;
 use crate::device::NetworkDevice;
 use crate::steps::Steps;
-use m4_core::{Progress, RgbImage};
+use m4_core::RgbImage;
 use m4_geometry::dense::{FlowSource, InverseSearch};
 
 impl Plan {
@@ -36,13 +36,12 @@ impl Plan {
         focal_px: Option<f64>,
         device: &NetworkDevice,
         steps: &Steps<'_>,
-        progress: &dyn Progress,
     ) -> Result<Option<MonoClip>, Error> {
         #[cfg(feature = "nets")]
-        return MonoClip::measure(self, images, focal_px, &device.device, steps, progress);
+        return MonoClip::measure(self, images, focal_px, &device.device, steps);
         #[cfg(not(feature = "nets"))]
         {
-            let _ = (images, focal_px, device, steps, progress);
+            let _ = (images, focal_px, device, steps);
             Ok(None)
         }
     }

@@ -1,10 +1,10 @@
 //! The tracker with the tracking network in it, synthetic weights: what it asks, how often, and the published loop.
 
 use super::{NetworkCorrespondence, memory};
-use m4_core::{NoCache, Plane, RgbImage, Se3, Silent};
+use m4_core::{Plane, RgbImage, Se3, Silent};
 use m4_geometry::dba::{DbaOptions, Factor, Geometry, Grid, Pinhole, Problem, adjust, project};
 use m4_geometry::graph::{EdgeChanges, FactorGraph};
-use m4_geometry::megasam::{MegasamInput, MegasamSettings, SourceFlow, TrackingSize, reconstruct};
+use m4_geometry::megasam::{MegasamInput, MegasamSettings, SourceFlow, TrackingSize, reconstruct, track};
 use m4_geometry::tracker::{
     Correspondence, CorrespondenceError, EdgeRevision, FrameInput, Frontend, Revision, SourceRevision, Submitted,
     TrackerSettings,
@@ -176,15 +176,8 @@ fn a_clip_goes_all_the_way_and_gives_the_same_bits_again() {
                 focal_is_free: true,
                 prior: None,
             };
-            reconstruct(
-                &input,
-                &mut network,
-                &mut SourceFlow(&search),
-                &settings,
-                &Silent,
-                &NoCache,
-            )
-            .unwrap()
+            let tracked = track(&input, &mut network, &settings, &Silent).unwrap();
+            reconstruct(&input, tracked, &mut SourceFlow(&search), &settings, &Silent).unwrap()
         })
     };
     let (a, b) = (run(100, 1), run(1, 3));

@@ -18,11 +18,10 @@ mod observation;
 mod parabola;
 mod rate;
 
-use super::super::shot::quantile;
 use super::ground::Ground;
 use super::{Clip, Tracklet};
 use flight::Flight;
-use m4_core::Camera;
+use m4_core::{Camera, quantile};
 use observation::Observation;
 
 /// Frames in flight that make a clip one in which things fall.

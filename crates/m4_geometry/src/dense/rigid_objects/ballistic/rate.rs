@@ -1,10 +1,10 @@
 //! How fast things fall: one number for a clip, in the unit of its cameras a frame squared.
 
-use super::super::super::shot::quantile;
 use super::super::ground::Ground;
 use super::RigidObject;
 use super::flight::Flight;
 use super::parabola::Parabola;
+use m4_core::quantile;
 
 /// Frames of a first reading, and fewest readings.
 const WINDOW: usize = 10;

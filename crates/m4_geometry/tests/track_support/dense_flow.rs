@@ -1,8 +1,8 @@
 //! Correspondences from optical flow that is computed once a pair.
 
-use super::correspondence::{Correspondence, CorrespondenceError, Revision};
-use crate::dba::Grid;
-use crate::graph::{EdgeChanges, EdgeId};
+use m4_geometry::dba::Grid;
+use m4_geometry::graph::{EdgeChanges, EdgeId};
+use m4_geometry::tracker::{Correspondence, CorrespondenceError, Revision};
 use std::collections::HashMap;
 
 /// Flow from one frame to another. Planes are `[height * width]` on the grid of the tracker.
@@ -26,7 +26,7 @@ pub struct FlowSize {
 
 /// Targets that do not depend on the projection: the pixel plus its flow, asked of `F` when an edge enters and dropped when
 /// it leaves. Motion is not judged here: static confidence is 1, and a robust weight of the adjustment takes its
-/// place ([`super::TrackerSettings::robust`]).
+/// place (`TrackerSettings::robust`).
 pub struct FlowCorrespondence<F> {
     grid: Grid,
     damping: f32,

@@ -1,16 +1,17 @@
 //! Caches optical flow between two images in the finished steps.
 
-use m4_core::Cache;
-use m4_geometry::dense::{Flow, FlowError, FlowImage, FlowSource};
+use crate::steps::Steps;
+use m4_core::Flow;
+use m4_geometry::dense::{FlowError, FlowImage, FlowSource};
 
-/// A source of flow and where its results are kept. A clip may ask for the same images again: after an interruption, and
-/// when depth is found again with better cameras.
-pub(super) struct KeptFlow<'a> {
-    pub source: &'a dyn FlowSource,
-    pub cache: &'a dyn Cache,
+/// A source of flow whose results are cached. The same images are measured again after an interruption, and when depth is estimated
+/// again with better cameras.
+pub(super) struct CachedFlow<'a> {
+    pub source: Box<dyn FlowSource>,
+    pub steps: &'a Steps<'a>,
 }
 
-impl FlowSource for KeptFlow<'_> {
+impl FlowSource for CachedFlow<'_> {
     fn name(&self) -> &str {
         self.source.name()
     }
@@ -18,19 +19,19 @@ impl FlowSource for KeptFlow<'_> {
     fn both(&self, a: &FlowImage<'_>, b: &FlowImage<'_>) -> Result<(Flow, Flow), FlowError> {
         let name = self.name_of(a, b);
         let size = (a.width, a.height);
-        if let Some(both) = self.cache.get(&name).and_then(|bytes| read(&bytes, size)) {
+        if let Some(both) = self.steps.get(&name).and_then(|bytes| read(&bytes, size)) {
             return Ok(both);
         }
         let both = self.source.both(a, b)?;
         // The caller refuses flow of another size.
         if [&both.0, &both.1].iter().all(|flow| (flow.width, flow.height) == size) {
-            self.cache.put(&name, &written(&both));
+            self.steps.put(&name, &written(&both));
         }
         Ok(both)
     }
 }
 
-impl KeptFlow<'_> {
+impl CachedFlow<'_> {
     fn name_of(&self, a: &FlowImage<'_>, b: &FlowImage<'_>) -> String {
         let mut hasher = blake3::Hasher::new();
         hasher.update(self.source.name().as_bytes());
@@ -75,28 +76,30 @@ fn read(bytes: &[u8], (width, height): (usize, usize)) -> Option<(Flow, Flow)> {
 
 #[cfg(test)]
 mod tests {
-    use super::KeptFlow;
-    use m4_core::Cache;
-    use m4_geometry::dense::{FlowImage, FlowSource, InverseSearch};
-    use std::collections::HashMap;
-    use std::sync::Mutex;
+    use super::CachedFlow;
+    use crate::Silent;
+    use crate::steps::Steps;
+    use m4_core::Flow;
+    use m4_geometry::dense::{FlowError, FlowImage, FlowSource, InverseSearch};
+    use std::sync::atomic::{AtomicUsize, Ordering};
 
-    #[derive(Default)]
-    struct Memory(Mutex<HashMap<String, Vec<u8>>>);
+    static MEASURED: AtomicUsize = AtomicUsize::new(0);
 
-    impl Cache for Memory {
-        fn get(&self, name: &str) -> Option<Vec<u8>> {
-            self.0.lock().unwrap().get(name).cloned()
+    struct Counting;
+
+    impl FlowSource for Counting {
+        fn name(&self) -> &'static str {
+            "counting"
         }
 
-        fn put(&self, name: &str, bytes: &[u8]) {
-            let old = self.0.lock().unwrap().insert(name.to_owned(), bytes.to_vec());
-            assert!(old.is_none(), "{name} was measured twice");
+        fn both(&self, a: &FlowImage<'_>, b: &FlowImage<'_>) -> Result<(Flow, Flow), FlowError> {
+            MEASURED.fetch_add(1, Ordering::Relaxed);
+            InverseSearch.both(a, b)
         }
     }
 
     #[test]
-    fn flow_of_equal_images_is_computed_once() {
+    fn the_same_images_are_measured_once() {
         let (w, h) = (48, 40);
         let pixels = |shift: usize| -> (Vec<[u8; 3]>, Vec<f32>) {
             let value = |i: usize| ((i % w + shift) * 37 % 211) as u8;
@@ -109,15 +112,21 @@ mod tests {
             rgb,
             grey,
         });
-        let (search, memory) = (InverseSearch, Memory::default());
-        let kept = KeptFlow {
-            source: &search,
-            cache: &memory,
+        let dir = tempfile::tempdir().unwrap();
+        let steps = Steps::open(dir.path(), "key", &Silent);
+        let cached = CachedFlow {
+            source: Box::new(Counting),
+            steps: &steps,
         };
-        let plain = search.both(&a, &b).unwrap();
-        assert_eq!(kept.both(&a, &b).unwrap(), plain);
-        assert_eq!(kept.both(&a, &b).unwrap(), plain, "from the cache");
-        assert_ne!(kept.both(&b, &a).unwrap(), plain, "the other way round is another pair");
-        assert_eq!(memory.0.lock().unwrap().len(), 2);
+        let plain = InverseSearch.both(&a, &b).unwrap();
+        assert_eq!(cached.both(&a, &b).unwrap(), plain);
+        assert_eq!(cached.both(&a, &b).unwrap(), plain, "from the cache");
+        assert_eq!(MEASURED.load(Ordering::Relaxed), 1);
+        assert_ne!(
+            cached.both(&b, &a).unwrap(),
+            plain,
+            "the other way round is another pair"
+        );
+        assert_eq!(MEASURED.load(Ordering::Relaxed), 2);
     }
 }

@@ -1,0 +1,217 @@
+//! Cameras from tracked corners, depth and masks along the flow, and both once more without the tracks of dynamic regions.
+
+use super::cached_flow::CachedFlow;
+use super::clip::{Clip, FrameGeometry};
+use super::confidence::{Confidence, Grade};
+use super::depth::KnownDepth;
+use super::given::Given;
+use super::iterate;
+use super::methods::Context;
+use super::scale::rescale;
+use crate::Error;
+use crate::record::GeometrySummary;
+use m4_core::{Camera, Capture, DepthMap, RgbImage, Tracks};
+use m4_geometry::dense::{Dense, MonoDepth, NoDepth, Segmenter, SensorDepth, Sources, estimate};
+use m4_geometry::reconstruction::CameraMotion;
+use m4_geometry::sparse::{self, FeatureTracks, Recovered, SparseConfig};
+
+/// Reconstructs `clip`.
+///
+/// # Errors
+///
+/// [`Error`]: weights cannot be used, nothing can be reconstructed, or the user stops.
+pub(super) fn compute(clip: Clip, context: &Context<'_>) -> Result<(Capture, GeometrySummary), Error> {
+    let (pass, found) = Reconstruction::new(&clip, context)?.run()?;
+    let (cameras, dense) = (pass.recovered.sparse.cameras, pass.dense);
+    let frames = cameras
+        .into_iter()
+        .zip(dense.frames)
+        .map(|(camera, dense)| FrameGeometry {
+            camera,
+            depth: dense.depth.into(),
+            mask: dense.mask.into(),
+            motion: None,
+        });
+    Ok((clip.capture(frames, pass.metric, dense.tracks), found))
+}
+
+/// A clip with the sources of flow, masks and depth.
+struct Reconstruction<'a> {
+    context: &'a Context<'a>,
+    images: Vec<&'a RgbImage>,
+    given: &'a Given,
+    config: SparseConfig,
+    flow: CachedFlow<'a>,
+    segmenter: Option<Box<dyn Segmenter>>,
+    depth: KnownDepth<'a>,
+}
+
+/// Cameras, and what was found with them.
+struct Pass {
+    recovered: Recovered,
+    dense: Dense,
+    /// Whether lengths are metres.
+    metric: bool,
+}
+
+impl<'a> Reconstruction<'a> {
+    fn new(clip: &'a Clip, context: &'a Context<'a>) -> Result<Self, Error> {
+        let methods = context.methods;
+        let (images, given) = (clip.images(), &clip.given);
+        let flow = methods
+            .frontend
+            .flow(context.settings.megasam.flow_iterations, &methods.device)?;
+        let segmenter = methods.segmenter.load()?;
+        let mono = match &given.depth {
+            Some(_) => None,
+            None => methods
+                .frontend
+                .depth(&images, clip.focal_px, &methods.device, context.steps)?,
+        };
+        let depth = KnownDepth::of(given, mono);
+        let mut config = clip.sparse.clone();
+        if let Some(fov_rad) = depth.fov_rad() {
+            config.default_fov_deg = fov_rad.to_degrees();
+        }
+        Ok(Self {
+            context,
+            images,
+            given,
+            config,
+            flow: CachedFlow {
+                source: flow,
+                steps: context.steps,
+            },
+            segmenter,
+            depth,
+        })
+    }
+
+    fn run(&self) -> Result<(Pass, GeometrySummary), Error> {
+        let (followed, recovered) = self.cameras()?;
+        let mut pass = self.pass("dense", recovered)?;
+        let mut rounds = 1;
+        if let (Some(followed), None) = (followed, &self.given.masks) {
+            let (first, frames) = (&pass.recovered.sparse, &mut pass.dense.frames);
+            let better = iterate::without_masked(&followed, first, frames, &self.config, self.context.steps)?;
+            if let Some(better) = better {
+                // Memory holds one result at a time.
+                drop(pass);
+                pass = self.pass("second-dense", better)?;
+                rounds = 2;
+            }
+        }
+        let found = self.summary(&pass, rounds);
+        Ok((pass, found))
+    }
+
+    /// Tracks, unless the cameras are given, and cameras.
+    fn cameras(&self) -> Result<(Option<FeatureTracks>, Recovered), Error> {
+        let (images, config, masks) = (&self.images, &self.config, self.given.masks.as_deref());
+        let found = self
+            .context
+            .steps
+            .keep("cameras", |observer| match &self.given.cameras {
+                Some(cameras) => Ok((None, sparse::with_cameras(images, cameras, masks, config, observer)?)),
+                None => {
+                    let followed = sparse::track_features(images, config, observer)?;
+                    let recovered = followed.recover(masks, config, observer)?;
+                    Ok::<_, sparse::SparseError>((Some(followed), recovered))
+                }
+            })?;
+        Ok(found)
+    }
+
+    /// Sets the unit of length, and estimates depth, masks and tracks as the step `name`.
+    fn pass(&self, name: &str, mut recovered: Recovered) -> Result<Pass, Error> {
+        let (settings, observer) = (self.context.settings, self.context.observer());
+        for warning in &recovered.sparse.warnings {
+            observer.warn(warning);
+        }
+        let posed = self.given.cameras.is_some();
+        let metric = self.depth.set_unit(&mut recovered.sparse, posed, observer)?;
+        // In a unit in which the scene is about 1 away, as the settings expect.
+        let unit = self.depth.unit(&recovered.sparse, posed);
+        let scaled = (unit != 1.0).then(|| rescale(&recovered.sparse, 1.0 / unit));
+        let sparse = scaled.as_ref().unwrap_or(&recovered.sparse);
+        let sensor;
+        let mono: &dyn MonoDepth = match &self.depth {
+            KnownDepth::Given(maps) => {
+                let maps = maps.iter().map(|map| map.map(|z| z / unit as f32)).collect();
+                sensor = SensorDepth { maps };
+                &sensor
+            }
+            // Known up to a factor per frame, or more: in any unit.
+            KnownDepth::Network(mono) => mono,
+            KnownDepth::Unknown => &NoDepth,
+        };
+        let sources = Sources {
+            flow: &self.flow,
+            segmenter: self.segmenter.as_deref(),
+            mono,
+        };
+        let masks = self.given.masks.as_deref();
+        let estimated = self.context.steps.keep(name, |observer| {
+            estimate(&self.images, sparse, &sources, masks, &settings.dense, observer)
+        })?;
+        let mut dense = estimated.enlarge(&self.images, observer)?;
+        if unit != 1.0 {
+            for z in dense.frames.iter_mut().flat_map(|f| f.depth.data_mut()) {
+                *z *= unit as f32;
+            }
+            dense.tracks = dense.tracks.map(|tracks| tracks.scaled(unit as f32));
+        }
+        Ok(Pass {
+            recovered,
+            dense,
+            metric,
+        })
+    }
+
+    /// Grades the result, warns of a doubtful one, and describes it.
+    fn summary(&self, pass: &Pass, rounds: usize) -> GeometrySummary {
+        let (sparse, dense, methods) = (&pass.recovered.sparse, &pass.dense, self.context.methods);
+        let known = self.given.depth.as_deref().map(known_share);
+        let masked = self.given.masks.is_some();
+        let confidence = Confidence::of(sparse, pass.recovered.focal, &dense.frames, masked, known);
+        if let (true, Some(advice)) = (confidence.grade != Grade::Good, &confidence.advice) {
+            let warning = format!("geometry is {}: {advice}", confidence.grade.name());
+            self.context.observer().warn(&warning);
+        }
+        let lens = sparse.cameras.first().map(|c: &Camera| c.intrinsics);
+        let pixels: usize = dense.frames.iter().map(|d| d.mask.data().len()).sum();
+        let moving = dense.frames.iter().flat_map(|d| d.mask.data()).filter(|&&m| m != 0);
+        GeometrySummary {
+            frames: sparse.cameras.len(),
+            size: lens.map_or([0, 0], |k| [k.width, k.height]),
+            focal_px: lens.map_or(0.0, |k| k.fx),
+            fov_deg: lens.map_or(0.0, |k| k.horizontal_fov_rad().to_degrees()),
+            camera_motion: match sparse.camera_motion {
+                CameraMotion::Parallax => "parallax",
+                CameraMotion::RotationOnly => "rotation_only",
+                CameraMotion::Static => "static",
+            }
+            .to_owned(),
+            residual_px: sparse.residual_px,
+            tracks: sparse.tracks.len(),
+            points: sparse.tracks.iter().filter(|t| t.point.is_some()).count(),
+            moving_tracks: dense.tracks.as_ref().map_or(0, Tracks::count),
+            moving_share: moving.count() as f64 / pixels.max(1) as f64,
+            frontend: methods.frontend.frontend.to_string(),
+            networks: methods.frontend.used.clone(),
+            keyframes: None,
+            megasam_units_a_metre: None,
+            segmenter: methods.segmenter.name().to_owned(),
+            given: self.given.names(),
+            rounds,
+            confidence: Some(confidence),
+        }
+    }
+}
+
+/// Share of the pixels whose depth was given.
+fn known_share(depth: &[DepthMap]) -> f64 {
+    let pixels = depth.iter().map(|d| d.data().len()).sum::<usize>().max(1);
+    let known = depth.iter().flat_map(|d| d.data()).filter(|&&z| z > 0.0).count();
+    known as f64 / pixels as f64
+}
