@@ -5,8 +5,8 @@ use m4_core::{
     Camera, CounterRng, Intrinsics, Plane, Se3, Silent,
     nalgebra::{Matrix4, Vector4},
 };
-use m4_geometry::cvd::pairs::{FlowView, PairStore, pair_list};
-use m4_geometry::cvd::{CvdInput, CvdSettings, optimise, uncertainty_of_static};
+use m4_geometry::megasam::cvd::pairs::{FlowView, PairStore, pair_list};
+use m4_geometry::megasam::cvd::{CvdInput, CvdSettings, optimise, uncertainty_of_static};
 use m4_testkit::shared;
 use std::path::Path;
 

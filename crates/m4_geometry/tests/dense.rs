@@ -2,11 +2,11 @@
 //! stands still, and another that moves.
 
 use m4_core::{Camera, Intrinsics, Mask, Plane, Progress, RgbImage, Se3, Silent, nalgebra::Vector3};
-use m4_geometry::dense::{
+use m4_geometry::classical::dense::{
     DenseConfig, DenseError, DenseFrame, InverseSearch, MonoDepth, MonoError, MonoKind, MonoMap, SegmentError,
     SegmentMask, SegmentPrompt, Segmenter, Sources, estimate,
 };
-use m4_geometry::reconstruction::{CameraMotion, Motion, SparseReconstruction, Track};
+use m4_geometry::classical::reconstruction::{CameraMotion, Motion, SparseReconstruction, Track};
 use std::borrow::Cow;
 use std::sync::Mutex;
 

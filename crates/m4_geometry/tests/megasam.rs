@@ -6,13 +6,13 @@ use m4_core::{
     Camera, Flow, Intrinsics, Plane, RgbImage, Se3, Silent, Sim3,
     nalgebra::{Matrix4, Vector3, Vector4},
 };
-use m4_geometry::cvd::pairs::FramePair;
-use m4_geometry::graph::EdgeChanges;
+use m4_geometry::megasam::cvd::pairs::FramePair;
+use m4_geometry::megasam::graph::EdgeChanges;
+use m4_geometry::megasam::tracker::{Correspondence, CorrespondenceError, Revision};
 use m4_geometry::megasam::{
     DepthPrior, MegasamGeometry, MegasamInput, MegasamSettings, PairFlow, PairFlowError, TrackingSize, reconstruct,
     resize_area, resize_bilinear, resize_nearest, track,
 };
-use m4_geometry::tracker::{Correspondence, CorrespondenceError, Revision};
 use m4_testkit::shared;
 use safetensors::{Dtype, SafeTensors};
 use std::path::Path;

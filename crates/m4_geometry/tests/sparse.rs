@@ -1,8 +1,8 @@
 //! The sparse half on rendered images, and on the shared benchmark where it is present.
 
 use m4_core::{Camera, Intrinsics, Plane, RgbImage, Se3, Silent, Sim3, exp_so3, nalgebra::Vector3};
-use m4_geometry::reconstruction::{CameraMotion, Motion, SparseReconstruction};
-use m4_geometry::sparse::{SparseConfig, SparseError, track_features};
+use m4_geometry::classical::reconstruction::{CameraMotion, Motion, SparseReconstruction};
+use m4_geometry::classical::sparse::{SparseConfig, SparseError, track_features};
 
 const FRAMES: usize = 12;
 

@@ -6,7 +6,7 @@ use m4_core::{
     nalgebra::{Vector3, Vector6},
 };
 use m4_geometry::dba::{Grid, Pinhole};
-use m4_geometry::tracker::{Clip, FrameInput, Tracked, TrackerError, TrackerSettings, track};
+use m4_geometry::megasam::tracker::{Clip, FrameInput, Tracked, TrackerError, TrackerSettings, track};
 use std::convert::Infallible;
 
 const GRID: Grid = Grid { width: 96, height: 64 };

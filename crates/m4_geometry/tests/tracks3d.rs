@@ -4,8 +4,8 @@
 use crate::track_support::score::Score;
 use crate::track_support::{TrueFlow, clip, score};
 use m4_core::{Progress, Silent};
-use m4_geometry::dense::InverseSearch;
-use m4_geometry::tracks3d::{
+use m4_geometry::classical::dense::InverseSearch;
+use m4_geometry::tracks::{
     FlowTracker, PosedClip, PosedFrame, Query, QueryGrid, TrackConfig, TrackError, TrackedPoints, Tracker3d,
 };
 use m4_testkit::BoxScene;

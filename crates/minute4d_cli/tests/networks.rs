@@ -8,7 +8,7 @@ use minute4d::core::{Capture, Plane};
 use minute4d::device::{DeviceChoice, DeviceRequest};
 use minute4d::io::capture::{self, CaptureOptions, Split};
 use minute4d::io::image::write_rgb;
-use minute4d::reconstruction::tracker::TrackerSettings;
+use minute4d::reconstruction::megasam::tracker::TrackerSettings;
 use minute4d::{Existing, Job, Settings, Silent, geometry};
 use serde_json::Value;
 use std::path::Path;

@@ -3,7 +3,7 @@
 use super::causes::{likeliest, masks_turned};
 use super::reading::{Reading, depth_errors, errors};
 use super::samples::{ConsistencyError, Pair, Samples, samples};
-use crate::dense::FlowSource;
+use crate::classical::dense::FlowSource;
 use m4_core::{Camera, Capture, Progress, median, quantile};
 use serde::{Deserialize, Serialize};
 use std::fmt;

@@ -1,6 +1,6 @@
 //! Static pixels and their flow.
 
-use crate::dense::{FlowError, FlowImage, FlowPair, FlowSource, rgb_and_grey, working_size};
+use crate::classical::dense::{FlowError, FlowImage, FlowPair, FlowSource, rgb_and_grey, working_size};
 use m4_core::{Capture, CaptureFrame, CompactDepth, Progress};
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicUsize, Ordering};

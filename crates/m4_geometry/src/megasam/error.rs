@@ -1,9 +1,9 @@
 //! What can go wrong.
 
 use super::PairFlowError;
-use crate::cvd::{CvdError, PairError};
-use crate::tracker::TrackerError;
-use crate::tracker::mono::MonoError;
+use crate::megasam::cvd::{CvdError, PairError};
+use crate::megasam::tracker::TrackerError;
+use crate::megasam::tracker::mono::MonoError;
 
 /// Why there is no geometry.
 #[derive(Debug, thiserror::Error)]

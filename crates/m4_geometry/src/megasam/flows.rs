@@ -1,8 +1,8 @@
 //! Flow of the pairs of frames that depth is made consistent along.
 
 use super::MegasamError;
-use crate::cvd::pairs::{FlowView, FramePair, PairStore, consistency_mask, pair_list};
-use crate::dense::{FlowImage, FlowSource};
+use crate::classical::dense::{FlowImage, FlowSource};
+use crate::megasam::cvd::pairs::{FlowView, FramePair, PairStore, consistency_mask, pair_list};
 use m4_core::{Flow, Progress, RgbImage};
 
 /// Why a pair has no flow.

@@ -11,7 +11,7 @@
 //! ```
 //!
 //! Source: docs/spec/front-end.md 1; Li et al. 2025, "MegaSaM: Accurate, Fast, and Robust Structure and
-//! Motion from Casual Dynamic Videos", section 3. Networks are behind [`crate::tracker::Correspondence`] and [`PairFlow`], so that the
+//! Motion from Casual Dynamic Videos", section 3. Networks are behind [`crate::megasam::tracker::Correspondence`] and [`PairFlow`], so that the
 //! same way can be gone with known flow.
 //!
 //! **Conventions.** The library's outside: camera to world, principal point from the corner of the image, z-depth.
@@ -20,6 +20,10 @@
 //! instead, half a block off.
 //!
 //! **Unit.** The tracker works on disparities whose 98th percentile is 2; what comes out is back in the unit of the depth.
+
+pub mod cvd;
+pub mod graph;
+pub mod tracker;
 
 mod error;
 mod flows;

@@ -3,7 +3,7 @@
 use super::resample::{crop, resize_bilinear, resize_nearest};
 use super::size::CELL_PX;
 use super::{MegasamError, TrackingSize};
-use crate::tracker::mono::{MonoAlignment, MonoError, percentile};
+use crate::megasam::tracker::mono::{MonoAlignment, MonoError, percentile};
 use m4_core::Plane;
 
 /// Disparity in scene units below which a pixel counts as infinitely far: its depth would be clamped.

@@ -4,9 +4,9 @@ use super::flows::measure;
 use super::resample::{from_grid, resize_bilinear};
 use super::size::CELL_PX;
 use super::{DepthPrior, MegasamError, MegasamSettings, PairFlow, PriorKind, TrackingSize};
-use crate::cvd::{ConsistentDepth, CvdInput, optimise, uncertainty_of_static};
 use crate::dba::Observability;
-use crate::tracker::{self, Clip, Correspondence, FrameInput, Tracked};
+use crate::megasam::cvd::{ConsistentDepth, CvdInput, optimise, uncertainty_of_static};
+use crate::megasam::tracker::{self, Clip, Correspondence, FrameInput, Tracked};
 use m4_core::{Intrinsics, Plane, Progress, RgbImage, Se3};
 
 /// Disparity below which a pixel of the tracker's own counts as infinitely far, scene units.

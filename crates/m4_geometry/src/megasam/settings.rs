@@ -1,7 +1,7 @@
 //! Settings, with their sources.
 
-use crate::cvd::CvdSettings;
-use crate::tracker::TrackerSettings;
+use crate::megasam::cvd::CvdSettings;
+use crate::megasam::tracker::TrackerSettings;
 use serde::{Deserialize, Serialize};
 
 /// Share of motion (1 - static confidence) above which a pixel counts as dynamic. 0.7: the paper's tau.

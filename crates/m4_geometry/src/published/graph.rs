@@ -2,7 +2,7 @@
 
 use super::golden::Golden;
 use crate::dba::Geometry;
-use crate::graph::{
+use crate::megasam::graph::{
     FactorGraph, ProximitySettings, frame_distance, frame_distance_reference, neighbourhood, select_proximity,
 };
 
@@ -94,7 +94,7 @@ fn add(graph: &mut FactorGraph, golden: &Golden, matrix: &str, settings: &Proxim
     graph.add(&pairs, &geometry, &frames, make_room);
 }
 
-fn ends(edges: &[crate::graph::GraphEdge]) -> Vec<(usize, usize)> {
+fn ends(edges: &[crate::megasam::graph::GraphEdge]) -> Vec<(usize, usize)> {
     edges.iter().map(|e| e.ends()).collect()
 }
 

@@ -2,9 +2,9 @@
 
 use super::golden::{Golden, difference, pose_difference};
 use crate::dba::{Pinhole, project};
-use crate::graph::{EdgeChanges, GraphEdge};
-use crate::tracker::mono::MonoAlignment;
-use crate::tracker::{
+use crate::megasam::graph::{EdgeChanges, GraphEdge};
+use crate::megasam::tracker::mono::MonoAlignment;
+use crate::megasam::tracker::{
     Backend, Correspondence, CorrespondenceError, FrameInput, Frontend, Keyframes, PUBLISHED_TIME_GUARD, Revision,
     Submitted, TrackerSettings, interpolate_pose,
 };

@@ -1,8 +1,8 @@
 //! Correspondences from optical flow that is computed once a pair.
 
 use m4_geometry::dba::Grid;
-use m4_geometry::graph::{EdgeChanges, EdgeId};
-use m4_geometry::tracker::{Correspondence, CorrespondenceError, Revision};
+use m4_geometry::megasam::graph::{EdgeChanges, EdgeId};
+use m4_geometry::megasam::tracker::{Correspondence, CorrespondenceError, Revision};
 use std::collections::HashMap;
 
 /// Flow from one frame to another. Planes are `[height * width]` on the grid of the tracker.

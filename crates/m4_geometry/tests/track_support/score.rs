@@ -1,7 +1,7 @@
 //! How far tracks are from the truth.
 
 use m4_core::nalgebra::Vector3;
-use m4_geometry::tracks3d::{PosedFrame, TrackedPoints};
+use m4_geometry::tracks::{PosedFrame, TrackedPoints};
 use m4_testkit::BoxScene;
 use std::fmt;
 

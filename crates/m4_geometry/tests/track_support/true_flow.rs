@@ -1,7 +1,7 @@
 //! The flow of boxes, as it is.
 
 use m4_core::{Flow, RgbImage};
-use m4_geometry::dense::{FlowError, FlowImage, FlowSource};
+use m4_geometry::classical::dense::{FlowError, FlowImage, FlowSource};
 use m4_testkit::BoxScene;
 
 /// True flow: images are known by their pixels.

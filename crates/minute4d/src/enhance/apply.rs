@@ -11,9 +11,9 @@ use crate::record::plain_json;
 use crate::steps::Steps;
 use crate::{Error, Settings};
 use m4_core::{Capture, Progress};
-use m4_geometry::dense::{FlowSource, InverseSearch};
-use m4_geometry::instances::InstanceReport;
-use m4_geometry::tracks3d::{CaptureClip, FlowTracker, QueryGrid, TrackConfig, Tracker3d};
+use m4_geometry::classical::dense::{FlowSource, InverseSearch};
+use m4_geometry::masks::InstanceReport;
+use m4_geometry::tracks::{CaptureClip, FlowTracker, QueryGrid, TrackConfig, Tracker3d};
 
 /// Refines masks, then tracks points in them, each a step; returns the statistics of objects if a method tracked them.
 ///

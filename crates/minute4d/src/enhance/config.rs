@@ -1,6 +1,6 @@
 //! Settings of the enhancement.
 
-use m4_geometry::instances::RefineSettings;
+use m4_geometry::masks::RefineSettings;
 use serde::{Deserialize, Serialize};
 
 /// Who follows points of what moves.

@@ -1,8 +1,8 @@
 //! Errors of mask refinement and point tracking.
 
 use crate::error::Category;
-use m4_geometry::instances::InstanceError;
-use m4_geometry::tracks3d::TrackError;
+use m4_geometry::masks::InstanceError;
+use m4_geometry::tracks::TrackError;
 
 /// Why masks could not be refined or points not be followed.
 #[derive(Debug, thiserror::Error)]

@@ -2,8 +2,8 @@
 
 use crate::Error;
 use crate::geometry::{self, Segmenter};
-use m4_geometry::dense::{self, FlowSource, InverseSearch};
-use m4_geometry::instances::FlowFollower;
+use m4_geometry::classical::dense::{self, FlowSource, InverseSearch};
+use m4_geometry::masks::FlowFollower;
 
 /// Classical flow, and a segmenter of single images or none.
 pub struct Follower {

@@ -1,10 +1,10 @@
 //! Better masks for a capture (Minute4D sec. 3.2): dynamic objects are separated, segmented and tracked through the clip.
 //!
 //! ```text
-//! capture (motion maps, or masks) --m4_geometry::instances, with an object tracker--> capture (masks, instances), report
+//! capture (motion maps, or masks) --m4_geometry::masks, with an object tracker--> capture (masks, instances), report
 //! ```
 //!
-//! [`make`] is `minute4d enhance`, which also follows points in the new masks ([`m4_geometry::tracks3d`]); the geometry stage does the same to what its
+//! [`make`] is `minute4d enhance`, which also follows points in the new masks ([`m4_geometry::tracks`]); the geometry stage does the same to what its
 //! front ends find. [`masks`] does the first half on a capture in memory, with any [`VideoSegmenter`]; [`Follower`] is the one that needs no network
 //! with a memory.
 
@@ -35,8 +35,8 @@ pub(crate) use plan::{Before, Plan};
 use crate::Error;
 use crate::record::write_json;
 use m4_core::{Capture, CompactIds, CompactMask, Plane, Progress, RgbImage};
-use m4_geometry::dense::FlowSource;
-use m4_geometry::instances::{
+use m4_geometry::classical::dense::FlowSource;
+use m4_geometry::masks::{
     Coarse, FrameSource, ImageError, InstanceReport, RefineInput, RefineSettings, RefinedFrame, VideoSegmenter, refine,
 };
 use m4_io::capture::Split;
@@ -144,7 +144,7 @@ mod tests {
     use crate::geometry::Segmenter;
     use crate::{Category, Error};
     use m4_core::{Camera, Capture, CaptureFrame, CompactMask, Intrinsics, Plane, Silent};
-    use m4_geometry::instances::{InstanceReport, RefineSettings};
+    use m4_geometry::masks::{InstanceReport, RefineSettings};
     use m4_io::capture::{CaptureOptions, Split};
 
     const SIZE: (usize, usize) = (96, 72);

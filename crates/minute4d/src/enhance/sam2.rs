@@ -1,7 +1,7 @@
 //! SAM 2 as an object tracker.
 
 use m4_core::{CompactMask, Plane, Progress};
-use m4_geometry::instances::{
+use m4_geometry::masks::{
     FrameSource, ObjectId, ObjectMask, ObjectPrompt, VideoError, VideoSegmenter, VideoSession, Visibility,
 };
 use m4_nets::sam2::{self, Clip as NetClip, Direction, Sam2Error, VideoOptions, VideoPredictor};

@@ -10,7 +10,7 @@ use crate::progress::RecordingObserver;
 use crate::record::{GeometryRecord, Input, plain_json};
 use crate::{Error, Job, hash};
 use m4_core::CompactMask;
-use m4_geometry::dense::DenseConfig;
+use m4_geometry::classical::dense::DenseConfig;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::time::Instant;

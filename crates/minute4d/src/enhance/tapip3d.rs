@@ -1,7 +1,7 @@
 //! TAPIP3D as a point tracker.
 
 use m4_core::{Camera, DepthMap, Progress, RgbImage};
-use m4_geometry::tracks3d::{PosedClip, Query, TrackError, TrackedPoints, Tracker3d};
+use m4_geometry::tracks::{PosedClip, Query, TrackError, TrackedPoints, Tracker3d};
 use m4_nets::tapip3d::{self, ClipError};
 use m4_nets::{PointQuery, Tapip3d, Tapip3dError, Tapip3dOptions};
 

@@ -24,9 +24,9 @@ use crate::settings::SettingsError;
 use crate::viewer::ViewerError;
 use m4_eval::geometry::GeometryError;
 use m4_eval::image::ImageError;
-use m4_geometry::dense::DenseError;
+use m4_geometry::classical::dense::DenseError;
+use m4_geometry::classical::sparse::SparseError;
 use m4_geometry::megasam::MegasamError;
-use m4_geometry::sparse::SparseError;
 use m4_io::ErrorKind;
 use m4_io::capture::WriteCaptureError;
 use m4_io::dataset::ReadSourceError;
@@ -255,8 +255,8 @@ impl Error {
 #[cfg(test)]
 mod tests {
     use super::{Category, Error, OutputError, ReadVideoError, ServeError};
-    use m4_geometry::dense::DenseError;
-    use m4_geometry::tracks3d::TrackError;
+    use m4_geometry::classical::dense::DenseError;
+    use m4_geometry::tracks::TrackError;
     use std::error::Error as _;
     use std::io;
     use std::path::PathBuf;

@@ -2,7 +2,7 @@
 
 use crate::steps::Steps;
 use m4_core::Flow;
-use m4_geometry::dense::{FlowError, FlowImage, FlowSource};
+use m4_geometry::classical::dense::{FlowError, FlowImage, FlowSource};
 
 /// A source of flow whose results are cached. The same images are measured again after an interruption, and when depth is estimated
 /// again with better cameras.
@@ -80,7 +80,7 @@ mod tests {
     use crate::Silent;
     use crate::steps::Steps;
     use m4_core::Flow;
-    use m4_geometry::dense::{FlowError, FlowImage, FlowSource, InverseSearch};
+    use m4_geometry::classical::dense::{FlowError, FlowImage, FlowSource, InverseSearch};
     use std::sync::atomic::{AtomicUsize, Ordering};
 
     static MEASURED: AtomicUsize = AtomicUsize::new(0);

@@ -11,9 +11,9 @@ use super::scale::rescale;
 use crate::Error;
 use crate::record::GeometrySummary;
 use m4_core::{Camera, Capture, DepthMap, RgbImage, Tracks};
-use m4_geometry::dense::{Dense, MonoDepth, NoDepth, Segmenter, SensorDepth, Sources, estimate};
-use m4_geometry::reconstruction::CameraMotion;
-use m4_geometry::sparse::{self, FeatureTracks, Recovered, SparseConfig};
+use m4_geometry::classical::dense::{Dense, MonoDepth, NoDepth, Segmenter, SensorDepth, Sources, estimate};
+use m4_geometry::classical::reconstruction::CameraMotion;
+use m4_geometry::classical::sparse::{self, FeatureTracks, Recovered, SparseConfig};
 
 /// Reconstructs `clip`.
 ///

@@ -5,7 +5,7 @@ use super::given::Given;
 use super::methods::Context;
 use crate::Error;
 use m4_core::{Camera, Capture, CaptureFrame, CompactDepth, CompactMask, Plane, RgbImage, Tracks, Video};
-use m4_geometry::sparse::SparseConfig;
+use m4_geometry::classical::sparse::SparseConfig;
 use std::path::Path;
 
 /// A clip and what is known of it.

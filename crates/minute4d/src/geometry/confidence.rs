@@ -1,9 +1,9 @@
 //! The confidence of the geometry: numbers, a grade and one piece of advice.
 
 use m4_core::median;
-use m4_geometry::dense::DenseFrame;
-use m4_geometry::reconstruction::{CameraMotion, Motion, SparseReconstruction};
-use m4_geometry::sparse::FocalSource;
+use m4_geometry::classical::dense::DenseFrame;
+use m4_geometry::classical::reconstruction::{CameraMotion, Motion, SparseReconstruction};
+use m4_geometry::classical::sparse::FocalSource;
 use serde::{Deserialize, Serialize};
 
 /// How good geometry is likely to be.
@@ -252,7 +252,7 @@ fn parallax_rad(sparse: &SparseReconstruction) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::{Circumstances, Confidence, Focal, Grade};
-    use m4_geometry::reconstruction::CameraMotion;
+    use m4_geometry::classical::reconstruction::CameraMotion;
 
     const FINE: Confidence = Confidence {
         grade: Grade::Good,

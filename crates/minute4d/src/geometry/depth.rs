@@ -5,7 +5,7 @@ use super::given::Given;
 use super::scale::{depth_ratio, rescale, typical_depth};
 use crate::{Error, Observer};
 use m4_core::DepthMap;
-use m4_geometry::reconstruction::{CameraMotion, SparseReconstruction};
+use m4_geometry::classical::reconstruction::{CameraMotion, SparseReconstruction};
 
 /// Given poses and given depth whose units differ by more than this factor do not fit.
 const UNITS: f64 = 1.25;

@@ -1,10 +1,10 @@
 //! Errors of the reconstruction of cameras, depth and masks.
 
 use crate::Category;
-use m4_geometry::dense::DenseError;
+use m4_geometry::classical::dense::DenseError;
+use m4_geometry::classical::sparse::SparseError;
 use m4_geometry::megasam::MegasamError;
-use m4_geometry::sparse::SparseError;
-use m4_geometry::tracks3d::TrackError;
+use m4_geometry::tracks::TrackError;
 
 /// Why nothing could be reconstructed from a video.
 #[derive(Debug, thiserror::Error)]

@@ -57,8 +57,8 @@ pub const STAGE: &str = "geometry";
 #[derive(Serialize)]
 struct Part<'a> {
     video: &'a m4_io::video::VideoOptions,
-    sparse: &'a m4_geometry::sparse::SparseConfig,
-    dense: &'a m4_geometry::dense::DenseConfig,
+    sparse: &'a m4_geometry::classical::sparse::SparseConfig,
+    dense: &'a m4_geometry::classical::dense::DenseConfig,
     /// Of random samples.
     seed: u64,
     /// The requested value.

@@ -2,7 +2,7 @@
 
 use super::GivenError;
 use m4_core::{DepthMap, median};
-use m4_geometry::reconstruction::SparseReconstruction;
+use m4_geometry::classical::reconstruction::SparseReconstruction;
 
 /// Fewest points whose depth must be given.
 const NEEDED: usize = 30;

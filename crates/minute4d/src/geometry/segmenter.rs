@@ -3,7 +3,7 @@
 use crate::Error;
 #[cfg(not(feature = "nets"))]
 use crate::error::{NetworkError, NetworkMethod};
-use m4_geometry::dense;
+use m4_geometry::classical::dense;
 use serde::{Deserialize, Serialize};
 
 /// The segmentation method.
@@ -114,7 +114,7 @@ mod network {
     use crate::weights::{self, State, Store, WeightsError};
     use crate::{Error, hash};
     use m4_core::{Plane, RgbImage};
-    use m4_geometry::dense::{self, SegmentError, SegmentMask, SegmentPrompt};
+    use m4_geometry::classical::dense::{self, SegmentError, SegmentMask, SegmentPrompt};
     use m4_nets::{MobileSam, PointPrompt, Prompt, SamError};
     use std::path::PathBuf;
 
@@ -233,7 +233,7 @@ mod network {
 mod tests {
     use super::network::Weights;
     use m4_core::{Plane, RgbImage};
-    use m4_geometry::dense::{SegmentPrompt, Segmenter};
+    use m4_geometry::classical::dense::{SegmentPrompt, Segmenter};
 
     const FULL: (usize, usize) = (480, 270);
     const SMALL: (usize, usize) = (240, 135);

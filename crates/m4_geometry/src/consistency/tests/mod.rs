@@ -3,7 +3,7 @@
 mod room;
 
 use super::{Cause, Verdict, check, fixed};
-use crate::dense::InverseSearch;
+use crate::classical::dense::InverseSearch;
 use m4_core::{Capture, CompactDepth, CompactMask, Silent};
 use m4_io::capture::{self, CaptureOptions, Split};
 

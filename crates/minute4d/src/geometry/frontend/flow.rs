@@ -1,8 +1,8 @@
 //! Networks for optical flow.
 
 use m4_core::{Flow, Plane, RgbImage};
-use m4_geometry::cvd::pairs::FramePair;
-use m4_geometry::dense::{FlowError, FlowImage, FlowSource};
+use m4_geometry::classical::dense::{FlowError, FlowImage, FlowSource};
+use m4_geometry::megasam::cvd::pairs::FramePair;
 use m4_geometry::megasam::{PairFlow, PairFlowError};
 use m4_nets::{Raft, raft::LowFlow};
 use std::collections::HashMap;

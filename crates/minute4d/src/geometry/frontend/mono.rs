@@ -1,7 +1,7 @@
 //! Monocular depth of every frame.
 
 use m4_core::{Plane, RgbImage};
-use m4_geometry::dense::{MonoDepth, MonoError, MonoKind, MonoMap};
+use m4_geometry::classical::dense::{MonoDepth, MonoError, MonoKind, MonoMap};
 #[cfg(feature = "nets")]
 use m4_geometry::megasam::{DepthPrior, MegasamError, TrackingSize};
 use std::borrow::Cow;

@@ -5,7 +5,7 @@ use crate::Error;
 use crate::device::NetworkDevice;
 use crate::steps::Steps;
 use m4_core::RgbImage;
-use m4_geometry::dense::{FlowSource, InverseSearch};
+use m4_geometry::classical::dense::{FlowSource, InverseSearch};
 
 impl Plan {
     /// The source of flow; a recurrent network takes `iterations`.
@@ -53,7 +53,7 @@ mod networks {
     use super::super::{Part, Plan};
     use super::{Error, NetworkDevice};
     use crate::error::{NetworkError, NetworkMethod};
-    use m4_geometry::dense::FlowSource;
+    use m4_geometry::classical::dense::FlowSource;
     use m4_geometry::megasam::PairFlow;
     use m4_nets::{LoadError, Raft};
 

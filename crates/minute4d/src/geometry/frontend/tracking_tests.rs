@@ -3,12 +3,12 @@
 use super::{NetworkCorrespondence, memory};
 use m4_core::{Plane, RgbImage, Se3, Silent};
 use m4_geometry::dba::{DbaOptions, Factor, Geometry, Grid, Pinhole, Problem, adjust, project};
-use m4_geometry::graph::{EdgeChanges, FactorGraph};
-use m4_geometry::megasam::{MegasamInput, MegasamSettings, SourceFlow, TrackingSize, reconstruct, track};
-use m4_geometry::tracker::{
+use m4_geometry::megasam::graph::{EdgeChanges, FactorGraph};
+use m4_geometry::megasam::tracker::{
     Correspondence, CorrespondenceError, EdgeRevision, FrameInput, Frontend, Revision, SourceRevision, Submitted,
     TrackerSettings,
 };
+use m4_geometry::megasam::{MegasamInput, MegasamSettings, SourceFlow, TrackingSize, reconstruct, track};
 use m4_nets::droid::{MemoryOptions, Storage};
 use m4_nets::{DroidNet, cpu};
 use m4_testkit::write_formula_weights;
@@ -164,7 +164,7 @@ fn a_clip_goes_all_the_way_and_gives_the_same_bits_again() {
     };
     settings.cvd.steps = [3, 4];
     let size = TrackingSize::new((SIDE, SIDE), settings.tracking_pixels).unwrap();
-    let search = m4_geometry::dense::InverseSearch;
+    let search = m4_geometry::classical::dense::InverseSearch;
     let run = |budget_mb: usize, threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| {

@@ -1,0 +1,167 @@
+//! Dense optical flow: inverse search on patches, refined by a variational energy, coarse to fine.
+
+mod pyramid;
+mod search;
+mod source;
+mod variational;
+
+use super::working::WorkingFrame;
+use m4_core::{Flow, bilinear_cell};
+use pyramid::Pyramid;
+pub use source::{FlowError, FlowImage, FlowSource, InverseSearch};
+
+/// Bilinear colour at `(x, y)`, clamped to the image.
+pub(super) fn bilinear_rgb(width: usize, height: usize, plane: &[[u8; 3]], x: f32, y: f32) -> [f32; 3] {
+    let (i, wx, wy) = bilinear_cell(width, height, x, y);
+    std::array::from_fn(|c| {
+        let at = |k: usize| f32::from(plane[k][c]);
+        let top = at(i) * (1.0 - wx) + at(i + 1) * wx;
+        let bottom = at(i + width) * (1.0 - wx) + at(i + width + 1) * wx;
+        top * (1.0 - wy) + bottom * wy
+    })
+}
+
+/// Flow between a frame and the next, both ways.
+pub(crate) struct FlowPair {
+    pub forward: Flow,
+    pub backward: Flow,
+    /// `[height][width]`: see [`round_trip_px`].
+    pub forward_round_trip: Vec<f32>,
+    pub backward_round_trip: Vec<f32>,
+}
+
+impl FlowPair {
+    pub(in crate::classical::dense) fn new(
+        a: &WorkingFrame,
+        b: &WorkingFrame,
+        source: &dyn FlowSource,
+    ) -> Result<Self, FlowError> {
+        Self::between(&a.flow_image(), &b.flow_image(), source)
+    }
+
+    pub fn between(a: &FlowImage<'_>, b: &FlowImage<'_>, source: &dyn FlowSource) -> Result<Self, FlowError> {
+        let (forward, backward) = source.both(a, b)?;
+        let expected = (a.width, a.height);
+        for flow in [&forward, &backward] {
+            let found = (flow.width, flow.height);
+            let n = expected.0 * expected.1;
+            if found != expected || flow.u.len() != n || flow.v.len() != n {
+                return Err(FlowError::Size { found, expected });
+            }
+        }
+        Ok(Self {
+            forward_round_trip: round_trip_px(&forward, &backward),
+            backward_round_trip: round_trip_px(&backward, &forward),
+            forward,
+            backward,
+        })
+    }
+}
+
+/// The flow from `a` to `b`.
+fn flow(a: &Pyramid, b: &Pyramid) -> Flow {
+    let mut flow: Option<Flow> = None;
+    for (a, b) in a.levels.iter().zip(&b.levels).rev() {
+        let start = match &flow {
+            Some(coarse) => coarse.resized(a.width, a.height),
+            None => Flow::zero(a.width, a.height),
+        };
+        let mut fine = search::search(a, b, &start);
+        variational::refine(a, b, &mut fine);
+        flow = Some(fine);
+    }
+    flow.unwrap_or_default()
+}
+
+/// How far a pixel lands from where it started after going there and back, pixels; infinite outside.
+pub(crate) fn round_trip_px(there: &Flow, back: &Flow) -> Vec<f32> {
+    let (w, h) = (there.width, there.height);
+    let mut out = vec![0.0; w * h];
+    for y in 0..h {
+        for x in 0..w {
+            let i = y * w + x;
+            let (qx, qy) = (x as f32 + there.u[i], y as f32 + there.v[i]);
+            let inside = qx >= 0.0 && qy >= 0.0 && qx <= (w - 1) as f32 && qy <= (h - 1) as f32;
+            out[i] = if inside {
+                let (u, v) = back.at(qx, qy);
+                (there.u[i] + u).hypot(there.v[i] + v)
+            } else {
+                f32::INFINITY
+            };
+        }
+    }
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Pyramid, flow, round_trip_px};
+
+    const W: usize = 96;
+    const H: usize = 72;
+
+    /// Waves of every length from 100 px down to 9 px, the longer the stronger, as images have.
+    fn texture(x: f32, y: f32) -> f32 {
+        let wave = |k: u32| {
+            let (length, turn) = (100.0 * 0.8f32.powi(k as i32), 2.4 * k as f32);
+            let phase = (x * turn.cos() + y * turn.sin()) * std::f32::consts::TAU / length;
+            length.sqrt() * (phase + 1.7 * k as f32).sin()
+        };
+        128.0 + 3.0 * (0..12).map(wave).sum::<f32>()
+    }
+
+    /// `b` shows at `p + motion(p)` what `a` shows at `p`; `inverse` undoes `p + motion(p)`.
+    fn error_px(
+        motion: impl Fn(f32, f32) -> (f32, f32),
+        inverse: impl Fn(f32, f32) -> (f32, f32),
+        gain: f32,
+    ) -> (f32, f32) {
+        let (mut a, mut b) = (Vec::new(), Vec::new());
+        for i in 0..W * H {
+            let (x, y) = ((i % W) as f32, (i / W) as f32);
+            let (bx, by) = inverse(x, y);
+            a.push(texture(x, y));
+            b.push(gain * texture(bx, by));
+        }
+        let (a, b) = (Pyramid::new(W, H, &a), Pyramid::new(W, H, &b));
+        let (there, back) = (flow(&a, &b), flow(&b, &a));
+        let trip = round_trip_px(&there, &back);
+        let (mut sum, mut trips, mut count) = (0.0, 0.0, 0.0);
+        for y in 12..H - 12 {
+            for x in 12..W - 12 {
+                let (u, v) = motion(x as f32, y as f32);
+                sum += (there.u[y * W + x] - u).hypot(there.v[y * W + x] - v);
+                trips += trip[y * W + x];
+                count += 1.0;
+            }
+        }
+        (sum / count, trips / count)
+    }
+
+    #[test]
+    fn a_shift_is_found_to_a_tenth_of_a_pixel() {
+        let (error, trip) = error_px(|_, _| (3.4, -2.3), |x, y| (x - 3.4, y + 2.3), 1.0);
+        assert!(error < 0.1 && trip < 0.1, "{error} {trip}");
+    }
+
+    #[test]
+    fn a_large_shift_with_other_exposure_is_found() {
+        let (error, _) = error_px(|_, _| (-9.6, 4.2), |x, y| (x + 9.6, y - 4.2), 1.05);
+        assert!(error < 0.25, "{error}");
+    }
+
+    #[test]
+    fn a_zoom_is_found() {
+        let (cx, cy, s) = (48.0, 36.0, 1.06);
+        let motion = |x: f32, y: f32| ((s - 1.0) * (x - cx), (s - 1.0) * (y - cy));
+        let (error, _) = error_px(motion, |x, y| (cx + (x - cx) / s, cy + (y - cy) / s), 1.0);
+        assert!(error < 0.1, "{error}");
+    }
+
+    #[test]
+    fn flow_of_flat_images_is_zero() {
+        let flat = Pyramid::new(W, H, &vec![77.0; W * H]);
+        let found = flow(&flat, &flat);
+        assert!(found.u.iter().chain(&found.v).all(|v| v.abs() < 1e-3));
+    }
+}

@@ -1,0 +1,520 @@
+//! From synthetic tracks to reconstructions with known answers.
+
+use super::luma::WorkingSize;
+use super::posed::posed_tracks;
+use super::reconstruct::from_tracks;
+use super::tracking::RawTrack;
+use super::{SparseConfig, SparseError};
+use crate::classical::reconstruction::{CameraMotion, Motion, SparseReconstruction, Track};
+use m4_core::{Camera, CounterRng, Intrinsics, Plane, Se3, Silent, Sim3, exp_so3, log_so3, nalgebra::Vector3};
+use m4_testkit::StopAtPoll;
+
+const WIDTH: usize = 640;
+const HEIGHT: usize = 480;
+
+/// What the camera and the points do.
+#[derive(Clone, Copy)]
+struct Scene {
+    frames: usize,
+    points: usize,
+    focal: f64,
+    /// Units per frame; the room is some 10 units deep.
+    step: f64,
+    /// Which way it goes.
+    way: [f64; 3],
+    /// Radians per frame.
+    turn: f64,
+    /// Focal length of the last frame over that of the first.
+    zoom: f64,
+    /// Share of points that move.
+    moving: f64,
+    noise_px: f64,
+}
+
+const ROOM: Scene = Scene {
+    frames: 30,
+    points: 500,
+    focal: 520.0,
+    step: 0.05,
+    way: [1.0, 0.6, 0.3],
+    turn: 0.006,
+    zoom: 1.0,
+    moving: 0.2,
+    noise_px: 0.15,
+};
+
+impl Scene {
+    fn pose(&self, frame: usize) -> Se3<f64> {
+        let t = frame as f64;
+        let sway = (0.3 * t).sin();
+        Se3 {
+            rotation: exp_so3(&(Vector3::new(0.3 * sway, t, 0.2 * sway) * self.turn)),
+            translation: Vector3::new(self.way[0] * t, self.way[1] * sway, self.way[2] * t) * -self.step,
+        }
+    }
+
+    fn focal(&self, frame: usize) -> f64 {
+        self.focal * self.zoom.powf(frame as f64 / (self.frames - 1) as f64)
+    }
+
+    /// Tracks and, for each, whether its point moves.
+    fn tracks(&self) -> (Vec<RawTrack>, Vec<bool>) {
+        let mut rng = CounterRng::new(21, 0, 0);
+        let (mut tracks, mut moving) = (Vec::new(), Vec::new());
+        for i in 0..self.points {
+            let birth = rng.below(self.frames + 12).saturating_sub(12);
+            let life = 6 + rng.below(self.frames);
+            let depth = 3.0 + 7.0 * rng.uniform();
+            let pixel = [WIDTH, HEIGHT].map(|n| n as f64 * (rng.uniform() - 0.5));
+            let focal = self.focal(birth);
+            let ray = Vector3::new(pixel[0] / focal, pixel[1] / focal, 1.0);
+            let x = self.pose(birth).inverse().transform(&(ray * depth));
+            let moves = (i as f64) < self.moving * self.points as f64;
+            let direction = Vector3::from_fn(|_, _| 0.06 * rng.normal());
+            let mut track = RawTrack {
+                first: birth,
+                seen: Vec::new(),
+            };
+            for frame in birth..(birth + life).min(self.frames) {
+                let t = (frame - birth) as f64;
+                let bend = Vector3::new((0.4 * t).sin(), (0.5 * t).cos(), 0.0) * 0.1;
+                let at = if moves { x + direction * t + bend } else { x };
+                let p = self.pose(frame).transform(&at);
+                let focal = self.focal(frame);
+                let q = [focal * p.x / p.z, focal * p.y / p.z];
+                if p.z < 0.5 || q[0].abs() > WIDTH as f64 / 2.0 || q[1].abs() > HEIGHT as f64 / 2.0 {
+                    break;
+                }
+                track.seen.push(q.map(|v| v + self.noise_px * rng.normal()));
+            }
+            if track.seen.len() >= 2 {
+                tracks.push(track);
+                moving.push(moves);
+            }
+        }
+        (tracks, moving)
+    }
+}
+
+fn solve(tracks: Vec<RawTrack>, frames: usize, config: &SparseConfig) -> Result<SparseReconstruction, SparseError> {
+    let size = WorkingSize::new(WIDTH, HEIGHT, WIDTH);
+    from_tracks(tracks, frames, [WIDTH, HEIGHT], size, None, config, &Silent).map(|r| r.sparse)
+}
+
+#[test]
+fn it_stops_when_asked() {
+    let scene = Scene { frames: 12, ..ROOM };
+    let (tracks, _) = scene.tracks();
+    let size = WorkingSize::new(WIDTH, HEIGHT, WIDTH);
+    let config = SparseConfig::default();
+    let go = |stop: &StopAtPoll| {
+        let tracks = tracks.clone();
+        from_tracks(tracks, scene.frames, [WIDTH, HEIGHT], size, None, &config, stop).map(|_| ())
+    };
+    let counter = StopAtPoll::after(usize::MAX);
+    go(&counter).unwrap();
+    let polls = counter.asked();
+    assert!(polls > 50, "asked {polls} times only");
+    for at in (0..polls).step_by(polls / 16) {
+        let stopped = go(&StopAtPoll::after(at));
+        assert!(matches!(stopped, Err(SparseError::Cancelled)), "{stopped:?}");
+    }
+}
+
+/// Trajectory error over path length after alignment, and the greatest rotation error in radians
+/// relative to frame 0.
+fn errors(found: &SparseReconstruction, scene: &Scene) -> (f64, f64) {
+    let want: Vec<Se3<f64>> = (0..scene.frames).map(|i| scene.pose(i).inverse()).collect();
+    let centres = |poses: &[Se3<f64>]| poses.iter().map(|p| p.translation).collect::<Vec<_>>();
+    let ours: Vec<Se3<f64>> = found.cameras.iter().map(|c| c.c2w).collect();
+    let turn = (0..scene.frames)
+        .map(|i| {
+            let a = ours[0].rotation.tr_mul(&ours[i].rotation);
+            let b = want[0].rotation.tr_mul(&want[i].rotation);
+            log_so3(&a.tr_mul(&b)).norm()
+        })
+        .fold(0.0, f64::max);
+    let want = centres(&want);
+    let path: f64 = want.windows(2).map(|w| (w[1] - w[0]).norm()).sum();
+    let Some(fit) = Sim3::umeyama(&centres(&ours), &want) else {
+        return (f64::INFINITY, turn);
+    };
+    let squared: f64 = centres(&ours)
+        .iter()
+        .zip(&want)
+        .map(|(a, b)| (fit.transform(a) - b).norm_squared())
+        .sum();
+    ((squared / want.len() as f64).sqrt() / path, turn)
+}
+
+#[test]
+fn a_room_with_a_fifth_of_moving_points() {
+    let (tracks, moving) = ROOM.tracks();
+    let found = solve(tracks, ROOM.frames, &SparseConfig::default()).expect("a reconstruction");
+    let (trajectory, turn) = errors(&found, &ROOM);
+    let focal = found.cameras[0].intrinsics.fx;
+    assert_eq!(found.camera_motion, CameraMotion::Parallax);
+    assert!(trajectory < 0.004, "trajectory error {trajectory}");
+    assert!(turn < 0.005, "rotation error {turn}");
+    assert!((focal / ROOM.focal - 1.0).abs() < 0.02, "focal {focal}");
+    assert!(
+        found.residual_px < 0.3 && found.warnings.is_empty(),
+        "{:?}",
+        found.warnings
+    );
+    let judged = |motion: Motion, moves: bool| {
+        let pairs = found.tracks.iter().zip(&moving);
+        pairs.filter(|(t, m)| t.motion == motion && **m == moves).count() as f64
+    };
+    let (hit, miss) = (judged(Motion::Dynamic, true), judged(Motion::Static, true));
+    assert!(hit > 0.85 * (hit + miss), "{hit} of {} moving tracks found", hit + miss);
+    let (rest, wrong) = (judged(Motion::Static, false), judged(Motion::Dynamic, false));
+    assert!(
+        wrong < 0.02 * (rest + wrong),
+        "{wrong} of {} resting tracks called moving",
+        rest + wrong
+    );
+    // The world is the first camera, and the median depth is 1.
+    assert!((found.cameras[0].c2w.matrix() - Se3::identity().matrix()).norm() < 1e-9);
+    for (t, moves) in found.tracks.iter().zip(&moving) {
+        if let (Some(x), false) = (t.point, moves) {
+            let (p, z) = found.cameras[t.first_frame].project(&x);
+            let o = t.observations[0];
+            assert!(z > 0.0 && (p[0] - f64::from(o[0])).hypot(p[1] - f64::from(o[1])) < 3.0);
+        }
+    }
+}
+
+#[test]
+fn a_wide_and_a_long_lens_are_found() {
+    for (focal, tolerance) in [(300.0, 0.03), (900.0, 0.05)] {
+        let scene = Scene { focal, ..ROOM };
+        let found = solve(scene.tracks().0, scene.frames, &SparseConfig::default()).expect("a reconstruction");
+        let got = found.cameras[0].intrinsics.fx;
+        assert!(
+            (got / focal - 1.0).abs() < tolerance,
+            "{got} where {focal} was expected"
+        );
+        assert!(errors(&found, &scene).0 < 0.01, "{:?}", errors(&found, &scene));
+    }
+}
+
+#[test]
+fn given_focal_length_is_used() {
+    let config = SparseConfig {
+        focal_px: Some(530.0),
+        fov_deg: Some(40.0),
+        ..SparseConfig::default()
+    };
+    let found = solve(ROOM.tracks().0, ROOM.frames, &config).expect("a reconstruction");
+    assert!((found.cameras[0].intrinsics.fx - 530.0).abs() < 1e-9);
+    assert!(errors(&found, &ROOM).0 < 0.02);
+}
+
+#[test]
+fn turning_camera_gives_rotations_and_is_reported() {
+    let scene = Scene {
+        step: 0.0,
+        turn: 0.012,
+        moving: 0.1,
+        ..ROOM
+    };
+    let (tracks, moving) = scene.tracks();
+    let found = solve(tracks, scene.frames, &SparseConfig::default()).expect("rotations");
+    assert_eq!(found.camera_motion, CameraMotion::RotationOnly);
+    let focal = found.cameras[0].intrinsics.fx;
+    assert!((focal / scene.focal - 1.0).abs() < 0.15, "focal {focal}");
+    assert!(errors(&found, &scene).1 < 0.05, "{}", errors(&found, &scene).1);
+    assert!(found.cameras.iter().all(|c| c.centre().norm() == 0.0));
+    assert!(found.tracks.iter().all(|t| t.point.is_none()));
+    assert_eq!(found.warnings.len(), 1, "{:?}", found.warnings);
+    let wrong = found
+        .tracks
+        .iter()
+        .zip(&moving)
+        .filter(|(t, m)| t.motion == Motion::Dynamic && !**m);
+    assert!(wrong.count() < 20);
+}
+
+#[test]
+fn zoom_gives_rotations_and_intrinsics_per_frame() {
+    let scene = Scene {
+        step: 0.0,
+        zoom: 1.8,
+        ..ROOM
+    };
+    let (tracks, moving) = scene.tracks();
+    let found = solve(tracks.clone(), scene.frames, &SparseConfig::default()).unwrap();
+    assert_eq!(found.camera_motion, CameraMotion::RotationOnly, "{:?}", found.warnings);
+    assert_eq!(found.warnings.len(), 1, "{:?}", found.warnings);
+    assert!(found.warnings[0].contains("the lens zooms"), "{:?}", found.warnings);
+    let lens = |frame: usize| found.cameras[frame].intrinsics.fx;
+    assert!(
+        (lens(29) / lens(0) / 1.8 - 1.0).abs() < 0.01,
+        "{} {}",
+        lens(0),
+        lens(29)
+    );
+    // Tracks are where they were seen.
+    let seen = found.tracks[7].observations[3];
+    let raw = tracks[7].seen[3];
+    assert!(
+        (f64::from(seen[0]) + 0.5 - 320.0 - raw[0]).abs() < 1e-3,
+        "{seen:?} {raw:?}"
+    );
+    assert!(
+        (f64::from(seen[1]) + 0.5 - 240.0 - raw[1]).abs() < 1e-3,
+        "{seen:?} {raw:?}"
+    );
+    let right = found.tracks.iter().zip(&moving).filter(|(t, moves)| match t.motion {
+        Motion::Static => !**moves,
+        Motion::Dynamic => **moves,
+        Motion::Unknown => true,
+    });
+    assert!(right.count() * 10 > 9 * moving.len());
+    // A given field of view is that of the first frame.
+    let told = SparseConfig {
+        focal_px: Some(520.0),
+        ..SparseConfig::default()
+    };
+    let found = solve(tracks, scene.frames, &told).unwrap();
+    let lens = |frame: usize| found.cameras[frame].intrinsics.fx;
+    assert!(
+        (lens(0) - 520.0).abs() < 1e-6 && (lens(29) / 936.0 - 1.0).abs() < 0.01,
+        "{} {}",
+        lens(0),
+        lens(29)
+    );
+}
+
+#[test]
+fn a_walk_straight_ahead_is_a_walk() {
+    let scene = Scene {
+        step: 0.06,
+        way: [0.0, 0.02, 1.0],
+        turn: 0.001,
+        moving: 0.0,
+        ..ROOM
+    };
+    let found = solve(scene.tracks().0, scene.frames, &SparseConfig::default()).unwrap();
+    assert_eq!(found.camera_motion, CameraMotion::Parallax, "{:?}", found.warnings);
+    let (path, _) = errors(&found, &scene);
+    assert!(path < 0.02, "{path} {:?}", found.warnings);
+}
+
+#[test]
+fn a_camera_on_a_tripod_gives_one_pose() {
+    let scene = Scene {
+        step: 0.0,
+        turn: 0.0,
+        ..ROOM
+    };
+    let (tracks, moving) = scene.tracks();
+    let found = solve(tracks, scene.frames, &SparseConfig::default()).expect("a pose");
+    assert_eq!(found.camera_motion, CameraMotion::Static);
+    assert!(found.cameras.iter().all(|c| c.c2w == Se3::identity()));
+    assert!(found.warnings[0].contains("--fov"), "{:?}", found.warnings);
+    let dynamic = |moves: bool| {
+        let pairs = found.tracks.iter().zip(&moving);
+        pairs
+            .filter(|(t, m)| t.motion == Motion::Dynamic && **m == moves)
+            .count()
+    };
+    assert!(
+        dynamic(true) > 60 && dynamic(false) == 0,
+        "{} {}",
+        dynamic(true),
+        dynamic(false)
+    );
+}
+
+#[test]
+fn static_camera_option_overrides_detection() {
+    let config = SparseConfig {
+        static_camera: true,
+        fov_deg: Some(60.0),
+        ..SparseConfig::default()
+    };
+    let found = solve(ROOM.tracks().0, ROOM.frames, &config).expect("a pose");
+    assert_eq!(found.camera_motion, CameraMotion::Static);
+    let fov = found.cameras[0].intrinsics.horizontal_fov_rad().to_degrees();
+    assert!((fov - 60.0).abs() < 1e-9, "{fov}");
+}
+
+#[test]
+fn noise_is_refused_with_numbers() {
+    let mut rng = CounterRng::new(5, 0, 0);
+    let tracks: Vec<RawTrack> = (0..300)
+        .map(|_| {
+            let mut p = [600.0 * (rng.uniform() - 0.5), 440.0 * (rng.uniform() - 0.5)];
+            let speed = [6.0 * rng.normal(), 6.0 * rng.normal()];
+            let seen = (0..20)
+                .map(|_| {
+                    p = [0, 1].map(|k| p[k] + speed[k] + 4.0 * rng.normal());
+                    p
+                })
+                .collect();
+            RawTrack { first: 0, seen }
+        })
+        .collect();
+    match solve(tracks, 20, &SparseConfig::default()) {
+        Err(SparseError::NoStart { matches, .. }) => assert!(matches > 0),
+        Err(SparseError::TooFewPoints { tracks, .. }) => assert!(tracks > 0),
+        other => panic!("noise gave {other:?}"),
+    }
+}
+
+#[test]
+fn a_cut_is_reported_where_it_is() {
+    let (mut tracks, _) = ROOM.tracks();
+    for t in &mut tracks {
+        t.seen.truncate(14_usize.saturating_sub(t.first));
+    }
+    tracks.retain(|t| t.seen.len() >= 2);
+    let got = solve(tracks, ROOM.frames, &SparseConfig::default()).map(|_| ());
+    let Err(SparseError::TooFewTracks { frame, found, .. }) = got else {
+        panic!("{got:?}");
+    };
+    assert_eq!((frame, found), (13, 0));
+}
+
+#[test]
+fn the_number_of_threads_changes_nothing() {
+    let run = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .build()
+            .expect("a pool");
+        let found = pool.install(|| solve(ROOM.tracks().0, ROOM.frames, &SparseConfig::default()));
+        let found = found.expect("a reconstruction");
+        let bits: Vec<u64> = found
+            .cameras
+            .iter()
+            .flat_map(|c| c.c2w.matrix().iter().map(|v| v.to_bits()).collect::<Vec<_>>())
+            .collect();
+        (
+            bits,
+            found.cameras[0].intrinsics.fx.to_bits(),
+            found.residual_px.to_bits(),
+        )
+    };
+    assert_eq!(run(1), run(3));
+}
+
+/// Points and motion of the room's tracks, for cameras that are given.
+fn posed(cameras: &[Camera]) -> Result<SparseReconstruction, SparseError> {
+    let size = WorkingSize::new(WIDTH, HEIGHT, WIDTH);
+    let config = SparseConfig::default();
+    posed_tracks(ROOM.tracks().0, cameras, [WIDTH, HEIGHT], size, None, &config, &Silent).map(|r| r.sparse)
+}
+
+fn room_cameras(focal: f64) -> Vec<Camera> {
+    let camera = |i| Camera {
+        intrinsics: Intrinsics::centred(WIDTH, HEIGHT, focal),
+        c2w: ROOM.pose(i).inverse(),
+    };
+    (0..ROOM.frames).map(camera).collect()
+}
+
+#[test]
+fn given_cameras_are_used_and_points_are_in_their_unit() {
+    let cameras = room_cameras(ROOM.focal);
+    let found = posed(&cameras).expect("a reconstruction");
+    assert_eq!(found.cameras, cameras);
+    assert_eq!(found.camera_motion, CameraMotion::Parallax);
+    assert!(found.residual_px < 0.3, "{}", found.residual_px);
+    let (_, moving) = ROOM.tracks();
+    let wrong = found.tracks.iter().zip(&moving).filter(|(t, m)| match t.motion {
+        Motion::Static => **m,
+        Motion::Dynamic => !**m,
+        Motion::Unknown => false,
+    });
+    assert!(wrong.count() < ROOM.points / 20);
+    let depths = found.tracks.iter().filter_map(|t| {
+        let camera = cameras.get(t.first_frame)?;
+        Some(camera.project(&t.point?).1)
+    });
+    let depths: Vec<f64> = depths.collect();
+    let inside = depths.iter().filter(|z| (2.5..11.0).contains(*z)).count();
+    assert!(
+        depths.len() > 150 && inside * 20 > depths.len() * 19,
+        "{} of {}",
+        inside,
+        depths.len()
+    );
+}
+
+#[test]
+fn given_cameras_that_contradict_the_images_are_rejected() {
+    // World to camera where camera to world is meant, and turned about.
+    let wrong: Vec<Camera> = room_cameras(ROOM.focal)
+        .into_iter()
+        .enumerate()
+        .map(|(i, mut camera)| {
+            camera.c2w.rotation = exp_so3(&Vector3::new(0.0, 1.3 * (i % 3) as f64, 0.0)) * camera.c2w.rotation;
+            camera
+        })
+        .collect();
+    assert!(matches!(posed(&wrong), Err(SparseError::PosesDoNotFit { .. })));
+}
+
+#[test]
+fn given_cameras_that_explain_far_less_than_others_are_rejected() {
+    // The last two thirds of the way are walked backwards.
+    let right = room_cameras(ROOM.focal);
+    let wrong: Vec<Camera> = (0..ROOM.frames)
+        .map(|i| right[if i < 10 { i } else { 39 - i }])
+        .collect();
+    match posed(&wrong) {
+        Err(SparseError::PosesRefuted {
+            points, tracks, better, ..
+        }) => assert!(points * 2 <= better && better <= tracks, "{points} {better} {tracks}"),
+        other => panic!("{:?}", other.map(|r| r.warnings)),
+    }
+}
+
+#[test]
+fn tracks_in_given_masks_are_dynamic_and_excluded() {
+    let (tracks, _) = ROOM.tracks();
+    let left = Plane::from_fn(64, 48, |x, _| u8::from(x < 16));
+    let masks = vec![left; ROOM.frames];
+    let size = WorkingSize::new(WIDTH, HEIGHT, WIDTH);
+    let config = SparseConfig::default();
+    let count = tracks.len();
+    let found = from_tracks(
+        tracks,
+        ROOM.frames,
+        [WIDTH, HEIGHT],
+        size,
+        Some(&masks),
+        &config,
+        &Silent,
+    );
+    let found = found.expect("a reconstruction").sparse;
+    assert_eq!(found.tracks.len(), count);
+    let inside = |t: &&Track| t.observations.iter().all(|p| p[0] < 150.0);
+    let masked: Vec<&Track> = found.tracks.iter().filter(inside).collect();
+    assert!(masked.len() > 20 && masked.iter().all(|t| t.motion == Motion::Dynamic && t.point.is_none()));
+    let (trajectory, turn) = errors(&found, &ROOM);
+    assert!(trajectory < 0.01 && turn < 0.01, "{trajectory} {turn}");
+}
+
+#[test]
+fn off_centre_principal_point_gives_the_same_cameras() {
+    // The same rays as a lens with another centre, and pixels that are not square, has them.
+    let (mut tracks, _) = ROOM.tracks();
+    let [fx, fy, cx, cy] = [500.0, 540.0, 350.0, 230.0];
+    for at in tracks.iter_mut().flat_map(|t| &mut t.seen) {
+        at[0] = at[0] / ROOM.focal * fx + cx - WIDTH as f64 / 2.0;
+        at[1] = at[1] / ROOM.focal * fy + cy - HEIGHT as f64 / 2.0;
+    }
+    let config = SparseConfig {
+        intrinsics: Some([fx, fy, cx, cy]),
+        ..SparseConfig::default()
+    };
+    let found = solve(tracks, ROOM.frames, &config).expect("a reconstruction");
+    let k = found.cameras[0].intrinsics;
+    assert_eq!([k.fx, k.fy, k.cx, k.cy], [fx, fy, cx, cy]);
+    let (trajectory, turn) = errors(&found, &ROOM);
+    assert!(trajectory < 0.01 && turn < 0.005, "{trajectory} {turn}");
+}

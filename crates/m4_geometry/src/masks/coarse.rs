@@ -1,0 +1,122 @@
+//! What moves, roughly, frame by frame.
+
+use super::error::InstanceError;
+use super::morphology::opened;
+use super::settings::RefineSettings;
+use crate::classical::dense::Components;
+use crate::megasam::resize_bilinear;
+use m4_core::{CompactMask, Plane};
+
+/// Motion below which a pixel is surely static: there the places off a thing are taken from.
+pub(super) const TAU_STILL: f32 = 0.3;
+/// Radius of the opening of coarse masks, share of the longest side: 2 px of 480. Below 1 px there is none.
+const OPEN_SHARE: f32 = 2.0 / 480.0;
+/// Least area of a coarse part, share of the image. Specification: 0.001 to 0.002.
+const LEAST_AREA: f32 = 0.0015;
+
+/// Coarse motion masks of a front end, one per frame, of any size with the aspect of the frames.
+#[derive(Debug, Clone)]
+pub enum Coarse<'a> {
+    /// How likely each pixel is to move, 255 = certainly.
+    Motion(Vec<&'a Plane<u8>>),
+    /// What moves.
+    Masks(Vec<&'a CompactMask>),
+}
+
+impl Coarse<'_> {
+    /// Frames.
+    #[must_use]
+    pub fn frames(&self) -> usize {
+        match self {
+            Self::Motion(maps) => maps.len(),
+            Self::Masks(masks) => masks.len(),
+        }
+    }
+
+    /// `motion` or `masks`, for records.
+    #[must_use]
+    pub fn name(&self) -> &'static str {
+        match self {
+            Self::Motion(_) => "motion",
+            Self::Masks(_) => "masks",
+        }
+    }
+
+    fn size(&self, frame: usize) -> (usize, usize) {
+        match self {
+            Self::Motion(maps) => maps[frame].size(),
+            Self::Masks(masks) => masks[frame].size(),
+        }
+    }
+
+    /// Refuses what cannot be worked with: another number of frames than the clip has, or a frame without pixels.
+    pub(super) fn check(&self, frames: usize) -> Result<(), InstanceError> {
+        if self.frames() != frames {
+            return Err(InstanceError::Count {
+                found: self.frames(),
+                expected: frames,
+            });
+        }
+        match (0..frames).find(|&i| self.size(i).0 == 0 || self.size(i).1 == 0) {
+            Some(frame) => Err(InstanceError::EmptyMask { frame }),
+            None => Ok(()),
+        }
+    }
+}
+
+/// The coarse masks of a clip at the working size, made when they are asked for.
+pub(super) struct CoarseMasks<'a> {
+    pub coarse: &'a Coarse<'a>,
+    pub size: (usize, usize),
+    pub settings: &'a RefineSettings,
+}
+
+/// What is known of one frame.
+pub(super) struct CoarseFrame {
+    /// `[height][width]`, 255 where something moves: as given, without opening and without small parts left out.
+    pub raw: Vec<u8>,
+    /// The same opened, parts of less than the least area taken out.
+    pub moving: Vec<u8>,
+    /// `[height][width]`: where nothing moves for sure.
+    pub still: Vec<bool>,
+}
+
+impl CoarseMasks<'_> {
+    pub fn at(&self, frame: usize) -> CoarseFrame {
+        let (w, h) = self.size;
+        let (raw, still): (Vec<u8>, Vec<bool>) = match self.coarse {
+            Coarse::Motion(maps) => {
+                let share = maps[frame].map(|&m| f32::from(m) / 255.0);
+                let share = resize_bilinear(&share, w, h);
+                let of = |&p: &f32| (if p > self.settings.tau { 255 } else { 0 }, p < TAU_STILL);
+                share.data().iter().map(of).unzip()
+            }
+            Coarse::Masks(masks) => {
+                let share = masks[frame].to_mask().map(|&m| f32::from(m) / 255.0);
+                let share = resize_bilinear(&share, w, h);
+                share
+                    .data()
+                    .iter()
+                    .map(|&p| (if p >= 0.5 { 255 } else { 0 }, p < 0.5))
+                    .unzip()
+            }
+        };
+        let radius_px = OPEN_SHARE * w.max(h) as f32;
+        let mut moving = opened(w, h, &raw, radius_px);
+        let least = self.least_px();
+        for pixels in Components::of(w, h, &moving).pixels {
+            if pixels.len() < least {
+                for p in pixels {
+                    moving[p as usize] = 0;
+                }
+            }
+        }
+        CoarseFrame { raw, moving, still }
+    }
+
+    /// The least area of a part, pixels.
+    pub fn least_px(&self) -> usize {
+        let (w, h) = self.size;
+        ((LEAST_AREA * (w * h) as f32).ceil() as usize).max(1)
+    }
+}

@@ -1,0 +1,402 @@
+//! From coarse masks to things over time.
+
+use super::coarse::{Coarse, CoarseMasks};
+use super::error::InstanceError;
+use super::finish::finish;
+use super::frame_source::FrameSource;
+use super::ledger::TrackedObject;
+use super::outline::Outline;
+use super::polarity::{Polarity, PolarityEvidence};
+use super::propose::{Around, PERSISTENT_IN, Proposal, prompt, proposals};
+use super::report::{InstanceReport, Rejected, Rejection};
+use super::settings::RefineSettings;
+use super::source::{ObjectId, ObjectMask, VideoError, VideoSegmenter, VideoSession};
+use crate::classical::dense::{self, FlowSource, working_size};
+use m4_core::{CompactIds, CompactMask, Progress};
+use std::collections::BTreeMap;
+use std::ops::ControlFlow;
+
+/// A mask that covers a larger share of the image is of the background. Specification: 0.3 to 0.35.
+const MOST_SHARE: f32 = 0.35;
+/// Least intersection over union of a mask with the part that it was asked for. Specification: 0.2.
+const LEAST_OVERLAP: f32 = 0.2;
+/// Things that overlap by more (intersection over union) are one. Specification: 0.7.
+pub(super) const MERGE_OVERLAP: f32 = 0.7;
+/// How far from coarse pixels the masks may reach of a segmenter that carries them from frame to frame, share of the longest side: such
+/// masks spread over what they pass and stick to it. 6 px of 480. Where less than a quarter of a mask is left, it is kept whole within
+/// five frames of one where more is, and dropped elsewhere.
+const CARRIED_BOUND: f32 = 6.0 / 480.0;
+/// Sides below this show too little to work on.
+const LEAST_SIDE: usize = 16;
+/// What is done, for messages.
+const PHASE: &str = "tracking objects";
+
+/// What is refined.
+pub struct RefineInput<'a> {
+    /// The frames.
+    pub clip: &'a dyn FrameSource,
+    /// What moves in them, roughly.
+    pub coarse: &'a Coarse<'a>,
+    /// Flow by which the reading of maps of motion is checked besides their looks.
+    pub flow: Option<&'a dyn FlowSource>,
+}
+
+/// One frame of the result, at the size at which things were followed.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct RefinedFrame {
+    /// What moves: everything that has a number, and coarse parts that nothing explains where these are kept.
+    pub mask: CompactMask,
+    /// Which thing each pixel shows, 0 for none.
+    pub ids: CompactIds,
+}
+
+/// Masks over time.
+#[derive(Debug, Clone)]
+pub struct Refined {
+    /// One per frame.
+    pub frames: Vec<RefinedFrame>,
+    /// What was found.
+    pub report: InstanceReport,
+}
+
+/// Finds things in coarse masks, follows them through the clip and says where each is; see [the module](super).
+///
+/// # Errors
+///
+/// [`InstanceError`].
+pub fn refine(
+    input: &RefineInput<'_>,
+    segmenter: &dyn VideoSegmenter,
+    settings: &RefineSettings,
+    progress: &dyn Progress,
+) -> Result<Refined, InstanceError> {
+    settings.check()?;
+    let (frames, full) = (input.clip.frames(), input.clip.size());
+    if frames == 0 || full.0.min(full.1) < LEAST_SIDE {
+        return Err(InstanceError::NoFrames {
+            frames,
+            size: full,
+            minimum: LEAST_SIDE,
+        });
+    }
+    input.coarse.check(frames)?;
+    let polarity = polarity(input, settings, progress)?;
+    let size = working_size(full.0, full.1, settings.side_px);
+    let mut search = Search {
+        rough: CoarseMasks {
+            coarse: input.coarse,
+            size,
+            settings,
+        },
+        frames,
+        session: segmenter.open(input.clip, size)?,
+        segmenter: segmenter.name(),
+        things: BTreeMap::new(),
+        rejected: Vec::new(),
+        next: 0,
+        progress,
+    };
+    search.forwards()?;
+    search.backwards()?;
+    let Search {
+        rough,
+        things,
+        rejected,
+        ..
+    } = search;
+    let bound = (!segmenter.remembers()).then_some(CARRIED_BOUND);
+    finish(
+        &rough,
+        frames,
+        (segmenter.name(), bound),
+        things,
+        rejected,
+        polarity,
+        progress,
+    )
+}
+
+/// Checks the reading of maps of motion.
+fn polarity(
+    input: &RefineInput<'_>,
+    settings: &RefineSettings,
+    progress: &dyn Progress,
+) -> Result<Option<PolarityEvidence>, InstanceError> {
+    let evidence = input.coarse.polarity(input.clip, input.flow, settings.tau)?;
+    if let Some(evidence) = evidence {
+        match evidence.verdict() {
+            Polarity::Moving => {}
+            Polarity::Doubtful => progress.warn(&format!(
+                "the motion maps may be inverted ({evidence}): if high values mean static, replace each value by 255 minus it"
+            )),
+            Polarity::Still => return Err(InstanceError::Polarity { evidence }),
+        }
+    }
+    Ok(evidence)
+}
+
+/// A coarse part that did not become a thing, by the thing it would have been.
+pub(super) struct Refusal {
+    pub frame: usize,
+    pub area: usize,
+    pub centre_px: [f32; 2],
+    pub reason: Rejection,
+    /// Of a duplicate: of which thing.
+    pub of: Option<ObjectId>,
+}
+
+impl Refusal {
+    pub fn to_report(&self, pixels: usize, ids: &BTreeMap<ObjectId, u16>) -> Rejected {
+        let reason = match self.reason {
+            Rejection::Duplicate { .. } => Rejection::Duplicate {
+                of: self.of.and_then(|object| ids.get(&object).copied()),
+            },
+            other => other,
+        };
+        Rejected {
+            frame: self.frame,
+            area_share: self.area as f64 / pixels.max(1) as f64,
+            centre_px: self.centre_px,
+            reason,
+        }
+    }
+}
+
+struct Search<'a> {
+    rough: CoarseMasks<'a>,
+    frames: usize,
+    session: Box<dyn VideoSession + 'a>,
+    segmenter: &'a str,
+    things: BTreeMap<ObjectId, TrackedObject>,
+    rejected: Vec<Refusal>,
+    next: u32,
+    progress: &'a dyn Progress,
+}
+
+impl Search<'_> {
+    /// Frames at which new things are looked for.
+    fn stops(&self) -> Vec<usize> {
+        (0..self.frames).step_by(self.rough.settings.every_frames).collect()
+    }
+
+    fn forwards(&mut self) -> Result<(), InstanceError> {
+        let mut at = 0;
+        for stop in self.stops() {
+            self.follow(at, stop)?;
+            at = stop;
+            self.look_for_new(stop)?;
+        }
+        self.follow(at, self.frames - 1)
+    }
+
+    /// One sweep to the beginning; things join it where they were found.
+    fn backwards(&mut self) -> Result<(), InstanceError> {
+        let mut stops = self.stops();
+        while let Some(stop) = stops.pop() {
+            if let Some(&before) = stops.last() {
+                self.follow(stop, before)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Follows what is known at `from` and not lost.
+    fn follow(&mut self, from: usize, to: usize) -> Result<(), InstanceError> {
+        if from == to {
+            return Ok(());
+        }
+        if self.progress.cancelled() {
+            return Err(InstanceError::Cancelled { phase: PHASE });
+        }
+        let later = to > from;
+        let known = |thing: &&TrackedObject| {
+            let there = if later {
+                thing.prompted <= from
+            } else {
+                thing.prompted >= from
+            };
+            there && !thing.lost[usize::from(!later)]
+        };
+        let objects: Vec<ObjectId> = self.things.values().filter(known).map(|t| t.object).collect();
+        if objects.is_empty() {
+            return Ok(());
+        }
+        let (w, h) = self.rough.size;
+        let most_px = (MOST_SHARE * (w * h) as f32) as usize;
+        let (things, size, frames, progress, name) = (
+            &mut self.things,
+            self.rough.size,
+            self.frames,
+            self.progress,
+            self.segmenter,
+        );
+        let mut wrong: Option<VideoError> = None;
+        let way = if later {
+            "tracking objects"
+        } else {
+            "tracking objects backwards"
+        };
+        let mut sink = |frame: usize, found: Vec<ObjectMask>| {
+            let fits = found.iter().map(|f| f.object).eq(objects.iter().copied());
+            if !fits {
+                wrong = Some(VideoError::Objects {
+                    segmenter: name.to_owned(),
+                    found: found.len(),
+                    expected: objects.len(),
+                });
+                return ControlFlow::Break(());
+            }
+            for found in &found {
+                if found.mask.size() != size {
+                    wrong = Some(VideoError::MaskSize {
+                        object: found.object,
+                        found: found.mask.size(),
+                        expected: size,
+                    });
+                    return ControlFlow::Break(());
+                }
+                if let Some(thing) = things.get_mut(&found.object) {
+                    thing.note(frame, found, later, most_px);
+                }
+            }
+            let done = if later { frame + 1 } else { frames - frame };
+            progress.update(way, done, frames, &format!("{} objects", found.len()));
+            ControlFlow::Continue(())
+        };
+        self.session.follow(&objects, from, to, progress, &mut sink)?;
+        wrong.map_or(Ok(()), |error| Err(error.into()))
+    }
+
+    /// Makes things of the coarse parts of a frame that no thing covers.
+    fn look_for_new(&mut self, frame: usize) -> Result<(), InstanceError> {
+        let (w, h) = self.rough.size;
+        let around = Around::of(&self.rough, frame, self.frames);
+        let mut covered = vec![0u8; w * h];
+        for mask in self.things.values().filter_map(|thing| thing.masks.get(&frame)) {
+            for (x, y) in mask.pixels() {
+                covered[y * w + x] = 255;
+            }
+        }
+        let mut asked = Vec::new();
+        for proposal in proposals(&self.rough, &around, &covered) {
+            if proposal.seen_in < PERSISTENT_IN {
+                let seen_in = proposal.seen_in;
+                self.refuse(frame, &proposal, Rejection::Flicker { seen_in }, None);
+            } else if self.things.len() + asked.len() >= usize::from(u16::MAX) {
+                self.refuse(frame, &proposal, Rejection::TooMany, None);
+            } else {
+                asked.push((ObjectId(self.next), proposal));
+                self.next += 1;
+            }
+        }
+        if asked.is_empty() {
+            return Ok(());
+        }
+        let prompts: Vec<_> = asked
+            .iter()
+            .map(|(object, part)| prompt(*object, &part.outline, &around.here, (w, h)))
+            .collect();
+        let found = self.session.prompt(frame, &prompts)?;
+        if !found.iter().map(|f| f.object).eq(prompts.iter().map(|p| p.object)) {
+            return Err(VideoError::Objects {
+                segmenter: self.segmenter.to_owned(),
+                found: found.len(),
+                expected: prompts.len(),
+            }
+            .into());
+        }
+        for ((object, part), found) in asked.into_iter().zip(&found) {
+            self.judge(frame, object, &part, found)?;
+        }
+        Ok(())
+    }
+
+    /// Takes the mask of a part for a thing, or refuses it.
+    fn judge(
+        &mut self,
+        frame: usize,
+        object: ObjectId,
+        part: &Proposal,
+        found: &ObjectMask,
+    ) -> Result<(), InstanceError> {
+        let (w, h) = self.rough.size;
+        if found.mask.size() != (w, h) {
+            return Err(VideoError::MaskSize {
+                object,
+                found: found.mask.size(),
+                expected: (w, h),
+            }
+            .into());
+        }
+        let outline = match Outline::of(&found.mask) {
+            Some(outline) => outline,
+            None => return self.drop(frame, object, part, Rejection::Nothing, None),
+        };
+        let share = outline.area() as f32 / (w * h) as f32;
+        let overlap = outline.overlap(&part.outline);
+        if share > MOST_SHARE {
+            return self.drop(frame, object, part, Rejection::TooLarge { share }, None);
+        }
+        if overlap < LEAST_OVERLAP {
+            return self.drop(frame, object, part, Rejection::Elsewhere { overlap }, None);
+        }
+        // Below this overlap the thing starts with the outline of the coarse part; maps of motion are too coarse to have one.
+        let least = match self.rough.coarse {
+            Coarse::Motion(_) => 0.0,
+            Coarse::Masks(_) => dense::LEAST_OVERLAP,
+        };
+        let coarse_outline = overlap < least;
+        let outline = if coarse_outline { part.outline.clone() } else { outline };
+        let there = self
+            .things
+            .values()
+            .filter_map(|thing| Some((thing.object, thing.masks.get(&frame)?)));
+        let same = there.filter(|(_, mask)| mask.overlap(&outline) > MERGE_OVERLAP);
+        let same = same.map(|(object, _)| object).next();
+        if same.is_some() {
+            return self.drop(frame, object, part, Rejection::Duplicate { of: None }, same);
+        }
+        if coarse_outline {
+            let mask = CompactMask::from_fn(w, h, |x, y| outline.at(x, y));
+            self.session.set_mask(frame, object, &mask)?;
+        }
+        let thing = TrackedObject {
+            object,
+            prompted: frame,
+            overlap,
+            quality: found.quality,
+            coarse_outline,
+            part_area: part.outline.area(),
+            part_centre_px: part.outline.centre_px(),
+            masks: BTreeMap::from([(frame, outline)]),
+            overgrown: 0,
+            lost: [false; 2],
+            found_again: Vec::new(),
+        };
+        self.things.insert(object, thing);
+        Ok(())
+    }
+
+    fn drop(
+        &mut self,
+        frame: usize,
+        object: ObjectId,
+        part: &Proposal,
+        reason: Rejection,
+        of: Option<ObjectId>,
+    ) -> Result<(), InstanceError> {
+        self.session.forget(object);
+        self.refuse(frame, part, reason, of);
+        Ok(())
+    }
+
+    fn refuse(&mut self, frame: usize, part: &Proposal, reason: Rejection, of: Option<ObjectId>) {
+        self.rejected.push(Refusal {
+            frame,
+            area: part.outline.area(),
+            centre_px: part.outline.centre_px(),
+            reason,
+            of,
+        });
+    }
+}

@@ -1,0 +1,232 @@
+//! The seam between refinement and whatever follows outlined things through a clip.
+
+use super::frame_source::{FrameSource, ImageError};
+use crate::classical::dense::{FlowError, SegmentError};
+use m4_core::{CompactMask, Progress};
+use serde::{Deserialize, Serialize};
+use std::ops::ControlFlow;
+
+/// Which thing, as the caller of a [`VideoSession`] numbers it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(transparent)]
+pub struct ObjectId(pub u32);
+
+/// What is known of a thing in one frame. A segmenter takes of it what it can use; at least one of points, box and belief is there.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ObjectPrompt {
+    /// The thing.
+    pub object: ObjectId,
+    /// Columns and rows of places on the thing, the surest first.
+    pub on_px: Vec<[f32; 2]>,
+    /// Columns and rows of places that are not on the thing.
+    pub off_px: Vec<[f32; 2]>,
+    /// Column and row of the centre of the first pixel of the thing's box, then of the last.
+    pub box_px: Option<[f32; 4]>,
+    /// `[height][width]`, logits of a coarse mask: above 0 where the thing is believed to be.
+    pub belief: Option<Vec<f32>>,
+}
+
+/// Visibility of an object in a frame.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Visibility {
+    /// The mask shows it.
+    Visible,
+    /// Occluded or out of view, but may come back: the mask is empty.
+    Occluded,
+    /// It will not be found again by going on: the mask is empty, and it need not be asked for further on.
+    Lost,
+}
+
+/// Mask of an object in a frame.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ObjectMask {
+    /// The thing.
+    pub object: ObjectId,
+    /// Its pixels, at the size of the session.
+    pub mask: CompactMask,
+    /// How far the mask is trusted: its expected intersection over union with the true one; `None` where unknown.
+    pub quality: Option<f32>,
+    /// How it is seen.
+    pub visibility: Visibility,
+}
+
+impl ObjectMask {
+    /// A thing that is not to be seen, of a session of `size`.
+    #[must_use]
+    pub fn unseen(object: ObjectId, size: (usize, usize), visibility: Visibility) -> Self {
+        Self {
+            object,
+            mask: CompactMask::from_fn(size.0, size.1, |_, _| false),
+            quality: None,
+            visibility,
+        }
+    }
+}
+
+/// Why nothing could be followed.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum VideoError {
+    /// The segmenter failed.
+    #[error("{segmenter} cannot track objects in frame {frame}: {reason}")]
+    Source {
+        /// Its name.
+        segmenter: String,
+        /// The frame at which it was.
+        frame: usize,
+        /// What went wrong.
+        reason: Box<dyn std::error::Error + Send + Sync>,
+    },
+    /// An image cannot be read.
+    #[error("frame {frame} of the clip cannot be read: {reason}")]
+    Image {
+        /// The frame.
+        frame: usize,
+        /// What went wrong.
+        reason: ImageError,
+    },
+    /// An image has another size than the clip.
+    #[error("frame {frame} is {}x{} where {}x{} was expected; all frames must have one size", found.0, found.1, expected.0, expected.1)]
+    ImageSize {
+        /// The frame.
+        frame: usize,
+        /// Its width and height.
+        found: (usize, usize),
+        /// Those of the clip.
+        expected: (usize, usize),
+    },
+    /// The source of flow failed.
+    #[error("no flow between frames {} and {}", between.0, between.1)]
+    Flow {
+        /// The two frames.
+        between: (usize, usize),
+        /// What went wrong.
+        source: FlowError,
+    },
+    /// The segmenter of single images failed.
+    #[error("no object masks in frame {frame}")]
+    Segment {
+        /// The frame.
+        frame: usize,
+        /// What went wrong.
+        source: SegmentError,
+    },
+    /// A thing is to be followed from a frame at which it is not known.
+    #[error("object {} is not known in frame {frame}; prompt it there, or track it to that frame first", object.0)]
+    Unknown {
+        /// The thing.
+        object: ObjectId,
+        /// The frame.
+        frame: usize,
+    },
+    /// A frame that the clip does not have.
+    #[error("frame {frame} was asked for in a clip of {frames} frames")]
+    Frame {
+        /// The frame.
+        frame: usize,
+        /// Frames of the clip.
+        frames: usize,
+    },
+    /// A belief of another size than the session.
+    #[error("the logits of object {} have {found} values where {} x {} were expected", object.0, expected.0, expected.1)]
+    Size {
+        /// The thing.
+        object: ObjectId,
+        /// Values of the mask.
+        found: usize,
+        /// Width and height of the session.
+        expected: (usize, usize),
+    },
+    /// A mask of another size than the session.
+    #[error("the mask of object {} is {}x{} where {}x{} was expected", object.0, found.0, found.1, expected.0, expected.1)]
+    MaskSize {
+        /// The thing.
+        object: ObjectId,
+        /// Width and height of the mask.
+        found: (usize, usize),
+        /// Width and height of the session.
+        expected: (usize, usize),
+    },
+    /// Masks of other things than were asked for.
+    #[error("{segmenter} returned masks of {found} objects where {expected} were requested, or of others")]
+    Objects {
+        /// The segmenter.
+        segmenter: String,
+        /// How many masks there are.
+        found: usize,
+        /// How many were expected.
+        expected: usize,
+    },
+    /// The caller asked to stop.
+    #[error("stopped on request while tracking objects, at frame {frame}")]
+    Cancelled {
+        /// The frame that was next.
+        frame: usize,
+    },
+}
+
+/// Finds things in a clip once they were pointed at.
+pub trait VideoSegmenter: Sync {
+    /// For records and messages.
+    fn name(&self) -> &str;
+
+    /// Whether it knows what a thing looks like. One that does not carries masks from frame to frame, and what it gives is held near the
+    /// coarse masks.
+    fn remembers(&self) -> bool {
+        true
+    }
+
+    /// Starts on a clip; prompts and masks are of `size` (width, height), which may be less than that of the frames but has
+    /// their shape. No frame need be read yet.
+    ///
+    /// # Errors
+    ///
+    /// [`VideoError`] where the segmenter cannot work on such a clip.
+    fn open<'a>(
+        &'a self,
+        clip: &'a dyn FrameSource,
+        size: (usize, usize),
+    ) -> Result<Box<dyn VideoSession + 'a>, VideoError>;
+}
+
+/// A clip in which things are followed. The same calls in the same order give the same bits, for any number of threads.
+///
+/// What a session keeps between calls is its own business (memories, features, the last masks); it must not grow with the frames that
+/// were passed.
+pub trait VideoSession {
+    /// The masks of things in `frame` as the prompts mean them, one a prompt, in their order. A thing that was prompted before in this
+    /// frame is prompted anew; prompts in several frames add up.
+    ///
+    /// # Errors
+    ///
+    /// [`VideoError`] where the segmenter fails.
+    fn prompt(&mut self, frame: usize, prompts: &[ObjectPrompt]) -> Result<Vec<ObjectMask>, VideoError>;
+
+    /// Says what the mask of a thing in `frame` is, in place of what a prompt there gave.
+    ///
+    /// # Errors
+    ///
+    /// [`VideoError`] where the mask does not fit.
+    fn set_mask(&mut self, frame: usize, object: ObjectId, mask: &CompactMask) -> Result<(), VideoError>;
+
+    /// Drops a thing and all that is known of it; one that is not known is no error.
+    fn forget(&mut self, object: ObjectId);
+
+    /// Follows things, all in one pass, from frame `from`, in which each must be prompted or reached earlier in the same direction, to frame `to`:
+    /// forwards if `to` is after `from`, backwards if before, not at all if the same. `sink` gets each frame after `from` up to `to`
+    /// with a mask for every thing in the order of `objects`, and may end the pass.
+    ///
+    /// An object may be followed backwards long after it was followed forwards.
+    ///
+    /// # Errors
+    ///
+    /// [`VideoError`] where the segmenter fails or `progress` says to stop.
+    fn follow(
+        &mut self,
+        objects: &[ObjectId],
+        from: usize,
+        to: usize,
+        progress: &dyn Progress,
+        sink: &mut dyn FnMut(usize, Vec<ObjectMask>) -> ControlFlow<()>,
+    ) -> Result<(), VideoError>;
+}

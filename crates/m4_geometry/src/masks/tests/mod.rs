@@ -1,0 +1,281 @@
+//! The whole way on a clip whose things are known: one walks, one comes late, one leaves, one only seems to move.
+
+mod film;
+mod sessions;
+
+use super::*;
+use crate::classical::dense::{InverseSearch, Segmenter};
+use film::{
+    FRAMES, Grabber, Hues, LATE_COARSE, LATE_SEEN, as_masks, as_motion, coarse_masks, iou, iou_of, motion_maps,
+};
+use m4_core::{Plane, Progress, RgbImage, Silent};
+use rayon::ThreadPoolBuilder;
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+fn settings() -> RefineSettings {
+    RefineSettings {
+        every_frames: 4,
+        ..RefineSettings::default()
+    }
+}
+
+fn run_with(
+    coarse: &Coarse<'_>,
+    segmenter: Option<&dyn Segmenter>,
+    settings: &RefineSettings,
+    progress: &dyn Progress,
+) -> Result<Refined, InstanceError> {
+    let images = film::images();
+    let clip: Vec<&RgbImage> = images.iter().collect();
+    let flow = InverseSearch;
+    let follower = FlowFollower::new(&flow, segmenter);
+    let input = RefineInput {
+        clip: &ImageList(&clip),
+        coarse,
+        flow: Some(&flow),
+    };
+    refine(&input, &follower, settings, progress)
+}
+
+/// The number at the middle of each thing.
+fn number(found: &Refined, thing: u8, frame: usize) -> u16 {
+    let plane = found.frames[frame].ids.to_plane();
+    let mut counts = std::collections::BTreeMap::new();
+    for (p, &id) in plane.data().iter().enumerate() {
+        if film::thing_at(p % film::SIZE.0, p / film::SIZE.0, frame) == thing {
+            *counts.entry(id).or_insert(0usize) += 1;
+        }
+    }
+    counts.into_iter().max_by_key(|&(_, n)| n).map_or(0, |(id, _)| id)
+}
+
+fn check_things(found: &Refined, better_than: f64) {
+    let score = iou_of(found);
+    assert!(score > better_than, "{score} {better_than} {:#?}", found.report);
+    assert_eq!(found.report.instances.len(), 3, "{:#?}", found.report);
+    let (walker, leaver) = (number(found, 1, 0), number(found, 3, 0));
+    assert!(walker != leaver && walker > 0 && leaver > 0);
+    assert!((0..FRAMES).all(|i| number(found, 1, i) == walker));
+    // It is found when the masks show it, and followed back to where it came in.
+    let late = number(found, 2, FRAMES - 1);
+    assert!(late > 0 && late != walker && late != leaver);
+    assert!(
+        (LATE_SEEN + 3..FRAMES).all(|i| number(found, 2, i) == late),
+        "{:#?}",
+        found.report
+    );
+    let record = |id: u16| &found.report.instances[usize::from(id) - 1];
+    assert!(record(late).prompted_frame >= LATE_COARSE && record(late).first_frame < LATE_COARSE);
+    assert_eq!((record(late).id, record(late).ending), (late, Ending::ClipEnd));
+    assert_eq!(
+        (record(walker).frames, record(walker).ending),
+        (FRAMES, Ending::ClipEnd)
+    );
+    let Ending::Lost { frame } = record(leaver).ending else {
+        panic!("{:#?}", record(leaver));
+    };
+    assert!((10..17).contains(&frame), "{frame}");
+    // The static thing was taken for dynamic at first, the ghost for a moment.
+    let reasons: Vec<&Rejection> = found.report.rejected.iter().map(|r| &r.reason).collect();
+    assert!(
+        reasons
+            .iter()
+            .any(|r| matches!(r, Rejection::Unsupported { share } if *share < 0.1)),
+        "{reasons:?}"
+    );
+    assert!(
+        reasons.iter().any(|r| matches!(r, Rejection::Flicker { seen_in: 1 })),
+        "{reasons:?}"
+    );
+    assert!((0..FRAMES).all(|i| number(found, 4, i) == 0));
+    for frame in &found.frames {
+        let ids = frame.ids.to_plane();
+        assert!((0..ids.data().len()).all(|p| ids.data()[p] == 0 || frame.mask.at(p % film::SIZE.0, p / film::SIZE.0)));
+    }
+}
+
+#[test]
+fn things_are_outlined_and_followed_by_a_segmenter_and_flow() {
+    let maps = motion_maps();
+    let coarse = iou(coarse_masks().into_iter());
+    let found = run_with(&as_motion(&maps), Some(&Hues), &settings(), &Silent).unwrap();
+    println!("coarse {coarse:.3}, refined {:.3}", iou_of(&found));
+    assert!(coarse < 0.75, "{coarse}");
+    check_things(&found, 0.93);
+    assert_eq!(
+        (found.report.segmenter.as_str(), found.report.coarse.as_str()),
+        ("hues+classical", "motion")
+    );
+}
+
+/// Flow alone finds no better outlines than it starts with, and what it drags along grows; but identities are right.
+#[test]
+fn flow_alone_follows_them_too() {
+    let masks = coarse_masks();
+    let found = run_with(&as_masks(&masks), None, &settings(), &Silent).unwrap();
+    println!(
+        "coarse {:.3}, refined {:.3}",
+        iou(coarse_masks().into_iter()),
+        iou_of(&found)
+    );
+    let (walker, leaver, late) = (
+        number(&found, 1, 0),
+        number(&found, 3, 0),
+        number(&found, 2, FRAMES - 1),
+    );
+    assert!(walker > 0 && leaver > 0 && late > 0 && walker != leaver && late != walker && late != leaver);
+    assert!((0..FRAMES).all(|i| number(&found, 1, i) == walker));
+    assert!((LATE_SEEN + 3..FRAMES).all(|i| number(&found, 2, i) == late));
+    let record = |id: u16| &found.report.instances[usize::from(id) - 1];
+    assert!(record(late).prompted_frame >= LATE_COARSE && record(late).first_frame < LATE_COARSE);
+    assert!(matches!(record(leaver).ending, Ending::Lost { frame } if (10..17).contains(&frame)));
+    // Its edge moved to the thing's: a disc of 14 px, where the coarse mask has one of 16.
+    let true_share = 616.0 / 19_200.0;
+    let share = record(walker).mean_area_share;
+    assert!((share / true_share - 1.0).abs() < 0.1, "{share} {true_share}");
+}
+
+#[test]
+fn a_segmenter_that_grabs_the_background_is_not_believed() {
+    let maps = motion_maps();
+    for (corner_px, large) in [(1000, true), (20, false)] {
+        let found = run_with(&as_motion(&maps), Some(&Grabber { corner_px }), &settings(), &Silent).unwrap();
+        assert!(found.report.instances.is_empty() && found.frames.iter().all(|f| f.mask.count() == 0));
+        let right = |r: &Rejected| match r.reason {
+            Rejection::TooLarge { share } => large && share == 1.0,
+            Rejection::Elsewhere { overlap } => !large && overlap < 0.2,
+            Rejection::Flicker { .. } => true,
+            _ => false,
+        };
+        assert!(found.report.rejected.iter().all(right), "{:?}", found.report.rejected);
+        assert!(found.report.rejected.len() > 5);
+    }
+    // Coarse masks are kept where nothing explains them, except for what is there for a moment.
+    let masks = coarse_masks();
+    let found = run_with(
+        &as_masks(&masks),
+        Some(&Grabber { corner_px: 1000 }),
+        &settings(),
+        &Silent,
+    )
+    .unwrap();
+    assert!(found.report.instances.is_empty() && found.report.unexplained_share > 0.0);
+    assert!(iou_of(&found) > iou(coarse_masks().into_iter()) - 0.02);
+    assert!(!found.frames[film::FLICKER].mask.at(80, 66) && masks[film::FLICKER].at(80, 66));
+}
+
+/// Keeps warnings, stops after some updates.
+#[derive(Default)]
+struct Watch {
+    warnings: Mutex<Vec<String>>,
+    updates: AtomicUsize,
+    stop_after: Option<usize>,
+}
+
+impl Progress for Watch {
+    fn update(&self, _: &str, done: usize, total: usize, _: &str) {
+        assert!(done <= total);
+        self.updates.fetch_add(1, Ordering::Relaxed);
+    }
+
+    fn warn(&self, message: &str) {
+        self.warnings.lock().unwrap().push(message.to_owned());
+    }
+
+    fn cancelled(&self) -> bool {
+        self.stop_after
+            .is_some_and(|n| self.updates.load(Ordering::Relaxed) >= n)
+    }
+}
+
+#[test]
+fn inverted_maps_are_rejected() {
+    let maps = motion_maps();
+    let turned: Vec<Plane<u8>> = maps.iter().map(|map| map.map(|&m| 255 - m)).collect();
+    let error = run_with(&as_motion(&turned), Some(&Hues), &settings(), &Silent).unwrap_err();
+    let InstanceError::Polarity { evidence } = &error else {
+        panic!("{error}")
+    };
+    let [high, low] = evidence.residual_px.unwrap();
+    assert!(
+        evidence.high_share > 0.7 && evidence.border_high_share > 0.7 && high < 0.5 * low,
+        "{evidence:?}"
+    );
+    assert!(error.to_string().contains("255 minus"), "{error}");
+    let right = run_with(&as_motion(&maps), Some(&Hues), &settings(), &Silent).unwrap();
+    let [high, low] = right.report.polarity.unwrap().residual_px.unwrap();
+    assert!(high > 1.0 && high > 3.0 * low, "{high} {low}");
+    // One witness alone is a warning.
+    let lone = PolarityEvidence {
+        high_share: 0.7,
+        border_high_share: 0.3,
+        residual_px: Some([3.0, 0.1]),
+    };
+    assert_eq!(lone.verdict(), Polarity::Doubtful);
+}
+
+#[test]
+fn the_same_bits_for_any_number_of_threads() {
+    let maps = motion_maps();
+    let all = |threads: usize, segmenter: Option<&dyn Segmenter>| {
+        let pool = ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        let found = pool
+            .install(|| run_with(&as_motion(&maps), segmenter, &settings(), &Silent))
+            .unwrap();
+        (found.frames, found.report)
+    };
+    assert_eq!(all(1, Some(&Hues)), all(3, Some(&Hues)));
+    assert_eq!(all(1, None), all(3, None));
+}
+
+#[test]
+fn stopping_stops() {
+    let maps = motion_maps();
+    for stop_after in [0, 3, 20, 45] {
+        let watch = Watch {
+            stop_after: Some(stop_after),
+            ..Watch::default()
+        };
+        let error = run_with(&as_motion(&maps), Some(&Hues), &settings(), &watch).unwrap_err();
+        assert!(
+            matches!(error, InstanceError::Cancelled { .. }),
+            "{stop_after}: {error}"
+        );
+        assert!(watch.updates.load(Ordering::Relaxed) <= stop_after + 10);
+    }
+}
+
+#[test]
+fn mismatched_input_is_an_error() {
+    let mut maps = motion_maps();
+    maps.pop();
+    let error = run_with(&as_motion(&maps), None, &settings(), &Silent).unwrap_err();
+    assert!(matches!(
+        error,
+        InstanceError::Count {
+            found: 29,
+            expected: 30
+        }
+    ));
+    maps.push(Plane::filled(0, 7, 0));
+    let error = run_with(&as_motion(&maps), None, &settings(), &Silent).unwrap_err();
+    assert!(matches!(error, InstanceError::EmptyMask { frame: 29 }));
+    for wrong in [
+        RefineSettings {
+            every_frames: 0,
+            ..settings()
+        },
+        RefineSettings {
+            tau: f32::NAN,
+            ..settings()
+        },
+        RefineSettings { tau: 0.2, ..settings() },
+        RefineSettings {
+            side_px: 63,
+            ..settings()
+        },
+    ] {
+        assert!(matches!(wrong.check(), Err(InstanceError::Setting { .. })), "{wrong:?}");
+    }
+}

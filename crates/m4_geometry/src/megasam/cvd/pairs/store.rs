@@ -1,0 +1,239 @@
+//! Pairs in memory, and in a temporary file beyond a byte budget.
+
+use super::compact::{CompactFlow, stride};
+use super::{FlowView, FramePair};
+use crate::megasam::cvd::PairError;
+use std::collections::HashSet;
+use std::fs::File;
+use std::io::{Read, Seek, SeekFrom, Write};
+use std::sync::Mutex;
+
+/// Flow fields of pairs, visited in any order from several threads.
+pub trait PairSource: Sync {
+    /// Width and height of the fields, pixels.
+    fn size(&self) -> (usize, usize);
+
+    /// The pairs, no two alike.
+    fn pairs(&self) -> &[FramePair];
+
+    /// The field of pair `index`, in place or read into `buffer`.
+    ///
+    /// # Errors
+    ///
+    /// [`PairError::Spill`] if it cannot be read.
+    fn flow<'a>(&'a self, index: usize, buffer: &'a mut CompactFlow) -> Result<&'a CompactFlow, PairError>;
+}
+
+/// Keeps fields in memory up to a number of bytes and the others in an unnamed temporary file, which goes away with it.
+#[derive(Debug)]
+pub struct PairStore {
+    width: usize,
+    height: usize,
+    budget_bytes: usize,
+    pairs: Vec<FramePair>,
+    seen: HashSet<FramePair>,
+    /// The first pairs.
+    memory: Vec<CompactFlow>,
+    /// `unit_px` of the others, whose codes are in the file, one after the other.
+    spilled: Vec<f32>,
+    file: Option<Mutex<File>>,
+}
+
+impl PairStore {
+    /// An empty store for fields of a size; `budget_bytes` of them stay in memory (`usize::MAX`: all).
+    #[must_use]
+    pub fn new(width: usize, height: usize, budget_bytes: usize) -> Self {
+        Self {
+            width,
+            height,
+            budget_bytes,
+            pairs: Vec::new(),
+            seen: HashSet::new(),
+            memory: Vec::new(),
+            spilled: Vec::new(),
+            file: None,
+        }
+    }
+
+    /// Bytes of one field.
+    #[must_use]
+    pub fn pair_bytes(&self) -> usize {
+        4 * stride(self.width) * self.height
+    }
+
+    /// Bytes that are held in memory.
+    #[must_use]
+    pub fn memory_bytes(&self) -> usize {
+        self.memory.len() * self.pair_bytes()
+    }
+
+    /// Pairs that lie in the temporary file.
+    #[must_use]
+    pub fn spilled_pairs(&self) -> usize {
+        self.spilled.len()
+    }
+
+    /// Adds a pair: its flow and which pixels count (`[height][width]`).
+    ///
+    /// # Errors
+    ///
+    /// [`PairError`] if the planes have another size, the pair is there or of one frame, or the file cannot be written.
+    pub fn push(&mut self, pair: FramePair, flow: FlowView<'_>, mask: &[bool]) -> Result<(), PairError> {
+        let expected = self.width * self.height;
+        for (what, found) in [("flow x", flow.x.len()), ("flow y", flow.y.len()), ("mask", mask.len())] {
+            if found != expected {
+                return Err(PairError::Length { what, found, expected });
+            }
+        }
+        let reject = |what| {
+            Err(PairError::Pair {
+                source_frame: pair.source,
+                target_frame: pair.target,
+                what,
+            })
+        };
+        if pair.source == pair.target {
+            return reject("of one frame");
+        }
+        if self.seen.contains(&pair) {
+            return reject("there already");
+        }
+        let field = CompactFlow::encode(self.width, self.height, flow.x, flow.y, mask);
+        let fits = self.memory_bytes() + self.pair_bytes() <= self.budget_bytes;
+        if fits && self.spilled.is_empty() {
+            self.memory.push(field);
+        } else {
+            self.spill(&field)?;
+        }
+        self.seen.insert(pair);
+        self.pairs.push(pair);
+        Ok(())
+    }
+
+    fn spill(&mut self, field: &CompactFlow) -> Result<(), PairError> {
+        let at = self.offset(self.spilled.len());
+        let file = match &mut self.file {
+            Some(file) => file,
+            none => none.insert(Mutex::new(tempfile::tempfile()?)),
+        };
+        let file = match file.get_mut() {
+            Ok(file) => file,
+            Err(poisoned) => poisoned.into_inner(),
+        };
+        file.seek(SeekFrom::Start(at))?;
+        file.write_all(bytemuck::cast_slice(&field.codes))?;
+        self.spilled.push(field.unit_px);
+        Ok(())
+    }
+
+    fn offset(&self, spilled: usize) -> u64 {
+        spilled as u64 * self.pair_bytes() as u64
+    }
+}
+
+impl PairSource for PairStore {
+    fn size(&self) -> (usize, usize) {
+        (self.width, self.height)
+    }
+
+    fn pairs(&self) -> &[FramePair] {
+        &self.pairs
+    }
+
+    fn flow<'a>(&'a self, index: usize, buffer: &'a mut CompactFlow) -> Result<&'a CompactFlow, PairError> {
+        if let Some(field) = self.memory.get(index) {
+            return Ok(field);
+        }
+        let spilled = index - self.memory.len();
+        let Some(file) = &self.file else {
+            return Err(std::io::Error::from(std::io::ErrorKind::NotFound).into());
+        };
+        buffer.unit_px = self.spilled[spilled];
+        buffer.codes.resize(self.pair_bytes() / 2, 0);
+        // a thread that died while it read left nothing half done: every read seeks first
+        let mut file = file.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+        file.seek(SeekFrom::Start(self.offset(spilled)))?;
+        file.read_exact(bytemuck::cast_slice_mut(&mut buffer.codes))?;
+        Ok(buffer)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{PairSource, PairStore};
+    use crate::megasam::cvd::PairError;
+    use crate::megasam::cvd::pairs::{CompactFlow, FramePair, MASKED};
+    use m4_core::{CounterRng, Flow};
+
+    const SIZE: (usize, usize) = (21, 9);
+
+    fn field(seed: u64) -> (Flow, Vec<bool>) {
+        let mut rng = CounterRng::new(seed, 1, 2);
+        let n = SIZE.0 * SIZE.1;
+        let field = Flow {
+            width: SIZE.0,
+            height: SIZE.1,
+            u: (0..n).map(|_| 30.0 * rng.normal() as f32).collect(),
+            v: (0..n).map(|_| 10.0 * rng.normal() as f32).collect(),
+        };
+        (field, (0..n).map(|_| rng.uniform() < 0.7).collect())
+    }
+
+    fn fill(budget: usize) -> PairStore {
+        let mut store = PairStore::new(SIZE.0, SIZE.1, budget);
+        for k in 0..5 {
+            let (flow, mask) = field(k as u64);
+            let pair = FramePair {
+                source: k,
+                target: k + 1,
+            };
+            store.push(pair, (&flow).into(), &mask).unwrap();
+        }
+        store
+    }
+
+    #[test]
+    fn a_field_comes_back_within_half_a_unit() {
+        let store = fill(usize::MAX);
+        let (flow, mask) = field(3);
+        let mut buffer = CompactFlow::default();
+        let got = store.flow(3, &mut buffer).unwrap();
+        assert!(got.unit_px > 0.0 && got.unit_px < 120.0 / 32_767.0);
+        for (y, row) in got.codes.chunks_exact(64).enumerate() {
+            for x in 0..32 {
+                if x < SIZE.0 && mask[y * SIZE.0 + x] {
+                    let i = y * SIZE.0 + x;
+                    assert!((f32::from(row[x]) * got.unit_px - flow.u[i]).abs() <= 0.51 * got.unit_px);
+                    assert!((f32::from(row[32 + x]) * got.unit_px - flow.v[i]).abs() <= 0.51 * got.unit_px);
+                } else {
+                    assert_eq!(row[x], MASKED);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn pairs_beyond_the_budget_are_read_from_the_file() {
+        let (all, some) = (fill(usize::MAX), fill(2 * fill(0).pair_bytes() + 7));
+        assert_eq!((all.spilled_pairs(), some.spilled_pairs()), (0, 3));
+        assert_eq!(some.memory_bytes(), 2 * some.pair_bytes());
+        assert_eq!(all.pairs(), some.pairs());
+        for k in [4, 0, 2, 3, 1, 4] {
+            let (mut a, mut b) = (CompactFlow::default(), CompactFlow::default());
+            assert_eq!(all.flow(k, &mut a).unwrap(), some.flow(k, &mut b).unwrap());
+        }
+    }
+
+    #[test]
+    fn broken_pairs_are_refused_with_a_reason() {
+        let mut store = fill(usize::MAX);
+        let (flow, mask) = field(0);
+        let pair = |source, target| FramePair { source, target };
+        let twice = store.push(pair(0, 1), (&flow).into(), &mask).unwrap_err();
+        assert!(twice.to_string().contains("there already"), "{twice}");
+        let same = store.push(pair(7, 7), (&flow).into(), &mask).unwrap_err();
+        assert!(same.to_string().contains("of one frame"), "{same}");
+        let short = store.push(pair(7, 8), (&flow).into(), &mask[1..]);
+        assert!(matches!(short, Err(PairError::Length { what: "mask", .. })));
+    }
+}
