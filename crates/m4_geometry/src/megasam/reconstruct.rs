@@ -68,7 +68,7 @@ impl MegasamGeometry {
 
 /// Tracks a clip: cameras, focal length, and disparity and static confidence at 1/8 (MegaSaM 3.2).
 ///
-/// `correspondence` sees images of [`TrackingSize::picture`].
+/// `correspondence` sees images of [`TrackingSize::resized`].
 ///
 /// # Errors
 ///
@@ -106,7 +106,7 @@ pub fn track(
 /// Makes the depth of a tracked clip consistent along the flow, and returns it with cameras and static confidence in the unit of
 /// the depth (MegaSaM 3.3).
 ///
-/// `flow` sees images of [`TrackingSize::picture`]. Without a prior, depth starts as what the tracker found, and its unit is
+/// `flow` sees images of [`TrackingSize::resized`]. Without a prior, depth starts as what the tracker found, and its unit is
 /// arbitrary.
 ///
 /// # Errors

@@ -9,7 +9,7 @@
 //! megasam       frames --tracking network--> cameras --optical flow--> consistent depth --> capture
 //! ```
 //!
-//! An interrupted stage resumes after the last of these steps ([`crate::steps`]): optical flow of each pair of frames, depth from networks of each
+//! An interrupted stage resumes after the last of these steps (`steps`): optical flow of each pair of frames, depth from networks of each
 //! frame, the reconstruction of cameras, and dense depth; the last two again for a second pass.
 
 mod between;

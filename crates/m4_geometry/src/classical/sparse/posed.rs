@@ -20,11 +20,11 @@ const DOUBTFUL_SHARE: f64 = 0.5;
 const STILL_RAD: f64 = 1e-4;
 
 /// Tracks and points of a clip whose cameras are known, each with its own lens. Cameras, their world and their unit are
-/// handed out as they were given; `masks` as in [`super::Followed::recover`].
+/// handed out as they were given; `masks` as in [`super::FeatureTracks::recover`].
 ///
 /// # Errors
 ///
-/// [`SparseError`] as for [`super::Followed::recover`], and where cameras and frames do not fit or the poses contradict the images.
+/// [`SparseError`] as for [`super::FeatureTracks::recover`], and where cameras and frames do not fit or the poses contradict the images.
 pub fn with_cameras(
     frames: &[&RgbImage],
     cameras: &[Camera],

@@ -10,8 +10,8 @@
 //! ```
 //!
 //! Source: docs/spec/front-end.md 1.5 and 1.6; MegaSaM (Li et al. 2025), section 3. What measures
-//! correspondences is behind the trait [`Correspondence`]: [`FlowCorrespondence`] takes flow that is computed once a
-//! pair, a network revises its answer from where the present geometry projects. Poses inside map world to
+//! correspondences is behind the trait [`Correspondence`]: a network revises its answer from where the present geometry
+//! projects; optical flow would be computed once per pair. Poses inside map world to
 //! camera and positions are pixels of the grid (see [`crate::dba`]); [`Tracked::c2w`] is the border.
 //!
 //! [`mono`] makes the sensor disparity out of two networks' depth.
