@@ -7,7 +7,7 @@ fn folder(reader: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("corpus").join(reader)
 }
 
-/// Names and contents of what once failed to a reader, in the order of the names; empty where nothing did.
+/// Names and contents of the earlier findings in a reader, in the order of the names; empty if there are none.
 ///
 /// # Errors
 ///

@@ -78,16 +78,13 @@ pub fn watch(reader: &str, folder: &Path, mut command: impl FnMut(usize) -> Comm
                     names.push(rest.to_owned());
                     report.executions += 1;
                 }
+                Some("read") => report.read += 1,
+                Some("refused") => report.refused += 1,
                 Some("found") => save(&mut report, reader, folder, &at, rest),
                 Some("done") => {
-                    let rest: Vec<usize> = rest.split(' ').filter_map(|w| w.parse().ok()).collect();
-                    report.read += number;
-                    if let [refused, peak, which] = rest[..] {
-                        report.refused += refused;
-                        if peak > report.peak_bytes {
-                            report.peak_bytes = peak;
-                            report.peak_input = names.get(which.wrapping_sub(from)).cloned().unwrap_or_default();
-                        }
+                    if let Some(which) = rest.parse::<usize>().ok().filter(|_| number > report.peak_bytes) {
+                        report.peak_bytes = number;
+                        report.peak_input = names.get(which.wrapping_sub(from)).cloned().unwrap_or_default();
                     }
                     break None;
                 }

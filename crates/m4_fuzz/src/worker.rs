@@ -2,8 +2,9 @@
 //!
 //! ```text
 //! at I NAME                input I is read; its bytes lie in FOLDER/READER-current, should the process not come back
+//! read I, refused I        how it ended; neither where the reader panicked
 //! found I WHY              a panic, something not valid, a long message, much memory, much time; the input lies in FOLDER/READER-I
-//! done READ REFUSED PEAK I counts of read and refused files; the most memory that one took, bytes, and which
+//! done PEAK I              the most memory that one took, bytes, and which
 //! ```
 
 use crate::limit::limit_memory;
@@ -68,7 +69,7 @@ pub fn work(
     let mut out = io::stdout().lock();
     // the frame of tests may have begun a line
     writeln!(out)?;
-    let (mut read, mut refused, mut most) = (0, 0, (0, 0));
+    let mut most = (0, 0);
     for (i, (name, bytes)) in inputs(&stage).enumerate().skip(from) {
         writeln!(out, "at {i} {name}")?;
         out.flush()?;
@@ -88,11 +89,12 @@ pub fn work(
             Err(_) => Some(said.lock().map(|s| s.clone()).unwrap_or_default()),
             Ok(outcome) => {
                 let outcome = outcome?;
-                if matches!(outcome, Outcome::Refused(_)) {
-                    refused += 1;
+                let how = if matches!(outcome, Outcome::Refused(_)) {
+                    "refused"
                 } else {
-                    read += 1;
-                }
+                    "read"
+                };
+                writeln!(out, "{how} {i}")?;
                 Stage::fault(&outcome)
             }
         };
@@ -106,7 +108,7 @@ pub fn work(
             out.flush()?;
         }
     }
-    writeln!(out, "done {read} {refused} {} {}", most.0, most.1)?;
+    writeln!(out, "done {} {}", most.0, most.1)?;
     out.flush()?;
     match std::fs::remove_file(&current) {
         Err(e) if e.kind() != io::ErrorKind::NotFound => Err(e),

@@ -89,7 +89,7 @@ pub fn ablate(input: &Path, out: &Path, options: &AblateOptions, job: &Job<'_>) 
         job.observer.update("rows", i + 1, rows.len(), row.title());
     }
     let there = |row| made.iter().any(|r: &RowReport| r.row == row && r.skipped.is_none());
-    let picture = if there(Row::NoTrack) {
+    let image = if there(Row::NoTrack) {
         let folders = [Row::NoTrack, Row::Full].map(|row| out.join(row.name()));
         tracking_effect::write(&folders, &data, &out.join("tracking.png"), job)?
     } else {
@@ -104,7 +104,7 @@ pub fn ablate(input: &Path, out: &Path, options: &AblateOptions, job: &Job<'_>) 
         data,
         threads: crate::threads(),
         rows: made,
-        picture,
+        image,
     };
     write_json(&out.join(ABLATION_FILE), &report)?;
     let table = out.join(TABLE_FILE);

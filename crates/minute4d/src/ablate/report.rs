@@ -70,7 +70,7 @@ pub struct AblationReport {
     /// The rows.
     pub rows: Vec<RowReport>,
     /// An image of what tracking brings, where both rows are there.
-    pub picture: Option<PathBuf>,
+    pub image: Option<PathBuf>,
 }
 
 fn number(value: Option<f64>, digits: usize) -> String {
@@ -150,7 +150,7 @@ mod tests {
                 row(Row::NoTrack, 24.25),
                 RowReport::skipped(Row::NoSeg, "there is nothing to segment".into()),
             ],
-            picture: None,
+            image: None,
         };
         let text = report.to_markdown();
         assert!(text.contains("24.25 (-0.75)") && text.contains("25.00"), "{text}");

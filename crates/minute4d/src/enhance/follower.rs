@@ -7,31 +7,31 @@ use m4_geometry::masks::FlowFollower;
 
 /// Classical flow, and a segmenter of single images or none.
 pub struct Follower {
-    pictures: Option<Box<dyn dense::Segmenter>>,
+    segmenter: Option<Box<dyn dense::Segmenter>>,
     weights_hash: Option<String>,
 }
 
 impl Follower {
-    /// With the segmenter that is asked for; its weights are looked for and loaded.
+    /// Loads the weights of the requested segmenter.
     ///
     /// # Errors
     ///
     /// [`Error::Network`] if the build has no networks, or the weights are missing or cannot be used.
-    pub fn load(pictures: Segmenter) -> Result<Self, Error> {
-        let resolved = geometry::resolve_segmenter(pictures)?;
+    pub fn load(segmenter: Segmenter) -> Result<Self, Error> {
+        let resolved = geometry::resolve_segmenter(segmenter)?;
         Ok(Self {
-            pictures: resolved.load()?,
+            segmenter: resolved.load()?,
             weights_hash: resolved.weights_hash().map(str::to_owned),
         })
     }
 
-    /// What follows things.
+    /// Returns the segmenter that propagates masks along flow.
     #[must_use]
     pub fn segmenter(&self) -> FlowFollower<'_> {
-        FlowFollower::new(&InverseSearch, self.pictures.as_deref())
+        FlowFollower::new(&InverseSearch, self.segmenter.as_deref())
     }
 
-    /// The source of flow, to check maps of motion with.
+    /// Returns the source of flow, which also checks motion maps.
     #[must_use]
     pub fn flow(&self) -> &dyn FlowSource {
         &InverseSearch

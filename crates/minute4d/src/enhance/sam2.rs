@@ -52,8 +52,8 @@ impl VideoSegmenter for Sam2Follower {
             width: size.0,
             height: size.1,
         };
-        let pictures = Box::new(move |frame| clip.image(frame).map(std::borrow::Cow::into_owned));
-        let predictor = VideoPredictor::new(Arc::clone(&self.net), frames, pictures, options)
+        let images = Box::new(move |frame| clip.image(frame).map(std::borrow::Cow::into_owned));
+        let predictor = VideoPredictor::new(Arc::clone(&self.net), frames, images, options)
             .map_err(|error| failed(name, 0, error))?;
         Ok(Box::new(Session {
             predictor,

@@ -24,7 +24,7 @@ pub struct Import {
     #[arg(long, value_name = "FPS", value_parser = rate)]
     pub fps: Option<f64>,
     /// Folder of images or a video, if they are not where the format expects them
-    #[arg(long, visible_alias = "pictures", value_name = "PATH")]
+    #[arg(long, value_name = "PATH")]
     pub images: Option<PathBuf>,
     /// Depth maps that replace those of the source: a folder with one file per frame (16-bit PNG, EXR, PFM, npy), or an npz
     #[arg(long, value_name = "PATH")]

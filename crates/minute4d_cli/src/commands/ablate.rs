@@ -38,7 +38,7 @@ pub fn run(args: &Ablate, output: &Output) -> Result<(), Failure> {
     };
     let job = job(device, &existing, settings, output);
     let report = ablate::ablate(&args.input, &args.out, &options, &job)?;
-    if let Some(image) = &report.picture {
+    if let Some(image) = &report.image {
         output.note(&format!("{}: source, without tracking, full method", image.display()));
     }
     output.result(&report.to_markdown(), minute4d::plain_json(&report)?);
