@@ -1,15 +1,15 @@
 //! Estimates how many iterations fit into a time budget on this machine.
 
 use crate::{
-    TrainError,
+    TrainError, arcs,
     backend::{BackendError, BackendMaker},
     colour_fit::frames_drawn,
     config::{DensityConfig, RefineConfig, TrainConfig},
     scale::SceneScale,
-    trainer::Trainer,
+    trainer::{ARCS_AT, Trainer},
 };
 use m4_core::{Capture, Column, Splats};
-use m4_kernels::SimdLevel;
+use m4_kernels::{SimdLevel, adam::cpu::AdamState};
 use rayon::prelude::*;
 use std::time::Instant;
 
@@ -24,8 +24,8 @@ const MOST_GROWTH: f64 = 4.0;
 /// Fewer iterations than this are no training.
 const LEAST: usize = 50;
 
-/// The number of iterations that take `seconds` on rayon's current pool, or on a `backend`: trial steps on a copy of `splats` with what density control may add.
-/// A multiple of 10, at least 50. Unlike everything else in this crate it depends on the machine: with the number that it returns,
+/// The number of iterations that take `seconds` on rayon's current pool, or on a `backend`: trial steps on a copy of `splats` with what density control may add,
+/// and on one that is split into segments of arcs besides, which the second half of a run has. A multiple of 10, at least 50. Unlike everything else in this crate it depends on the machine: with the number that it returns,
 /// training is a function of its inputs again.
 ///
 /// # Errors
@@ -42,8 +42,20 @@ pub fn affordable_iterations(
     if capture.frames.is_empty() {
         return Err(TrainError::NoFrames);
     }
-    let grown = grown(splats, &apparent_sizes(capture, splats), config)?;
-    let step_s = trial(capture, &grown, config, level, backend)?;
+    let mut trial_splats = grown(splats, &apparent_sizes(capture, splats), config)?;
+    let mut step_s = trial(capture, &trial_splats, config, level, backend)?;
+    let turning = if config.arcs {
+        arcs::turning(&trial_splats)
+    } else {
+        Vec::new()
+    };
+    if !turning.is_empty() {
+        let mut state = AdamState::new(&trial_splats);
+        arcs::split(&mut trial_splats, &mut state, &turning)?;
+        drop(state);
+        let after_s = trial(capture, &trial_splats, config, level, backend)?;
+        step_s += (1.0 - ARCS_AT) * (after_s - step_s).max(0.0);
+    }
     let fits = frames_drawn(config.colour_fit_rounds, capture.frames.len()) / config.batch as f64;
     let count = (PLANNED * seconds / step_s.max(1e-6) - fits).max(0.0) as usize;
     Ok((count / 10 * 10).max(LEAST))
@@ -103,6 +115,7 @@ fn trial(
             enabled: false,
             ..config.density.clone()
         },
+        arcs: false,
         colour_fit_rounds: 0,
         refine: RefineConfig {
             from: 0,

@@ -149,6 +149,7 @@ fn a_backend_that_fails_leaves_the_last_good_splats() {
     // splats are not copied more often than the settings say
     let rarely = TrainConfig {
         keep_every_s: 1e9,
+        arcs: false,
         ..config()
     };
     let rounds = Arc::new(AtomicUsize::new(0));

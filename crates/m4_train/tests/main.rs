@@ -1,5 +1,6 @@
 //! The integration tests of this crate, in one program.
 
+mod arcs;
 mod backend;
 mod common;
 mod determinism;

@@ -33,6 +33,8 @@ pub struct TrainConfig {
     pub adam: AdamConfig,
     /// Adding and removing splats.
     pub density: DensityConfig,
+    /// Half way through the run, splats of surfaces that turn become three segments of arcs (docs/spec/optimiser.md 8.8, our rule).
+    pub arcs: bool,
     /// Poses, focal length and exposure.
     pub refine: RefineConfig,
     /// Opacity-compensated 2D filter (docs/spec/optimiser.md 1.6); false in the reference.
@@ -77,6 +79,7 @@ impl TrainConfig {
             lr: RateConfig::default(),
             adam: AdamConfig::default(),
             density: DensityConfig::fast(),
+            arcs: true,
             refine: RefineConfig::default(),
             mip: true,
             background: None,
@@ -103,6 +106,7 @@ impl TrainConfig {
                 ..AdamConfig::default()
             },
             density: DensityConfig::faithful(),
+            arcs: false,
             mip: false,
             background: Some([0.0; 3]),
             ..Self::fast()

@@ -1,5 +1,6 @@
 //! The training loop.
 
+mod arcs;
 mod colour;
 mod density;
 mod save;
@@ -22,6 +23,8 @@ use m4_kernels::adam::cpu::AdamState;
 use m4_kernels::{SimdLevel, View, morton_order};
 use std::time::Instant;
 use step::StepReport;
+
+pub(crate) use arcs::ARCS_AT;
 
 /// Splats nearer than this share of the median depth are not drawn. The reference has 0.2 scene units whatever the scale
 /// (docs/spec/optimiser.md 1.6).

@@ -68,6 +68,7 @@ impl Trainer<'_> {
         self.iteration += 1;
         self.guard()?;
         self.density_round()?;
+        self.arc_round()?;
         let reorder = self.config.reorder_every;
         if reorder > 0 && self.iteration.is_multiple_of(reorder) {
             self.reorder()?;

@@ -1,0 +1,235 @@
+//! Arcs: where a surface turns, a splat becomes three segments along the arc (docs/spec/optimiser.md 8.8).
+//!
+//! A splat moves along a straight line and keeps its orientation. The surface of an object that turns leaves both with the square of
+//! time, and objects fray between the frames. Once velocities are trained, those of neighbouring splats tell how
+//! the surface turns; a splat that leaves its arc by more than half its size becomes three, of shorter lifetimes, which together
+//! are as opaque as it was at every instant.
+//!
+//! | file | what it does |
+//! |---|---|
+//! | `rotation` | velocities of neighbours to an angular velocity |
+//! | `segments` | the parameters of the three segments |
+
+mod rotation;
+mod segments;
+
+use crate::density::rearrange;
+use m4_core::{Column, ShapeError, Splats, nalgebra::Vector3};
+use m4_kernels::adam::cpu::AdamState;
+use rayon::prelude::*;
+use rotation::{Neighbourhood, angular_velocity};
+use segments::{OFFSETS, Shares, become_segment};
+
+/// A splat is split if, one standard deviation of its lifetime from the middle, it is off its arc by more than this share of its
+/// size. 0.25 does no better and splits a third more, 1 gains half as much (docs/decisions/0007).
+const MOST_OFF: f32 = 0.5;
+/// Splats below this opacity neither tell rotations nor are split.
+const VISIBLE: f32 = 0.1;
+/// Most splats that are split, those first that are off the most in units of their size: a bound of the memory, some 300 bytes per new splat.
+const MOST_SPLIT: usize = 300_000;
+
+/// Replaces the `turning` splats by three segments of their arcs each.
+///
+/// The middle segment keeps the state of the optimiser; the other two start from nothing. The other splats are unchanged, to
+/// the bit, and stay in their order.
+///
+/// # Errors
+///
+/// [`ShapeError`] if `adam` does not belong to `splats`; nothing is changed then.
+pub(crate) fn split(splats: &mut Splats, adam: &mut AdamState, turning: &[Turning]) -> Result<(), ShapeError> {
+    ShapeError::check("optimiser state", splats.n(), adam.step.len())?;
+    let n_static = splats.n_static();
+    let mut rows: Vec<u32> = Vec::with_capacity(splats.n() + 2 * turning.len());
+    let mut next = turning.iter().peekable();
+    // the row, its angular velocity, and which segment it becomes
+    let mut segments: Vec<(usize, Vector3<f32>, usize)> = Vec::with_capacity(3 * turning.len());
+    for row in 0..splats.n() {
+        let Some(Turning { turn, .. }) = next.next_if(|turning| n_static + turning.index == row) else {
+            rows.push(row as u32);
+            continue;
+        };
+        for segment in 0..OFFSETS.len() {
+            segments.push((rows.len(), *turn, segment));
+            rows.push(row as u32);
+        }
+    }
+    splats.rearrange(&rows)?;
+    rearrange(adam, &rows)?;
+    for three in segments.chunks(OFFSETS.len()) {
+        let shares = Shares::of(opacity(splats, three[0].0));
+        for &(row, turn, segment) in three {
+            become_segment(splats, row, &turn, segment, &shares);
+            if OFFSETS[segment] != 0.0 {
+                adam.forget(row);
+            }
+        }
+    }
+    Ok(())
+}
+
+/// A dynamic splat that leaves its arc.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Turning {
+    /// Index among the dynamic splats.
+    index: usize,
+    /// Angular velocity of its surface, radians per frame.
+    turn: Vector3<f32>,
+    /// How far it is off, in units of its size, one standard deviation of its lifetime from the middle.
+    off: f32,
+}
+
+/// The splats to split, in order.
+pub(crate) fn turning(splats: &Splats) -> Vec<Turning> {
+    let n_static = splats.n_static();
+    let time = splats.column(Column::TimeMean, 0);
+    let mut visible: Vec<usize> = (0..splats.n_dynamic())
+        .filter(|i| opacity(splats, n_static + i) >= VISIBLE)
+        .collect();
+    visible.sort_by(|&a, &b| time[a].total_cmp(&time[b]).then(a.cmp(&b)));
+    let mut found: Vec<Turning> = Vec::new();
+    for keyframe in visible.chunk_by(|&a, &b| time[a] == time[b]) {
+        let Some(neighbourhood) = Neighbourhood::of(splats, keyframe) else {
+            continue;
+        };
+        found.par_extend(keyframe.par_iter().filter_map(|&index| {
+            let turn = angular_velocity(&neighbourhood.around(&position(splats, n_static + index)));
+            let off = off_arc(splats, index, &turn);
+            (off > MOST_OFF).then_some(Turning { index, turn, off })
+        }));
+    }
+    if found.len() > MOST_SPLIT {
+        found.sort_by(|a, b| b.off.total_cmp(&a.off).then(a.index.cmp(&b.index)));
+        found.truncate(MOST_SPLIT);
+    }
+    found.sort_by_key(|turning| turning.index);
+    found
+}
+
+/// How far dynamic splat `i` leaves its arc until one standard deviation of its lifetime from the middle, in units of its size:
+/// `|turn x v| sd^2 / (2 size)`.
+fn off_arc(splats: &Splats, i: usize, turn: &Vector3<f32>) -> f32 {
+    let row = splats.n_static() + i;
+    let sd = splats.column(Column::LogTimeSd, 0)[i].exp();
+    let axes = splats.layout().range(Column::LogScale).len();
+    let log_size = (0..axes)
+        .map(|k| splats.column(Column::LogScale, k)[row])
+        .fold(f32::MIN, f32::max);
+    0.5 * turn.cross(&velocity(splats, i)).norm() * sd * sd / log_size.exp()
+}
+
+fn position(splats: &Splats, row: usize) -> Vector3<f32> {
+    Vector3::from_fn(|k, _| splats.column(Column::Mean, k)[row])
+}
+
+fn velocity(splats: &Splats, i: usize) -> Vector3<f32> {
+    Vector3::from_fn(|k, _| splats.column(Column::Velocity, k)[i])
+}
+
+fn opacity(splats: &Splats, row: usize) -> f32 {
+    1.0 / (1.0 + (-splats.column(Column::Opacity, 0)[row]).exp())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{opacity, position, turning, velocity};
+    use m4_core::{Column, CounterRng, SplatLayout, Splats, nalgebra::Vector3};
+    use m4_kernels::adam::cpu::AdamState;
+
+    const RADIUS: f32 = 1.0;
+
+    /// Two static splats, and a disc of radius 1 at each of two instants that moves by `velocity(place)`.
+    fn discs(mut velocity: impl FnMut(Vector3<f32>) -> Vector3<f32>) -> (Splats, AdamState) {
+        let layout = SplatLayout {
+            isotropic: false,
+            sh_degree: 0,
+            time_degree: 0,
+        };
+        let n = 3000;
+        let mut splats = Splats::zeros(layout, 2, 2 * n);
+        let mut rng = CounterRng::new(1, 2, 3);
+        splats.column_mut(Column::Quat, 0).fill(1.0);
+        splats.column_mut(Column::Opacity, 0).fill(2.0);
+        for k in 0..3 {
+            splats.column_mut(Column::LogScale, k).fill(0.02f32.ln());
+        }
+        for i in 0..2 * n {
+            let (radius, angle) = (
+                RADIUS * rng.uniform().sqrt() as f32,
+                std::f32::consts::TAU * rng.uniform() as f32,
+            );
+            let p = Vector3::new(radius * angle.cos(), radius * angle.sin(), 5.0);
+            let v = velocity(p);
+            for k in 0..3 {
+                splats.column_mut(Column::Mean, k)[2 + i] = p[k];
+                splats.column_mut(Column::Velocity, k)[i] = v[k];
+            }
+            splats.column_mut(Column::TimeMean, 0)[i] = (i / n) as f32;
+        }
+        let mut adam = AdamState::new(&splats);
+        adam.m.columns_mut().for_each(|c| c.fill(0.25));
+        adam.step.fill(7);
+        (splats, adam)
+    }
+
+    /// Splits what turns and counts it.
+    fn split(splats: &mut Splats, adam: &mut AdamState) -> usize {
+        let turning = turning(splats);
+        super::split(splats, adam, &turning).unwrap();
+        turning.len()
+    }
+
+    #[test]
+    fn splats_of_a_turning_disc_become_segments_of_their_circles() {
+        let turn = Vector3::new(0.0, 0.0, 0.3);
+        let centre = Vector3::new(0.0, 0.0, 5.0);
+        let (before, _) = discs(|p| turn.cross(&(p - centre)));
+        let (mut splats, mut adam) = discs(|p| turn.cross(&(p - centre)));
+        let count = split(&mut splats, &mut adam);
+        // the deviation is r 0.3^2 / 2, which is half the size from r = 0.22 on
+        assert!((5300..5900).contains(&count), "{count}");
+        assert_eq!(
+            (splats.n_static(), splats.n_dynamic()),
+            (2, before.n_dynamic() + 2 * count)
+        );
+        assert_eq!(adam.step.iter().filter(|&&s| s == 0).count(), 2 * count);
+        assert_eq!(adam.m.n(), splats.n());
+        let mut worst = 0.0f32;
+        for i in 0..splats.n_dynamic() {
+            let (p, v) = (position(&splats, 2 + i) - centre, velocity(&splats, i));
+            // every segment moves along a circle around the centre
+            worst = worst.max((v - turn.cross(&p)).norm());
+        }
+        assert!(worst < 0.01, "{worst}");
+    }
+
+    #[test]
+    fn splats_that_do_not_turn_are_unchanged() {
+        let still = || discs(|_| Vector3::new(0.3, 0.0, 0.1));
+        let (mut splats, mut adam) = still();
+        assert_eq!(split(&mut splats, &mut adam), 0);
+        assert_eq!((splats, adam), still());
+    }
+
+    #[test]
+    fn noise_splits_few_splats() {
+        let mut rng = CounterRng::new(4, 5, 6);
+        let (mut splats, mut adam) = discs(|_| {
+            let noise = Vector3::from_fn(|_, _| 0.02 * rng.normal() as f32);
+            Vector3::new(0.3, 0.0, 0.1) + noise
+        });
+        let count = split(&mut splats, &mut adam);
+        assert!(count < 60, "{count} of 6000");
+    }
+
+    #[test]
+    fn faint_splats_and_empty_scenes_are_left_alone() {
+        let turn = Vector3::new(0.0, 0.0, 0.3);
+        let (mut splats, mut adam) = discs(|p| turn.cross(&p));
+        splats.column_mut(Column::Opacity, 0).fill(-4.0);
+        assert!(opacity(&splats, 3) < 0.02);
+        assert_eq!(split(&mut splats, &mut adam), 0);
+        let mut nothing = splats.gather(&[]).unwrap();
+        let mut state = AdamState::new(&nothing);
+        assert_eq!(split(&mut nothing, &mut state), 0);
+    }
+}

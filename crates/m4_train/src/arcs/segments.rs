@@ -1,0 +1,176 @@
+//! The parameters of the segments that a splat becomes.
+
+use super::{position, velocity};
+use m4_core::{
+    Column, Splats,
+    nalgebra::{Quaternion, UnitQuaternion, Vector3},
+};
+
+/// Middles of the segments, in standard deviations of the splat's lifetime from its middle.
+pub(super) const OFFSETS: [f32; 3] = [-STEP, 0.0, STEP];
+/// Distance between the middles. 1 and 1.5 do worse (docs/decisions/0007).
+const STEP: f32 = 1.2;
+/// Standard deviation of the lifetime of a segment, in those of the splat.
+const LIFETIME: f32 = 0.84;
+/// Opacity counts as at most this: optical depths stay finite.
+const MOST_OPAQUE: f32 = 0.999;
+/// Opacity of a segment is at least this: its logit stays finite.
+const LEAST_OPAQUE: f32 = 1e-4;
+/// Rounds of the solution for the two opacities; each takes a digit off the error.
+const ROUNDS: usize = 12;
+
+/// Opacities of the segments.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Shares {
+    middle: f32,
+    side: f32,
+}
+
+impl Shares {
+    /// Segments that together are as opaque as a splat of this opacity at the middle of each: optical depths
+    /// `-ln(1 - o)` add up.
+    pub fn of(opacity: f32) -> Self {
+        let depth = |o: f32| -(1.0 - o.min(MOST_OPAQUE)).ln();
+        let marginal = |dt: f32, sd: f32| (-0.5 * (dt / sd).powi(2)).exp();
+        let (near, far) = (marginal(STEP, LIFETIME), marginal(2.0 * STEP, LIFETIME));
+        let (at_middle, at_side) = (depth(opacity), depth(opacity * marginal(STEP, 1.0)));
+        let solve = |depth: f32| (1.0 - (-depth.max(0.0)).exp()).clamp(LEAST_OPAQUE, MOST_OPAQUE);
+        let mut out = Self {
+            middle: opacity,
+            side: 0.0,
+        };
+        for _ in 0..ROUNDS {
+            out.side = solve(at_side - depth(near * out.middle) - depth(far * out.side));
+            out.middle = solve(at_middle - 2.0 * depth(near * out.side));
+        }
+        out
+    }
+}
+
+/// Row `row`, a copy of a dynamic splat that turns by `turn`, radians per frame, becomes segment `segment` of its arc.
+///
+/// Place and velocity are those of a rigid motion of constant `turn` and constant velocity along it; the rotation turns with it.
+pub(super) fn become_segment(splats: &mut Splats, row: usize, turn: &Vector3<f32>, segment: usize, shares: &Shares) {
+    let i = row - splats.n_static();
+    let log_sd = splats.column(Column::LogTimeSd, 0)[i];
+    let dt = OFFSETS[segment] * log_sd.exp();
+    let opacity = if OFFSETS[segment] == 0.0 {
+        shares.middle
+    } else {
+        shares.side
+    };
+    let rotation = UnitQuaternion::from_scaled_axis(turn * dt);
+    let (p, v) = (position(splats, row), velocity(splats, i));
+    let (to, onward) = (p + displacement(&v, turn, dt), rotation * v);
+    for k in 0..3 {
+        splats.column_mut(Column::Mean, k)[row] = to[k];
+        splats.column_mut(Column::Velocity, k)[i] = onward[k];
+    }
+    if !splats.layout().isotropic {
+        let [w, x, y, z] = [0, 1, 2, 3].map(|k| splats.column(Column::Quat, k)[row]);
+        let turned = rotation.quaternion() * Quaternion::new(w, x, y, z);
+        for (k, value) in [turned.w, turned.i, turned.j, turned.k].into_iter().enumerate() {
+            splats.column_mut(Column::Quat, k)[row] = value;
+        }
+    }
+    splats.column_mut(Column::Opacity, 0)[row] = (opacity / (1.0 - opacity)).ln();
+    splats.column_mut(Column::TimeMean, 0)[i] += dt;
+    splats.column_mut(Column::LogTimeSd, 0)[i] = log_sd + LIFETIME.ln();
+}
+
+/// Integral over `0..dt` of a velocity that starts as `v` and turns by `turn` per unit of time: along the chord, which is turned by half the
+/// angle, and shorter than the arc by `sin(x) / x` of it.
+fn displacement(v: &Vector3<f32>, turn: &Vector3<f32>, dt: f32) -> Vector3<f32> {
+    let half = 0.5 * dt * turn;
+    let angle = half.norm();
+    if angle < 1e-6 {
+        return v * dt;
+    }
+    let axis = half / angle;
+    let along = axis * axis.dot(v);
+    (along + UnitQuaternion::from_scaled_axis(half) * (v - along) * (angle.sin() / angle)) * dt
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{LIFETIME, OFFSETS, STEP, Shares, become_segment, displacement};
+    use crate::arcs::{opacity, position};
+    use m4_core::{
+        Column, SplatLayout, Splats,
+        nalgebra::{UnitQuaternion, Vector3},
+    };
+
+    #[test]
+    fn segments_together_are_as_opaque_as_the_splat_at_every_instant() {
+        for o in [0.15f32, 0.5, 0.9, 0.97, 0.998] {
+            let shares = Shares::of(o);
+            let marginal = |dt: f32, sd: f32| (-0.5 * (dt / sd).powi(2)).exp();
+            for tenth in -15..=15 {
+                let t = 0.1 * tenth as f32;
+                let passed: f32 = OFFSETS
+                    .iter()
+                    .map(|&at| {
+                        let of = if at == 0.0 { shares.middle } else { shares.side };
+                        1.0 - of * marginal(t - at, LIFETIME)
+                    })
+                    .product();
+                let want = o * marginal(t, 1.0);
+                assert!(
+                    (1.0 - passed - want).abs() < 0.07,
+                    "{o} at {t}: {} {want}",
+                    1.0 - passed
+                );
+                if tenth == 0 || tenth == 12 {
+                    assert!(
+                        (1.0 - passed - want).abs() < 2e-3,
+                        "{o} at {t}: {} {want}",
+                        1.0 - passed
+                    );
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_displacement_is_the_integral_of_the_turning_velocity() {
+        let (v, turn) = (Vector3::new(0.4, -0.1, 0.3), Vector3::new(0.2, 0.5, -0.3));
+        for dt in [-1.5f32, 0.0, 0.7] {
+            let steps = 10_000;
+            let sum: Vector3<f32> = (0..steps)
+                .map(|i| UnitQuaternion::from_scaled_axis(turn * (dt * (i as f32 + 0.5) / steps as f32)) * v)
+                .sum();
+            let sum = sum * (dt / steps as f32);
+            assert!((displacement(&v, &turn, dt) - sum).norm() < 1e-4);
+        }
+    }
+
+    #[test]
+    fn a_segment_lies_on_the_circle_and_is_turned_with_it() {
+        let layout = SplatLayout {
+            isotropic: false,
+            sh_degree: 0,
+            time_degree: 0,
+        };
+        let turn = Vector3::new(0.0, 0.0, 0.5);
+        let start = Vector3::new(2.0, 0.0, 7.0);
+        let mut splats = Splats::zeros(layout, 1, 1);
+        splats.column_mut(Column::Quat, 0).fill(2.0);
+        splats.column_mut(Column::TimeMean, 0).fill(3.0);
+        for k in 0..3 {
+            splats.column_mut(Column::Mean, k)[1] = start[k];
+            splats.column_mut(Column::Velocity, k)[0] = turn.cross(&start)[k];
+        }
+        let shares = Shares::of(0.9);
+        become_segment(&mut splats, 1, &turn, 2, &shares);
+        let angle = 0.5 * STEP;
+        let on_circle = Vector3::new(2.0 * angle.cos(), 2.0 * angle.sin(), 7.0);
+        assert!((position(&splats, 1) - on_circle).norm() < 1e-5);
+        assert!((splats.column(Column::TimeMean, 0)[0] - 3.0 - STEP).abs() < 1e-6);
+        assert!((splats.column(Column::LogTimeSd, 0)[0] - LIFETIME.ln()).abs() < 1e-6);
+        let quat = [0, 3].map(|k| splats.column(Column::Quat, k)[1]);
+        assert!(
+            (quat[0] - 2.0 * (0.5 * angle).cos()).abs() < 1e-5 && (quat[1] - 2.0 * (0.5 * angle).sin()).abs() < 1e-5
+        );
+        assert!((opacity(&splats, 1) - shares.side).abs() < 1e-6);
+    }
+}
