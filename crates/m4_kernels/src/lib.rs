@@ -53,7 +53,7 @@ mod stage;
 mod stats;
 
 pub use frame::{CameraGradient, Frame, FrameGradient, Gradients, View, Wanted};
+pub use m4_core::{SIMD_ENV, SimdLevel, SimdLevelError};
 pub use order::morton_order;
 pub use renderer::{FrameStats, Renderer};
-pub use simd::{ENV as SIMD_ENV, SimdLevel, SimdLevelError};
 pub use stats::StepStats;

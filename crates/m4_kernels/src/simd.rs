@@ -1,156 +1,7 @@
-//! The instruction sets that the kernels run on, and the helpers shared by every `cpu.rs`.
+//! The helpers shared by every `cpu.rs`.
 
-use fearless_simd::{Level, Simd, f32x16, prelude::*, u32x16};
-
-/// The environment variable that picks a level for a whole process: `sse2`, `avx2`, `avx512` (or
-/// `neon` and so on, the names that [`SimdLevel::available`] gives).
-pub const ENV: &str = "MINUTE4D_SIMD";
-
-/// A level that was asked for cannot be used.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("SIMD level {asked:?} cannot be used on this machine; choose one of: {}", available.join(", "))]
-pub struct SimdLevelError {
-    /// As it was written.
-    pub asked: String,
-    /// The names that would have worked.
-    pub available: Vec<&'static str>,
-}
-
-/// A set of vector instructions that this machine has: holding one is the proof.
-///
-/// Results differ between levels in the last bits (fused or separate multiplication and addition),
-/// and are the same on any number of threads and any machine with the same level.
-#[derive(Debug, Clone, Copy)]
-pub struct SimdLevel(Level);
-
-impl SimdLevel {
-    /// The level that [`ENV`] names, or else the best one.
-    ///
-    /// # Errors
-    ///
-    /// [`SimdLevelError`] if the variable names a level that this machine does not have.
-    pub fn detect() -> Result<Self, SimdLevelError> {
-        match std::env::var(ENV) {
-            Ok(name) if !name.is_empty() => Self::named(&name),
-            _ => Ok(Self::best()),
-        }
-    }
-
-    /// The best level of this machine, whatever the environment says.
-    #[must_use]
-    pub fn best() -> Self {
-        Self(Level::new())
-    }
-
-    /// The level of that [`name`](Self::name).
-    ///
-    /// # Errors
-    ///
-    /// [`SimdLevelError`] if this machine does not have it.
-    pub fn named(name: &str) -> Result<Self, SimdLevelError> {
-        let all = Self::available();
-        all.iter()
-            .find(|l| l.name().eq_ignore_ascii_case(name))
-            .copied()
-            .ok_or_else(|| SimdLevelError {
-                asked: name.to_owned(),
-                available: all.iter().map(|l| l.name()).collect(),
-            })
-    }
-
-    /// Every level that this machine has, the baseline of its architecture first.
-    #[must_use]
-    pub fn available() -> Vec<Self> {
-        let best = Level::new();
-        #[cfg(target_arch = "x86_64")]
-        {
-            let sse2 = best.as_sse2().map(|t| t.level());
-            let avx2 = best.as_avx2().map(|t| t.level());
-            let avx512 = best.as_avx512().map(|t| t.level());
-            [sse2, avx2, avx512].into_iter().flatten().map(Self).collect()
-        }
-        #[cfg(not(target_arch = "x86_64"))]
-        {
-            vec![Self(best)]
-        }
-    }
-
-    /// `sse2`, `avx2`, `avx512`; on other architectures `neon`, `wasm128` or `portable`.
-    #[must_use]
-    pub fn name(self) -> &'static str {
-        #[cfg(target_arch = "x86_64")]
-        {
-            if self.0.as_avx512().is_some() {
-                "avx512"
-            } else if self.0.as_avx2().is_some() {
-                "avx2"
-            } else {
-                "sse2"
-            }
-        }
-        #[cfg(not(target_arch = "x86_64"))]
-        {
-            if cfg!(target_arch = "aarch64") {
-                "neon"
-            } else if cfg!(target_arch = "wasm32") {
-                "wasm128"
-            } else {
-                "portable"
-            }
-        }
-    }
-
-    /// What [`dispatch`] takes.
-    pub(crate) fn level(self) -> Level {
-        self.0
-    }
-}
-
-/// `dispatch!(level, s => f(s, ..))` compiles the call for each level that has a name and runs that of
-/// `level`. Unlike `fearless_simd`'s it has no version for SSE4.2: processors without AVX2 are rare,
-/// and every version costs compile time.
-#[cfg(target_arch = "x86_64")]
-macro_rules! dispatch {
-    ($level:expr, $s:ident => $call:expr) => {{
-        use fearless_simd::Simd as _;
-        let level: fearless_simd::Level = $level;
-        if let Some($s) = level.as_avx512() {
-            $s.vectorize(
-                #[inline(always)]
-                || $call,
-            )
-        } else if let Some($s) = level.as_avx2() {
-            $s.vectorize(
-                #[inline(always)]
-                || $call,
-            )
-        } else if let Some($s) = level.as_sse2() {
-            $s.vectorize(
-                #[inline(always)]
-                || $call,
-            )
-        } else {
-            unreachable!("SSE2 is part of x86-64")
-        }
-    }};
-}
-pub(crate) use dispatch;
-#[cfg(not(target_arch = "x86_64"))]
-use fearless_simd::dispatch;
-
-impl PartialEq for SimdLevel {
-    fn eq(&self, other: &Self) -> bool {
-        self.name() == other.name()
-    }
-}
-
-impl Eq for SimdLevel {}
-
-impl std::fmt::Display for SimdLevel {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str(self.name())
-    }
-}
+use fearless_simd::{Simd, f32x16, prelude::*, u32x16};
+pub(crate) use m4_core::dispatch;
 
 /// Splats or pixels handled together, whatever the width of the machine's vectors.
 pub(crate) const LANES: usize = 16;
@@ -429,8 +280,9 @@ pub(crate) fn lanes(mut set: u16) -> impl Iterator<Item = usize> {
 
 #[cfg(test)]
 mod tests {
-    use super::{LANES, SimdLevel, all, exp, exp_m1, log2, sigmoid, sin_cos_turns};
+    use super::{LANES, all, dispatch, exp, exp_m1, log2, sigmoid, sin_cos_turns};
     use fearless_simd::{Simd, f32x16, prelude::*};
+    use m4_core::SimdLevel;
 
     #[inline(always)]
     fn each<S: Simd>(s: S, x: f32) -> [f32; 6] {

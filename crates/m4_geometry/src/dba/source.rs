@@ -11,7 +11,8 @@ use super::prior::depth_prior;
 use super::problem::{Factor, Geometry};
 use super::products::{dot, outer_products, three_by_three};
 use super::projection::source_from_target;
-use fearless_simd::{Level, Simd, dispatch};
+use fearless_simd::{Level, Simd};
+use m4_core::dispatch;
 use m4_core::nalgebra::{DMatrix, DVector, Matrix6, Vector6};
 
 /// What all sources share.

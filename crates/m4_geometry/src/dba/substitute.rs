@@ -5,7 +5,8 @@ use super::lanes::{BLOCK, EdgeBlock, PAIR, linearise, load};
 use super::options::stepped_disparity;
 use super::products::dot;
 use super::source::{Context, Curvature, Source};
-use fearless_simd::{Simd, dispatch};
+use fearless_simd::Simd;
+use m4_core::dispatch;
 use m4_core::nalgebra::Vector6;
 
 impl Source<'_> {

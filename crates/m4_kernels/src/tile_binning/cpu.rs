@@ -327,8 +327,9 @@ fn far_tiles(spans: &[u32; BAND_TILES], block: usize) -> u32 {
 #[cfg(test)]
 mod tests {
     use super::{BAND_TILES, BLOCK_COLUMNS, Band, Record, span};
-    use crate::{simd::SimdLevel, tile_binning::handover::tests::hand_over};
+    use crate::tile_binning::handover::tests::hand_over;
     use m4_core::CounterRng;
+    use m4_core::SimdLevel;
 
     #[test]
     fn lists_hold_every_pair_once_near_to_far() {

@@ -135,7 +135,8 @@ impl<S: Simd> Reach<S> {
 pub(crate) mod tests {
     use super::{BAND_TILES, Handover, Reach, Row};
     use crate::{
-        simd::{LANES, SimdLevel, dispatch, each},
+        SimdLevel,
+        simd::{LANES, dispatch, each},
         tile_binning::cpu::Record,
     };
     use fearless_simd::{Simd, prelude::*, u32x16};

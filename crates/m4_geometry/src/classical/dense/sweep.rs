@@ -1,7 +1,8 @@
 //! Plane sweep: what each disparity costs at each pixel.
 
 use super::pair::Pair;
-use fearless_simd::{Level, dispatch};
+use fearless_simd::Level;
+use m4_core::dispatch;
 
 /// Cost of a disparity that no partner can judge, in half bits: that of random signatures.
 const UNKNOWN: u8 = 22;

@@ -1,10 +1,11 @@
 //! The two stages from the caller's side: checks, conventions, units.
 
-use super::fast::{Descent, Moves, SimdLevel, Start};
+use super::fast::{Descent, Moves, Start};
 use super::pairs::PairSource;
 use super::reference::{DISPARITY, Pinhole, UNCERTAINTY};
 use super::settings::{ADAM_EPSILON, LEARNING_RATE, WEIGHTS, WORKING_PERCENTILE_98};
 use super::{CvdError, CvdInput, CvdSettings, PairError};
+use m4_core::SimdLevel;
 use m4_core::{Plane, Progress, Se3};
 use std::collections::HashSet;
 

@@ -4,7 +4,8 @@
 //! alone makes a pair look far, though it tells nothing about depth.
 
 use crate::dba::{Geometry, MIN_DEPTH, project};
-use fearless_simd::{Level, dispatch};
+use fearless_simd::Level;
+use m4_core::dispatch;
 use m4_core::{Real, Se3};
 use rayon::prelude::*;
 

@@ -2,11 +2,12 @@
 
 use super::{BATCH, CHUNK, Sums, Used, backward, forward, score};
 use crate::{
+    SimdLevel,
     blend::{
         ALPHA_MIN, LOG2_ALPHA_MIN,
         planes::{BandGradient, BandPlace, BandPlanes},
     },
-    simd::{SimdLevel, dispatch},
+    simd::dispatch,
     tile_binning::{
         TILE,
         cpu::{BAND_ROWS, BAND_TILES, Band, Record, span},

@@ -13,22 +13,19 @@ mod adam;
 mod edges;
 mod elementary;
 mod frame;
-mod level;
 mod pair;
 mod schedule;
 mod shape;
 mod surface;
 
 pub(super) use frame::Moves;
-pub(super) use level::SimdLevel;
 
 use super::pairs::{CompactFlow, PairSource};
 use super::reference::Pinhole;
 use super::{PairError, Weights};
 use adam::Rate;
 use frame::{Frame, Scratch, Step};
-use level::dispatch;
-use m4_core::Se3;
+use m4_core::{Se3, SimdLevel, dispatch};
 use pair::{Rows, Source, Sums, View};
 use rayon::prelude::*;
 use schedule::{Task, rounds};
@@ -108,7 +105,7 @@ impl<'a> Descent<'a> {
     pub fn begin(&mut self) {
         let (level, shape, scratch) = (self.level, self.shape, &self.scratch);
         self.frames.par_iter_mut().for_each(|frame| {
-            scratch.lend(|scratch| dispatch!(level, _s => frame.begin(shape, scratch)));
+            scratch.lend(|scratch| dispatch!(level.level(), _s => frame.begin(shape, scratch)));
         });
     }
 
@@ -135,7 +132,7 @@ impl<'a> Descent<'a> {
         let losses: Vec<f64> = self
             .frames
             .par_iter_mut()
-            .map(|frame| scratch.lend(|scratch| dispatch!(level, _s => frame.step(&step, scratch))))
+            .map(|frame| scratch.lend(|scratch| dispatch!(level.level(), _s => frame.step(&step, scratch))))
             .collect();
         Ok(Report {
             loss: pair_scale * sums.loss + losses.iter().sum::<f64>(),
@@ -187,7 +184,7 @@ impl<'a> Descent<'a> {
                             by_disparity,
                             by_uncertainty,
                         };
-                        Ok(dispatch!(level, s => pair::source(s, shape, weights, source, &mut views, rows)))
+                        Ok(dispatch!(level.level(), s => pair::source(s, shape, weights, source, &mut views, rows)))
                     },
                 )
                 .collect();

@@ -1,12 +1,13 @@
 //! The fast path against the definition and the original's numbers.
 
 use super::fixture::{FRAMES, SIZE, Tensors, problem};
-use crate::megasam::cvd::fast::{Descent, Moves, SimdLevel, Start};
+use crate::megasam::cvd::fast::{Descent, Moves, Start};
 use crate::megasam::cvd::optimise::{Course, run};
 use crate::megasam::cvd::pairs::{CompactFlow, FlowView, FramePair, MASKED, PairSource, PairStore};
 use crate::megasam::cvd::reference::{Problem, descend};
 use crate::megasam::cvd::{CvdSettings, Weights};
 use m4_core::Silent;
+use m4_core::SimdLevel;
 use m4_testkit::{Agreement, on_every_level};
 
 const PIXELS: usize = SIZE.0 * SIZE.1;
