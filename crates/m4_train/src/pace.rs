@@ -44,14 +44,14 @@ pub fn affordable_iterations(
     }
     let mut trial_splats = grown(splats, &apparent_sizes(capture, splats), config)?;
     let mut step_s = trial(capture, &trial_splats, config, level, backend)?;
-    let turning = if config.arcs {
-        arcs::turning(&trial_splats)
+    let rotating = if config.arcs {
+        arcs::rotating(&trial_splats)
     } else {
         Vec::new()
     };
-    if !turning.is_empty() {
+    if !rotating.is_empty() {
         let mut state = AdamState::new(&trial_splats);
-        arcs::split(&mut trial_splats, &mut state, &turning)?;
+        arcs::split(&mut trial_splats, &mut state, &rotating)?;
         drop(state);
         let after_s = trial(capture, &trial_splats, config, level, backend)?;
         step_s += (1.0 - ARCS_AT) * (after_s - step_s).max(0.0);

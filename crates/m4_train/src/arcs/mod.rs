@@ -1,14 +1,14 @@
-//! Arcs: where a surface turns, a splat becomes three segments along the arc (docs/spec/optimiser.md 8.8).
+//! Replaces splats of rotating surfaces by three segments of an arc (docs/spec/optimiser.md 8.8).
 //!
-//! A splat moves along a straight line and keeps its orientation. The surface of an object that turns leaves both with the square of
-//! time, and objects fray between the frames. Once velocities are trained, those of neighbouring splats tell how
-//! the surface turns; a splat that leaves its arc by more than half its size becomes three, of shorter lifetimes, which together
-//! are as opaque as it was at every instant.
+//! A splat moves along a straight line and keeps its orientation. A rotating surface deviates from the line with the square of
+//! time, so rotating objects fray between the frames. Once velocities are trained, those of neighbouring splats give the angular velocity of
+//! the surface; a splat that deviates from its arc by more than half its size becomes three with shorter lifetimes, which together
+//! are as opaque as it was.
 //!
 //! | file | what it does |
 //! |---|---|
-//! | `rotation` | velocities of neighbours to an angular velocity |
-//! | `segments` | the parameters of the three segments |
+//! | `rotation` | estimates the angular velocity from the velocities of neighbours |
+//! | `segments` | computes the parameters of the three segments |
 
 mod rotation;
 mod segments;
@@ -20,15 +20,15 @@ use rayon::prelude::*;
 use rotation::{Neighbourhood, angular_velocity};
 use segments::{OFFSETS, Shares, become_segment};
 
-/// A splat is split if, one standard deviation of its lifetime from the middle, it is off its arc by more than this share of its
+/// A splat is split if, one standard deviation of its lifetime from the middle, it deviates from its arc by more than this share of its
 /// size. 0.25 does no better and splits a third more, 1 gains half as much (docs/decisions/0007).
-const MOST_OFF: f32 = 0.5;
-/// Splats below this opacity neither tell rotations nor are split.
-const VISIBLE: f32 = 0.1;
-/// Most splats that are split, those first that are off the most in units of their size: a bound of the memory, some 300 bytes per new splat.
-const MOST_SPLIT: usize = 300_000;
+const MAX_DEVIATION: f32 = 0.5;
+/// Splats below this opacity are neither split nor used to estimate angular velocities.
+const MIN_OPACITY: f32 = 0.1;
+/// Most splats that are split, those with the largest deviation in units of their size first: bounds the memory, some 300 bytes per new splat.
+const MAX_SPLIT: usize = 300_000;
 
-/// Replaces the `turning` splats by three segments of their arcs each.
+/// Replaces each of the `rotating` splats by three segments of its arc.
 ///
 /// The middle segment keeps the state of the optimiser; the other two start from nothing. The other splats are unchanged, to
 /// the bit, and stay in their order.
@@ -36,20 +36,20 @@ const MOST_SPLIT: usize = 300_000;
 /// # Errors
 ///
 /// [`ShapeError`] if `adam` does not belong to `splats`; nothing is changed then.
-pub(crate) fn split(splats: &mut Splats, adam: &mut AdamState, turning: &[Turning]) -> Result<(), ShapeError> {
+pub(crate) fn split(splats: &mut Splats, adam: &mut AdamState, rotating: &[RotatingSplat]) -> Result<(), ShapeError> {
     ShapeError::check("optimiser state", splats.n(), adam.step.len())?;
     let n_static = splats.n_static();
-    let mut rows: Vec<u32> = Vec::with_capacity(splats.n() + 2 * turning.len());
-    let mut next = turning.iter().peekable();
+    let mut rows: Vec<u32> = Vec::with_capacity(splats.n() + 2 * rotating.len());
+    let mut next = rotating.iter().peekable();
     // the row, its angular velocity, and which segment it becomes
-    let mut segments: Vec<(usize, Vector3<f32>, usize)> = Vec::with_capacity(3 * turning.len());
+    let mut segments: Vec<(usize, Vector3<f32>, usize)> = Vec::with_capacity(3 * rotating.len());
     for row in 0..splats.n() {
-        let Some(Turning { turn, .. }) = next.next_if(|turning| n_static + turning.index == row) else {
+        let Some(rotating) = next.next_if(|rotating| n_static + rotating.index == row) else {
             rows.push(row as u32);
             continue;
         };
         for segment in 0..OFFSETS.len() {
-            segments.push((rows.len(), *turn, segment));
+            segments.push((rows.len(), rotating.angular_velocity, segment));
             rows.push(row as u32);
         }
     }
@@ -57,8 +57,8 @@ pub(crate) fn split(splats: &mut Splats, adam: &mut AdamState, turning: &[Turnin
     rearrange(adam, &rows)?;
     for three in segments.chunks(OFFSETS.len()) {
         let shares = Shares::of(opacity(splats, three[0].0));
-        for &(row, turn, segment) in three {
-            become_segment(splats, row, &turn, segment, &shares);
+        for &(row, angular_velocity, segment) in three {
+            become_segment(splats, row, &angular_velocity, segment, &shares);
             if OFFSETS[segment] != 0.0 {
                 adam.forget(row);
             }
@@ -67,54 +67,58 @@ pub(crate) fn split(splats: &mut Splats, adam: &mut AdamState, turning: &[Turnin
     Ok(())
 }
 
-/// A dynamic splat that leaves its arc.
+/// A dynamic splat that deviates from its arc.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Turning {
+pub(crate) struct RotatingSplat {
     /// Index among the dynamic splats.
     index: usize,
-    /// Angular velocity of its surface, radians per frame.
-    turn: Vector3<f32>,
-    /// How far it is off, in units of its size, one standard deviation of its lifetime from the middle.
-    off: f32,
+    /// Of its surface, radians per frame.
+    angular_velocity: Vector3<f32>,
+    /// Distance between line and arc one standard deviation of its lifetime from the middle, in units of its size.
+    deviation: f32,
 }
 
-/// The splats to split, in order.
-pub(crate) fn turning(splats: &Splats) -> Vec<Turning> {
+/// Finds the splats to split, in order.
+pub(crate) fn rotating(splats: &Splats) -> Vec<RotatingSplat> {
     let n_static = splats.n_static();
     let time = splats.column(Column::TimeMean, 0);
     let mut visible: Vec<usize> = (0..splats.n_dynamic())
-        .filter(|i| opacity(splats, n_static + i) >= VISIBLE)
+        .filter(|i| opacity(splats, n_static + i) >= MIN_OPACITY)
         .collect();
     visible.sort_by(|&a, &b| time[a].total_cmp(&time[b]).then(a.cmp(&b)));
-    let mut found: Vec<Turning> = Vec::new();
+    let mut found: Vec<RotatingSplat> = Vec::new();
     for keyframe in visible.chunk_by(|&a, &b| time[a] == time[b]) {
         let Some(neighbourhood) = Neighbourhood::of(splats, keyframe) else {
             continue;
         };
         found.par_extend(keyframe.par_iter().filter_map(|&index| {
-            let turn = angular_velocity(&neighbourhood.around(&position(splats, n_static + index)));
-            let off = off_arc(splats, index, &turn);
-            (off > MOST_OFF).then_some(Turning { index, turn, off })
+            let angular_velocity = angular_velocity(&neighbourhood.around(&position(splats, n_static + index)));
+            let deviation = deviation(splats, index, &angular_velocity);
+            (deviation > MAX_DEVIATION).then_some(RotatingSplat {
+                index,
+                angular_velocity,
+                deviation,
+            })
         }));
     }
-    if found.len() > MOST_SPLIT {
-        found.sort_by(|a, b| b.off.total_cmp(&a.off).then(a.index.cmp(&b.index)));
-        found.truncate(MOST_SPLIT);
+    if found.len() > MAX_SPLIT {
+        found.sort_by(|a, b| b.deviation.total_cmp(&a.deviation).then(a.index.cmp(&b.index)));
+        found.truncate(MAX_SPLIT);
     }
-    found.sort_by_key(|turning| turning.index);
+    found.sort_by_key(|rotating| rotating.index);
     found
 }
 
-/// How far dynamic splat `i` leaves its arc until one standard deviation of its lifetime from the middle, in units of its size:
-/// `|turn x v| sd^2 / (2 size)`.
-fn off_arc(splats: &Splats, i: usize, turn: &Vector3<f32>) -> f32 {
+/// Returns the distance between line and arc of dynamic splat `i`, one standard deviation of its lifetime from the middle, in units of its size:
+/// `|w x v| sd^2 / (2 size)`.
+fn deviation(splats: &Splats, i: usize, angular_velocity: &Vector3<f32>) -> f32 {
     let row = splats.n_static() + i;
     let sd = splats.column(Column::LogTimeSd, 0)[i].exp();
     let axes = splats.layout().range(Column::LogScale).len();
     let log_size = (0..axes)
         .map(|k| splats.column(Column::LogScale, k)[row])
         .fold(f32::MIN, f32::max);
-    0.5 * turn.cross(&velocity(splats, i)).norm() * sd * sd / log_size.exp()
+    0.5 * angular_velocity.cross(&velocity(splats, i)).norm() * sd * sd / log_size.exp()
 }
 
 fn position(splats: &Splats, row: usize) -> Vector3<f32> {
@@ -131,7 +135,7 @@ fn opacity(splats: &Splats, row: usize) -> f32 {
 
 #[cfg(test)]
 mod tests {
-    use super::{opacity, position, turning, velocity};
+    use super::{opacity, position, rotating, velocity};
     use m4_core::{Column, CounterRng, SplatLayout, Splats, nalgebra::Vector3};
     use m4_kernels::adam::cpu::AdamState;
 
@@ -171,15 +175,15 @@ mod tests {
         (splats, adam)
     }
 
-    /// Splits what turns and counts it.
+    /// Splits the rotating splats and counts them.
     fn split(splats: &mut Splats, adam: &mut AdamState) -> usize {
-        let turning = turning(splats);
-        super::split(splats, adam, &turning).unwrap();
-        turning.len()
+        let rotating = rotating(splats);
+        super::split(splats, adam, &rotating).unwrap();
+        rotating.len()
     }
 
     #[test]
-    fn splats_of_a_turning_disc_become_segments_of_their_circles() {
+    fn splats_of_a_rotating_disc_become_segments_of_their_circles() {
         let turn = Vector3::new(0.0, 0.0, 0.3);
         let centre = Vector3::new(0.0, 0.0, 5.0);
         let (before, _) = discs(|p| turn.cross(&(p - centre)));
@@ -203,7 +207,7 @@ mod tests {
     }
 
     #[test]
-    fn splats_that_do_not_turn_are_unchanged() {
+    fn splats_that_do_not_rotate_are_unchanged() {
         let still = || discs(|_| Vector3::new(0.3, 0.0, 0.1));
         let (mut splats, mut adam) = still();
         assert_eq!(split(&mut splats, &mut adam), 0);

@@ -8,17 +8,17 @@ use m4_core::{
 };
 use std::num::NonZero;
 
-/// One splat in so many tells velocities: what lies next to each other was registered together, and more of them tell no more.
+/// One splat in so many is used: neighbours were registered together, so more of them add no information.
 const EVERY: usize = 8;
-/// Splats that turn together.
+/// Splats whose common rigid motion is fitted.
 const NEIGHBOURS: NonZero<usize> = NonZero::new(32).unwrap();
-/// Rounds of weights against outliers.
+/// Rounds of reweighting against outliers.
 const ROUNDS: usize = 4;
-/// Residuals count half at this many times their median.
+/// A residual of this many times the median halves the weight.
 const OUTLIER: f32 = 1.5;
-/// Median length of a vector of three normal numbers.
+/// Median length of a vector of three standard normal numbers.
 const MEDIAN_LENGTH: f32 = 1.538;
-/// Added to the inertia, as a share of its trace: points on a line tell nothing of turns about it.
+/// Added to the inertia, as a share of its trace: points on a line do not determine the rotation about it.
 const RIDGE: f32 = 1e-3;
 
 /// Places, world units, and velocities, world units per frame.
@@ -31,7 +31,7 @@ pub(super) struct Neighbourhood {
 }
 
 impl Neighbourhood {
-    /// Of the dynamic rows `keyframe`; `None` for fewer than three that tell velocities.
+    /// Indexes the dynamic rows `keyframe`; `None` if fewer than three are used.
     pub fn of(splats: &Splats, keyframe: &[usize]) -> Option<Self> {
         let motion: Vec<Motion> = keyframe
             .iter()
@@ -43,7 +43,7 @@ impl Neighbourhood {
         (motion.len() >= 3).then_some(Self { tree, motion })
     }
 
-    /// The motion of the splats around a place.
+    /// Returns the motion of the splats nearest to a place.
     pub fn around(&self, place: &Vector3<f32>) -> Vec<Motion> {
         let count = NEIGHBOURS.min(NonZero::new(self.motion.len()).unwrap_or(NEIGHBOURS));
         let place: [f32; 3] = (*place).into();
@@ -56,8 +56,8 @@ impl Neighbourhood {
     }
 }
 
-/// The angular velocity, radians per frame, of the rigid motion that fits `motion` best, outliers counting little, shrunk towards 0
-/// by what the residuals explain of it (James and Stein 1961): 0 where it is all noise.
+/// Returns the angular velocity, radians per frame, of the rigid motion that fits `motion` best with Cauchy weights, shrunk towards 0
+/// by the share that the residuals explain (James and Stein 1961): 0 where it is all noise.
 pub(super) fn angular_velocity(motion: &[Motion]) -> Vector3<f32> {
     let mut weights = vec![1.0f32; motion.len()];
     let mut out = Vector3::zeros();
@@ -109,7 +109,7 @@ mod tests {
     use super::{Motion, angular_velocity};
     use m4_core::{CounterRng, nalgebra::Vector3};
 
-    /// A flat patch that turns by `turn` and drifts, with velocities that are off by `noise`.
+    /// A flat patch that rotates by `turn` and drifts, with velocities that are off by `noise`.
     fn patch(turn: Vector3<f32>, noise: f32, seed: u64) -> Vec<Motion> {
         let mut rng = CounterRng::new(seed, 8, 9);
         (0..32)
@@ -122,7 +122,7 @@ mod tests {
     }
 
     #[test]
-    fn a_turn_is_found_about_any_axis_despite_outliers() {
+    fn a_rotation_about_any_axis_is_found_despite_outliers() {
         for turn in [[0.0, 0.0, 0.4], [0.3, 0.0, 0.0], [0.1, -0.2, 0.3]].map(Vector3::from) {
             let mut motion = patch(turn, 0.005, 7);
             for outlier in 0..4 {
@@ -134,7 +134,7 @@ mod tests {
     }
 
     #[test]
-    fn noise_is_no_turn() {
+    fn noise_is_no_rotation() {
         // a fit of the same velocities without shrinkage has a mean square of 0.1^2 / 32 (1 / 0.17 + 2 / 0.083) = 0.0094
         let square: f32 = (0..100)
             .map(|seed| angular_velocity(&patch(Vector3::zeros(), 0.1, seed)).norm_squared())

@@ -6,17 +6,17 @@ use m4_core::{
     nalgebra::{Quaternion, UnitQuaternion, Vector3},
 };
 
-/// Middles of the segments, in standard deviations of the splat's lifetime from its middle.
+/// Times of the segments' middles, in standard deviations of the splat's lifetime from its middle.
 pub(super) const OFFSETS: [f32; 3] = [-STEP, 0.0, STEP];
 /// Distance between the middles. 1 and 1.5 do worse (docs/decisions/0007).
 const STEP: f32 = 1.2;
 /// Standard deviation of the lifetime of a segment, in those of the splat.
 const LIFETIME: f32 = 0.84;
-/// Opacity counts as at most this: optical depths stay finite.
+/// Largest opacity: optical depths stay finite.
 const MOST_OPAQUE: f32 = 0.999;
-/// Opacity of a segment is at least this: its logit stays finite.
+/// Least opacity of a segment: its logit stays finite.
 const LEAST_OPAQUE: f32 = 1e-4;
-/// Rounds of the solution for the two opacities; each takes a digit off the error.
+/// Rounds of the fixed-point iteration for the two opacities; each reduces the error by about a digit.
 const ROUNDS: usize = 12;
 
 /// Opacities of the segments.
@@ -27,8 +27,8 @@ pub(super) struct Shares {
 }
 
 impl Shares {
-    /// Segments that together are as opaque as a splat of this opacity at the middle of each: optical depths
-    /// `-ln(1 - o)` add up.
+    /// Returns the opacities with which the segments together are as opaque as a splat of this opacity, at the middle of each: optical
+    /// depths `-ln(1 - o)` add up.
     pub fn of(opacity: f32) -> Self {
         let depth = |o: f32| -(1.0 - o.min(MOST_OPAQUE)).ln();
         let marginal = |dt: f32, sd: f32| (-0.5 * (dt / sd).powi(2)).exp();
@@ -47,9 +47,9 @@ impl Shares {
     }
 }
 
-/// Row `row`, a copy of a dynamic splat that turns by `turn`, radians per frame, becomes segment `segment` of its arc.
+/// Turns row `row`, a copy of a dynamic splat with angular velocity `turn`, radians per frame, into segment `segment` of its arc.
 ///
-/// Place and velocity are those of a rigid motion of constant `turn` and constant velocity along it; the rotation turns with it.
+/// Position and velocity are those of a rigid motion with constant angular velocity; the rotation of the splat follows it.
 pub(super) fn become_segment(splats: &mut Splats, row: usize, turn: &Vector3<f32>, segment: usize, shares: &Shares) {
     let i = row - splats.n_static();
     let log_sd = splats.column(Column::LogTimeSd, 0)[i];
@@ -78,8 +78,8 @@ pub(super) fn become_segment(splats: &mut Splats, row: usize, turn: &Vector3<f32
     splats.column_mut(Column::LogTimeSd, 0)[i] = log_sd + LIFETIME.ln();
 }
 
-/// Integral over `0..dt` of a velocity that starts as `v` and turns by `turn` per unit of time: along the chord, which is turned by half the
-/// angle, and shorter than the arc by `sin(x) / x` of it.
+/// Integrates over `0..dt` a velocity that is `v` at 0 and rotates by `turn` per unit of time: the chord of the arc, which is rotated by half the
+/// angle `2 x`, and `sin(x) / x` as long as the arc.
 fn displacement(v: &Vector3<f32>, turn: &Vector3<f32>, dt: f32) -> Vector3<f32> {
     let half = 0.5 * dt * turn;
     let angle = half.norm();
