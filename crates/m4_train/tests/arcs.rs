@@ -1,4 +1,4 @@
-//! A disc that turns: its splats become segments of arcs, which are right between the frames, too.
+//! A rotating disc: its splats become segments of arcs, which are better between the frames.
 #![expect(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
 
 use m4_core::{Camera, Capture, CaptureFrame, CompactMask, Intrinsics, Plane, Se3, Silent, Splats};
@@ -28,7 +28,7 @@ fn on_disc(x: usize, y: usize) -> bool {
     p.x.hypot(p.y) < RADIUS
 }
 
-/// The image at time `t`: six sectors of two tones in front of a wall.
+/// The image at time `t`: a pattern of three periods around the centre, in front of a wall.
 fn image(t: f64) -> Plane<[u8; 3]> {
     Plane::from_fn(SIZE.0, SIZE.1, |x, y| {
         if !on_disc(x, y) {

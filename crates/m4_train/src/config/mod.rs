@@ -33,7 +33,7 @@ pub struct TrainConfig {
     pub adam: AdamConfig,
     /// Adding and removing splats.
     pub density: DensityConfig,
-    /// Half way through the run, splats of surfaces that turn become three segments of arcs (docs/spec/optimiser.md 8.8, our rule).
+    /// Half way through the run, splats of rotating surfaces become three segments of arcs (docs/spec/optimiser.md 8.8, our rule).
     pub arcs: bool,
     /// Poses, focal length and exposure.
     pub refine: RefineConfig,
