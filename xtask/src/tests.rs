@@ -12,6 +12,7 @@ use std::fmt::Write;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::sync::{Mutex, PoisonError};
+use std::time::Instant;
 
 /// What the tests of the default program leave out: networks. Without features nothing of GPUs is compiled.
 const DEFAULT: [&str; 3] = ["--workspace", "--exclude", "m4_nets"];
@@ -31,7 +32,17 @@ const FULL: [&str; 12] = [
     "minute4d_cli/full,m4_nets/gpu",
 ];
 
-/// Programs of tests that run at a time: those of GPUs mostly wait for the one thread that compiles kernels.
+/// Compiles in one unit what most of the time of the tests is spent in, so that everything can be inlined. Not in Cargo.toml: who
+/// changes one of these crates and runs its tests alone wants only the changed parts compiled.
+const ONE_UNIT: [&str; 4] = [
+    "--config",
+    "profile.dev.package.m4_geometry.codegen-units=1",
+    "--config",
+    "profile.dev.package.m4_train.codegen-units=1",
+];
+
+/// Programs of tests that run at a time: many end with one long test, and those of GPUs mostly wait for the one thread that compiles
+/// kernels.
 const AT_A_TIME: usize = 2;
 
 /// What to run, and what must not be missing.
@@ -100,6 +111,8 @@ pub fn run(root: &Path, tests: &Tests) -> Result<()> {
     }
     let result = if tests.full {
         what_full_adds(root, &list, &tests.more)
+    } else if tests.more.is_empty() {
+        default_tests(root, &list)
     } else {
         let mut command = cargo(root, &["test", "--no-fail-fast"]);
         command.args(DEFAULT).args(&tests.more).env("MINUTE4D_SKIPPED", &list);
@@ -180,6 +193,16 @@ pub fn lacking(skipped: &[Skipped], required: &BTreeSet<String>) -> Result<()> {
     )
 }
 
+/// The programs that run longest, the longest first: they start before others.
+const LONGEST: [&str; 4] = [
+    "minute4d_cli (test it)",
+    "m4_geometry (lib m4_geometry)",
+    "m4_geometry (test it)",
+    "m4_io (test it)",
+];
+/// Runs after the others: it moves fingers and the mouse over the page, which a busy machine mistakes for other gestures.
+const ALONE: &str = "xtask (test it)";
+
 /// A program of tests.
 #[derive(Debug)]
 struct Program {
@@ -189,6 +212,37 @@ struct Program {
     path: PathBuf,
     /// The package's folder, where cargo would start it.
     folder: PathBuf,
+}
+
+/// Which tests of a program run.
+enum Which {
+    /// All, with their number.
+    All(usize),
+    /// Those with these names.
+    These(Vec<String>),
+}
+
+impl Which {
+    fn count(&self) -> usize {
+        match self {
+            Self::All(count) => *count,
+            Self::These(names) => names.len(),
+        }
+    }
+}
+
+/// Runs the tests of the default program, and the examples of its documentation.
+fn default_tests(root: &Path, list: &Path) -> Result<()> {
+    let programs = programs(root, &DEFAULT, &[])?;
+    let counted = programs.into_iter().map(|program| {
+        let count = names(&program)?.len();
+        Ok((program, Which::All(count)))
+    });
+    let ran = run_programs(counted.collect::<Result<Vec<_>>>()?, list);
+    let mut examples = cargo(root, &["test", "--doc", "--no-fail-fast"]);
+    examples.args(DEFAULT);
+    let examples = ended(examples, "cargo test --doc");
+    ran.and(examples)
 }
 
 /// Runs the tests that are not among those of the default program: all of networks and GPUs, and of the program those that
@@ -213,19 +267,34 @@ fn what_full_adds(root: &Path, list: &Path, more: &[String]) -> Result<()> {
             .filter(|test| !before.contains(&(program.name.clone(), test.clone())))
             .collect();
         if !new.is_empty() {
-            waiting.push((program, new));
+            waiting.push((program, Which::These(new)));
         }
     }
+    run_programs(waiting, list)
+}
+
+/// Runs programs: the longest first, then those with the most tests, and at last the one that needs the machine for itself.
+fn run_programs(programs: Vec<(Program, Which)>, list: &Path) -> Result<()> {
+    let (alone, others): (Vec<_>, Vec<_>) = programs.into_iter().partition(|(program, _)| program.name == ALONE);
+    let first = run_several(others, list);
+    first.and(run_several(alone, list))
+}
+
+/// Runs programs, several at a time.
+fn run_several(mut waiting: Vec<(Program, Which)>, list: &Path) -> Result<()> {
     // The last is taken first.
-    waiting.sort_by_key(|(_, tests)| tests.len());
+    waiting.sort_by_key(|(program, which)| {
+        let place = LONGEST.iter().rev().position(|&name| name == program.name);
+        (place, which.count())
+    });
     let waiting = Mutex::new(waiting);
     let failed = Mutex::new(Vec::new());
     let next = || waiting.lock().unwrap_or_else(PoisonError::into_inner).pop();
     std::thread::scope(|scope| {
         for _ in 0..AT_A_TIME {
             scope.spawn(|| {
-                while let Some((program, tests)) = next() {
-                    if let Err(error) = run_alone(&program, &tests, list) {
+                while let Some((program, which)) = next() {
+                    if let Err(error) = run_alone(&program, &which, list) {
                         eprintln!("{error:#}");
                         failed.lock().unwrap_or_else(PoisonError::into_inner).push(program.name);
                     }
@@ -241,18 +310,22 @@ fn what_full_adds(root: &Path, list: &Path, more: &[String]) -> Result<()> {
 }
 
 /// Runs these tests of a program and prints its output when it ends, so that outputs of several programs do not mix.
-fn run_alone(program: &Program, tests: &[String], list: &Path) -> Result<()> {
-    eprintln!("     Running {} tests of {}", tests.len(), program.name);
-    let output = Command::new(&program.path)
+fn run_alone(program: &Program, which: &Which, list: &Path) -> Result<()> {
+    eprintln!("     Running {} tests of {}", which.count(), program.name);
+    let mut command = Command::new(&program.path);
+    if let Which::These(names) = which {
+        command.arg("--exact").args(names);
+    }
+    let started = Instant::now();
+    let output = command
         .current_dir(&program.folder)
-        .arg("--exact")
-        .args(tests)
         .env("CARGO_MANIFEST_DIR", &program.folder)
         .env("MINUTE4D_SKIPPED", list)
         .output()
         .with_context(|| format!("cannot start {}", program.name))?;
     let text = [output.stdout, output.stderr].map(|bytes| String::from_utf8_lossy(&bytes).into_owned());
-    eprintln!("     Ended: {}\n{}", program.name, text.concat());
+    let seconds = started.elapsed().as_secs();
+    eprintln!("     Ended: {} after {seconds} s\n{}", program.name, text.concat());
     if output.status.success() {
         Ok(())
     } else {
@@ -322,7 +395,7 @@ fn names(program: &Program) -> Result<Vec<String>> {
 
 fn cargo(root: &Path, arguments: &[&str]) -> Command {
     let mut command = Command::new(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
-    command.args(arguments).current_dir(root);
+    command.args(ONE_UNIT).args(arguments).current_dir(root);
     command
 }
 

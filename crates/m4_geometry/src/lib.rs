@@ -7,6 +7,7 @@
 //! masks/         segmentation and tracking of dynamic objects, for masks of any source
 //! tracks/        tracks of dynamic points through a clip whose cameras and depth are known, visible or occluded
 //! consistency/   whether given cameras and depth fit the images
+//! resample       images and maps in other sizes
 //! ```
 //!
 //! Networks and optical flow are behind traits: [`megasam::tracker::Correspondence`], [`classical::dense::FlowSource`],
@@ -20,4 +21,5 @@ pub mod masks;
 pub mod megasam;
 #[cfg(test)]
 mod published;
+pub mod resample;
 pub mod tracks;

@@ -11,8 +11,9 @@ use m4_geometry::megasam::graph::EdgeChanges;
 use m4_geometry::megasam::tracker::{Correspondence, CorrespondenceError, Revision};
 use m4_geometry::megasam::{
     DepthPrior, MegasamGeometry, MegasamInput, MegasamSettings, PairFlow, PairFlowError, TrackingSize, reconstruct,
-    resize_area, resize_bilinear, resize_nearest, track,
+    track,
 };
+use m4_geometry::resample::{resize_area, resize_bilinear, resize_nearest};
 use m4_testkit::shared;
 use safetensors::{Dtype, SafeTensors};
 use std::path::Path;

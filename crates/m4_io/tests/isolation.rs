@@ -66,7 +66,9 @@ fn note_takers(folder: &Path) -> (PathBuf, VideoOptions) {
         let notes = folder.join(format!("{name}.d"));
         fs::create_dir(&notes).unwrap();
         let copy = |what: &str| format!("cat /proc/$$/{what} >'{}/{what}'\n", notes.display());
-        ["environ", "status", "limits"].map(copy).concat() + rest
+        // A bare child begins before it is limited, in this order.
+        let limited = "until [ \"$(ulimit -f)\" != unlimited ] && [ \"$(ulimit -n)\" = 256 ]; do sleep 0.01; done\n";
+        limited.to_owned() + &["environ", "status", "limits"].map(copy).concat() + rest
     };
     let packets = r#"echo '{"packets":[{"pts_time":"0","flags":"K_"}],
 "streams":[{"codec_name":"ffv1","width":4,"height":2,"pix_fmt":"yuv420p"}]}'"#;

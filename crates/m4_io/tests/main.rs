@@ -19,6 +19,8 @@ mod mp4_writer;
 #[cfg(test)]
 mod outside;
 #[cfg(test)]
+mod resize;
+#[cfg(test)]
 mod scene_file;
 #[cfg(test)]
 mod tracks;

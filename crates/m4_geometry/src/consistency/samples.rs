@@ -1,6 +1,7 @@
 //! Static pixels and their flow.
 
-use crate::classical::dense::{FlowError, FlowImage, FlowPair, FlowSource, rgb_and_grey, working_size};
+use crate::classical::dense::{FlowError, FlowImage, FlowPair, FlowSource, working_size};
+use crate::resample::rgb_and_grey;
 use m4_core::{Capture, CaptureFrame, CompactDepth, Progress};
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicUsize, Ordering};

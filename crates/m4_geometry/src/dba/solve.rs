@@ -2,19 +2,19 @@
 
 use super::options::DbaOptions;
 use super::source::Part;
-use faer::dyn_stack::{MemBuffer, MemStack};
-use faer::linalg::cholesky::llt::{factor, solve};
-use faer::{Mat, Par, Spec};
-use m4_core::nalgebra::Vector6;
+use m4_core::nalgebra::{Cholesky, DMatrix, DVector, Vector6};
 use std::ops::Range;
+
+/// Columns that are factorised at once: what follows them is products of matrices.
+const BLOCK: usize = 64;
 
 /// The normal equations of the free poses (six each) and, last, of the focal parameter.
 pub(super) struct System {
     window: Range<usize>,
     focal: bool,
     /// Lower triangle.
-    matrix: Mat<f64>,
-    rhs: Mat<f64>,
+    matrix: DMatrix<f64>,
+    rhs: DVector<f64>,
     diagonal: Vec<f64>,
     /// Sums of `w |r|^2` and of `w`.
     squares: (f64, f64),
@@ -32,8 +32,8 @@ impl System {
         Self {
             window,
             focal,
-            matrix: Mat::zeros(size, size),
-            rhs: Mat::zeros(size, 1),
+            matrix: DMatrix::zeros(size, size),
+            rhs: DVector::zeros(size),
             diagonal: vec![0.0; size],
             squares: (0.0, 0.0),
         }
@@ -58,7 +58,7 @@ impl System {
         }
         for &(from, to, rows) in &groups {
             for a in 0..rows {
-                self.rhs[(to + a, 0)] += part.rhs[from + a];
+                self.rhs[to + a] += part.rhs[from + a];
                 self.diagonal[to + a] += part.diagonal[from + a];
             }
             for &(other_from, other_to, columns) in &groups {
@@ -109,46 +109,63 @@ impl System {
         cholesky_solve(&mut self.matrix, &mut self.rhs)?;
         let x = &self.rhs;
         for (k, frame) in self.window.clone().enumerate() {
-            step.twists[frame] = Vector6::from_fn(|a, _| x[(6 * k + a, 0)]);
+            step.twists[frame] = Vector6::from_fn(|a, _| x[6 * k + a]);
         }
         if self.focal {
-            step.focal = x[(n - 1, 0)];
+            step.focal = x[n - 1];
         }
         let finite = step.focal.is_finite() && step.twists.iter().all(|t| t.iter().all(|x| x.is_finite()));
         finite.then_some(step)
     }
 }
 
-/// Solves with the lower triangle of `matrix`. On one thread: with more, the order of sums would depend on how
-/// many there are.
-fn cholesky_solve(matrix: &mut Mat<f64>, rhs: &mut Mat<f64>) -> Option<()> {
+/// Solves with the lower triangle of `matrix`, which becomes its factor: a blocked Cholesky decomposition (Golub and Van Loan,
+/// "Matrix Computations", 4.2.9). `None` where the matrix is not positive definite. On one thread: with more, the order of sums
+/// would depend on how many there are.
+fn cholesky_solve(matrix: &mut DMatrix<f64>, rhs: &mut DVector<f64>) -> Option<()> {
     let n = matrix.nrows();
-    let factor_scratch = factor::cholesky_in_place_scratch::<f64>(n, Par::Seq, Spec::default());
-    let solve_scratch = solve::solve_in_place_scratch::<f64>(n, 1, Par::Seq);
-    let mut memory = MemBuffer::new(factor_scratch.or(solve_scratch));
-    let stack = MemStack::new(&mut memory);
-    let regularization = factor::LltRegularization::default();
-    factor::cholesky_in_place(matrix.as_mut(), regularization, Par::Seq, stack, Spec::default()).ok()?;
-    solve::solve_in_place(matrix.as_ref(), rhs.as_mut(), Par::Seq, stack);
-    Some(())
+    for start in (0..n).step_by(BLOCK) {
+        let width = BLOCK.min(n - start);
+        let next = start + width;
+        let factor = Cholesky::new(matrix.view((start, start), (width, width)).into_owned())?.unpack_dirty();
+        matrix.view_mut((start, start), (width, width)).copy_from(&factor);
+        let mut panel = matrix.view((next, start), (n - next, width)).transpose();
+        if !factor.solve_lower_triangular_mut(&mut panel) {
+            return None;
+        }
+        let below = panel.transpose();
+        matrix.view_mut((next, start), (n - next, width)).copy_from(&below);
+        for column in (next..n).step_by(BLOCK) {
+            let columns = BLOCK.min(n - column);
+            let rows = below.rows(column - next, n - column);
+            matrix.view_mut((column, column), (n - column, columns)).gemm(
+                -1.0,
+                &rows,
+                &panel.columns(column - next, columns),
+                1.0,
+            );
+        }
+    }
+    let solved = matrix.solve_lower_triangular_mut(rhs) && matrix.ad_solve_lower_triangular_mut(rhs);
+    solved.then_some(())
 }
 
 #[cfg(test)]
 mod tests {
     use super::cholesky_solve;
-    use faer::Mat;
+    use m4_core::nalgebra::{DMatrix, DVector};
 
     #[test]
     fn only_the_lower_triangle_is_read_and_an_indefinite_matrix_is_refused() {
-        let n = 40;
-        let value = |i: usize, j: usize| if i == j { 50.0 } else { ((i * 7 + j * 3) as f64).sin() };
+        let n = 150;
+        let value = |i: usize, j: usize| if i == j { 150.0 } else { ((i * 7 + j * 3) as f64).sin() };
         let want: Vec<f64> = (0..n).map(|i| (i as f64).cos()).collect();
         let symmetric = |i: usize, j: usize| value(i.max(j), i.min(j));
-        let mut b = Mat::from_fn(n, 1, |i, _| (0..n).map(|j| symmetric(i, j) * want[j]).sum::<f64>());
-        let mut a = Mat::from_fn(n, n, |i, j| if i >= j { value(i, j) } else { f64::NAN });
+        let mut b = DVector::from_fn(n, |i, _| (0..n).map(|j| symmetric(i, j) * want[j]).sum::<f64>());
+        let mut a = DMatrix::from_fn(n, n, |i, j| if i >= j { value(i, j) } else { f64::NAN });
         cholesky_solve(&mut a, &mut b).expect("positive definite");
-        assert!((0..n).all(|i| (b[(i, 0)] - want[i]).abs() < 1e-10));
-        let mut a = Mat::from_fn(2, 2, |i, j| if i == j { 1.0 } else { 2.0 });
-        assert!(cholesky_solve(&mut a, &mut Mat::zeros(2, 1)).is_none());
+        assert!((0..n).all(|i| (b[i] - want[i]).abs() < 1e-10));
+        let mut a = DMatrix::from_fn(2, 2, |i, j| if i == j { 1.0 } else { 2.0 });
+        assert!(cholesky_solve(&mut a, &mut DVector::zeros(2)).is_none());
     }
 }

@@ -4,7 +4,7 @@ use super::error::InstanceError;
 use super::morphology::opened;
 use super::settings::RefineSettings;
 use crate::classical::dense::Components;
-use crate::megasam::resize_bilinear;
+use crate::resample::resize_bilinear;
 use m4_core::{CompactMask, Plane};
 
 /// Motion below which a pixel is surely static: there the places off a thing are taken from.

@@ -143,7 +143,7 @@ fn residuals(
             between: (i, i + 1),
             source,
         })?;
-        let map = crate::megasam::resize_bilinear(&maps[i].map(|&m| f32::from(m) / 255.0), w, h);
+        let map = crate::resample::resize_bilinear(&maps[i].map(|&m| f32::from(m) / 255.0), w, h);
         let left = off_camera(&pair.forward, &pair.forward_round_trip);
         for (r, m) in left.into_iter().zip(map.data()) {
             if r.is_finite() {

@@ -29,7 +29,6 @@ mod error;
 mod flows;
 mod prior;
 mod reconstruct;
-mod resample;
 mod settings;
 mod size;
 
@@ -37,6 +36,5 @@ pub use error::MegasamError;
 pub use flows::{PairFlow, PairFlowError, SourceFlow};
 pub use prior::{DepthPrior, PriorKind};
 pub use reconstruct::{MegasamGeometry, MegasamInput, reconstruct, track};
-pub use resample::{resize_area, resize_bilinear, resize_nearest};
 pub use settings::{MegasamSettings, TAU_MOTION};
 pub use size::TrackingSize;

@@ -1,9 +1,9 @@
 //! Depth from one image as the tracker takes it: one disparity map per frame, one scale for the clip (stage B0, docs/spec/front-end.md 1.2).
 
-use super::resample::{crop, resize_bilinear, resize_nearest};
 use super::size::CELL_PX;
 use super::{MegasamError, TrackingSize};
 use crate::megasam::tracker::mono::{MonoAlignment, MonoError, percentile};
+use crate::resample::{crop, resize_bilinear, resize_nearest};
 use m4_core::Plane;
 
 /// Disparity in scene units below which a pixel counts as infinitely far: its depth would be clamped.

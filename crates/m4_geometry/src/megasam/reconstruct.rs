@@ -1,12 +1,13 @@
 //! All stages, one after the other.
 
 use super::flows::measure;
-use super::resample::{from_grid, resize_bilinear};
 use super::size::CELL_PX;
+use super::size::from_grid;
 use super::{DepthPrior, MegasamError, MegasamSettings, PairFlow, PriorKind, TrackingSize};
 use crate::dba::Observability;
 use crate::megasam::cvd::{ConsistentDepth, CvdInput, optimise, uncertainty_of_static};
 use crate::megasam::tracker::{self, Clip, Correspondence, FrameInput, Tracked};
+use crate::resample::resize_bilinear;
 use m4_core::{Intrinsics, Plane, Progress, RgbImage, Se3};
 
 /// Disparity below which a pixel of the tracker's own counts as infinitely far, scene units.

@@ -1,9 +1,9 @@
 //! The size at which a clip is tracked.
 
 use super::MegasamError;
-use super::resample::{crop, resize_area};
 use crate::dba::{Grid, Pinhole};
-use m4_core::{Intrinsics, RgbImage};
+use crate::resample::{bilinear, crop, resize_area};
+use m4_core::{Intrinsics, Plane, RgbImage};
 
 /// Pixels of a cell of the grid, a side.
 pub const CELL_PX: usize = 8;
@@ -80,10 +80,19 @@ impl TrackingSize {
     }
 }
 
+/// A plane on the tracker's grid, whose cell `i` is pixel `8 i` of the images that are tracked, at `width` x `height` pixels
+/// that cover `covered` pixels of those from the upper left corner; constant beyond the outer cells.
+pub(super) fn from_grid(grid: &Plane<f32>, width: usize, height: usize, covered: (usize, usize)) -> Plane<f32> {
+    let (sx, sy) = (covered.0 as f32 / width as f32, covered.1 as f32 / height as f32);
+    // The middle of pixel i is (i + 0.5) scale from the corner.
+    let cell = |i: usize, scale: f32| ((i as f32 + 0.5) * scale - 0.5) / CELL_PX as f32;
+    Plane::from_fn(width, height, |x, y| bilinear(grid, cell(x, sx), cell(y, sy)))
+}
+
 #[cfg(test)]
 mod tests {
-    use super::TrackingSize;
-    use m4_core::Intrinsics;
+    use super::{TrackingSize, from_grid};
+    use m4_core::{Intrinsics, Plane};
 
     #[test]
     fn a_common_size() {
@@ -104,5 +113,17 @@ mod tests {
         assert_eq!((back.cx, back.cy), (427.0, 240.0));
         // The image's middle, 295.5 from the corner, is column 295 of whole numbers.
         assert!((size.grid_lens(&lens).cx - 295.0 / 8.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_grid_lies_on_every_eighth_pixel() {
+        let grid = Plane::from_fn(5, 4, |x, y| (10 * x + 3 * y) as f32);
+        let full = from_grid(&grid, 40, 32, (40, 32));
+        assert_eq!((full.row(0)[0], full.row(16)[24]), (0.0, 36.0));
+        assert!((full.row(0)[4] - 5.0).abs() < 1e-5);
+        // Half the size: pixel 4 of it covers pixels 8 and 9, pixel 0 of it pixels 0 and 1.
+        let half = from_grid(&grid, 20, 16, (40, 32));
+        let want = (10.0 * 8.5 + 3.0 * 0.5) / 8.0;
+        assert!((half.row(0)[4] - want).abs() < 1e-4, "{}", half.row(0)[4]);
     }
 }

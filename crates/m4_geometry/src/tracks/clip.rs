@@ -127,7 +127,7 @@ impl PosedClip for CaptureClip<'_> {
             return Err(frame_error(index, "it is smaller than the first frame"));
         }
         Ok(PosedFrame {
-            rgb: crate::classical::dense::shrunk(&frame.rgb, w, h),
+            rgb: crate::resample::resize_area(&frame.rgb, w, h),
             depth,
             moving,
             camera: frame.camera.resized(w, h),

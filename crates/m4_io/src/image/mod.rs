@@ -6,12 +6,10 @@
 mod error;
 mod exif;
 mod read;
-mod resize;
 mod write;
 
 pub use error::{ReadImageError, WriteImageError};
 pub use read::{
     Photo, decode_rgb, ids_of_bytes, read_depth, read_grey, read_ids, read_mask, read_photo, read_rgb, size,
 };
-pub use resize::resize_rgb;
 pub use write::{write_depth, write_grey, write_ids, write_mask, write_rgb};

@@ -208,7 +208,7 @@ impl MobileSam {
     /// [`SamError::Shape`] if it has no pixels, or its longer side has more than 2048 times the pixels of the other.
     pub fn encode(&self, image: &RgbImage) -> Result<Embedding, SamError> {
         let scale = Scale::of(image.width(), image.height())?;
-        let map = self.net.image_encoder.forward(scale.tensor(image, &self.device));
+        let map = self.net.image_encoder.forward(scale.tensor(image, &self.device)?);
         Ok(Embedding {
             scale,
             map: map.squeeze_dim(0),

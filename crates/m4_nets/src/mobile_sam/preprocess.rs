@@ -2,9 +2,8 @@
 
 use super::SamError;
 use crate::ops::tensor;
-use crate::sam::{Filter, resized};
 use burn_core::tensor::{Device, Tensor};
-use m4_core::{Plane, RgbImage};
+use m4_core::{Filter, Plane, RgbImage, resize_rgb};
 
 /// Sides of the image that the network takes, of the embedding, and of the masks.
 pub const INPUT_SIDE: usize = 1024;
@@ -66,9 +65,17 @@ impl Scale {
     }
 
     /// The image `[1, 3, 1024, 1024]`, normalised, zero beside it.
-    pub fn tensor(self, image: &RgbImage, device: &Device) -> Tensor<4> {
+    ///
+    /// # Errors
+    ///
+    /// [`SamError::Shape`] if the image has no pixels.
+    pub fn tensor(self, image: &RgbImage, device: &Device) -> Result<Tensor<4>, SamError> {
         let (width, height) = self.inside();
-        let image = resized(image, width, height, Filter::Triangle);
+        let shape = SamError::Shape {
+            width: image.width(),
+            height: image.height(),
+        };
+        let image = resize_rgb(image, width, height, Filter::Triangle).ok_or(shape)?;
         let mut values = vec![0.0; 3 * INPUT_SIDE * INPUT_SIDE];
         for (channel, plane) in values.chunks_exact_mut(INPUT_SIDE * INPUT_SIDE).enumerate() {
             for (y, row) in plane.chunks_exact_mut(INPUT_SIDE).take(height).enumerate() {
@@ -77,7 +84,7 @@ impl Scale {
                 }
             }
         }
-        tensor(values, [1, 3, INPUT_SIDE, INPUT_SIDE], device)
+        Ok(tensor(values, [1, 3, INPUT_SIDE, INPUT_SIDE], device))
     }
 
     /// Width and height of the image.

@@ -4,14 +4,12 @@ mod decoding;
 mod layers;
 mod prompt;
 mod prompt_encoder;
-mod resize;
 mod two_way;
 
 pub use decoding::{MAP_WIDTH, Mlp, Upscaling};
 pub use layers::{channel_norm, heads, over_channels};
 pub use prompt::{PointPrompt, Prompt};
 pub use prompt_encoder::{PromptEncoder, Token};
-pub use resize::{Filter, resized};
 pub use two_way::TwoWay;
 
 /// Channels of embeddings and of tokens.

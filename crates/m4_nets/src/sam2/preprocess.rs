@@ -2,9 +2,8 @@
 
 use super::Sam2Error;
 use crate::ops::{IMAGENET_MEAN, IMAGENET_STD, Kernels, planes, resampled, tensor};
-use crate::sam::{Filter, resized};
 use burn_core::tensor::{Device, Tensor};
-use m4_core::{Plane, RgbImage};
+use m4_core::{Filter, Plane, RgbImage, resize_rgb};
 
 /// Columns and rows that places are counted in.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -49,12 +48,13 @@ impl Frame {
 ///
 /// [`Sam2Error::NoPixels`] if it has none.
 pub fn squared(image: &RgbImage, side: usize, device: &Device) -> Result<Tensor<4>, Sam2Error> {
-    Frame::of("an image", image.size())?;
-    let values = if image.size() == (side, side) {
-        planes(image, IMAGENET_MEAN, IMAGENET_STD)
-    } else {
-        planes(&resized(image, side, side, Filter::Cubic), IMAGENET_MEAN, IMAGENET_STD)
-    };
+    let (width, height) = image.size();
+    let square = resize_rgb(image, side, side, Filter::Cubic).ok_or(Sam2Error::NoPixels {
+        what: "an image",
+        width,
+        height,
+    })?;
+    let values = planes(&square, IMAGENET_MEAN, IMAGENET_STD);
     Ok(tensor(values, [1, 3, side, side], device))
 }
 

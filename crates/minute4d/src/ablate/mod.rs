@@ -19,7 +19,7 @@ use crate::folder::CAPTURE_FOLDER;
 use crate::record::{GeometryRecord, RunRecord, Status, write_json};
 use crate::{Error, Job, Settings, is_capture};
 use m4_core::{Capture, CompactMask};
-use m4_geometry::megasam::resize_bilinear;
+use m4_geometry::resample::resize_bilinear;
 use m4_io::atomic;
 use m4_io::capture::Split;
 use m4_io::reach::Reach;

@@ -10,9 +10,9 @@ use crate::record::GeometrySummary;
 use crate::{Error, Observer, enhance};
 use m4_core::{Camera, Capture, CompactMask, Intrinsics, Mask, Plane};
 use m4_geometry::megasam::{
-    DepthPrior, MegasamGeometry, MegasamInput, PairFlow, SourceFlow, TAU_MOTION, TrackingSize, reconstruct,
-    resize_bilinear, track,
+    DepthPrior, MegasamGeometry, MegasamInput, PairFlow, SourceFlow, TAU_MOTION, TrackingSize, reconstruct, track,
 };
+use m4_geometry::resample::resize_bilinear;
 
 /// Share of moving pixels beyond which it is likelier that the network is misread than that so much moves (docs/spec/front-end.md 1.9).
 const TOO_MUCH_MOTION: f64 = 0.6;

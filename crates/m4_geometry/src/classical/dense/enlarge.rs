@@ -103,7 +103,7 @@ fn neighbours(small: &Small<'_>, (x, y): (f32, f32), colour: [u8; 3]) -> Neighbo
 #[cfg(test)]
 mod tests {
     use super::{Small, enlarge};
-    use crate::classical::dense::working::rgb_and_grey;
+    use crate::resample::rgb_and_grey;
     use m4_core::Plane;
 
     #[test]

@@ -61,4 +61,4 @@ pub(crate) use segment::{LEAST_OVERLAP, LEAST_PART_PX, LEAST_QUALITY, POINTS, be
 pub use segment::{SegmentError, SegmentMask, SegmentPrompt, Segmenter};
 pub(crate) use smooth::Smoother;
 pub use sources::Sources;
-pub(crate) use working::{rgb_and_grey, shrunk, working_size};
+pub(crate) use working::working_size;

@@ -1,7 +1,8 @@
 //! Frames at the working size.
 
 use super::flow::FlowImage;
-use m4_core::{Camera, Plane, RgbImage};
+use crate::resample::rgb_and_grey;
+use m4_core::{Camera, RgbImage};
 
 /// One frame at the working size.
 #[derive(Debug, Clone)]
@@ -61,54 +62,6 @@ impl WorkingFrame {
             grey: &self.grey,
         }
     }
-}
-
-/// What share of source sample `i` lies in target cell `cell` of `n` source samples shared by `m` cells.
-fn overlap(cell: usize, n: usize, m: usize) -> Vec<(usize, f32)> {
-    let (start, end) = (
-        cell as f64 * n as f64 / m as f64,
-        (cell + 1) as f64 * n as f64 / m as f64,
-    );
-    (start as usize..(end.ceil() as usize).min(n))
-        .map(|i| {
-            let share = (end.min((i + 1) as f64) - start.max(i as f64)).max(0.0);
-            (i, (share / (end - start)) as f32)
-        })
-        .collect()
-}
-
-/// The image at another size, not larger, and its luma 0..255, not rounded.
-pub(crate) fn rgb_and_grey(image: &RgbImage, width: usize, height: usize) -> (Vec<[u8; 3]>, Vec<f32>) {
-    let exact = shrink(image, width, height);
-    let luma = |c: &[f32; 3]| 0.299 * c[0] + 0.587 * c[1] + 0.114 * c[2];
-    let grey = exact.iter().map(luma).collect();
-    (exact.iter().map(|c| c.map(|v| v.round() as u8)).collect(), grey)
-}
-
-/// The mean of the pixels of each pixel of a smaller size.
-pub(crate) fn shrunk(image: &RgbImage, width: usize, height: usize) -> RgbImage {
-    let exact = shrink(image, width, height);
-    Plane::from_fn(width, height, |x, y| exact[y * width + x].map(|v| v.round() as u8))
-}
-
-/// Area average; sizes must not grow.
-fn shrink(image: &RgbImage, width: usize, height: usize) -> Vec<[f32; 3]> {
-    let columns: Vec<_> = (0..width).map(|x| overlap(x, image.width(), width)).collect();
-    let mut out = vec![[0.0f32; 3]; width * height];
-    for y in 0..height {
-        let target = &mut out[y * width..(y + 1) * width];
-        for (sy, wy) in overlap(y, image.height(), height) {
-            let row = image.row(sy);
-            for (t, column) in target.iter_mut().zip(&columns) {
-                for &(sx, wx) in column {
-                    for (t, &v) in t.iter_mut().zip(&row[sx]) {
-                        *t += wy * wx * f32::from(v);
-                    }
-                }
-            }
-        }
-    }
-    out
 }
 
 #[cfg(test)]

@@ -2,7 +2,8 @@
 
 use super::super::frame_source::FrameSource;
 use super::super::source::VideoError;
-use crate::classical::dense::{FlowImage, rgb_and_grey};
+use crate::classical::dense::FlowImage;
+use crate::resample::rgb_and_grey;
 use m4_core::RgbImage;
 use std::borrow::Cow;
 

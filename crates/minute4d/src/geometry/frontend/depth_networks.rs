@@ -5,7 +5,7 @@ use super::{MonoClip, Part, Plan};
 use crate::Error;
 use crate::error::NetworkError;
 use crate::steps::Steps;
-use m4_core::{Plane, RgbImage};
+use m4_core::{Filter, Plane, RgbImage, resize_rgb};
 use m4_geometry::megasam::MegasamError;
 use m4_nets::{Compute, DepthAnything, LoadError, MoGe, MoGeError, MoGeMap, MoGeOptions, UniDepth, cpu};
 use std::path::Path;
@@ -34,14 +34,14 @@ fn limited(plane: Plane<f32>) -> Plane<f32> {
         return plane;
     }
     let side = |n: usize| (n * KEPT_SIDE / long).max(1);
-    m4_geometry::megasam::resize_nearest(&plane, side(w), side(h))
+    m4_geometry::resample::resize_nearest(&plane, side(w), side(h))
 }
 
 /// The image with its longer side at most `long`.
 fn at_most(image: &RgbImage, long: usize) -> Result<RgbImage, Box<dyn std::error::Error + Send + Sync>> {
     let (w, h) = image.size();
     let side = |n: usize| (n * long.min(w.max(h)) / w.max(h).max(1)).max(1);
-    m4_io::image::resize_rgb(image, side(w), side(h)).ok_or_else(|| "the image is empty".into())
+    resize_rgb(image, side(w), side(h), Filter::Triangle).ok_or_else(|| "the image is empty".into())
 }
 
 fn load<T>(

