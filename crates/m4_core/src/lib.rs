@@ -56,7 +56,7 @@ pub use nalgebra;
 pub use plane::Plane;
 pub use progress::{Progress, Silent};
 pub use real::Real;
-pub use resize::{Filter, resize_rgb};
+pub use resize::{ResizeFilter, resize_rgb};
 pub use rng::CounterRng;
 pub use scene::{Exposure, Scene, SourceFrame};
 pub use se3::{Se3, exp_so3, hat, log_so3};

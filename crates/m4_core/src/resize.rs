@@ -10,14 +10,14 @@ const DIGITS: u32 = 22;
 
 /// How a new pixel weighs the old ones around it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Filter {
+pub enum ResizeFilter {
     /// Linear to both sides: `BILINEAR`.
     Triangle,
     /// The cubic of Keys with a = -0.5: `BICUBIC`, the default of `resize`.
     Cubic,
 }
 
-impl Filter {
+impl ResizeFilter {
     /// Pixels to each side.
     fn reach(self) -> f64 {
         match self {
@@ -44,7 +44,7 @@ struct Window {
     weights: Vec<i32>,
 }
 
-fn windows(filter: Filter, from: usize, to: usize) -> Vec<Window> {
+fn windows(filter: ResizeFilter, from: usize, to: usize) -> Vec<Window> {
     let scale = from as f64 / to as f64;
     let wide = scale.max(1.0);
     let reach = filter.reach() * wide;
@@ -77,7 +77,7 @@ fn mixed<'a>(weights: &[i32], pixels: impl Iterator<Item = &'a [u8; 3]>) -> [u8;
 
 /// The image at `width` x `height` pixels; `None` if a side of the one or the other is zero.
 #[must_use]
-pub fn resize_rgb(image: &RgbImage, width: usize, height: usize, filter: Filter) -> Option<RgbImage> {
+pub fn resize_rgb(image: &RgbImage, width: usize, height: usize, filter: ResizeFilter) -> Option<RgbImage> {
     if image.size() == (width, height) {
         return Some(image.clone());
     }
@@ -99,7 +99,7 @@ pub fn resize_rgb(image: &RgbImage, width: usize, height: usize, filter: Filter)
     Some(out)
 }
 
-fn along_rows(image: &RgbImage, width: usize, filter: Filter) -> RgbImage {
+fn along_rows(image: &RgbImage, width: usize, filter: ResizeFilter) -> RgbImage {
     let columns = windows(filter, image.width(), width);
     let mut out = Plane::filled(width, image.height(), [0; 3]);
     out.data_mut().par_chunks_mut(width).enumerate().for_each(|(y, out)| {
@@ -113,13 +113,13 @@ fn along_rows(image: &RgbImage, width: usize, filter: Filter) -> RgbImage {
 
 #[cfg(test)]
 mod tests {
-    use super::{Filter, resize_rgb};
+    use super::{ResizeFilter, resize_rgb};
     use crate::Plane;
 
     #[test]
     fn shrinking_averages_a_fine_checkerboard() {
         let board = Plane::from_fn(64, 64, |x, y| if (x + y) % 2 == 0 { [255; 3] } else { [0; 3] });
-        let small = resize_rgb(&board, 16, 16, Filter::Triangle).unwrap();
+        let small = resize_rgb(&board, 16, 16, ResizeFilter::Triangle).unwrap();
         assert_eq!(small.size(), (16, 16));
         assert!(small.data().iter().flatten().all(|v| v.abs_diff(127) <= 2));
     }
@@ -128,7 +128,7 @@ mod tests {
     fn resizing_keeps_a_ramp_in_place() {
         // Corner-based coordinates: the middle of target pixel x is source coordinate 4 x + 2.
         let ramp = Plane::from_fn(256, 4, |x, _| [x as u8; 3]);
-        let small = resize_rgb(&ramp, 64, 1, Filter::Triangle).unwrap();
+        let small = resize_rgb(&ramp, 64, 1, ResizeFilter::Triangle).unwrap();
         for x in 2..62 {
             let want = 4.0 * x as f64 + 1.5;
             assert!((f64::from(small[(x, 0)][0]) - want).abs() <= 1.0);
@@ -138,7 +138,7 @@ mod tests {
     #[test]
     fn an_image_without_pixels_has_no_other_size() {
         let image = Plane::filled(4, 4, [9; 3]);
-        assert!(resize_rgb(&image, 0, 4, Filter::Triangle).is_none());
-        assert!(resize_rgb(&Plane::filled(0, 0, [0; 3]), 4, 4, Filter::Triangle).is_none());
+        assert!(resize_rgb(&image, 0, 4, ResizeFilter::Triangle).is_none());
+        assert!(resize_rgb(&Plane::filled(0, 0, [0; 3]), 4, 4, ResizeFilter::Triangle).is_none());
     }
 }

@@ -1,6 +1,7 @@
 //! Images and planes at other sizes. Coordinates are measured from the corner.
 
 use m4_core::{Plane, RgbImage};
+use rayon::prelude::*;
 
 /// The part of `image` from the upper left corner.
 pub(crate) fn crop<T: Copy>(image: &Plane<T>, (width, height): (usize, usize)) -> Plane<T> {
@@ -44,8 +45,7 @@ pub fn resize_area(image: &RgbImage, width: usize, height: usize) -> RgbImage {
 fn means(image: &RgbImage, width: usize, height: usize) -> Vec<[f32; 3]> {
     let columns: Vec<_> = (0..width).map(|x| overlap(x, image.width(), width)).collect();
     let mut out = vec![[0.0f32; 3]; width * height];
-    for y in 0..height {
-        let target = &mut out[y * width..(y + 1) * width];
+    out.par_chunks_mut(width.max(1)).enumerate().for_each(|(y, target)| {
         for (sy, wy) in overlap(y, image.height(), height) {
             let row = image.row(sy);
             for (t, column) in target.iter_mut().zip(&columns) {
@@ -56,7 +56,7 @@ fn means(image: &RgbImage, width: usize, height: usize) -> Vec<[f32; 3]> {
                 }
             }
         }
-    }
+    });
     out
 }
 

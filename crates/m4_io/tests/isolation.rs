@@ -66,8 +66,8 @@ fn note_takers(folder: &Path) -> (PathBuf, VideoOptions) {
         let notes = folder.join(format!("{name}.d"));
         fs::create_dir(&notes).unwrap();
         let copy = |what: &str| format!("cat /proc/$$/{what} >'{}/{what}'\n", notes.display());
-        // A bare child begins before it is limited, in this order.
-        let limited = "until [ \"$(ulimit -f)\" != unlimited ] && [ \"$(ulimit -n)\" = 256 ]; do sleep 0.01; done\n";
+        // A bare child begins before it is limited, last in the number of files: it waits, at most about five seconds.
+        let limited = "n=0; until [ \"$(ulimit -n)\" = 256 ] || [ $n = 500 ]; do n=$((n + 1)); sleep 0.01; done\n";
         limited.to_owned() + &["environ", "status", "limits"].map(copy).concat() + rest
     };
     let packets = r#"echo '{"packets":[{"pts_time":"0","flags":"K_"}],

@@ -1,6 +1,6 @@
 //! Resized images agree with those of Pillow.
 
-use m4_core::{Filter, RgbImage, resize_rgb};
+use m4_core::{ResizeFilter, RgbImage, resize_rgb};
 use safetensors::SafeTensors;
 
 fn read_image(file: &[u8], name: &str) -> RgbImage {
@@ -13,7 +13,7 @@ fn read_image(file: &[u8], name: &str) -> RgbImage {
 }
 
 #[track_caller]
-fn assert_same(image: &RgbImage, want: &RgbImage, filter: Filter) {
+fn assert_same(image: &RgbImage, want: &RgbImage, filter: ResizeFilter) {
     let got = resize_rgb(image, want.width(), want.height(), filter).unwrap();
     let other = got.data().as_flattened().iter().zip(want.data().as_flattened());
     let other = other.filter(|(a, b)| a != b).count();
@@ -25,7 +25,10 @@ fn bytes_are_those_of_pillow() {
     let file = include_bytes!("../../../fixtures/mobile_sam/resize.safetensors");
     let image = read_image(file, "image");
     for size in ["150x97", "40x26", "97x20", "13x63"] {
-        assert_same(&image, &read_image(file, size), Filter::Triangle);
+        assert_same(&image, &read_image(file, size), ResizeFilter::Triangle);
+    }
+    for filter in [ResizeFilter::Triangle, ResizeFilter::Cubic] {
+        assert_same(&image, &image, filter);
     }
     let file = include_bytes!("../../../fixtures/ops/resize.safetensors");
     let cubic = read_image(file, "image_u8");
@@ -33,7 +36,7 @@ fn bytes_are_those_of_pillow() {
         assert_same(
             &cubic,
             &read_image(file, &format!("pil_bicubic_u8_{size}")),
-            Filter::Cubic,
+            ResizeFilter::Cubic,
         );
     }
 }

@@ -68,7 +68,7 @@ fn thinning_and_shrinking() {
         video.warnings
     );
     let original = clip(&pinwheel(), &all());
-    let small = m4_core::resize_rgb(&original.frames[95].rgb, 240, 180, m4_core::Filter::Triangle).unwrap();
+    let small = m4_core::resize_rgb(&original.frames[95].rgb, 240, 180, m4_core::ResizeFilter::Triangle).unwrap();
     assert_eq!(video.frames[9].rgb, small);
 
     let part = VideoOptions {

@@ -3,7 +3,7 @@
 use crate::manifest::FrameIndex;
 use image::codecs::jpeg::JpegEncoder;
 use image::{ExtendedColorType, ImageEncoder};
-use m4_core::{Filter, RgbImage, resize_rgb};
+use m4_core::{ResizeFilter, RgbImage, resize_rgb};
 use serde::{Deserialize, Serialize};
 use std::borrow::Cow;
 
@@ -140,7 +140,8 @@ fn append(
         Cow::Borrowed(image)
     } else {
         Cow::Owned(
-            resize_rgb(image, width, height, Filter::Triangle).ok_or_else(|| failed(&"it cannot be made smaller"))?,
+            resize_rgb(image, width, height, ResizeFilter::Triangle)
+                .ok_or_else(|| failed(&"it cannot be made smaller"))?,
         )
     };
     let side = |n: usize| u32::try_from(n).map_err(|e| failed(&e));

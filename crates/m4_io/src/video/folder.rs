@@ -3,7 +3,7 @@
 use super::plan::{self, Collector};
 use super::{ReadVideoError, VideoOptions};
 use crate::image;
-use m4_core::{Filter, Progress, Video, resize_rgb};
+use m4_core::{Progress, ResizeFilter, Video, resize_rgb};
 use rayon::prelude::*;
 use std::cmp::Ordering;
 use std::path::{Path, PathBuf};
@@ -41,7 +41,7 @@ pub fn read(path: &Path, options: &VideoOptions, progress: &dyn Progress) -> Res
             let mut photo = image::read_photo(&files[i])?;
             let (w, h) = photo.rgb.size();
             let (width, height) = plan::target_size(w as f64, h as f64, options);
-            if let Some(small) = resize_rgb(&photo.rgb, width, height, Filter::Triangle) {
+            if let Some(small) = resize_rgb(&photo.rgb, width, height, ResizeFilter::Triangle) {
                 photo.rgb = small;
             }
             progress.update("read images", done.fetch_add(1, Atomic::Relaxed) + 1, kept.len(), "");

@@ -1,7 +1,7 @@
 //! Chooses the frames to keep and their size, and checks that they fit into memory.
 
 use super::{ReadVideoError, VideoOptions};
-use m4_core::{Filter, RgbImage, Video, VideoFrame, resize_rgb};
+use m4_core::{ResizeFilter, RgbImage, Video, VideoFrame, resize_rgb};
 use std::path::Path;
 
 /// Slack when comparing times that went through text with microseconds.
@@ -137,7 +137,7 @@ impl Collector {
         let rgb = if rgb.size() == self.size {
             Some(rgb)
         } else {
-            resize_rgb(&rgb, self.size.0, self.size.1, Filter::Triangle)
+            resize_rgb(&rgb, self.size.0, self.size.1, ResizeFilter::Triangle)
         };
         // Both sizes are at least one pixel and at most what a decoder allows.
         if let Some(rgb) = rgb {

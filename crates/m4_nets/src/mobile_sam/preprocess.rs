@@ -3,7 +3,7 @@
 use super::SamError;
 use crate::ops::tensor;
 use burn_core::tensor::{Device, Tensor};
-use m4_core::{Filter, Plane, RgbImage, resize_rgb};
+use m4_core::{Plane, ResizeFilter, RgbImage, resize_rgb};
 
 /// Sides of the image that the network takes, of the embedding, and of the masks.
 pub const INPUT_SIDE: usize = 1024;
@@ -75,7 +75,7 @@ impl Scale {
             width: image.width(),
             height: image.height(),
         };
-        let image = resize_rgb(image, width, height, Filter::Triangle).ok_or(shape)?;
+        let image = resize_rgb(image, width, height, ResizeFilter::Triangle).ok_or(shape)?;
         let mut values = vec![0.0; 3 * INPUT_SIDE * INPUT_SIDE];
         for (channel, plane) in values.chunks_exact_mut(INPUT_SIDE * INPUT_SIDE).enumerate() {
             for (y, row) in plane.chunks_exact_mut(INPUT_SIDE).take(height).enumerate() {

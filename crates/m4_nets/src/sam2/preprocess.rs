@@ -3,7 +3,7 @@
 use super::Sam2Error;
 use crate::ops::{IMAGENET_MEAN, IMAGENET_STD, Kernels, planes, resampled, tensor};
 use burn_core::tensor::{Device, Tensor};
-use m4_core::{Filter, Plane, RgbImage, resize_rgb};
+use m4_core::{Plane, ResizeFilter, RgbImage, resize_rgb};
 
 /// Columns and rows that places are counted in.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -49,7 +49,7 @@ impl Frame {
 /// [`Sam2Error::NoPixels`] if it has none.
 pub fn squared(image: &RgbImage, side: usize, device: &Device) -> Result<Tensor<4>, Sam2Error> {
     let (width, height) = image.size();
-    let square = resize_rgb(image, side, side, Filter::Cubic).ok_or(Sam2Error::NoPixels {
+    let square = resize_rgb(image, side, side, ResizeFilter::Cubic).ok_or(Sam2Error::NoPixels {
         what: "an image",
         width,
         height,

@@ -13,7 +13,7 @@ use crate::render::{SceneRenderer, SwingConfig, source_fps, swing};
 use crate::settings::part_to_toml;
 use crate::workspace::{Task, Workspace};
 use crate::{Error, StageEvent, hash};
-use m4_core::{Camera, Capture, Exposure, Filter, Progress, Scene, resize_rgb};
+use m4_core::{Camera, Capture, Exposure, Progress, ResizeFilter, Scene, resize_rgb};
 use m4_io::video::Mp4Writer;
 use panels::Panels;
 use serde::{Deserialize, Serialize};
@@ -113,7 +113,7 @@ fn draw(run: &Workspace<'_>, capture: &Capture, scene: &Scene, keeper: &Recordin
         let photo = capture
             .frames
             .get(i % n)
-            .and_then(|f| resize_rgb(&f.rgb, size.0, size.1, Filter::Triangle));
+            .and_then(|f| resize_rgb(&f.rgb, size.0, size.1, ResizeFilter::Triangle));
         let again = renderer.image(&source.camera.resized(size.0, size.1), source.t, &source.exposure)?;
         let swung = renderer.image(camera, still.t, &Exposure::IDENTITY)?;
         writer.push(&panels.compose([photo.as_ref(), Some(&again), Some(&swung)]))?;

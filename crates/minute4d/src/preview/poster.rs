@@ -6,7 +6,7 @@ use crate::record::{FileRecord, RUN_FILE, RunRecord};
 use crate::render::SceneRenderer;
 use crate::settings::Settings;
 use crate::{Error, hash, train};
-use m4_core::{Filter, Plane, Silent, resize_rgb};
+use m4_core::{Plane, ResizeFilter, Silent, resize_rgb};
 use m4_io::image::write_rgb;
 use m4_io::scene::safetensors;
 use m4_kernels::SimdLevel;
@@ -41,7 +41,7 @@ pub fn poster(run: &Path, input: &Path, settings: &Settings) -> Result<PathBuf, 
         });
     };
     let (width, height) = panel_size(&source.camera, SIDE_PX);
-    let photo = resize_rgb(&photo.rgb, width, height, Filter::Triangle);
+    let photo = resize_rgb(&photo.rgb, width, height, ResizeFilter::Triangle);
     let mut renderer = SceneRenderer::new(&scene, SimdLevel::detect()?, None)?;
     let again = renderer.image(&source.camera.resized(width, height), source.t, &source.exposure)?;
     let mut both = Plane::filled(2 * width, height, [0; 3]);

@@ -5,7 +5,7 @@ use super::{MonoClip, Part, Plan};
 use crate::Error;
 use crate::error::NetworkError;
 use crate::steps::Steps;
-use m4_core::{Filter, Plane, RgbImage, resize_rgb};
+use m4_core::{Plane, ResizeFilter, RgbImage, resize_rgb};
 use m4_geometry::megasam::MegasamError;
 use m4_nets::{Compute, DepthAnything, LoadError, MoGe, MoGeError, MoGeMap, MoGeOptions, UniDepth, cpu};
 use std::path::Path;
@@ -41,7 +41,7 @@ fn limited(plane: Plane<f32>) -> Plane<f32> {
 fn at_most(image: &RgbImage, long: usize) -> Result<RgbImage, Box<dyn std::error::Error + Send + Sync>> {
     let (w, h) = image.size();
     let side = |n: usize| (n * long.min(w.max(h)) / w.max(h).max(1)).max(1);
-    resize_rgb(image, side(w), side(h), Filter::Triangle).ok_or_else(|| "the image is empty".into())
+    resize_rgb(image, side(w), side(h), ResizeFilter::Triangle).ok_or_else(|| "the image is empty".into())
 }
 
 fn load<T>(
