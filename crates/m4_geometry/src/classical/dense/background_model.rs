@@ -2,18 +2,31 @@
 //!
 //! Cameras and the depth of static regions say where a pixel of the background is seen in other frames. Where
 //! those frames agree on a colour and the frame at hand shows another, something stands in front of it; where it
-//! shows the same, the mask is too wide.
+//! shows the same, the mask is too wide. Behind an object that stays in place and rotates or swings, masks may cover a pixel in every
+//! frame; its background is then the colour that recurs between those of the object.
 
 use super::flow::bilinear_rgb;
 use super::pair::Pair;
 use super::shot::Shot;
 use super::smooth::{Smoother, box_blur};
 use m4_core::{Camera, dilated};
+use std::array;
 
-/// Distances in time of the frames that a background is made of, each both ways.
+/// Distances in time of the frames that a background is made of where there is parallax, each both ways.
 const REACHES: [usize; 5] = [2, 5, 9, 14, 20];
 /// Fewest frames that must have seen a pixel of the background.
 const LEAST_FRAMES: usize = 2;
+/// Frames, spread over the clip, that the background is searched in without parallax or behind what is masked in all near frames.
+const SPREAD_FRAMES: usize = 32;
+/// Colours of the background differ by at most this, 0..255 (the largest of the channels): noise and compression.
+const RECURRENCE_NOISE: f32 = 12.0;
+/// Least share of the frames that show the colour that recurs.
+const LEAST_RECURRENCE: f32 = 0.35;
+/// Least number of times that the colour is shown again after another.
+const LEAST_RUNS: usize = 3;
+/// Largest share of the other frames whose colour differs by less than twice the noise: the texture of an object that sways changes
+/// gradually, occlusions do not.
+const MOST_GRADUAL: f32 = 0.2;
 /// How far a region may reach beyond its mask, pixels at the working size.
 const MARGIN_PX: usize = 6;
 /// How far masks are grown before pixels of other frames count as background, pixels.
@@ -35,6 +48,8 @@ const SMOOTH_LAMBDA: f32 = 10.0;
 pub(super) struct Scene<'a> {
     pub width: usize,
     pub height: usize,
+    /// Whether the camera moves from its place.
+    pub parallax: bool,
     pub cameras: &'a [Camera],
     pub shots: &'a [Shot],
     /// `[height][width]` by frame: disparity of static regions, continued behind dynamic ones.
@@ -45,34 +60,77 @@ pub(super) struct Scene<'a> {
 
 /// The colour of every pixel of `zone` (above 0) if nothing moved, `[height][width]`; `None` where too few frames saw it.
 fn background_colours(scene: &Scene<'_>, i: usize, zone: &[u8]) -> Vec<Option<[f32; 3]>> {
-    let (w, h) = (scene.width, scene.height);
-    let mut partners = Vec::new();
-    for reach in REACHES {
-        partners.extend(i.checked_sub(reach));
-        partners.extend(Some(i + reach).filter(|&j| j < scene.cameras.len()));
-    }
-    let pairs: Vec<(usize, Pair)> = partners
-        .into_iter()
-        .map(|j| (j, Pair::new(&scene.cameras[i], &scene.cameras[j])))
-        .collect();
-    let mut seen: Vec<[f32; 3]> = Vec::with_capacity(pairs.len());
-    (0..w * h)
+    let w = scene.width;
+    let count = scene.cameras.len();
+    let pairs = |frames: Vec<usize>| -> Vec<(usize, Pair)> {
+        let pair = |j: usize| (j, Pair::new(&scene.cameras[i], &scene.cameras[j]));
+        frames.into_iter().map(pair).collect()
+    };
+    let spread = SPREAD_FRAMES.min(count);
+    let all = pairs((0..spread).map(|k| k * count / spread).collect());
+    let near = REACHES
+        .iter()
+        .flat_map(|reach| [i.checked_sub(*reach), Some(i + reach).filter(|&j| j < count)]);
+    // errors of depth grow with the parallax; without it, an object that rests for a while is not the background of the whole clip
+    let near = if scene.parallax {
+        pairs(near.flatten().collect())
+    } else {
+        all.clone()
+    };
+    let mut seen: Vec<[f32; 3]> = Vec::new();
+    (0..zone.len())
         .map(|p| {
             if zone[p] == 0 {
                 return None;
             }
+            let disparity = scene.background[i][p];
+            let shown = |(j, pair): &(usize, Pair), masked: bool| {
+                let at = pair.project((p % w) as f32, (p / w) as f32, disparity);
+                scene.colour(*j, at.x, at.y, masked).filter(|_| at.disparity > 0.0)
+            };
             seen.clear();
-            for (j, pair) in &pairs {
-                let at = pair.project((p % w) as f32, (p / w) as f32, scene.background[i][p]);
-                let inside =
-                    at.disparity > 0.0 && at.x >= 0.0 && at.y >= 0.0 && at.x < (w - 1) as f32 && at.y < (h - 1) as f32;
-                if inside && scene.near[*j][(at.y + 0.5) as usize * w + (at.x + 0.5) as usize] == 0 {
-                    seen.push(bilinear_rgb(w, h, &scene.shots[*j].frame.rgb, at.x, at.y));
-                }
+            seen.extend(near.iter().filter_map(|pair| shown(pair, false)));
+            if seen.len() >= LEAST_FRAMES {
+                return Some(array::from_fn(|c| median(seen.iter().map(|s| s[c]))));
             }
-            (seen.len() >= LEAST_FRAMES).then(|| std::array::from_fn(|c| median(seen.iter().map(|s| s[c]))))
+            seen.clear();
+            seen.extend(all.iter().filter_map(|pair| shown(pair, true)));
+            recurring(&seen)
         })
         .collect()
+}
+
+impl Scene<'_> {
+    /// The colour of frame `j` at a place, pixels; `None` outside of the image and, unless `masked` pixels count, where something may move.
+    fn colour(&self, j: usize, x: f32, y: f32, masked: bool) -> Option<[f32; 3]> {
+        let (w, h) = (self.width, self.height);
+        let inside = x >= 0.0 && y >= 0.0 && x < (w - 1) as f32 && y < (h - 1) as f32;
+        let free = || masked || self.near[j][(y + 0.5) as usize * w + (x + 0.5) as usize] == 0;
+        (inside && free()).then(|| bilinear_rgb(w, h, &self.shots[j].frame.rgb, x, y))
+    }
+}
+
+/// The colour that `seen`, in order of time, shows again and again between others; `None` if there is none.
+fn recurring(seen: &[[f32; 3]]) -> Option<[f32; 3]> {
+    let difference = |a: &[f32; 3], b: &[f32; 3]| (0..3).map(|c| (a[c] - b[c]).abs()).fold(0.0, f32::max);
+    let within = |of: &[f32; 3], most: f32| seen.iter().filter(|s| difference(of, s) <= most).count();
+    let least = (LEAST_RECURRENCE * seen.len() as f32).max(LEAST_RUNS as f32);
+    // the first of those that most agree with
+    let (count, of) = seen
+        .iter()
+        .map(|s| (within(s, RECURRENCE_NOISE), s))
+        .reduce(|best, other| if other.0 > best.0 { other } else { best })?;
+    let shows = |s: &[f32; 3]| difference(of, s) <= RECURRENCE_NOISE;
+    let runs = seen
+        .chunk_by(|a, b| shows(a) == shows(b))
+        .filter(|run| shows(&run[0]))
+        .count();
+    let gradual = within(of, 2.0 * RECURRENCE_NOISE) - count;
+    if (count as f32) < least || runs < LEAST_RUNS || gradual as f32 > MOST_GRADUAL * (seen.len() - count) as f32 {
+        return None;
+    }
+    let alike: Vec<&[f32; 3]> = seen.iter().filter(|s| shows(s)).collect();
+    Some(array::from_fn(|c| median(alike.iter().map(|s| s[c]))))
 }
 
 fn median(values: impl Iterator<Item = f32>) -> f32 {
@@ -136,7 +194,7 @@ mod tests {
     use super::super::smooth::Smoother;
     use super::super::sweep::Range;
     use super::super::working::WorkingFrame;
-    use super::{Scene, dilated, sharpen};
+    use super::{Scene, dilated, recurring, sharpen};
     use m4_core::{
         Camera, Intrinsics, Se3,
         nalgebra::{Vector3, Vector6},
@@ -168,6 +226,27 @@ mod tests {
         let both = a.iter().zip(b).filter(|(a, b)| **a > 0 && **b > 0).count();
         let any = a.iter().zip(b).filter(|(a, b)| **a > 0 || **b > 0).count();
         both as f64 / any as f64
+    }
+
+    #[test]
+    fn background_recurs_between_the_colours_of_a_rotor_and_texture_that_sways_does_not() {
+        let background = [120.0, 90.0, 60.0];
+        let noise = |k: usize| [3.0, -4.0, 2.0, 0.0, -2.0][k % 5];
+        // two blades of different colours, with the background between them for half of the time
+        let rotor: Vec<[f32; 3]> = (0..32)
+            .map(|k| match k % 8 {
+                0 | 1 => [200.0, 30.0, 30.0],
+                4 | 5 => [30.0, 30.0, 200.0],
+                _ => background.map(|v| v + noise(k)),
+            })
+            .collect();
+        let found = recurring(&rotor).unwrap();
+        assert!((0..3).all(|c| (found[c] - background[c]).abs() < 3.0), "{found:?}");
+        let sways: Vec<[f32; 3]> = (0..32).map(|k| [100.0 + 40.0 * (0.8 * k as f32).sin(); 3]).collect();
+        assert_eq!(recurring(&sways), None);
+        // a flat part of an object that stays in place is never interrupted
+        assert_eq!(recurring(&[background; 32]), None);
+        assert_eq!(recurring(&[]), None);
     }
 
     #[test]
@@ -219,6 +298,7 @@ mod tests {
         let scene = Scene {
             width: W,
             height: H,
+            parallax: true,
             cameras: &cameras,
             shots: &shots,
             background: &background,

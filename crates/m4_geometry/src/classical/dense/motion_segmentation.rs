@@ -87,11 +87,7 @@ impl Clip<'_> {
     /// Sharp masks of dynamic regions.
     fn moving(&self) -> Result<Masks, DenseError> {
         let (before, last) = self.rounds()?;
-        let mut moving = if self.parallax {
-            self.sharpened(before.as_deref(), &last)?
-        } else {
-            last
-        };
+        let mut moving = self.sharpened(before.as_deref(), &last)?;
         if let Some(segmenter) = self.sources.segmenter {
             let size = (self.width, self.height);
             let sharp = self.each("segmenting dynamic objects", |i| {
@@ -163,22 +159,28 @@ impl Clip<'_> {
     /// `before` leaves.
     fn sharpened(&self, before: Option<&[Vec<u8>]>, moving: &[Vec<u8>]) -> Result<Masks, DenseError> {
         let (width, height) = (self.width, self.height);
-        let measured = self.measured(before)?;
         let near = self.each("growing masks", |i| {
             dilated(&moving[i], width, height, background_model::GUARD_PX)
         })?;
-        let background = self.each("filling depth", |i| {
-            let mut measured = self.mono.with_prior(i, &measured[i], Some(&near[i]));
-            for (c, near) in measured.confidence.iter_mut().zip(&near[i]) {
-                if *near > 0 {
-                    *c = 0.0;
+        let background = if self.parallax {
+            let measured = self.measured(before)?;
+            self.each("filling depth", |i| {
+                let mut measured = self.mono.with_prior(i, &measured[i], Some(&near[i]));
+                for (c, near) in measured.confidence.iter_mut().zip(&near[i]) {
+                    if *near > 0 {
+                        *c = 0.0;
+                    }
                 }
-            }
-            self.fill(i, &measured, Some(&near[i]))
-        })?;
+                self.fill(i, &measured, Some(&near[i]))
+            })?
+        } else {
+            // the place of a background pixel in other frames does not depend on its depth
+            self.filled(&[], None)?
+        };
         let scene = background_model::Scene {
             width,
             height,
+            parallax: self.parallax,
             cameras: &self.clues.cameras,
             shots: self.shots,
             background: &background,
