@@ -94,8 +94,14 @@ fn check(root: &Path, tests: bool) -> Result<()> {
         cargo(root, &[&lints[..], &FULL, &deny_warnings].concat(), &[])
     })?;
     let docs = ["doc", "--workspace", "--no-deps", "--document-private-items"];
+    // The browser is not documented: with its feature, packages of others have the features that clippy checked them with.
+    let features = [FULL[0], &format!("{},m4_testkit/browser", FULL[1])];
     step("docs", || {
-        cargo(root, &[&docs[..], &FULL].concat(), &[("RUSTDOCFLAGS", "-D warnings")])
+        cargo(
+            root,
+            &[&docs[..], &features].concat(),
+            &[("RUSTDOCFLAGS", "-D warnings")],
+        )
     })?;
     if tests {
         for full in [false, true] {

@@ -41,9 +41,10 @@ const ONE_UNIT: [&str; 4] = [
     "profile.dev.package.m4_train.codegen-units=1",
 ];
 
-/// Programs of tests that run at a time: many end with one long test, and those of GPUs mostly wait for the one thread that compiles
-/// kernels.
+/// Programs of the default tests that run at a time: many end with one long test.
 const AT_A_TIME: usize = 2;
+/// The same of what `full` adds: those of GPUs mostly wait for the one thread that compiles kernels.
+const AT_A_TIME_FULL: usize = 3;
 
 /// What to run, and what must not be missing.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
@@ -194,7 +195,10 @@ pub fn lacking(skipped: &[Skipped], required: &BTreeSet<String>) -> Result<()> {
 }
 
 /// The programs that run longest, the longest first: they start before others.
-const LONGEST: [&str; 4] = [
+const LONGEST: [&str; 7] = [
+    "m4_nets (test it)",
+    "m4_train (test gpu)",
+    "m4_nets (lib m4_nets)",
     "minute4d_cli (test it)",
     "m4_geometry (lib m4_geometry)",
     "m4_geometry (test it)",
@@ -238,7 +242,7 @@ fn default_tests(root: &Path, list: &Path) -> Result<()> {
         let count = names(&program)?.len();
         Ok((program, Which::All(count)))
     });
-    let ran = run_programs(counted.collect::<Result<Vec<_>>>()?, list);
+    let ran = run_programs(counted.collect::<Result<Vec<_>>>()?, AT_A_TIME, list);
     let mut examples = cargo(root, &["test", "--doc", "--no-fail-fast"]);
     examples.args(DEFAULT);
     let examples = ended(examples, "cargo test --doc");
@@ -270,18 +274,18 @@ fn what_full_adds(root: &Path, list: &Path, more: &[String]) -> Result<()> {
             waiting.push((program, Which::These(new)));
         }
     }
-    run_programs(waiting, list)
+    run_programs(waiting, AT_A_TIME_FULL, list)
 }
 
 /// Runs programs: the longest first, then those with the most tests, and at last the one that needs the machine for itself.
-fn run_programs(programs: Vec<(Program, Which)>, list: &Path) -> Result<()> {
+fn run_programs(programs: Vec<(Program, Which)>, at_a_time: usize, list: &Path) -> Result<()> {
     let (alone, others): (Vec<_>, Vec<_>) = programs.into_iter().partition(|(program, _)| program.name == ALONE);
-    let first = run_several(others, list);
-    first.and(run_several(alone, list))
+    let first = run_several(others, at_a_time, list);
+    first.and(run_several(alone, 1, list))
 }
 
-/// Runs programs, several at a time.
-fn run_several(mut waiting: Vec<(Program, Which)>, list: &Path) -> Result<()> {
+/// Runs programs, `at_a_time` at once.
+fn run_several(mut waiting: Vec<(Program, Which)>, at_a_time: usize, list: &Path) -> Result<()> {
     // The last is taken first.
     waiting.sort_by_key(|(program, which)| {
         let place = LONGEST.iter().rev().position(|&name| name == program.name);
@@ -291,7 +295,7 @@ fn run_several(mut waiting: Vec<(Program, Which)>, list: &Path) -> Result<()> {
     let failed = Mutex::new(Vec::new());
     let next = || waiting.lock().unwrap_or_else(PoisonError::into_inner).pop();
     std::thread::scope(|scope| {
-        for _ in 0..AT_A_TIME {
+        for _ in 0..at_a_time {
             scope.spawn(|| {
                 while let Some((program, which)) = next() {
                     if let Err(error) = run_alone(&program, &which, list) {
