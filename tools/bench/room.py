@@ -67,7 +67,7 @@ def varied(rng):
     put = lambda *fixed: room.fixed.append(Fixed(*fixed))
     surface = lambda low, high: Photo(SURFACES[rng.integers(3)], rng.uniform(low, high))
     back_m, side_m, side = rng.uniform(2.9, 3.8), rng.uniform(3.6, 4.8), rng.choice((-1, 1))
-    put(plane(12), surface(4, 8) if rng.random() < 0.7 else drawn_pattern(rng, (2, 5)), (0, 0, 0))
+    put(plane(12), surface(4, 8), (0, 0, 0))
     put(plane(12), surface(2, 5), (0, back_m, 2), (UPRIGHT, 0, 0))
     put(plane(12), surface(2, 5) if rng.random() < 0.5 else Photo("coins.png", 3), (side * side_m, 0, 2), (UPRIGHT, 0, UPRIGHT))
     for x in np.arange(-2.4, 2.5, rng.uniform(1.5, 2.4)):
@@ -78,9 +78,10 @@ def varied(rng):
         x, y = rng.uniform(-2.6, 2.6), rng.uniform(0.9 + half, back_m - half - 0.1)
         material = drawn(rng, (4, 12)) if form == 0 else drawn_pattern(rng, (4, 12))
         put(_prop(form, half), material, (x, y, half), (0, 0, rng.uniform(0, 3)))
-    if rng.random() < 0.4:
-        x, height = rng.choice((-1, 1)) * rng.uniform(0.4, 0.9), rng.uniform(0.5, 1.0)
-        put(cylinder(0.05, height), drawn_pattern(rng, (8, 20)), (x, rng.uniform(-1.35, -1.15), height / 2))
+    # In some rooms a post in front of the objects hides them at times.
+    if rng.random() < 0.3:
+        x, height = rng.choice((-1, 1)) * rng.uniform(0.4, 0.9), rng.uniform(0.4, 0.8)
+        put(cylinder(0.04, height), drawn_pattern(rng, (8, 20)), (x, rng.uniform(-1.35, -1.15), height / 2))
     room.sun_angles = (math.radians(rng.uniform(25, 50)), math.radians(rng.uniform(-25, 25)), rng.uniform(-1, 1))
     room.sun_w = rng.uniform(2.0, 3.2)
     warmth = rng.uniform(-0.15, 0.15)

@@ -23,7 +23,8 @@ from transforms import apply, quaternion, rotation, segment, slerp
 HAS_BULLET = importlib.util.find_spec("pybullet") is not None
 if not HAS_BULLET:
     print("test_bench.py: pybullet is missing, so quad and toys are left out; pip install -r tools/bench/requirements.txt")
-NUMBERS = range(1, 9)
+# Numbers from 7 on are for reporting: no check may choose by them.
+NUMBERS = range(1, 7)
 
 
 def scenes(names, clip=Clip(), numbers=NUMBERS):
@@ -62,7 +63,7 @@ def corners(shape):
 class Motion(unittest.TestCase):
     def test_pose_depends_on_seconds_alone(self):
         slow, fast = Clip(96, 24), Clip(240, 60)
-        for a, b in zip(scenes(kinds.NAMES, slow, (1, 8)), scenes(kinds.NAMES, fast, (1, 8)), strict=True):
+        for a, b in zip(scenes(kinds.NAMES, slow, (1, 2)), scenes(kinds.NAMES, fast, (1, 2)), strict=True):
             # Backwards in one of them: a pose does not depend on earlier ones.
             wanted = [state(a, slow.seconds(2 * k)) for k in range(40)]
             got = [state(b, fast.seconds(5 * k)) for k in reversed(range(40))]
@@ -104,8 +105,8 @@ class Motion(unittest.TestCase):
 
 class Kinds(unittest.TestCase):
     def test_pendulums_hang_free(self):
-        for scene in scenes(["pendulum"], numbers=range(1, 20)):
-            lowest = min(points(scene, s)[:, 2].min() for s in np.arange(0, 6, 0.1))
+        for scene in scenes(["pendulum"]):
+            lowest = min(points(scene, s)[:, 2].min() for s in np.arange(0, 6, 0.2))
             self.assertGreater(lowest, 0.25, scene.name)
 
     def test_single_pendulum_keeps_its_energy(self):

@@ -24,8 +24,8 @@ def pushed(position, reach, play):
 
 
 def _push(rng):
-    size, yaw = rng.uniform(0.85, 1.25), rng.uniform(-0.6, 0.6)
-    reach, play, period_s = rng.uniform(0.45, 0.65), rng.uniform(0.06, 0.16), rng.uniform(2.6, 4.5)
+    size, yaw = rng.uniform(1.1, 1.6), rng.uniform(-0.6, 0.6)
+    reach, play, period_s = rng.uniform(0.4, 0.6), rng.uniform(0.06, 0.16), rng.uniform(2.6, 4.5)
     y, phase = rng.uniform(-0.35, 0.0), rng.uniform(0.0, 0.25)
     crate = (rng.uniform(0.24, 0.36) * size, rng.uniform(0.24, 0.36) * size, rng.uniform(0.2, 0.36) * size)
     plate, inner = 0.05 * size, crate[0] / 2 + play
@@ -49,7 +49,7 @@ def _push(rng):
 
 
 def _carry(rng):
-    size = rng.uniform(0.85, 1.25)
+    size = rng.uniform(1.3, 1.9)
     loop, travel = drawn_loop(rng, (0.6, 0.9), (0.3, 0.4)), drawn_travel(rng, (0.35, 0.7))
     spin = rng.choice((0.0, 1.0)) * rng.choice((-1, 1)) * rng.uniform(0.5, 1.4)
     radius, base, track = 0.07 * size, 0.28 * size, 0.15 * size

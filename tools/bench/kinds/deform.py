@@ -29,7 +29,7 @@ def _cloth(rng):
     waves = []
     for i in range(4):
         across, along = rng.uniform(-6, 6), rng.uniform(2, 5)
-        waves.append((rng.uniform(0.04, 0.1) / (1 + 0.3 * i), across, along, rng.uniform(2.5, 6), rng.uniform(0, 6.28)))
+        waves.append((rng.uniform(0.07, 0.13) / (1 + 0.3 * i), across, along, rng.uniform(2.5, 6), rng.uniform(0, 6.28)))
     gust, gust_phase = rng.uniform(0.8, 1.6), rng.uniform(0, 6.28)
     cos, sin = math.cos(yaw), math.sin(yaw)
 

@@ -37,7 +37,7 @@ def make(rng):
         angle = 2 * math.pi * seconds / period_s + phase
         return np.array([reach * math.cos(angle), -0.4 + 0.8 * reach * math.sin(angle), lamp_z])
 
-    light = Lamp(rng.uniform(90, 150), 0.12, lamp)
+    light = Lamp(rng.uniform(140, 220), 0.12, lamp)
     return Subject(("ball", "vase"), parts, pose, fixed, focus=(0.0, 0.0, 0.5), lamp=light, sun=0.3)
 
 
