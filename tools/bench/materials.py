@@ -31,9 +31,9 @@ class Pattern:
 
 
 def drawn_pattern(rng, scale, coordinates="Object", roughness=0.6, metallic=0.0):
-    """A pattern whose colours differ by a drawn contrast, from nearly plain to full; `scale` is a range."""
-    first, other = rng.random((2, 3)) * 0.85 + 0.05
-    second = first + rng.uniform(0.45, 1.0) * (other - first)
+    """A pattern whose colours differ by 0.25 to 0.6 in each channel; `scale` is a range."""
+    first = rng.uniform(0.05, 0.9, 3)
+    second = 0.05 + (first - 0.05 + rng.uniform(0.25, 0.6, 3)) % 0.85
     kind = PATTERNS[rng.integers(len(PATTERNS))]
     return Pattern(kind, tuple(first), tuple(second), rng.uniform(*scale), roughness, metallic, coordinates)
 

@@ -22,6 +22,10 @@ class Stage:
         for part in scene.subject.parts:
             made = _object(part.shape, part.material)
             made.pass_index = part.instance
+            if part.vertices:
+                # Cycles blurs the deformation of meshes with shape keys alone.
+                made.shape_key_add(name="rest")
+                made.shape_key_add(name="pose").value = 1.0
             self.parts.append(made)
         self._light()
         self.camera = self._camera()
@@ -33,7 +37,7 @@ class Stage:
         for made, part, matrix in zip(self.parts, subject.parts, subject.pose(seconds), strict=True):
             made.matrix_world = Matrix(matrix)
             if part.vertices:
-                made.data.vertices.foreach_set("co", part.vertices(seconds).astype(np.float32).ravel())
+                _shape(made).foreach_set("co", part.vertices(seconds).astype(np.float32).ravel())
                 made.data.update()
         if subject.lamp:
             self.lamp.location = subject.lamp.position(seconds)
@@ -45,7 +49,7 @@ class Stage:
         mesh = made.data
         mesh.calc_loop_triangles()
         vertices = np.empty(len(mesh.vertices) * 3, np.float32)
-        mesh.vertices.foreach_get("co", vertices)
+        (_shape(made) if mesh.shape_keys else mesh.vertices).foreach_get("co", vertices)
         triangles = np.empty(len(mesh.loop_triangles) * 3, np.int32)
         mesh.loop_triangles.foreach_get("vertices", triangles)
         world = np.array(made.matrix_world)
@@ -92,6 +96,11 @@ def _object(shape, material):
     made.data.materials.clear()
     made.data.materials.append(materials.build(material))
     return made
+
+
+def _shape(made):
+    """The vertices of a deforming object."""
+    return made.data.shape_keys.key_blocks["pose"].data
 
 
 def _mesh(shape):
