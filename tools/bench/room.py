@@ -1,7 +1,7 @@
 """The static part of a scene: ground, walls, posters, props and light, drawn from the generator of the scene.
 
 The room is 3 m around the origin, where the objects move: x to the right, y away from the camera, z up. Objects have
-the ground for x in -1.5..1.5 and y in -0.9..0.8 for themselves.
+the ground for x in -1.5..1.5 and y in -1.15..0.95 for themselves.
 """
 
 import math
@@ -75,13 +75,13 @@ def varied(rng):
         put(plane(size), Photo(PHOTOS[rng.integers(6)]), (x + rng.uniform(-0.2, 0.2), back_m - 0.05, z), (UPRIGHT, 0, 0))
     for _ in range(rng.integers(5, 11)):
         half, form = rng.uniform(0.12, 0.4), rng.integers(3)
-        x, y = rng.uniform(-2.6, 2.6), rng.uniform(0.9 + half, back_m - half - 0.1)
+        x, y = rng.uniform(-2.6, 2.6), rng.uniform(0.95 + 1.42 * half, back_m - half - 0.1)
         material = drawn(rng, (4, 12)) if form == 0 else drawn_pattern(rng, (4, 12))
         put(_prop(form, half), material, (x, y, half), (0, 0, rng.uniform(0, 3)))
     # In some rooms a post in front of the objects hides them at times.
     if rng.random() < 0.3:
         x, height = rng.choice((-1, 1)) * rng.uniform(0.4, 0.9), rng.uniform(0.4, 0.8)
-        put(cylinder(0.04, height), drawn_pattern(rng, (8, 20)), (x, rng.uniform(-1.35, -1.15), height / 2))
+        put(cylinder(0.04, height), drawn_pattern(rng, (8, 20)), (x, rng.uniform(-1.4, -1.2), height / 2))
     room.sun_angles = (math.radians(rng.uniform(25, 50)), math.radians(rng.uniform(-25, 25)), rng.uniform(-1, 1))
     room.sun_w = rng.uniform(2.0, 3.2)
     warmth = rng.uniform(-0.15, 0.15)

@@ -14,8 +14,8 @@ STEER_LIMIT = 0.7
 
 def make(rng):
     """One articulated object; sizes, path, speed and surfaces are drawn. The path is that of the rear axle."""
-    size = rng.uniform(1.1, 1.6)
-    loop = drawn_loop(rng, (0.6, 0.85), (0.34, 0.45))
+    size = rng.uniform(0.9, 1.2)
+    loop = drawn_loop(rng, (0.5, 0.7), (0.26, 0.34), centre=(0.0, -0.12))
     travel = drawn_travel(rng, (0.45, 0.85))
     base, track, radius = 0.36 * size, 0.17 * size, rng.uniform(0.085, 0.11) * size
     body = box(0.56 * size, 0.26 * size, rng.uniform(0.1, 0.16) * size)
