@@ -15,7 +15,6 @@
 //! ([`rotor`]), and a random generator whose numbers depend on a key and not on the order of drawing ([`CounterRng`]).
 #![forbid(unsafe_code)]
 
-pub mod covariance4;
 pub mod quat;
 pub mod rotor;
 

@@ -94,32 +94,3 @@ pub(crate) fn bilinear(plane: &Plane<f32>, x: f32, y: f32) -> f32 {
     let mix = |row: &[f32]| row[x0] * (1.0 - fx) + row[x1] * fx;
     mix(plane.row(y0)) * (1.0 - fy) + mix(plane.row(y1)) * fy
 }
-
-#[cfg(test)]
-mod tests {
-    use super::{resize_area, resize_nearest};
-    use m4_core::Plane;
-
-    #[test]
-    fn areas_keep_the_mean_and_the_place() {
-        let ramp = Plane::from_fn(53, 37, |x, y| [(4 * x) as u8, (6 * y) as u8, 200]);
-        let small = resize_area(&ramp, 29, 20);
-        for y in 0..20 {
-            for x in 0..29 {
-                let middle = |i: usize, to: f64, from: f64| (i as f64 + 0.5) * from / to - 0.5;
-                let [r, g, b] = small.row(y)[x].map(f64::from);
-                assert!((r - 4.0 * middle(x, 29.0, 53.0)).abs() <= 1.2, "{x} {r}");
-                assert!((g - 6.0 * middle(y, 20.0, 37.0)).abs() <= 1.5, "{y} {g}");
-                assert_eq!(b, 200.0);
-            }
-        }
-        assert_eq!(resize_area(&ramp, 53, 37), ramp);
-    }
-
-    #[test]
-    fn nearest_takes_the_pixel_in_the_middle() {
-        let plane = Plane::from_fn(8, 1, |x, _| x);
-        assert_eq!(resize_nearest(&plane, 4, 1).data(), [1, 3, 5, 7]);
-        assert_eq!(resize_nearest(&plane, 3, 1).data(), [1, 4, 6]);
-    }
-}

@@ -290,37 +290,21 @@ fn bad_input_is_named() {
     let good = sparse(&drawn, CameraMotion::Parallax);
     let config = DenseConfig::default();
     let fails = |frames: &[&RgbImage], sparse: &SparseReconstruction, config: &DenseConfig| {
-        estimate_depth(frames, sparse, config, &Silent).unwrap_err()
+        let error = estimate_depth(frames, sparse, config, &Silent).unwrap_err();
+        error.to_string()
     };
-    assert!(matches!(fails(&[], &good, &config), DenseError::NoFrames));
-    let count = fails(&frames[..5], &good, &config);
-    assert!(matches!(count, DenseError::Count { frames: 5, cameras: 12 }));
+    assert!(fails(&[], &good, &config).contains("no frames"));
+    assert!(fails(&frames[..5], &good, &config).contains("5 frames but 12 cameras"));
     let small = Plane::filled(20, 20, [0; 3]);
     let mut mixed = frames.clone();
     mixed[3] = &small;
-    assert!(matches!(
-        fails(&mixed, &good, &config),
-        DenseError::Size {
-            frame: 3,
-            found: (20, 20),
-            ..
-        }
-    ));
+    assert!(fails(&mixed, &good, &config).contains("frame 3 is 20x20"));
     let mut broken = good.clone();
     broken.cameras[2].c2w.translation.y = f64::NAN;
-    assert!(matches!(
-        fails(&frames, &broken, &config),
-        DenseError::Camera { frame: 2, .. }
-    ));
+    assert!(fails(&frames, &broken, &config).contains("camera of frame 2"));
     let mut settings = config.clone();
     settings.working_side_px = 63;
-    assert!(matches!(
-        fails(&frames, &good, &settings),
-        DenseError::Setting {
-            name: "dense.working_side_px",
-            ..
-        }
-    ));
+    assert!(fails(&frames, &good, &settings).contains("dense.working_side_px"));
     let stop = Listener {
         stop: true,
         ..Listener::default()

@@ -1,13 +1,15 @@
 //! A room, a moving ball and a camera that walks: everything is recovered from noisy flow.
 
-use crate::track_support::{DenseFlow, FlowCorrespondence};
 use m4_core::{
     CounterRng, Se3, Silent, Sim3,
     nalgebra::{Vector3, Vector6},
 };
 use m4_geometry::dba::{Grid, Pinhole};
-use m4_geometry::megasam::tracker::{Clip, FrameInput, Tracked, TrackerError, TrackerSettings, track};
-use std::convert::Infallible;
+use m4_geometry::megasam::graph::{EdgeChanges, EdgeId};
+use m4_geometry::megasam::tracker::{
+    Clip, Correspondence, CorrespondenceError, FrameInput, Revision, Tracked, TrackerSettings, track,
+};
+use std::collections::HashMap;
 
 const GRID: Grid = Grid { width: 96, height: 64 };
 const LENS: Pinhole<f64> = Pinhole {
@@ -21,6 +23,79 @@ const BALL: f64 = 0.5;
 
 /// Standard deviation of the flow, pixels of the grid.
 const NOISE_PX: f64 = 0.1;
+
+/// Of all disparities; that of a network is about this.
+const DAMPING: f32 = 0.005;
+
+/// Flow from one frame to another. Planes are `[height * width]` on the grid of the tracker.
+struct DenseFlow {
+    /// Motion of each pixel, pixels of the grid; u, then v.
+    flow_px: [Vec<f32>; 2],
+    /// Confidence, 0..=1.
+    confidence: Vec<f32>,
+}
+
+/// Targets that do not depend on the projection: the pixel plus its flow, asked of `flow(i, j)` when an edge enters and dropped when
+/// it leaves. Motion is not judged here: static confidence is 1, and a robust weight of the adjustment takes its
+/// place (`TrackerSettings::robust`).
+struct FlowCorrespondence {
+    flow: fn(usize, usize) -> DenseFlow,
+    edges: HashMap<EdgeId, DenseFlow>,
+}
+
+impl FlowCorrespondence {
+    fn new(flow: fn(usize, usize) -> DenseFlow) -> Self {
+        let edges = HashMap::new();
+        Self { flow, edges }
+    }
+}
+
+impl Correspondence for FlowCorrespondence {
+    fn change(&mut self, changes: &EdgeChanges) -> Result<(), CorrespondenceError> {
+        for key in &changes.entered {
+            let flow = (self.flow)(key.source_frame, key.target_frame);
+            self.edges.insert(key.id, flow);
+        }
+        for key in &changes.left {
+            self.edges.remove(&key.id);
+        }
+        Ok(())
+    }
+
+    fn revise(&mut self, revision: &mut Revision<'_>) -> Result<(), CorrespondenceError> {
+        let width = revision.grid.width;
+        for edge in &mut revision.edges {
+            let Some(flow) = self.edges.get(&edge.key.id) else {
+                let known = "the edge was never announced";
+                return Err(CorrespondenceError::Source(known.into()));
+            };
+            for n in 0..revision.grid.len() {
+                edge.target_px[0][n] = (n % width) as f32 + flow.flow_px[0][n];
+                edge.target_px[1][n] = (n / width) as f32 + flow.flow_px[1][n];
+            }
+            for plane in edge.weight.iter_mut() {
+                plane.copy_from_slice(&flow.confidence);
+            }
+            edge.static_confidence.fill(1.0);
+        }
+        for source in &mut revision.sources {
+            source.damping.fill(DAMPING);
+        }
+        Ok(())
+    }
+
+    fn motion_px(&mut self, from_frame: usize, to_frame: usize) -> Result<f64, CorrespondenceError> {
+        let flow = (self.flow)(from_frame, to_frame);
+        let [u, v] = &flow.flow_px;
+        let (mut sum, mut weight) = (0.0, 0.0);
+        for (n, &c) in flow.confidence.iter().enumerate() {
+            sum += f64::from(c) * f64::from(u[n].hypot(v[n]));
+            weight += f64::from(c);
+        }
+        // Nothing in common: as far apart as can be.
+        Ok(if weight > 0.0 { sum / weight } else { f64::INFINITY })
+    }
+}
 
 /// Where the ball is at a frame, metres.
 fn ball(frame: usize) -> Vector3<f64> {
@@ -87,7 +162,7 @@ fn pixels() -> impl Iterator<Item = (f64, f64)> {
 }
 
 /// True flow with noise; confidence 0 where the target is hidden or out of the image.
-fn flow(i: usize, j: usize) -> Result<DenseFlow, Infallible> {
+fn flow(i: usize, j: usize) -> DenseFlow {
     let (from, to) = (camera(i), camera(j).inverse());
     let mut rng = CounterRng::new(5, i as u64, j as u64);
     let mut out = DenseFlow {
@@ -109,7 +184,7 @@ fn flow(i: usize, j: usize) -> Result<DenseFlow, Infallible> {
         out.flow_px[1].push(known(y - v + NOISE_PX * rng.normal()));
         out.confidence.push(if visible { 1.0 } else { 0.0 });
     }
-    Ok(out)
+    out
 }
 
 /// Disparity of a network: up to 12 % off, unknown in one corner.
@@ -147,7 +222,7 @@ fn run(settings: &TrackerSettings, guess: f64, sensor: fn(usize) -> Vec<f32>) ->
         },
         frames: &frames,
     };
-    let mut source = FlowCorrespondence::new(GRID, 0.005, flow);
+    let mut source = FlowCorrespondence::new(flow);
     track(&clip, &mut source, settings, &Silent).expect("a clip that can be tracked")
 }
 
@@ -234,13 +309,13 @@ fn without_any_hint_of_depth_the_path_is_recovered_too() {
 }
 
 /// Nothing moves but noise.
-fn still(_i: usize, j: usize) -> Result<DenseFlow, Infallible> {
+fn still(_i: usize, j: usize) -> DenseFlow {
     let mut rng = CounterRng::new(6, 0, j as u64);
     let mut plane = || (0..GRID.len()).map(|_| (NOISE_PX * rng.normal()) as f32).collect();
-    Ok(DenseFlow {
+    DenseFlow {
         flow_px: [plane(), plane()],
         confidence: vec![1.0; GRID.len()],
-    })
+    }
 }
 
 #[test]
@@ -251,7 +326,7 @@ fn a_camera_on_a_tripod_stays_where_it_is() {
         lens: LENS,
         frames: &frames,
     };
-    let mut source = FlowCorrespondence::new(GRID, 0.005, still);
+    let mut source = FlowCorrespondence::new(still);
     let tracked = track(&clip, &mut source, &TrackerSettings::for_flow(), &Silent).expect("two keyframes are enough");
     eprintln!("{:?}, keyframes {:?}", tracked.observability, tracked.keyframes);
     assert_eq!(tracked.keyframes, [0, FRAMES - 1]);
@@ -274,7 +349,7 @@ fn a_camera_on_a_tripod_stays_where_it_is() {
 #[test]
 fn single_frames_and_unordered_frames_are_rejected() {
     let mut frames = inputs(sensor);
-    let mut source = FlowCorrespondence::new(GRID, 0.005, still);
+    let mut source = FlowCorrespondence::new(still);
     let settings = TrackerSettings::for_flow();
     let mut ask = |frames: &[FrameInput]| {
         let clip = Clip {
@@ -282,12 +357,13 @@ fn single_frames_and_unordered_frames_are_rejected() {
             lens: LENS,
             frames,
         };
-        track(&clip, &mut source, &settings, &Silent).expect_err("a clip that cannot be tracked")
+        let error = track(&clip, &mut source, &settings, &Silent).expect_err("a clip that cannot be tracked");
+        error.to_string()
     };
-    assert!(matches!(ask(&frames[..1]), TrackerError::TooFewFrames { found: 1 }));
+    assert!(ask(&frames[..1]).contains("1 frame(s)"));
     frames.swap(3, 4);
-    assert!(matches!(ask(&frames), TrackerError::Order { frame: 3, .. }));
+    assert!(ask(&frames).starts_with("frame 3 is at"));
     frames.swap(3, 4);
     frames[1].sensor.pop();
-    assert!(matches!(ask(&frames), TrackerError::PlaneSize { frame: 1, .. }));
+    assert!(ask(&frames).contains("frame 1 has"));
 }

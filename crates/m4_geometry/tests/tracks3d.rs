@@ -1,14 +1,143 @@
 //! Points of boxes followed behind a pillar and out of the image, against the truth.
 #![expect(clippy::print_stdout, reason = "figures that the documentation names")]
 
-use crate::track_support::score::Score;
-use crate::track_support::{TrueFlow, clip, score};
-use m4_core::{Progress, Silent};
-use m4_geometry::classical::dense::InverseSearch;
-use m4_geometry::tracks::{
-    FlowTracker, PosedClip, PosedFrame, Query, QueryGrid, TrackConfig, TrackError, TrackedPoints, Tracker3d,
-};
+use m4_core::{Flow, Progress, RgbImage, Silent, nalgebra::Vector3};
+use m4_geometry::classical::dense::{FlowError, FlowImage, FlowSource, InverseSearch};
+use m4_geometry::tracks::{FlowTracker, PosedFrame, QueryGrid, TrackConfig, TrackError, TrackedPoints, Tracker3d};
 use m4_testkit::BoxScene;
+use std::fmt;
+
+/// True flow: images are known by their pixels.
+struct TrueFlow<'a> {
+    scene: &'a BoxScene,
+    images: Vec<RgbImage>,
+}
+
+impl<'a> TrueFlow<'a> {
+    fn new(scene: &'a BoxScene) -> Self {
+        let images = (0..scene.frames()).map(|t| scene.rgb(t)).collect();
+        Self { scene, images }
+    }
+}
+
+impl FlowSource for TrueFlow<'_> {
+    fn name(&self) -> &str {
+        "true"
+    }
+
+    fn both(&self, a: &FlowImage<'_>, b: &FlowImage<'_>) -> Result<(Flow, Flow), FlowError> {
+        let index = |p: &FlowImage<'_>| {
+            let at = self.images.iter().position(|q| q.data() == p.rgb);
+            at.ok_or_else(|| FlowError::Source {
+                source_name: "true".to_owned(),
+                reason: "an unknown image".into(),
+            })
+        };
+        let (from, to) = (index(a)?, index(b)?);
+        let flow = |from, to| {
+            let (u, v) = self.scene.flow(from, to);
+            Flow {
+                width: a.width,
+                height: a.height,
+                u,
+                v,
+            }
+        };
+        Ok((flow(from, to), flow(to, from)))
+    }
+}
+
+/// The frames of a scene, with true geometry.
+fn clip(scene: &BoxScene) -> Vec<PosedFrame> {
+    (0..scene.frames())
+        .map(|t| PosedFrame {
+            rgb: scene.rgb(t),
+            depth: scene.depth(t),
+            moving: scene.mask(t),
+            camera: scene.cameras[t],
+        })
+        .collect()
+}
+
+/// How far tracks are from the truth.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Score {
+    tracks: usize,
+    /// Median distance to the truth where a point is reported visible, and where not, in per cent of its depth.
+    seen_percent: f64,
+    hidden_percent: f64,
+    /// Share of all frames of all tracks in which the place is known and right: within 5 % of the depth and 10 px.
+    survival: f64,
+    /// The same among the frames in which the point cannot be seen.
+    recovered: f64,
+    /// Frames in which the point cannot be seen, of all.
+    hidden: f64,
+    /// Share of the frames said to see a point that do not.
+    false_seen: f64,
+}
+
+impl fmt::Display for Score {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(
+            f,
+            "{} tracks; off by {:.2} % seen, {:.2} % hidden (medians); right in {:.1} % of all frames, in {:.1} % of the {:.1} % in \
+             which the point is hidden; {:.1} % of what is said to be seen is not",
+            self.tracks,
+            self.seen_percent,
+            self.hidden_percent,
+            100.0 * self.survival,
+            100.0 * self.recovered,
+            100.0 * self.hidden,
+            100.0 * self.false_seen
+        )
+    }
+}
+
+fn median(mut values: Vec<f64>) -> f64 {
+    values.sort_by(f64::total_cmp);
+    values.get(values.len() / 2).copied().unwrap_or(f64::NAN)
+}
+
+/// Compares with the truth; the point of a track is the one that its query shows.
+fn score(scene: &BoxScene, followed: &TrackedPoints) -> Score {
+    let tracks = &followed.tracks;
+    let (mut seen_errors, mut hidden_errors) = (Vec::new(), Vec::new());
+    let (mut all, mut right, mut hidden, mut recovered, mut said, mut wrong) = (0u32, 0u32, 0u32, 0u32, 0u32, 0u32);
+    for (k, query) in followed.queries.iter().enumerate() {
+        let ([u, v], _) = scene.cameras[query.frame].project(&query.xyz.map(f64::from).into());
+        let hit = scene.cast(query.frame, u, v);
+        for t in 0..scene.frames() {
+            let truth = scene.place(hit.body, &hit.local, t);
+            let (there, z) = scene.cameras[t].project(&truth);
+            let sees = scene.sees(hit.body, &hit.local, t);
+            all += 1;
+            hidden += u32::from(!sees);
+            let visible = tracks.visible()[t * tracks.count() + k];
+            said += u32::from(visible);
+            wrong += u32::from(visible && !sees);
+            let Some(place) = tracks.place(t, k) else { continue };
+            let place = Vector3::from(place.map(f64::from));
+            let error = 100.0 * (truth - place).norm() / z;
+            if visible { &mut seen_errors } else { &mut hidden_errors }.push(error);
+            let (here, depth) = scene.cameras[t].project(&place);
+            let off_px = (here[0] - there[0]).hypot(here[1] - there[1]);
+            if (depth / z - 1.0).abs() <= 0.05 && off_px <= 10.0 {
+                right += 1;
+                recovered += u32::from(!sees);
+            }
+        }
+    }
+    let share = |a: u32, b: u32| f64::from(a) / f64::from(b.max(1));
+    Score {
+        tracks: tracks.count(),
+        seen_percent: median(seen_errors),
+        hidden_percent: median(hidden_errors),
+        survival: share(right, all),
+        recovered: share(recovered, hidden),
+        hidden: share(hidden, all),
+        false_seen: share(wrong, said),
+    }
+}
 
 const SIZE: (usize, usize) = (192, 144);
 const FRAMES: usize = 32;
@@ -68,74 +197,6 @@ fn our_own_flow_is_nearly_as_good() {
 }
 
 #[test]
-fn a_query_is_answered_in_its_place_of_the_list() {
-    let scene = scene();
-    let (flow, clip) = (TrueFlow::new(&scene), clip(&scene));
-    let tracker = FlowTracker {
-        flow: &flow,
-        config: config(true),
-    };
-    // three points of the box that passes, one of the wall, in two frames
-    let at = |t: usize, x: usize, y: usize| {
-        let depth = scene.hit(t, x, y).depth as f32;
-        Query::at_pixel(t, &scene.cameras[t], [x as f32, y as f32], depth)
-    };
-    let pixels = || {
-        (0..SIZE.0 * SIZE.1)
-            .filter(move |i| i % 7 == 0)
-            .map(|i| (i % SIZE.0, i / SIZE.0))
-    };
-    let mut queries: Vec<Query> = pixels()
-        .filter(|&(x, y)| scene.hit(20, x, y).body == 2)
-        .take(80)
-        .map(|(x, y)| at(20, x, y))
-        .collect();
-    queries.push(at(5, 3, 3));
-    queries.extend(
-        pixels()
-            .filter(|&(x, y)| scene.hit(2, x, y).body == 2)
-            .take(80)
-            .map(|(x, y)| at(2, x, y)),
-    );
-    let followed = tracker.follow(&clip, &queries, &Silent).unwrap();
-    assert_eq!(followed.queries, queries);
-    assert_eq!(
-        (followed.tracks.count(), followed.tracks.frames()),
-        (queries.len(), FRAMES)
-    );
-    for (k, q) in queries.iter().enumerate() {
-        assert_eq!(followed.tracks.place(q.frame, k), Some(q.xyz));
-        assert_eq!(followed.tracks.confidence(q.frame, k), 1.0);
-    }
-    let moving = TrackedPoints::new(
-        FRAMES,
-        queries[..80].to_vec(),
-        (0..FRAMES * 80)
-            .map(|i| followed.tracks.place(i / 80, i % 80).unwrap_or([f32::NAN; 3]))
-            .collect(),
-        (0..FRAMES * 80)
-            .map(|i| followed.tracks.visible()[i / 80 * queries.len() + i % 80])
-            .collect(),
-        vec![1.0; FRAMES * 80],
-    )
-    .unwrap();
-    let score = score(&scene, &moving);
-    println!("queries in one frame: {score}");
-    assert!(score.survival > 0.7);
-    let bad = [
-        queries[0],
-        Query {
-            frame: FRAMES,
-            ..queries[0]
-        },
-    ];
-    assert!(matches!(
-        tracker.follow(&clip, &bad, &Silent),
-        Err(TrackError::Query { query: 1, .. })
-    ));
-}
-
-#[test]
 fn the_number_of_threads_does_not_matter() {
     let scene = BoxScene::new(96, 72, 16);
     let with = |threads: usize| {
@@ -155,58 +216,26 @@ fn the_number_of_threads_does_not_matter() {
     assert_eq!(one.tracks.visible(), three.tracks.visible());
 }
 
-/// Answers every query with its own place, always in view.
-struct Still;
-
-impl Tracker3d for Still {
-    fn name(&self) -> &str {
-        "still"
-    }
-
-    fn follow(&self, clip: &dyn PosedClip, queries: &[Query], _: &dyn Progress) -> Result<TrackedPoints, TrackError> {
-        let frames = clip.frames();
-        let xyz = (0..frames).flat_map(|_| queries.iter().map(|q| q.xyz)).collect();
-        TrackedPoints::from_probabilities(frames, queries.to_vec(), xyz, vec![0.95; frames * queries.len()], 0.9)
-    }
-}
-
 #[test]
-fn queries_lie_in_the_masks_and_avoid_tracked_points() {
+fn queries_lie_in_the_masks() {
     let scene = BoxScene::new(96, 72, 11);
     let clip = clip(&scene);
-    let ask = |grid: QueryGrid| Still.follow_grid(&clip, &grid, &Silent).unwrap();
-    let once = ask(QueryGrid {
+    let ask = |grid: QueryGrid| grid.queries("still", &clip, &Silent);
+    let all = QueryGrid {
         every: 2,
         ..QueryGrid::default()
-    });
-    for q in &once.queries {
+    };
+    let queries = ask(all).unwrap();
+    assert!(queries.len() > 20);
+    for q in &queries {
         assert_eq!(q.frame % 2, 0);
         let ([u, v], z) = scene.cameras[q.frame].project(&q.xyz.map(f64::from).into());
         let hit = scene.hit(q.frame, u.round() as usize, v.round() as usize);
         assert!(BoxScene::moves(hit.body) && (hit.depth - z).abs() < 1e-3);
     }
-    assert!(once.tracks.visible().iter().all(|v| *v));
-    let rounds = ask(QueryGrid {
-        every: 2,
-        rounds: 3,
-        ..QueryGrid::default()
-    });
-    assert!(rounds.queries.len() * 3 > once.queries.len() && rounds.queries.len() < once.queries.len());
-    let few = ask(QueryGrid {
-        most: 9,
-        rounds: 2,
-        every: 5,
-        ..QueryGrid::default()
-    });
-    assert_eq!(few.queries.len(), 9);
-    let zero = QueryGrid {
-        spacing_px: 0,
-        ..QueryGrid::default()
-    };
-    assert!(matches!(
-        Still.follow_grid(&clip, &zero, &Silent),
-        Err(TrackError::Setting { name: "spacing_px", .. })
-    ));
+    assert_eq!(ask(QueryGrid { most: 9, ..all }).unwrap().len(), 9);
+    let zero = ask(QueryGrid { spacing_px: 0, ..all });
+    assert!(matches!(zero, Err(TrackError::Setting { name: "spacing_px", .. })));
 }
 
 struct Stop;
@@ -235,15 +264,8 @@ fn untrackable_input_is_reported_and_static_scene_is_not_an_error() {
         frame.moving.data_mut().fill(0);
     }
     assert_eq!(tracker.follow_grid(&clip, &grid, &Silent).unwrap().tracks.count(), 0);
-    assert_eq!(tracker.follow(&clip, &[], &Silent).unwrap().tracks.count(), 0);
-    assert_eq!(
-        tracker
-            .follow(&Vec::<PosedFrame>::new(), &[], &Silent)
-            .unwrap()
-            .tracks
-            .frames(),
-        0
-    );
+    let empty = tracker.follow_grid(&Vec::<PosedFrame>::new(), &grid, &Silent);
+    assert_eq!(empty.unwrap().tracks.frames(), 0);
     clip[2].depth = scene_depth(&scene);
     let wrong = tracker.follow_grid(&clip, &grid, &Silent);
     assert!(matches!(wrong, Err(TrackError::Frame { frame: 2, .. })));

@@ -52,7 +52,7 @@ fn few() -> Settings {
     let megasam = &mut settings.megasam;
     megasam.tracking_pixels = (SIDE * SIDE) as f64;
     megasam.flow_iterations = 1;
-    megasam.cvd.steps = [2, 3];
+    megasam.cvd_steps = [2, 3];
     megasam.tracker = TrackerSettings {
         motion_filter_px: 0.01,
         keyframe_px: 1.1,

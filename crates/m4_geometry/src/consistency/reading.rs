@@ -1,10 +1,9 @@
 //! Ways in which cameras and depth may have been meant.
 
+use super::Cause;
 use super::samples::{Pair, Sample};
-use m4_core::{
-    Camera, Se3, median,
-    nalgebra::{Matrix3, Vector3},
-};
+use m4_core::nalgebra::{Matrix3, Vector3};
+use m4_core::{Camera, Capture, CompactDepth, CompactMask, DepthMap, Se3, median};
 
 /// How far a point goes by the translation alone for its depth to be told, pixels.
 const PARALLAX_PX: f64 = 2.0;
@@ -184,4 +183,47 @@ pub(super) fn depth_errors(reading: &Reading, cameras: &[Camera], pairs: &[Pair]
         }));
     }
     out
+}
+
+/// The capture with its causes of inconsistency put right: cameras, depth and masks; images as they are.
+#[must_use]
+pub fn fixed(mut capture: Capture, causes: &[Cause]) -> Capture {
+    let reading = causes.iter().fold(Reading::GIVEN, |reading, cause| match *cause {
+        Cause::Masks => reading,
+        Cause::Inverted => Reading {
+            inverted: true,
+            ..reading
+        },
+        Cause::Axes => Reading {
+            flipped: true,
+            ..reading
+        },
+        Cause::DepthUnit { factor } => Reading {
+            scale: factor,
+            ..reading
+        },
+        Cause::Focal { factor } => Reading {
+            focal: factor,
+            ..reading
+        },
+        Cause::PixelCentre { shift_px } => Reading { shift_px, ..reading },
+    });
+    let turned = causes.contains(&Cause::Masks);
+    for frame in &mut capture.frames {
+        if turned {
+            frame.mask = frame
+                .mask
+                .take()
+                .map(|mask| CompactMask::from(&mask.to_mask().map(|m| 255 - m)));
+            frame.motion = frame.motion.take().map(|motion| motion.map(|m| 255 - m));
+        }
+        frame.camera = reading.camera(&frame.camera);
+        if reading.scale != 1.0 {
+            frame.depth = frame.depth.take().map(|depth| {
+                let scaled: DepthMap = depth.to_map().map(|z| (f64::from(*z) * reading.scale) as f32);
+                CompactDepth::from(scaled)
+            });
+        }
+    }
+    capture
 }

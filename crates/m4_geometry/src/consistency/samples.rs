@@ -1,7 +1,6 @@
 //! Static pixels and their flow.
 
-use crate::classical::dense::{FlowError, FlowImage, FlowPair, FlowSource, working_size};
-use crate::resample::rgb_and_grey;
+use crate::classical::dense::{FlowError, FlowPair, FlowSource, ScaledFrame, working_size};
 use m4_core::{Capture, CaptureFrame, CompactDepth, Progress};
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -104,16 +103,12 @@ fn between(capture: &Capture, frames: [usize; 2], flow: &dyn FlowSource) -> Resu
     let [a, b] = frames.map(|i| &capture.frames[i]);
     let (w, h) = a.rgb.size();
     let (fw, fh) = working_size(w, h, SIDE_PX);
-    let images = [a, b].map(|f| rgb_and_grey(&f.rgb, fw, fh));
-    let [first, second] = images.each_ref().map(|(rgb, grey)| FlowImage {
-        width: fw,
-        height: fh,
-        rgb,
-        grey,
-    });
-    let pair = FlowPair::between(&first, &second, flow).map_err(|source| ConsistencyError::Flow {
-        between: (frames[0], frames[1]),
-        source,
+    let [first, second] = [a, b].map(|f| ScaledFrame::new(&f.rgb, (fw, fh)));
+    let pair = FlowPair::between(&first.flow_image(), &second.flow_image(), flow).map_err(|source| {
+        ConsistencyError::Flow {
+            between: (frames[0], frames[1]),
+            source,
+        }
     })?;
     let (sx, sy) = (w as f64 / fw as f64, h as f64 / fh as f64);
     let stride = STRIDE_PX;

@@ -3,8 +3,8 @@
 //! ```text
 //! Geometry (poses, disparities, lens) + Factor (where the pixels of i are seen in j, with weights)
 //!   -> per edge: residuals and derivatives        lanes (fast)     reference (oracle)
-//!   -> per source frame: disparities eliminated   source, products
-//!   -> all poses (and the focal length)           solve: damping, Cholesky in f64
+//!   -> per source frame: disparities eliminated   source
+//!   -> all poses (and the focal length)           adjust: damping, Cholesky in f64
 //!   -> disparities substituted back               substitute
 //! ```
 //!
@@ -22,27 +22,25 @@
 //! the oracle: f64, every block stored. Memory of the fast path is a few rows of one block of pixels a
 //! thread, and the shares of 64 source frames; the coupling of poses and disparities is never stored, but formed
 //! again for the back-substitution.
+
 mod adjust;
 mod lanes;
 mod observability;
 mod options;
-mod prior;
 mod problem;
-mod products;
-mod projection;
 mod reference;
-mod robust;
-mod solve;
 mod source;
 mod substitute;
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;
 
 pub use adjust::adjust;
 pub use observability::{DEPTH_GATE, FOCAL_GATE, Observability, observability, observability_reference};
-pub use options::{DbaOptions, DbaReport, Free, MAX_DISPARITY, MIN_DISPARITY, WEIGHT_SCALE, stepped_disparity};
-pub use prior::{CURVATURE_FLOOR, SENSOR_KNOWN, depth_prior};
-pub use problem::{DbaError, Factor, Geometry, Grid, Pinhole, Problem};
-pub use projection::{MIN_DEPTH, PROJECTION_GUARD, Projected, project};
+pub use options::{
+    CURVATURE_FLOOR, DbaOptions, DbaReport, Free, MAX_DISPARITY, MIN_DISPARITY, Robust, SENSOR_KNOWN, WEIGHT_SCALE,
+    depth_prior, stepped_disparity,
+};
+pub use problem::{
+    DbaError, Factor, Geometry, Grid, MIN_DEPTH, PROJECTION_GUARD, Pinhole, Problem, Projected, project,
+};
 pub use reference::{EdgeSystem, adjust_reference, edge_system};
-pub use robust::Robust;

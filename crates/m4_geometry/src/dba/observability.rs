@@ -7,8 +7,7 @@
 use super::adjust::by_source;
 use super::lanes::Rays;
 use super::options::DbaOptions;
-use super::problem::{DbaError, Factor, Geometry, Problem};
-use super::projection::project;
+use super::problem::{DbaError, Factor, Geometry, Problem, project};
 use super::source::Context;
 use fearless_simd::Level;
 use rayon::prelude::*;

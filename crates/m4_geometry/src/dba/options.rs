@@ -1,7 +1,7 @@
-//! Settings of one adjustment.
+//! Settings of one adjustment, robust weights, and what holds a disparity where the flow says little.
 
 use super::problem::Pinhole;
-use super::robust::Robust;
+use m4_core::Real;
 
 /// What moves.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -61,7 +61,7 @@ impl Default for DbaOptions {
             ep: 0.1,
             prior_alpha: Some(0.05),
             robust: Robust::None,
-            min_depth: super::projection::MIN_DEPTH,
+            min_depth: super::problem::MIN_DEPTH,
             #[cfg(test)]
             python_twin: false,
         }
@@ -108,7 +108,7 @@ pub const MIN_DISPARITY: f64 = 1e-6;
 /// A disparity after its step.
 #[must_use]
 #[inline(always)]
-pub fn stepped_disparity<T: m4_core::Real>(d: T, step: T) -> T {
+pub fn stepped_disparity<T: Real>(d: T, step: T) -> T {
     let d = d + step;
     let kept = if d > T::of(MAX_DISPARITY) { T::zero() } else { d };
     // written so that a NaN becomes the least disparity
@@ -129,4 +129,73 @@ pub struct DbaReport {
     /// Root mean square of the weighted residual before the last iteration, pixels of the grid; 0 without
     /// edges.
     pub rms_px: f64,
+}
+
+/// A weight that falls with the length of the residual (iteratively reweighted least squares).
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub enum Robust {
+    /// Every residual counts in full: the published solver, whose confidences come from a network.
+    #[default]
+    None,
+    /// `1 / (1 + s^2)`, `s` being the length of the residual over the scale.
+    Cauchy {
+        /// Pixels of the grid.
+        scale_px: f64,
+    },
+    /// `1 / (1 + s^2)^2`: what is far off counts for nothing.
+    GemanMcClure {
+        /// Pixels of the grid.
+        scale_px: f64,
+    },
+}
+
+impl Robust {
+    /// The factor for a residual of squared length `squared_px2`, in (0, 1].
+    #[must_use]
+    pub fn weight<T: Real>(self, squared_px2: T) -> T {
+        let (inverse, power) = self.constants();
+        let w = T::one() / (T::one() + squared_px2 * T::of(inverse));
+        if power == 2 { w * w } else { w }
+    }
+
+    /// `(1 / scale^2, exponent)`: the weight is `(1 + s^2)^-exponent`. With [`Robust::None`] the first is 0, which
+    /// makes the weight 1 exactly.
+    pub(crate) fn constants(self) -> (f64, u32) {
+        match self {
+            Self::None => (0.0, 1),
+            Self::Cauchy { scale_px } => (1.0 / (scale_px * scale_px), 1),
+            Self::GemanMcClure { scale_px } => (1.0 / (scale_px * scale_px), 2),
+        }
+    }
+}
+
+/// Below this a sensor disparity counts as unknown.
+pub const SENSOR_KNOWN: f64 = 1e-8;
+
+/// Added to the curvature of every disparity, so that it can be inverted.
+pub const CURVATURE_FLOOR: f64 = 1e-7;
+
+/// `(added curvature, added gradient)` of one disparity (docs/spec/front-end.md 1.6):
+/// with `m = 1` where the sensor knows the depth, `C += m alpha + (1 - m) eta + 1e-7` and
+/// `b -= m alpha (d - d_sensor)`. `alpha = None` switches the prior off and leaves damping alone.
+#[must_use]
+#[inline(always)]
+pub fn depth_prior<T: Real>(alpha: Option<T>, eta: T, disparity: T, sensor: T) -> (T, T) {
+    let floor = T::of(CURVATURE_FLOOR);
+    match alpha {
+        Some(alpha) if sensor > T::of(SENSOR_KNOWN) => (alpha + floor, -alpha * (disparity - sensor)),
+        _ => (eta + floor, T::zero()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::Robust;
+
+    #[test]
+    fn weights_fall_with_the_residual() {
+        assert_eq!(Robust::None.weight(100.0_f32), 1.0);
+        assert_eq!(Robust::Cauchy { scale_px: 2.0 }.weight(4.0_f64), 0.5);
+        assert_eq!(Robust::GemanMcClure { scale_px: 2.0 }.weight(4.0_f64), 0.25);
+    }
 }

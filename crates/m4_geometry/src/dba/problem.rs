@@ -1,5 +1,10 @@
-//! What is adjusted and what it is adjusted to.
+//! What is adjusted and what it is adjusted to; how a pixel with a disparity is seen in another frame, and all derivatives of that:
+//! the reference.
+//!
+//! The homogeneous point of pixel `(u, v)` with disparity `d` is `((u - cx)/fx, (v - cy)/fy, 1, d)`, and `G` acts
+//! on it as `R X + d t`, so the depth `1/d` is never formed.
 
+use m4_core::nalgebra::{Matrix2x6, Matrix6, Vector2, Vector3, Vector6};
 use m4_core::{Real, Se3};
 use serde::{Deserialize, Serialize};
 
@@ -121,47 +126,10 @@ pub struct Factor<T> {
     pub weight: [Vec<T>; 2],
 }
 
-/// Why a problem could not be posed.
+/// Why a problem could not be posed: indices of frames that are not there, or planes of another size.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
-#[non_exhaustive]
-pub enum DbaError {
-    /// An edge names a frame that is not there.
-    #[error(
-        "edge {edge} goes from frame {source_frame} to {target_frame} while there are {frames} frames; give edges between existing, different frames"
-    )]
-    NoSuchFrame {
-        /// Index of the edge.
-        edge: usize,
-        /// Its source.
-        source_frame: usize,
-        /// Its target.
-        target_frame: usize,
-        /// Frames there are.
-        frames: usize,
-    },
-    /// A plane of the wrong size.
-    #[error("{what} {index} has {found} values while the grid has {expected} pixels; give planes of [height * width]")]
-    PlaneSize {
-        /// Which plane.
-        what: &'static str,
-        /// Index of the frame or edge.
-        index: usize,
-        /// Its length.
-        found: usize,
-        /// Pixels of the grid.
-        expected: usize,
-    },
-    /// A pose window that reaches beyond the frames.
-    #[error("the window {start}..{end} of free poses does not lie within the {frames} frames")]
-    Window {
-        /// First free pose.
-        start: usize,
-        /// One beyond the last.
-        end: usize,
-        /// Frames there are.
-        frames: usize,
-    },
-}
+#[error("{0}")]
+pub struct DbaError(String);
 
 /// A state, the edges that pull at it and the damping of its disparities.
 #[derive(Debug, Clone, Copy)]
@@ -181,24 +149,18 @@ impl<T: Real> Problem<'_, T> {
     pub fn check(&self, geometry: &Geometry<T>, window: &std::ops::Range<usize>) -> Result<(), DbaError> {
         let (frames, expected) = (geometry.frames(), geometry.grid.len());
         if window.start > window.end || window.end > frames {
-            return Err(DbaError::Window {
-                start: window.start,
-                end: window.end,
-                frames,
-            });
+            return Err(DbaError(format!(
+                "the window {window:?} of free poses does not lie within the {frames} frames"
+            )));
         }
-        let plane = |what, index, plane: Option<&Vec<T>>| {
+        let plane = |what: &str, index: usize, plane: Option<&Vec<T>>| {
             let found = plane.map_or(0, Vec::len);
             if found == expected {
-                Ok(())
-            } else {
-                Err(DbaError::PlaneSize {
-                    what,
-                    index,
-                    found,
-                    expected,
-                })
+                return Ok(());
             }
+            Err(DbaError(format!(
+                "{what} {index} has {found} values while the grid has {expected} pixels; give planes of [height * width]"
+            )))
         };
         for i in 0..frames {
             plane("the disparity of frame", i, geometry.disparity.get(i))?;
@@ -207,12 +169,10 @@ impl<T: Real> Problem<'_, T> {
         }
         for (e, edge) in self.edges.iter().enumerate() {
             if edge.source >= frames || edge.target >= frames || edge.source == edge.target {
-                return Err(DbaError::NoSuchFrame {
-                    edge: e,
-                    source_frame: edge.source,
-                    target_frame: edge.target,
-                    frames,
-                });
+                return Err(DbaError(format!(
+                    "edge {e} goes from frame {} to {} while there are {frames} frames; give edges between existing, different frames",
+                    edge.source, edge.target
+                )));
             }
             for k in 0..2 {
                 plane("the target of edge", e, Some(&edge.target_px[k]))?;
@@ -221,4 +181,63 @@ impl<T: Real> Problem<'_, T> {
         }
         Ok(())
     }
+}
+
+/// Below this scaled depth the projection divides by 1 instead; such a point is never valid.
+pub const PROJECTION_GUARD: f64 = 0.1;
+
+/// Least scaled depth `z` in the target of a valid point, as in the published solver for graphics
+/// processors. Its Python twin has 0.2.
+pub const MIN_DEPTH: f64 = 0.25;
+
+/// One pixel as the target frame sees it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Projected<T: Real> {
+    /// Position, pixels of the grid.
+    pub pixel: Vector2<T>,
+    /// Depth in the target times the disparity in the source: 1 for a static camera.
+    pub z: T,
+    /// With respect to the left twist of the target's pose.
+    pub by_target: Matrix2x6<T>,
+    /// With respect to the left twist of the source's pose.
+    pub by_source: Matrix2x6<T>,
+    /// With respect to the disparity.
+    pub by_disparity: Vector2<T>,
+    /// With respect to the focal parameter `fx / (2 cx)`.
+    pub by_focal: Vector2<T>,
+}
+
+/// Projects pixel `(u, v)` of disparity `d` by `g = G_ij`. `fy_rate` is the change of `fy` with that of `fx`:
+/// their ratio where both follow one parameter.
+pub fn project<T: Real>(g: &Se3<T>, lens: &Pinhole<T>, fy_rate: T, u: T, v: T, d: T) -> Projected<T> {
+    let (one, zero) = (T::one(), T::zero());
+    let ray = Vector3::new((u - lens.cx) / lens.fx, (v - lens.cy) / lens.fy, one);
+    let p = g.rotation * ray + g.translation * d;
+    let (x, y, z) = (p.x, p.y, p.z);
+    let iz = one / if z < T::of(PROJECTION_GUARD) { one } else { z };
+    let (a, b) = (lens.fx * iz, lens.fy * iz);
+    // Rows of the derivative of the pixel by the point.
+    let (by_u, by_v) = (Vector3::new(a, zero, -a * x * iz), Vector3::new(zero, b, -b * y * iz));
+    let row = |j: &Vector3<T>| {
+        let turn = p.cross(j);
+        Vector6::new(d * j.x, d * j.y, d * j.z, turn.x, turn.y, turn.z).transpose()
+    };
+    let by_target = Matrix2x6::from_rows(&[row(&by_u), row(&by_v)]);
+    // The ray bends as the focal length grows.
+    let bend = g.rotation * Vector3::new(-ray.x / lens.fx, -ray.y * fy_rate / lens.fy, zero);
+    let scale = T::of(2.0) * lens.cx;
+    Projected {
+        pixel: Vector2::new(a * x + lens.cx, b * y + lens.cy),
+        z,
+        by_target,
+        by_source: -(by_target * g.adjoint()),
+        by_disparity: Vector2::new(by_u.dot(&g.translation), by_v.dot(&g.translation)),
+        by_focal: Vector2::new(x * iz + by_u.dot(&bend), fy_rate * y * iz + by_v.dot(&bend)) * scale,
+    }
+}
+
+/// `Ad(G_ij)^T` with the sign that turns what is known of the target into what is known of the source:
+/// `H_ij = -M H_jj`, `v_i = -M v_j`, `E_i = -M E_j`.
+pub(crate) fn source_from_target(g: &Se3<f64>) -> Matrix6<f64> {
+    -g.adjoint().transpose()
 }

@@ -1,13 +1,9 @@
 //! The oracle of the fast path: f64, plain sums, every block stored.
 
-use super::options::{DbaOptions, WEIGHT_SCALE, stepped_disparity};
-use super::prior::depth_prior;
-use super::problem::{DbaError, Factor, Geometry, Problem};
-use super::projection::project;
-use m4_core::{
-    Se3,
-    nalgebra::{Cholesky, DMatrix, DVector, Matrix6, Vector6},
-};
+use super::options::{DbaOptions, WEIGHT_SCALE, depth_prior, stepped_disparity};
+use super::problem::{DbaError, Factor, Geometry, Problem, project};
+use m4_core::Se3;
+use m4_core::nalgebra::{Cholesky, DMatrix, DVector, Matrix6, Vector6};
 use std::collections::BTreeMap;
 use std::ops::Range;
 

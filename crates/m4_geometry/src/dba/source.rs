@@ -5,12 +5,11 @@
 //! is kept from block to block but sums. The source's own rows are `M_e F_e` summed over the edges
 //! (`M = -Ad(G_ij)^T`), so they are applied to the sums and never to pixels.
 
-use super::lanes::{BLOCK, EdgeBlock, EdgeConstants, Lane, PAIR, Rays, Row, linearise, load};
-use super::options::DbaOptions;
-use super::prior::depth_prior;
-use super::problem::{Factor, Geometry};
-use super::products::{dot, outer_products, three_by_three};
-use super::projection::source_from_target;
+use super::lanes::{
+    BLOCK, EdgeBlock, EdgeConstants, Lane, PAIR, Rays, Row, dot, linearise, load, outer_products, three_by_three,
+};
+use super::options::{DbaOptions, depth_prior};
+use super::problem::{Factor, Geometry, source_from_target};
 use fearless_simd::{Level, Simd};
 use m4_core::dispatch;
 use m4_core::nalgebra::{DMatrix, DVector, Matrix6, Vector6};

@@ -1,9 +1,8 @@
 //! All edges of one source frame: the step of its disparities once that of the poses is known, and what they tell
 //! about depth and focal length.
 
-use super::lanes::{BLOCK, EdgeBlock, PAIR, linearise, load};
+use super::lanes::{BLOCK, EdgeBlock, PAIR, dot, linearise, load};
 use super::options::stepped_disparity;
-use super::products::dot;
 use super::source::{Context, Curvature, Source};
 use fearless_simd::Simd;
 use m4_core::dispatch;

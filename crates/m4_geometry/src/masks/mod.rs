@@ -18,16 +18,10 @@
 //! **Conventions.** Masks are of one working size for the clip, which has the shape of its frames. Places are in pixels of that size; the centre
 //! of the first pixel is (0.5, 0.5). Frames count from 0, numbers of instances from 1.
 
-mod bound;
 mod coarse;
-mod error;
 mod finish;
 mod follow;
-mod frame_source;
 mod ledger;
-mod morphology;
-mod outline;
-mod paint;
 mod polarity;
 mod propose;
 mod refine;
@@ -39,11 +33,12 @@ mod source;
 mod tests;
 
 pub use coarse::Coarse;
-pub use error::InstanceError;
 pub use follow::FlowFollower;
-pub use frame_source::{FrameSource, ImageError, ImageList};
 pub use polarity::{Polarity, PolarityEvidence};
 pub use refine::{RefineInput, Refined, RefinedFrame, refine};
 pub use report::{Ending, InstanceRecord, InstanceReport, Rejected, Rejection};
-pub use settings::RefineSettings;
-pub use source::{ObjectId, ObjectMask, ObjectPrompt, VideoError, VideoSegmenter, VideoSession, Visibility};
+pub use settings::{InstanceError, RefineSettings};
+pub use source::{
+    FrameSource, ImageError, ImageList, ObjectId, ObjectMask, ObjectPrompt, VideoError, VideoSegmenter, VideoSession,
+    Visibility,
+};

@@ -5,9 +5,7 @@
 //! what the camera alone makes.
 
 use super::coarse::Coarse;
-use super::follow::ScaledFrame;
-use super::frame_source::FrameSource;
-use super::source::VideoError;
+use super::source::{FrameSource, VideoError, scaled};
 use crate::classical::dense::{FlowPair, FlowSource, working_size};
 use m4_core::{Flow, Plane, quantile};
 use nalgebra::{Matrix3, Vector3};
@@ -138,7 +136,7 @@ fn residuals(
         .collect();
     firsts.dedup();
     for i in firsts {
-        let (a, b) = (ScaledFrame::of(clip, i, (w, h))?, ScaledFrame::of(clip, i + 1, (w, h))?);
+        let (a, b) = (scaled(clip, i, (w, h))?, scaled(clip, i + 1, (w, h))?);
         let pair = FlowPair::between(&a.flow_image(), &b.flow_image(), source).map_err(|source| VideoError::Flow {
             between: (i, i + 1),
             source,

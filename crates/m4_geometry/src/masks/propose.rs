@@ -1,10 +1,9 @@
 //! Proposes coarse parts as objects, and the prompts for a segmenter.
 
-use super::coarse::{CoarseFrame, CoarseMasks};
-use super::morphology::{dilated, opened};
-use super::outline::Outline;
+use super::coarse::{CoarseFrame, CoarseMasks, dilated, opened};
+use super::ledger::Outline;
 use super::source::{ObjectId, ObjectPrompt};
-use crate::classical::dense::{Components, belief, points_apart, to_outside};
+use crate::classical::dense::{Components, belief, box_of, points_apart, to_outside};
 use m4_core::CompactMask;
 
 /// Places on a thing. Specification: 3 to 5.
@@ -96,10 +95,8 @@ pub(super) fn proposals(rough: &CoarseMasks<'_>, around: &Around, covered: &[u8]
 /// The prompt of a part for a segmenter.
 pub(super) fn prompt(object: ObjectId, part: &Outline, here: &CoarseFrame, (w, h): (usize, usize)) -> ObjectPrompt {
     let mut inside = vec![false; w * h];
-    let mut ends = [usize::MAX, usize::MAX, 0, 0];
     for (x, y) in part.pixels() {
         inside[y * w + x] = true;
-        ends = [ends[0].min(x), ends[1].min(y), ends[2].max(x), ends[3].max(y)];
     }
     let inner = to_outside(w, h, |p| inside[p]);
     let outer = to_outside(w, h, |p| !inside[p]);
@@ -107,7 +104,7 @@ pub(super) fn prompt(object: ObjectId, part: &Outline, here: &CoarseFrame, (w, h
         object,
         on_px: points_apart(w, h, &inner, POINTS_ON),
         off_px: points_off(part, here, &outer, (w, h)),
-        box_px: Some(ends.map(|v| v as f32 + 0.5)),
+        box_px: Some(box_of(part.pixels())),
         belief: Some(belief(&inner, &outer)),
     }
 }

@@ -1,16 +1,13 @@
 //! From coarse masks to things over time.
 
 use super::coarse::{Coarse, CoarseMasks};
-use super::error::InstanceError;
 use super::finish::finish;
-use super::frame_source::FrameSource;
-use super::ledger::TrackedObject;
-use super::outline::Outline;
+use super::ledger::{Outline, TrackedObject};
 use super::polarity::{Polarity, PolarityEvidence};
 use super::propose::{Around, PERSISTENT_IN, Proposal, prompt, proposals};
 use super::report::{InstanceReport, Rejected, Rejection};
-use super::settings::RefineSettings;
-use super::source::{ObjectId, ObjectMask, VideoError, VideoSegmenter, VideoSession};
+use super::settings::{InstanceError, RefineSettings};
+use super::source::{FrameSource, ObjectId, ObjectMask, VideoError, VideoSegmenter, VideoSession};
 use crate::classical::dense::{self, FlowSource, working_size};
 use m4_core::{CompactIds, CompactMask, Progress};
 use std::collections::BTreeMap;
@@ -73,11 +70,10 @@ pub fn refine(
     settings.check()?;
     let (frames, full) = (input.clip.frames(), input.clip.size());
     if frames == 0 || full.0.min(full.1) < LEAST_SIDE {
-        return Err(InstanceError::NoFrames {
-            frames,
-            size: full,
-            minimum: LEAST_SIDE,
-        });
+        return Err(InstanceError::Input(format!(
+            "the clip has {frames} frames of {}x{} pixels; at least one frame of {LEAST_SIDE} px per side is needed",
+            full.0, full.1
+        )));
     }
     input.coarse.check(frames)?;
     let polarity = polarity(input, settings, progress)?;

@@ -1,7 +1,8 @@
-//! Settings of refinement. All other values are constants of the files that use them.
+//! Settings of refinement, and what it cannot work with. All other values are constants of the files that use them.
 
 use super::coarse::TAU_STILL;
-use super::error::InstanceError;
+use super::polarity::PolarityEvidence;
+use super::source::VideoError;
 use serde::{Deserialize, Serialize};
 
 /// Settings of [`super::refine()`].
@@ -56,5 +57,53 @@ impl RefineSettings {
             self.tau.into(),
             "0.3 to 1",
         )
+    }
+}
+
+/// Why there are no refined masks.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum InstanceError {
+    /// A clip without pixels, or coarse masks of another clip; the text says which.
+    #[error("{0}")]
+    Input(String),
+    /// A map of motion is inverted.
+    #[error(
+        "the motion maps look inverted ({evidence}): high values must mean dynamic; replace each value by 255 minus it, or \
+         pass `--segmenter none` to keep the masks as they are"
+    )]
+    Polarity {
+        /// What was found.
+        evidence: PolarityEvidence,
+    },
+    /// A setting out of range.
+    #[error("setting {name} is {value}; it must be {range}")]
+    Setting {
+        /// Path of the setting.
+        name: &'static str,
+        /// Its value.
+        value: f64,
+        /// What is allowed.
+        range: &'static str,
+    },
+    /// Following failed.
+    #[error(transparent)]
+    Video(VideoError),
+    /// The user asked to stop.
+    #[error("stopped on request while {phase}")]
+    Cancelled {
+        /// What was going on.
+        phase: &'static str,
+    },
+}
+
+impl From<VideoError> for InstanceError {
+    fn from(error: VideoError) -> Self {
+        match error {
+            VideoError::Cancelled { .. } => Self::Cancelled {
+                phase: "tracking objects",
+            },
+            other => Self::Video(other),
+        }
     }
 }

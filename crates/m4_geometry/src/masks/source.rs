@@ -1,9 +1,9 @@
-//! The seam between refinement and whatever follows outlined things through a clip.
+//! The seam between refinement and whatever tracks outlined objects through a clip, whose images come one by one.
 
-use super::frame_source::{FrameSource, ImageError};
-use crate::classical::dense::{FlowError, SegmentError};
-use m4_core::{CompactMask, Progress};
+use crate::classical::dense::{FlowError, ScaledFrame, SegmentError};
+use m4_core::{CompactMask, Progress, RgbImage};
 use serde::{Deserialize, Serialize};
+use std::borrow::Cow;
 use std::ops::ControlFlow;
 
 /// Which thing, as the caller of a [`VideoSession`] numbers it.
@@ -229,4 +229,70 @@ pub trait VideoSession {
         progress: &dyn Progress,
         sink: &mut dyn FnMut(usize, Vec<ObjectMask>) -> ControlFlow<()>,
     ) -> Result<(), VideoError>;
+}
+
+/// The error of an image that cannot be read.
+pub type ImageError = Box<dyn std::error::Error + Send + Sync>;
+
+/// Frames by index. They are requested when needed and not cached, so a clip may read them from disk.
+///
+/// Called from several threads at once; the same frame must be the same image every time.
+pub trait FrameSource: Sync {
+    /// How many frames there are.
+    fn frames(&self) -> usize;
+
+    /// Width and height of every frame, pixels.
+    fn size(&self) -> (usize, usize);
+
+    /// Frame `frame`, below [`Self::frames`].
+    ///
+    /// # Errors
+    ///
+    /// An image that cannot be read.
+    fn image(&self, frame: usize) -> Result<Cow<'_, RgbImage>, ImageError>;
+}
+
+/// Images in memory, all of the size of the first.
+#[derive(Debug, Clone, Copy)]
+pub struct ImageList<'a>(pub &'a [&'a RgbImage]);
+
+impl FrameSource for ImageList<'_> {
+    fn frames(&self) -> usize {
+        self.0.len()
+    }
+
+    fn size(&self) -> (usize, usize) {
+        self.0.first().map_or((0, 0), |image| image.size())
+    }
+
+    fn image(&self, frame: usize) -> Result<Cow<'_, RgbImage>, ImageError> {
+        match self.0.get(frame) {
+            Some(image) => Ok(Cow::Borrowed(image)),
+            None => Err(format!("there are {} frames", self.0.len()).into()),
+        }
+    }
+}
+
+/// Reads a frame and checks its size.
+pub(super) fn read(clip: &dyn FrameSource, frame: usize) -> Result<Cow<'_, RgbImage>, VideoError> {
+    let frames = clip.frames();
+    if frame >= frames {
+        return Err(VideoError::Frame { frame, frames });
+    }
+    let image = clip
+        .image(frame)
+        .map_err(|reason| VideoError::Image { frame, reason })?;
+    if image.size() != clip.size() {
+        return Err(VideoError::ImageSize {
+            frame,
+            found: image.size(),
+            expected: clip.size(),
+        });
+    }
+    Ok(image)
+}
+
+/// A frame of a clip at a size that is not larger than its own.
+pub(super) fn scaled(clip: &dyn FrameSource, frame: usize, size: (usize, usize)) -> Result<ScaledFrame, VideoError> {
+    Ok(ScaledFrame::new(read(clip, frame)?.as_ref(), size))
 }

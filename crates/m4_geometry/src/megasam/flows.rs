@@ -1,8 +1,8 @@
 //! Flow of the pairs of frames that depth is made consistent along.
 
 use super::MegasamError;
-use crate::classical::dense::{FlowImage, FlowSource};
-use crate::megasam::cvd::pairs::{FlowView, FramePair, PairStore, consistency_mask, pair_list};
+use crate::classical::dense::{FlowSource, ScaledFrame};
+use crate::megasam::cvd::pairs::{FramePair, PairStore, consistency_mask, halved, pair_list};
 use m4_core::{Flow, Progress, RgbImage};
 
 /// Why a pair has no flow.
@@ -40,25 +40,15 @@ impl PairFlow for SourceFlow<'_> {
     }
 
     fn both(&mut self, pair: FramePair, a: &RgbImage, b: &RgbImage) -> Result<[Flow; 2], PairFlowError> {
-        let luma = |p: &[u8; 3]| 0.299 * f32::from(p[0]) + 0.587 * f32::from(p[1]) + 0.114 * f32::from(p[2]);
-        let grey = [a, b].map(|image| image.data().iter().map(luma).collect::<Vec<f32>>());
+        let [from, to] = [a, b].map(|image| ScaledFrame::new(image, image.size()));
         let failed = |error| PairFlowError {
             source_frame: pair.source,
             target_frame: pair.target,
             reason: Box::new(error),
         };
-        let there = self.0.both(&seen(a, &grey[0]), &seen(b, &grey[1]));
+        let there = self.0.both(&from.flow_image(), &to.flow_image());
         let (there, back) = there.map_err(failed)?;
         Ok([there, back])
-    }
-}
-
-fn seen<'a>(image: &'a RgbImage, grey: &'a [f32]) -> FlowImage<'a> {
-    FlowImage {
-        width: image.width(),
-        height: image.height(),
-        rgb: image.data(),
-        grey,
     }
 }
 
@@ -92,9 +82,9 @@ pub(super) fn measure(
         };
         let b = image_of(pair.target);
         let [there, back] = flow.both(pair, &a, &b)?;
-        let [there, back] = [there, back].map(|flow| FlowView::from(&flow).halved());
-        let mask = consistency_mask((&there).into(), (&back).into());
-        store.push(pair, (&there).into(), &mask)?;
+        let [there, back] = [there, back].map(|flow| halved(&flow));
+        let mask = consistency_mask(&there, &back);
+        store.push(pair, &there, &mask)?;
         // The next pair of the shortest step begins here.
         last = Some((pair.target, b));
         progress.update(PHASE, done + 1, pairs.len(), flow.name());

@@ -25,16 +25,14 @@ pub mod cvd;
 pub mod graph;
 pub mod tracker;
 
-mod error;
 mod flows;
 mod prior;
 mod reconstruct;
 mod settings;
 mod size;
 
-pub use error::MegasamError;
 pub use flows::{PairFlow, PairFlowError, SourceFlow};
 pub use prior::{DepthPrior, PriorKind};
 pub use reconstruct::{MegasamGeometry, MegasamInput, reconstruct, track};
-pub use settings::{MegasamSettings, TAU_MOTION};
+pub use settings::{MegasamError, MegasamSettings, TAU_MOTION};
 pub use size::TrackingSize;

@@ -69,7 +69,7 @@ impl DepthPrior {
             kind: PriorKind::Metric,
             norm: alignment.norm,
             // the sizes are those of the maps themselves
-            disparity: disparity.map_err(|_| MegasamError::NoPixels { frame: 0 })?,
+            disparity: disparity.map_err(|_| no_pixels(0))?,
         })
     }
 
@@ -108,7 +108,7 @@ impl DepthPrior {
             percentile(&mut all, 0.98) / 2.0
         };
         if !(norm > 0.0 && norm.is_finite()) {
-            return Err(MonoError::Degenerate { norm }.into());
+            return Err(MonoError::no_scale(norm).into());
         }
         let scaled = |d: &f32| {
             let d = (f64::from(*d) / norm) as f32;
@@ -177,9 +177,15 @@ fn at_tracking(plane: &Plane<f32>, size: &TrackingSize) -> Plane<f32> {
     crop(&resize_nearest(plane, size.scaled.0, size.scaled.1), size.cropped)
 }
 
+fn no_pixels(frame: usize) -> MegasamError {
+    MegasamError::Input(format!(
+        "the depth of image {frame} has no pixels; give a map of the shape of the image"
+    ))
+}
+
 fn pixels(planes: &[Plane<f32>]) -> Result<(), MegasamError> {
     match planes.iter().position(|p| p.data().is_empty()) {
-        Some(frame) => Err(MegasamError::NoPixels { frame }),
+        Some(frame) => Err(no_pixels(frame)),
         None => Ok(()),
     }
 }

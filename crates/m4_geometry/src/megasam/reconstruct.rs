@@ -151,7 +151,7 @@ pub fn reconstruct(
             uncertainty: &uncertainty,
         },
         &pairs,
-        &settings.cvd,
+        settings.cvd_steps,
         progress,
     )?;
     Ok(finish(input, size, lens, tracked, static_confidence, consistent))
@@ -202,14 +202,15 @@ fn finish(
 fn check(input: &MegasamInput<'_>, settings: &MegasamSettings) -> Result<TrackingSize, MegasamError> {
     let expected = input.images.len();
     let full = input.images.first().map_or((0, 0), |p| p.size());
-    let other = input.images.iter().position(|p| p.size() != full);
-    if let Some(frame) = other {
-        let found = input.images[frame].size();
-        return Err(MegasamError::OtherSize {
-            frame,
-            found,
-            expected: full,
-        });
+    let refused = |what: String| Err(MegasamError::Input(what));
+    let other_size = |frame: usize, found: (usize, usize), wanted: (usize, usize)| {
+        refused(format!(
+            "image {frame} has {}x{} pixels where the first has {}x{}",
+            found.0, found.1, wanted.0, wanted.1
+        ))
+    };
+    if let Some(frame) = input.images.iter().position(|p| p.size() != full) {
+        return other_size(frame, input.images[frame].size(), full);
     }
     let lists = [
         ("instants", input.times_s.len()),
@@ -217,17 +218,15 @@ fn check(input: &MegasamInput<'_>, settings: &MegasamSettings) -> Result<Trackin
     ];
     for (what, found) in lists {
         if found != expected {
-            return Err(MegasamError::Count { what, found, expected });
+            return refused(format!(
+                "{what} of {found} frames were given for {expected} images; give one an image, all of one size"
+            ));
         }
     }
     let size = TrackingSize::new(full, settings.tracking_pixels)?;
     let maps = input.prior.filter(|prior| prior.frames() > 0);
     match maps.map(|prior| prior.disparity(0).size()) {
-        Some(found) if found != size.cropped => Err(MegasamError::OtherSize {
-            frame: 0,
-            found,
-            expected: size.cropped,
-        }),
+        Some(found) if found != size.cropped => other_size(0, found, size.cropped),
         _ => Ok(size),
     }
 }

@@ -25,13 +25,16 @@ impl TrackingSize {
     ///
     /// # Errors
     ///
-    /// [`MegasamError::Size`] if less than one cell a side would be left, or the numbers are no size.
+    /// [`MegasamError::Input`] if less than one cell a side would be left, or the numbers are no size.
     pub fn new(full: (usize, usize), pixels: f64) -> Result<Self, MegasamError> {
         let scale = (pixels / (full.0 as f64 * full.1 as f64)).sqrt();
         let scaled = ((full.0 as f64 * scale) as usize, (full.1 as f64 * scale) as usize);
         let cropped = (scaled.0 / CELL_PX * CELL_PX, scaled.1 / CELL_PX * CELL_PX);
         if !(pixels.is_finite() && pixels <= 1e8) || cropped.0 == 0 || cropped.1 == 0 {
-            return Err(MegasamError::Size { full, pixels });
+            return Err(MegasamError::Input(format!(
+                "images of {}x{} pixels cannot be tracked at {pixels} pixels; fewer than 8 per side would be left, or the size is invalid",
+                full.0, full.1
+            )));
         }
         Ok(Self { full, scaled, cropped })
     }

@@ -1,6 +1,6 @@
 //! Distances and choices of edges against numbers of the published code.
 
-use super::golden::Golden;
+use super::Golden;
 use crate::dba::Geometry;
 use crate::megasam::graph::{
     FactorGraph, ProximitySettings, frame_distance, frame_distance_reference, neighbourhood, select_proximity,

@@ -1,6 +1,6 @@
 //! Front end and back end with an oracle in place of the network.
 
-use super::golden::{Golden, difference, pose_difference};
+use super::{Golden, difference, pose_difference};
 use crate::dba::{Pinhole, project};
 use crate::megasam::graph::{EdgeChanges, GraphEdge};
 use crate::megasam::tracker::mono::MonoAlignment;

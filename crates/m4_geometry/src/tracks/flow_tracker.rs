@@ -1,15 +1,12 @@
 //! Points followed along optical flow, without weights.
 
-use super::board::State;
-use super::chain::is_inside;
-use super::clip::{frame_error, read_checked};
-use super::fill::JOIN_DEPTH;
+use super::clip::{Strip, frame_error, moving, read_checked, sparse_flow_pair};
+use super::fill::State;
 use super::grid::{nearest, thinned};
-use super::lift::{SHORTEST, around};
-use super::strip::{Strip, moving, sparse_flow_pair};
+use super::lift::{Chain, SHORTEST, chain};
 use super::{
-    Board, Chain, Lifted, PosedClip, PosedFrame, Query, QueryGrid, Scene, TrackError, TrackedPoints, Tracker3d, chain,
-    fill, lift, seed,
+    Board, Lifted, PosedClip, PosedFrame, Query, QueryGrid, Scene, TrackError, TrackedPoints, Tracker3d, fill, lift,
+    seed,
 };
 use crate::classical::dense::FlowSource;
 use m4_core::Progress;
@@ -51,31 +48,7 @@ pub struct FlowTracker<'a> {
 }
 
 impl Tracker3d for FlowTracker<'_> {
-    fn name(&self) -> &'static str {
-        "flow"
-    }
-
-    fn follow(
-        &self,
-        clip: &dyn PosedClip,
-        queries: &[Query],
-        progress: &dyn Progress,
-    ) -> Result<TrackedPoints, TrackError> {
-        let frames = clip.frames();
-        Query::check_all(queries, frames)?;
-        let strip = strip(clip, self.flow, progress)?;
-        let pieces: Vec<Option<Lifted>> = queries.par_iter().map(|q| asked(&strip, q, &self.config)).collect();
-        let mut board = Board::new(frames, queries.len());
-        for (k, (query, piece)) in queries.iter().zip(pieces).enumerate() {
-            if let Some(piece) = piece {
-                board.put(k, &piece);
-            }
-            board.set(query.frame, k, query.xyz, State::Seen, 1.0);
-        }
-        finish(clip, &strip, board, queries.to_vec(), &self.config, progress)
-    }
-
-    /// As the trait has it, but for `rounds`: no point ever starts where a chain passes, and a chain that jumps becomes several tracks.
+    /// No point starts where a chain passes, and a chain that jumps becomes several tracks.
     fn follow_grid(
         &self,
         clip: &dyn PosedClip,
@@ -85,30 +58,18 @@ impl Tracker3d for FlowTracker<'_> {
         grid.check()?;
         let strip = strip(clip, self.flow, progress)?;
         let pieces = on_grid(&strip, grid, &self.config);
-        let (board, queries) = board_of(clip.frames(), &pieces);
-        finish(clip, &strip, board, queries, &self.config, progress)
+        let (mut board, queries) = board_of(clip.frames(), &pieces);
+        let surface = |i: usize| Ok(read_checked(clip, i)?.depth);
+        let scene = Scene {
+            strip: &strip,
+            surface: &surface,
+            config: &self.config,
+        };
+        if self.config.fill {
+            fill(&scene, &mut board, progress)?;
+        }
+        followed(board, queries)
     }
-}
-
-/// Carries on what is on the board, where that is wanted.
-fn finish(
-    clip: &dyn PosedClip,
-    strip: &Strip,
-    mut board: Board,
-    queries: Vec<Query>,
-    config: &TrackConfig,
-    progress: &dyn Progress,
-) -> Result<TrackedPoints, TrackError> {
-    let surface = |i: usize| Ok(read_checked(clip, i)?.depth);
-    let scene = Scene {
-        strip,
-        surface: &surface,
-        config,
-    };
-    if config.fill {
-        fill(&scene, &mut board, progress)?;
-    }
-    followed(board, queries)
 }
 
 /// The board as an answer.
@@ -160,24 +121,6 @@ pub(crate) fn on_grid(strip: &Strip, grid: &QueryGrid, config: &TrackConfig) -> 
     let lifted: Vec<Vec<Lifted>> = all.par_iter().map(|chain| lift(strip, chain, config)).collect();
     let lifted: Vec<Lifted> = lifted.into_iter().flatten().collect();
     thinned(&lifted, grid.most.min(MOST_PLACES / frames.max(1)))
-}
-
-/// The piece through the place of a query; `None` where that is not on something that moves.
-fn asked(strip: &Strip, query: &Query, config: &TrackConfig) -> Option<Lifted> {
-    let ([u, v], z) = strip.cameras[query.frame].project(&query.xyz.map(f64::from).into());
-    let at = [u as f32, v as f32];
-    if !(z > 0.0 && is_inside(strip, at)) {
-        return None;
-    }
-    let (x, y) = nearest(at);
-    strip.moving[query.frame].get(x, y)?;
-    let surface = f64::from(around(strip, query.frame, at));
-    if (z * surface - 1.0).abs() > f64::from(JOIN_DEPTH) {
-        return None;
-    }
-    let pieces = lift(strip, &chain(strip, query.frame, at), config);
-    let holds = |p: &Lifted| (p.first..p.first + p.places.len()).contains(&query.frame);
-    pieces.into_iter().find(holds)
 }
 
 /// Flow and depth of dynamic regions in the whole clip.

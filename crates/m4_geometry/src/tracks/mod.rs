@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! masks every n-th frame -> grid of queries ----------.
-//! PosedClip (a frame at a time) -> Tracker3d::follow --+--> TrackedPoints: places, visibility, confidence -> m4_core::Tracks
+//! PosedClip (one frame at a time) -> Tracker3d ---------+--> TrackedPoints: places, visibility, confidence -> m4_core::Tracks
 //!                                     |
 //!                 FlowTracker: strip (flow and depth of dynamic regions) -> chain -> lift -> fill -> again where it comes back
 //! ```
@@ -16,29 +16,22 @@
 //!
 //! Pixels here have the centre of the first one at (0, 0), as [`m4_core::Camera::project`] has them; places are world units.
 
-mod board;
-mod chain;
 mod clip;
-mod error;
 mod fill;
 mod flow_tracker;
 mod grid;
 mod lift;
 mod predict;
 mod rigid;
-mod strip;
 mod tracker;
 
 pub use clip::{CaptureClip, PosedClip, PosedFrame};
-pub use error::TrackError;
 pub use flow_tracker::{FlowTracker, TrackConfig};
 pub use grid::QueryGrid;
-pub use tracker::{Query, TrackedPoints, Tracker3d};
+pub use tracker::{Query, TrackError, TrackedPoints, Tracker3d};
 
-pub(crate) use board::Board;
-pub(crate) use chain::{Chain, chain};
-pub(crate) use fill::{Scene, fill};
+pub(crate) use clip::{Sparse, Strip, sparse_flow};
+pub(crate) use fill::{Board, Scene, fill};
 pub(crate) use flow_tracker::{board_of, followed, on_grid};
 pub(crate) use grid::seed;
 pub(crate) use lift::{Lifted, lift};
-pub(crate) use strip::{Sparse, Strip, sparse_flow};

@@ -1,12 +1,10 @@
 //! Where a point that is not seen went: with its neighbours.
 
-use super::board::{Board, State};
+use super::fill::{Board, State};
 use super::rigid::{Anchor, fit};
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
-use m4_core::{
-    Camera,
-    nalgebra::{Matrix3, Rotation3, Vector3},
-};
+use m4_core::Camera;
+use m4_core::nalgebra::{Matrix3, Rotation3, Vector3};
 use rayon::prelude::*;
 use std::num::NonZero;
 

@@ -1,6 +1,7 @@
-//! The interface of point trackers.
+//! The interface of point trackers, and why points could not be followed.
 
-use super::{PosedClip, QueryGrid, TrackError};
+use super::{PosedClip, QueryGrid};
+use crate::classical::dense::FlowError;
 use m4_core::{Camera, Progress, Tracks};
 
 /// A point that is to be followed.
@@ -20,24 +21,6 @@ impl Query {
         Self {
             frame,
             xyz: [p.x as f32, p.y as f32, p.z as f32],
-        }
-    }
-
-    /// Refuses queries that ask about no frame of the clip or no finite place.
-    ///
-    /// # Errors
-    ///
-    /// [`TrackError::Query`] with the first one.
-    pub fn check_all(queries: &[Self], frames: usize) -> Result<(), TrackError> {
-        let bad = |q: &Self| q.frame >= frames || q.xyz.iter().any(|v| !v.is_finite());
-        match queries.iter().position(bad) {
-            Some(query) => Err(TrackError::Query {
-                query,
-                frame: queries[query].frame,
-                frames,
-                xyz: queries[query].xyz,
-            }),
-            None => Ok(()),
         }
     }
 }
@@ -90,65 +73,79 @@ impl TrackedPoints {
         })?;
         Ok(Self { queries, tracks })
     }
-
-    /// These and then `more`, over the same frames.
-    pub(super) fn joined(self, more: Self) -> Result<Self, TrackError> {
-        if self.tracks.frames() != more.tracks.frames() {
-            return Err(TrackError::Count {
-                found: more.tracks.xyz().len(),
-                frames: self.tracks.frames(),
-                queries: more.queries.len(),
-            });
-        }
-        let frames = self.tracks.frames();
-        let both = [&self.tracks, &more.tracks];
-        let rows = || {
-            (0..frames).flat_map(|t| {
-                both.into_iter()
-                    .flat_map(move |b| (0..b.count()).map(move |k| (b, t, k)))
-            })
-        };
-        let xyz = rows().map(|(b, t, k)| b.place(t, k).unwrap_or([f32::NAN; 3])).collect();
-        let visible = rows().map(|(b, t, k)| b.visible()[t * b.count() + k]).collect();
-        let confidence = rows().map(|(b, t, k)| b.confidence(t, k)).collect();
-        let queries = self.queries.into_iter().chain(more.queries).collect();
-        Self::new(frames, queries, xyz, visible, confidence)
-    }
 }
 
 /// Follows points through all frames of a clip, before and after the frame of the query.
 ///
-/// The same clip and queries must give the same bits for any number of threads.
+/// The same clip and grid must give the same bits for any number of threads.
 pub trait Tracker3d: Sync {
-    /// For records and messages.
-    fn name(&self) -> &str;
-
-    /// One track a query, in their order. Places of points that cannot be seen are kept where they can be told; NaN where they
-    /// cannot.
+    /// Tracks of everything that moves: queries on a grid in the masks. Places of points that cannot be seen are kept where they
+    /// can be told; NaN where they cannot.
     ///
     /// # Errors
     ///
-    /// [`TrackError`] where a frame cannot be read, a query asks about no place, the tracker fails, or the user stopped it.
-    fn follow(
-        &self,
-        clip: &dyn PosedClip,
-        queries: &[Query],
-        progress: &dyn Progress,
-    ) -> Result<TrackedPoints, TrackError>;
-
-    /// Tracks of everything that moves: queries on a grid in the masks, in several rounds where `grid` says so.
-    ///
-    /// # Errors
-    ///
-    /// As [`follow`](Self::follow); [`TrackError::Setting`] for an unusable grid.
+    /// [`TrackError`] where a frame cannot be read, the tracker fails, or the user stopped it; [`TrackError::Setting`] for an
+    /// unusable grid.
     fn follow_grid(
         &self,
         clip: &dyn PosedClip,
         grid: &QueryGrid,
         progress: &dyn Progress,
-    ) -> Result<TrackedPoints, TrackError> {
-        grid.follow_in_rounds(self.name(), clip, progress, &|queries| {
-            self.follow(clip, queries, progress)
-        })
-    }
+    ) -> Result<TrackedPoints, TrackError>;
+}
+
+/// Why there are no tracks.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum TrackError {
+    /// The clip could not be read.
+    #[error("points cannot be tracked in frame {frame}: {reason}")]
+    Frame {
+        /// Which frame.
+        frame: usize,
+        /// What is wrong with it.
+        reason: Box<dyn std::error::Error + Send + Sync>,
+    },
+    /// The source of flow failed.
+    #[error("no flow between frames {frame} and {}", frame + 1)]
+    Flow {
+        /// The first of the two frames.
+        frame: usize,
+        /// What went wrong.
+        source: FlowError,
+    },
+    /// The tracker failed.
+    #[error("{tracker} could not track points: {reason}")]
+    Source {
+        /// Its name.
+        tracker: String,
+        /// What went wrong.
+        reason: Box<dyn std::error::Error + Send + Sync>,
+    },
+    /// Another number of values than of frames times queries.
+    #[error("{found} values for {frames} frames and {queries} queries")]
+    Count {
+        /// Values.
+        found: usize,
+        /// Frames of the clip.
+        frames: usize,
+        /// Queries.
+        queries: usize,
+    },
+    /// A setting out of range.
+    #[error("setting {name} is {value}; it must be {expected}")]
+    Setting {
+        /// Which setting.
+        name: &'static str,
+        /// Its value.
+        value: f64,
+        /// What is allowed.
+        expected: &'static str,
+    },
+    /// The user asked to stop.
+    #[error("stopped on request while {phase}")]
+    Cancelled {
+        /// What was going on.
+        phase: &'static str,
+    },
 }

@@ -5,8 +5,7 @@ use m4_core::Real;
 use m4_kernels::{
     blend::{self, reference::Hard},
     project,
-    reference::{BackwardForm, Geometry, Setup, Splat, render},
-    slice::reference::{Gaussian, Life, Shape},
+    reference::{BackwardForm, Setup, render},
 };
 use m4_testkit::{GradientCase, assert_gradient, gradient_fixtures};
 
@@ -96,29 +95,7 @@ fn rotor_and_velocity_form_render_the_same_image() {
     let fixtures = gradient_fixtures();
     for case in fixtures.cases.iter().filter(|c| c.model == "rotor") {
         let rotor: Vec<_> = case.splats.iter().map(splat::<f64>).collect();
-        let velocity: Vec<_> = case
-            .splats
-            .iter()
-            .zip(&rotor)
-            .map(|(fixture, rotor)| {
-                let v = converted(fixture);
-                Splat {
-                    geometry: Geometry::Gaussian(Gaussian {
-                        mean: v.mean,
-                        shape: Shape::Anisotropic {
-                            log_scale: v.log_scale,
-                            quat: v.quat,
-                        },
-                        life: Some(Life {
-                            time_mean: v.time_mean,
-                            log_time_sd: v.log_time_sd,
-                            velocity: v.velocity,
-                        }),
-                    }),
-                    ..rotor.clone()
-                }
-            })
-            .collect();
+        let velocity: Vec<_> = case.splats.iter().map(|s| splat::<f64>(&converted(s))).collect();
         for t in [0.0, 0.2, 0.55, 0.8, 1.1] {
             let setup = Setup {
                 t,

@@ -2,8 +2,8 @@
 
 use m4_core::{
     Real, Se3,
-    covariance4::{Covariance4, VelocityForm},
-    nalgebra::{Matrix3, Vector3, Vector4},
+    nalgebra::{Matrix3, Matrix4, Rotation3, UnitQuaternion, Vector3, Vector4},
+    rotor,
 };
 use m4_kernels::{
     blend::reference::{CHANNELS, Cutoff},
@@ -120,14 +120,28 @@ pub fn splat<T: Real>(splat: &FixtureSplat) -> Splat<T> {
     }
 }
 
-/// The rotor pair of a fixture as the velocity form.
-pub fn converted(splat: &FixtureSplat) -> VelocityForm<f64> {
+/// The rotor pair of a fixture as a quaternion and a velocity (docs/spec/optimiser.md 1.3 and 1.4).
+pub fn converted(splat: &FixtureSplat) -> FixtureSplat {
     let [left, right] = [splat.ql, splat.qr].map(|q| Vector4::from(q.expect("the rotor model has rotors")));
     let log_scale = Vector4::new(splat.ls[0], splat.ls[1], splat.ls[2], splat.lst[0]);
-    let mean = [splat.mu[0], splat.mu[1], splat.mu[2], splat.mt[0]];
-    Covariance4::from_rotor(mean, &log_scale, &left, &right, splat.o[0], splat.sh.clone())
-        .to_velocity()
-        .expect("a positive definite covariance")
+    let axes = rotor::rotation(&left, &right) * Matrix4::from_diagonal(&log_scale.map(f64::exp));
+    let joint = axes * axes.transpose();
+    let (cross, w) = (joint.fixed_view::<3, 1>(0, 3).into_owned(), joint[(3, 3)]);
+    let instant: Matrix3<f64> = joint.fixed_view::<3, 3>(0, 0) - cross * cross.transpose() / w;
+    let mut eigen = instant.symmetric_eigen();
+    if eigen.eigenvectors.determinant() < 0.0 {
+        eigen.eigenvectors.column_mut(0).neg_mut();
+    }
+    let turn = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(eigen.eigenvectors));
+    FixtureSplat {
+        ls: eigen.eigenvalues.iter().map(|v| 0.5 * v.ln()).collect(),
+        lst: [0.5 * w.ln()],
+        q: Some([turn.w, turn.i, turn.j, turn.k]),
+        v: Some((cross / w).into()),
+        ql: None,
+        qr: None,
+        ..splat.clone()
+    }
 }
 
 /// The camera of a fixture as one of ours.

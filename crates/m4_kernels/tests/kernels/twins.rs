@@ -1,6 +1,6 @@
 //! The CPU twin against the reference, on every SIMD level of the machine: fixtures and random scenes.
 
-use crate::scenes::{Target, by_name};
+use crate::scenes::{Target, by_name, converted};
 use crate::twin::{compare, every_level, means2d, parameter, view};
 use m4_core::{Column, SplatLayout, Splats};
 use m4_kernels::{
@@ -24,12 +24,10 @@ fn columns(case: &GradientCase) -> Splats {
     };
     let mut splats = Splats::zeros(layout, 0, case.splats.len());
     for (row, splat) in case.splats.iter().enumerate() {
-        if case.model == "rotor" {
-            crate::scenes::converted(splat)
-                .write(&mut splats, row)
-                .expect("a row of this layout");
-            continue;
-        }
+        let splat = match case.model.as_str() {
+            "rotor" => converted(splat),
+            _ => splat.clone(),
+        };
         let mut set = |column, values: &[f64]| {
             for (k, &value) in values.iter().enumerate() {
                 splats.column_mut(column, k)[row] = value as f32;

@@ -126,7 +126,6 @@ fn grid(method: &Tracking, config: &EnhanceConfig) -> QueryGrid {
             every: config.tapip3d.every,
             spacing_px: config.tapip3d.spacing_px,
             most: config.tapip3d.most,
-            ..QueryGrid::default()
         },
         _ => QueryGrid::chains(),
     }

@@ -1,7 +1,7 @@
 //! TAPIP3D as a point tracker.
 
 use m4_core::{Camera, DepthMap, Progress, RgbImage};
-use m4_geometry::tracks::{PosedClip, Query, TrackError, TrackedPoints, Tracker3d};
+use m4_geometry::tracks::{PosedClip, QueryGrid, TrackError, TrackedPoints, Tracker3d};
 use m4_nets::tapip3d::{self, ClipError};
 use m4_nets::{PointQuery, Tapip3d, Tapip3dError, Tapip3dOptions};
 
@@ -45,18 +45,14 @@ impl tapip3d::PosedClip for Frames<'_> {
 }
 
 impl Tracker3d for Tapip3dTracker {
-    fn name(&self) -> &str {
-        NAME
-    }
-
-    fn follow(
+    fn follow_grid(
         &self,
         clip: &dyn PosedClip,
-        queries: &[Query],
+        grid: &QueryGrid,
         progress: &dyn Progress,
     ) -> Result<TrackedPoints, TrackError> {
         let frames = clip.frames();
-        Query::check_all(queries, frames)?;
+        let queries = grid.queries(NAME, clip, progress)?;
         let asked: Vec<PointQuery> = queries
             .iter()
             .map(|query| PointQuery {
@@ -79,6 +75,6 @@ impl Tracker3d for Tapip3dTracker {
         let at = |i: usize| i % count.max(1) * frames + i / count.max(1);
         let turned = |i: usize| (found.world()[at(i)], found.visibility()[at(i)]);
         let (xyz, visibility) = (0..frames * count).map(turned).unzip();
-        TrackedPoints::from_probabilities(frames, queries.to_vec(), xyz, visibility, SEEN_FROM)
+        TrackedPoints::from_probabilities(frames, queries, xyz, visibility, SEEN_FROM)
     }
 }

@@ -5,44 +5,23 @@ use super::mono::MonoError;
 use super::segment::SegmentError;
 use crate::tracks::TrackError;
 
+/// Rejects lists of another clip: `found` of `what` for `expected` frames.
+pub(super) fn check_count(what: &str, found: usize, expected: usize) -> Result<(), DenseError> {
+    if found == expected {
+        return Ok(());
+    }
+    Err(DenseError::Input(format!(
+        "{what} of {found} frames were given for {expected} frames; give one per frame"
+    )))
+}
+
 /// Why no depth and masks could be made.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum DenseError {
-    /// No frames were given.
-    #[error("there are no frames; give at least one")]
-    NoFrames,
-    /// Frames and cameras do not belong together.
-    #[error("{frames} frames but {cameras} cameras; the reconstruction must be of the same frames")]
-    Count {
-        /// Frames given.
-        frames: usize,
-        /// Cameras of the reconstruction.
-        cameras: usize,
-    },
-    /// Frames of different sizes, or too small to work on.
-    #[error(
-        "frame {frame} is {}x{} where {}x{} was expected; all frames must have one size, at least {minimum} px per side",
-        found.0, found.1, expected.0, expected.1
-    )]
-    Size {
-        /// Which frame.
-        frame: usize,
-        /// Its width and height.
-        found: (usize, usize),
-        /// The size of the first frame.
-        expected: (usize, usize),
-        /// Least side, pixels.
-        minimum: usize,
-    },
-    /// A camera that cannot take images.
-    #[error("the camera of frame {frame} has {what}; the reconstruction is damaged, make it again")]
-    Camera {
-        /// Which frame.
-        frame: usize,
-        /// What is wrong with it.
-        what: &'static str,
-    },
+    /// Frames, cameras, masks or depth that do not fit together; the text says which.
+    #[error("{0}")]
+    Input(String),
     /// The source of flow failed.
     #[error("no flow between frames {frame} and {}", frame + 1)]
     Flow {
@@ -66,16 +45,6 @@ pub enum DenseError {
         frame: usize,
         /// What went wrong.
         source: SegmentError,
-    },
-    /// Masks or depth were given for another clip.
-    #[error("{what} of {found} frames were given for {expected} frames; give one per frame")]
-    Given {
-        /// Masks or depth.
-        what: &'static str,
-        /// How many were given.
-        found: usize,
-        /// Frames of the clip.
-        expected: usize,
     },
     /// A setting out of range.
     #[error("setting {name} is {value}; it must be {range}")]

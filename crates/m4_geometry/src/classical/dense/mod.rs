@@ -27,12 +27,9 @@ mod aggregate;
 mod background;
 mod background_model;
 mod components;
-mod config;
-mod enlarge;
 mod error;
 mod estimate;
 mod flow;
-mod ground;
 mod layers;
 mod mono;
 mod motion;
@@ -47,18 +44,18 @@ mod sources;
 mod static_depth;
 mod sweep;
 mod tracks;
-mod user_masks;
 mod working;
 
 pub(crate) use components::Components;
-pub use config::DenseConfig;
 pub use error::DenseError;
 pub use estimate::{Dense, DenseFrame, Estimate, estimate};
 pub use flow::{FlowError, FlowImage, FlowSource, InverseSearch};
-pub(crate) use flow::{FlowPair, round_trip_px};
+pub(crate) use flow::{FlowPair, ScaledFrame, round_trip_px};
 pub use mono::{MonoDepth, MonoError, MonoKind, MonoMap, NoDepth, SensorDepth};
-pub(crate) use segment::{LEAST_OVERLAP, LEAST_PART_PX, LEAST_QUALITY, POINTS, belief, points_apart, to_outside};
+pub(crate) use segment::{
+    LEAST_OVERLAP, LEAST_PART_PX, LEAST_QUALITY, belief, box_of, checked_masks, points_apart, prompt, to_outside,
+};
 pub use segment::{SegmentError, SegmentMask, SegmentPrompt, Segmenter};
 pub(crate) use smooth::Smoother;
-pub use sources::Sources;
+pub use sources::{DenseConfig, Sources};
 pub(crate) use working::working_size;

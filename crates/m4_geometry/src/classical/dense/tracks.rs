@@ -83,5 +83,212 @@ fn strip(clip: &Clip<'_>) -> Strip {
 }
 
 #[cfg(test)]
-#[path = "tracks_tests.rs"]
-mod tests;
+mod tests {
+    //! A square that flies past a moving camera, with the flow that it makes.
+
+    use super::Clip;
+    use crate::classical::dense::flow::FlowPair;
+    use crate::tracks::{QueryGrid, TrackConfig};
+    use m4_core::{Camera, CounterRng, Flow, Intrinsics, Se3, Silent, Tracks};
+    use nalgebra::Vector3;
+
+    const W: usize = 96;
+    const H: usize = 64;
+    const FRAMES: usize = 16;
+    /// World units per frame.
+    const VELOCITY: [f64; 3] = [0.03, -0.012, 0.025];
+
+    struct Made {
+        cameras: Vec<Camera>,
+        moving: Vec<Vec<u8>>,
+        disparity: Vec<Vec<f32>>,
+        flows: Vec<FlowPair>,
+    }
+
+    impl Made {
+        fn clip(&self) -> Clip<'_> {
+            Clip {
+                width: W,
+                height: H,
+                cameras: &self.cameras,
+                moving: &self.moving,
+                disparity: &self.disparity,
+                flows: &self.flows,
+            }
+        }
+    }
+
+    /// Chains alone.
+    fn chains() -> TrackConfig {
+        TrackConfig {
+            fill: false,
+            ..TrackConfig::default()
+        }
+    }
+
+    fn tracks(clip: &Clip<'_>, config: &TrackConfig) -> Option<Tracks> {
+        super::tracks(clip, &QueryGrid::chains(), config, &Silent).unwrap()
+    }
+
+    fn depth(t: usize) -> f64 {
+        2.0 + VELOCITY[2] * t as f64
+    }
+
+    /// A square of side 0.7, its disparity off by `noise` of itself, a factor per frame.
+    fn made(noise: f64) -> Made {
+        let mut rng = CounterRng::new(7, 1, 0);
+        let mut cameras = Vec::new();
+        let (mut moving, mut disparity) = (Vec::new(), Vec::new());
+        for t in 0..FRAMES {
+            let mut c2w = Se3::identity();
+            c2w.translation = Vector3::new(0.02 * t as f64, 0.01 * t as f64, 0.0);
+            let camera = Camera {
+                intrinsics: Intrinsics::centred(W, H, 90.0),
+                c2w,
+            };
+            let factor = 1.0 + noise * (2.0 * rng.uniform() - 1.0);
+            let on = |i: usize| {
+                let p = camera.unproject((i % W) as f64, (i / W) as f64, depth(t));
+                let (x, y) = (p.x - VELOCITY[0] * t as f64, p.y - VELOCITY[1] * t as f64);
+                (x + 0.1).abs() < 0.35 && y.abs() < 0.35
+            };
+            moving.push((0..W * H).map(|i| if on(i) { 255 } else { 0 }).collect());
+            let d = |i: usize| if on(i) { (factor / depth(t)) as f32 } else { 0.1 };
+            disparity.push((0..W * H).map(d).collect());
+            cameras.push(camera);
+        }
+        let flow = |from: usize, to: usize| {
+            let mut flow = Flow::zero(W, H);
+            let step = to as f64 - from as f64;
+            for i in 0..W * H {
+                let p = cameras[from].unproject((i % W) as f64, (i / W) as f64, depth(from));
+                let ([u, v], _) = cameras[to].project(&(p + step * Vector3::from(VELOCITY)));
+                flow.u[i] = (u - (i % W) as f64) as f32;
+                flow.v[i] = (v - (i / W) as f64) as f32;
+            }
+            flow
+        };
+        let pair = |t: usize| FlowPair {
+            forward: flow(t, t + 1),
+            backward: flow(t + 1, t),
+            forward_round_trip: vec![0.0; W * H],
+            backward_round_trip: vec![0.0; W * H],
+        };
+        let flows = (0..FRAMES - 1).map(pair).collect();
+        Made {
+            cameras,
+            moving,
+            disparity,
+            flows,
+        }
+    }
+
+    /// Differences to the true velocity over its length, of all steps.
+    fn errors(tracks: &Tracks) -> Vec<f64> {
+        let truth = Vector3::from(VELOCITY);
+        let mut out = Vec::new();
+        for k in 0..tracks.count() {
+            for t in 1..tracks.frames() - 1 {
+                if let (Some(a), Some(b)) = (tracks.place(t - 1, k), tracks.place(t + 1, k)) {
+                    let v = (Vector3::from(b.map(f64::from)) - Vector3::from(a.map(f64::from))) / 2.0;
+                    out.push((v - truth).norm() / truth.norm());
+                }
+            }
+        }
+        out.sort_by(f64::total_cmp);
+        out
+    }
+
+    #[test]
+    fn a_square_that_flies_is_followed_with_its_velocity() {
+        let found = tracks(&made(0.0).clip(), &chains()).unwrap();
+        assert!(found.count() > 40, "{}", found.count());
+        let errors = errors(&found);
+        assert!(errors.len() > 400, "{}", errors.len());
+        assert!(errors[errors.len() - 1] < 0.01, "{:?}", errors.last());
+        // on the surface, in the world
+        for t in 0..FRAMES {
+            for p in (0..found.count()).filter_map(|k| found.place(t, k)) {
+                assert!((f64::from(p[2]) - depth(t)).abs() < 1e-3);
+            }
+        }
+        assert_eq!(found.frames(), FRAMES);
+    }
+
+    #[test]
+    fn depth_that_trembles_is_smoothed_along_the_track() {
+        let clip = made(0.01);
+        let raw = TrackConfig {
+            smooth_frames: 0.0,
+            ..chains()
+        };
+        let median = |config: &TrackConfig| {
+            let errors = errors(&tracks(&clip.clip(), config).unwrap());
+            errors[errors.len() / 2]
+        };
+        // The depth of one frame is off by up to half of what the square moves.
+        let (raw, smooth) = (median(&raw), median(&chains()));
+        assert!(raw > 0.1, "{raw}");
+        assert!(smooth < 0.5 * raw && smooth < 0.08, "{smooth} {raw}");
+    }
+
+    #[test]
+    fn chains_end_where_flow_does_not_lead_back_or_leaves_the_mask() {
+        let config = chains();
+        let mut cut = made(0.0);
+        cut.flows[7].forward_round_trip.fill(f32::INFINITY);
+        cut.flows[7].backward_round_trip.fill(f32::INFINITY);
+        let found = tracks(&cut.clip(), &config).unwrap();
+        let both = (0..found.count()).filter(|&k| found.place(7, k).is_some() && found.place(8, k).is_some());
+        assert_eq!(both.count(), 0);
+        assert!((0..found.count()).any(|k| found.place(7, k).is_some()));
+        assert!((0..found.count()).any(|k| found.place(8, k).is_some()));
+
+        let mut masked = made(0.0);
+        for moving in &mut masked.moving[5..9] {
+            moving.fill(0);
+        }
+        let found = tracks(&masked.clip(), &config).unwrap();
+        for t in 5..9 {
+            assert!((0..found.count()).all(|k| found.place(t, k).is_none()), "{t}");
+        }
+        assert!((0..found.count()).any(|k| found.place(9, k).is_some()));
+    }
+
+    #[test]
+    fn a_jump_of_depth_cuts_a_track() {
+        let mut jumping = made(0.0);
+        for disparity in &mut jumping.disparity[8..] {
+            disparity.iter_mut().for_each(|d| *d *= 0.7);
+        }
+        let found = tracks(&jumping.clip(), &chains()).unwrap();
+        assert!((0..found.count()).all(|k| found.place(7, k).is_none() || found.place(8, k).is_none()));
+        assert!((0..found.count()).any(|k| found.place(8, k).is_some()));
+        let errors = errors(&found);
+        assert!(
+            errors[errors.len() / 2] < 0.5,
+            "the parts before and after move on as before"
+        );
+    }
+
+    #[test]
+    fn empty_masks_have_no_tracks_and_dense_ones_are_thinned() {
+        let config = chains();
+        let mut still = made(0.0);
+        still.moving.iter_mut().for_each(|m| m.fill(0));
+        assert_eq!(tracks(&still.clip(), &config), None);
+
+        let all = tracks(&made(0.0).clip(), &config).unwrap();
+        let grid = QueryGrid {
+            most: 10,
+            ..QueryGrid::chains()
+        };
+        let few = |clip: &Clip<'_>| super::tracks(clip, &grid, &config, &Silent).unwrap();
+        let thinned = few(&made(0.0).clip()).unwrap();
+        assert_eq!(thinned.count(), 10);
+        assert!(all.count() > 40);
+        let mut alone = made(0.0);
+        alone.flows.clear();
+        assert_eq!(few(&alone.clip()), None, "no flow, nothing to follow");
+    }
+}

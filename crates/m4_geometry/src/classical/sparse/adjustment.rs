@@ -1,14 +1,11 @@
 //! A moving camera: growth from keyframes, then all frames, bundle adjustment and motion in turn.
 
 use super::bundle::{BundleOptions, BundleReport};
-use super::growth::{MIN_MATCHES, scan, start_pairs};
-use super::limits::Limits;
-use super::map::Map;
-use super::motion::{ROUNDS, classify};
+use super::growth::{MIN_MATCHES, Selected, scan, select, start_pairs};
+use super::map::{Map, ROUNDS, classify};
 use super::priors::{FocalSource, Recovered};
 use super::reconstruct::Clip;
-use super::rotation::keyframes;
-use super::selection::{Selected, select};
+use super::rotation::{Limits, keyframes};
 use super::{SparseError, stopped};
 use crate::classical::reconstruction::{CameraMotion, Motion};
 

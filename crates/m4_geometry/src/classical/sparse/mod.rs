@@ -2,56 +2,46 @@
 //! and bundle adjustment, without weights.
 //!
 //! ```text
-//! frames -> luma pyramids -> tracks (corners, klt, tracking)
+//! frames -> luma pyramids -> tracks (klt, tracking)
 //!        -> does the camera move? (rotation)  -- no --> degenerate: one pose, or rotations
-//!        -> does the lens zoom? (zoom, zoomed)  -- yes, and no more than that --> rotations and focal lengths
-//!        -> keyframes, focal scan, start pair (two_view, five_point), growth (resection, triangulate)
-//!        -> all frames, bundle adjustment and motion classification in turn (map, bundle, motion)
+//!        -> does the lens zoom? (zoom, degenerate)  -- yes, and no more than that --> rotations and focal lengths
+//!        -> keyframes, focal scan, start pair (two_view, five_point), growth (triangulate)
+//!        -> all frames, bundle adjustment and motion classification in turn (map, bundle)
 //! ```
 //!
 //! Where the cameras are known, [`with_cameras`] tracks, triangulates and finds dynamic points; cameras with which few tracks agree
-//! are compared with those of the clip itself (refuted).
+//! are compared with those of the clip itself.
 //!
 //! Inside, lengths in images are *working pixels*: those of the shrunk image, measured from the
 //! image centre, which is the principal point: observations by a lens that is known to differ are moved there first
-//! (known). Poses inside are world to camera.
+//! (priors). Poses inside are world to camera.
 
 mod adjustment;
 mod bundle;
 mod config;
-mod corners;
 mod degenerate;
-mod error;
-mod feature_tracks;
 mod five_point;
 mod growth;
 mod klt;
-mod limits;
 mod luma;
 mod map;
-mod motion;
 mod outcome;
 mod posed;
 mod priors;
 mod reconstruct;
-mod refuted;
-mod resection;
 mod rotation;
-mod selection;
 mod tracking;
 mod triangulate;
 mod two_view;
 mod zoom;
-mod zoomed;
 
 #[cfg(test)]
 mod tests;
 
-pub use config::SparseConfig;
-pub use error::SparseError;
-pub use feature_tracks::{FeatureTracks, track_features};
+pub use config::{SparseConfig, SparseError};
 pub use posed::with_cameras;
 pub use priors::{FocalSource, Recovered};
+pub use reconstruct::{FeatureTracks, track_features};
 
 /// Fails once the user asked to stop.
 fn stopped(progress: &dyn m4_core::Progress) -> Result<(), SparseError> {

@@ -1,18 +1,15 @@
-//! Cameras that are known: tracks, points and motion alone.
+//! Cameras that are known: tracks, points and motion alone; and given poses against those that the clip itself suggests.
 
 use super::adjustment::MIN_POINTS;
 use super::bundle::BundleReport;
-use super::limits::Limits;
-use super::luma::{LONGEST_SIDE_PX, WorkingSize};
-use super::map::Map;
-use super::motion::{ROUNDS, classify, median_far_error};
-use super::priors::{FocalSource, Lenses, Recovered, part};
-use super::reconstruct::{Clip, MIN_TRACKS, check};
+use super::map::{Map, ROUNDS, classify, median_far_error};
+use super::priors::{FocalSource, Lenses, Recovered};
+use super::reconstruct::{Clip, FeatureTracks, MIN_TRACKS, check, check_count, track_checked};
 use super::rotation::sway;
-use super::tracking::{RawTrack, track};
 use super::{INLIER_PX, SparseConfig, SparseError, stopped};
 use crate::classical::reconstruction::{CameraMotion, Motion};
-use m4_core::{Camera, Mask, Progress, RgbImage};
+use m4_core::nalgebra::Vector3;
+use m4_core::{Camera, Mask, Progress, RgbImage, Sim3, log_so3};
 
 /// Share of the tracks that must agree with given poses; below, they are doubted.
 const DOUBTFUL_SHARE: f64 = 0.5;
@@ -32,52 +29,28 @@ pub fn with_cameras(
     config: &SparseConfig,
     progress: &dyn Progress,
 ) -> Result<Recovered, SparseError> {
-    let (width, height) = check(frames, masks, config)?;
-    if cameras.len() != frames.len() {
-        return Err(SparseError::CameraCount {
-            cameras: cameras.len(),
-            frames: frames.len(),
-        });
-    }
+    let size = check(frames, masks, config)?;
+    check_count("cameras", cameras.len(), frames.len())?;
     for (frame, camera) in cameras.iter().enumerate() {
-        check_camera(frame, camera, (width, height))?;
+        check_camera(frame, camera, size)?;
     }
-    let size = WorkingSize::new(width, height, LONGEST_SIDE_PX);
-    let tracks = track(frames, size, progress)?;
-    posed_tracks(tracks, cameras, [width, height], size, masks, config, progress)
+    posed_tracks(track_checked(frames, size, progress)?, cameras, masks, config, progress)
 }
 
 /// The same from tracks.
 pub(super) fn posed_tracks(
-    tracks: Vec<RawTrack>,
+    features: FeatureTracks,
     cameras: &[Camera],
-    [width, height]: [usize; 2],
-    size: WorkingSize,
     masks: Option<&[Mask]>,
     config: &SparseConfig,
     progress: &dyn Progress,
 ) -> Result<Recovered, SparseError> {
-    let (tracks, masked) = part(masks, tracks, size);
-    let mut clip = Clip {
-        tracks,
-        masked,
-        lenses: Lenses::PerFrame(cameras),
-        frames: cameras.len(),
-        size,
-        width,
-        height,
-        config,
-        limits: Limits::default(),
-        progress,
-        warnings: Vec::new(),
-        quiet: false,
-    };
-    clip.posed(cameras)
+    Clip::new(features, masks, Lenses::PerFrame(cameras), config, progress).posed(cameras)
 }
 
 fn check_camera(frame: usize, camera: &Camera, (width, height): (usize, usize)) -> Result<(), SparseError> {
     let k = &camera.intrinsics;
-    let bad = |what: String| Err(SparseError::Camera { frame, what });
+    let bad = |what: String| Err(SparseError::Input(format!("the camera of frame {frame} is {what}")));
     if (k.width, k.height) != (width, height) {
         return bad(format!(
             "for {}x{} pixels where the frame has {width}x{height}",
@@ -184,11 +157,86 @@ impl Clip<'_> {
 fn motionless(cameras: &[Camera]) -> CameraMotion {
     let turns = |c: &Camera| {
         let turn = cameras[0].c2w.rotation.tr_mul(&c.c2w.rotation);
-        m4_core::log_so3(&turn).norm() > STILL_RAD
+        log_so3(&turn).norm() > STILL_RAD
     };
     if cameras.iter().any(turns) {
         CameraMotion::RotationOnly
     } else {
         CameraMotion::Static
     }
+}
+
+/// How many times as many tracks must agree with other poses.
+const TIMES: usize = 2;
+/// Poses as near as this to the given ones, as a share of the way and in radians, are the same.
+const SAME_WAY: f64 = 0.05;
+const SAME_RAD: f64 = 0.035;
+
+impl Clip<'_> {
+    /// Fails where poses found from the clip alone, with the given focal length (working pixels), explain far more tracks than
+    /// the `points` that the given ones do, and are others.
+    pub(super) fn refute(
+        &self,
+        cameras: &[Camera],
+        focal: f64,
+        points: usize,
+        judged: usize,
+    ) -> Result<(), SparseError> {
+        let config = SparseConfig {
+            fov_deg: None,
+            focal_px: Some(focal / self.size.scale),
+            intrinsics: None,
+            static_camera: false,
+            ..self.config.clone()
+        };
+        let features = FeatureTracks {
+            // They were moved already to where a lens of that focal length has them.
+            tracks: self.tracks.clone(),
+            frames: self.frames,
+            size: [self.width, self.height],
+            working: self.size,
+        };
+        let mut free = Clip::new(features, None, Lenses::Centred, &config, self.progress);
+        free.quiet = true;
+        let found = match free.solve() {
+            Ok(found) if found.sparse.camera_motion == CameraMotion::Parallax => found.sparse,
+            Err(SparseError::Cancelled) => return Err(SparseError::Cancelled),
+            // The clip suggests nothing.
+            _ => return Ok(()),
+        };
+        let better = found.tracks.iter().filter(|t| t.point.is_some()).count();
+        let (way, turn_rad) = apart(&found.cameras, cameras);
+        if better >= TIMES * points && (way > SAME_WAY || turn_rad > SAME_RAD) {
+            return Err(SparseError::PosesRefuted {
+                points,
+                tracks: judged,
+                better,
+                turn_deg: turn_rad.to_degrees(),
+            });
+        }
+        Ok(())
+    }
+}
+
+/// How far `a` is from `b` once its world is laid over that of `b`: root mean square distance over the length of the way, and
+/// the greatest turn between two cameras of a frame, radians.
+fn apart(a: &[Camera], b: &[Camera]) -> (f64, f64) {
+    let centres = |cameras: &[Camera]| cameras.iter().map(Camera::centre).collect::<Vec<Vector3<f64>>>();
+    let (from, to) = (centres(a), centres(b));
+    // Turns are compared with those since the first frame: a straight way leaves the turn about it open.
+    let turn = |(x, y): (&Camera, &Camera)| {
+        let since = |c: &Camera, first: &Camera| first.c2w.rotation.tr_mul(&c.c2w.rotation);
+        log_so3(&since(x, &a[0]).tr_mul(&since(y, &b[0]))).norm()
+    };
+    let turn_rad = a.iter().zip(b).map(turn).fold(0.0, f64::max);
+    let way: f64 = to.windows(2).map(|w| (w[1] - w[0]).norm()).sum();
+    let Some(fit) = Sim3::umeyama(&from, &to).filter(|_| way > 0.0) else {
+        return (f64::INFINITY, turn_rad);
+    };
+    let squared: f64 = from
+        .iter()
+        .zip(&to)
+        .map(|(p, q)| (fit.transform(p) - q).norm_squared())
+        .sum();
+    ((squared / to.len() as f64).sqrt() / way, turn_rad)
 }

@@ -1,15 +1,12 @@
 //! The whole way from frames to a reconstruction.
 
-use super::config::SparseConfig;
 use super::degenerate::{standing, turning};
-use super::limits::Limits;
-use super::luma::WorkingSize;
-use super::map::Map;
-use super::motion::classify;
+use super::luma::{LONGEST_SIDE_PX, WorkingSize};
+use super::map::{Map, classify};
 use super::priors::{FocalSource, Lenses, Recovered, part};
-use super::rotation::{KEYFRAME_PARALLAX, Sway, focal_candidates, focal_from_fov, matches, sway};
-use super::tracking::RawTrack;
-use super::{SparseError, stopped};
+use super::rotation::{KEYFRAME_PARALLAX, Limits, Sway, focal_candidates, focal_from_fov, matches, sway};
+use super::tracking::{RawTrack, track};
+use super::{SparseConfig, SparseError, stopped};
 use crate::classical::reconstruction::CameraMotion;
 use m4_core::{Intrinsics, Mask, Progress, RgbImage};
 
@@ -27,15 +24,12 @@ pub(super) const MIN_TRACKS: usize = 20;
 
 /// Cameras, tracks and points of a clip from its feature tracks.
 pub(super) fn from_tracks(
-    tracks: Vec<RawTrack>,
-    frames: usize,
-    [width, height]: [usize; 2],
-    size: WorkingSize,
+    features: FeatureTracks,
     masks: Option<&[Mask]>,
     config: &SparseConfig,
     progress: &dyn Progress,
 ) -> Result<Recovered, SparseError> {
-    let (tracks, masked) = part(masks, tracks, size);
+    let ([width, height], size) = (features.size, features.working);
     let lens = config.intrinsics.map(|[fx, fy, cx, cy]| Intrinsics {
         width,
         height,
@@ -44,20 +38,8 @@ pub(super) fn from_tracks(
         cx,
         cy,
     });
-    let mut clip = Clip {
-        tracks,
-        masked,
-        lenses: lens.map_or(Lenses::Centred, Lenses::Shared),
-        frames,
-        size,
-        width,
-        height,
-        config,
-        limits: Limits::default(),
-        progress,
-        warnings: Vec::new(),
-        quiet: false,
-    };
+    let lenses = lens.map_or(Lenses::Centred, Lenses::Shared);
+    let mut clip = Clip::new(features, masks, lenses, config, progress);
     if let Some(focal) = clip.given_focal() {
         for tracks in [&mut clip.tracks, &mut clip.masked] {
             clip.lenses.undo(tracks, size, focal);
@@ -71,23 +53,29 @@ pub(super) fn check(
     masks: Option<&[Mask]>,
     config: &SparseConfig,
 ) -> Result<(usize, usize), SparseError> {
+    let refused = |what: String| Err(SparseError::Input(what));
     let Some(first) = frames.first().filter(|_| frames.len() >= 2) else {
-        return Err(SparseError::TooFewFrames { found: frames.len() });
+        let found = frames.len();
+        return refused(format!(
+            "the clip has {found} frame(s); at least 2 are needed to observe motion"
+        ));
     };
     let (width, height) = first.size();
     for (frame, image) in frames.iter().enumerate() {
         if image.size() != (width, height) {
-            return Err(SparseError::FrameSize {
-                frame,
-                found: image.size(),
-                expected: (width, height),
-            });
+            return refused(format!(
+                "frame {frame} is {:?} pixels while frame 0 is {:?}; give frames of one size",
+                image.size(),
+                (width, height)
+            ));
         }
     }
     if width.min(height) < 64 {
-        return Err(SparseError::FrameTooSmall { width, height });
+        return refused(format!(
+            "frames of {width}x{height} pixels are too small to track points; at least 64x64 are needed"
+        ));
     }
-    check_masks(masks, frames.len())?;
+    check_count("masks", masks.map_or(frames.len(), <[_]>::len), frames.len())?;
     let range = |name, value: Option<f64>, low: f64, high: f64, range| match value {
         Some(value) if !(value > low && value < high) => Err(SparseError::Setting { name, value, range }),
         _ => Ok(()),
@@ -103,12 +91,14 @@ pub(super) fn check(
     Ok((width, height))
 }
 
-/// Rejects masks of another clip.
-pub(super) fn check_masks(masks: Option<&[Mask]>, frames: usize) -> Result<(), SparseError> {
-    match masks.map(<[_]>::len).filter(|&n| n != frames) {
-        Some(masks) => Err(SparseError::MaskCount { masks, frames }),
-        None => Ok(()),
+/// Rejects masks and cameras of another clip.
+pub(super) fn check_count(what: &str, found: usize, frames: usize) -> Result<(), SparseError> {
+    if found == frames {
+        return Ok(());
     }
+    Err(SparseError::Input(format!(
+        "there are {found} {what} for {frames} frames; give one per frame"
+    )))
 }
 
 /// A tracked clip on its way to a reconstruction.
@@ -130,6 +120,32 @@ pub(super) struct Clip<'a> {
     pub(super) warnings: Vec<String>,
     /// Whether warnings are kept back for now.
     pub(super) quiet: bool,
+}
+
+impl<'a> Clip<'a> {
+    pub(super) fn new(
+        features: FeatureTracks,
+        masks: Option<&[Mask]>,
+        lenses: Lenses<'a>,
+        config: &'a SparseConfig,
+        progress: &'a dyn Progress,
+    ) -> Self {
+        let (tracks, masked) = part(masks, features.tracks, features.working);
+        Self {
+            tracks,
+            masked,
+            lenses,
+            frames: features.frames,
+            size: features.working,
+            width: features.size[0],
+            height: features.size[1],
+            config,
+            limits: Limits::default(),
+            progress,
+            warnings: Vec::new(),
+            quiet: false,
+        }
+    }
 }
 
 impl Clip<'_> {
@@ -302,5 +318,70 @@ impl Clip<'_> {
                 self.config.default_fov_deg
             ),
         }
+    }
+}
+
+/// Feature tracks of a clip. Tracking takes most of the time of a reconstruction.
+#[derive(Debug, Clone, serde::Serialize, serde::Deserialize)]
+pub struct FeatureTracks {
+    pub(super) tracks: Vec<RawTrack>,
+    pub(super) frames: usize,
+    /// Width and height of the images.
+    pub(super) size: [usize; 2],
+    pub(super) working: WorkingSize,
+}
+
+/// Tracks corners through a clip.
+///
+/// # Errors
+///
+/// [`SparseError`] for frames of different size, settings out of range, and when the user stops the run.
+pub fn track_features(
+    frames: &[&RgbImage],
+    config: &SparseConfig,
+    progress: &dyn Progress,
+) -> Result<FeatureTracks, SparseError> {
+    track_checked(frames, check(frames, None, config)?, progress)
+}
+
+/// The same of frames that [`check`] found to have that size.
+pub(super) fn track_checked(
+    frames: &[&RgbImage],
+    (width, height): (usize, usize),
+    progress: &dyn Progress,
+) -> Result<FeatureTracks, SparseError> {
+    let working = WorkingSize::new(width, height, LONGEST_SIDE_PX);
+    Ok(FeatureTracks {
+        tracks: track(frames, working, progress)?,
+        frames: frames.len(),
+        size: [width, height],
+        working,
+    })
+}
+
+impl FeatureTracks {
+    /// Estimates cameras and points from the tracks (docs/spec/front-end.md 7.1, items 1 to 5).
+    ///
+    /// The world is the camera of frame 0, scaled so that the median depth of all points is 1. One focal
+    /// length is shared by all frames; the principal point is the image centre and pixels are square, unless
+    /// [`SparseConfig::intrinsics`] says otherwise.
+    ///
+    /// `masks` has one mask per frame, of any size, read at the nearest pixel: tracks that mostly lie where it is above 0 are returned
+    /// as dynamic and do not affect the camera.
+    ///
+    /// Cameras that are static or only rotate are no error: `camera_motion` and the warnings of the result say so.
+    ///
+    /// # Errors
+    ///
+    /// [`SparseError`] for clips in which nothing can be tracked or no two frames agree on a rigid scene, for masks of
+    /// another number than that of the frames, and when the user stops the run.
+    pub fn recover(
+        &self,
+        masks: Option<&[Mask]>,
+        config: &SparseConfig,
+        progress: &dyn Progress,
+    ) -> Result<Recovered, SparseError> {
+        check_count("masks", masks.map_or(self.frames, <[_]>::len), self.frames)?;
+        from_tracks(self.clone(), masks, config, progress)
     }
 }

@@ -2,7 +2,7 @@
 
 use super::luma::WorkingSize;
 use super::posed::posed_tracks;
-use super::reconstruct::from_tracks;
+use super::reconstruct::{FeatureTracks, from_tracks};
 use super::tracking::RawTrack;
 use super::{SparseConfig, SparseError};
 use crate::classical::reconstruction::{CameraMotion, Motion, SparseReconstruction, Track};
@@ -96,21 +96,32 @@ impl Scene {
     }
 }
 
+fn features(tracks: Vec<RawTrack>, frames: usize) -> FeatureTracks {
+    FeatureTracks {
+        tracks,
+        frames,
+        size: [WIDTH, HEIGHT],
+        working: WorkingSize::new(WIDTH, HEIGHT, WIDTH),
+    }
+}
+
 fn solve(tracks: Vec<RawTrack>, frames: usize, config: &SparseConfig) -> Result<SparseReconstruction, SparseError> {
-    let size = WorkingSize::new(WIDTH, HEIGHT, WIDTH);
-    from_tracks(tracks, frames, [WIDTH, HEIGHT], size, None, config, &Silent).map(|r| r.sparse)
+    from_tracks(features(tracks, frames), None, config, &Silent).map(|r| r.sparse)
+}
+
+/// A reconstruction of the scene's tracks, of which all is unknown, and which of them move.
+fn solved(scene: &Scene) -> (SparseReconstruction, Vec<bool>) {
+    let (tracks, moving) = scene.tracks();
+    let found = solve(tracks, scene.frames, &SparseConfig::default());
+    (found.expect("a reconstruction"), moving)
 }
 
 #[test]
 fn it_stops_when_asked() {
     let scene = Scene { frames: 12, ..ROOM };
-    let (tracks, _) = scene.tracks();
-    let size = WorkingSize::new(WIDTH, HEIGHT, WIDTH);
+    let features = features(scene.tracks().0, scene.frames);
     let config = SparseConfig::default();
-    let go = |stop: &StopAtPoll| {
-        let tracks = tracks.clone();
-        from_tracks(tracks, scene.frames, [WIDTH, HEIGHT], size, None, &config, stop).map(|_| ())
-    };
+    let go = |stop: &StopAtPoll| from_tracks(features.clone(), None, &config, stop).map(|_| ());
     let counter = StopAtPoll::after(usize::MAX);
     go(&counter).unwrap();
     let polls = counter.asked();
@@ -119,6 +130,12 @@ fn it_stops_when_asked() {
         let stopped = go(&StopAtPoll::after(at));
         assert!(matches!(stopped, Err(SparseError::Cancelled)), "{stopped:?}");
     }
+}
+
+/// Tracks with this motion whose points move, or do not.
+fn judged(found: &SparseReconstruction, moving: &[bool], motion: Motion, moves: bool) -> usize {
+    let pairs = found.tracks.iter().zip(moving);
+    pairs.filter(|(t, m)| t.motion == motion && **m == moves).count()
 }
 
 /// Trajectory error over path length after alignment, and the greatest rotation error in radians
@@ -149,8 +166,7 @@ fn errors(found: &SparseReconstruction, scene: &Scene) -> (f64, f64) {
 
 #[test]
 fn a_room_with_a_fifth_of_moving_points() {
-    let (tracks, moving) = ROOM.tracks();
-    let found = solve(tracks, ROOM.frames, &SparseConfig::default()).expect("a reconstruction");
+    let (found, moving) = solved(&ROOM);
     let (trajectory, turn) = errors(&found, &ROOM);
     let focal = found.cameras[0].intrinsics.fx;
     assert_eq!(found.camera_motion, CameraMotion::Parallax);
@@ -162,10 +178,7 @@ fn a_room_with_a_fifth_of_moving_points() {
         "{:?}",
         found.warnings
     );
-    let judged = |motion: Motion, moves: bool| {
-        let pairs = found.tracks.iter().zip(&moving);
-        pairs.filter(|(t, m)| t.motion == motion && **m == moves).count() as f64
-    };
+    let judged = |motion: Motion, moves: bool| judged(&found, &moving, motion, moves) as f64;
     let (hit, miss) = (judged(Motion::Dynamic, true), judged(Motion::Static, true));
     assert!(hit > 0.85 * (hit + miss), "{hit} of {} moving tracks found", hit + miss);
     let (rest, wrong) = (judged(Motion::Static, false), judged(Motion::Dynamic, false));
@@ -189,7 +202,7 @@ fn a_room_with_a_fifth_of_moving_points() {
 fn a_wide_and_a_long_lens_are_found() {
     for (focal, tolerance) in [(300.0, 0.03), (900.0, 0.05)] {
         let scene = Scene { focal, ..ROOM };
-        let found = solve(scene.tracks().0, scene.frames, &SparseConfig::default()).expect("a reconstruction");
+        let (found, _) = solved(&scene);
         let got = found.cameras[0].intrinsics.fx;
         assert!(
             (got / focal - 1.0).abs() < tolerance,
@@ -219,8 +232,7 @@ fn turning_camera_gives_rotations_and_is_reported() {
         moving: 0.1,
         ..ROOM
     };
-    let (tracks, moving) = scene.tracks();
-    let found = solve(tracks, scene.frames, &SparseConfig::default()).expect("rotations");
+    let (found, moving) = solved(&scene);
     assert_eq!(found.camera_motion, CameraMotion::RotationOnly);
     let focal = found.cameras[0].intrinsics.fx;
     assert!((focal / scene.focal - 1.0).abs() < 0.15, "focal {focal}");
@@ -228,12 +240,7 @@ fn turning_camera_gives_rotations_and_is_reported() {
     assert!(found.cameras.iter().all(|c| c.centre().norm() == 0.0));
     assert!(found.tracks.iter().all(|t| t.point.is_none()));
     assert_eq!(found.warnings.len(), 1, "{:?}", found.warnings);
-    let wrong = found
-        .tracks
-        .iter()
-        .zip(&moving)
-        .filter(|(t, m)| t.motion == Motion::Dynamic && !**m);
-    assert!(wrong.count() < 20);
+    assert!(judged(&found, &moving, Motion::Dynamic, false) < 20);
 }
 
 #[test]
@@ -256,22 +263,15 @@ fn zoom_gives_rotations_and_intrinsics_per_frame() {
         lens(29)
     );
     // Tracks are where they were seen.
-    let seen = found.tracks[7].observations[3];
-    let raw = tracks[7].seen[3];
-    assert!(
-        (f64::from(seen[0]) + 0.5 - 320.0 - raw[0]).abs() < 1e-3,
-        "{seen:?} {raw:?}"
-    );
-    assert!(
-        (f64::from(seen[1]) + 0.5 - 240.0 - raw[1]).abs() < 1e-3,
-        "{seen:?} {raw:?}"
-    );
-    let right = found.tracks.iter().zip(&moving).filter(|(t, moves)| match t.motion {
-        Motion::Static => !**moves,
-        Motion::Dynamic => **moves,
-        Motion::Unknown => true,
-    });
-    assert!(right.count() * 10 > 9 * moving.len());
+    let (seen, raw) = (found.tracks[7].observations[3], tracks[7].seen[3]);
+    for (k, middle) in [320.0, 240.0].into_iter().enumerate() {
+        assert!(
+            (f64::from(seen[k]) + 0.5 - middle - raw[k]).abs() < 1e-3,
+            "{seen:?} {raw:?}"
+        );
+    }
+    let wrong = judged(&found, &moving, Motion::Static, true) + judged(&found, &moving, Motion::Dynamic, false);
+    assert!(wrong * 10 < moving.len());
     // A given field of view is that of the first frame.
     let told = SparseConfig {
         focal_px: Some(520.0),
@@ -296,7 +296,7 @@ fn a_walk_straight_ahead_is_a_walk() {
         moving: 0.0,
         ..ROOM
     };
-    let found = solve(scene.tracks().0, scene.frames, &SparseConfig::default()).unwrap();
+    let (found, _) = solved(&scene);
     assert_eq!(found.camera_motion, CameraMotion::Parallax, "{:?}", found.warnings);
     let (path, _) = errors(&found, &scene);
     assert!(path < 0.02, "{path} {:?}", found.warnings);
@@ -309,23 +309,12 @@ fn a_camera_on_a_tripod_gives_one_pose() {
         turn: 0.0,
         ..ROOM
     };
-    let (tracks, moving) = scene.tracks();
-    let found = solve(tracks, scene.frames, &SparseConfig::default()).expect("a pose");
+    let (found, moving) = solved(&scene);
     assert_eq!(found.camera_motion, CameraMotion::Static);
     assert!(found.cameras.iter().all(|c| c.c2w == Se3::identity()));
     assert!(found.warnings[0].contains("--fov"), "{:?}", found.warnings);
-    let dynamic = |moves: bool| {
-        let pairs = found.tracks.iter().zip(&moving);
-        pairs
-            .filter(|(t, m)| t.motion == Motion::Dynamic && **m == moves)
-            .count()
-    };
-    assert!(
-        dynamic(true) > 60 && dynamic(false) == 0,
-        "{} {}",
-        dynamic(true),
-        dynamic(false)
-    );
+    let dynamic = [true, false].map(|moves| judged(&found, &moving, Motion::Dynamic, moves));
+    assert!(dynamic[0] > 60 && dynamic[1] == 0, "{dynamic:?}");
 }
 
 #[test]
@@ -381,12 +370,8 @@ fn a_cut_is_reported_where_it_is() {
 #[test]
 fn the_number_of_threads_changes_nothing() {
     let run = |threads: usize| {
-        let pool = rayon::ThreadPoolBuilder::new()
-            .num_threads(threads)
-            .build()
-            .expect("a pool");
-        let found = pool.install(|| solve(ROOM.tracks().0, ROOM.frames, &SparseConfig::default()));
-        let found = found.expect("a reconstruction");
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
+        let (found, _) = pool.expect("a pool").install(|| solved(&ROOM));
         let bits: Vec<u64> = found
             .cameras
             .iter()
@@ -403,9 +388,8 @@ fn the_number_of_threads_changes_nothing() {
 
 /// Points and motion of the room's tracks, for cameras that are given.
 fn posed(cameras: &[Camera]) -> Result<SparseReconstruction, SparseError> {
-    let size = WorkingSize::new(WIDTH, HEIGHT, WIDTH);
-    let config = SparseConfig::default();
-    posed_tracks(ROOM.tracks().0, cameras, [WIDTH, HEIGHT], size, None, &config, &Silent).map(|r| r.sparse)
+    let features = features(ROOM.tracks().0, ROOM.frames);
+    posed_tracks(features, cameras, None, &SparseConfig::default(), &Silent).map(|r| r.sparse)
 }
 
 fn room_cameras(focal: f64) -> Vec<Camera> {
@@ -424,12 +408,8 @@ fn given_cameras_are_used_and_points_are_in_their_unit() {
     assert_eq!(found.camera_motion, CameraMotion::Parallax);
     assert!(found.residual_px < 0.3, "{}", found.residual_px);
     let (_, moving) = ROOM.tracks();
-    let wrong = found.tracks.iter().zip(&moving).filter(|(t, m)| match t.motion {
-        Motion::Static => **m,
-        Motion::Dynamic => !**m,
-        Motion::Unknown => false,
-    });
-    assert!(wrong.count() < ROOM.points / 20);
+    let wrong = judged(&found, &moving, Motion::Static, true) + judged(&found, &moving, Motion::Dynamic, false);
+    assert!(wrong < ROOM.points / 20);
     let depths = found.tracks.iter().filter_map(|t| {
         let camera = cameras.get(t.first_frame)?;
         Some(camera.project(&t.point?).1)
@@ -478,18 +458,9 @@ fn tracks_in_given_masks_are_dynamic_and_excluded() {
     let (tracks, _) = ROOM.tracks();
     let left = Plane::from_fn(64, 48, |x, _| u8::from(x < 16));
     let masks = vec![left; ROOM.frames];
-    let size = WorkingSize::new(WIDTH, HEIGHT, WIDTH);
-    let config = SparseConfig::default();
     let count = tracks.len();
-    let found = from_tracks(
-        tracks,
-        ROOM.frames,
-        [WIDTH, HEIGHT],
-        size,
-        Some(&masks),
-        &config,
-        &Silent,
-    );
+    let features = features(tracks, ROOM.frames);
+    let found = from_tracks(features, Some(&masks), &SparseConfig::default(), &Silent);
     let found = found.expect("a reconstruction").sparse;
     assert_eq!(found.tracks.len(), count);
     let inside = |t: &&Track| t.observations.iter().all(|p| p[0] < 150.0);

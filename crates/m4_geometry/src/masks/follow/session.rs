@@ -1,12 +1,11 @@
 //! The state of one clip.
 
-use super::super::frame_source::FrameSource;
-use super::super::source::{ObjectId, ObjectMask, ObjectPrompt, VideoError, VideoSession, Visibility};
-use super::FlowFollower;
-use super::ask::{self, Trusted};
-use super::scaled_frame::{ScaledFrame, read};
 use super::warp::{Step, carry, snap};
-use crate::classical::dense::{FlowPair, SegmentPrompt, working_size};
+use super::{FlowFollower, Trusted, above, prompt_of, sharpened};
+use crate::classical::dense::{FlowPair, ScaledFrame, SegmentMask, SegmentPrompt, checked_masks, working_size};
+use crate::masks::source::{
+    FrameSource, ObjectId, ObjectMask, ObjectPrompt, VideoError, VideoSession, Visibility, read, scaled,
+};
 use m4_core::{CompactMask, Progress};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
@@ -58,7 +57,7 @@ impl<'a> Session<'a> {
         let flow_size = working_size(self.size.0, self.size.1, FLOW_SIDE_PX);
         let small: Vec<ScaledFrame> = frames
             .par_iter()
-            .map(|&frame| ScaledFrame::of(self.clip, frame, flow_size))
+            .map(|&frame| scaled(self.clip, frame, flow_size))
             .collect::<Result<_, _>>()?;
         let one = |k: usize| {
             let pair = FlowPair::between(&small[k].flow_image(), &small[k + 1].flow_image(), self.follower.flow);
@@ -66,7 +65,7 @@ impl<'a> Session<'a> {
                 between: (frames[k], frames[k + 1]),
                 source,
             })?;
-            let onto = ScaledFrame::of(self.clip, frames[k + 1], self.size)?;
+            let onto = scaled(self.clip, frames[k + 1], self.size)?;
             Ok((Step::new(pair, self.size), onto))
         };
         (0..frames.len().saturating_sub(1)).into_par_iter().map(one).collect()
@@ -85,8 +84,7 @@ impl<'a> Session<'a> {
         match self.follower.segmenter {
             Some(segmenter) if carried.iter().any(Option::is_some) => {
                 let image = read(self.clip, frame)?;
-                ask::sharpened(segmenter, &image, self.size, carried)
-                    .map_err(|source| VideoError::Segment { frame, source })
+                sharpened(segmenter, &image, self.size, carried).map_err(|source| VideoError::Segment { frame, source })
             }
             _ => Ok(carried.into_iter().map(|mask| mask.map(|mask| (mask, None))).collect()),
         }
@@ -107,7 +105,7 @@ impl<'a> Session<'a> {
     fn described(&self, prompt: &ObjectPrompt) -> CompactMask {
         let (w, h) = self.size;
         match (&prompt.belief, prompt.box_px) {
-            (Some(belief), _) => ask::above(belief, self.size),
+            (Some(belief), _) => above(belief, self.size),
             (None, Some([x0, y0, x1, y1])) => CompactMask::from_fn(w, h, |x, y| {
                 let (x, y) = (x as f32 + 0.5, y as f32 + 0.5);
                 x >= x0 && x <= x1 && y >= y0 && y <= y1
@@ -128,7 +126,7 @@ impl<'a> Session<'a> {
         } else {
             CompactMask::from_fn(w, h, |_, _| true)
         };
-        let of_mask = ask::prompt_of(&somewhere);
+        let of_mask = prompt_of(&somewhere);
         SegmentPrompt {
             points_px: if prompt.on_px.is_empty() {
                 of_mask.points_px
@@ -153,14 +151,13 @@ impl VideoSession for Session<'_> {
         let answers: Vec<(CompactMask, Option<f32>)> = match self.follower.segmenter {
             Some(segmenter) => {
                 let asked: Vec<SegmentPrompt> = prompts.par_iter().map(|p| self.for_image(p)).collect();
-                let found = ask::masks(segmenter, &image, self.size, &asked)
+                let found = checked_masks(segmenter, &image, self.size, &asked)
                     .map_err(|source| VideoError::Segment { frame, source })?;
-                let mask =
-                    |m: &crate::classical::dense::SegmentMask| (ask::above(&m.logits, self.size), Some(m.quality));
+                let mask = |m: &SegmentMask| (above(&m.logits, self.size), Some(m.quality));
                 found.iter().map(mask).collect()
             }
             None => {
-                let scaled = ScaledFrame::from_image(image.as_ref(), self.size);
+                let scaled = ScaledFrame::new(image.as_ref(), self.size);
                 let of = |p: &ObjectPrompt| match p.belief {
                     Some(_) => (snap(&self.described(p), &scaled), None),
                     None => (self.described(p), None),

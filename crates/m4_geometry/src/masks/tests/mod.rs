@@ -251,16 +251,13 @@ fn mismatched_input_is_an_error() {
     let mut maps = motion_maps();
     maps.pop();
     let error = run_with(&as_motion(&maps), None, &settings(), &Silent).unwrap_err();
-    assert!(matches!(
-        error,
-        InstanceError::Count {
-            found: 29,
-            expected: 30
-        }
-    ));
+    assert!(
+        error.to_string().contains("29 coarse masks were given for 30"),
+        "{error}"
+    );
     maps.push(Plane::filled(0, 7, 0));
     let error = run_with(&as_motion(&maps), None, &settings(), &Silent).unwrap_err();
-    assert!(matches!(error, InstanceError::EmptyMask { frame: 29 }));
+    assert!(error.to_string().contains("frame 29 has no pixels"), "{error}");
     for wrong in [
         RefineSettings {
             every_frames: 0,

@@ -20,23 +20,19 @@
 //! **Conventions.** The outside of this module is the library's: poses are `c2w`, the principal point is measured from the
 //! corner of the image. Inside, as in the source, poses are `w2c` and pixel (0, 0) has its centre at (0, 0): [`optimise()`]
 //! converts. The source computes normals half a pixel off its own reprojection; here both use the same rays, and
-//! [`reference::Pinhole::normal_shift_px`] keeps the source's behaviour for comparisons.
+//! [`reference::Problem::normal_lens`] keeps the source's behaviour for comparisons.
 //!
 //! **Unit.** Disparities and poses come and go in the caller's unit (metres, if they are metres): nothing is normalised
 //! away. Stage 1 fits a scale and a shift to each frame, which [`ConsistentDepth`] reports.
 
-mod error;
 mod fast;
-mod input;
 mod optimise;
 pub mod pairs;
 pub mod reference;
 mod settings;
 
-pub use error::{CvdError, PairError};
-pub use input::{CvdInput, uncertainty_of_static};
 pub use optimise::{ConsistentDepth, optimise};
-pub use settings::{CvdSettings, Weights};
+pub use settings::{CVD_STEPS, CvdError, CvdInput, PairError, Weights, uncertainty_of_static};
 
 #[cfg(test)]
 mod tests;

@@ -1,13 +1,12 @@
 //! The two stages from the caller's side: checks, conventions, units.
 
 use super::fast::{Descent, Moves, Start};
-use super::pairs::PairSource;
-use super::reference::{DISPARITY, Pinhole, UNCERTAINTY};
+use super::pairs::PairStore;
+use super::reference::{DISPARITY, UNCERTAINTY};
 use super::settings::{ADAM_EPSILON, LEARNING_RATE, WEIGHTS, WORKING_PERCENTILE_98};
-use super::{CvdError, CvdInput, CvdSettings, PairError};
-use m4_core::SimdLevel;
-use m4_core::{Plane, Progress, Se3};
-use std::collections::HashSet;
+use super::{CvdError, CvdInput};
+use crate::dba::Pinhole;
+use m4_core::{Plane, Progress, Se3, SimdLevel};
 
 /// Images below this have no 5x5 neighbourhood to reflect.
 const LEAST_SIDE_PX: usize = 8;
@@ -38,19 +37,13 @@ pub struct ConsistentDepth {
 /// counts, if pairs cannot be read, or if `progress` says to stop.
 pub fn optimise(
     input: &CvdInput<'_>,
-    pairs: &dyn PairSource,
-    settings: &CvdSettings,
+    pairs: &PairStore,
+    steps: [usize; 2],
     progress: &dyn Progress,
 ) -> Result<ConsistentDepth, CvdError> {
     check(input, pairs)?;
     let k = &input.intrinsics;
-    let lens = Pinhole {
-        fx: k.fx,
-        fy: k.fy,
-        cx: k.cx - 0.5,
-        cy: k.cy - 0.5,
-        normal_shift_px: 0.0,
-    };
+    let lens = Pinhole::of_image(k.fx, k.fy, k.cx, k.cy, 1.0);
     // disparities times this are worked on
     let unit = WORKING_PERCENTILE_98 / percentile_98(input.disparity);
     let w2c: Vec<Se3<f64>> = input
@@ -73,10 +66,10 @@ pub fn optimise(
             uncertainty: input.uncertainty[i].data(),
         })
         .collect();
-    let mut descent = Descent::new(SimdLevel::best(), lens, &w2c, pairs, &starts);
+    let mut descent = Descent::new(SimdLevel::best(), [lens; 2], &w2c, pairs, &starts);
     drop(starts);
     drop(scaled);
-    run(&mut descent, pairs.pairs().len(), settings, progress).map(|course| {
+    run(&mut descent, pairs.pairs().len(), steps, progress).map(|course| {
         let Course { affine, losses, .. } = course;
         let (width, height) = pairs.size();
         let plane = |data: Vec<f32>, factor: f64, limits: [f64; 2]| {
@@ -108,15 +101,15 @@ pub(super) struct Course {
 pub(super) fn run(
     descent: &mut Descent<'_>,
     pairs: usize,
-    settings: &CvdSettings,
+    steps: [usize; 2],
     progress: &dyn Progress,
 ) -> Result<Course, CvdError> {
     const MOVES: [Moves; 2] = [Moves::Affine, Moves::Pixels];
-    let total = settings.steps[0] + settings.steps[1];
+    let total = steps[0] + steps[1];
     let mut course = Course::default();
     for (index, moves) in MOVES.into_iter().enumerate() {
         descent.begin();
-        for step in 0..settings.steps[index] {
+        for step in 0..steps[index] {
             if progress.cancelled() {
                 let stage = index + 1;
                 return Err(CvdError::Cancelled { stage, step });
@@ -137,43 +130,35 @@ pub(super) fn run(
     Ok(course)
 }
 
-fn check(input: &CvdInput<'_>, pairs: &dyn PairSource) -> Result<(), CvdError> {
+fn check(input: &CvdInput<'_>, pairs: &PairStore) -> Result<(), CvdError> {
+    let refused = |what: String| Err(CvdError::Input(what));
     let frames = input.c2w.len();
     let (width, height) = pairs.size();
     if width < LEAST_SIDE_PX || height < LEAST_SIDE_PX {
-        return Err(CvdError::Size {
-            size: (width, height),
-            minimum: LEAST_SIDE_PX,
-        });
+        return refused(format!(
+            "frames of {width}x{height} are too small; at least {LEAST_SIDE_PX} px per side are needed"
+        ));
     }
-    let k = &input.intrinsics;
-    for (what, found, expected) in [
-        ("disparity", input.disparity.len(), frames),
-        ("uncertainty", input.uncertainty.len(), frames),
-        ("a row of the intrinsics' image", k.width, width),
-        ("a column of the intrinsics' image", k.height, height),
-    ] {
-        if found != expected {
-            return Err(CvdError::Count { what, found, expected });
+    let count = |what: &str, found: usize, expected: usize| {
+        if found == expected {
+            return Ok(());
         }
-    }
-    let mut seen = HashSet::new();
+        refused(format!(
+            "{what} has {found} entries where {expected} were expected; give one for each frame, all of one size"
+        ))
+    };
+    let k = &input.intrinsics;
+    count("disparity", input.disparity.len(), frames)?;
+    count("uncertainty", input.uncertainty.len(), frames)?;
+    count("a row of the intrinsics' image", k.width, width)?;
+    count("a column of the intrinsics' image", k.height, height)?;
     for (pair, p) in pairs.pairs().iter().enumerate() {
         if p.source >= frames || p.target >= frames {
-            return Err(CvdError::Frame {
-                pair,
-                source_frame: p.source,
-                target_frame: p.target,
-                frames,
-            });
+            return refused(format!(
+                "pair {pair} is of frames {} and {}, but there are {frames} frames",
+                p.source, p.target
+            ));
         }
-    }
-    if let Some(pair) = pairs.pairs().iter().find(|p| !seen.insert(**p)) {
-        return Err(CvdError::Pairs(PairError::Pair {
-            source_frame: pair.source,
-            target_frame: pair.target,
-            what: "there already",
-        }));
     }
     for frame in 0..frames {
         let pose = &input.c2w[frame];
@@ -189,62 +174,23 @@ fn check(input: &CvdInput<'_>, pairs: &dyn PairSource) -> Result<(), CvdError> {
         ];
         let numbers = pose.rotation.iter().chain(pose.translation.iter()).chain(&lens);
         if let Some(&value) = numbers.into_iter().find(|v| !v.is_finite()) {
-            let (what, range) = ("the camera", "finite, with focal lengths above 0");
-            return Err(CvdError::Value {
-                what,
-                frame,
-                value,
-                range,
-            });
+            return refused(format!(
+                "the camera of frame {frame} holds {value}; it must be finite, with focal lengths above 0"
+            ));
         }
         let positive = |v: f32| v > 0.0 && v.is_finite();
-        plane(
-            "disparity",
-            frame,
-            &input.disparity[frame],
-            width,
-            height,
-            "above 0 and finite",
-            positive,
-        )?;
-        plane(
-            "uncertainty",
-            frame,
-            &input.uncertainty[frame],
-            width,
-            height,
-            "above 0 and finite",
-            positive,
-        )?;
+        for (what, planes) in [("disparity", input.disparity), ("uncertainty", input.uncertainty)] {
+            let plane = &planes[frame];
+            count(what, plane.width(), width)?;
+            count(what, plane.height(), height)?;
+            if let Some(value) = plane.data().iter().find(|v| !positive(**v)) {
+                return refused(format!(
+                    "{what} of frame {frame} holds {value}; it must be above 0 and finite"
+                ));
+            }
+        }
     }
     Ok(())
-}
-
-fn plane(
-    what: &'static str,
-    frame: usize,
-    plane: &Plane<f32>,
-    width: usize,
-    height: usize,
-    range: &'static str,
-    valid: impl Fn(f32) -> bool,
-) -> Result<(), CvdError> {
-    if plane.size() != (width, height) {
-        return Err(CvdError::Count {
-            what,
-            found: plane.data().len(),
-            expected: width * height,
-        });
-    }
-    match plane.data().iter().find(|v| !valid(**v)) {
-        Some(&value) => Err(CvdError::Value {
-            what,
-            frame,
-            value: value.into(),
-            range,
-        }),
-        None => Ok(()),
-    }
 }
 
 /// Of all pixels of all frames, by linear interpolation between ranks as NumPy has it; 0 frames give 1.

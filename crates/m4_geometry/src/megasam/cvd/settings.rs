@@ -1,4 +1,6 @@
-//! Settings and constants of consistent video depth, with their sources.
+//! What the optimisation starts from, its settings and constants with their sources, and what it cannot work with.
+
+use m4_core::{Intrinsics, Plane, Se3};
 
 /// Weights of the loss terms (docs/spec/front-end.md 1.7).
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -44,16 +46,66 @@ pub(super) const ADAM_EPSILON: f64 = 1e-8;
 /// caller's unit either way.
 pub(super) const WORKING_PERCENTILE_98: f64 = 2.0;
 
-/// Settings of [`super::optimise()`].
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct CvdSettings {
-    /// Adam steps of the first stage (scale and shift of each frame, and u) and of the second (the disparity of each pixel, and u).
-    /// MegaSaM: 100 and 400.
-    pub steps: [usize; 2],
+/// Adam steps of the first stage (scale and shift of each frame, and u) and of the second (the disparity of each pixel, and u).
+/// MegaSaM: 100 and 400.
+pub const CVD_STEPS: [usize; 2] = [100, 400];
+
+/// Poses, camera, disparity and certainty of a clip, all frames of one size.
+#[derive(Debug, Clone, Copy)]
+pub struct CvdInput<'a> {
+    /// Camera to world, one per frame; held fixed.
+    pub c2w: &'a [Se3<f64>],
+    /// Of every frame, at the size of `disparity`.
+    pub intrinsics: Intrinsics,
+    /// One over z-depth, one plane per frame, in the unit of the poses; positive.
+    pub disparity: &'a [Plane<f32>],
+    /// u to start from, one plane per frame: [`uncertainty_of_static`] of the confidence that a pixel is static.
+    pub uncertainty: &'a [Plane<f32>],
 }
 
-impl Default for CvdSettings {
-    fn default() -> Self {
-        Self { steps: [100, 400] }
-    }
+/// u to start from at a pixel that is static with confidence `m` in 0..1: `clamp(min(m, 0.5), 1e-3, 1)` (MegaSaM). What is not a
+/// number counts as moving.
+#[must_use]
+pub fn uncertainty_of_static(m: f32) -> f32 {
+    if m > 1e-3 { m.min(0.5) } else { 1e-3 }
+}
+
+/// Why pairs could not be stored or read back.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum PairError {
+    /// A pair of a frame with itself, one that was there already, or planes of another size; the text says which.
+    #[error("{0}")]
+    Input(String),
+    /// The temporary file of pairs that do not fit into memory.
+    #[error(
+        "the temporary file of flow fields cannot be used ({0}); free space in the temporary folder or allow more memory"
+    )]
+    Spill(#[from] std::io::Error),
+}
+
+/// Why no consistent depth could be made.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum CvdError {
+    /// Inputs that do not belong together, are too small or hold numbers that cannot be worked with; the text says which.
+    #[error("{0}")]
+    Input(String),
+    /// No pixel of any pair is usable.
+    #[error("no pixel of the {pairs} pairs has a consistent flow; there is nothing to make the depth consistent with")]
+    NoFlow {
+        /// Pairs given.
+        pairs: usize,
+    },
+    /// Pairs could not be read.
+    #[error(transparent)]
+    Pairs(#[from] PairError),
+    /// The user asked to stop.
+    #[error("stopped on request in stage {stage} after {step} steps")]
+    Cancelled {
+        /// 1 or 2.
+        stage: usize,
+        /// Steps of that stage that were finished.
+        step: usize,
+    },
 }

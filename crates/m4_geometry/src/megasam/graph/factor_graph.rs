@@ -1,7 +1,7 @@
 //! The edges of a graph and what becomes of them.
 
 use super::distance::symmetric_distances;
-use super::selection::{ProximitySettings, neighbourhood, select_proximity};
+use super::{ProximitySettings, neighbourhood, select_proximity};
 use crate::dba::{Factor, Geometry, PROJECTION_GUARD};
 use std::collections::HashSet;
 

@@ -1,6 +1,6 @@
-//! The seam between geometry and whatever measures where pixels go.
+//! The seam between geometry and whatever measures where pixels go, and why tracking ended early.
 
-use crate::dba::Grid;
+use crate::dba::{DbaError, Grid};
 use crate::megasam::graph::{EdgeChanges, EdgeKey};
 use std::ops::Range;
 
@@ -90,4 +90,41 @@ pub trait Correspondence {
     ///
     /// [`CorrespondenceError`] when the two frames cannot be compared.
     fn motion_px(&mut self, from_frame: usize, to_frame: usize) -> Result<f64, CorrespondenceError>;
+}
+
+/// A clip has at least two frames.
+pub(super) fn check_count(found: usize) -> Result<(), TrackerError> {
+    if found >= 2 {
+        return Ok(());
+    }
+    Err(TrackerError::Input(format!(
+        "the clip has {found} frame(s); at least 2 are needed to observe motion"
+    )))
+}
+
+/// Why a clip could not be tracked.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum TrackerError {
+    /// The source of correspondences gave up.
+    #[error(transparent)]
+    Correspondence(#[from] CorrespondenceError),
+    /// Planes or indices that do not fit.
+    #[error(transparent)]
+    Dba(#[from] DbaError),
+    /// Frames or depth that cannot be tracked; the text says why.
+    #[error("{0}")]
+    Input(String),
+    /// The state became useless.
+    #[error(
+        "the adjustment of {keyframes} keyframes gave a NaN or infinite value; check the correspondences (or supply \
+         a capture with poses)"
+    )]
+    Diverged {
+        /// Keyframes at that time.
+        keyframes: usize,
+    },
+    /// The user stopped the run.
+    #[error("stopped by the user")]
+    Cancelled,
 }

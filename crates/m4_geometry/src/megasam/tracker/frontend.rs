@@ -1,11 +1,9 @@
 //! The front end: frames come one by one, keyframes are chosen, a window of them is adjusted.
 
 use super::BETA;
-use super::correspondence::Correspondence;
-use super::error::TrackerError;
-use super::keyframes::{FrameInput, Keyframes};
+use super::correspondence::{Correspondence, TrackerError, check_count};
+use super::keyframes::{FrameInput, Keyframes, Update};
 use super::settings::TrackerSettings;
-use super::update::Update;
 use crate::dba::{DbaOptions, Free, Grid, Pinhole};
 use crate::megasam::graph::{FactorGraph, ProximitySettings, frame_distance};
 use m4_core::Se3;
@@ -97,11 +95,11 @@ impl Frontend {
     ) -> Result<Submitted, TrackerError> {
         let expected = self.keyframes.geometry.grid.len();
         if input.sensor.len() != expected {
-            return Err(TrackerError::PlaneSize {
-                frame: input.frame,
-                found: input.sensor.len(),
-                expected,
-            });
+            return Err(TrackerError::Input(format!(
+                "the sensor disparity of frame {} has {} values while the grid has {expected} pixels",
+                input.frame,
+                input.sensor.len()
+            )));
         }
         if let (Some(last), false) = (self.last_accepted, forced)
             && source.motion_px(last, input.frame)? <= self.settings.motion_filter_px
@@ -142,9 +140,7 @@ impl Frontend {
     pub fn initialise(&mut self, source: &mut dyn Correspondence) -> Result<(), TrackerError> {
         let s = self.settings;
         let count = self.keyframes.len();
-        if count < 2 {
-            return Err(TrackerError::TooFewFrames { found: count });
-        }
+        check_count(count)?;
         let frames = self.keyframes.frame.clone();
         self.graph
             .add_neighbourhood(0, count, 3, &self.keyframes.geometry, &frames);

@@ -19,25 +19,18 @@ pub mod mono;
 
 mod backend;
 mod correspondence;
-mod error;
 mod filler;
 mod frontend;
-mod interpolation;
 mod keyframes;
 mod settings;
-mod static_map;
 mod track;
-mod update;
 
-pub use backend::Backend;
-pub use correspondence::{Correspondence, CorrespondenceError, EdgeRevision, Revision, SourceRevision};
-pub use error::TrackerError;
-pub use filler::fill;
+pub use backend::{Backend, confidence_from_residuals};
+pub use correspondence::{Correspondence, CorrespondenceError, EdgeRevision, Revision, SourceRevision, TrackerError};
+pub use filler::{PUBLISHED_TIME_GUARD, fill, interpolate_pose, neighbours};
 pub use frontend::{Frontend, Submitted};
-pub use interpolation::{PUBLISHED_TIME_GUARD, interpolate_pose, neighbours};
 pub use keyframes::{FrameInput, Keyframes};
 pub use settings::TrackerSettings;
-pub use static_map::confidence_from_residuals;
 pub use track::{Clip, Tracked, track};
 
 /// Share of the full motion in the distance of frames: 0.3.

@@ -15,40 +15,18 @@ const SKY_METRIC: f64 = 0.01;
 /// Depth of scene units below which a pixel counts as unknown.
 const LEAST_DEPTH: f64 = 0.01;
 
-/// Why two sets of depth could not be aligned.
+/// Why two sets of depth could not be aligned: lists or planes of different lengths, or nothing to hold on to.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
-#[non_exhaustive]
-pub enum MonoError {
-    /// Lists of different lengths.
-    #[error(
-        "{metric} metric and {relative} relative depth maps were given; give one of each for every frame, at least one"
-    )]
-    Frames {
-        /// Metric depth maps.
-        metric: usize,
-        /// Relative disparity maps.
-        relative: usize,
-    },
-    /// Planes of different sizes.
-    #[error(
-        "frame {frame} has {metric} metric and {relative} relative values; give planes of the same size that are not empty"
-    )]
-    Sizes {
-        /// The frame at fault.
-        frame: usize,
-        /// Metric values.
-        metric: usize,
-        /// Relative values.
-        relative: usize,
-    },
-    /// Nothing in the depth to hold on to.
-    #[error(
-        "the depth of the clip has no scale (its disparity is {norm} at the 98th percentile); check the depth maps"
-    )]
-    Degenerate {
-        /// The normalisation found.
-        norm: f64,
-    },
+#[error("{0}")]
+pub struct MonoError(String);
+
+impl MonoError {
+    /// Depth whose 98th percentile is no scale.
+    pub(crate) fn no_scale(norm: f64) -> Self {
+        Self(format!(
+            "the depth of the clip has no scale (its disparity is {norm} at the 98th percentile); check the depth maps"
+        ))
+    }
 }
 
 /// The alignment of a clip. Scene units are metres times [`norm`](Self::norm).
@@ -72,19 +50,20 @@ impl MonoAlignment {
     /// [`MonoError`] where lists do not fit together or hold nothing.
     pub fn new(metric_m: &[Vec<f32>], relative: &[Vec<f32>]) -> Result<Self, MonoError> {
         if metric_m.is_empty() || metric_m.len() != relative.len() {
-            return Err(MonoError::Frames {
-                metric: metric_m.len(),
-                relative: relative.len(),
-            });
+            return Err(MonoError(format!(
+                "{} metric and {} relative depth maps were given; give one of each for every frame, at least one",
+                metric_m.len(),
+                relative.len()
+            )));
         }
         let (mut scales, mut shifts) = (Vec::new(), Vec::new());
         for (frame, (metric, relative)) in metric_m.iter().zip(relative).enumerate() {
             if metric.is_empty() || metric.len() != relative.len() {
-                return Err(MonoError::Sizes {
-                    frame,
-                    metric: metric.len(),
-                    relative: relative.len(),
-                });
+                return Err(MonoError(format!(
+                    "frame {frame} has {} metric and {} relative values; give planes of the same size that are not empty",
+                    metric.len(),
+                    relative.len()
+                )));
             }
             let (scale, shift) = frame_alignment(metric, relative);
             scales.push(scale);
@@ -106,7 +85,7 @@ impl MonoAlignment {
             .collect();
         let norm = percentile(&mut all, 0.98) / 2.0;
         if !(norm > 0.0 && norm.is_finite()) {
-            return Err(MonoError::Degenerate { norm });
+            return Err(MonoError::no_scale(norm));
         }
         Ok(Self {
             scales,

@@ -1,13 +1,11 @@
 //! The whole way from frames to the geometry of all of them.
 
-use super::backend::Backend;
-use super::correspondence::Correspondence;
-use super::error::TrackerError;
+use super::backend::{Backend, confidence_from_residuals};
+use super::correspondence::{Correspondence, TrackerError, check_count};
 use super::filler::fill;
 use super::frontend::Frontend;
 use super::keyframes::{FrameInput, Keyframes};
 use super::settings::TrackerSettings;
-use super::static_map::confidence_from_residuals;
 use crate::dba::{Geometry, Grid, Observability, Pinhole, Robust};
 use m4_core::{Progress, Se3};
 
@@ -116,17 +114,14 @@ pub fn track(
 }
 
 fn check(clip: &Clip<'_>) -> Result<(), TrackerError> {
-    let found = clip.frames.len();
-    if found < 2 {
-        return Err(TrackerError::TooFewFrames { found });
-    }
+    check_count(clip.frames.len())?;
     for pair in clip.frames.windows(2) {
         // written so that a NaN fails
         if !(pair[1].time_s > pair[0].time_s && pair[1].frame > pair[0].frame) {
-            return Err(TrackerError::Order {
-                frame: pair[1].frame,
-                time_s: pair[1].time_s,
-            });
+            return Err(TrackerError::Input(format!(
+                "frame {} is at {} s, not after the frame before it; give frames in order of time",
+                pair[1].frame, pair[1].time_s
+            )));
         }
     }
     Ok(())

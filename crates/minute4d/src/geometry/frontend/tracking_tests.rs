@@ -162,7 +162,7 @@ fn a_clip_goes_all_the_way_and_gives_the_same_bits_again() {
         tracker: few(),
         ..MegasamSettings::default()
     };
-    settings.cvd.steps = [3, 4];
+    settings.cvd_steps = [3, 4];
     let size = TrackingSize::new((SIDE, SIDE), settings.tracking_pixels).unwrap();
     let search = m4_geometry::classical::dense::InverseSearch;
     let run = |budget_mb: usize, threads: usize| {

@@ -2,13 +2,12 @@
 
 mod pyramid;
 mod search;
-mod source;
 mod variational;
 
 use super::working::WorkingFrame;
-use m4_core::{Flow, bilinear_cell};
+use crate::resample::rgb_and_grey;
+use m4_core::{Flow, RgbImage, bilinear_cell};
 use pyramid::Pyramid;
-pub use source::{FlowError, FlowImage, FlowSource, InverseSearch};
 
 /// Bilinear colour at `(x, y)`, clamped to the image.
 pub(super) fn bilinear_rgb(width: usize, height: usize, plane: &[[u8; 3]], x: f32, y: f32) -> [f32; 3] {
@@ -91,6 +90,103 @@ pub(crate) fn round_trip_px(there: &Flow, back: &Flow) -> Vec<f32> {
         }
     }
     out
+}
+
+/// One image, as a source of flow sees it.
+#[derive(Debug, Clone, Copy)]
+pub struct FlowImage<'a> {
+    /// Columns.
+    pub width: usize,
+    /// Rows.
+    pub height: usize,
+    /// `[height][width][3]`, sRGB 0..255.
+    pub rgb: &'a [[u8; 3]],
+    /// `[height][width]`: luma 0..255, not rounded.
+    pub grey: &'a [f32],
+}
+
+/// An image at another size, not larger than its own, as a source of flow sees it.
+pub(crate) struct ScaledFrame {
+    pub width: usize,
+    pub height: usize,
+    /// `[height][width][3]`
+    pub rgb: Vec<[u8; 3]>,
+    /// `[height][width]`: luma 0..255.
+    pub grey: Vec<f32>,
+}
+
+impl ScaledFrame {
+    pub fn new(image: &RgbImage, (width, height): (usize, usize)) -> Self {
+        let (rgb, grey) = rgb_and_grey(image, width, height);
+        Self {
+            width,
+            height,
+            rgb,
+            grey,
+        }
+    }
+
+    pub fn flow_image(&self) -> FlowImage<'_> {
+        FlowImage {
+            width: self.width,
+            height: self.height,
+            rgb: &self.rgb,
+            grey: &self.grey,
+        }
+    }
+}
+
+/// Why there is no flow.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum FlowError {
+    /// The source failed.
+    #[error("{source_name} found no flow: {reason}")]
+    Source {
+        /// Its name.
+        source_name: String,
+        /// What went wrong.
+        reason: Box<dyn std::error::Error + Send + Sync>,
+    },
+    /// The source gave flow of another size than that of its images.
+    #[error("the flow has {}x{} values where the images have {}x{}", found.0, found.1, expected.0, expected.1)]
+    Size {
+        /// Width and height of the flow.
+        found: (usize, usize),
+        /// Width and height of the images.
+        expected: (usize, usize),
+    },
+}
+
+/// Measures where the pixels of one image are seen in another: classical search, a network, another program's result.
+///
+/// Called from several threads at once; the same images must give the same bits.
+pub trait FlowSource: Sync {
+    /// For records and messages, as `--frontend` names it.
+    fn name(&self) -> &str;
+
+    /// The flow from `a` to `b` and that from `b` to `a`, of the size of the images, which is the same for both.
+    ///
+    /// # Errors
+    ///
+    /// [`FlowError`] where the source fails.
+    fn both(&self, a: &FlowImage<'_>, b: &FlowImage<'_>) -> Result<(Flow, Flow), FlowError>;
+}
+
+/// Inverse search with variational refinement (Kroeger et al. 2016): no weights, and the default.
+#[derive(Debug, Clone, Copy)]
+pub struct InverseSearch;
+
+impl FlowSource for InverseSearch {
+    fn name(&self) -> &'static str {
+        "classical"
+    }
+
+    fn both(&self, a: &FlowImage<'_>, b: &FlowImage<'_>) -> Result<(Flow, Flow), FlowError> {
+        let pyramid = |p: &FlowImage<'_>| Pyramid::new(p.width, p.height, p.grey);
+        let (a, b) = (pyramid(a), pyramid(b));
+        Ok((flow(&a, &b), flow(&b, &a)))
+    }
 }
 
 #[cfg(test)]

@@ -44,7 +44,10 @@ impl MonoDepth for Synthetic {
 
 fn mono(source: &dyn MonoDepth) -> Mono {
     let image = Plane::filled(2 * W, 2 * H, [0; 3]);
-    Mono::of((0..2).map(|i| Mono::read(source, i, &image, (W, H)).unwrap()).collect())
+    let read = |i| Mono::read(source, i, &image, (W, H)).unwrap();
+    Mono {
+        frames: (0..2).map(read).collect(),
+    }
 }
 
 fn moving() -> Vec<u8> {

@@ -3,8 +3,7 @@
 //! hides, where it touches the ground, and how it moves.
 //!
 //! ```text
-//! masks, flow -> instances: objects that touch in the image, separated by other frames
-//!             -> tracklet: one part through time
+//! masks, flow -> tracklet: one part through time; objects that touch in the image are separated by other frames
 //!             -> rigid: dense bundle adjustment of camera against part (crate::dba), shape and distance up to scale
 //!             -> scale: the one number that is left
 //!             -> ballistic: objects in flight share one acceleration
@@ -14,10 +13,7 @@
 //! scale.
 
 mod ballistic;
-mod edges;
 mod ground;
-mod instances;
-mod path;
 mod rigid;
 mod scale;
 mod tracklet;

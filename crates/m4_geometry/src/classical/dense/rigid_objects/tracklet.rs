@@ -1,9 +1,14 @@
-//! A moving part through time, for as long as it stays one part.
+//! A moving part through time, for as long as it stays one part, and which pixels of the masks belong to which object while
+//! objects pass in front of one another.
+//!
+//! Two objects whose images touch are one connected part of the mask. Those that were separate before are separated by
+//! carrying their labels along the flow, those that will be by carrying labels back from then; a region is what has
+//! the same pair of labels.
 
-use super::super::components::Components;
-use super::instances::regions;
 use super::{Clip, LEAST_SHARE, ROUND_TRIP_PX, SHORTEST};
+use crate::classical::dense::components::Components;
 use m4_core::Flow;
+use std::collections::{BTreeMap, VecDeque};
 
 /// Most frames that are adjusted together: bounds memory.
 const LONGEST: usize = 96;
@@ -89,4 +94,213 @@ pub(in super::super) fn follow(clip: &Clip<'_>) -> Vec<Tracklet> {
     done.extend(open.into_iter().flatten());
     done.retain(|t| t.parts.len() >= SHORTEST);
     done
+}
+
+/// Least share of its pixels that a label must keep, to be in a part at all.
+const KEPT: f32 = 0.35;
+/// Of a part with several labels, the share that one must have for the others to be noise.
+const ALL_BUT: f32 = 0.97;
+/// A pair of labels is one thing if it has this share of the pixels of either.
+const PAIR: f32 = 0.5;
+
+/// The regions of every frame.
+pub(super) fn regions(clip: &Clip<'_>) -> Vec<Components> {
+    let (w, h) = (clip.width, clip.height);
+    let parts: Vec<Components> = clip.moving.iter().map(|m| Components::of(w, h, m)).collect();
+    let least = ((LEAST_SHARE * (w * h) as f32) as usize).max(1);
+    let (later, earlier) = rayon::join(
+        || carry(clip, &parts, least, true),
+        || carry(clip, &parts, least, false),
+    );
+    parts
+        .into_iter()
+        .zip(later.iter().zip(&earlier))
+        .map(|(parts, (a, b))| pairs(w, h, &parts, a, b, least))
+        .collect()
+}
+
+/// Labels (`[height][width]` by frame, 0 outside the masks) carried from one end of the clip to the other.
+fn carry(clip: &Clip<'_>, parts: &[Components], least: usize, later: bool) -> Vec<Vec<u32>> {
+    let n = parts.len();
+    let mut out: Vec<Vec<u32>> = vec![Vec::new(); n];
+    let mut fresh = 0u32;
+    // In how many frames a label had a part of its own.
+    let mut age: BTreeMap<u32, usize> = BTreeMap::new();
+    let mut before: Option<usize> = None;
+    for step in 0..n {
+        let t = if later { step } else { n - 1 - step };
+        let labels = match before {
+            Some(s) => next(clip, &parts[t], &out[s], (s, t), least, &age, &mut fresh),
+            None => own(&parts[t], &mut fresh),
+        };
+        for pixels in &parts[t].pixels {
+            let first = labels[pixels[0] as usize];
+            if pixels.iter().all(|&p| labels[p as usize] == first) {
+                *age.entry(first).or_default() += 1;
+            }
+        }
+        out[t] = labels;
+        before = Some(t);
+    }
+    out
+}
+
+/// A label of its own for every part.
+fn own(parts: &Components, fresh: &mut u32) -> Vec<u32> {
+    let first = *fresh;
+    *fresh += parts.pixels.len() as u32;
+    parts.label.iter().map(|&l| if l > 0 { first + l } else { 0 }).collect()
+}
+
+/// The labels of frame `t` from those of its neighbour `s`.
+fn next(
+    clip: &Clip<'_>,
+    parts: &Components,
+    known: &[u32],
+    (s, t): (usize, usize),
+    least: usize,
+    age: &BTreeMap<u32, usize>,
+    fresh: &mut u32,
+) -> Vec<u32> {
+    let (w, h) = (clip.width, clip.height);
+    let (flow, trip) = if s < t {
+        (&clip.flows[s].backward, &clip.flows[s].backward_round_trip)
+    } else {
+        (&clip.flows[t].forward, &clip.flows[t].forward_round_trip)
+    };
+    let mut area: BTreeMap<u32, usize> = BTreeMap::new();
+    for &l in known.iter().filter(|l| **l > 0) {
+        *area.entry(l).or_default() += 1;
+    }
+    let mut out = vec![0u32; w * h];
+    // By part: the labels it takes on, with their votes.
+    let mut heirs: Vec<Vec<(u32, usize)>> = Vec::new();
+    for pixels in &parts.pixels {
+        let mut votes: BTreeMap<u32, usize> = BTreeMap::new();
+        let mut all = 0usize;
+        for &p in pixels {
+            let p = p as usize;
+            let (x, y) = ((p % w) as f32 + flow.u[p] + 0.5, (p / w) as f32 + flow.v[p] + 0.5);
+            if trip[p] > ROUND_TRIP_PX || !(x >= 0.0 && y >= 0.0) {
+                continue;
+            }
+            let (x, y) = (x as usize, y as usize);
+            if x < w && y < h && known[y * w + x] > 0 {
+                out[p] = known[y * w + x];
+                *votes.entry(out[p]).or_default() += 1;
+                all += 1;
+            }
+        }
+        let first = votes
+            .iter()
+            .max_by_key(|(l, n)| (**n, u32::MAX - **l))
+            .map(|(l, n)| (*l, *n));
+        let alone = first.is_some_and(|(_, n)| n as f32 >= ALL_BUT * all as f32);
+        // What was apart for a moment only is a flaw of the masks.
+        let kept = |l: u32, n: usize| {
+            n as f32 >= KEPT * area[&l] as f32
+                && (Some((l, n)) == first || !alone && n >= least / 2 && age.get(&l).is_some_and(|a| *a >= SHORTEST))
+        };
+        heirs.push(votes.into_iter().filter(|(l, n)| kept(*l, *n)).collect());
+    }
+    // A label that went to several parts stays with the one that has most of it.
+    let mut most: BTreeMap<u32, (usize, usize)> = BTreeMap::new();
+    for (k, heir) in heirs.iter().enumerate() {
+        for &(l, n) in heir {
+            let best = most.entry(l).or_insert((k, n));
+            if n > best.1 {
+                *best = (k, n);
+            }
+        }
+    }
+    for (k, pixels) in parts.pixels.iter().enumerate() {
+        let mut renamed: BTreeMap<u32, u32> = BTreeMap::new();
+        for &(l, _) in &heirs[k] {
+            let mine = most.get(&l).is_some_and(|(best, _)| *best == k);
+            renamed.insert(l, if mine { l } else { new(fresh) });
+        }
+        if renamed.is_empty() {
+            let only = new(fresh);
+            for &p in pixels {
+                out[p as usize] = only;
+            }
+            continue;
+        }
+        for &p in pixels {
+            let label = &mut out[p as usize];
+            *label = renamed.get(label).copied().unwrap_or(0);
+        }
+        flood(w, h, parts, k, &mut out);
+    }
+    out
+}
+
+fn new(fresh: &mut u32) -> u32 {
+    *fresh += 1;
+    *fresh
+}
+
+/// Gives every pixel of a part without a label that of the nearest that has one.
+fn flood(w: usize, h: usize, parts: &Components, k: usize, labels: &mut [u32]) {
+    let part = k as u32 + 1;
+    let mut open: VecDeque<usize> = parts.pixels[k]
+        .iter()
+        .map(|&p| p as usize)
+        .filter(|&p| labels[p] > 0)
+        .collect();
+    while let Some(p) = open.pop_front() {
+        let (x, y) = (p % w, p / w);
+        for ny in y.saturating_sub(1)..(y + 2).min(h) {
+            for nx in x.saturating_sub(1)..(x + 2).min(w) {
+                let n = ny * w + nx;
+                if parts.label[n] == part && labels[n] == 0 {
+                    labels[n] = labels[p];
+                    open.push_back(n);
+                }
+            }
+        }
+    }
+}
+
+/// The regions of one frame: pairs of labels that are the better part of either, the rest with the nearest of them.
+fn pairs(w: usize, h: usize, parts: &Components, a: &[u32], b: &[u32], least: usize) -> Components {
+    let mut label = vec![0u32; w * h];
+    let mut regions: Vec<Vec<u32>> = Vec::new();
+    for (k, pixels) in parts.pixels.iter().enumerate() {
+        let mut count: BTreeMap<(u32, u32), usize> = BTreeMap::new();
+        let (mut of_a, mut of_b): (BTreeMap<u32, usize>, BTreeMap<u32, usize>) = (BTreeMap::new(), BTreeMap::new());
+        for &p in pixels {
+            let (a, b) = (a[p as usize], b[p as usize]);
+            *count.entry((a, b)).or_default() += 1;
+            *of_a.entry(a).or_default() += 1;
+            *of_b.entry(b).or_default() += 1;
+        }
+        let whole = |(pair, n): (&(u32, u32), &usize)| {
+            *n >= least && *n as f32 >= PAIR * of_a[&pair.0].min(of_b[&pair.1]) as f32
+        };
+        let mut kept: BTreeMap<(u32, u32), u32> = BTreeMap::new();
+        for (pair, n) in &count {
+            if whole((pair, n)) {
+                kept.insert(*pair, (regions.len() + kept.len()) as u32 + 1);
+            }
+        }
+        if kept.len() < 2 {
+            regions.push(pixels.clone());
+            for &p in pixels {
+                label[p as usize] = regions.len() as u32;
+            }
+            continue;
+        }
+        for &p in pixels {
+            let p = p as usize;
+            label[p] = kept.get(&(a[p], b[p])).copied().unwrap_or(0);
+        }
+        flood(w, h, parts, k, &mut label);
+        let first = regions.len();
+        regions.resize(first + kept.len(), Vec::new());
+        for &p in pixels {
+            regions[label[p as usize] as usize - 1].push(p);
+        }
+    }
+    Components { label, pixels: regions }
 }

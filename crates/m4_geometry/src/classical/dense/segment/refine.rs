@@ -1,9 +1,7 @@
 //! The masks of a segmenter in place of coarse ones, where they mean the same thing.
 
 use super::super::components::Components;
-use super::prompt::prompt;
-use super::source::{SegmentError, SegmentMask, Segmenter};
-use super::{LEAST_OVERLAP, LEAST_PART_PX, LEAST_QUALITY};
+use super::{LEAST_OVERLAP, LEAST_PART_PX, LEAST_QUALITY, SegmentError, SegmentMask, Segmenter, checked_masks, prompt};
 use m4_core::RgbImage;
 
 /// The mask of a frame: each part of `coarse` (`[height][width]` of `size`, above 0 for moving) as the segmenter sees it in `image`. Parts
@@ -24,23 +22,8 @@ pub fn sharpen(
         .filter(|&k| parts.pixels[k].len() >= LEAST_PART_PX)
         .collect();
     let of = |k: usize| prompt(width, height, |p| parts.label[p] as usize == k + 1);
-    let prompts: Vec<_> = large.iter().filter_map(|&k| of(k)).collect();
-    if prompts.is_empty() {
-        return Ok(coarse.to_vec());
-    }
-    let found = segmenter.masks(image, size, &prompts)?;
-    if found.len() != prompts.len() {
-        return Err(SegmentError::Count {
-            found: found.len(),
-            expected: prompts.len(),
-        });
-    }
-    if let Some(wrong) = found.iter().find(|mask| mask.logits.len() != width * height) {
-        return Err(SegmentError::Size {
-            found: wrong.logits.len(),
-            expected: size,
-        });
-    }
+    let prompts: Vec<_> = large.iter().map(|&k| of(k)).collect();
+    let found = checked_masks(segmenter, image, size, &prompts)?;
     let taken: Vec<(usize, &SegmentMask)> = large
         .into_iter()
         .zip(&found)
@@ -72,11 +55,9 @@ fn means_the_same(mask: &SegmentMask, part: &[u32]) -> bool {
 
 #[cfg(test)]
 mod tests {
-    use super::super::source::{SegmentError, SegmentMask, SegmentPrompt, Segmenter};
     use super::sharpen;
+    use crate::classical::dense::segment::{SegmentError, SegmentMask, SegmentPrompt, Segmenter};
     use m4_core::{Plane, RgbImage};
-    use rayon::ThreadPoolBuilder;
-    use rayon::prelude::*;
 
     const SIZE: (usize, usize) = (64, 48);
 
@@ -191,54 +172,45 @@ mod tests {
     }
 
     #[test]
-    fn masks_of_low_overlap_are_refused() {
-        let left = (GOOD.0 as usize - 8, GOOD.1 as usize);
-        let shifted = |by: i32| drawn(|x, y| disc(x, y, (GOOD.0 + by, GOOD.1), 8));
-        // Intersection over union: about 0.7 and 0.5.
-        assert!(taken(&two_discs(), &shifted(2), left));
-        assert!(!taken(&two_discs(), &shifted(4), left));
-        // The large thing: 0.05, then 0.98.
-        let corner = (SIZE.0 - 1, SIZE.1 - 1);
-        assert!(!taken(&two_discs(), &drawn(|x, y| disc(x, y, LARGE, 5)), corner));
-        assert!(taken(&two_discs(), &drawn(|x, y| x >= 30 && y < SIZE.1 - 1), corner));
-    }
-
-    #[test]
-    fn masks_of_low_quality_are_refused() {
-        let left = (UNSURE.0 as usize - 7, UNSURE.1 as usize);
-        let coarse = drawn(|x, y| disc(x, y, UNSURE, 6));
-        // Red over 255: 0.71 and 0.69.
-        assert!(taken(&image(8, 181), &coarse, left));
-        assert!(!taken(&image(8, 176), &coarse, left));
-    }
-
-    #[test]
-    fn small_parts_are_left_as_they_are() {
-        // 81 and 49 pixels.
-        for (radius, asked) in [(5, true), (4, false)] {
-            let coarse = drawn(|x, y| disc(x, y, (GOOD.0 + 1, GOOD.1), radius));
-            let left = ((GOOD.0 - radius) as usize, GOOD.1 as usize);
-            assert_eq!(taken(&image(radius, 90), &coarse, left), asked, "radius {radius}");
+    fn masks_that_are_of_something_else_unsure_or_small_are_refused() {
+        let (x, y) = (GOOD.0 as usize, GOOD.1 as usize);
+        let shifted = |by: i32, radius: i32| drawn(|x, y| disc(x, y, (GOOD.0 + by, GOOD.1), radius));
+        let (discs, corner) = (two_discs(), (SIZE.0 - 1, SIZE.1 - 1));
+        let (unsure, at) = (
+            drawn(|x, y| disc(x, y, UNSURE, 6)),
+            (UNSURE.0 as usize - 7, UNSURE.1 as usize),
+        );
+        for (what, image, coarse, at, wanted) in [
+            ("overlap 0.7", &discs, shifted(2, 8), (x - 8, y), true),
+            ("overlap 0.5", &discs, shifted(4, 8), (x - 8, y), false),
+            (
+                "overlap 0.05",
+                &discs,
+                drawn(|x, y| disc(x, y, LARGE, 5)),
+                corner,
+                false,
+            ),
+            (
+                "overlap 0.98",
+                &discs,
+                drawn(|x, y| x >= 30 && y < SIZE.1 - 1),
+                corner,
+                true,
+            ),
+            // red over 255
+            ("quality 0.71", &image(8, 181), unsure.clone(), at, true),
+            ("quality 0.69", &image(8, 176), unsure, at, false),
+            ("81 pixels", &image(5, 90), shifted(1, 5), (x - 5, y), true),
+            ("49 pixels", &image(4, 90), shifted(1, 4), (x - 4, y), false),
+        ] {
+            assert_eq!(taken(image, &coarse, at), wanted, "{what}");
         }
     }
 
     #[test]
     fn answers_that_do_not_fit_are_errors() {
-        let of = |wrong| sharpen(&wrong, &two_discs(), SIZE, &coarse()).unwrap_err();
-        assert!(matches!(
-            of(Wrong(2, 64 * 48)),
-            SegmentError::Count { found: 2, expected: 3 }
-        ));
-        assert!(matches!(of(Wrong(3, 5)), SegmentError::Size { found: 5, .. }));
-    }
-
-    #[test]
-    fn the_same_for_any_number_of_threads() {
-        let all = |threads: usize| {
-            let pool = ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-            let one = |_| sharpen(&Colours, &two_discs(), SIZE, &coarse()).unwrap();
-            pool.install(|| (0..6).into_par_iter().map(one).collect::<Vec<_>>())
-        };
-        assert_eq!(all(1), all(3));
+        let of = |wrong| sharpen(&wrong, &two_discs(), SIZE, &coarse()).unwrap_err().to_string();
+        assert_eq!(of(Wrong(2, 64 * 48)), "2 masks for 3 prompts");
+        assert!(of(Wrong(3, 5)).contains("5 values where 64 x 48"));
     }
 }

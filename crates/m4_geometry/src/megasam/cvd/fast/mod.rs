@@ -9,27 +9,23 @@
 //! do not depend on the number of threads. Beside the flow, memory is 16 planes of f32 per frame; nothing grows with the
 //! number of pairs.
 
-mod adam;
 mod edges;
 mod elementary;
 mod frame;
 mod pair;
-mod schedule;
 mod shape;
 mod surface;
 
-pub(super) use frame::Moves;
-
-use super::pairs::{CompactFlow, PairSource};
-use super::reference::Pinhole;
+use super::pairs::{CompactFlow, FramePair, PairStore};
 use super::{PairError, Weights};
-use adam::Rate;
-use frame::{Frame, Scratch, Step};
+use crate::dba::Pinhole;
+pub(super) use frame::Moves;
+use frame::{Frame, Rate, Scratch, Step};
 use m4_core::{Se3, SimdLevel, dispatch};
 use pair::{Rows, Source, Sums, View};
 use rayon::prelude::*;
-use schedule::{Task, rounds};
 use shape::{Motion, Shape};
+use std::collections::HashSet;
 use std::sync::{Mutex, PoisonError};
 
 /// The state of a descent.
@@ -37,7 +33,7 @@ pub(super) struct Descent<'a> {
     level: SimdLevel,
     shape: Shape,
     scratch: Pool,
-    pairs: &'a dyn PairSource,
+    pairs: &'a PairStore,
     motions: Vec<Motion>,
     rounds: Vec<Vec<Task>>,
     frames: Vec<Frame>,
@@ -46,7 +42,7 @@ pub(super) struct Descent<'a> {
 /// What threads work in, made once: fresh memory costs more than the work in it.
 struct Pool {
     shape: Shape,
-    lens: Pinhole<f64>,
+    normal_lens: Pinhole<f64>,
     free: Mutex<Vec<Scratch>>,
 }
 
@@ -54,7 +50,7 @@ impl Pool {
     fn lend<T>(&self, work: impl FnOnce(&mut Scratch) -> T) -> T {
         let free = || self.free.lock().unwrap_or_else(PoisonError::into_inner);
         let taken = free().pop();
-        let mut scratch = taken.unwrap_or_else(|| Scratch::new(self.shape, &self.lens));
+        let mut scratch = taken.unwrap_or_else(|| Scratch::new(self.shape, &self.normal_lens));
         let out = work(&mut scratch);
         free().push(scratch);
         out
@@ -75,12 +71,12 @@ pub(super) struct Report {
 }
 
 impl<'a> Descent<'a> {
-    /// The caller has checked that everything fits together.
+    /// `lenses` project points and give the rays of normals. The caller has checked that everything fits together.
     pub fn new(
         level: SimdLevel,
-        lens: Pinhole<f64>,
+        [lens, normal_lens]: [Pinhole<f64>; 2],
         w2c: &[Se3<f64>],
-        pairs: &'a dyn PairSource,
+        pairs: &'a PairStore,
         starts: &[Start<'_>],
     ) -> Self {
         let (width, height) = pairs.size();
@@ -91,7 +87,7 @@ impl<'a> Descent<'a> {
             shape,
             scratch: Pool {
                 shape,
-                lens,
+                normal_lens,
                 free: Mutex::default(),
             },
             pairs,
@@ -237,4 +233,78 @@ struct Work<'a> {
     own: [Vec<f32>; 2],
     /// Scattered gradients of the targets, one a pair.
     targets: Vec<Vec<f32>>,
+}
+
+/// All pairs of one source.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) struct Task {
+    pub source: usize,
+    /// Indices of its pairs, in the order of their sums.
+    pub pairs: Vec<usize>,
+}
+
+/// Rounds of tasks. Tasks of a round share no target, so each may add to its targets' gradients without waiting;
+/// rounds follow one another, so every sum has one order on any number of threads.
+pub(super) fn rounds(frames: usize, pairs: &[FramePair]) -> Vec<Vec<Task>> {
+    let mut tasks: Vec<Task> = (0..frames)
+        .map(|source| Task {
+            source,
+            pairs: Vec::new(),
+        })
+        .collect();
+    for (index, pair) in pairs.iter().enumerate() {
+        tasks[pair.source].pairs.push(index);
+    }
+    let mut rounds: Vec<(Vec<Task>, HashSet<usize>)> = Vec::new();
+    for task in tasks.into_iter().filter(|t| !t.pairs.is_empty()) {
+        let targets: Vec<usize> = task.pairs.iter().map(|&k| pairs[k].target).collect();
+        let free = rounds
+            .iter_mut()
+            .find(|(_, taken)| targets.iter().all(|t| !taken.contains(t)));
+        match free {
+            Some((tasks, taken)) => {
+                tasks.push(task);
+                taken.extend(targets);
+            }
+            None => rounds.push((vec![task], targets.into_iter().collect())),
+        }
+    }
+    rounds.into_iter().map(|(tasks, _)| tasks).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::rounds;
+    use crate::megasam::cvd::pairs::{FramePair, pair_list};
+    use std::collections::HashSet;
+
+    #[test]
+    fn every_pair_is_in_one_round_and_rounds_share_no_target() {
+        let mut pairs = pair_list(60);
+        let back: Vec<FramePair> = pairs
+            .iter()
+            .map(|p| FramePair {
+                source: p.target,
+                target: p.source,
+            })
+            .collect();
+        for both in [false, true] {
+            if both {
+                pairs.extend(&back);
+            }
+            let rounds = rounds(60, &pairs);
+            let mut seen = HashSet::new();
+            for round in &rounds {
+                let mut targets = HashSet::new();
+                for task in round {
+                    for &k in &task.pairs {
+                        assert_eq!(pairs[k].source, task.source);
+                        assert!(seen.insert(k) && targets.insert(pairs[k].target));
+                    }
+                }
+            }
+            assert_eq!(seen.len(), pairs.len());
+            assert!(rounds.len() <= if both { 30 } else { 8 }, "{} rounds", rounds.len());
+        }
+    }
 }

@@ -1,7 +1,8 @@
 //! How planes lie in memory.
 
+use crate::dba::Pinhole;
 use crate::megasam::cvd::pairs::FramePair;
-use crate::megasam::cvd::reference::{Pinhole, relative};
+use crate::megasam::cvd::reference::relative;
 use m4_core::{Se3, nalgebra::Matrix3};
 
 /// Columns left of the image in a bordered plane; what is right of it is at least as wide.

@@ -1,8 +1,9 @@
 //! Normals of smoothed depth, and the gradient of the normal term, row by row. The definition is `reference::normal_loss`.
 
 use super::shape::Shape;
+use crate::dba::Pinhole;
 use crate::megasam::cvd::pairs::LANES;
-use crate::megasam::cvd::reference::{Pinhole, blur_weights, reflect};
+use crate::megasam::cvd::reference::{blur_weights, reflect};
 
 /// Planes and rows of one frame, used again and again.
 #[derive(Debug, Default)]
@@ -21,10 +22,10 @@ pub(super) struct Scratch {
 }
 
 /// Rays at pixels and one beyond, where they repeat the last.
-fn rays(n: usize, focal: f64, centre: f64, shift: f64) -> impl Iterator<Item = f32> {
+fn rays(n: usize, focal: f64, centre: f64) -> impl Iterator<Item = f32> {
     (0..n + 2).map(move |i| {
         let at = i.clamp(1, n) - 1;
-        ((at as f64 + shift - centre) / focal) as f32
+        ((at as f64 - centre) / focal) as f32
     })
 }
 
@@ -35,8 +36,8 @@ impl Scratch {
             smooth: vec![0.0; shape.plain()],
             along_rows: vec![0.0; shape.plain()],
             points: std::array::from_fn(|_| vec![0.0; (w + 2) * (h + 2)]),
-            ray_x: rays(w, lens.fx, lens.cx, lens.normal_shift_px).collect(),
-            ray_y: rays(h, lens.fy, lens.cy, lens.normal_shift_px).collect(),
+            ray_x: rays(w, lens.fx, lens.cx).collect(),
+            ray_y: rays(h, lens.fy, lens.cy).collect(),
             padded: vec![0.0; w + 4],
             row: std::array::from_fn(|_| vec![0.0; w + 2]),
         }

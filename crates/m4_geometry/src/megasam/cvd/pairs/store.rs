@@ -1,28 +1,12 @@
-//! Pairs in memory, and in a temporary file beyond a byte budget.
+//! Flow fields with their masks in four bytes a pixel; pairs in memory, and in a temporary file beyond a byte budget.
 
-use super::compact::{CompactFlow, stride};
-use super::{FlowView, FramePair};
+use super::FramePair;
 use crate::megasam::cvd::PairError;
+use m4_core::Flow;
 use std::collections::HashSet;
 use std::fs::File;
 use std::io::{Read, Seek, SeekFrom, Write};
 use std::sync::Mutex;
-
-/// Flow fields of pairs, visited in any order from several threads.
-pub trait PairSource: Sync {
-    /// Width and height of the fields, pixels.
-    fn size(&self) -> (usize, usize);
-
-    /// The pairs, no two alike.
-    fn pairs(&self) -> &[FramePair];
-
-    /// The field of pair `index`, in place or read into `buffer`.
-    ///
-    /// # Errors
-    ///
-    /// [`PairError::Spill`] if it cannot be read.
-    fn flow<'a>(&'a self, index: usize, buffer: &'a mut CompactFlow) -> Result<&'a CompactFlow, PairError>;
-}
 
 /// Keeps fields in memory up to a number of bytes and the others in an unnamed temporary file, which goes away with it.
 #[derive(Debug)]
@@ -78,19 +62,20 @@ impl PairStore {
     /// # Errors
     ///
     /// [`PairError`] if the planes have another size, the pair is there or of one frame, or the file cannot be written.
-    pub fn push(&mut self, pair: FramePair, flow: FlowView<'_>, mask: &[bool]) -> Result<(), PairError> {
+    pub fn push(&mut self, pair: FramePair, flow: &Flow, mask: &[bool]) -> Result<(), PairError> {
         let expected = self.width * self.height;
-        for (what, found) in [("flow x", flow.x.len()), ("flow y", flow.y.len()), ("mask", mask.len())] {
+        for (what, found) in [("flow x", flow.u.len()), ("flow y", flow.v.len()), ("mask", mask.len())] {
             if found != expected {
-                return Err(PairError::Length { what, found, expected });
+                return Err(PairError::Input(format!(
+                    "{what} has {found} values where {expected} were expected; all frames must have one size"
+                )));
             }
         }
-        let reject = |what| {
-            Err(PairError::Pair {
-                source_frame: pair.source,
-                target_frame: pair.target,
-                what,
-            })
+        let reject = |what: &str| {
+            Err(PairError::Input(format!(
+                "the pair ({}, {}) is {what}; give each pair of different frames once",
+                pair.source, pair.target
+            )))
         };
         if pair.source == pair.target {
             return reject("of one frame");
@@ -98,7 +83,7 @@ impl PairStore {
         if self.seen.contains(&pair) {
             return reject("there already");
         }
-        let field = CompactFlow::encode(self.width, self.height, flow.x, flow.y, mask);
+        let field = CompactFlow::encode(self.width, self.height, &flow.u, &flow.v, mask);
         let fits = self.memory_bytes() + self.pair_bytes() <= self.budget_bytes;
         if fits && self.spilled.is_empty() {
             self.memory.push(field);
@@ -129,18 +114,25 @@ impl PairStore {
     fn offset(&self, spilled: usize) -> u64 {
         spilled as u64 * self.pair_bytes() as u64
     }
-}
 
-impl PairSource for PairStore {
-    fn size(&self) -> (usize, usize) {
+    /// Width and height of the fields, pixels.
+    #[must_use]
+    pub fn size(&self) -> (usize, usize) {
         (self.width, self.height)
     }
 
-    fn pairs(&self) -> &[FramePair] {
+    /// The pairs, no two alike.
+    #[must_use]
+    pub fn pairs(&self) -> &[FramePair] {
         &self.pairs
     }
 
-    fn flow<'a>(&'a self, index: usize, buffer: &'a mut CompactFlow) -> Result<&'a CompactFlow, PairError> {
+    /// The field of pair `index`, in place or read into `buffer`; from several threads, in any order.
+    ///
+    /// # Errors
+    ///
+    /// [`PairError::Spill`] if it cannot be read.
+    pub fn flow<'a>(&'a self, index: usize, buffer: &'a mut CompactFlow) -> Result<&'a CompactFlow, PairError> {
         if let Some(field) = self.memory.get(index) {
             return Ok(field);
         }
@@ -158,10 +150,61 @@ impl PairSource for PairStore {
     }
 }
 
+/// The code of a pixel that does not count.
+pub const MASKED: i16 = i16::MIN;
+
+/// Rows are filled up to a multiple of this with [`MASKED`].
+pub(in crate::megasam::cvd) const LANES: usize = 16;
+
+/// Columns of a stored row.
+pub(in crate::megasam::cvd) fn stride(width: usize) -> usize {
+    width.next_multiple_of(LANES)
+}
+
+/// A flow field as whole numbers of `unit_px`, row by row, each row `[stride]` of x and then `[stride]` of y, with
+/// `stride` the width rounded up to 16. Pixels that do not count (and the filling) have [`MASKED`] for x and 0 for y.
+///
+/// `unit_px` is the greatest component of a pixel that counts over 32,767: a flow of 40 pixels is within 0.0006 pixels.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct CompactFlow {
+    /// Pixels.
+    pub unit_px: f32,
+    /// `[height][2][stride]`.
+    pub codes: Vec<i16>,
+}
+
+impl CompactFlow {
+    /// Encodes planes of `[height][width]`, which the caller has checked. A flow that is not finite does not count.
+    pub(super) fn encode(width: usize, height: usize, x: &[f32], y: &[f32], mask: &[bool]) -> Self {
+        let counts = |i: usize| mask[i] && x[i].is_finite() && y[i].is_finite();
+        let largest = (0..width * height)
+            .filter(|&i| counts(i))
+            .fold(0.0f32, |m, i| m.max(x[i].abs()).max(y[i].abs()));
+        let unit_px = if largest > 0.0 { largest / 32_767.0 } else { 1.0 };
+        let stride = stride(width);
+        let mut codes = vec![0; 2 * stride * height];
+        for (row, out) in codes.chunks_exact_mut(2 * stride).enumerate() {
+            let (xs, ys) = out.split_at_mut(stride);
+            xs.fill(MASKED);
+            for column in 0..width {
+                let i = row * width + column;
+                if counts(i) {
+                    xs[column] = code(x[i], unit_px);
+                    ys[column] = code(y[i], unit_px);
+                }
+            }
+        }
+        Self { unit_px, codes }
+    }
+}
+
+fn code(value: f32, unit: f32) -> i16 {
+    (value / unit).round().clamp(-32_767.0, 32_767.0) as i16
+}
+
 #[cfg(test)]
 mod tests {
-    use super::{PairSource, PairStore};
-    use crate::megasam::cvd::PairError;
+    use super::PairStore;
     use crate::megasam::cvd::pairs::{CompactFlow, FramePair, MASKED};
     use m4_core::{CounterRng, Flow};
 
@@ -187,7 +230,7 @@ mod tests {
                 source: k,
                 target: k + 1,
             };
-            store.push(pair, (&flow).into(), &mask).unwrap();
+            store.push(pair, &flow, &mask).unwrap();
         }
         store
     }
@@ -229,11 +272,11 @@ mod tests {
         let mut store = fill(usize::MAX);
         let (flow, mask) = field(0);
         let pair = |source, target| FramePair { source, target };
-        let twice = store.push(pair(0, 1), (&flow).into(), &mask).unwrap_err();
+        let twice = store.push(pair(0, 1), &flow, &mask).unwrap_err();
         assert!(twice.to_string().contains("there already"), "{twice}");
-        let same = store.push(pair(7, 7), (&flow).into(), &mask).unwrap_err();
+        let same = store.push(pair(7, 7), &flow, &mask).unwrap_err();
         assert!(same.to_string().contains("of one frame"), "{same}");
-        let short = store.push(pair(7, 8), (&flow).into(), &mask[1..]);
-        assert!(matches!(short, Err(PairError::Length { what: "mask", .. })));
+        let short = store.push(pair(7, 8), &flow, &mask[1..]).unwrap_err();
+        assert!(short.to_string().starts_with("mask has"), "{short}");
     }
 }

@@ -1,7 +1,6 @@
 //! The two stages, plainly.
 
 use super::{DISPARITY, Problem, UNCERTAINTY, clamp, edge_weight, within};
-use crate::megasam::cvd::CvdSettings;
 use crate::megasam::cvd::settings::{ADAM_EPSILON, LEARNING_RATE, WEIGHTS};
 use m4_core::Real;
 
@@ -77,10 +76,10 @@ fn affine<T: Real>(initial: &[T], log_scale: &[T], shift: &[T]) -> Vec<T> {
     initial.iter().enumerate().map(at).collect()
 }
 
-/// Both stages from `problem.initial` and `uncertainty`, which are taken in the unit that they have.
+/// `steps` of both stages from `problem.initial` and `uncertainty`, which are taken in the unit that they have.
 /// `problem.edge_weight` and the limits of `problem.initial` are set here.
 #[must_use]
-pub fn descend<T: Real>(problem: &Problem<T>, uncertainty: &[T], settings: &CvdSettings) -> Trajectory<T> {
+pub fn descend<T: Real>(problem: &Problem<T>, uncertainty: &[T], steps: [usize; 2]) -> Trajectory<T> {
     let mut problem = problem.clone();
     let (frames, n) = (problem.frames(), problem.width * problem.height);
     let start = problem.initial.clone();
@@ -97,7 +96,7 @@ pub fn descend<T: Real>(problem: &Problem<T>, uncertainty: &[T], settings: &CvdS
         losses: [Vec::new(), Vec::new()],
     };
     let mut adam = [Adam::new(frames), Adam::new(frames), Adam::new(start.len())];
-    for _ in 0..settings.steps[0] {
+    for _ in 0..steps[0] {
         let raw = affine(&start, &out.log_scale, &out.shift);
         let seen = seen_disparity(&start, &out.log_scale, &out.shift);
         let u: Vec<T> = out.uncertainty.iter().map(|&u| clamp(u, UNCERTAINTY)).collect();
@@ -121,7 +120,7 @@ pub fn descend<T: Real>(problem: &Problem<T>, uncertainty: &[T], settings: &CvdS
         .map(|d| clamp(d, DISPARITY))
         .collect();
     let mut adam = [Adam::new(start.len()), Adam::new(start.len())];
-    for _ in 0..settings.steps[1] {
+    for _ in 0..steps[1] {
         let seen: Vec<T> = out.disparity.iter().map(|&d| clamp(d, DISPARITY)).collect();
         let u: Vec<T> = out.uncertainty.iter().map(|&u| clamp(u, UNCERTAINTY)).collect();
         let total = problem.total(&seen, &u, &WEIGHTS[1]);

@@ -3,43 +3,23 @@
 //! Arrays of pixels are `[frames][height][width]`, flat. Poses are `w2c`, pixel centres are whole numbers.
 
 mod descent;
-mod gradient;
 mod normal;
 mod pair;
-mod variance;
 
+use super::Weights;
+use crate::dba::Pinhole;
 pub(super) use descent::DECAY;
 pub use descent::{Adam, Trajectory, descend, seen_disparity};
-pub(super) use gradient::INTERVALS;
-pub use gradient::gradient_loss;
+use m4_core::{Real, Se3};
 pub(super) use normal::{blur_weights, reflect};
 pub use normal::{edge_weight, normal_loss, normals};
 pub(super) use pair::{LOG_WEIGHT, relative};
 pub use pair::{Pair, pair_losses};
-pub use variance::scale_invariant_loss;
-
-use super::Weights;
-use m4_core::{Real, Se3};
 
 /// Disparities are kept inside this before anything uses them. MegaSaM: 1e-3 to 1e3.
 pub const DISPARITY: [f64; 2] = [1e-3, 1e3];
 /// The uncertainty u likewise. MegaSaM: 1e-4 to 1e3.
 pub const UNCERTAINTY: [f64; 2] = [1e-4, 1e3];
-
-/// A pinhole with whole pixel centres.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Pinhole<T> {
-    /// Horizontal focal length, pixels.
-    pub fx: T,
-    /// Vertical focal length, pixels.
-    pub fy: T,
-    /// Principal point, pixels from the centre of the first pixel.
-    pub cx: T,
-    /// Principal point, pixels from the centre of the first pixel.
-    pub cy: T,
-    /// Added to pixel coordinates where normals are computed. MegaSaM: 0.5; consistent with the reprojection: 0.
-    pub normal_shift_px: T,
-}
 
 /// What does not change during the descent.
 #[derive(Debug, Clone)]
@@ -48,8 +28,10 @@ pub struct Problem<T: Real> {
     pub width: usize,
     /// Rows.
     pub height: usize,
-    /// The camera at this size.
+    /// The camera at this size, with whole pixel centres.
     pub lens: Pinhole<T>,
+    /// The camera that normals are computed with: `lens`, or that of MegaSaM, half a pixel off.
+    pub normal_lens: Pinhole<T>,
     /// World to camera, one per frame.
     pub w2c: Vec<Se3<T>>,
     /// Flow between frames.
@@ -132,4 +114,72 @@ fn sign<T: Real>(x: T) -> T {
     } else {
         T::zero()
     }
+}
+
+/// Every which pixel, for each scale. MegaSaM: four scales.
+pub(super) const INTERVALS: [usize; 4] = [1, 2, 4, 8];
+
+/// How much the central differences of `log(initial) - log(disparity)` are, at four scales (each a nearest-exact
+/// subsampling): the sum over both directions and all scales of the mean of `weight |difference|`.
+///
+/// The weight, a constant for the gradient, is `1 - exp(-5 |G(initial) - G(disparity)|)` where the disparity is above 1 and
+/// 0 elsewhere; G is the sum of the absolute central differences of the logarithm. So it acts on what is near, where
+/// shapes differ. A scale at which an image has less than three pixels a side is left out.
+#[must_use]
+pub fn gradient_loss<T: Real>(problem: &Problem<T>, disparity: &[T]) -> Term<T> {
+    let (width, n) = (problem.width, problem.width * problem.height);
+    let mut term = Term::zero(disparity.len());
+    for interval in INTERVALS {
+        let (w, h) = (problem.width / interval, problem.height / interval);
+        if w < 3 || h < 3 {
+            continue;
+        }
+        let count = T::of((problem.frames() * (w - 2) * (h - 2)) as f64);
+        for frame in 0..problem.frames() {
+            let at =
+                |x: usize, y: usize| frame * n + (y * interval + interval / 2) * width + x * interval + interval / 2;
+            for y in 1..h - 1 {
+                for x in 1..w - 1 {
+                    if disparity[at(x, y)] <= T::one() {
+                        continue;
+                    }
+                    let ends = [[at(x - 1, y), at(x + 1, y)], [at(x, y - 1), at(x, y + 1)]];
+                    let change = |log: &dyn Fn(usize) -> T| ends.map(|[a, b]| log(a) - log(b));
+                    let initial = change(&|i| problem.initial[i].ln());
+                    let current = change(&|i| disparity[i].ln());
+                    let steep = |g: [T; 2]| g[0].abs() + g[1].abs();
+                    let unlike = (steep(initial) - steep(current)).abs();
+                    let weight = (T::one() - (-T::of(5.0) * unlike).exp()) / count;
+                    for k in 0..2 {
+                        let difference = initial[k] - current[k];
+                        term.value += weight * difference.abs();
+                        let pull = weight * sign(difference);
+                        let [a, b] = ends[k];
+                        term.disparity[a] -= pull / disparity[a];
+                        term.disparity[b] += pull / disparity[b];
+                    }
+                }
+            }
+        }
+    }
+    term
+}
+
+/// The variance of `log(initial) - log(disparity)` within a frame, mean over frames.
+#[must_use]
+pub fn scale_invariant_loss<T: Real>(problem: &Problem<T>, disparity: &[T]) -> Term<T> {
+    let n = problem.width * problem.height;
+    let (pixels, frames) = (T::of(n as f64), T::of(problem.frames() as f64));
+    let mut term = Term::zero(disparity.len());
+    for frame in 0..problem.frames() {
+        let range = frame * n..(frame + 1) * n;
+        let difference = |i: usize| problem.initial[i].ln() - disparity[i].ln();
+        let mean = range.clone().fold(T::zero(), |s, i| s + difference(i)) / pixels;
+        for i in range {
+            let off = difference(i) - mean;
+            term.value += off * off / (pixels * frames);
+            term.disparity[i] = -T::of(2.0) * off / (pixels * frames * disparity[i]);
+        }
+    }
+    term
 }

@@ -1,6 +1,7 @@
 //! The term that keeps surfaces facing the way they did.
 
-use super::{DISPARITY, Pinhole, Problem, Term, clamp, within};
+use super::{DISPARITY, Problem, Term, clamp, within};
+use crate::dba::Pinhole;
 use m4_core::{Real, nalgebra::Vector3};
 
 /// Of the Gaussian that smooths depth, pixels. MegaSaM: a 5x5 kernel of standard deviation 2.
@@ -53,8 +54,7 @@ fn surface<T: Real>(width: usize, height: usize, lens: &Pinhole<T>, disparity: &
     let depth: Vec<T> = disparity.iter().map(|&d| T::one() / clamp(d, DISPARITY)).collect();
     let smooth = blur(width, height, &depth);
     let ray = |p: usize| {
-        let x = T::of((p % width) as f64) + lens.normal_shift_px;
-        let y = T::of((p / width) as f64) + lens.normal_shift_px;
+        let (x, y) = (T::of((p % width) as f64), T::of((p / width) as f64));
         Vector3::new((x - lens.cx) / lens.fx, (y - lens.cy) / lens.fy, T::one())
     };
     let rays: Vec<Vector3<T>> = (0..n).map(ray).collect();
@@ -124,8 +124,8 @@ pub fn normal_loss<T: Real>(problem: &Problem<T>, disparity: &[T]) -> Term<T> {
     for frame in 0..problem.frames() {
         let range = frame * n..(frame + 1) * n;
         let disparity = &disparity[range.clone()];
-        let wanted = normals(w, h, &problem.lens, &problem.initial[range]);
-        let found = surface(w, h, &problem.lens, disparity);
+        let wanted = normals(w, h, &problem.normal_lens, &problem.initial[range]);
+        let found = surface(w, h, &problem.normal_lens, disparity);
         let mut points = vec![Vector3::zeros(); n];
         for p in 0..n {
             let weight = problem.edge_weight[frame * n + p] / count;

@@ -1,34 +1,33 @@
 //! The fast path against the definition and the original's numbers.
 
-use super::fixture::{FRAMES, SIZE, Tensors, problem};
+use super::{FRAMES, SIZE, problem};
+use crate::megasam::cvd::Weights;
 use crate::megasam::cvd::fast::{Descent, Moves, Start};
 use crate::megasam::cvd::optimise::{Course, run};
-use crate::megasam::cvd::pairs::{CompactFlow, FlowView, FramePair, MASKED, PairSource, PairStore};
+use crate::megasam::cvd::pairs::{CompactFlow, FramePair, MASKED, PairStore};
 use crate::megasam::cvd::reference::{Problem, descend};
-use crate::megasam::cvd::{CvdSettings, Weights};
-use m4_core::Silent;
-use m4_core::SimdLevel;
+use crate::published::Golden;
+use m4_core::{Flow, Silent, SimdLevel};
 use m4_testkit::{Agreement, on_every_level};
 
 const PIXELS: usize = SIZE.0 * SIZE.1;
 
 /// The fixture's pairs in the compact form, and the fixture with the flow that this form holds.
 fn compacted(budget: usize) -> (PairStore, Problem<f64>) {
-    let mut problem: Problem<f64> = problem(&Tensors::open("losses.safetensors"));
+    let mut problem: Problem<f64> = problem(&Golden::load("cvd/losses.safetensors"));
     let mut store = PairStore::new(SIZE.0, SIZE.1, budget);
     for (k, pair) in problem.pairs.iter_mut().enumerate() {
-        let [x, y] = [&pair.x, &pair.y].map(|p| p.iter().map(|&v| v as f32).collect::<Vec<f32>>());
-        let flow = FlowView {
+        let flow = Flow {
             width: SIZE.0,
             height: SIZE.1,
-            x: &x,
-            y: &y,
+            u: f32s(&pair.x),
+            v: f32s(&pair.y),
         };
         let of = FramePair {
             source: pair.source,
             target: pair.target,
         };
-        store.push(of, flow, &pair.mask).unwrap();
+        store.push(of, &flow, &pair.mask).unwrap();
         let mut buffer = CompactFlow::default();
         let field = store.flow(k, &mut buffer).unwrap();
         for (row, codes) in field.codes.chunks_exact(2 * 48).enumerate() {
@@ -62,7 +61,7 @@ fn descent<'a>(
             uncertainty: &uncertainty[i * PIXELS..(i + 1) * PIXELS],
         })
         .collect();
-    Descent::new(level, problem.lens, &problem.w2c, store, &starts)
+    Descent::new(level, [problem.lens, problem.normal_lens], &problem.w2c, store, &starts)
 }
 
 fn flat(planes: Vec<Vec<f32>>) -> Vec<f64> {
@@ -90,7 +89,7 @@ fn loss_and_gradients_are_those_of_the_definition() {
     let names = ["ratio", "flow", "si", "grad", "normal"];
     on_every_level(&SimdLevel::available(), SimdLevel::name, &LEVELS, |level| {
         for (k, name) in names.into_iter().enumerate() {
-            let u0 = f32s(&Tensors::open("losses.safetensors").get("uncertainty"));
+            let u0 = f32s(&Golden::load("cvd/losses.safetensors").values("uncertainty"));
             let mut fast = descent(level, &problem, &store, &f32s(&problem.initial), &u0);
             fast.begin();
             for step in 1..=3 {
@@ -137,25 +136,24 @@ fn loss_and_gradients_are_those_of_the_definition() {
 #[test]
 fn eight_steps_of_both_stages_are_those_of_the_original() {
     let (store, problem) = compacted(usize::MAX);
-    let want = Tensors::open("optimiser.safetensors");
-    let u0 = f32s(&Tensors::open("losses.safetensors").get("uncertainty"));
-    let settings = CvdSettings { steps: [8, 8] };
+    let want = Golden::load("cvd/optimiser.safetensors");
+    let u0 = f32s(&Golden::load("cvd/losses.safetensors").values("uncertainty"));
     on_every_level(&SimdLevel::available(), SimdLevel::name, &LEVELS, |level| {
         let mut fast = descent(level, &problem, &store, &f32s(&problem.initial), &u0);
-        let Course { affine, losses, .. } = run(&mut fast, 16, &settings, &Silent).unwrap();
+        let Course { affine, losses, .. } = run(&mut fast, 16, [8, 8], &Silent).unwrap();
         for (frame, (scale, shift)) in affine.into_iter().enumerate() {
-            assert!((scale.ln() - want.get("s1_log_scale_8")[frame]).abs() < 1e-4);
-            assert!((shift - want.get("s1_shift_8")[frame]).abs() < 1e-4);
+            assert!((scale.ln() - want.values("s1_log_scale_8")[frame]).abs() < 1e-4);
+            assert!((shift - want.values("s1_shift_8")[frame]).abs() < 1e-4);
         }
         for (got, name) in losses.iter().zip(["s1_losses", "s2_losses"]) {
-            for (got, want) in got.iter().zip(want.get(name)) {
+            for (got, want) in got.iter().zip(want.values(name)) {
                 assert!((got - want).abs() < 1e-4 * want, "{name}: {got} for {want}");
             }
         }
         // Adam makes whole steps of tiny gradients, whose sign is rounding: a few pixels go the other way
         for (what, got, want) in [
-            ("disparity", flat(fast.disparity()), want.get("s2_disp_8")),
-            ("u", flat(fast.uncertainty()), want.get("s2_u_8")),
+            ("disparity", flat(fast.disparity()), want.values("s2_disp_8")),
+            ("u", flat(fast.uncertainty()), want.values("s2_u_8")),
         ] {
             let off = (0..got.len()).filter(|&i| (got[i] - want[i]).abs() > 1e-4).count();
             let a = Agreement::of(&got, &want);
@@ -171,11 +169,11 @@ fn eight_steps_of_both_stages_are_those_of_the_original() {
 #[test]
 fn fast_descent_matches_the_reference() {
     let (store, problem) = compacted(usize::MAX);
-    let u0 = Tensors::open("losses.safetensors").get("uncertainty");
-    let settings = CvdSettings { steps: [30, 60] };
-    let want = descend(&problem, &u0, &settings);
+    let u0 = Golden::load("cvd/losses.safetensors").values("uncertainty");
+    let steps = [30, 60];
+    let want = descend(&problem, &u0, steps);
     let mut fast = descent(SimdLevel::best(), &problem, &store, &f32s(&problem.initial), &f32s(&u0));
-    let Course { losses, .. } = run(&mut fast, 16, &settings, &Silent).unwrap();
+    let Course { losses, .. } = run(&mut fast, 16, steps, &Silent).unwrap();
     let (first, last) = (want.losses[0][0], want.losses[1][59]);
     assert!(last < 0.8 * first, "{first} {last}");
     assert!(
@@ -189,12 +187,11 @@ fn fast_descent_matches_the_reference() {
 
 fn bits(threads: usize, budget: usize) -> Vec<u32> {
     let (store, problem) = compacted(budget);
-    let u0 = f32s(&Tensors::open("losses.safetensors").get("uncertainty"));
-    let settings = CvdSettings { steps: [3, 4] };
+    let u0 = f32s(&Golden::load("cvd/losses.safetensors").values("uncertainty"));
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
     pool.install(|| {
         let mut fast = descent(SimdLevel::best(), &problem, &store, &f32s(&problem.initial), &u0);
-        let Course { losses, .. } = run(&mut fast, 16, &settings, &Silent).unwrap();
+        let Course { losses, .. } = run(&mut fast, 16, [3, 4], &Silent).unwrap();
         let values = [fast.disparity().concat(), fast.uncertainty().concat()].concat();
         let losses = losses.concat().into_iter().map(|l| l as f32);
         values.into_iter().chain(losses).map(f32::to_bits).collect()

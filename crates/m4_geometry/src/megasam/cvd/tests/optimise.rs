@@ -1,11 +1,9 @@
 //! The whole thing on a drawn scene: a wavy wall two metres away, seen by a camera that walks past.
 
-use crate::megasam::cvd::pairs::{FlowView, FramePair, PairStore, pair_list};
-use crate::megasam::cvd::{
-    ConsistentDepth, CvdError, CvdInput, CvdSettings, PairError, optimise, uncertainty_of_static,
-};
+use crate::megasam::cvd::pairs::{FramePair, PairStore, pair_list};
+use crate::megasam::cvd::{CVD_STEPS, ConsistentDepth, CvdError, CvdInput, PairError, optimise, uncertainty_of_static};
 use m4_core::{
-    CounterRng, Intrinsics, Plane, Se3, Silent,
+    CounterRng, Flow, Intrinsics, Plane, Se3, Silent,
     nalgebra::{Vector3, Vector6},
 };
 use m4_testkit::StopAtPoll;
@@ -60,23 +58,23 @@ fn clip(unit: f64, moves: impl Fn(usize) -> bool) -> Clip {
     let mut pairs = PairStore::new(w, h, usize::MAX);
     for pair in pair_list(FRAMES) {
         let there = c2w[pair.target].inverse().compose(&c2w[pair.source]);
-        let (mut x, mut y, mut mask) = (Vec::new(), Vec::new(), Vec::new());
+        let mut flow = Flow {
+            width: w,
+            height: h,
+            u: Vec::new(),
+            v: Vec::new(),
+        };
+        let mut mask = Vec::new();
         for p in 0..w * h {
             let point = there.transform(&(ray(p) / truth[pair.source][p]));
             let off = if moves(p) { 4.0 } else { 0.0 };
             let u = k.fx * point.x / point.z + k.cx - 0.5 - off;
             let v = k.fy * point.y / point.z + k.cy - 0.5 + off;
-            x.push((u - (p % w) as f64) as f32);
-            y.push((v - (p / w) as f64) as f32);
+            flow.u.push((u - (p % w) as f64) as f32);
+            flow.v.push((v - (p / w) as f64) as f32);
             mask.push(u >= 0.0 && v >= 0.0 && u <= (w - 1) as f64 && v <= (h - 1) as f64);
         }
-        let flow = FlowView {
-            width: w,
-            height: h,
-            x: &x,
-            y: &y,
-        };
-        pairs.push(pair, flow, &mask).unwrap();
+        pairs.push(pair, &flow, &mask).unwrap();
     }
     let mut rng = CounterRng::new(1, 2, 3);
     let mut start = Vec::new();
@@ -109,12 +107,6 @@ fn even() -> Vec<Plane<f32>> {
     vec![Plane::filled(SIZE.0, SIZE.1, 0.5); FRAMES]
 }
 
-fn settings(stage1: usize, stage2: usize) -> CvdSettings {
-    CvdSettings {
-        steps: [stage1, stage2],
-    }
-}
-
 /// Mean of |depth - truth| / truth, without any alignment.
 fn abs_rel(clip: &Clip, disparity: &[Plane<f32>], keep: impl Fn(usize) -> bool) -> f64 {
     let (mut sum, mut count) = (0.0, 0.0);
@@ -127,15 +119,15 @@ fn abs_rel(clip: &Clip, disparity: &[Plane<f32>], keep: impl Fn(usize) -> bool) 
     sum / count
 }
 
-fn found(clip: &Clip, settings: &CvdSettings) -> ConsistentDepth {
-    optimise(&input(clip, &even()), &clip.pairs, settings, &Silent).unwrap()
+fn found(clip: &Clip, steps: [usize; 2]) -> ConsistentDepth {
+    optimise(&input(clip, &even()), &clip.pairs, steps, &Silent).unwrap()
 }
 
 #[test]
 fn frames_agree_with_the_poses_in_their_unit() {
     let clip = clip(1.0, |_| false);
     let before = abs_rel(&clip, &clip.start, |_| true);
-    let found = found(&clip, &settings(100, 400));
+    let found = found(&clip, CVD_STEPS);
     let after = abs_rel(&clip, &found.disparity, |_| true);
     assert!(before > 0.06 && after < 0.35 * before, "{before} to {after}");
     assert!(found.losses[1][399] < found.losses[0][0]);
@@ -154,7 +146,7 @@ fn frames_agree_with_the_poses_in_their_unit() {
 
 #[test]
 fn another_unit_of_length_changes_nothing_but_the_unit() {
-    let [metres, millimetres] = [1.0, 1000.0].map(|unit| found(&clip(unit, |_| false), &settings(10, 10)));
+    let [metres, millimetres] = [1.0, 1000.0].map(|unit| found(&clip(unit, |_| false), [10, 10]));
     for (a, b) in metres.disparity.iter().zip(&millimetres.disparity) {
         for (a, b) in a.data().iter().zip(b.data()) {
             assert!((a - 1000.0 * b).abs() < 0.01 * a, "{a} {b}");
@@ -171,7 +163,7 @@ fn another_unit_of_length_changes_nothing_but_the_unit() {
 fn dynamic_pixels_get_low_u_and_static_depth_is_unchanged() {
     let moves = |p: usize| (18..32).contains(&(p % SIZE.0)) && (12..26).contains(&(p / SIZE.0));
     let clip = clip(1.0, moves);
-    let found = found(&clip, &settings(100, 300));
+    let found = found(&clip, [100, 300]);
     let mean = |keep: &dyn Fn(usize) -> bool| {
         let kept: Vec<f32> = found
             .uncertainty
@@ -196,7 +188,7 @@ fn it_stops_when_asked() {
     let u = even();
     for polls in 0..7 {
         let stop = StopAtPoll::after(polls);
-        let stopped = optimise(&input(&clip, &u), &clip.pairs, &settings(3, 5), &stop).unwrap_err();
+        let stopped = optimise(&input(&clip, &u), &clip.pairs, [3, 5], &stop).unwrap_err();
         let (stage, step) = if polls < 3 { (1, polls) } else { (2, polls - 3) };
         assert!(
             matches!(stopped, CvdError::Cancelled { stage: a, step: b } if (a, b) == (stage, step)),
@@ -210,11 +202,8 @@ fn broken_inputs_are_refused_with_a_reason() {
     let clip = clip(1.0, |_| false);
     let u = even();
     let good = input(&clip, &u);
-    let message = |input: &CvdInput<'_>, pairs: &PairStore| {
-        optimise(input, pairs, &settings(1, 1), &Silent)
-            .unwrap_err()
-            .to_string()
-    };
+    let message =
+        |input: &CvdInput<'_>, pairs: &PairStore| optimise(input, pairs, [1, 1], &Silent).unwrap_err().to_string();
     let short = CvdInput {
         c2w: &clip.c2w[1..],
         ..good
@@ -233,19 +222,18 @@ fn broken_inputs_are_refused_with_a_reason() {
     assert!(message(&CvdInput { intrinsics, ..good }, &clip.pairs).contains("focal"));
     let flow = |store: &mut PairStore, source, target, mask: bool| {
         let n = SIZE.0 * SIZE.1;
-        let zero = vec![0.0; n];
-        let view = FlowView {
+        let still = Flow {
             width: SIZE.0,
             height: SIZE.1,
-            x: &zero,
-            y: &zero,
+            u: vec![0.0; n],
+            v: vec![0.0; n],
         };
-        store.push(FramePair { source, target }, view, &vec![mask; n])
+        store.push(FramePair { source, target }, &still, &vec![mask; n])
     };
     let mut far = PairStore::new(SIZE.0, SIZE.1, 0);
     flow(&mut far, 0, 10, true).unwrap();
     assert!(message(&good, &far).contains("there are 10 frames"));
-    assert!(matches!(flow(&mut far, 0, 10, true), Err(PairError::Pair { .. })));
+    assert!(matches!(flow(&mut far, 0, 10, true), Err(PairError::Input(_))));
     let mut nothing = PairStore::new(SIZE.0, SIZE.1, 0);
     flow(&mut nothing, 0, 1, false).unwrap();
     assert!(message(&good, &nothing).contains("no pixel"));

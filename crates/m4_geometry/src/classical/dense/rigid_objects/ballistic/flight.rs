@@ -1,8 +1,10 @@
-//! The flights of a part: stretches of frames on one parabola.
+//! The flights of a part (stretches of frames on one parabola), and how fast things fall: one number for a clip, in the unit of
+//! its cameras per frame squared.
 
-use super::super::ground::Ground;
 use super::RigidObject;
 use super::parabola::Parabola;
+use crate::classical::dense::rigid_objects::ground::Ground;
+use m4_core::quantile;
 use rayon::prelude::*;
 
 /// Fewest frames of a flight.
@@ -84,4 +86,104 @@ fn of_one(object: &RigidObject<'_>, ground: &Ground, g: f64) -> Vec<Flight> {
         end = first;
     }
     out
+}
+
+/// Frames of a first reading, and fewest readings.
+const WINDOW: usize = 10;
+const READINGS: usize = 8;
+/// A first reading misses its parabola by less, pixels at the working size.
+const MISS_PX: f64 = 0.9;
+/// Its parabola bends away from a straight line by more, pixels at the working size.
+const BEND_PX: f64 = 5.0;
+/// Steps from a start to the rate that belongs to a depth.
+const STEPS: usize = 3;
+/// Noise that the best fit is judged by, pixels, and how certain it must be, a share of it.
+const FIT_NOISE_PX: f64 = 0.35;
+const CERTAIN: f64 = 0.06;
+
+/// The rate at which parabolas over a few frames are as far away as the parts seem to be: the most common one. `None` if
+/// hardly any part moves along a parabola that bends.
+pub(super) fn first_rate(objects: &[RigidObject<'_>], ground: &Ground) -> Option<f64> {
+    let mut all: Vec<f64> = objects
+        .iter()
+        .flat_map(|object| {
+            let starts = 0..(object.depth.len() + 1).saturating_sub(WINDOW);
+            starts.filter_map(|first| reading(object, first, ground))
+        })
+        .collect();
+    if all.len() < READINGS {
+        return None;
+    }
+    all.sort_by(f64::total_cmp);
+    // The shortest stretch, in ratios, that holds a third of them.
+    let third = all.len().div_ceil(3);
+    let ratio = |from: usize| all[from + third - 1] / all[from];
+    let best = (0..=all.len() - third).min_by(|&a, &b| ratio(a).total_cmp(&ratio(b)))?;
+    Some(all[best + third / 2])
+}
+
+fn reading(object: &RigidObject<'_>, first: usize, ground: &Ground) -> Option<f64> {
+    let end = first + WINDOW;
+    let z = object.depth[first..end].iter().sum::<f64>() / WINDOW as f64;
+    let (mid, frames) = ((first + end) / 2, WINDOW as f64);
+    let mut g = 0.2 * z / (frames * frames);
+    let mut miss_px = f64::INFINITY;
+    // The depth is nearly affine in the rate.
+    for _ in 0..STEPS {
+        let parabola = Parabola::fit(object, (first, end), ground, g)?;
+        let depth = |g: f64| parabola.depth(&object.cameras[mid], mid, ground, g);
+        g *= (z - depth(0.0)) / (depth(g) - depth(0.0));
+        if !(g > 0.0 && g.is_finite()) {
+            return None;
+        }
+        miss_px = parabola.miss_px;
+    }
+    let bend_px = object.cameras[mid].intrinsics.fy * g * frames * frames / (8.0 * z);
+    (miss_px < MISS_PX && bend_px > BEND_PX).then_some(g)
+}
+
+/// One rate for all flights.
+///
+/// A way that is seen from a camera which moves evenly fits any rate, an object that is larger and farther falling faster; so
+/// there are two readings. Where the camera did not move evenly one rate fits best, a little too low, for noise draws
+/// everything towards the camera. And nothing falls through the ground: what nearly all flights allow is reached by those
+/// that end on it, and a little too high, for they end between two frames. The truth is between them; without the first, the second stands.
+pub(super) fn settled_rate(objects: &[RigidObject<'_>], flights: &[Vec<Flight>], ground: &Ground) -> Option<f64> {
+    let (mut sum, mut sharp) = (0.0, 0.0);
+    for flight in flights.iter().flatten() {
+        sum += flight.parabola.best * flight.parabola.sharp;
+        sharp += flight.parabola.sharp;
+    }
+    let (best, sigma) = (sum / sharp, FIT_NOISE_PX / sharp.sqrt());
+    let mut most: Vec<f32> = objects
+        .iter()
+        .zip(flights)
+        .flat_map(|(object, flights)| flights.iter().map(|f| allowed(object, f, ground) as f32))
+        .collect();
+    let allowed = f64::from(quantile(&mut most, 0.1)?);
+    let certain = sigma < CERTAIN * best;
+    let g = match (certain, allowed.is_finite()) {
+        (true, true) => (best.min(allowed) * allowed).sqrt(),
+        (true, false) => best,
+        (false, _) => allowed,
+    };
+    (g > 0.0 && g.is_finite()).then_some(g)
+}
+
+/// The largest rate for which a flight stays above the ground.
+fn allowed(object: &RigidObject<'_>, flight: &Flight, ground: &Ground) -> f64 {
+    let mut most = f64::INFINITY;
+    for k in (flight.first..flight.end).filter(|&k| object.observations[k].whole) {
+        // How far the object is above the ground, less its own radius: affine in the rate, as its depth is.
+        let parabola = &flight.parabola;
+        let above = |g: f64| {
+            ground.height(&parabola.at(k, ground, g))
+                - object.observations[k].radius * parabola.depth(&object.cameras[k], k, ground, g)
+        };
+        let (still, slope) = (above(0.0), above(1.0) - above(0.0));
+        if still > 0.0 && slope < 0.0 {
+            most = most.min(-still / slope);
+        }
+    }
+    most
 }
