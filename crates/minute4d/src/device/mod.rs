@@ -87,6 +87,15 @@ pub struct DeviceRequest {
     pub max_vram_mb: Option<usize>,
 }
 
+impl From<DeviceChoice> for DeviceRequest {
+    fn from(choice: DeviceChoice) -> Self {
+        Self {
+            choice,
+            max_vram_mb: None,
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::{DeviceChoice, UnknownDevice};

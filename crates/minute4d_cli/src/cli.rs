@@ -1,60 +1,10 @@
-//! The command line as clap parses it: the options of all commands here, and one file per command.
+//! The command line as clap parses it: the commands, and the options that all of them have.
 
-mod ablate;
-mod batch;
-mod bench;
-mod device;
-mod enhance;
-mod eval;
-mod existing;
-mod export;
-mod geometry;
-mod import;
-mod inspect;
-mod methods;
-mod reach;
-mod render;
-mod reproduce;
-mod run;
-mod settings;
-mod split;
-mod train;
-mod values;
-mod video;
-mod view;
-#[cfg(feature = "nets")]
-mod weights;
-#[cfg(not(feature = "nets"))]
-#[path = "no_weights.rs"]
-mod weights;
-mod without;
-
-pub use ablate::Ablate;
-pub use batch::{Batch, BatchAction, BatchPlan, BatchRun, BatchStatus, BatchSubmit};
-pub use bench::{Bench, BenchScene};
-pub use device::{DeviceArgs, limit};
-pub use enhance::Enhance;
-pub use eval::{Eval, EvalGeometry};
-pub use existing::OutArgs;
-pub use export::{Export, PrecisionArg};
-pub use geometry::Geometry;
-pub use import::Import;
-pub use inspect::Inspect;
-pub use methods::{MethodArgs, Segmenter, Tracker};
-pub use reach::ReachArgs;
-pub use render::{FitArg, Render};
-pub use reproduce::{GeometryArg, Reproduce};
-pub use run::Run;
-pub use settings::{LengthArgs, Preset, Profile, SettingsArgs};
-pub use split::Split;
-pub use train::Train;
-pub use video::VideoArgs;
-pub use view::{PageArgs, View};
-pub use weights::Weights;
-#[cfg(feature = "nets")]
-pub use weights::WeightsAction;
-pub use without::WithoutArgs;
-
+use crate::commands::{
+    ablate::Ablate, batch::Batch, bench::Bench, enhance::Enhance, eval::Eval, eval::EvalGeometry, export::Export,
+    geometry::Geometry, import::Import, inspect::Inspect, render::Render, reproduce::Reproduce, run::Run, split::Split,
+    train::Train, view::View, weights::Weights,
+};
 use clap::{Args, Parser, Subcommand};
 
 /// Turns one casual video into a 4D Gaussian splatting scene, on a plain CPU.
