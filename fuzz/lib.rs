@@ -1,10 +1,21 @@
-//! What all targets share: the readers of a family, their folders, and what counts as a crash besides a panic.
+//! What all targets share: the readers of a family, their folders, and what counts as a crash besides a panic. The table of readers is
+//! that of the tests of `minute4d`.
 
 pub use libfuzzer_sys;
 
-use m4_fuzz::{Reader, Stage, of_family};
+#[path = "../crates/minute4d/tests/fuzz/files.rs"]
+pub mod files;
+#[path = "../crates/minute4d/tests/fuzz/reader.rs"]
+pub mod reader;
+#[path = "../crates/minute4d/tests/fuzz/table/mod.rs"]
+pub mod table;
+#[path = "../crates/minute4d/tests/fuzz/valid.rs"]
+pub mod valid;
+
+use reader::{Reader, Stage};
 use std::cell::{Cell, OnceCell};
 use std::panic;
+use table::of_family;
 
 thread_local! {
     static STAGES: OnceCell<Vec<Stage<'static>>> = const { OnceCell::new() };

@@ -1,7 +1,6 @@
 //! One reader, its folder, and the outcome of a read.
 
-use crate::fixture;
-use crate::wrap::Wrap;
+use crate::files::{Wrap, copy, fixture};
 use std::path::{Path, PathBuf};
 use std::{fs, io};
 use tempfile::TempDir;
@@ -11,7 +10,6 @@ pub const MAX_REASON: usize = 1000;
 
 /// What a reader made of some bytes.
 #[derive(Debug, Clone, PartialEq, Eq)]
-#[non_exhaustive]
 pub enum Outcome {
     /// They were read, and what was read is valid.
     Read,
@@ -23,7 +21,7 @@ pub enum Outcome {
 
 impl Outcome {
     /// Of a result and a look at what was read.
-    pub(crate) fn of<T, E: std::fmt::Display>(read: Result<T, E>, fault: impl FnOnce(&T) -> Option<String>) -> Self {
+    pub fn of<T, E: std::fmt::Display>(read: Result<T, E>, fault: impl FnOnce(&T) -> Option<String>) -> Self {
         match read {
             Err(e) => Self::Refused(e.to_string()),
             Ok(value) => fault(&value).map_or(Self::Read, Self::Invalid),
@@ -32,7 +30,7 @@ impl Outcome {
 }
 
 /// What else lies in the folder of a reader.
-pub(crate) enum Around {
+pub enum Around {
     /// Nothing.
     Nothing,
     /// Copies of fixtures: from, to (below the stage).
@@ -49,27 +47,22 @@ pub struct Reader {
     /// As the folder of the corpus is called; what it begins with is the family, which has a target of the fuzzer.
     pub name: &'static str,
     /// Where the bytes are put, below the stage.
-    pub(crate) file: String,
+    pub file: String,
     /// What the reader is given, below the stage.
-    pub(crate) given: String,
-    pub(crate) around: Around,
-    pub(crate) wrap: Wrap,
-    pub(crate) seeds: Seeds,
-    pub(crate) call: Call,
+    pub given: String,
+    pub around: Around,
+    pub wrap: Wrap,
+    pub seeds: Seeds,
+    pub call: Call,
 }
 
 impl Reader {
     /// Returns the family of the reader.
-    #[must_use]
     pub fn family(&self) -> &'static str {
         self.name.split('-').next().unwrap_or(self.name)
     }
 
     /// A folder in which this reader reads, ready for bytes. A temporary one, gone when the stage is.
-    ///
-    /// # Errors
-    ///
-    /// Whatever the system says.
     pub fn stage(&self) -> io::Result<Stage<'_>> {
         let folder = tempfile::Builder::new().prefix("m4fuzz").tempdir()?;
         let here = folder.path();
@@ -77,7 +70,7 @@ impl Reader {
             Around::Nothing => {}
             Around::Fixtures(all) => {
                 for (from, to) in all {
-                    fixture::copy(&fixture::fixture(from), &here.join(to))?;
+                    copy(&fixture(from), &here.join(to))?;
                 }
             }
             Around::Made(make) => make(here),
@@ -112,26 +105,16 @@ pub struct Stage<'a> {
 
 impl Stage<'_> {
     /// Sound contents of the file; at least one.
-    #[must_use]
     pub fn seeds(&self) -> &[Vec<u8>] {
         &self.seeds
     }
 
     /// The reader.
-    #[must_use]
     pub fn reader(&self) -> &Reader {
         self.reader
     }
 
     /// Puts the bytes where they belong, and reads. A message has `STAGE` instead of the folder.
-    ///
-    /// # Errors
-    ///
-    /// What the system says of writing the file.
-    ///
-    /// # Panics
-    ///
-    /// Where the reader does: that is what is looked for.
     pub fn read(&self, bytes: &[u8]) -> io::Result<Outcome> {
         // a file that is emptied and written again is sent to the disk at once by some file systems
         match fs::remove_file(&self.file) {
@@ -146,7 +129,6 @@ impl Stage<'_> {
     }
 
     /// What is wrong with what came of some bytes: not valid, or a message that quotes the file.
-    #[must_use]
     pub fn fault(outcome: &Outcome) -> Option<String> {
         match outcome {
             Outcome::Read => None,

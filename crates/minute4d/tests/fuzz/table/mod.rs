@@ -1,44 +1,30 @@
 //! All readers.
 //!
 //! ```text
-//! io        images, arrays, tracks, camera paths, captures, scene files, MegaSaM, video
-//! formats   splats and cameras of other tools
-//! import    clips of other tools: one row for each file that is parsed
-//! side      depth, masks and tracks that are given with a clip
+//! io        images, arrays, tracks, camera paths, captures, scene files, splats and cameras of other tools, video
+//! import    clips of other tools: one row for each file that is parsed; depth, masks and tracks that are given with a clip
 //! program   settings, records, manifests of batches and records of their jobs
-//! broken    readers that fail, for the tests of the watcher
+//! made      valid files by our own writers
 //! ```
 
-mod broken;
-mod formats;
 mod import;
 mod io;
 mod made;
 mod program;
-mod side;
 
-use crate::fixture::fixture_bytes;
+use crate::files::{Wrap, fixture_bytes, members};
 use crate::reader::{Around, Outcome, Reader};
-use crate::wrap::Wrap;
 use std::path::Path;
 
 /// Every reader, in the order of the crates; names are unique.
-#[must_use]
 pub fn readers() -> Vec<Reader> {
-    [
-        io::rows(),
-        formats::rows(),
-        import::rows(),
-        side::rows(),
-        program::rows(),
-    ]
-    .into_iter()
-    .flatten()
-    .collect()
+    [io::rows(), import::rows(), program::rows()]
+        .into_iter()
+        .flatten()
+        .collect()
 }
 
 /// The families of readers: what their names begin with, in the order of the alphabet.
-#[must_use]
 pub fn families() -> Vec<&'static str> {
     let mut all: Vec<_> = readers().iter().map(Reader::family).collect();
     all.sort_unstable();
@@ -47,25 +33,12 @@ pub fn families() -> Vec<&'static str> {
 }
 
 /// The readers of a family, in the order of the table.
-#[must_use]
 pub fn of_family(family: &str) -> Vec<Reader> {
     readers().into_iter().filter(|r| r.family() == family).collect()
 }
 
-/// Readers that fail, each in its own way: what looks for failures has to find it in them.
-#[must_use]
-pub fn broken_readers() -> Vec<Reader> {
-    broken::rows()
-}
-
-/// The reader of that name.
-#[must_use]
-pub fn reader(name: &str) -> Option<Reader> {
-    readers().into_iter().chain(broken_readers()).find(|r| r.name == name)
-}
-
 /// A reader of one file that is called `file`.
-fn alone(
+pub fn alone(
     name: &'static str,
     file: &str,
     seeds: impl Fn() -> Vec<Vec<u8>> + Send + Sync + 'static,
@@ -127,7 +100,7 @@ fn within(name: &'static str, member: &'static str, of: Reader) -> Reader {
         name,
         wrap,
         seeds: Box::new(move |_| {
-            let all = crate::wrap::members(&archive);
+            let all = members(&archive);
             all.into_iter()
                 .filter(|(n, _)| n == member)
                 .map(|(_, bytes)| bytes)

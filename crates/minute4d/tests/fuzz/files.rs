@@ -1,9 +1,57 @@
-//! Wraps mutated bytes in valid checksums and compression, so that mutations get past them.
+//! Files of the repository that readers are given, and what mutated bytes are wrapped in: valid checksums and compression, so that
+//! mutations get past them.
 
-use crate::fixture::fixture_bytes;
-use std::io::{Cursor, Read as _, Write as _};
+use m4_testkit::repository;
+use std::fs;
+use std::io::{self, Cursor, Read as _, Write as _};
+use std::path::{Path, PathBuf};
 use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, ZipArchive, ZipWriter};
+
+/// Files of earlier findings: `CORPUS/READER/NAME`, below the root of the repository.
+pub const CORPUS: &str = "crates/minute4d/tests/fuzz/corpus";
+
+/// `fixtures/NAME`.
+pub fn fixture(name: &str) -> PathBuf {
+    repository().join("fixtures").join(name)
+}
+
+/// The bytes of `fixtures/NAME`.
+pub fn fixture_bytes(name: &str) -> Vec<u8> {
+    let path = fixture(name);
+    fs::read(&path).unwrap_or_else(|e| panic!("cannot read {}: {e}", path.display()))
+}
+
+/// Copies a file, or a folder with all that is in it.
+pub fn copy(from: &Path, to: &Path) -> io::Result<()> {
+    if from.is_file() {
+        if let Some(folder) = to.parent() {
+            fs::create_dir_all(folder)?;
+        }
+        return fs::copy(from, to).map(|_| ());
+    }
+    fs::create_dir_all(to)?;
+    for entry in fs::read_dir(from)? {
+        let entry = entry?;
+        copy(&entry.path(), &to.join(entry.file_name()))?;
+    }
+    Ok(())
+}
+
+/// Names and contents of the earlier findings in a reader, in the order of the names; empty if there are none.
+pub fn corpus(reader: &str) -> io::Result<Vec<(String, Vec<u8>)>> {
+    let entries = match fs::read_dir(repository().join(CORPUS).join(reader)) {
+        Err(e) if e.kind() == io::ErrorKind::NotFound => return Ok(Vec::new()),
+        entries => entries?,
+    };
+    let mut paths = entries.map(|e| e.map(|e| e.path())).collect::<io::Result<Vec<_>>>()?;
+    paths.sort();
+    let named = |p: PathBuf| {
+        let name = p.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        Ok((name, fs::read(&p)?))
+    };
+    paths.into_iter().map(named).collect()
+}
 
 /// What is done to bytes on their way to a file.
 pub enum Wrap {
@@ -33,7 +81,7 @@ impl Wrap {
                 let stored = SimpleFileOptions::default().compression_method(CompressionMethod::Stored);
                 let all = others.iter().map(|(name, bytes)| (name, bytes.as_slice()));
                 for (name, bytes) in all.chain([(name, bytes)]) {
-                    let written = to.start_file(name, stored).map_err(std::io::Error::from);
+                    let written = to.start_file(name, stored).map_err(io::Error::from);
                     written
                         .and_then(|()| to.write_all(bytes))
                         .unwrap_or_else(|e| panic!("an archive in memory: {e}"));
@@ -91,8 +139,7 @@ fn crc(bytes: &[u8]) -> u32 {
 
 #[cfg(test)]
 mod tests {
-    use super::{Wrap, png};
-    use crate::fixture::fixture_bytes;
+    use super::{Wrap, fixture_bytes, png};
 
     #[test]
     fn png_checksums_are_recomputed() {

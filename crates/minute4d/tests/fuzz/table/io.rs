@@ -1,14 +1,15 @@
-//! Readers of `m4_io`.
+//! Readers of `m4_io`, but for those of clips of other tools.
 
 use super::{alone, among, made, within};
-use crate::fixture::fixture_bytes;
+use crate::files::{Wrap, fixture_bytes, members};
 use crate::reader::{Around, Outcome, Reader};
 use crate::valid;
-use crate::wrap::Wrap;
 use m4_core::{Plane, Silent};
 use m4_io::capture::{self, CaptureOptions, Split};
+use m4_io::dataset::colmap;
 use m4_io::npy::{Array, ArrayError, Npz};
 use m4_io::scene::safetensors::{self, ReadSceneError};
+use m4_io::scene::{fourdgs, ply};
 use m4_io::trajectory;
 use m4_io::video::{self, Mp4Writer, VideoOptions};
 use m4_io::{image, tracks};
@@ -19,10 +20,19 @@ use std::path::{Path, PathBuf};
 const MAX_ARRAY_BYTES: u64 = 64 << 20;
 
 pub fn rows() -> Vec<Reader> {
-    [images(), arrays(), paths(), captures(), scenes(), videos()]
-        .into_iter()
-        .flatten()
-        .collect()
+    [
+        images(),
+        arrays(),
+        paths(),
+        captures(),
+        scenes(),
+        videos(),
+        splats(),
+        colmap_points(),
+    ]
+    .into_iter()
+    .flatten()
+    .collect()
 }
 
 fn png(reader: Reader) -> Reader {
@@ -107,7 +117,7 @@ fn with_exif(jpeg: &[u8]) -> Vec<u8> {
 
 fn arrays() -> Vec<Reader> {
     let npys = || {
-        let mut all: Vec<Vec<u8>> = crate::wrap::members("megasam/outputs/dog_droid.npz")
+        let mut all: Vec<Vec<u8>> = members("megasam/outputs/dog_droid.npz")
             .into_iter()
             .filter(|(name, _)| name != "images.npy")
             .map(|(_, bytes)| bytes)
@@ -122,7 +132,7 @@ fn arrays() -> Vec<Reader> {
         alone(
             "io-npy-bytes",
             "a.npy",
-            || vec![crate::wrap::members("tracks/numpy.npz")[1].1.clone()],
+            || vec![members("tracks/numpy.npz")[1].1.clone()],
             bytes,
         ),
         among("io-npz", "tracks/numpy.npz", "", |p| Outcome::of(npz(p), |_| None)),
@@ -278,4 +288,59 @@ fn videos() -> Vec<Reader> {
         alone("io-mp4", "a.mp4", seeds, read),
         png(among("io-video-folder", "import/clip/images", "00002.png", read)),
     ]
+}
+
+fn colmap_points() -> Vec<Reader> {
+    let points = || {
+        let dir = tempfile::tempdir().unwrap_or_else(|e| panic!("no temporary folder: {e}"));
+        let folder = dir.path().join("c");
+        let written = colmap::write(&folder, &made::clip(), &Silent);
+        written.unwrap_or_else(|e| panic!("a valid model: {e}"));
+        let bytes = std::fs::read(folder.join("sparse/0/points3D.bin"));
+        vec![bytes.unwrap_or_else(|e| panic!("a valid model: {e}"))]
+    };
+    vec![alone("formats-colmap-points", "points3D.bin", points, |p| {
+        let folder = p.parent().unwrap_or(p);
+        Outcome::of(colmap::read_points(folder), |_| None)
+    })]
+}
+
+/// The scenes that are written: without and with harmonics.
+const DEGREES: [usize; 2] = [0, 2];
+
+fn splats() -> Vec<Reader> {
+    let clips = || {
+        let one = |degree| {
+            let encoded = fourdgs::encode(&made::scene(degree), &fourdgs::FourdgsConfig::default());
+            encoded.unwrap_or_else(|e| panic!("a valid clip: {e}")).0
+        };
+        DEGREES.map(one).to_vec()
+    };
+    let instants = || {
+        let one = |degree| made::written("a.ply", |p| ply::write(p, &made::scene(degree), 1.0));
+        let mut all = DEGREES.map(one).to_vec();
+        all.push(text_of(&all[0]));
+        all
+    };
+    vec![
+        alone("formats-4dgs", "a.4dgs", clips, |p| {
+            Outcome::of(fourdgs::read(p), |found| valid::scene(&found.scene))
+        }),
+        alone("formats-ply", "a.ply", instants, |p| {
+            Outcome::of(ply::read(p), |found| valid::scene(&found.scene))
+        }),
+    ]
+}
+
+/// A binary PLY file of 32-bit numbers as text.
+fn text_of(binary: &[u8]) -> Vec<u8> {
+    let end = b"end_header\n";
+    let at = binary.windows(end.len()).position(|w| w == end);
+    let at = at.unwrap_or_else(|| panic!("our PLY file has a header")) + end.len();
+    let header = String::from_utf8_lossy(&binary[..at]);
+    let mut text = header.replace("binary_little_endian", "ascii");
+    for word in binary[at..].as_chunks::<4>().0 {
+        text.push_str(&format!("{} ", f32::from_le_bytes(*word)));
+    }
+    text.into_bytes()
 }

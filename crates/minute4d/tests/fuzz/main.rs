@@ -1,14 +1,34 @@
-//! Every reader against earlier findings, malformed headers and random mutations, in processes whose memory is limited.
+//! Every reader of files against earlier findings, malformed headers and random mutations, in processes whose memory is limited.
+//! `fuzz/` takes the same table through libFuzzer, a target per family; functions here panic where the fixtures are missing.
+//!
+//! ```text
+//! table     all readers of m4_io and of the program itself: a name, a file among others, valid contents, the call
+//! reader    one of them: its folder, the bytes put where they belong, the outcome
+//! files     fixtures, earlier findings, and what bytes are wrapped in so that mutations get past checksums
+//! valid     whether what was read is valid, and if not, the fault
+//! malformed valid files with extremes in each field of the header, truncated, or mutated at random
+//! process   the process that reads within a limit of memory, and the one that watches it
+//! ```
 //!
 //! A panic, an abort, something that is not valid, a message that quotes the file, much memory or much time fails with the name of
 //! the reader; the input is saved below `target`. The allocator counts for the whole process, so this is a program of its own.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
-use m4_fuzz::{
-    Meter, Outcome, Report, Stage, broken_readers, corpus, families, malformed, mutated, reader, readers, watch, work,
-};
+mod files;
+mod malformed;
+mod process;
+mod reader;
+mod table;
+mod valid;
+
+use files::{CORPUS, corpus};
+use m4_testkit::repository;
+use malformed::{malformed, mutated};
 use peak_alloc::PeakAlloc;
+use process::{Meter, Report, watch, work};
+use reader::{Outcome, Reader, Stage};
 use std::collections::HashSet;
+use std::hint::black_box;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::Mutex;
@@ -44,6 +64,42 @@ fn inputs(stage: &Stage<'_>) -> Box<dyn Iterator<Item = (String, Vec<u8>)>> {
     )
 }
 
+/// Memory that one of the broken readers asks for, bytes.
+const MUCH: usize = 1 << 40;
+
+fn fails_on(path: &Path) -> bool {
+    fs::read(path).is_ok_and(|bytes| bytes.starts_with(b"!"))
+}
+
+fn broken(name: &'static str, failure: fn() -> Outcome) -> Reader {
+    let seeds = || vec![b"sound".to_vec(), b"!".to_vec(), b"sound too".to_vec()];
+    table::alone(name, "file", seeds, move |path| {
+        if fails_on(path) { failure() } else { Outcome::Read }
+    })
+}
+
+/// Readers that fail, each in its own way, on files that start with `!`: they verify that each fault is detected.
+fn broken_readers() -> Vec<Reader> {
+    vec![
+        broken("broken-panic", || panic!("this reader is broken")),
+        broken("broken-abort", || {
+            let all: Vec<u8> = Vec::with_capacity(MUCH);
+            Outcome::Refused(format!("{} bytes", black_box(all).capacity()))
+        }),
+        broken("broken-memory", || {
+            let all = vec![1u8; 200 << 20];
+            Outcome::Refused(format!("{} bytes", black_box(all).len()))
+        }),
+        broken("broken-message", || Outcome::Refused("long ".repeat(1000))),
+        broken("broken-invalid", || Outcome::Invalid("what was read".into())),
+    ]
+}
+
+fn named(name: &str) -> Reader {
+    let mut all = table::readers().into_iter().chain(broken_readers());
+    all.find(|r| r.name == name).unwrap()
+}
+
 /// The process that reads: does nothing where it is not asked to.
 #[test]
 fn one_reader_within_limits() {
@@ -55,7 +111,7 @@ fn one_reader_within_limits() {
         now: || MEMORY.current_usage(),
     };
     let folder = PathBuf::from(env::var(FOLDER).unwrap());
-    work(&reader(&name).unwrap(), &folder, from, inputs, meter).unwrap();
+    work(&named(&name), &folder, from, inputs, meter).unwrap();
 }
 
 fn replayed(name: &str, folder: &Path) -> Report {
@@ -75,7 +131,7 @@ fn replayed(name: &str, folder: &Path) -> Report {
 fn no_reader_fails_on_malformed_files() {
     let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("findings");
     fs::create_dir_all(&folder).unwrap();
-    let names: Vec<&str> = readers().iter().map(|r| r.name).collect();
+    let names: Vec<&str> = table::readers().iter().map(|r| r.name).collect();
     let (next, reports) = (Mutex::new(names.iter()), Mutex::new(Vec::new()));
     let threads = thread::available_parallelism().map_or(1, usize::from).min(8);
     thread::scope(|scope| {
@@ -141,7 +197,7 @@ fn panics_aborts_excess_memory_and_bad_output_are_detected() {
 #[test]
 fn every_valid_file_is_read_and_names_are_unique() {
     let (mut names, mut refused) = (HashSet::new(), Vec::new());
-    for reader in readers() {
+    for reader in table::readers() {
         assert!(names.insert(reader.name), "{} twice", reader.name);
         let stage = reader.stage().unwrap();
         assert!(!stage.seeds().is_empty(), "{}", reader.name);
@@ -159,16 +215,15 @@ fn every_valid_file_is_read_and_names_are_unique() {
 
 #[test]
 fn every_folder_of_the_corpus_is_of_a_reader_and_every_target_of_a_family() {
-    let here = Path::new(env!("CARGO_MANIFEST_DIR"));
-    let names: HashSet<String> = readers().iter().map(|r| r.name.to_owned()).collect();
-    if let Ok(entries) = fs::read_dir(here.join("corpus")) {
+    let names: HashSet<String> = table::readers().iter().map(|r| r.name.to_owned()).collect();
+    if let Ok(entries) = fs::read_dir(repository().join(CORPUS)) {
         for entry in entries {
             let name = entry.unwrap().file_name().to_string_lossy().into_owned();
             assert!(names.contains(&name), "corpus/{name} is of no reader");
         }
     }
-    let families: HashSet<String> = families().into_iter().map(str::to_owned).collect();
-    let targets: HashSet<String> = fs::read_dir(here.join("../../fuzz/fuzz_targets"))
+    let families: HashSet<String> = table::families().into_iter().map(str::to_owned).collect();
+    let targets: HashSet<String> = fs::read_dir(repository().join("fuzz/fuzz_targets"))
         .unwrap()
         .map(|e| e.unwrap().path().file_stem().unwrap().to_string_lossy().into_owned())
         .collect();

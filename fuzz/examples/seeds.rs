@@ -1,14 +1,14 @@
-//! Writes valid files and the findings of the corpus to `fuzz/corpus`, in the form that the fuzz targets read: `cargo run -p m4_fuzz
-//! --example seeds`.
-#![expect(clippy::print_stdout, reason = "a program that prints its results")]
+//! Writes valid files and the findings of the corpus to `fuzz/corpus`, in the form that the fuzz targets read: `cargo run --example
+//! seeds` in `fuzz/`.
 
-use m4_fuzz::{corpus, families, of_family};
+use m4_fuzz_targets::files::corpus;
+use m4_fuzz_targets::table::{families, of_family};
 use std::error::Error;
 use std::fs;
 use std::path::Path;
 
 fn main() -> Result<(), Box<dyn Error>> {
-    let to = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fuzz/corpus");
+    let to = Path::new(env!("CARGO_MANIFEST_DIR")).join("corpus");
     for family in families() {
         let folder = to.join(family);
         fs::create_dir_all(&folder)?;
