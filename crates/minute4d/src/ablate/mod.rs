@@ -7,11 +7,9 @@
 //! Rows share the geometry, except for the row without segmentation, which has its own. All rows take as many steps as the full one.
 
 mod report;
-mod row;
 mod tracking_effect;
 
-pub use report::{AblationReport, RowReport};
-pub use row::{Row, UnknownRow};
+pub use report::{AblationReport, Row, RowReport, UnknownRow};
 
 use crate::bench::today;
 use crate::evaluate::{self, EvalOptions, EvalReport, EvaluationError};

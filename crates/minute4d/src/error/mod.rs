@@ -3,15 +3,11 @@
 //! [`Error`] has one variant for each operation; the type of an operation lies beside it (`evaluate/error.rs`), and those that
 //! several operations share lie here. Each says its own [`Category`].
 
-mod category;
 mod data;
 mod network;
-mod output;
 
-pub use category::Category;
-pub use data::DataError;
+pub use data::{Category, DataError, OutputError};
 pub use network::{NetworkError, NetworkMethod};
-pub use output::OutputError;
 
 use crate::enhance::EnhanceError;
 use crate::evaluate::{EvaluationError, ProtocolError};

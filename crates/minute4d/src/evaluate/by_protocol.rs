@@ -2,11 +2,10 @@
 
 use super::choices::{Choices, FrameChoice, Headline, MaskChoice, PoseChoice, PoseTreatment, ResolutionChoice, poses};
 use super::covisible::{MaskSource, Masks};
-use super::held_out::HeldOut;
 use super::perceptual::Perceptual;
 use super::protocol::{FrameRule, Protocol, Rules, StartPose};
 use super::refine::{Moved, Refiner};
-use super::views::EvalOptions;
+use super::views::{EvalOptions, HeldOut};
 use super::{ProtocolError, SplitRecord};
 use crate::render::SceneRenderer;
 use crate::{Error, Observer};

@@ -4,25 +4,20 @@
 //! there is a reader, one in `crate::import`. Formats of captures have an arm in `capture.rs` instead.
 
 mod bake;
-mod capture;
-mod compare;
-mod error;
 mod format;
 mod report;
-mod video;
 mod write;
 
-pub use compare::Comparison;
-pub use error::ExportError;
 pub use format::{Format, Time};
-pub use report::{ExportReport, Losses};
+pub use report::{Comparison, ExportReport, Losses};
 
 use crate::error::OutputError;
 use crate::folder::SCENE_FILE;
 use crate::render::{Moment, Span};
-use crate::{Error, Observer, is_capture};
+use crate::{Category, Error, Observer, is_capture};
 use m4_core::Scene;
-use m4_io::scene::safetensors;
+use m4_io::dataset::export::WriteCaptureAsError;
+use m4_io::scene::{WriteFileError, safetensors};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -79,7 +74,7 @@ pub fn make(input: &Path, job: &ExportJob, observer: &dyn Observer) -> Result<Ex
     let lone_capture = is_capture(input) && !input.join(SCENE_FILE).is_file();
     if job.format.takes_capture() {
         if is_capture(input) {
-            return capture::make(input, job, observer);
+            return write::make_capture(input, job, observer);
         }
         return Err(ExportError::NeedsCapture { format: job.format }.into());
     }
@@ -128,7 +123,7 @@ pub fn scene_to(scene: &Scene, out: &Path, job: &ExportJob, observer: &dyn Obser
     drop(plain);
     let encode_s = start.elapsed().as_secs_f64();
     let comparison = if job.compare {
-        compare::compare(scene, &written.path, job.format, &moments, observer)?
+        report::compare(scene, &written.path, job.format, &moments, observer)?
     } else {
         None
     };
@@ -178,5 +173,74 @@ fn occupied(path: &Path) -> bool {
     match std::fs::read_dir(path) {
         Ok(mut entries) => entries.next().is_some(),
         Err(_) => path.exists(),
+    }
+}
+
+/// Why an export failed.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum ExportError {
+    /// A moment for a format that has all of them.
+    #[error("--time has no meaning for {}, which holds the whole clip; leave it out, or choose a format of one instant such as ply", format.name())]
+    NoInstant {
+        /// The format.
+        format: Format,
+    },
+    /// A rate for a format without frames.
+    #[error("--fps has no meaning for {}; leave it out, or choose ply-sequence or mp4", format.name())]
+    NoRate {
+        /// The format.
+        format: Format,
+    },
+    /// A capture for a format that holds a scene.
+    #[error("{} is a capture, which the format {} cannot store; choose colmap or nerfstudio, or train it first (`minute4d train`)", path.display(), format.name())]
+    NeedsScene {
+        /// The format.
+        format: Format,
+        /// The capture.
+        path: PathBuf,
+    },
+    /// A scene for a format that holds a capture.
+    #[error("the format {} stores captures, not scenes; give the folder of a capture, or choose a format of scenes such as ply", format.name())]
+    NeedsCapture {
+        /// The format.
+        format: Format,
+    },
+    /// A format that is not known.
+    #[error("{given:?} is not a format; choose one of {}", Format::names())]
+    Unknown {
+        /// The given text.
+        given: String,
+    },
+    /// A video of a scene without cameras.
+    #[error("the scene has no cameras to render it from; render it along a path, such as --path swing")]
+    NoCameras,
+    /// The file that was written could not be read back for the comparison.
+    #[error("the {} file was written but does not read back; this is a bug, please report it: {source}", format.name())]
+    ReadBack {
+        /// The format.
+        format: Format,
+        /// The reason.
+        source: Box<crate::import::ImportError>,
+    },
+    /// Writing a capture for another tool.
+    #[error(transparent)]
+    Capture(#[from] WriteCaptureAsError),
+    /// Writing a file of splats.
+    #[error(transparent)]
+    File(#[from] WriteFileError),
+}
+
+impl ExportError {
+    /// What sort of failure this is.
+    #[must_use]
+    pub fn category(&self) -> Category {
+        match self {
+            Self::NoInstant { .. } | Self::NoRate { .. } | Self::Unknown { .. } => Category::Usage,
+            Self::NoCameras | Self::NeedsScene { .. } | Self::NeedsCapture { .. } => Category::BadInput,
+            Self::Capture(e) => e.kind().into(),
+            Self::File(e) => e.kind().into(),
+            Self::ReadBack { .. } => Category::Internal,
+        }
     }
 }

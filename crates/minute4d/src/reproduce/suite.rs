@@ -2,8 +2,7 @@
 
 use super::{MissingScene, ReproduceError};
 use crate::evaluate::Protocol;
-use m4_io::dataset::davis;
-use m4_io::dataset::{SourceFormat, detect};
+use m4_io::dataset::{SourceFormat, davis, detect};
 use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::path::{Path, PathBuf};

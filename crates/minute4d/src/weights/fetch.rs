@@ -1,6 +1,6 @@
 //! Downloads weights into the store.
 
-use super::partial::Partial;
+use super::check::Partial;
 use super::{Condition, Entry, Origin, Package, Pip, Record, Store, WeightsError, archive};
 use m4_core::Progress;
 use std::fs::File;

@@ -3,8 +3,7 @@
 use super::view::{PageArgs, while_training};
 use crate::failure::Failure;
 use crate::options::{OutArgs, TrainingArgs, VideoArgs, print_config};
-use crate::output::Output;
-use crate::output::duration;
+use crate::output::{Output, duration};
 use clap::Args;
 use minute4d::folder::{PREVIEW_FILE, VIEWER_FILE};
 use minute4d::record::RunRecord;

@@ -1,20 +1,20 @@
 //! Geometry that the user provides: intrinsics, poses, masks, depth; read, checked against the clip, and hashed.
 
-mod error;
-mod files;
 mod lens;
 mod poses;
 
-pub use error::GivenError;
-
 use super::GeometryOptions;
-use crate::{Error, hash};
-use files::Clip;
+use crate::{Category, Error, hash};
 use m4_core::{Camera, DepthMap, Intrinsics, Mask, Plane, Video};
+use m4_io::ErrorKind;
 use m4_io::image::{read_depth, read_mask, read_rgb};
+use m4_io::video::image_files;
 use rayon::prelude::*;
 use serde::Serialize;
-use std::path::Path;
+use std::collections::HashMap;
+use std::ffi::OsStr;
+use std::io;
+use std::path::{Path, PathBuf};
 
 /// Metres a step of a depth map.
 const DEPTH_UNIT: f64 = 0.001;
@@ -177,6 +177,174 @@ fn mask(path: &Path) -> Result<Mask, Error> {
 fn depth(path: &Path) -> Result<DepthMap, Error> {
     let map: Plane<f32> = read_depth(path, DEPTH_UNIT)?.to_map();
     Ok(map)
+}
+
+/// Why something that the user gave cannot be used.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum GivenError {
+    /// Poses for a front end that finds them itself.
+    #[error("the front end megasam estimates the poses itself: omit --poses, or choose another --frontend")]
+    CamerasTwice,
+    /// There is no such file or folder.
+    #[error("there is nothing at {}, which was given with {option}", path.display())]
+    Missing {
+        /// The option.
+        option: &'static str,
+        /// The path that was searched.
+        path: PathBuf,
+    },
+    /// A file that cannot be read.
+    #[error("cannot read {}: {source}", path.display())]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// The error of the operating system.
+        source: io::Error,
+    },
+    /// A lens that is none.
+    #[error(
+        "the intrinsics {given:?} cannot be used: {reason}; give --intrinsics fx,fy,cx,cy in pixels of the frames, or a JSON file with fl_x, fl_y, cx, cy, w and h"
+    )]
+    Lens {
+        /// The given value.
+        given: String,
+        /// The fault.
+        reason: String,
+    },
+    /// Another number of files or poses than of frames.
+    #[error("{} has {found} {what} for {frames} frames; give one per frame, in the order or with the names of the frames", path.display())]
+    Count {
+        /// The kind of file.
+        what: &'static str,
+        /// The file or folder.
+        path: PathBuf,
+        /// The number of them.
+        found: usize,
+        /// How many frames the clip has.
+        frames: usize,
+    },
+    /// An image of another shape than the frames.
+    #[error("{} is {} x {} pixels and the frames are {} x {}: the aspect ratios differ", path.display(), found.0, found.1, frame.0, frame.1)]
+    Size {
+        /// The file.
+        path: PathBuf,
+        /// Its width and height.
+        found: (usize, usize),
+        /// Those of the frames.
+        frame: (usize, usize),
+    },
+    /// A line of a trajectory that is no pose.
+    #[error("{}, line {line}: {what}; each line is `t tx ty tz qx qy qz qw`, camera to world", path.display())]
+    Line {
+        /// The file.
+        path: PathBuf,
+        /// Its line, from 1.
+        line: usize,
+        /// The fault.
+        what: String,
+    },
+    /// A trajectory says nothing about the lens.
+    #[error("{} has poses without intrinsics; give --intrinsics, or --fov with the horizontal field of view", path.display())]
+    NoLens {
+        /// The file.
+        path: PathBuf,
+    },
+    /// Depth maps that know nothing.
+    #[error("the depth maps in {} are 0 (unknown) everywhere", path.display())]
+    NoDepth {
+        /// The folder.
+        path: PathBuf,
+    },
+    /// Depth maps and the reconstruction have nothing in common.
+    #[error(
+        "the depth maps know only {found} of the points that were reconstructed, {needed} are needed to bring both to one scale; give --poses in metres too, or depth maps with fewer holes"
+    )]
+    NoScale {
+        /// Points with a given depth.
+        found: usize,
+        /// Points needed.
+        needed: usize,
+    },
+}
+
+impl GivenError {
+    /// Returns the category of the failure.
+    #[must_use]
+    pub fn category(&self) -> Category {
+        match self {
+            Self::Missing { .. } => Category::NoInput,
+            Self::Read { source, .. } => ErrorKind::of_read(source).into(),
+            _ => Category::BadInput,
+        }
+    }
+}
+
+/// A clip as far as files are to be found for its frames.
+pub struct Clip {
+    /// Number of frames.
+    pub frames: usize,
+    /// Their width and height.
+    pub size: (usize, usize),
+    /// Of a folder: all its images, and which of them the frames are.
+    source: Option<(Vec<PathBuf>, Vec<usize>)>,
+}
+
+impl Clip {
+    /// Of `video`, which was read from `input`.
+    pub fn of(input: &Path, video: &Video, folder_fps: f64) -> Result<Self, Error> {
+        let source = if input.is_dir() {
+            let index = |time_s: f64| (time_s * folder_fps).round() as usize;
+            let chosen = video.frames.iter().map(|f| index(f.time_s)).collect();
+            Some((image_files(input)?, chosen))
+        } else {
+            None
+        };
+        Ok(Self {
+            frames: video.frames.len(),
+            size: video.frames.first().map_or((0, 0), |f| f.rgb.size()),
+            source,
+        })
+    }
+
+    /// The file in `folder` for every frame: by the names of the frames where they have names, else by order.
+    pub fn files(&self, what: &'static str, folder: &Path) -> Result<Vec<PathBuf>, Error> {
+        if !folder.is_dir() {
+            let source = std::io::Error::new(std::io::ErrorKind::NotADirectory, "a folder was expected");
+            let path = folder.to_path_buf();
+            return Err(GivenError::Read { path, source }.into());
+        }
+        let files = image_files(folder)?;
+        if let Some((all, chosen)) = &self.source {
+            let by_name: HashMap<&OsStr, &PathBuf> = files.iter().filter_map(|p| Some((p.file_stem()?, p))).collect();
+            let named = |&i: &usize| Some((*by_name.get(all.get(i)?.file_stem()?)?).clone());
+            if let Some(named) = chosen.iter().map(named).collect::<Option<Vec<_>>>() {
+                return Ok(named);
+            }
+        }
+        self.in_order(what, folder, files)
+    }
+
+    /// One of `items` a frame, by order: they are as many as the frames, or as the images that the frames were chosen
+    /// from.
+    pub fn in_order<T: Clone>(&self, what: &'static str, path: &Path, items: Vec<T>) -> Result<Vec<T>, Error> {
+        if items.len() == self.frames {
+            return Ok(items);
+        }
+        if let Some((all, chosen)) = &self.source
+            && items.len() == all.len()
+            && let Some(chosen) = chosen.iter().map(|&i| items.get(i).cloned()).collect()
+        {
+            return Ok(chosen);
+        }
+        Err(GivenError::Count {
+            what,
+            path: path.to_path_buf(),
+            found: items.len(),
+            frames: self.frames,
+        }
+        .into())
+    }
 }
 
 #[cfg(test)]

@@ -1,7 +1,6 @@
 //! Reads poses: `transforms.json` of our own captures and of nerfstudio, or a trajectory in the format of the TUM benchmark.
 
-use super::files::Clip;
-use super::{GivenError, same_shape};
+use super::{Clip, GivenError, same_shape};
 use crate::Error;
 use m4_core::{Camera, Intrinsics, Se3};
 use m4_io::trajectory;

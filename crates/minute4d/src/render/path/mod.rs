@@ -2,9 +2,7 @@
 
 mod bullet;
 mod keyed;
-mod shapes;
 mod source;
-mod stabilised;
 
 pub use source::SourcePath;
 
@@ -14,7 +12,7 @@ use bullet::Bullet;
 use keyed::KeyedPath;
 use m4_core::{Camera, Exposure, Scene};
 use m4_io::trajectory::{self, Trajectory};
-use stabilised::Smoothing;
+use source::Smoothing;
 use std::fmt;
 use std::path::{Path, PathBuf};
 
@@ -215,7 +213,7 @@ impl Maker<'_> {
             stray: self.config.stray * region.distance,
             stray_rad: self.config.stray_deg.to_radians(),
         };
-        let smoothed = stabilised::stabilised(self.source, &smoothing);
+        let smoothed = source::stabilised(self.source, &smoothing);
         self.along(|t| {
             let mut stop = self.source.at(t);
             stop.camera.c2w = smoothed.at(t);
@@ -229,7 +227,7 @@ impl Maker<'_> {
         let seconds = self.options.seconds.unwrap_or(self.config.seconds);
         let n = closed_frames(seconds, self.fps)?;
         let stops = (0..n).map(|i| Stop {
-            camera: shapes::swing(&region, i as f64 / n as f64, self.options, self.config),
+            camera: bullet::swing(&region, i as f64 / n as f64, self.options, self.config),
             t: region.stop.t,
             exposure: Exposure::IDENTITY,
         });

@@ -3,7 +3,7 @@
 mod bullet;
 mod keyed;
 
-use super::stabilised::{Smoothing, stabilised};
+use super::source::{Smoothing, stabilised};
 use super::{CameraPath, PathConfig, PathError, PathOptions, Plan, SourcePath};
 use crate::Error;
 use crate::render::{Moment, Painter, RenderJob, Stop, TimePath};
