@@ -15,7 +15,6 @@ pub mod valid;
 use reader::{Reader, Stage};
 use std::cell::{Cell, OnceCell};
 use std::panic;
-use table::of_family;
 
 thread_local! {
     static STAGES: OnceCell<Vec<Stage<'static>>> = const { OnceCell::new() };
@@ -32,6 +31,11 @@ fn stages(family: &str) -> Vec<Stage<'static>> {
     let readers: &'static [Reader] = Box::leak(of_family(family).into_boxed_slice());
     let stages = readers.iter().map(|reader| reader.stage().expect("a temporary folder"));
     stages.collect()
+}
+
+/// The readers of a family, in the order of the table.
+pub fn of_family(family: &str) -> Vec<Reader> {
+    table::readers().into_iter().filter(|r| r.family() == family).collect()
 }
 
 /// The first byte says which reader of the family reads the others; panics where what came of them is not valid or a message

@@ -2,7 +2,8 @@
 //! seeds` in `fuzz/`.
 
 use m4_fuzz_targets::files::corpus;
-use m4_fuzz_targets::table::{families, of_family};
+use m4_fuzz_targets::of_family;
+use m4_fuzz_targets::table::families;
 use std::error::Error;
 use std::fs;
 use std::path::Path;

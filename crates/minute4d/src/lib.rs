@@ -55,7 +55,7 @@ mod stage;
 mod steps;
 mod workspace;
 
-pub use error::{BUILD_FULL, Category, DataError, Error, NetworkError, NetworkMethod, OutputError};
+pub use error::{BUILD_FULL, Category, DataError, Error, NetworkError, NetworkMethod, OutputError, Refusal};
 pub use folder::Existing;
 pub use hash::of_path as hash_of_path;
 pub use pipeline::{Job, is_capture, run, threads, with_threads};

@@ -112,7 +112,7 @@ fn exported_captures_import_to_the_same_capture() {
     dir.succeed(&format!("import '{}' -o own --no-check", fixture("dycheck")));
     let read = |name: &str, split| capture::read(&dir.path(name), split, &CaptureOptions::default(), &Silent).unwrap();
     let (train, test) = (read("own", Split::Train), read("own", Split::Test));
-    let moves = |c: &minute4d::core::Capture| {
+    let moves = |c: &Capture| {
         c.frames
             .iter()
             .filter_map(|f| f.mask.as_ref())

@@ -2,8 +2,8 @@
 
 use super::matching::{Matching, Side, pair};
 use super::{
-    AbsoluteError, GeometryError, PathAlignment, RelativeError, RotationError, TrajectoryError, absolute_error, depth,
-    relative_error, trajectory,
+    AbsoluteError, PathAlignment, RelativeError, RotationError, TrajectoryError, absolute_error, depth, relative_error,
+    trajectory,
 };
 use m4_core::{Camera, Capture, CaptureFrame};
 use serde::{Deserialize, Serialize};

@@ -1,6 +1,6 @@
 //! Metrics of images: their names, and PSNR.
 
-use super::{ImageError, PlanarImage, PsnrKind, SsimKind, psnr_db_of, same_size, ssim};
+use super::{ImageError, PlanarImage, SsimKind, same_size, ssim};
 use m4_core::Mask;
 use serde::{Deserialize, Serialize};
 use std::fmt;

@@ -25,10 +25,10 @@ pub(crate) use stage::{apply, moving_share};
 #[cfg(feature = "nets")]
 pub use tapip3d::Tapip3dTracker;
 
-use crate::Error;
 use crate::error::Category;
 use crate::geometry::{self, Segmenter};
 use crate::record::write_json;
+use crate::{Error, Refusal};
 use m4_core::{Capture, CompactIds, CompactMask, Plane, Progress, RgbImage};
 use m4_geometry::classical::dense::{self, FlowSource, InverseSearch};
 use m4_geometry::masks::{
@@ -104,14 +104,17 @@ pub(crate) fn write(
     report.map_or(Ok(()), |report| write_json(&folder.join(REPORT_FILE), report))
 }
 
-fn coarse(capture: &Capture) -> Result<Coarse<'_>, EnhanceError> {
+fn coarse(capture: &Capture) -> Result<Coarse<'_>, Refusal> {
     if let Some(maps) = capture.frames.iter().map(|frame| frame.motion.as_ref()).collect() {
         return Ok(Coarse::Motion(maps));
     }
     let masks = capture.frames.iter().enumerate().map(|(i, frame)| {
-        frame.mask.as_ref().ok_or_else(|| EnhanceError::NoCoarse {
-            frame: i,
-            name: frame.name.clone(),
+        frame.mask.as_ref().ok_or_else(|| {
+            Refusal::bad_input(format!(
+                "frame {i} ({:?}) has neither a motion map nor a mask, so there is nothing to refine; create the capture with masks \
+                 (`minute4d geometry`), or import it with them",
+                frame.name
+            ))
         })
     });
     masks.collect::<Result<_, _>>().map(Coarse::Masks)
@@ -139,20 +142,6 @@ fn at_size(found: RefinedFrame, (width, height): (usize, usize)) -> (CompactMask
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum EnhanceError {
-    /// No method was selected, or none is available.
-    #[error("there is nothing to do: --segmenter none and --tracker none leave a capture unchanged; omit one of them")]
-    NothingToDo,
-    /// A frame without any word on the dynamic part.
-    #[error(
-        "frame {frame} ({name:?}) has neither a motion map nor a mask, so there is nothing to refine; create the capture with masks \
-         (`minute4d geometry`), or import it with them"
-    )]
-    NoCoarse {
-        /// Its index.
-        frame: usize,
-        /// Its name.
-        name: String,
-    },
     /// Refinement failed.
     #[error(transparent)]
     Instances(#[from] InstanceError),
@@ -166,14 +155,13 @@ impl EnhanceError {
     #[must_use]
     pub fn category(&self) -> Category {
         match self {
-            Self::NothingToDo => Category::Usage,
             Self::Instances(InstanceError::Cancelled { .. }) | Self::Tracks(TrackError::Cancelled { .. }) => {
                 Category::Stopped
             }
             Self::Instances(InstanceError::Setting { .. }) | Self::Tracks(TrackError::Setting { .. }) => {
                 Category::BadSettings
             }
-            Self::NoCoarse { .. } | Self::Instances(_) | Self::Tracks(_) => Category::BadInput,
+            Self::Instances(_) | Self::Tracks(_) => Category::BadInput,
         }
     }
 }

@@ -12,7 +12,7 @@ use crate::geometry::UsedNetwork;
 use crate::record::{GeometryRecord, Input, plain_json};
 use crate::stage::RecordingObserver;
 use crate::steps::Steps;
-use crate::{Error, Job, Settings, hash};
+use crate::{Error, Job, Refusal, Settings, hash};
 use m4_core::{Capture, CompactMask, Progress};
 use m4_geometry::classical::dense::{DenseConfig, FlowSource, InverseSearch};
 use m4_geometry::masks::InstanceReport;
@@ -48,7 +48,7 @@ pub struct EnhanceReport {
 /// The settings that this stage depends on.
 #[derive(Serialize)]
 struct Part<'a> {
-    enhance: &'a super::EnhanceConfig,
+    enhance: &'a EnhanceConfig,
     dense: &'a DenseConfig,
     segmenter: &'a str,
     tracker: &'a str,
@@ -71,7 +71,7 @@ pub fn make(input: &Path, out: &Path, job: &Job<'_>) -> Result<EnhanceReport, Er
     let (segmenter, tracker) = (settings.geometry.segmenter, settings.geometry.tracker);
     let plan = Plan::of(segmenter, tracker, Before::Motion)?;
     if plan.nothing() {
-        return Err(EnhanceError::NothingToDo.into());
+        return Err(nothing_to_do());
     }
     let start = Instant::now();
     let recorder = RecordingObserver::new(job.observer);
@@ -119,11 +119,18 @@ pub fn make(input: &Path, out: &Path, job: &Job<'_>) -> Result<EnhanceReport, Er
 }
 
 /// Share of the pixels in masks; `None` without masks.
-pub(crate) fn moving_share(capture: &m4_core::Capture) -> Option<f64> {
+pub(crate) fn moving_share(capture: &Capture) -> Option<f64> {
     let masks = || capture.frames.iter().filter_map(|frame| frame.mask.as_ref());
     let pixels: usize = masks().map(|mask| mask.size().0 * mask.size().1).sum();
     let moving: usize = masks().map(CompactMask::count).sum();
     (pixels > 0).then(|| moving as f64 / pixels as f64)
+}
+
+/// The refusal of a plan without a method, or none that is available.
+fn nothing_to_do() -> Error {
+    let message =
+        "there is nothing to do: --segmenter none and --tracker none leave a capture unchanged; omit one of them";
+    Refusal::usage(message).into()
 }
 
 /// Refines masks, then tracks points in them, each a step; returns the statistics of objects if a method tracked them.
@@ -176,7 +183,7 @@ fn segmented(
     progress: &dyn Progress,
 ) -> Result<(Capture, InstanceReport), Error> {
     match method {
-        Segmentation::Unchanged => Err(EnhanceError::NothingToDo.into()),
+        Segmentation::Unchanged => Err(nothing_to_do()),
         #[cfg(feature = "nets")]
         Segmentation::Mobilesam => {
             let follower = super::Follower::load(crate::geometry::Segmenter::Mobilesam)?;

@@ -1,10 +1,13 @@
 //! The category of a failure, and errors that several operations share: data, outputs.
 
-use super::Category;
 use m4_io::ErrorKind;
 use m4_io::capture::WriteCaptureError;
 use m4_io::dataset::ReadSourceError;
+use m4_io::dataset::export::WriteCaptureAsError;
 use m4_io::image::{ReadImageError, WriteImageError};
+use m4_io::scene::WriteFileError;
+use m4_io::scene::fourdgs::ReadFourdgsError;
+use m4_io::scene::ply::ReadPlyError;
 use m4_io::scene::safetensors::{ReadSceneError, WriteSceneError};
 use m4_io::trajectory::ReadTrajectoryError;
 use m4_io::video::{ReadVideoError, WriteVideoError};
@@ -41,6 +44,18 @@ pub enum DataError {
     /// Reading cameras.
     #[error(transparent)]
     ReadTrajectory(#[from] ReadTrajectoryError),
+    /// Reading `.4dgs`.
+    #[error(transparent)]
+    ReadFourdgs(#[from] ReadFourdgsError),
+    /// Reading PLY.
+    #[error(transparent)]
+    ReadPly(#[from] ReadPlyError),
+    /// Writing a file of splats.
+    #[error(transparent)]
+    WriteSplats(#[from] WriteFileError),
+    /// Writing a capture for another tool.
+    #[error(transparent)]
+    WriteCaptureAs(#[from] WriteCaptureAsError),
 }
 
 impl DataError {
@@ -58,6 +73,10 @@ impl DataError {
             Self::ReadScene(e) => e.kind().into(),
             Self::WriteScene(e) => e.kind().into(),
             Self::ReadTrajectory(e) => e.kind().into(),
+            Self::ReadFourdgs(e) => e.kind().into(),
+            Self::ReadPly(e) => e.kind().into(),
+            Self::WriteSplats(e) => e.kind().into(),
+            Self::WriteCaptureAs(e) => e.kind().into(),
         }
     }
 }
@@ -178,5 +197,35 @@ impl OutputError {
             Self::Busy { .. } => Category::TryAgain,
             _ => Category::CannotWrite,
         }
+    }
+}
+
+/// A request or an input that cannot be used: what is wrong, where, and what to do next.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("{message}")]
+#[non_exhaustive]
+pub struct Refusal {
+    /// The category of the failure.
+    pub category: Category,
+    /// The message.
+    pub message: String,
+}
+
+impl Refusal {
+    pub(crate) fn new(category: Category, message: impl Into<String>) -> Self {
+        Self {
+            category,
+            message: message.into(),
+        }
+    }
+
+    /// An argument that is invalid, or that does not go with the others.
+    pub(crate) fn usage(message: impl Into<String>) -> Self {
+        Self::new(Category::Usage, message)
+    }
+
+    /// An input that is damaged, incomplete or inconsistent.
+    pub(crate) fn bad_input(message: impl Into<String>) -> Self {
+        Self::new(Category::BadInput, message)
     }
 }

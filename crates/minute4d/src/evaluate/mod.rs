@@ -27,14 +27,13 @@ pub(crate) use views::HeldOut;
 pub use views::{EvalOptions, EvalReport, OtherMean, views, views_by};
 
 use crate::settings::Settings;
-use crate::{Category, Error, Observer};
+use crate::{Error, Observer, Refusal};
 use m4_core::Capture;
-use m4_eval::geometry::{GeometryError, GeometryReport, evaluate};
-use m4_eval::image::ImageError;
+use m4_eval::geometry::{GeometryReport, evaluate};
 use m4_io::capture::{CaptureOptions, Split};
 use m4_io::dataset::llff;
 use m4_io::reach::Reach;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// Compares the cameras, depth and masks of a capture with a reference for the same video: another
 /// capture, or a JSON file of LLFF poses. `reach` is which files both may name.
@@ -65,147 +64,10 @@ fn known(path: &Path, options: &CaptureOptions, observer: &dyn Observer) -> Resu
     Ok(m4_io::capture::read(path, Split::Train, options, observer)?)
 }
 
-/// Why a scene or a capture cannot be scored.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum EvaluationError {
-    /// A protocol of evaluation.
-    #[error(transparent)]
-    Protocol(#[from] ProtocolError),
-    /// Scoring images.
-    #[error(transparent)]
-    Score(#[from] ImageError),
-    /// Scoring geometry.
-    #[error(transparent)]
-    ScoreGeometry(#[from] GeometryError),
-    /// A capture without held-out views.
-    #[error("{} has no transforms_test.json, so there are no held-out views to compare with; give a capture that has some", path.display())]
-    NoTestList {
-        /// The capture.
-        path: PathBuf,
-    },
-}
-
-impl EvaluationError {
-    /// Returns the category of the failure.
-    #[must_use]
-    pub fn category(&self) -> Category {
-        match self {
-            Self::Protocol(e) => e.category(),
-            Self::Score(_) | Self::ScoreGeometry(_) | Self::NoTestList { .. } => Category::BadInput,
-        }
-    }
-}
-
-/// Why a protocol cannot be followed.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum ProtocolError {
-    /// The held-out frames of the capture are not those of the protocol.
-    #[error(
-        "{} was not split by the protocol {asked} ({found}); `minute4d split CAPTURE --protocol {asked} -o NEW` writes such a capture for \
-         training and evaluation",
-        path.display()
-    )]
-    NotSplit {
-        /// The capture.
-        path: PathBuf,
-        /// The protocol asked for.
-        asked: Protocol,
-        /// What the capture says.
-        found: String,
-    },
-    /// A capture whose views come with it was to be split.
-    #[error(
-        "the protocol {0} uses the held-out views of the data set, so there is nothing to split; import them with the data set"
-    )]
-    NothingToSplit(Protocol),
-    /// A capture was to be split into its own folder.
-    #[error("{} would be split into itself and lose frames; name another folder", .0.display())]
-    SameFolder(PathBuf),
-    /// Nothing would be left.
-    #[error(
-        "the protocol {protocol} leaves {train} of {frames} frames for training and {test} for evaluation; use a longer clip"
-    )]
-    TooShort {
-        /// The protocol.
-        protocol: Protocol,
-        /// Frames of the video.
-        frames: usize,
-        /// Of these train.
-        train: usize,
-        /// Of these are held out.
-        test: usize,
-    },
-    /// A frame belongs to no number of the full video.
-    #[error("tracks of {} do not match its frames: {what}; compute them again with `minute4d enhance`", path.display())]
-    Tracks {
-        /// The capture.
-        path: PathBuf,
-        /// The fault.
-        what: String,
-    },
-    /// A mask of co-visibility is missing.
-    #[error(
-        "there is no co-visibility mask {} for the view {view}; masks are PNG files named as the image of their view, white where the \
-         training video saw the point",
-        path.display()
-    )]
-    NoMask {
-        /// The path that was searched.
-        path: PathBuf,
-        /// The view.
-        view: String,
-    },
-    /// Masks of co-visibility cannot be made.
-    #[error(
-        "co-visibility masks cannot be computed for {}: {why}; give the official ones with --covisible DIR",
-        path.display()
-    )]
-    NoCovisibility {
-        /// The capture.
-        path: PathBuf,
-        /// The missing part.
-        why: String,
-    },
-    /// A mask has another size than its view.
-    #[error("{} has {} x {} pixels but its view {} x {}; give the masks of the same factor", path.display(), found.0, found.1, expected.0, expected.1)]
-    MaskSize {
-        /// The mask.
-        path: PathBuf,
-        /// Columns and rows of the view.
-        expected: (usize, usize),
-        /// Columns and rows of the mask.
-        found: (usize, usize),
-    },
-    /// Refinement was asked of a protocol that has none.
-    #[error("the protocol {0} does not refine the poses of test images; omit --refine-poses")]
-    NoRefinement(Protocol),
-    /// A network of LPIPS failed.
-    #[error("LPIPS of the view {view} failed: {why}")]
-    Lpips {
-        /// The view.
-        view: String,
-        /// Its message.
-        why: String,
-    },
-    /// The weights of LPIPS are here and no weights.
-    #[error("the weights of LPIPS cannot be used: {why}; `minute4d weights verify` says more")]
-    LpipsWeights {
-        /// The fault.
-        why: String,
-    },
-}
-
-impl ProtocolError {
-    /// Category of the failure.
-    #[must_use]
-    pub fn category(&self) -> Category {
-        match self {
-            Self::NothingToSplit(_) | Self::NoRefinement(_) | Self::SameFolder(_) => Category::Usage,
-            Self::NoMask { .. } => Category::NoInput,
-            Self::Lpips { .. } => Category::NoDevice,
-            _ => Category::BadInput,
-        }
-    }
+/// The refusal of a capture without held-out views.
+pub(crate) fn no_test_list(data: &Path) -> Refusal {
+    Refusal::bad_input(format!(
+        "{} has no transforms_test.json, so there are no held-out views to compare with; give a capture that has some",
+        data.display()
+    ))
 }

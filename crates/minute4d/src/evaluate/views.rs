@@ -3,7 +3,7 @@
 use super::align::{self, Alignment};
 use super::choices::Choices;
 use super::protocol::Protocol;
-use super::{EvaluationError, by_protocol};
+use super::{by_protocol, no_test_list};
 use crate::device::{DeviceChoice, OpenGpu};
 use crate::folder::{EVAL_FILE, SCENE_FILE};
 use crate::record::write_json;
@@ -204,7 +204,7 @@ impl HeldOut {
     ///
     /// # Errors
     ///
-    /// [`EvaluationError::NoTestList`] without held-out views; else what could not be read.
+    /// [`Error::Refused`] without held-out views; else what could not be read.
     pub fn read(out: &Path, data: &Path, reach: Reach, observer: &dyn Observer) -> Result<Self, Error> {
         let path = out.join(SCENE_FILE);
         let scene = safetensors::read(&path)?.scene;
@@ -264,10 +264,7 @@ fn test_views(data: &Path, options: &CaptureOptions, observer: &dyn Observer) ->
         });
     }
     if data.is_dir() && !data.join(Split::Test.file_name()).is_file() {
-        return Err(EvaluationError::NoTestList {
-            path: data.to_path_buf(),
-        }
-        .into());
+        return Err(no_test_list(data).into());
     }
     Ok(m4_io::capture::read(data, Split::Test, options, observer)?)
 }

@@ -14,10 +14,9 @@ pub use report::{Comparison, ExportReport, Losses};
 use crate::error::OutputError;
 use crate::folder::SCENE_FILE;
 use crate::render::{Moment, Span};
-use crate::{Category, Error, Observer, is_capture};
+use crate::{Error, Observer, Refusal, is_capture};
 use m4_core::Scene;
-use m4_io::dataset::export::WriteCaptureAsError;
-use m4_io::scene::{WriteFileError, safetensors};
+use m4_io::scene::safetensors;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -76,13 +75,14 @@ pub fn make(input: &Path, job: &ExportJob, observer: &dyn Observer) -> Result<Ex
         if is_capture(input) {
             return write::make_capture(input, job, observer);
         }
-        return Err(ExportError::NeedsCapture { format: job.format }.into());
+        return Err(write::needs_capture(job.format).into());
     }
     if lone_capture {
-        return Err(ExportError::NeedsScene {
-            format: job.format,
-            path: input.to_path_buf(),
-        }
+        return Err(Refusal::bad_input(format!(
+            "{} is a capture, which the format {} cannot store; choose colmap or nerfstudio, or train it first (`minute4d train`)",
+            input.display(),
+            job.format.name()
+        ))
         .into());
     }
     let (folder, file) = if input.is_dir() {
@@ -133,14 +133,20 @@ pub fn scene_to(scene: &Scene, out: &Path, job: &ExportJob, observer: &dyn Obser
 }
 
 impl ExportJob {
-    fn check(&self) -> Result<(), ExportError> {
+    fn check(&self) -> Result<(), Refusal> {
         let time = self.format.time();
         if self.time.is_some() && time != Time::Instant {
-            return Err(ExportError::NoInstant { format: self.format });
+            return Err(Refusal::usage(format!(
+                "--time has no meaning for {}, which holds the whole clip; leave it out, or choose a format of one instant such as ply",
+                self.format.name()
+            )));
         }
         let is_sampled = matches!(time, Time::Sequence | Time::Video);
         if self.fps.is_some() && !is_sampled {
-            return Err(ExportError::NoRate { format: self.format });
+            return Err(Refusal::usage(format!(
+                "--fps has no meaning for {}; leave it out, or choose ply-sequence or mp4",
+                self.format.name()
+            )));
         }
         Ok(())
     }
@@ -173,74 +179,5 @@ fn occupied(path: &Path) -> bool {
     match std::fs::read_dir(path) {
         Ok(mut entries) => entries.next().is_some(),
         Err(_) => path.exists(),
-    }
-}
-
-/// Why an export failed.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum ExportError {
-    /// A moment for a format that has all of them.
-    #[error("--time has no meaning for {}, which holds the whole clip; leave it out, or choose a format of one instant such as ply", format.name())]
-    NoInstant {
-        /// The format.
-        format: Format,
-    },
-    /// A rate for a format without frames.
-    #[error("--fps has no meaning for {}; leave it out, or choose ply-sequence or mp4", format.name())]
-    NoRate {
-        /// The format.
-        format: Format,
-    },
-    /// A capture for a format that holds a scene.
-    #[error("{} is a capture, which the format {} cannot store; choose colmap or nerfstudio, or train it first (`minute4d train`)", path.display(), format.name())]
-    NeedsScene {
-        /// The format.
-        format: Format,
-        /// The capture.
-        path: PathBuf,
-    },
-    /// A scene for a format that holds a capture.
-    #[error("the format {} stores captures, not scenes; give the folder of a capture, or choose a format of scenes such as ply", format.name())]
-    NeedsCapture {
-        /// The format.
-        format: Format,
-    },
-    /// A format that is not known.
-    #[error("{given:?} is not a format; choose one of {}", Format::names())]
-    Unknown {
-        /// The given text.
-        given: String,
-    },
-    /// A video of a scene without cameras.
-    #[error("the scene has no cameras to render it from; render it along a path, such as --path swing")]
-    NoCameras,
-    /// The file that was written could not be read back for the comparison.
-    #[error("the {} file was written but does not read back; this is a bug, please report it: {source}", format.name())]
-    ReadBack {
-        /// The format.
-        format: Format,
-        /// The reason.
-        source: Box<crate::import::ImportError>,
-    },
-    /// Writing a capture for another tool.
-    #[error(transparent)]
-    Capture(#[from] WriteCaptureAsError),
-    /// Writing a file of splats.
-    #[error(transparent)]
-    File(#[from] WriteFileError),
-}
-
-impl ExportError {
-    /// What sort of failure this is.
-    #[must_use]
-    pub fn category(&self) -> Category {
-        match self {
-            Self::NoInstant { .. } | Self::NoRate { .. } | Self::Unknown { .. } => Category::Usage,
-            Self::NoCameras | Self::NeedsScene { .. } | Self::NeedsCapture { .. } => Category::BadInput,
-            Self::Capture(e) => e.kind().into(),
-            Self::File(e) => e.kind().into(),
-            Self::ReadBack { .. } => Category::Internal,
-        }
     }
 }

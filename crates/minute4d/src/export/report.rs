@@ -1,9 +1,9 @@
 //! What an export says of its file: losses, and how renders of it compare with those of the scene.
 
-use super::{ExportError, Format, Time};
+use super::{Format, Time};
 use crate::import::read_back;
 use crate::render::Painter;
-use crate::{Error, Observer};
+use crate::{Category, Error, Observer, Refusal};
 use m4_core::{Camera, Scene};
 use m4_eval::image::{PlanarImage, psnr_db};
 use m4_io::scene::{Loss, Written};
@@ -201,9 +201,11 @@ pub(super) fn compare(
             let Some(read) = read_back(format, path, look.moment) else {
                 return Ok(None);
             };
-            let read = read.map_err(|source| ExportError::ReadBack {
-                format,
-                source: Box::new(source),
+            let read = read.map_err(|e| {
+                let name = format.name();
+                let message =
+                    format!("the {name} file was written but does not read back; this is a bug, please report it: {e}");
+                Refusal::new(Category::Internal, message)
             })?;
             // Background and near plane are the player's.
             let mut back = read.scene;

@@ -1,9 +1,9 @@
 //! Writes files of splats, captures for other tools, and videos.
 
-use super::{ExportError, ExportJob, ExportReport, Format, Losses, occupied};
+use super::{ExportJob, ExportReport, Format, Losses, occupied};
 use crate::error::OutputError;
 use crate::render::{Painter, source_fps};
-use crate::{Error, Observer, Settings};
+use crate::{Error, Observer, Refusal, Settings};
 use m4_core::{Capture, Scene};
 use m4_io::capture::{self, CaptureOptions, Split};
 use m4_io::dataset::export::WriteCaptureAsError;
@@ -24,35 +24,45 @@ pub(super) fn write(
 ) -> Result<Written, Error> {
     let t = moments.first().copied().unwrap_or(0.0);
     let written = match job.format {
-        Format::Fourdgs => fourdgs::write(out, scene, &job.fourdgs).map_err(ExportError::from)?,
-        Format::Splatv => splatv::write(out, scene).map_err(ExportError::from)?,
-        Format::Ply => ply::write(out, scene, t).map_err(ExportError::from)?,
+        Format::Fourdgs => fourdgs::write(out, scene, &job.fourdgs)?,
+        Format::Splatv => splatv::write(out, scene)?,
+        Format::Ply => ply::write(out, scene, t)?,
         Format::PlySequence => {
             let mut stopped = false;
             let written = ply::write_sequence(out, scene, moments, |done| {
                 observer.update("export", done, moments.len(), "");
                 stopped = observer.cancelled();
                 !stopped
-            })
-            .map_err(ExportError::from)?;
+            })?;
             if stopped {
                 return Err(STOPPED);
             }
             written
         }
-        Format::Spz => spz::write(out, scene, t).map_err(ExportError::from)?,
-        Format::Gltf => gltf::write(out, scene, t).map_err(ExportError::from)?,
-        Format::Colmap | Format::Nerfstudio => return Err(ExportError::NeedsCapture { format: job.format }.into()),
+        Format::Spz => spz::write(out, scene, t)?,
+        Format::Gltf => gltf::write(out, scene, t)?,
+        Format::Colmap | Format::Nerfstudio => return Err(needs_capture(job.format).into()),
         Format::Mp4 => write_video(out, scene, job.fps, observer)?,
     };
     Ok(written)
+}
+
+/// The refusal of a scene for a format that holds captures.
+pub(super) fn needs_capture(format: Format) -> Refusal {
+    Refusal::bad_input(format!(
+        "the format {} stores captures, not scenes; give the folder of a capture, or choose a format of scenes such as ply",
+        format.name()
+    ))
 }
 
 /// Renders every camera of the source at its own moment, with its exposure, in the order of time.
 fn write_video(out: &Path, scene: &Scene, fps: Option<f64>, observer: &dyn Observer) -> Result<Written, Error> {
     let size = match scene.source.first() {
         Some(first) => first.camera.intrinsics,
-        None => return Err(ExportError::NoCameras.into()),
+        None => {
+            let message = "the scene has no cameras to render it from; render it along a path, such as --path swing";
+            return Err(Refusal::bad_input(message).into());
+        }
     };
     let mut painter = Painter::new(scene, SimdLevel::detect()?);
     let fps = fps.unwrap_or_else(|| source_fps(scene));
@@ -132,7 +142,7 @@ fn write_capture(
     };
     let written = written.map_err(|error| match error {
         WriteCaptureAsError::Cancelled { .. } => STOPPED,
-        other => ExportError::from(other).into(),
+        other => other.into(),
     })?;
     Ok((written.bytes, Losses::of(written.losses)))
 }

@@ -1,9 +1,8 @@
 //! Depth that is known without parallax, and the unit of length that it sets.
 
-use super::GivenError;
 use super::frontend::MonoClip;
 use super::given::Given;
-use crate::{Error, Observer};
+use crate::{Error, Observer, Refusal};
 use m4_core::{DepthMap, median};
 use m4_geometry::classical::reconstruction::{CameraMotion, SparseReconstruction};
 
@@ -42,7 +41,7 @@ impl<'a> KnownDepth<'a> {
     ///
     /// # Errors
     ///
-    /// [`super::GivenError::NoScale`] if given depth covers too few points.
+    /// [`Error::Refused`] if given depth covers too few points.
     pub fn set_unit(
         &self,
         sparse: &mut SparseReconstruction,
@@ -127,8 +126,8 @@ pub(super) fn rescale(sparse: &SparseReconstruction, by: f64) -> SparseReconstru
 ///
 /// # Errors
 ///
-/// [`GivenError::NoScale`] if too few points have a given depth.
-pub(super) fn depth_ratio(sparse: &SparseReconstruction, depth: &[DepthMap]) -> Result<f64, GivenError> {
+/// A refusal if too few points have a given depth.
+pub(super) fn depth_ratio(sparse: &SparseReconstruction, depth: &[DepthMap]) -> Result<f64, Refusal> {
     let mut ratios = Vec::new();
     let mut found = 0;
     for track in &sparse.tracks {
@@ -156,7 +155,10 @@ pub(super) fn depth_ratio(sparse: &SparseReconstruction, depth: &[DepthMap]) -> 
     }
     match median(&mut ratios) {
         Some(ratio) if found >= NEEDED => Ok(ratio),
-        _ => Err(GivenError::NoScale { found, needed: NEEDED }),
+        _ => Err(Refusal::bad_input(format!(
+            "the depth maps know only {found} of the points that were reconstructed, {NEEDED} are needed to bring both to one scale; give \
+             --poses in metres too, or depth maps with fewer holes"
+        ))),
     }
 }
 

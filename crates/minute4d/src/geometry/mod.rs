@@ -27,7 +27,6 @@ mod segmenter;
 
 pub use confidence::{Confidence, Focal, Grade};
 pub use frontend::{Frontend, Part as FrontendPart, UnknownFrontend, UsedNetwork};
-pub use given::GivenError;
 pub use segmenter::Segmenter;
 pub(crate) use segmenter::resolve as resolve_segmenter;
 

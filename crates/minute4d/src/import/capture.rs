@@ -1,11 +1,11 @@
 //! Imports a capture, and checks it against the flow of its images.
 
-use super::{ImportError, ImportJob, ImportOptions, STAGE};
+use super::{ImportJob, ImportOptions, STAGE};
 use crate::capture_folder::{self, CaptureFolder};
 use crate::evaluate::{COVISIBLE_FOLDER, adopt_covisible};
 use crate::record::{GeometryRecord, Input, Status, plain_json};
 use crate::stage::RecordingObserver;
-use crate::{Error, Observer, Settings, StageEvent, folder, hash};
+use crate::{Error, Observer, Refusal, Settings, StageEvent, folder, hash};
 use m4_core::{Capture, CompactMask, Progress};
 use m4_geometry::classical::dense::InverseSearch;
 use m4_geometry::consistency::{self, Cause, Consistency, ConsistencyError, Verdict};
@@ -146,7 +146,7 @@ pub(crate) fn write(
 }
 
 /// Refuses options of what the files of MegaSaM hold themselves.
-fn check_megasam(options: &ImportOptions) -> Result<(), ImportError> {
+fn check_megasam(options: &ImportOptions) -> Result<(), Refusal> {
     let beside = [
         ("--images", options.images.is_some()),
         ("--depth", options.depth.is_some()),
@@ -156,10 +156,12 @@ fn check_megasam(options: &ImportOptions) -> Result<(), ImportError> {
         ("--factor", options.factor.is_some()),
     ];
     match beside.into_iter().find(|(_, is_given)| *is_given) {
-        Some((option, _)) => Err(ImportError::NotOfFormat {
-            option,
-            format: SourceFormat::Megasam.name(),
-        }),
+        Some((option, _)) => {
+            let format = SourceFormat::Megasam.name();
+            Err(Refusal::usage(format!(
+                "{option} has no meaning for {format}, which has its own; leave it out"
+            )))
+        }
         None => Ok(()),
     }
 }
@@ -172,7 +174,7 @@ const STOPPED: Error = Error::Stopped {
 fn source_stopped(error: ReadSourceError) -> Error {
     match error.cause {
         SourceErrorCause::Cancelled => STOPPED,
-        _ => ImportError::from(error).into(),
+        _ => error.into(),
     }
 }
 
@@ -239,11 +241,11 @@ pub(super) fn checked(
     let check = |imported: &Imported| {
         let found = consistency::check(&imported.train, &InverseSearch, keeper);
         found.map_err(|error| match error {
-            ConsistencyError::Cancelled => Error::Stopped {
-                stage: STAGE,
-                saved: false,
-            },
-            other => ImportError::from(other).into(),
+            ConsistencyError::Cancelled => STOPPED,
+            other => {
+                let message = format!("the capture cannot be checked: {other}; --no-check imports it anyway");
+                Refusal::bad_input(message).into()
+            }
         })
     };
     let found: Consistency = check(&imported)?;

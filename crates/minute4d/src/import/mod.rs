@@ -21,11 +21,8 @@ use crate::export::{Format, Losses};
 use crate::folder::{Existing, SCENE_FILE};
 use crate::record::{Input, RunRecord, SplatCount};
 use crate::workspace::Workspace;
-use crate::{Category, Error, Job, Observer, Settings, hash};
-use m4_geometry::consistency::ConsistencyError;
-use m4_io::dataset::ReadSourceError;
-use m4_io::scene::fourdgs::ReadFourdgsError;
-use m4_io::scene::ply::{ReadPlyError, frame_name};
+use crate::{DataError, Error, Job, Observer, Refusal, Settings, hash};
+use m4_io::scene::ply::frame_name;
 use m4_io::scene::{Imported, fourdgs, ply, safetensors};
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -88,7 +85,10 @@ pub fn make(file: &Path, out: &Path, job: &ImportJob, observer: &dyn Observer) -
     };
     if let Some(option) = job.of_captures() {
         let format = format.name();
-        return Err(ImportError::NoCaptureOption { option, format }.into());
+        return Err(Refusal::usage(format!(
+            "{option} has no meaning for {format} files, which hold splats; leave it out"
+        ))
+        .into());
     }
     scene(file, out, splats, job.existing, observer).map(Report::Scene)
 }
@@ -110,10 +110,7 @@ fn scene(
     // Read before the folder is made, so that a wrong file leaves nothing behind.
     let Imported { mut scene, up, losses } = read(format, file)?;
     if scene.splats.n() == 0 {
-        return Err(ImportError::NoSplats {
-            path: file.to_path_buf(),
-        }
-        .into());
+        return Err(Refusal::bad_input(format!("{} contains no splats", file.display())).into());
     }
     let cameras = scene.source.len();
     if cameras == 0 {
@@ -210,129 +207,17 @@ impl ImportJob {
 }
 
 /// The scene in a file.
-fn read(format: Format, path: &Path) -> Result<Imported, ImportError> {
-    read_back(format, path, 0).unwrap_or_else(|| {
-        Err(ImportError::WriteOnly {
-            name: format.name(),
-            known: ImportFormat::names(),
-        })
-    })
+fn read(format: Format, path: &Path) -> Result<Imported, Error> {
+    let read = read_back(format, path, 0).ok_or_else(|| format::write_only(format))?;
+    Ok(read?)
 }
 
 /// The scene in what was exported; of a sequence that of file `moment`. `None` for formats that are not read.
-pub(crate) fn read_back(format: Format, path: &Path, moment: usize) -> Option<Result<Imported, ImportError>> {
+pub(crate) fn read_back(format: Format, path: &Path, moment: usize) -> Option<Result<Imported, DataError>> {
     Some(match format {
-        Format::Fourdgs => fourdgs::read(path).map_err(ImportError::from),
-        Format::Ply => ply::read(path).map_err(ImportError::from),
-        Format::PlySequence => ply::read(&path.join(frame_name(moment))).map_err(ImportError::from),
+        Format::Fourdgs => fourdgs::read(path).map_err(DataError::from),
+        Format::Ply => ply::read(path).map_err(DataError::from),
+        Format::PlySequence => ply::read(&path.join(frame_name(moment))).map_err(DataError::from),
         Format::Splatv | Format::Spz | Format::Gltf | Format::Colmap | Format::Nerfstudio | Format::Mp4 => return None,
     })
-}
-
-/// Why an import failed.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum ImportError {
-    /// A file whose name says nothing.
-    #[error("the format of {} is not recognised by its name; add --format, one of {known}", path.display())]
-    Unknown {
-        /// The file.
-        path: PathBuf,
-        /// The formats that can be imported.
-        known: String,
-    },
-    /// A format that is written only.
-    #[error("{name} files cannot be imported; {known} can")]
-    WriteOnly {
-        /// The format.
-        name: &'static str,
-        /// The formats that can be imported.
-        known: String,
-    },
-    /// A name that no format has.
-    #[error("no format is called {given}; these can be imported: {known}")]
-    NoSuchFormat {
-        /// The given value.
-        given: String,
-        /// The formats that can be imported.
-        known: String,
-    },
-    /// A folder of nothing that is known.
-    #[error("{} is a folder with none of the known layouts; if it has one, select it with --format, one of {known}", path.display())]
-    Folder {
-        /// The folder.
-        path: PathBuf,
-        /// The formats that can be imported.
-        known: String,
-    },
-    /// A sequence of splats.
-    #[error("{} is a folder: a sequence cannot be imported as a clip, since the correspondence of splats between files is unknown; give one of its files, such as {}", path.display(), first.display())]
-    Sequence {
-        /// The folder.
-        path: PathBuf,
-        /// A file in it.
-        first: PathBuf,
-    },
-    /// A clip without poses.
-    #[error("{} is a DAVIS clip, which has no camera poses; estimate them with `minute4d run IMAGES --masks ANNOTATIONS -o OUT`, with the folders of one clip", path.display())]
-    NoPoses {
-        /// The folder.
-        path: PathBuf,
-    },
-    /// A file without splats.
-    #[error("{} contains no splats", path.display())]
-    NoSplats {
-        /// The file.
-        path: PathBuf,
-    },
-    /// An option of captures for a file of splats.
-    #[error("{option} has no meaning for {format} files, which hold splats; leave it out")]
-    NoCaptureOption {
-        /// The option.
-        option: &'static str,
-        /// The format.
-        format: &'static str,
-    },
-    /// An option that the format has no use for.
-    #[error("{option} has no meaning for {format}, which has its own; leave it out")]
-    NotOfFormat {
-        /// The option.
-        option: &'static str,
-        /// The format.
-        format: &'static str,
-    },
-    /// Reading a clip that another tool posed.
-    #[error(transparent)]
-    Source(#[from] ReadSourceError),
-    /// Comparing a capture with the flow of its images.
-    #[error("the capture cannot be checked: {0}; --no-check imports it anyway")]
-    Check(#[from] ConsistencyError),
-    /// Reading `.4dgs`.
-    #[error(transparent)]
-    Fourdgs(#[from] ReadFourdgsError),
-    /// Reading PLY.
-    #[error(transparent)]
-    Ply(#[from] ReadPlyError),
-}
-
-impl ImportError {
-    /// What sort of failure this is.
-    #[must_use]
-    pub fn category(&self) -> Category {
-        match self {
-            Self::Unknown { .. }
-            | Self::WriteOnly { .. }
-            | Self::NoSuchFormat { .. }
-            | Self::NoCaptureOption { .. }
-            | Self::NotOfFormat { .. } => Category::Usage,
-            Self::Source(e) => e.kind().into(),
-            Self::Folder { .. }
-            | Self::Sequence { .. }
-            | Self::NoPoses { .. }
-            | Self::NoSplats { .. }
-            | Self::Check(_) => Category::BadInput,
-            Self::Fourdgs(e) => e.kind().into(),
-            Self::Ply(e) => e.kind().into(),
-        }
-    }
 }

@@ -11,7 +11,7 @@ mod swing;
 mod time;
 
 pub use draw::{Painter, SceneRenderer, to_rgb, view};
-pub use options::{PathConfig, PathError, PathOptions};
+pub use options::{PathConfig, PathOptions};
 pub use path::{CameraPath, Plan, SourcePath, Stop};
 pub use region::Region;
 pub use size::{Fit, fitted, zoomed};
@@ -79,7 +79,7 @@ impl RenderJob {
     ///
     /// # Errors
     ///
-    /// As [`CameraPath::plan`]; [`Error::Time`] if a moment lies outside the scene, [`PathError::Size`] for
+    /// As [`CameraPath::plan`]; [`Error::Time`] if a moment lies outside the scene, [`Error::Refused`] for
     /// sizes that are not rendered.
     pub fn plan(&self, scene: &Scene, painter: &mut Painter<'_>) -> Result<Plan, Error> {
         let mut plan = self.path.plan(scene, painter, self)?;

@@ -1,9 +1,8 @@
-//! The options of camera paths, and errors of rendering along one.
+//! The options of camera paths.
 
 use super::{CameraPath, Moment, SwingConfig};
-use crate::Category;
+use crate::Refusal;
 use serde::{Deserialize, Serialize};
-use std::path::PathBuf;
 
 /// Options of the user; `None` leaves the choice to [`PathConfig`] and the scene.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -88,8 +87,8 @@ impl PathOptions {
     ///
     /// # Errors
     ///
-    /// [`PathError::Unused`] and [`PathError::Range`].
-    pub fn check(&self, path: &CameraPath) -> Result<(), PathError> {
+    /// A refusal that names the option.
+    pub fn check(&self, path: &CameraPath) -> Result<(), Refusal> {
         let given = [
             ("--seconds", self.seconds.is_some()),
             ("--at", self.at.is_some()),
@@ -101,11 +100,7 @@ impl PathOptions {
         ];
         let known = path.takes();
         if let Some((option, _)) = given.into_iter().find(|(name, given)| *given && !known.contains(name)) {
-            return Err(PathError::Unused {
-                option,
-                path: path.to_string(),
-                known,
-            });
+            return Err(unused(option, &path.to_string(), known));
         }
         let numbers = [
             ("--seconds", self.seconds, 0.01, 3600.0, "0.01 to 3600 seconds"),
@@ -117,130 +112,28 @@ impl PathOptions {
         ];
         for (option, value, least, most, expected) in numbers {
             if let Some(value) = value.filter(|v| !(*v >= least && *v <= most)) {
-                return Err(PathError::Range {
-                    option,
-                    value,
-                    expected,
-                });
+                let message = format!("{option} is {value}; {expected} was expected");
+                return Err(Refusal::usage(message));
             }
         }
         Ok(())
     }
 }
 
-/// Why a camera path cannot be rendered.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-#[non_exhaustive]
-pub enum PathError {
-    /// An option of another path.
-    #[error("{option} has no meaning for the camera path {path}; it takes {}", takes(known))]
-    Unused {
-        /// The option, as the program calls it.
-        option: &'static str,
-        /// The path.
-        path: String,
-        /// The options of the path.
-        known: &'static [&'static str],
-    },
-    /// A number that cannot work.
-    #[error("{option} is {value}; {expected} was expected")]
-    Range {
-        /// The option.
-        option: &'static str,
-        /// The value.
-        value: f64,
-        /// The allowed values.
-        expected: &'static str,
-    },
-    /// More images than anyone wants.
-    #[error(
-        "the path takes {seconds} s, which is {frames} images at {fps} per second; at most {limit} are rendered, so choose fewer with --seconds or --fps"
-    )]
-    TooManyFrames {
-        /// Length, seconds.
-        seconds: f64,
-        /// Images a second.
-        fps: f64,
-        /// Images.
-        frames: f64,
-        /// Most images.
-        limit: usize,
-    },
-    /// A bullet path that is over before time is frozen.
-    #[error(
-        "--seconds {seconds} leaves no time besides the {hold_s} s for which time is frozen; choose more, or less with --hold-s"
-    )]
-    TooShort {
-        /// Length asked for.
-        seconds: f64,
-        /// Length of the frozen part and of the ways into and out of it.
-        hold_s: f64,
-    },
-    /// A scene without its cameras.
-    #[error(
-        "the scene has no cameras of its source, so there is no camera path {path}; give a file of cameras with --path"
-    )]
-    NoSource {
-        /// The path.
-        path: String,
-    },
-    /// Neither a path nor a file.
-    #[error("there is no camera path {name:?}; write {}, or the name of a file", super::path::WORDS.join(", "))]
-    Unknown {
-        /// The given value.
-        name: String,
-    },
-    /// Many images into one file.
-    #[error("{} is one image, but the path has {frames}; name a folder or an .mp4 file, or choose one time with --path source --at T", path.display())]
-    OneImage {
-        /// The file.
-        path: PathBuf,
-        /// Images of the path.
-        frames: usize,
-    },
-    /// A name that promises another sort of video.
-    #[error("{} has the extension {extension}, which is not supported; name an .mp4 file, a .png file or a folder", path.display())]
-    Format {
-        /// The file.
-        path: PathBuf,
-        /// Its extension.
-        extension: String,
-    },
-    /// An image too small or too large.
-    #[error("images of {width} x {height} pixels are not supported; each side must have 1 to {limit}")]
-    Size {
-        /// Columns.
-        width: usize,
-        /// Rows.
-        height: usize,
-        /// Longest side.
-        limit: usize,
-    },
-}
-
-impl PathError {
-    /// Returns the category of the failure.
-    #[must_use]
-    pub fn category(&self) -> Category {
-        match self {
-            Self::NoSource { .. } => Category::BadInput,
-            _ => Category::Usage,
-        }
-    }
-}
-
-fn takes(known: &[&str]) -> String {
-    if known.is_empty() {
-        "none of these options".to_owned()
-    } else {
-        known.join(", ")
-    }
+/// The refusal of an option that the path `path` has no use for; `known` are those that it takes.
+pub(super) fn unused(option: &str, path: &str, known: &[&str]) -> Refusal {
+    let takes = match known {
+        [] => "none of these options".to_owned(),
+        known => known.join(", "),
+    };
+    Refusal::usage(format!(
+        "{option} has no meaning for the camera path {path}; it takes {takes}"
+    ))
 }
 
 #[cfg(test)]
 mod tests {
     use super::{CameraPath, PathOptions};
-    use crate::render::PathError;
 
     #[test]
     fn unused_options_are_rejected() {
@@ -258,14 +151,12 @@ mod tests {
             strength: Some(1.5),
             ..PathOptions::default()
         };
-        assert!(matches!(
-            strong.check(&CameraPath::Stabilised),
-            Err(PathError::Range { value: 1.5, .. })
-        ));
+        let error = strong.check(&CameraPath::Stabilised).unwrap_err();
+        assert_eq!(error.to_string(), "--strength is 1.5; 0 to 1 was expected");
         let nan = PathOptions {
             amount: Some(f64::NAN),
             ..PathOptions::default()
         };
-        assert!(matches!(nan.check(&CameraPath::Swing), Err(PathError::Range { .. })));
+        assert!(nan.check(&CameraPath::Swing).is_err());
     }
 }

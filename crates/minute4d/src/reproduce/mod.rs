@@ -23,9 +23,8 @@ pub use suite::{Suite, UnknownSuite};
 use crate::bench::today;
 use crate::evaluate::Protocol;
 use crate::record::write_json;
-use crate::{Category, Error, Job};
+use crate::{Category, Error, Job, Refusal};
 use m4_io::atomic;
-use m4_io::dataset::ReadSourceError;
 use serde::Serialize;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -68,7 +67,7 @@ pub struct ReproduceOptions {
 ///
 /// # Errors
 ///
-/// [`ReproduceError::NoScenes`] where no scene of the data set is in `data`, with where people get them; [`Error`] of the scene that failed,
+/// [`Error::Refused`] where no scene of the data set is in `data`, with where people get them; [`Error`] of the scene that failed,
 /// when those before it are kept.
 pub fn reproduce(
     suite: Suite,
@@ -88,7 +87,14 @@ pub fn reproduce(
     let scenes = suite.find(data, &options.scenes);
     let (found, missing) = scenes;
     if found.is_empty() {
-        return Err(ReproduceError::no_scenes(suite, data, &missing).into());
+        let missing: Vec<String> = missing.iter().map(|m| format!("{} ({})", m.scene, m.why)).collect();
+        let message = format!(
+            "no scene of {suite} is in {}: {}. {}",
+            data.display(),
+            missing.join(", "),
+            suite.source()
+        );
+        return Err(Refusal::new(Category::NoInput, message).into());
     }
     for scene in &missing {
         job.observer
@@ -135,89 +141,4 @@ pub fn reproduce(
     let path = out.join(TABLE_FILE);
     atomic::write(&path, report.to_markdown().as_bytes()).map_err(|source| Error::Write { path, source })?;
     Ok(report)
-}
-
-/// Why a table cannot be made.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum ReproduceError {
-    /// No scene of the data set is there.
-    #[error("no scene of {suite} is in {}: {missing}. {source_words}", path.display())]
-    NoScenes {
-        /// The data set.
-        suite: Suite,
-        /// The path that was searched.
-        path: PathBuf,
-        /// The missing files of each scene.
-        missing: String,
-        /// The source for downloading the data set.
-        source_words: &'static str,
-    },
-    /// The data set has no test of that protocol.
-    #[error("{suite} is not scored by the protocol {protocol}; its protocols are {known}")]
-    NotItsProtocol {
-        /// The data set.
-        suite: Suite,
-        /// The protocol.
-        protocol: Protocol,
-        /// The supported protocols.
-        known: String,
-    },
-    /// A scene lacks its held-out views.
-    #[error("{} has no held-out views, which the protocol {protocol} scores; {hint}", path.display())]
-    NoViews {
-        /// The scene.
-        path: PathBuf,
-        /// The protocol.
-        protocol: Protocol,
-        /// How to fix it.
-        hint: &'static str,
-    },
-    /// Training images that are not one step of time apart each.
-    #[error("the training images of {} are not evenly spaced in time, as geometry from images alone assumes; omit --geometry own", path.display())]
-    UnevenTimes {
-        /// The capture.
-        path: PathBuf,
-    },
-    /// Poses of our own that lie nowhere near those of the data set.
-    #[error("the cameras found from the images of {} do not align with those of the data set, so its views cannot be placed; train with --geometry given", path.display())]
-    NotAligned {
-        /// The scene.
-        path: PathBuf,
-    },
-    /// A scene cannot be imported.
-    #[error(transparent)]
-    Import(#[from] ReadSourceError),
-    /// An image of a table cannot be written.
-    #[error("cannot write {}: {what}", path.display())]
-    Plot {
-        /// The image.
-        path: PathBuf,
-        /// The message.
-        what: String,
-    },
-}
-
-impl ReproduceError {
-    fn no_scenes(suite: Suite, path: &Path, missing: &[MissingScene]) -> Self {
-        let words: Vec<String> = missing.iter().map(|m| format!("{} ({})", m.scene, m.why)).collect();
-        Self::NoScenes {
-            suite,
-            path: path.to_path_buf(),
-            missing: words.join(", "),
-            source_words: suite.source(),
-        }
-    }
-
-    /// What sort of failure this is.
-    #[must_use]
-    pub fn category(&self) -> Category {
-        match self {
-            Self::NoScenes { .. } => Category::NoInput,
-            Self::NotItsProtocol { .. } => Category::Usage,
-            Self::NoViews { .. } | Self::UnevenTimes { .. } | Self::NotAligned { .. } => Category::BadInput,
-            Self::Import(e) => e.kind().into(),
-            Self::Plot { .. } => Category::CannotWrite,
-        }
-    }
 }

@@ -1,8 +1,9 @@
 //! The tables of a reproduction, as Markdown and as images.
 
+use super::report;
 use super::report::{ReproduceReport, TableReport};
-use super::{ReproduceError, report};
 use crate::bench::aligned;
+use crate::{Category, Refusal};
 use plotters::prelude::*;
 use std::path::Path;
 
@@ -212,8 +213,8 @@ struct Bar {
 ///
 /// # Errors
 ///
-/// [`ReproduceError::Plot`] if it cannot be written.
-pub(super) fn write(path: &Path, table: &TableReport) -> Result<(), ReproduceError> {
+/// A refusal if it cannot be written.
+pub(super) fn write(path: &Path, table: &TableReport) -> Result<(), Refusal> {
     let mut bars: Vec<Bar> = Vec::new();
     let mut ours = |name: String, value: Option<f64>| {
         bars.extend(value.filter(|v| v.is_finite()).map(|psnr_db| Bar {
@@ -234,9 +235,9 @@ pub(super) fn write(path: &Path, table: &TableReport) -> Result<(), ReproduceErr
         psnr_db: p.psnr_db,
         colour: THEIRS,
     }));
-    draw(path, table, &bars).map_err(|what| ReproduceError::Plot {
-        path: path.to_path_buf(),
-        what,
+    draw(path, table, &bars).map_err(|what| {
+        let message = format!("cannot write {}: {what}", path.display());
+        Refusal::new(Category::CannotWrite, message)
     })
 }
 

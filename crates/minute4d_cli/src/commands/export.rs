@@ -5,7 +5,7 @@ use crate::options::{ReachArgs, choice, rate};
 use crate::output::Output;
 use clap::Args;
 use clap::builder::TypedValueParser;
-use minute4d::export::{ExportError, ExportJob, Format};
+use minute4d::export::{ExportJob, Format};
 use minute4d::io::scene::fourdgs::{FourdgsConfig, Precision};
 use minute4d::render::Moment;
 use std::path::PathBuf;
@@ -18,7 +18,7 @@ pub struct Export {
     /// Output format [default: by the extension of --out, or 4dgs]. 4dgs, splatv: the whole clip; ply, spz, gltf: one
     /// instant; ply-sequence: one file per frame; colmap, nerfstudio: cameras, images, masks and points of a capture (and depth);
     /// mp4: a video rendered from the source cameras
-    #[arg(long, value_name = "FORMAT", value_parser = format)]
+    #[arg(long, value_name = "FORMAT")]
     pub format: Option<Format>,
     /// Output file, or folder for a sequence [default: scene.EXTENSION next to the scene]
     #[arg(long, short, value_name = "PATH")]
@@ -53,11 +53,6 @@ fn precisions() -> impl TypedValueParser<Value = Precision> {
         ("normal", "The format's default", Precision::Normal),
         ("coarse", "Smaller file, larger error", Precision::Coarse),
     ])
-}
-
-/// Parses the name of an export format.
-fn format(text: &str) -> Result<Format, String> {
-    text.parse().map_err(|e: ExportError| e.to_string())
 }
 
 pub fn run(args: &Export, output: &Output) -> Result<(), Failure> {

@@ -6,7 +6,7 @@ use crate::output::Output;
 use clap::Args;
 use clap::builder::TypedValueParser;
 use minute4d::Existing;
-use minute4d::import::{CaptureReport, ImportError, ImportFormat, ImportJob, ImportOptions, ImportReport, Report};
+use minute4d::import::{CaptureReport, ImportFormat, ImportJob, ImportOptions, ImportReport, Report};
 use minute4d::io::capture::Axes;
 use std::path::PathBuf;
 
@@ -21,7 +21,7 @@ pub struct Import {
     #[arg(long, short, value_name = "DIR")]
     pub out: PathBuf,
     /// Format of the source [default: detected from names and contents]
-    #[arg(long, value_name = "FORMAT", value_parser = format)]
+    #[arg(long, value_name = "FORMAT")]
     pub format: Option<ImportFormat>,
     /// Frames per second, for sources without timestamps [default: 30]
     #[arg(long, value_name = "FPS", value_parser = rate)]
@@ -104,11 +104,6 @@ impl Import {
             ..ImportJob::new(self.format)
         }
     }
-}
-
-/// Parses the name of an import format.
-fn format(text: &str) -> Result<ImportFormat, String> {
-    text.parse().map_err(|e: ImportError| e.to_string())
 }
 
 pub fn run(args: &Import, output: &Output) -> Result<(), Failure> {

@@ -159,7 +159,7 @@ fn nothing(given: &str, recursive: bool) -> BatchError {
 fn add(path: &Path, recursive: bool, found: &mut BTreeSet<PathBuf>) -> Result<(), BatchError> {
     // `canonicalize` follows links, so that a clip that is named twice is one clip.
     let path = fs::canonicalize(path).map_err(|e| match e.kind() {
-        std::io::ErrorKind::NotFound | std::io::ErrorKind::NotADirectory => BatchError::Missing {
+        io::ErrorKind::NotFound | io::ErrorKind::NotADirectory => BatchError::Missing {
             path: path.to_path_buf(),
         },
         _ => BatchError::read(path)(e),

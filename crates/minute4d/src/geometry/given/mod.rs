@@ -4,16 +4,14 @@ mod lens;
 mod poses;
 
 use super::GeometryOptions;
-use crate::{Category, Error, hash};
+use crate::{Category, Error, Refusal, hash};
 use m4_core::{Camera, DepthMap, Intrinsics, Mask, Plane, Video};
-use m4_io::ErrorKind;
 use m4_io::image::{read_depth, read_mask, read_rgb};
 use m4_io::video::image_files;
 use rayon::prelude::*;
 use serde::Serialize;
 use std::collections::HashMap;
 use std::ffi::OsStr;
-use std::io;
 use std::path::{Path, PathBuf};
 
 /// Metres a step of a depth map.
@@ -42,8 +40,8 @@ impl Sources {
         let of = |option: &'static str, path: Option<&Path>| -> Result<Option<String>, Error> {
             let Some(path) = path else { return Ok(None) };
             if !path.exists() {
-                let path = path.to_path_buf();
-                return Err(GivenError::Missing { option, path }.into());
+                let message = format!("there is nothing at {}, which was given with {option}", path.display());
+                return Err(Refusal::new(Category::NoInput, message).into());
             }
             hash::of_path(path).map(Some)
         };
@@ -109,8 +107,8 @@ impl Given {
         if let (Some(depth), Some(path)) = (&depth, &options.depth)
             && !depth.iter().flat_map(|d| d.data()).any(|&z| z > 0.0)
         {
-            let path = path.clone();
-            return Err(GivenError::NoDepth { path }.into());
+            let message = format!("the depth maps in {} are 0 (unknown) everywhere", path.display());
+            return Err(Refusal::bad_input(message).into());
         }
         Ok(Self {
             lens,
@@ -145,18 +143,29 @@ fn each<T: Send>(
     size: impl Fn(&T) -> (usize, usize) + Sync,
 ) -> Result<Vec<T>, Error> {
     let files = clip.files(what, folder)?;
-    let one = |path: &std::path::PathBuf| {
+    let one = |path: &PathBuf| {
         let value = read(path)?;
         let found = size(&value);
         if !same_shape(found, clip.size) {
-            let (path, frame) = (path.clone(), clip.size);
-            return Err(GivenError::Size { path, found, frame }.into());
+            return Err(other_shape(path, found, clip.size).into());
         }
         Ok(value)
     };
     // The first in order that fails is the one that is named, whatever the number of threads.
     let all: Vec<Result<T, Error>> = files.par_iter().map(one).collect();
     all.into_iter().collect()
+}
+
+/// The refusal of an image of another shape than the frames.
+fn other_shape(path: &Path, found: (usize, usize), frame: (usize, usize)) -> Refusal {
+    Refusal::bad_input(format!(
+        "{} is {} x {} pixels and the frames are {} x {}: the aspect ratios differ",
+        path.display(),
+        found.0,
+        found.1,
+        frame.0,
+        frame.1
+    ))
 }
 
 /// True where both are the same image at some size.
@@ -177,107 +186,6 @@ fn mask(path: &Path) -> Result<Mask, Error> {
 fn depth(path: &Path) -> Result<DepthMap, Error> {
     let map: Plane<f32> = read_depth(path, DEPTH_UNIT)?.to_map();
     Ok(map)
-}
-
-/// Why something that the user gave cannot be used.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum GivenError {
-    /// Poses for a front end that finds them itself.
-    #[error("the front end megasam estimates the poses itself: omit --poses, or choose another --frontend")]
-    CamerasTwice,
-    /// There is no such file or folder.
-    #[error("there is nothing at {}, which was given with {option}", path.display())]
-    Missing {
-        /// The option.
-        option: &'static str,
-        /// The path that was searched.
-        path: PathBuf,
-    },
-    /// A file that cannot be read.
-    #[error("cannot read {}: {source}", path.display())]
-    Read {
-        /// The file.
-        path: PathBuf,
-        /// The error of the operating system.
-        source: io::Error,
-    },
-    /// A lens that is none.
-    #[error(
-        "the intrinsics {given:?} cannot be used: {reason}; give --intrinsics fx,fy,cx,cy in pixels of the frames, or a JSON file with fl_x, fl_y, cx, cy, w and h"
-    )]
-    Lens {
-        /// The given value.
-        given: String,
-        /// The fault.
-        reason: String,
-    },
-    /// Another number of files or poses than of frames.
-    #[error("{} has {found} {what} for {frames} frames; give one per frame, in the order or with the names of the frames", path.display())]
-    Count {
-        /// The kind of file.
-        what: &'static str,
-        /// The file or folder.
-        path: PathBuf,
-        /// The number of them.
-        found: usize,
-        /// How many frames the clip has.
-        frames: usize,
-    },
-    /// An image of another shape than the frames.
-    #[error("{} is {} x {} pixels and the frames are {} x {}: the aspect ratios differ", path.display(), found.0, found.1, frame.0, frame.1)]
-    Size {
-        /// The file.
-        path: PathBuf,
-        /// Its width and height.
-        found: (usize, usize),
-        /// Those of the frames.
-        frame: (usize, usize),
-    },
-    /// A line of a trajectory that is no pose.
-    #[error("{}, line {line}: {what}; each line is `t tx ty tz qx qy qz qw`, camera to world", path.display())]
-    Line {
-        /// The file.
-        path: PathBuf,
-        /// Its line, from 1.
-        line: usize,
-        /// The fault.
-        what: String,
-    },
-    /// A trajectory says nothing about the lens.
-    #[error("{} has poses without intrinsics; give --intrinsics, or --fov with the horizontal field of view", path.display())]
-    NoLens {
-        /// The file.
-        path: PathBuf,
-    },
-    /// Depth maps that know nothing.
-    #[error("the depth maps in {} are 0 (unknown) everywhere", path.display())]
-    NoDepth {
-        /// The folder.
-        path: PathBuf,
-    },
-    /// Depth maps and the reconstruction have nothing in common.
-    #[error(
-        "the depth maps know only {found} of the points that were reconstructed, {needed} are needed to bring both to one scale; give --poses in metres too, or depth maps with fewer holes"
-    )]
-    NoScale {
-        /// Points with a given depth.
-        found: usize,
-        /// Points needed.
-        needed: usize,
-    },
-}
-
-impl GivenError {
-    /// Returns the category of the failure.
-    #[must_use]
-    pub fn category(&self) -> Category {
-        match self {
-            Self::Missing { .. } => Category::NoInput,
-            Self::Read { source, .. } => ErrorKind::of_read(source).into(),
-            _ => Category::BadInput,
-        }
-    }
 }
 
 /// A clip as far as files are to be found for its frames.
@@ -312,7 +220,7 @@ impl Clip {
         if !folder.is_dir() {
             let source = std::io::Error::new(std::io::ErrorKind::NotADirectory, "a folder was expected");
             let path = folder.to_path_buf();
-            return Err(GivenError::Read { path, source }.into());
+            return Err(Error::Read { path, source });
         }
         let files = image_files(folder)?;
         if let Some((all, chosen)) = &self.source {
@@ -337,12 +245,12 @@ impl Clip {
         {
             return Ok(chosen);
         }
-        Err(GivenError::Count {
-            what,
-            path: path.to_path_buf(),
-            found: items.len(),
-            frames: self.frames,
-        }
+        Err(Refusal::bad_input(format!(
+            "{} has {} {what} for {} frames; give one per frame, in the order or with the names of the frames",
+            path.display(),
+            items.len(),
+            self.frames
+        ))
         .into())
     }
 }

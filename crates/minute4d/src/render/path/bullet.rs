@@ -1,6 +1,7 @@
 //! Bullet time: plays, freezes time while the camera moves around, and plays on.
 
-use super::{PathConfig, PathError, PathOptions, SourcePath, Stop};
+use super::{PathConfig, PathOptions, SourcePath, Stop};
+use crate::Refusal;
 use crate::render::Region;
 use crate::render::swing::{figure_of_eight, orbit};
 use m4_core::nalgebra::{Matrix3, Vector3};
@@ -26,8 +27,8 @@ impl Bullet {
     ///
     /// # Errors
     ///
-    /// [`PathError::TooShort`].
-    pub fn new(freeze_s: f64, source_s: f64, options: &PathOptions, config: &PathConfig) -> Result<Self, PathError> {
+    /// A refusal of a path that is over before time is frozen.
+    pub fn new(freeze_s: f64, source_s: f64, options: &PathOptions, config: &PathConfig) -> Result<Self, Refusal> {
         let all = [freeze_s, (source_s - freeze_s).max(0.0)];
         // Slowing down over e seconds covers e / 2 seconds of the source.
         let ease_s = all.map(|s| config.ease_s.min(2.0 * s).max(0.0));
@@ -45,10 +46,11 @@ impl Bullet {
             } else if short < 0.0 {
                 let least: f64 = ease_s.iter().sum::<f64>() * 0.5;
                 if kept < least {
-                    return Err(PathError::TooShort {
-                        seconds,
-                        hold_s: bullet.hold_s + 2.0 * least,
-                    });
+                    let hold_s = bullet.hold_s + 2.0 * least;
+                    return Err(Refusal::usage(format!(
+                        "--seconds {seconds} leaves no time besides the {hold_s} s for which time is frozen; choose more, or less with \
+                         --hold-s"
+                    )));
                 }
                 // Both sides give in proportion, but keep what the slowing down needs.
                 let spare = all.iter().zip(ease_s).map(|(a, e)| a - 0.5 * e).sum::<f64>();

@@ -1,6 +1,7 @@
 //! The source camera, interpolated between its frames, and smoothed.
 
-use super::{PathError, Stop};
+use super::Stop;
+use crate::Refusal;
 use crate::render::DEFAULT_FPS;
 use crate::render::spline::{PoseSpline, quaternion};
 use m4_core::nalgebra::{UnitQuaternion, Vector3};
@@ -22,13 +23,15 @@ impl SourcePath {
     ///
     /// # Errors
     ///
-    /// [`PathError::NoSource`].
-    pub fn new(scene: &Scene, path: &str) -> Result<Self, PathError> {
+    /// A refusal of a scene without its cameras.
+    pub fn new(scene: &Scene, path: &str) -> Result<Self, Refusal> {
         let mut frames: Vec<SourceFrame> = scene.source.clone();
         frames.sort_by(|a, b| a.t.total_cmp(&b.t));
         frames.dedup_by(|later, kept| later.t <= kept.t);
         if frames.is_empty() {
-            return Err(PathError::NoSource { path: path.to_owned() });
+            return Err(Refusal::bad_input(format!(
+                "the scene has no cameras of its source, so there is no camera path {path}; give a file of cameras with --path"
+            )));
         }
         let times: Vec<f64> = frames.iter().map(|f| f.t).collect();
         let poses = frames.iter().map(|f| f.camera.c2w).collect();

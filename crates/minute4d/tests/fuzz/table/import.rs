@@ -240,7 +240,7 @@ fn beside(change: impl FnOnce(&mut ImportOptions)) -> Outcome {
         ..ImportOptions::default()
     };
     change(&mut options);
-    clip(&fixture("import/record3d/clip.r3d"), SourceFormat::Record3d, &options)
+    clip(&fixture("import/record3d/clip.r3d"), Record3d, &options)
 }
 
 /// A file that `set` makes the depth, masks or tracks of the clip.

@@ -32,11 +32,6 @@ pub fn families() -> Vec<&'static str> {
     all
 }
 
-/// The readers of a family, in the order of the table.
-pub fn of_family(family: &str) -> Vec<Reader> {
-    readers().into_iter().filter(|r| r.family() == family).collect()
-}
-
 /// A reader of one file that is called `file`.
 pub fn alone(
     name: &'static str,
