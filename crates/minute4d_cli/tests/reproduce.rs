@@ -1,5 +1,4 @@
 //! Protocols from outside: frames are split, scenes judged, and the tables of data sets made from folders in their exact layouts.
-#![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
 use crate::common::data_sets::{write_dycheck, write_dycheck_of, write_nvidia};
 use crate::common::{SIZE, Scratch, capture, clips, mean_image_psnr_db, seen_from, write_capture};

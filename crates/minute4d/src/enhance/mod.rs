@@ -69,8 +69,8 @@ impl FrameSource for Frames<'_> {
 ///
 /// # Errors
 ///
-/// [`Error::Enhance`]: a frame says nothing about the dynamic part, the maps are the wrong way round, the settings make no sense, `segmenter`
-/// fails or `progress` says to stop.
+/// [`Error::Refused`]: a frame says nothing about the dynamic part. [`Error::Enhance`]: the maps are the wrong way round, the settings make
+/// no sense, `segmenter` fails or `progress` says to stop.
 pub fn masks(
     mut capture: Capture,
     settings: &RefineSettings,
@@ -297,7 +297,7 @@ mod tests {
         given.frames[2].mask = None;
         let error = masks(given, &RefineSettings::default(), &follower.segmenter(), None, &Silent).unwrap_err();
         assert!(
-            matches!(error, Error::Enhance(_)) && error.to_string().contains("00002"),
+            matches!(error, Error::Refused(_)) && error.to_string().contains("00002"),
             "{error}"
         );
         assert_eq!(error.category(), Category::BadInput);

@@ -90,7 +90,7 @@ pub struct EvalReport {
 ///
 /// # Errors
 ///
-/// [`Error::Evaluation`] without held-out views; else what could not be read, compared or written.
+/// [`Error::Refused`] without held-out views; else what could not be read, compared or written.
 pub fn views(
     out: &Path,
     data: &Path,
@@ -110,7 +110,7 @@ pub fn views(
 ///
 /// # Errors
 ///
-/// As [`views`]; [`Error::Evaluation`] if the capture cannot be judged by the protocol.
+/// As [`views`]; [`Error::Refused`] if the capture cannot be judged by the protocol.
 pub fn views_by(out: &Path, data: &Path, options: &EvalOptions, observer: &dyn Observer) -> Result<EvalReport, Error> {
     let start = Instant::now();
     let level = SimdLevel::detect()?;

@@ -93,7 +93,7 @@ impl CameraPath {
     ///
     /// # Errors
     ///
-    /// [`Error::Path`] for options that cannot work, [`Error::Time`] for moments outside the scene,
+    /// [`Error::Refused`] for options that cannot work, [`Error::Time`] for moments outside the scene,
     /// [`Error::Data`] for a file that cannot be used.
     pub fn plan(&self, scene: &Scene, painter: &mut Painter<'_>, job: &RenderJob) -> Result<Plan, Error> {
         job.options.check(self)?;
