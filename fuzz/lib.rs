@@ -1,8 +1,18 @@
-//! What all targets share: the readers of a family, their folders, and what counts as a crash besides a panic.
+//! What all targets share: the readers of a family, their folders, and what counts as a crash besides a panic. The table of readers is
+//! that of the tests of `minute4d`.
 
 pub use libfuzzer_sys;
 
-use m4_fuzz::{Reader, Stage, of_family};
+#[path = "../crates/minute4d/tests/fuzz/files.rs"]
+pub mod files;
+#[path = "../crates/minute4d/tests/fuzz/reader.rs"]
+pub mod reader;
+#[path = "../crates/minute4d/tests/fuzz/table/mod.rs"]
+pub mod table;
+#[path = "../crates/minute4d/tests/fuzz/valid.rs"]
+pub mod valid;
+
+use reader::{Reader, Stage};
 use std::cell::{Cell, OnceCell};
 use std::panic;
 
@@ -21,6 +31,11 @@ fn stages(family: &str) -> Vec<Stage<'static>> {
     let readers: &'static [Reader] = Box::leak(of_family(family).into_boxed_slice());
     let stages = readers.iter().map(|reader| reader.stage().expect("a temporary folder"));
     stages.collect()
+}
+
+/// The readers of a family, in the order of the table.
+pub fn of_family(family: &str) -> Vec<Reader> {
+    table::readers().into_iter().filter(|r| r.family() == family).collect()
 }
 
 /// The first byte says which reader of the family reads the others; panics where what came of them is not valid or a message

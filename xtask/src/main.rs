@@ -20,7 +20,7 @@ const USAGE: &str = "usage: cargo xtask <test [--full] [--require NEED,...] [-- 
   lock    no git sources in Cargo.lock
   deny    cargo-deny: licences, sources, duplicate versions (skipped where it is not installed)
   page    build the viewer's page from crates/m4_viewer/page (needs npm)
-  settings  write docs/settings.md from the code; --check: fail where it is not up to date
+  settings  write the defaults in docs/settings.md from the code; --check: fail where it is not up to date
   results-held-out  train each scene in every profile and score its held-out views (docs/results.md)
   results-time      train each scene in both profiles for so many seconds each and score its held-out views
   results-geometry  recover the geometry of each input and compare it with the truth (docs/results.md)

@@ -29,7 +29,7 @@ pub use formula::{FormulaWeights, formula, formula_input, write_formula_weights}
 pub use interrupt::StopAtPoll;
 pub use levels::on_every_level;
 pub use mutate::mutate;
-pub use shared::shared;
+pub use shared::{repository, shared};
 pub use skip::{Need, SKIPPED_VARIABLE, skip};
 pub use synthetic::{
     MovingScene, SceneSpec, camera_looking_at, moving_scene, random_camera, random_scene, random_splats,

@@ -1,7 +1,13 @@
-//! Large inputs in a folder next to the repository, which may be absent.
+//! The root of the repository, and large inputs in a folder next to it, which may be absent.
 
 use crate::{Need, skip};
 use std::path::PathBuf;
+
+/// Returns the root of the repository.
+#[must_use]
+pub fn repository() -> PathBuf {
+    PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../.."))
+}
 
 /// Path of `name` in `shared` (such as `bench/quad-1`), beside the repository's root; `None` where this machine does
 /// not have it, and the test is listed as skipped.

@@ -2,9 +2,8 @@
 
 use crate::error::OutputError;
 use crate::folder::{self, Existing, Lock};
-use crate::progress::RecordingObserver;
 use crate::record::{GEOMETRY_FILE, GeometryRecord, Status};
-use crate::stage::{self, Ended, StageFolder};
+use crate::stage::{self, Ended, RecordingObserver, StageFolder};
 use crate::steps::{self, Steps};
 use crate::{Error, Observer, StageEvent, enhance};
 use m4_io::capture::{Split, TRACKS_FILE};

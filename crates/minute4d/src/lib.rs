@@ -50,21 +50,18 @@ mod capture_folder;
 mod clock;
 mod error;
 mod hash;
-mod job;
 mod pipeline;
-mod progress;
 mod stage;
 mod steps;
 mod workspace;
 
-pub use error::{BUILD_FULL, Category, DataError, Error, NetworkError, NetworkMethod, OutputError};
+pub use error::{BUILD_FULL, Category, DataError, Error, NetworkError, NetworkMethod, OutputError, Refusal};
 pub use folder::Existing;
 pub use hash::of_path as hash_of_path;
-pub use job::{Job, threads, with_threads};
-pub use pipeline::{is_capture, run};
-pub use progress::{Observer, RecordingObserver, StageEvent};
+pub use pipeline::{Job, is_capture, run, threads, with_threads};
 pub use record::{plain_json, pretty_json};
 pub use settings::Settings;
+pub use stage::{Observer, RecordingObserver, StageEvent};
 
 pub use m4_core as core;
 pub use m4_core::{Progress, Silent};

@@ -1,13 +1,14 @@
-//! The whole pipeline: geometry, training, preview, viewer.
+//! The whole pipeline, and the job that every stage gets.
 
 use crate::clock::Clock;
 use crate::device::DeviceRequest;
-use crate::folder::CAPTURE_FOLDER;
+use crate::folder::{CAPTURE_FOLDER, Existing};
 use crate::geometry::GeometryOptions;
-use crate::progress::RecordingObserver;
 use crate::record::{Input, RunRecord, StageRecord};
+use crate::stage::RecordingObserver;
 use crate::workspace::Workspace;
-use crate::{Error, Existing, Job, geometry, hash, train};
+use crate::{Error, Observer, Settings, geometry, hash, train};
+use m4_kernels::SimdLevel;
 use std::path::Path;
 
 /// Turns a video, a folder of images, or a capture into a scene; finished stages of an earlier run are reused
@@ -69,4 +70,46 @@ pub fn run(input: &Path, out: &Path, job: &Job<'_>) -> Result<RunRecord, Error> 
 pub fn is_capture(path: &Path) -> bool {
     let listed = ["transforms_train.json", "transforms.json"];
     listed.iter().any(|name| path.join(name).is_file()) || path.extension().is_some_and(|e| e == "json")
+}
+
+/// The inputs of every stage: settings, device, the treatment of earlier results, and the observer.
+pub struct Job<'a> {
+    /// Every setting.
+    pub settings: Settings,
+    /// The device for training.
+    pub device: DeviceRequest,
+    /// What to do with a folder that is not empty.
+    pub existing: Existing,
+    /// Receives progress, and may ask to stop.
+    pub observer: &'a dyn Observer,
+}
+
+impl Job<'_> {
+    /// Refuses settings that no stage can use, before any of them starts.
+    pub(crate) fn check(&self) -> Result<SimdLevel, Error> {
+        self.settings.check()?;
+        Ok(SimdLevel::detect()?)
+    }
+}
+
+/// Calls `f` on a pool of this many threads; on all cores for `None`.
+///
+/// # Errors
+///
+/// [`Error::Internal`] if the system gives no threads.
+pub fn with_threads<R: Send>(threads: Option<usize>, f: impl FnOnce() -> R + Send) -> Result<R, Error> {
+    let Some(threads) = threads else { return Ok(f()) };
+    let pool = rayon::ThreadPoolBuilder::new()
+        .num_threads(threads)
+        .build()
+        .map_err(|e| Error::Internal {
+            what: format!("cannot start {threads} threads: {e}"),
+        })?;
+    Ok(pool.install(f))
+}
+
+/// Threads of the current pool.
+#[must_use]
+pub fn threads() -> usize {
+    rayon::current_num_threads()
 }

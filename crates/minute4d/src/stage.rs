@@ -1,8 +1,10 @@
-//! Runs a stage of any command: events, time, warnings, and the record of its folder.
+//! Runs stages, and observes them.
 
-use crate::progress::RecordingObserver;
+use crate::Error;
 use crate::record::Status;
-use crate::{Error, Observer, StageEvent};
+use m4_core::{Progress, Scene};
+use m4_train::MetricsEvent;
+use std::sync::{Mutex, PoisonError};
 use std::time::Instant;
 
 /// A folder with the record that a stage writes.
@@ -66,4 +68,128 @@ pub(crate) fn run<'a, F: StageFolder<'a>, R>(
     let seconds = ended.seconds;
     observer.stage(stage, StageEvent::Finished { seconds });
     Ok(result)
+}
+
+/// An event of a stage.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
+pub enum StageEvent<'a> {
+    /// The stage starts; `because` says why an earlier result, if any, could not be reused.
+    Started {
+        /// The reason, as text.
+        because: Option<&'a str>,
+    },
+    /// The stage continues an interrupted run.
+    Resumed {
+        /// Steps that were done earlier.
+        done: usize,
+        /// The total number of steps.
+        total: usize,
+    },
+    /// An earlier result was reused.
+    Reused,
+    /// The stage has finished.
+    Finished {
+        /// Wall-clock seconds.
+        seconds: f64,
+    },
+}
+
+/// A [`Progress`] that also follows stages.
+pub trait Observer: Progress {
+    /// Reports an event of the stage `name`.
+    fn stage(&self, name: &str, event: StageEvent<'_>);
+
+    /// Reports the progress of training over this many iterations.
+    fn metrics(&self, metrics: &MetricsEvent, iterations: usize) {
+        let _ = (metrics, iterations);
+    }
+
+    /// Returns true if [`scene`](Self::scene) should be called; training asks between two steps, so the answer
+    /// must be cheap.
+    fn wants_scene(&self) -> bool {
+        false
+    }
+
+    /// Offers the current scene: `copy` makes a copy, which training waits for.
+    /// `median_depth` is that of the capture, world units.
+    fn scene(&self, copy: &mut dyn FnMut() -> Scene, median_depth: f64) {
+        let _ = (copy, median_depth);
+    }
+}
+
+impl Observer for m4_core::Silent {
+    fn stage(&self, _name: &str, _event: StageEvent<'_>) {}
+}
+
+/// Forwards everything to another observer, and keeps the warnings for the record.
+pub struct RecordingObserver<'a> {
+    observer: &'a dyn Observer,
+    warnings: Mutex<Vec<String>>,
+    until: Option<Instant>,
+}
+
+impl<'a> RecordingObserver<'a> {
+    /// Creates one that forwards to `observer`.
+    #[must_use]
+    pub fn new(observer: &'a dyn Observer) -> Self {
+        Self {
+            observer,
+            warnings: Mutex::new(Vec::new()),
+            until: None,
+        }
+    }
+
+    /// Like [`new`](Self::new), but asks to stop after `end`.
+    #[must_use]
+    pub fn until(self, end: Option<Instant>) -> Self {
+        Self { until: end, ..self }
+    }
+
+    /// Returns every warning so far, each once, in the order of first appearance.
+    #[must_use]
+    pub fn warnings(&self) -> Vec<String> {
+        self.warnings.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+}
+
+impl Progress for RecordingObserver<'_> {
+    fn update(&self, phase: &str, done: usize, total: usize, note: &str) {
+        self.observer.update(phase, done, total, note);
+    }
+
+    fn warn(&self, message: &str) {
+        let mut warnings = self.warnings.lock().unwrap_or_else(PoisonError::into_inner);
+        if warnings.iter().any(|w| w == message) {
+            return;
+        }
+        warnings.push(message.to_owned());
+        drop(warnings);
+        self.observer.warn(message);
+    }
+
+    fn cancelled(&self) -> bool {
+        self.observer.cancelled() || self.until.is_some_and(|end| Instant::now() >= end)
+    }
+}
+
+impl Observer for RecordingObserver<'_> {
+    fn stage(&self, name: &str, event: StageEvent<'_>) {
+        self.observer.stage(name, event);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::RecordingObserver;
+    use m4_core::{Progress, Silent};
+
+    #[test]
+    fn repeated_warnings_are_recorded_once() {
+        let keeper = RecordingObserver::new(&Silent);
+        for message in ["dark", "blurred", "dark"] {
+            keeper.warn(message);
+        }
+        assert_eq!(keeper.warnings(), ["dark", "blurred"]);
+    }
 }

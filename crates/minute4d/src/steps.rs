@@ -6,9 +6,8 @@
 //! that of an uninterrupted one. Steps only save time: a failure to write one is reported once, and the work
 //! continues.
 
-use crate::Observer;
-use crate::folder;
-use crate::progress::RecordingObserver;
+use crate::stage::RecordingObserver;
+use crate::{Observer, folder};
 use serde::{Serialize, de::DeserializeOwned};
 use std::fs;
 use std::io::Write;

@@ -3,9 +3,8 @@
 use crate::clock::Clock;
 use crate::device::OpenGpu;
 use crate::folder::{self, Lock};
-use crate::progress::RecordingObserver;
 use crate::record::{Device, FileRecord, Input, RunRecord, StageRecord, Status, peak_memory_bytes};
-use crate::stage::{self, Ended, StageFolder};
+use crate::stage::{self, Ended, RecordingObserver, StageFolder};
 use crate::{Error, Job, Observer, hash};
 use m4_kernels::SimdLevel;
 use std::fs;

@@ -1,15 +1,16 @@
 //! The `minute4d` program: commands, messages, exit codes. The work is done by the library.
 #![forbid(unsafe_code)]
 
-mod args;
+mod cli;
 mod commands;
 mod decoder;
 mod failure;
+mod options;
 mod output;
 mod panics;
 
-use args::Cli;
 use clap::Parser;
+use cli::Cli;
 use failure::Failure;
 use output::{Output, StopSignal};
 use std::ffi::OsString;

@@ -1,9 +1,7 @@
 //! Many clips: planned, run job by job, killed, resumed, reported.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
-use crate::common::{
-    Ended, Running, Scratch, call, capture, mean_image_psnr_db, program, refused, succeed, write_capture,
-};
+use crate::common::{Ended, Running, Scratch, capture, mean_image_psnr_db, write_capture};
 use serde_json::Value;
 use std::fs;
 use std::path::Path;
@@ -20,21 +18,18 @@ fn write_clips(dir: &Scratch, n: usize) {
     }
 }
 
-/// Plans everything in `clips`; gives the arguments that name the manifest.
-fn plan(dir: &Scratch, more: &[&str]) -> [String; 2] {
-    let (clips, manifest, out) = (dir.at("clips"), dir.at("jobs.jsonl"), dir.at("results"));
-    let args = ["batch", "plan", &clips, "--recursive", "-o", &manifest, "--out", &out];
-    succeed(&args.iter().chain(more).copied().collect::<Vec<_>>());
-    ["--manifest".to_owned(), manifest]
+/// Plans everything in `clips`.
+fn plan(dir: &Scratch, more: &str) {
+    let line = "batch plan clips --recursive -o jobs.jsonl --out results";
+    dir.succeed(&format!("{line} {more}"));
 }
 
-/// `batch run` with the manifest and more.
-fn job(manifest: &[String; 2], more: &[&str]) -> Command {
-    let mut command = program();
+/// `batch run` with more.
+fn job(dir: &Scratch, more: &str) -> Command {
+    let mut command = dir.command(&format!("batch run --json --manifest jobs.jsonl {more}"));
     for name in ["SLURM_ARRAY_TASK_ID", "JOB_COMPLETION_INDEX"] {
         command.env_remove(name);
     }
-    command.args(["batch", "run", "--json"]).args(manifest).args(more);
     command
 }
 
@@ -42,9 +37,9 @@ fn ended(mut command: Command) -> Ended {
     Ended::of(command.output().unwrap())
 }
 
-fn status(manifest: &[String; 2], more: &[&str]) -> Value {
-    let args = ["batch", "status", "--json", &manifest[0], &manifest[1]];
-    succeed(&args.iter().chain(more).copied().collect::<Vec<_>>()).result()
+fn status(dir: &Scratch, more: &str) -> Value {
+    let line = "batch status --json --manifest jobs.jsonl";
+    dir.succeed(&format!("{line} {more}")).result()
 }
 
 fn clip<'a>(report: &'a Value, id: &str) -> &'a Value {
@@ -80,8 +75,8 @@ fn start_until_saved(command: Command, work: &Path, n: usize) -> Running {
 }
 
 /// The exit code of job `index`.
-fn code(manifest: &[String; 2], index: usize) -> i32 {
-    ended(job(manifest, &["--index", &index.to_string()])).code
+fn code(dir: &Scratch, index: usize) -> i32 {
+    ended(job(dir, &format!("--index {index}"))).code
 }
 
 /// What begins as a video does, and is none.
@@ -96,14 +91,14 @@ fn corrupt_clip_fails_permanently_and_others_finish() {
     let dir = Scratch::new();
     write_clips(&dir, 2);
     write_corrupt(&dir, "clips/bad.mp4");
-    let manifest = plan(&dir, &["--iterations", "20"]);
-    let bad = ended(job(&manifest, &["--index", "0"]));
+    plan(&dir, "--iterations 20");
+    let bad = ended(job(&dir, "--index 0"));
     assert_eq!(bad.code, 65, "{}", bad.stderr);
     assert_eq!(bad.result()["outcome"], "failed");
-    let mut by_scheduler = job(&manifest, &[]);
+    let mut by_scheduler = job(&dir, "");
     by_scheduler.env("SLURM_ARRAY_TASK_ID", "1");
     assert_eq!(ended(by_scheduler).code, 0);
-    let good = ended(job(&manifest, &["--index", "2"]));
+    let good = ended(job(&dir, "--index 2"));
     assert_eq!(
         (good.code, &good.result()["outcome"]),
         (0, &"done".into()),
@@ -111,7 +106,7 @@ fn corrupt_clip_fails_permanently_and_others_finish() {
         good.stderr
     );
 
-    let report = status(&manifest, &["--html", &dir.at("sheet.html")]);
+    let report = status(&dir, "--html sheet.html");
     let counts = report["counts"].as_object().unwrap();
     assert_eq!((&counts["done"], &counts["failed"]), (&2.into(), &1.into()));
     let sum: u64 = counts.values().filter_map(Value::as_u64).sum();
@@ -155,15 +150,15 @@ fn corrupt_clip_fails_permanently_and_others_finish() {
     };
     let log_length = || fs::read_to_string(dir.path("results/.log/bad.txt")).unwrap().len();
     let (before, log) = ((made("clip1"), made("clip2")), log_length());
-    assert_eq!([0, 1, 2, 3].map(|index| code(&manifest, index)), [65, 0, 0, 66]);
+    assert_eq!([0, 1, 2, 3].map(|index| code(&dir, index)), [65, 0, 0, 66]);
     assert_eq!(
         (before, log),
         ((made("clip1"), made("clip2")), log_length()),
         "nothing was touched"
     );
-    assert_eq!(ended(job(&manifest, &["--retry-failed", "--index", "0"])).code, 65);
+    assert_eq!(ended(job(&dir, "--retry-failed --index 0")).code, 65);
     assert!(log_length() > log, "it was run again because that was asked for");
-    let which = ended(job(&manifest, &[]));
+    let which = ended(job(&dir, ""));
     assert!(
         which.code == 2 && which.stderr.contains("--index from 0 to 2"),
         "{}",
@@ -171,21 +166,20 @@ fn corrupt_clip_fails_permanently_and_others_finish() {
     );
 
     // Other settings: all is made again, and takes the place of what was there.
-    let manifest = plan(&dir, &["--iterations", "21", "--force"]);
-    assert_eq!(status(&manifest, &[])["counts"]["waiting"], 3);
-    assert_eq!([0, 1, 2].map(|index| code(&manifest, index)), [65, 0, 0]);
-    let run: Value = serde_json::from_slice(&fs::read(dir.path("results/clip1/run.json")).unwrap()).unwrap();
-    assert_eq!(run["iterations"], 21);
+    plan(&dir, "--iterations 21 --force");
+    assert_eq!(status(&dir, "")["counts"]["waiting"], 3);
+    assert_eq!([0, 1, 2].map(|index| code(&dir, index)), [65, 0, 0]);
+    assert_eq!(dir.json("results/clip1/run.json")["iterations"], 21);
 }
 
 #[test]
 fn concurrent_processes_of_one_job_make_one_result() {
     let dir = Scratch::new();
     write_clips(&dir, 1);
-    let manifest = plan(&dir, &["--iterations", "40"]);
+    plan(&dir, "--iterations 40");
     let both: Vec<_> = (0..2)
         .map(|_| {
-            let mut command = job(&manifest, &["--index", "0"]);
+            let mut command = job(&dir, "--index 0");
             command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap()
         })
         .collect();
@@ -198,7 +192,7 @@ fn concurrent_processes_of_one_job_make_one_result() {
         .lines()
         .filter(|l| l.contains("\"stage\":\"train\"") && l.contains("\"started\""));
     assert_eq!(trained.count(), 1, "{log}");
-    assert_eq!(status(&manifest, &[])["counts"]["done"], 1);
+    assert_eq!(status(&dir, "")["counts"]["done"], 1);
 }
 
 #[cfg(unix)]
@@ -206,23 +200,21 @@ fn concurrent_processes_of_one_job_make_one_result() {
 fn killed_job_resumes_to_identical_bits() {
     let dir = Scratch::new();
     write_clips(&dir, 1);
-    let settings = ["--iterations", "1200", "--set", "checkpoint.every_s=0.02"];
-    let (input, whole) = (dir.at("clips/clip1"), dir.at("whole"));
-    succeed(&[&["run", &input, "-o", &whole], settings.as_slice()].concat());
-    let manifest = plan(&dir, &settings);
-    let mut running = start_until_saved(job(&manifest, &["--index", "0"]), &dir.path("results/.work/clip1"), 2);
+    let settings = "--iterations 1200 --set checkpoint.every_s=0.02";
+    dir.succeed(&format!("run clips/clip1 -o whole {settings}"));
+    plan(&dir, settings);
+    let mut running = start_until_saved(job(&dir, "--index 0"), &dir.path("results/.work/clip1"), 2);
     running.0.kill().unwrap();
     running.0.wait().unwrap();
     assert!(!dir.path("results/clip1").exists(), "nothing half done is published");
-    assert_eq!(clip(&status(&manifest, &[]), "clip1")["state"], "waiting");
+    assert_eq!(clip(&status(&dir, ""), "clip1")["state"], "waiting");
 
-    let second = ended(job(&manifest, &["--index", "0"]));
+    let second = ended(job(&dir, "--index 0"));
     assert_eq!(second.code, 0, "{}", second.stderr);
     let log = fs::read_to_string(dir.path("results/.log/clip1.txt")).unwrap();
     assert!(log.contains("\"status\":\"resumed\""), "it began anew: {log}");
-    let scene = |folder: &str| fs::read(dir.path(folder).join("scene.safetensors")).unwrap();
     assert!(
-        scene("whole") == scene("results/clip1"),
+        dir.read("whole/scene.safetensors") == dir.read("results/clip1/scene.safetensors"),
         "it must end with the same bits"
     );
 }
@@ -232,25 +224,17 @@ fn killed_job_resumes_to_identical_bits() {
 fn stopped_job_saves_and_can_be_rerun() {
     let dir = Scratch::new();
     write_clips(&dir, 1);
-    let manifest = plan(&dir, &["--iterations", "3000", "--set", "checkpoint.every_s=0.02"]);
+    plan(&dir, "--iterations 3000 --set checkpoint.every_s=0.02");
     for (name, code) in [("-TERM", 75), ("-INT", 130)] {
-        let mut running = start_until_saved(job(&manifest, &["--index", "0"]), &dir.path("results/.work/clip1"), 1);
+        let mut running = start_until_saved(job(&dir, "--index 0"), &dir.path("results/.work/clip1"), 1);
         let pid = running.0.id().to_string();
         assert!(Command::new("kill").args([name, &pid]).status().unwrap().success());
         assert_eq!(running.0.wait().unwrap().code(), Some(code), "{name}");
-        let report = status(&manifest, &[]);
+        let report = status(&dir, "");
         assert_eq!(clip(&report, "clip1")["state"], "retryable", "{report}");
-        let run: Value = serde_json::from_slice(&fs::read(dir.path("results/.work/clip1/run.json")).unwrap()).unwrap();
+        let run = dir.json("results/.work/clip1/run.json");
         assert_eq!(run["status"], "stopped", "it saved before it went");
     }
-}
-
-/// Makes the program `bin/NAME` of a script. By another process: one that is forked here meanwhile would hold it open for writing.
-#[cfg(target_os = "linux")]
-fn install(dir: &Scratch, name: &str, body: &str) {
-    let text = dir.write(&format!("{name}.txt"), format!("#!/bin/sh\n{body}\n"));
-    let install = ["-D", "-m", "755", &text, &dir.at(&format!("bin/{name}"))];
-    assert!(Command::new("install").args(install).status().unwrap().success());
 }
 
 #[cfg(target_os = "linux")]
@@ -260,15 +244,15 @@ fn machine_failures_are_not_counted_against_the_clip() {
     fs::create_dir_all(dir.path("clips")).unwrap();
     // A Matroska file: ffmpeg must decode it.
     dir.write("clips/clip1.mkv", [0x1a, 0x45, 0xdf, 0xa3, 0, 0, 0, 0]);
-    let manifest = plan(&dir, &["--iterations", "20", "--set", "video.decoder.idle_seconds=1"]);
+    plan(&dir, "--iterations 20 --set video.decoder.idle_seconds=1");
     let run = |words: &str, wanted: i32| {
-        let mut command = job(&manifest, &["--index", "0"]);
+        let mut command = job(&dir, "--index 0");
         // No other ffmpeg; the shell finds `kill` and `sleep` in it or by their places.
         command.env("PATH", dir.at("bin"));
         let ended = ended(command);
         assert_eq!(ended.code, wanted, "{words}: {}", ended.stderr);
         assert!(ended.stderr.contains(words), "{words}: {}", ended.stderr);
-        let state = clip(&status(&manifest, &[]), "clip1")["state"].clone();
+        let state = clip(&status(&dir, ""), "clip1")["state"].clone();
         assert_eq!(state == "failed", wanted == 65, "{words}: {state}");
     };
     run("install ffmpeg", 75);
@@ -283,24 +267,23 @@ fn machine_failures_are_not_counted_against_the_clip() {
             "shared libraries",
         ),
     ] {
-        install(&dir, "ffprobe", body);
+        dir.install("ffprobe", body);
         run(words, 75);
     }
     // A machine where the disks are not mounted.
     for name in ["clips", "jobs.jsonl", "results"] {
         fs::rename(dir.path(name), dir.path("away")).unwrap();
-        assert_eq!(code(&manifest, 0), 75, "{name}");
+        assert_eq!(code(&dir, 0), 75, "{name}");
         assert!(!dir.path(name).exists());
         fs::rename(dir.path("away"), dir.path(name)).unwrap();
     }
     // The same clip, decoded: only now its own bytes speak against it.
-    install(
-        &dir,
+    dir.install(
         "ffprobe",
         "echo 'clip1.mkv: Invalid data found when processing input' >&2; exit 1",
     );
     run("Invalid data", 65);
-    install(&dir, "ffprobe", "kill -KILL $$");
+    dir.install("ffprobe", "kill -KILL $$");
     run("not run again without --retry-failed", 65);
 }
 
@@ -309,8 +292,8 @@ fn machine_failures_are_not_counted_against_the_clip() {
 fn out_of_memory_job_can_be_rerun() {
     let dir = Scratch::new();
     write_clips(&dir, 1);
-    let manifest = plan(&dir, &["--iterations", "3000", "--set", "checkpoint.every_s=0.02"]);
-    let mut running = start_until_saved(job(&manifest, &["--index", "0"]), &dir.path("results/.work/clip1"), 1);
+    plan(&dir, "--iterations 3000 --set checkpoint.every_s=0.02");
+    let mut running = start_until_saved(job(&dir, "--index 0"), &dir.path("results/.work/clip1"), 1);
     let found = Command::new("pgrep")
         .args(["-P", &running.0.id().to_string()])
         .output()
@@ -320,7 +303,7 @@ fn out_of_memory_job_can_be_rerun() {
         assert!(sent.success());
     }
     assert_eq!(running.0.wait().unwrap().code(), Some(75));
-    let report = status(&manifest, &["--failed"]);
+    let report = status(&dir, "--failed");
     let killed = clip(&report, "clip1");
     assert!(
         killed["state"] == "retryable" && killed["reason"].as_str().unwrap().contains("out of memory"),
@@ -332,35 +315,28 @@ fn out_of_memory_job_can_be_rerun() {
 fn invalid_plans_and_changed_inputs_are_rejected() {
     let dir = Scratch::new();
     write_clips(&dir, 1);
-    let (clips, out, manifest) = (dir.at("clips"), dir.at("results"), dir.at("jobs.jsonl"));
-    let plan_of = |given: &str| ["batch", "plan", given, "-o", &manifest, "--out", &out].map(str::to_owned);
-    let refuse = |given: &str, code: i32, words: &[&str]| {
-        let args = plan_of(given);
-        refused(&args.each_ref().map(String::as_str), code, words);
-        assert!(!dir.path("jobs.jsonl").exists());
+    let plan_of = |given: &str, code: i32, words: &[&str]| {
+        let line = format!("batch plan {given} -o jobs.jsonl --out results");
+        dir.refused(&line, code, words);
     };
-    refuse(&dir.at("none"), 66, &["there is no", "none"]);
-    refuse(&clips, 65, &["holds no video", "--recursive"]);
-    refuse("s3://bucket/a.mp4", 65, &["s3://", "mount the store"]);
+    plan_of("none", 66, &["there is no", "none"]);
+    plan_of("clips", 65, &["holds no video", "--recursive"]);
+    plan_of("s3://bucket/a.mp4", 65, &["s3://", "mount the store"]);
     fs::create_dir_all(dir.path("results/clip1")).unwrap();
     dir.write("results/clip1/thesis.tex", "mine");
-    refuse(&dir.at("clips/clip1"), 73, &["was not created by `minute4d batch`"]);
+    plan_of("clips/clip1", 73, &["was not created by `minute4d batch`"]);
+    assert!(!dir.path("jobs.jsonl").exists());
     fs::remove_dir_all(dir.path("results")).unwrap();
 
-    let named = plan(&dir, &["--iterations", "5"]);
-    let again = plan_of(&dir.at("clips/clip1"));
-    refused(
-        &again.each_ref().map(String::as_str),
-        73,
-        &["already exists", "--force"],
-    );
+    plan(&dir, "--iterations 5");
+    plan_of("clips/clip1", 73, &["already exists", "--force"]);
     fs::write(dir.path("clips/clip1/name.txt"), "another").unwrap();
-    let changed = ended(job(&named, &["--index", "0"]));
+    let changed = ended(job(&dir, "--index 0"));
     assert_eq!(changed.code, 75);
     assert!(changed.stderr.contains("not what was planned"), "{}", changed.stderr);
     dir.write("jobs.jsonl", "{}");
-    assert_eq!(call(&["batch", "status", "--manifest", &manifest]).code, 65);
-    assert_eq!(code(&named, 0), 78, "65 is for clips");
+    assert_eq!(dir.call("batch status --manifest jobs.jsonl").code, 65);
+    assert_eq!(code(&dir, 0), 78, "65 is for clips");
 }
 
 /// The environment of the run that a job started for a clip in `folder`, once there is one.
@@ -385,8 +361,8 @@ fn environment_of_run(folder: &str, job: &mut Running) -> String {
 fn jobs_do_not_inherit_credentials() {
     let dir = Scratch::new();
     write_clips(&dir, 1);
-    let manifest = plan(&dir, &["--iterations", "200", "--no-viewer"]);
-    let mut command = job(&manifest, &["--index", "0"]);
+    plan(&dir, "--iterations 200 --no-viewer");
+    let mut command = job(&dir, "--index 0");
     let secrets = [
         ("AWS_SECRET_ACCESS_KEY", "s3cr3t-1"),
         ("HF_TOKEN", "s3cr3t-2"),
@@ -403,10 +379,8 @@ fn jobs_do_not_inherit_credentials() {
 #[test]
 fn outside_links_need_permission_of_the_plan() {
     let dir = Scratch::new();
-    let manifest = {
-        write_clips(&dir, 1);
-        plan(&dir, &["--allow-outside", "--iterations", "1"])
-    };
-    let text = fs::read_to_string(&manifest[1]).unwrap();
+    write_clips(&dir, 1);
+    plan(&dir, "--allow-outside --iterations 1");
+    let text = fs::read_to_string(dir.path("jobs.jsonl")).unwrap();
     assert!(text.lines().next().unwrap().contains("--allow-outside"), "{text}");
 }

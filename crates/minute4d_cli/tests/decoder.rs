@@ -3,20 +3,21 @@
 
 #[cfg(target_os = "linux")]
 use crate::common::Ended;
-use crate::common::{Scratch, program, refused, succeed};
+use crate::common::Scratch;
 use minute4d::core::Plane;
 use minute4d::io::video::Mp4Writer;
 use std::process::Stdio;
 
 #[test]
 fn limits_are_settings() {
-    let ended = succeed(&["geometry", "--print-config", "--set", "video.decoder.memory_mb=900"]);
+    let dir = Scratch::new();
+    let ended = dir.succeed("geometry --print-config --set video.decoder.memory_mb=900");
     let (_, section) = ended.stdout.split_once("[video.decoder]").unwrap();
     for line in ["memory_mb = 900", "cpu_seconds = 0", "idle_seconds = 120"] {
         assert!(section.contains(line), "{line} is not in {section}");
     }
-    let set = ["geometry", "--print-config", "--set", "video.decoder.memory=1"];
-    refused(&set, 78, &["video.decoder.memory", "memory_mb"]);
+    let words = ["video.decoder.memory", "memory_mb"];
+    dir.refused("geometry --print-config --set video.decoder.memory=1", 78, &words);
 }
 
 #[cfg(target_os = "linux")]
@@ -30,25 +31,27 @@ fn decoder_over_its_limits_is_killed_and_reported() {
         writer.push(&image).unwrap();
     }
     writer.finish().unwrap();
-    // Our own process has all the memory that it wants.
-    let set = ["--set", "video.decoder.memory_mb=64"];
-    let args = ["geometry", &dir.at("large.mp4"), "-o", &dir.at("out"), set[0], set[1]];
-    // What a refusal of memory looks like depends on how much of it the program itself takes.
-    refused(&args, 69, &["large.mp4", "decoder failed", "video.decoder.memory_mb"]);
-    let set = ["--set", "video.decoder.idle_seconds=0"];
-    let args = ["geometry", &dir.at("large.mp4"), "-o", &dir.at("out"), set[0], set[1]];
-    refused(&args, 78, &["decoder.idle_seconds"]);
+    // Our own process has all the memory that it wants. What a refusal of memory looks like depends on how much of it the program
+    // itself takes.
+    let words = ["large.mp4", "decoder failed", "video.decoder.memory_mb"];
+    dir.refused("geometry large.mp4 -o out --set video.decoder.memory_mb=64", 69, &words);
+    let words = ["decoder.idle_seconds"];
+    dir.refused(
+        "geometry large.mp4 -o out --set video.decoder.idle_seconds=0",
+        78,
+        &words,
+    );
 }
 
 #[test]
 fn decode_command_is_hidden_and_fails_without_a_parent() {
-    for arguments in [&["__decode-h264"][..], &["__decode-h264", "1000000000", "20"]] {
-        let mut command = program();
-        let output = command.args(arguments).stdin(Stdio::null()).output().unwrap();
+    let dir = Scratch::new();
+    for line in ["__decode-h264", "__decode-h264 1000000000 20"] {
+        let output = dir.command(line).stdin(Stdio::null()).output().unwrap();
         assert_eq!(output.status.code(), Some(1));
         assert!(output.stdout.is_empty() && !output.stderr.is_empty());
     }
-    let help = succeed(&["--help"]);
+    let help = dir.succeed("--help");
     assert!(!help.stdout.contains("__decode"), "{}", help.stdout);
 }
 
@@ -64,16 +67,7 @@ fn note_takers(dir: &Scratch) {
     let decode = "echo '[Parsed_showinfo_0 @ 0x5] [info] n: 0 pts: 0 pts_time:0 fmt:yuv420p sar:1/1 s:4x2 i:P' >&2
 printf 'abcdefghijklabcdefghijkl'";
     for (name, rest) in [("ffprobe", probe), ("ffmpeg", decode)] {
-        let text = dir.write(&format!("{name}.txt"), format!("#!/bin/sh\n{}{rest}\n", notes(name)));
-        // By another process: one that is forked here meanwhile would hold it open for writing.
-        let install = ["-D", "-m", "755", &text, &dir.at(&format!("bin/{name}"))];
-        assert!(
-            std::process::Command::new("install")
-                .args(install)
-                .status()
-                .unwrap()
-                .success()
-        );
+        dir.install(name, &format!("{}{rest}", notes(name)));
     }
     std::fs::write(dir.path("clip.mkv"), [0x1a, 0x45, 0xdf, 0xa3, 0, 0, 0, 0]).unwrap();
 }
@@ -84,9 +78,8 @@ fn ffmpeg_gets_no_secrets_and_no_privileges() {
     let dir = Scratch::new();
     note_takers(&dir);
     let path = format!("{}:{}", dir.at("bin"), std::env::var("PATH").unwrap());
-    let mut command = program();
+    let mut command = dir.command("inspect clip.mkv");
     command
-        .args(["inspect", &dir.at("clip.mkv")])
         .env("PATH", path)
         .env("AWS_SECRET_ACCESS_KEY", "s3cr3t-1")
         .env("MY_PASSWORD", "s3cr3t-2")

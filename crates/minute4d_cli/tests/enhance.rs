@@ -2,12 +2,10 @@
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
 #[cfg(feature = "nets")]
-use crate::common::{Ended, program};
-use crate::common::{Scratch, capture, mean_image_psnr_db, refused, succeed, write_capture};
-use minute4d::BUILD_FULL;
-use minute4d::Silent;
+use crate::common::Ended;
+use crate::common::{Scratch, capture, mean_image_psnr_db, write_capture};
 use minute4d::io::capture::{self as captures, CaptureOptions, Split};
-use serde_json::Value;
+use minute4d::{BUILD_FULL, Silent};
 use std::fs;
 use std::path::Path;
 
@@ -19,19 +17,8 @@ fn read(path: &Path) -> minute4d::core::Capture {
 fn points_are_tracked_without_weights() {
     let dir = Scratch::new();
     write_capture(&dir.path("capture"), false);
-    let (from, to) = (dir.at("capture"), dir.at("better"));
-    let args = [
-        "enhance",
-        &from,
-        "-o",
-        &to,
-        "--segmenter",
-        "none",
-        "--tracker",
-        "flow",
-        "--json",
-    ];
-    let report = succeed(&args).result()["record"].clone();
+    let line = "enhance capture -o better --segmenter none";
+    let report = dir.succeed(&format!("{line} --tracker flow --json")).result()["record"].clone();
     assert_eq!(
         (&report["segmenter"], &report["tracker"]),
         (&"none".into(), &"flow".into())
@@ -45,51 +32,38 @@ fn points_are_tracked_without_weights() {
         assert_eq!((&a.rgb, &a.mask), (&b.rgb, &b.mask));
     }
     // another is not written over it
-    refused(&["enhance", &from, "-o", &to, "--segmenter", "none"], 73, &["--force"]);
+    dir.refused(line, 73, &["--force"]);
 }
 
 #[test]
 fn impossible_enhancements_are_rejected_with_a_reason() {
     let dir = Scratch::new();
     write_capture(&dir.path("capture"), false);
-    let from = dir.at("capture");
-    let to = dir.at("out");
-    let with = |more: &[&'static str]| -> Vec<String> {
-        let all = ["enhance", &from, "-o", &to];
-        all.iter().chain(more).map(|&word| word.to_owned()).collect()
+    let without = ["without networks", BUILD_FULL];
+    let of_networks = |line: &str, words: &[&str]| match cfg!(feature = "nets") {
+        true => dir.refused(line, 66, words),
+        false => dir.refused(line, 69, &without),
     };
-    let check = |more: &[&'static str], code: i32, words: &[&str]| {
-        let args = with(more);
-        let args: Vec<&str> = args.iter().map(String::as_str).collect();
-        refused(&args, code, words);
-        assert!(!dir.path("out").exists());
-    };
-    check(&["--segmenter", "none", "--tracker", "none"], 2, &["nothing to do"]);
-    if cfg!(feature = "nets") {
-        check(
-            &["--segmenter", "sam2"],
-            66,
-            &["weights add sam2.1-large", "--segmenter none"],
-        );
-        check(
-            &["--tracker", "tapip3d"],
-            66,
-            &["weights add tapip3d", "--tracker flow"],
-        );
-    } else {
-        check(&["--segmenter", "sam2"], 69, &["without networks", BUILD_FULL]);
-        check(&["--tracker", "tapip3d"], 69, &["without networks", BUILD_FULL]);
-    }
-    refused(&["enhance", &dir.at("nowhere"), "-o", &to], 66, &["nowhere"]);
+    let line = "enhance capture -o out --segmenter none --tracker none";
+    dir.refused(line, 2, &["nothing to do"]);
+    of_networks(
+        "enhance capture -o out --segmenter sam2",
+        &["weights add sam2.1-large", "--segmenter none"],
+    );
+    of_networks(
+        "enhance capture -o out --tracker tapip3d",
+        &["weights add tapip3d", "--tracker flow"],
+    );
+    dir.refused("enhance nowhere -o out", 66, &["nowhere"]);
+    assert!(!dir.path("out").exists());
 }
 
 #[test]
 fn ablate_writes_a_table_of_every_row() {
     let dir = Scratch::new();
     write_capture(&dir.path("capture"), true);
-    let (from, to) = (dir.at("capture"), dir.at("table"));
-    let args = ["ablate", &from, "-o", &to, "--iterations", "40", "--json"];
-    let report = succeed(&args).result();
+    let line = "ablate capture -o table --iterations 40 --json";
+    let report = dir.succeed(line).result();
     let rows = report["rows"].as_array().unwrap();
     let names: Vec<&str> = rows.iter().map(|row| row["row"].as_str().unwrap()).collect();
     assert_eq!(names, ["full", "no-seg", "no-track", "no-density"]);
@@ -117,17 +91,15 @@ fn ablate_writes_a_table_of_every_row() {
         table.contains("without density control") && table.contains("not made"),
         "{table}"
     );
-    let kept: Value = serde_json::from_slice(&fs::read(dir.path("table/ablation.json")).unwrap()).unwrap();
-    assert_eq!(kept, report);
+    assert_eq!(dir.json("table/ablation.json"), report);
     // what is finished is taken as it is
     let scene = dir.path("table/full/scene.safetensors");
     let before = fs::metadata(&scene).unwrap().modified().unwrap();
-    assert_eq!(succeed(&args).result()["rows"][0]["psnr_db"], rows[0]["psnr_db"]);
+    assert_eq!(dir.succeed(line).result()["rows"][0]["psnr_db"], rows[0]["psnr_db"]);
     assert_eq!(fs::metadata(&scene).unwrap().modified().unwrap(), before);
 
     write_capture(&dir.path("no-views"), false);
-    let bare = dir.at("no-views");
-    refused(&["ablate", &bare, "-o", &dir.at("none")], 65, &["transforms_test.json"]);
+    dir.refused("ablate no-views -o none", 65, &["transforms_test.json"]);
 }
 
 /// Networks with synthetic weights: only that they run and return is tested.
@@ -148,19 +120,10 @@ fn networks_enhance_a_capture() {
         .scaled("point_updater.flow_head.weight", 0.005)
         .write_with(Some(("config", config)), &store.join("tapip3d/tapip3d.safetensors"));
     captures::write(&dir.path("capture"), &capture(3, false), Split::Train, &Silent).unwrap();
-    let mut command = program();
-    command.env("MINUTE4D_WEIGHTS", &store);
-    command.args(["enhance", &dir.at("capture"), "-o", &dir.at("better"), "--json"]);
-    command.args(["--segmenter", "sam2", "--tracker", "tapip3d"]);
-    for set in [
-        "enhance.tapip3d.size=1.0",
-        "enhance.tapip3d.iterations=1",
-        "enhance.tapip3d.most=40",
-        "enhance.tapip3d.every=1",
-    ] {
-        command.args(["--set", set]);
-    }
-    let ended = Ended::of(command.output().unwrap());
+    let line = "enhance capture -o better --json --segmenter sam2 --tracker tapip3d --set enhance.tapip3d.size=1.0 \
+                --set enhance.tapip3d.iterations=1 --set enhance.tapip3d.most=40 --set enhance.tapip3d.every=1";
+    let mut command = dir.command(line);
+    let ended = Ended::of(command.env("MINUTE4D_WEIGHTS", &store).output().unwrap());
     assert_eq!(ended.code, 0, "{}", ended.stderr);
     let report = ended.result()["record"].clone();
     assert_eq!(
@@ -176,8 +139,7 @@ fn networks_enhance_a_capture() {
     assert_eq!(networks, ["sam2.1-tiny", "tapip3d"]);
     assert_eq!(report["networks"][1]["commercial"], false);
     assert!(report["tracks"].as_u64().unwrap() > 0, "{report}");
-    let found: Value = serde_json::from_slice(&fs::read(dir.path("better/instances.json")).unwrap()).unwrap();
-    assert_eq!(found["segmenter"], "sam2.1-tiny");
+    assert_eq!(dir.json("better/instances.json")["segmenter"], "sam2.1-tiny");
     let better = read(&dir.path("better"));
     assert!(
         better

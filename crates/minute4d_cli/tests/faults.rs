@@ -4,8 +4,7 @@
 #[cfg(unix)]
 use crate::common::Ended;
 use crate::common::clips::{frame_image, walk, write};
-use crate::common::{Scratch, call, program, write_capture};
-use serde_json::Value;
+use crate::common::{Scratch, write_capture};
 use std::fs;
 use std::path::Path;
 #[cfg(unix)]
@@ -14,26 +13,14 @@ use std::process::Stdio;
 use std::time::Duration;
 
 const FRAMES: usize = 10;
-/// Small and quick.
-const SMALL: [&str; 6] = [
-    "--iterations",
-    "30",
-    "--set",
-    "dense.working_side_px=160",
-    "--set",
-    "preview.panel_px=64",
-];
+/// A run from `walk` that is small and quick.
+const RUN: &str = "run walk --json --iterations 30 --set dense.working_side_px=160 --set preview.panel_px=64";
 
-fn read_json(path: &Path) -> Value {
-    serde_json::from_slice(&fs::read(path).unwrap()).unwrap()
-}
-
-fn run<'a>(input: &'a str, out: &'a str, more: &[&'a str]) -> Vec<&'a str> {
-    [&["run", input, "-o", out, "--json"], SMALL.as_slice(), more].concat()
-}
-
-fn write_walk(folder: &Path) {
-    write(folder, walk(FRAMES).iter().map(frame_image));
+/// A folder with the clip `walk`.
+fn with_walk() -> Scratch {
+    let dir = Scratch::new();
+    write(&dir.path("walk"), walk(FRAMES).iter().map(frame_image));
+    dir
 }
 
 fn same_result(a: &Path, b: &Path) {
@@ -54,18 +41,16 @@ fn steps(out: &Path) -> Vec<String> {
 
 #[test]
 fn killed_geometry_resumes_after_its_last_step() {
-    let dir = Scratch::new();
-    write_walk(&dir.path("walk"));
-    let (input, calm, killed) = (dir.at("walk"), dir.at("calm"), dir.at("killed"));
-    assert_eq!(call(&run(&input, &calm, &[])).code, 0);
+    let dir = with_walk();
+    dir.succeed(&format!("{RUN} -o calm"));
     assert!(
         steps(&dir.path("calm")).is_empty() && !dir.path("calm/capture/.steps").exists(),
         "steps go when all is done"
     );
     // killed when cameras are known, when some flow is, and when depth is
     for step in ["cameras", "flow-", "dense"] {
-        let mut child = program()
-            .args(run(&input, &killed, &["--resume"]))
+        let mut child = dir
+            .command(&format!("{RUN} -o killed --resume"))
             .stdout(Stdio::null())
             .stderr(Stdio::null())
             .spawn()
@@ -82,9 +67,7 @@ fn killed_geometry_resumes_after_its_last_step() {
     let torn = dir.path("killed/capture/.steps/cameras");
     let bytes = fs::read(&torn).unwrap();
     fs::write(&torn, &bytes[..bytes.len() / 2]).unwrap();
-    let ended = call(&run(&input, &killed, &["--resume"]));
-    assert_eq!(ended.code, 0, "{}", ended.stderr);
-    let events = ended.events();
+    let events = dir.succeed(&format!("{RUN} -o killed --resume")).events();
     assert!(
         events
             .iter()
@@ -102,9 +85,7 @@ fn partial_files_of_a_killed_process_do_not_block_the_next_run() {
     fs::create_dir(dir.path("out")).unwrap();
     let torn = dir.path("out/.run.json.tmp-999999999");
     fs::write(&torn, "{\"format\":\"minu").unwrap();
-    let (data, out) = (dir.at("capture"), dir.at("out"));
-    let ended = call(&["train", &data, "-o", &out, "--iterations", "20"]);
-    assert_eq!(ended.code, 0, "{}", ended.stderr);
+    dir.succeed("train capture -o out --iterations 20");
     assert!(!torn.exists());
     let hidden = fs::read_dir(dir.path("out")).unwrap();
     let hidden: Vec<_> = hidden
@@ -116,50 +97,33 @@ fn partial_files_of_a_killed_process_do_not_block_the_next_run() {
 
 #[test]
 fn time_limit_ends_with_a_scene_or_a_resumable_state() {
-    let dir = Scratch::new();
-    write_walk(&dir.path("walk"));
-    let (input, out) = (dir.at("walk"), dir.at("out"));
-    let ended = call(&run(&input, &out, &["--time-limit", "0.05s"]));
+    let dir = with_walk();
+    let ended = dir.call(&format!("{RUN} -o out --time-limit 0.05s"));
     let end = ended.end();
     assert_eq!((ended.code, &end["ok"]), (75, &false.into()), "{}", ended.stderr);
     let reason = end["reason"].as_str().unwrap();
     assert!(reason.contains("time limit") && reason.contains("--resume"), "{reason}");
-    assert_eq!(call(&run(&input, &out, &["--resume"])).code, 0);
+    dir.succeed(&format!("{RUN} -o out --resume"));
 
     write_capture(&dir.path("capture"), false);
-    let (data, cut) = (dir.at("capture"), dir.at("cut"));
-    let args = [
-        "train",
-        &data,
-        "-o",
-        &cut,
-        "--iterations",
-        "1000000",
-        "--time-limit",
-        "3s",
-    ];
-    let ended = call(&args);
-    assert_eq!(ended.code, 0, "{}", ended.stderr);
-    let record = read_json(&dir.path("cut/run.json"));
+    dir.succeed("train capture -o cut --iterations 1000000 --time-limit 3s");
+    let record = dir.json("cut/run.json");
     assert_eq!(record["status"], "finished");
     let done = record["iterations"].as_u64().unwrap();
     assert!((1..1_000_000).contains(&done), "{done}");
-    assert_eq!(call(&["inspect", &cut]).code, 0, "the scene can be read");
-    let wrong = call(&["train", &data, "-o", &dir.at("x"), "--time-limit", "soon"]);
-    assert!(
-        wrong.code == 2 && wrong.stderr.contains("write 90, 90s, 10m or 1.5h"),
-        "{}",
-        wrong.stderr
-    );
+    dir.succeed("inspect cut");
+    let words = ["write 90, 90s, 10m or 1.5h"];
+    dir.refused("train capture -o x --time-limit soon", 2, &words);
 }
 
 /// No file may be larger than that: what a disk that is full does to the first large file.
 #[cfg(unix)]
-fn with_files_of(kilobytes: usize, args: &[&str]) -> Ended {
-    let mut command = Command::new("sh");
+fn with_files_of(dir: &Scratch, kilobytes: usize, line: &str) -> Ended {
+    let program = dir.command(line);
     let limited = format!("trap '' XFSZ; ulimit -f {}; exec \"$0\" \"$@\"", 2 * kilobytes);
-    let program = program();
-    command.args(["-c", &limited]).arg(program.get_program()).args(args);
+    let mut command = Command::new("sh");
+    command.current_dir(dir.path("")).args(["-c", &limited]);
+    command.arg(program.get_program()).args(program.get_args());
     for (name, value) in program.get_envs() {
         match value {
             Some(value) => command.env(name, value),
@@ -172,13 +136,11 @@ fn with_files_of(kilobytes: usize, args: &[&str]) -> Ended {
 #[cfg(unix)]
 #[test]
 fn full_disk_is_reported_and_the_run_resumes_when_there_is_space() {
-    let dir = Scratch::new();
-    write_walk(&dir.path("walk"));
-    let (input, calm, full) = (dir.at("walk"), dir.at("calm"), dir.at("full"));
-    assert_eq!(call(&run(&input, &calm, &[])).code, 0);
+    let dir = with_walk();
+    dir.succeed(&format!("{RUN} -o calm"));
     // what is large is refused: steps, images or the scene; records are small
     for kilobytes in [24, 60, 200] {
-        let ended = with_files_of(kilobytes, &run(&input, &full, &["--resume"]));
+        let ended = with_files_of(&dir, kilobytes, &format!("{RUN} -o full --resume"));
         let end = ended.end();
         assert_eq!(ended.code, 73, "{kilobytes} kB: {} {}", ended.stdout, ended.stderr);
         let reason = end["reason"].as_str().unwrap();
@@ -186,12 +148,11 @@ fn full_disk_is_reported_and_the_run_resumes_when_there_is_space() {
             reason.contains("cannot write") && reason.contains("free space"),
             "{reason}"
         );
-        let record = read_json(&dir.path("full/run.json"));
+        let record = dir.json("full/run.json");
         assert_eq!(record["status"], "failed", "{kilobytes} kB");
         assert_eq!(record["error"].as_str().unwrap(), reason);
         assert!(!dir.path("full/scene.safetensors").exists());
     }
-    let ended = call(&run(&input, &full, &["--resume"]));
-    assert_eq!(ended.code, 0, "{}", ended.stderr);
+    dir.succeed(&format!("{RUN} -o full --resume"));
     same_result(&dir.path("calm"), &dir.path("full"));
 }

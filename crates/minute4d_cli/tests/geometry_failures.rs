@@ -3,24 +3,20 @@
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
 use crate::common::clips::{self, FOCAL_PX, SIZE, camera, frame_image};
-use crate::common::{Ended, Scratch, call, refused};
+use crate::common::{Ended, Scratch};
 use m4_testkit::{Need, skip};
 use minute4d::core::{CounterRng, Plane, RgbImage};
 use serde_json::Value;
 
 /// `geometry` of these images.
-fn geometry(dir: &Scratch, images: Vec<RgbImage>, more: &[&str]) -> Ended {
+fn geometry(dir: &Scratch, images: Vec<RgbImage>) -> Ended {
     clips::write(&dir.path("clip"), images);
-    let (clip, out) = (dir.at("clip"), dir.at("out"));
-    let args = ["geometry", &clip, "-o", &out, "--json"];
-    call(&args.iter().chain(more).copied().collect::<Vec<_>>())
+    dir.succeed("geometry clip -o out --json")
 }
 
-/// The same, which succeeds: what was found, and all warnings in one text.
-fn found(images: Vec<RgbImage>, more: &[&str]) -> (Value, String) {
-    let dir = Scratch::new();
-    let ended = geometry(&dir, images, more);
-    assert_eq!(ended.code, 0, "{}\n{}", ended.stdout, ended.stderr);
+/// What is found in these images, and all warnings in one text.
+fn found(images: Vec<RgbImage>) -> (Value, String) {
+    let ended = geometry(&Scratch::new(), images);
     assert!(!ended.stderr.contains("panicked"), "{}", ended.stderr);
     let record = ended.result()["record"].clone();
     let warnings = record["warnings"].as_array().unwrap().iter();
@@ -43,7 +39,7 @@ fn noisy(image: &RgbImage, frame: u64) -> RgbImage {
 #[test]
 fn translating_camera_is_reconstructed() {
     let cameras = clips::walk(24);
-    let (found, warnings) = found(cameras.iter().map(frame_image).collect(), &[]);
+    let (found, warnings) = found(cameras.iter().map(frame_image).collect());
     assert_eq!(found["camera_motion"], "parallax", "{found} {warnings}");
     let confidence = &found["confidence"];
     assert!(confidence["parallax_deg"].as_f64().unwrap() > 2.0, "{confidence}");
@@ -54,7 +50,7 @@ fn translating_camera_is_reconstructed() {
 #[test]
 fn turning_camera_is_reported() {
     let turns = (0..20).map(|i| frame_image(&camera(0.0, 0.02 * f64::from(i) - 0.2, FOCAL_PX)));
-    let (found, warnings) = found(turns.collect(), &[]);
+    let (found, warnings) = found(turns.collect());
     assert_eq!(found["camera_motion"], "rotation_only", "{found}");
     contains(
         &warnings,
@@ -66,7 +62,7 @@ fn turning_camera_is_reported() {
 #[test]
 fn a_tripod() {
     let still = frame_image(&camera(0.0, 0.0, FOCAL_PX));
-    let (found, warnings) = found((0..12).map(|i| noisy(&still, i)).collect(), &[]);
+    let (found, warnings) = found((0..12).map(|i| noisy(&still, i)).collect());
     assert_eq!(found["camera_motion"], "static", "{found}");
     contains(&warnings, &["appears to be static", "geometry is poor", "--depth"]);
 }
@@ -74,7 +70,7 @@ fn a_tripod() {
 #[test]
 fn identical_frames_are_reported_as_static() {
     let still = frame_image(&camera(0.0, 0.0, FOCAL_PX));
-    let (found, warnings) = found(vec![still; 8], &[]);
+    let (found, warnings) = found(vec![still; 8]);
     assert_eq!(found["camera_motion"], "static", "{found}");
     contains(&warnings, &["appears to be static"]);
     assert_eq!(found["moving_share"], 0.0);
@@ -85,9 +81,7 @@ fn zoom_without_translation_is_reported() {
     // The focal length doubles; the camera stays.
     let zoom = (0..16).map(|i| frame_image(&camera(0.0, 0.0, FOCAL_PX * 2.0_f64.powf(f64::from(i) / 15.0))));
     let dir = Scratch::new();
-    let ended = geometry(&dir, zoom.collect(), &[]);
-    assert_eq!(ended.code, 0, "{}\n{}", ended.stdout, ended.stderr);
-    let record = ended.result()["record"].clone();
+    let record = geometry(&dir, zoom.collect()).result()["record"].clone();
     assert_eq!(record["found"]["camera_motion"], "rotation_only", "{record}");
     assert_eq!(record["found"]["confidence"]["grade"], "poor", "{record}");
     contains(
@@ -95,8 +89,7 @@ fn zoom_without_translation_is_reported() {
         &["the lens zooms", "without zoom", "geometry is poor"],
     );
     // Every frame has its own lens.
-    let text = std::fs::read_to_string(dir.path("out/transforms_train.json")).unwrap();
-    let capture: Value = serde_json::from_str(&text).unwrap();
+    let capture = dir.json("out/transforms_train.json");
     let focal = |i: usize| capture["frames"][i]["fl_x"].as_f64().unwrap();
     let ratio = focal(15) / focal(0);
     assert!((ratio / 2.0 - 1.0).abs() < 0.03, "{ratio}");
@@ -109,7 +102,7 @@ fn forward_motion_is_not_a_zoom() {
         camera.c2w.translation.z = 0.08 * f64::from(i);
         camera
     };
-    let (found, warnings) = found((0..16).map(|i| frame_image(&ahead(i))).collect(), &[]);
+    let (found, warnings) = found((0..16).map(|i| frame_image(&ahead(i))).collect());
     assert_eq!(found["camera_motion"], "parallax", "{found} {warnings}");
     assert!(!warnings.contains("zooms"), "{warnings}");
 }
@@ -118,23 +111,15 @@ fn forward_motion_is_not_a_zoom() {
 fn refuses(images: Vec<RgbImage>, words: &[&str]) {
     let dir = Scratch::new();
     clips::write(&dir.path("clip"), images);
-    refused(&["geometry", &dir.at("clip"), "-o", &dir.at("out")], 65, words);
+    dir.refused("geometry clip -o out", 65, words);
     assert!(!dir.path("out/transforms_train.json").exists());
 }
 
 #[test]
-fn one_frame() {
+fn one_frame_a_black_clip_and_a_cut_are_rejected() {
     refuses(vec![frame_image(&camera(0.0, 0.0, FOCAL_PX))], &["at least 2"]);
-}
-
-#[test]
-fn a_black_clip() {
     let black: RgbImage = Plane::filled(SIZE.0, SIZE.1, [0; 3]);
     refuses(vec![black; 6], &["only 0 points", "--static-camera"]);
-}
-
-#[test]
-fn a_cut() {
     let before = clips::walk(6).iter().map(frame_image).collect::<Vec<_>>();
     let after = (0..6).map(|i| frame_image(&camera(50.0 + 0.1 * f64::from(i), 0.0, FOCAL_PX)));
     refuses(before.into_iter().chain(after).collect(), &["a cut"]);
@@ -151,10 +136,7 @@ fn fifteen_hundred_frames() {
             let k = i % 148;
             images[if k < 75 { k } else { 148 - k }].clone()
         });
-        let dir = Scratch::new();
-        let ended = geometry(&dir, there_and_back.collect(), &[]);
-        assert_eq!(ended.code, 0, "{}\n{}", ended.stdout, ended.stderr);
-        let record = ended.result()["record"].clone();
+        let record = geometry(&Scratch::new(), there_and_back.collect()).result()["record"].clone();
         let bytes = record["peak_memory_bytes"].as_f64();
         eprintln!("{frames} frames: {} s, {:?} bytes", record["seconds"], bytes);
         bytes

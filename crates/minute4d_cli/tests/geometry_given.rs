@@ -1,10 +1,10 @@
 //! What the user gives for the geometry of a clip replaces what would be computed; what does not fit is refused by name.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
+use crate::common::Scratch;
 use crate::common::clips::{self, FOCAL_PX, SIZE, frame_image, see, walk};
-use crate::common::{Scratch, call, refused};
 #[cfg(feature = "nets")]
-use crate::common::{refused_with, text};
+use crate::common::text;
 use minute4d::Silent;
 use minute4d::core::{Camera, Capture, CaptureFrame, DepthMap, Mask, Plane};
 use minute4d::io::capture::{self, Split};
@@ -60,12 +60,12 @@ fn known() -> (Scratch, Vec<Camera>) {
     (dir, cameras)
 }
 
+/// `geometry` of the clip.
+const GEOMETRY: &str = "geometry clip -o out --force";
+
 /// `geometry` of the clip with these options: the record and the capture.
-fn geometry(dir: &Scratch, more: &[&str]) -> (Value, Capture) {
-    let (clip, out) = (dir.at("clip"), dir.at("out"));
-    let args = ["geometry", &clip, "-o", &out, "--json", "--force"];
-    let ended = call(&args.iter().chain(more).copied().collect::<Vec<_>>());
-    assert_eq!(ended.code, 0, "{more:?}\n{}\n{}", ended.stdout, ended.stderr);
+fn geometry(dir: &Scratch, options: &str) -> (Value, Capture) {
+    let ended = dir.succeed(&format!("{GEOMETRY} --json {options}"));
     let made = capture::read(&dir.path("out"), Split::Train, &Default::default(), &Silent).unwrap();
     (ended.result()["record"].clone(), made)
 }
@@ -95,9 +95,9 @@ fn poses_differ(made: &Capture, cameras: &[Camera]) -> f64 {
 fn given_poses_are_used_and_set_the_unit_of_depth() {
     let (dir, cameras) = known();
     let lens = format!("{FOCAL_PX},{FOCAL_PX},{},{}", SIZE.0 / 2, SIZE.1 / 2);
-    let (txt, json) = (dir.at("poses.txt"), dir.at("poses.json"));
-    for more in [vec!["--poses", &txt, "--intrinsics", &lens], vec!["--poses", &json]] {
-        let (record, made) = geometry(&dir, &more);
+    let both = format!("--poses poses.txt --intrinsics {lens}");
+    for more in [both.as_str(), "--poses poses.json"] {
+        let (record, made) = geometry(&dir, more);
         assert_eq!(record["found"]["camera_motion"], "parallax", "{record}");
         assert_eq!(record["found"]["confidence"]["focal"], "given", "{record}");
         assert!(poses_differ(&made, &cameras) < 1e-6);
@@ -109,28 +109,18 @@ fn given_poses_are_used_and_set_the_unit_of_depth() {
 #[test]
 fn poses_without_intrinsics_or_of_another_clip_are_rejected() {
     let (dir, _) = known();
-    let (clip, out) = (dir.at("clip"), dir.at("out"));
-    let refuse = |more: &[&str], code, words: &[&str]| {
-        let args: Vec<&str> = ["geometry", &clip, "-o", &out, "--force"]
-            .iter()
-            .chain(more)
-            .copied()
-            .collect();
-        refused(&args, code, words);
-    };
-    let txt = dir.at("poses.txt");
-    refuse(&["--poses", &txt], 65, &["poses.txt", "--intrinsics", "--fov"]);
-    let lines = fs::read_to_string(&txt).unwrap();
+    let lines = fs::read_to_string(dir.path("poses.txt")).unwrap();
     let short: Vec<&str> = lines.lines().take(FRAMES - 1).collect();
-    let short = dir.write("short.txt", short.join("\n"));
-    refuse(
-        &["--poses", &short, "--fov", "56"],
-        65,
-        &["short.txt", "10 poses", "12 frames"],
-    );
-    let broken = dir.write("broken.txt", lines.replace("3.5 ", "3.5 x "));
-    refuse(&["--poses", &broken, "--fov", "56"], 65, &["broken.txt", "line 5"]);
-    refuse(&["--poses", &dir.at("none.txt")], 66, &["none.txt", "--poses"]);
+    dir.write("short.txt", short.join("\n"));
+    dir.write("broken.txt", lines.replace("3.5 ", "3.5 x "));
+    for (poses, code, words) in [
+        ("poses.txt", 65, &["poses.txt", "--intrinsics", "--fov"][..]),
+        ("short.txt --fov 56", 65, &["short.txt", "10 poses", "12 frames"]),
+        ("broken.txt --fov 56", 65, &["broken.txt", "line 5"]),
+        ("none.txt", 66, &["none.txt", "--poses"]),
+    ] {
+        dir.refused(&format!("{GEOMETRY} --poses {poses}"), code, words);
+    }
     // The poses of other frames: some points can still be explained, but far more by others.
     let lines: Vec<&str> = lines.lines().skip(1).map(|l| l.split_once(' ').unwrap().1).collect();
     let shuffled = [0, 7, 3, 10, 1, 8, 4, 11, 2, 9, 5, 6].map(|k| lines[k]);
@@ -140,9 +130,9 @@ fn poses_without_intrinsics_or_of_another_clip_are_rejected() {
     };
     let backwards: Vec<&str> = lines.iter().rev().copied().collect();
     for wrong in [&shuffled[..], &backwards] {
-        let wrong = dir.write("wrong.txt", numbered(wrong));
+        dir.write("wrong.txt", numbered(wrong));
         let words = ["contradict the images", "order of the frames", "leave the poses out"];
-        refuse(&["--poses", &wrong, "--fov", "56"], 65, &words);
+        dir.refused(&format!("{GEOMETRY} --poses wrong.txt --fov 56"), 65, &words);
     }
 }
 
@@ -159,8 +149,8 @@ fn given_intrinsics_are_used_with_their_principal_point() {
     clips::write(&dir.path("clip"), walk(FRAMES).iter().map(crop));
     let cx = SIZE.0 as f64 / 2.0 - cut as f64;
     let lens = json!({"fl_x": FOCAL_PX, "cx": cx, "cy": SIZE.1 / 2, "w": SIZE.0 - cut, "h": SIZE.1});
-    let lens = dir.write("lens.json", lens.to_string());
-    let (record, made) = geometry(&dir, &["--intrinsics", &lens]);
+    dir.write("lens.json", lens.to_string());
+    let (record, made) = geometry(&dir, "--intrinsics lens.json");
     let k = made.frames[0].camera.intrinsics;
     assert!((k.cx - cx).abs() < 1e-9 && (k.fx - FOCAL_PX).abs() < 1e-9, "{k:?}");
     let with = record["found"]["residual_px"].as_f64().unwrap();
@@ -174,51 +164,32 @@ fn given_intrinsics_are_used_with_their_principal_point() {
     let cameras = walk(FRAMES);
     let truth = minute4d::core::log_so3(&cameras[0].c2w.rotation.tr_mul(&cameras[FRAMES - 1].c2w.rotation));
     assert!((turn(&made) - truth).norm() < 0.01, "{} {}", turn(&made), truth);
-    let args = [
-        "geometry",
-        &dir.at("clip"),
-        "-o",
-        &dir.at("out"),
-        "--force",
-        "--intrinsics",
-    ];
-    let with = |lens: &'static str| args.iter().copied().chain([lens]).collect::<Vec<_>>();
-    refused(&with("150,150,300,60"), 65, &["outside the frames"]);
-    refused(&with("150,150"), 65, &["2 numbers"]);
-    refused(&with("nothing.json"), 66, &["nothing.json"]);
+    for (lens, code, words) in [
+        ("150,150,300,60", 65, "outside the frames"),
+        ("150,150", 65, "2 numbers"),
+        ("nothing.json", 66, "nothing.json"),
+    ] {
+        dir.refused(&format!("{GEOMETRY} --intrinsics {lens}"), code, &[words]);
+    }
 }
 
 #[test]
 fn given_masks_are_used_unchanged() {
     let (dir, _) = known();
-    let masks = dir.at("masks");
-    let (record, _) = geometry(&dir, &["--masks", &masks]);
+    let (record, _) = geometry(&dir, "--masks masks");
     let share = record["found"]["moving_share"].as_f64().unwrap();
     assert!((share - 0.25).abs() < 0.03, "{record}");
     let made = read_mask(&dir.path("out/mask/00003.png")).unwrap();
     assert!(made.at(10, 60) && !made.at(100, 60));
-    let (clip, out) = (dir.at("clip"), dir.at("out"));
-    let args = ["geometry", &clip, "-o", &out, "--force", "--masks", &masks];
+    let line = format!("{GEOMETRY} --masks masks");
     fs::remove_file(dir.path("masks/00004.png")).unwrap();
-    refused(&args, 65, &["masks", "11 masks", "12 frames"]);
+    dir.refused(&line, 65, &["masks", "11 masks", "12 frames"]);
     let mask: Mask = Plane::filled(SIZE.1, SIZE.0, 0);
     write_mask(&dir.path("masks/00004.png"), &mask).unwrap();
-    refused(&args, 65, &["00004.png", "120 x 160"]);
+    dir.refused(&line, 65, &["00004.png", "120 x 160"]);
     dir.write("masks/00004.png", "no image");
-    refused(&args, 65, &["00004.png"]);
-    refused(
-        &[
-            "geometry",
-            &clip,
-            "-o",
-            &out,
-            "--force",
-            "--masks",
-            &clip.replace("clip", "none"),
-        ],
-        66,
-        &["none", "--masks"],
-    );
+    dir.refused(&line, 65, &["00004.png"]);
+    dir.refused(&format!("{GEOMETRY} --masks none"), 66, &["none", "--masks"]);
 }
 
 #[test]
@@ -231,8 +202,7 @@ fn given_depth_sets_the_unit() {
         let holes = Plane::from_fn(SIZE.0, SIZE.1, |x, y| if (x / 20) % 2 == 0 { map[(x, y)] } else { 0.0 });
         write_depth(&path, &holes, 0.001).unwrap();
     }
-    let depth = dir.at("depth");
-    let (record, made) = geometry(&dir, &["--depth", &depth]);
+    let (record, made) = geometry(&dir, "--depth depth");
     assert!(made.metric);
     let error = depth_error(&made, &cameras);
     assert!(error < 0.08, "{error} {record}");
@@ -242,16 +212,15 @@ fn given_depth_sets_the_unit() {
     let truth = way(&cameras[0], &cameras[FRAMES - 1]);
     assert!((ours / truth - 1.0).abs() < 0.05, "{ours} {truth}");
 
-    let (clip, out) = (dir.at("clip"), dir.at("out"));
-    let args = ["geometry", &clip, "-o", &out, "--force", "--depth", &depth];
+    let line = format!("{GEOMETRY} --depth depth");
     let empty: DepthMap = Plane::filled(SIZE.0, SIZE.1, 0.0);
     for i in 0..FRAMES {
         write_depth(&dir.path(&format!("depth/{i:05}.png")), &empty, 0.001).unwrap();
     }
-    refused(&args, 65, &["depth", "0 (unknown) everywhere"]);
+    dir.refused(&line, 65, &["depth", "0 (unknown) everywhere"]);
     let colour = frame_image(&cameras[0]);
     minute4d::io::image::write_rgb(&dir.path("depth/00002.png"), &colour).unwrap();
-    refused(&args, 65, &["00002.png", "16 bits"]);
+    dir.refused(&line, 65, &["00002.png", "16 bits"]);
 }
 
 #[cfg(feature = "nets")]
@@ -260,15 +229,14 @@ fn front_end_without_weights_names_the_download_and_the_alternative() {
     let (dir, _) = known();
     fs::create_dir(dir.path("weights")).unwrap();
     let store = dir.path("weights");
-    let (clip, out) = (dir.at("clip"), dir.at("out"));
-    let args = ["geometry", &clip, "-o", &out, "--frontend", "raft"];
+    let line = "geometry clip -o out --frontend raft";
     let env = [("MINUTE4D_WEIGHTS", text(&store)), ("HF_HOME", text(&store))];
     let words = ["raft", "minute4d weights add raft-things FILE", "--frontend classical"];
-    refused_with(&args, &env, 66, &words);
+    dir.refused_with(line, &env, 66, &words);
     // What lies there and is no checkpoint is refused too.
     fs::create_dir(store.join("raft-things")).unwrap();
     fs::write(store.join("raft-things/raft-things.pth"), "no weights").unwrap();
-    refused_with(&args, &env, 69, &["raft-things.pth", "RAFT", "--frontend classical"]);
+    dir.refused_with(line, &env, 69, &["raft-things.pth", "RAFT", "--frontend classical"]);
 }
 
 #[cfg(feature = "nets")]
@@ -277,28 +245,26 @@ fn segmenter_without_weights_names_the_download_and_auto_falls_back() {
     let (dir, _) = known();
     fs::create_dir(dir.path("weights")).unwrap();
     let store = dir.path("weights");
-    let (clip, out) = (dir.at("clip"), dir.at("out"));
-    let (record, _) = geometry(&dir, &[]);
+    let (record, _) = geometry(&dir, "");
     assert_eq!(record["found"]["segmenter"], "none");
-    let args = ["geometry", &clip, "-o", &out, "--force", "--segmenter", "mobilesam"];
+    let asked = format!("{GEOMETRY} --segmenter mobilesam");
     let env = [("MINUTE4D_WEIGHTS", text(&store))];
     let words = ["mobilesam", "minute4d weights fetch mobile-sam", "--segmenter none"];
-    refused_with(&args, &env, 66, &words);
+    dir.refused_with(&asked, &env, 66, &words);
     // What lies there and is no checkpoint is refused, asked for or not.
     fs::create_dir(store.join("mobile-sam")).unwrap();
     fs::write(store.join("mobile-sam/mobile_sam.pt"), "no weights").unwrap();
     let words = ["mobile_sam.pt", "MobileSAM", "--segmenter none"];
-    refused_with(&args, &env, 69, &words);
-    refused_with(&args[..5], &env, 69, &words);
+    dir.refused_with(&asked, &env, 69, &words);
+    dir.refused_with(GEOMETRY, &env, 69, &words);
 }
 
 #[test]
 fn changed_masks_invalidate_the_result() {
     let (dir, _) = known();
-    let masks = dir.at("masks");
-    let (first, _) = geometry(&dir, &["--masks", &masks]);
+    let (first, _) = geometry(&dir, "--masks masks");
     let mask: Mask = Plane::filled(SIZE.0, SIZE.1, 0);
     write_mask(&dir.path("masks/00000.png"), &mask).unwrap();
-    let (second, _) = geometry(&dir, &["--masks", &masks]);
+    let (second, _) = geometry(&dir, "--masks masks");
     assert_ne!(first["key"], second["key"]);
 }

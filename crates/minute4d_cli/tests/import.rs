@@ -1,7 +1,9 @@
 //! Clips that other tools posed, from outside.
+#![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
-use crate::common::{Scratch, refused, succeed, train};
+use crate::common::{Scratch, write_capture};
 use minute4d::Silent;
+use minute4d::core::Capture;
 use minute4d::io::capture::{self, CaptureOptions, Split};
 use serde_json::Value;
 use std::fs;
@@ -23,14 +25,12 @@ fn source_formats_are_detected_and_imported() {
         ("nvidia", "nvidia", 0),
         ("record3d/clip.r3d", "record3d", 0),
     ] {
-        let (source, out) = (fixture(name), dir.at(format));
-        let folder = fixture("clip/images");
-        let more: &[&str] = if format == "colmap" {
-            &["--images", &folder]
-        } else {
-            &[]
+        let more = match format {
+            "colmap" => format!("--images '{}'", fixture("clip/images")),
+            _ => String::new(),
         };
-        let report = succeed(&[&["import", &source, "-o", &out, "--json"], more].concat()).result();
+        let line = format!("import '{}' -o {format} --json {more}", fixture(name));
+        let report = dir.succeed(&line).result();
         assert_eq!(report["format"], format, "{name}");
         assert!(report["frames"].as_u64().unwrap() > 2, "{name}: {report}");
         assert!(report["check"]["verdict"].is_string(), "{name}: {report}");
@@ -42,16 +42,10 @@ fn source_formats_are_detected_and_imported() {
     }
     // held-out views of an earlier import do not stay behind
     assert!(dir.path("dycheck").join(Split::Test.file_name()).is_file());
-    succeed(&[
-        "import",
-        &fixture("record3d/clip.r3d"),
-        "-o",
-        &dir.at("dycheck"),
-        "--force",
-        "--no-check",
-    ]);
+    let recording = fixture("record3d/clip.r3d");
+    dir.succeed(&format!("import '{recording}' -o dycheck --force --no-check"));
     assert!(!dir.path("dycheck").join(Split::Test.file_name()).exists());
-    let trained = train(&dir.at("colmap"), &dir.at("out"), "5", &[]);
+    let trained = dir.call("train colmap -o out --iterations 5");
     assert!(
         trained.code == 0 || trained.stderr.contains("depth"),
         "{}",
@@ -62,32 +56,18 @@ fn source_formats_are_detected_and_imported() {
 #[test]
 fn invalid_requests_are_rejected_with_a_hint() {
     let dir = Scratch::new();
-    let out = dir.at("out");
     fs::create_dir_all(dir.path("empty")).unwrap();
-    let empty = dir.at("empty");
     let (colmap, recording) = (fixture("colmap_text"), fixture("record3d/clip.r3d"));
     let davis = fixture("davis/JPEGImages/480p/ball");
     for (args, code, says) in [
-        (vec!["import", &*empty, "-o", &out], 65, "none of the known layouts"),
-        (vec!["import", &empty, "-o", &out, "--format", "vipe"], 65, "pose"),
-        (
-            vec!["import", &empty, "-o", &out, "--format", "obj"],
-            2,
-            "no format is called obj",
-        ),
-        (vec!["import", &davis, "-o", &out], 65, "no camera poses"),
-        (
-            vec!["import", &colmap, "-o", &out, "--fix", "--no-check"],
-            2,
-            "cannot be used with",
-        ),
-        (
-            vec!["import", &recording, "-o", &out, "--depth", "/nowhere"],
-            66,
-            "/nowhere",
-        ),
+        ("empty", 65, "none of the known layouts"),
+        ("empty --format vipe", 65, "pose"),
+        ("empty --format obj", 2, "no format is called obj"),
+        (&*format!("'{davis}'"), 65, "no camera poses"),
+        (&format!("'{colmap}' --fix --no-check"), 2, "cannot be used with"),
+        (&format!("'{recording}' --depth /nowhere"), 66, "/nowhere"),
     ] {
-        refused(&args, code, &[says]);
+        dir.refused(&format!("import -o out {args}"), code, &[says]);
     }
     assert!(!dir.path("out").exists(), "what cannot be used leaves nothing behind");
 }
@@ -102,13 +82,11 @@ fn bench() -> Option<PathBuf> {
 fn wrong_axes_are_detected_and_corrected() {
     let Some(scene) = bench() else { return };
     let dir = Scratch::new();
-    let source = scene.display().to_string();
-    let told = |name: &str, more: &[&str]| -> Value {
-        let out = dir.at(name);
-        let args = ["import", &source, "-o", &out, "--axes", "opencv", "--json"];
-        succeed(&[&args[..], more].concat()).result()
+    let told = |options: &str| {
+        let line = format!("import '{}' --axes opencv --json {options}", scene.display());
+        dir.succeed(&line).result()
     };
-    let wrong = told("wrong", &[]);
+    let wrong = told("-o wrong");
     // its masks are 255 where something moves, nerfstudio's are 0
     let causes = |found: &Value| -> Vec<String> {
         let causes = found["causes"].as_array().unwrap().iter();
@@ -116,7 +94,7 @@ fn wrong_axes_are_detected_and_corrected() {
     };
     assert_eq!(wrong["check"]["verdict"], "bad");
     assert_eq!(causes(&wrong["check"]), ["masks", "axes"]);
-    let right = told("right", &["--fix"]);
+    let right = told("-o right --fix");
     assert_eq!(right["check"]["verdict"], "good", "{right}");
     assert_eq!(causes(&right["check"]["repaired"]), ["masks", "axes"]);
     let read = |path: &Path| capture::read(path, Split::Test, &CaptureOptions::default(), &Silent).unwrap();
@@ -131,12 +109,10 @@ fn wrong_axes_are_detected_and_corrected() {
 #[test]
 fn exported_captures_import_to_the_same_capture() {
     let dir = Scratch::new();
-    let source = fixture("dycheck");
-    let own = dir.at("own");
-    succeed(&["import", &source, "-o", &own, "--no-check"]);
+    dir.succeed(&format!("import '{}' -o own --no-check", fixture("dycheck")));
     let read = |name: &str, split| capture::read(&dir.path(name), split, &CaptureOptions::default(), &Silent).unwrap();
     let (train, test) = (read("own", Split::Train), read("own", Split::Test));
-    let moves = |c: &minute4d::core::Capture| {
+    let moves = |c: &Capture| {
         c.frames
             .iter()
             .filter_map(|f| f.mask.as_ref())
@@ -144,15 +120,15 @@ fn exported_captures_import_to_the_same_capture() {
             .sum::<usize>()
     };
     for (format, views) in [("nerfstudio", true), ("colmap", false)] {
-        let (out, again) = (dir.at(format), dir.at(&format!("again-{format}")));
-        let report = succeed(&["export", &own, "--format", format, "-o", &out, "--json"]).result();
+        let line = format!("export own --format {format} -o {format}");
+        let report = dir.succeed(&format!("{line} --json")).result();
         assert!(report["bytes"].as_u64().unwrap() > 1000, "{report}");
         assert_eq!(
             report["losses"]["dropped"].to_string().contains("held-out views"),
             !views,
             "{report}"
         );
-        succeed(&["import", &out, "-o", &again, "--no-check"]);
+        dir.succeed(&format!("import {format} -o again-{format} --no-check"));
         let back = read(&format!("again-{format}"), Split::Train);
         assert_eq!(back.frames.len(), train.frames.len(), "{format}");
         for (a, b) in back.frames.iter().zip(&train.frames) {
@@ -176,58 +152,122 @@ fn exported_captures_import_to_the_same_capture() {
                 test.frames.len()
             );
         }
-        refused(
-            &["export", &own, "--format", format, "-o", &out],
-            73,
-            &["already exists", "--force"],
-        );
+        dir.refused(&line, 73, &["already exists", "--force"]);
     }
 }
 
 #[test]
 fn data_sets_that_name_outside_files_need_permission() {
     let dir = Scratch::new();
-    let (source, out) = (fixture("blender"), dir.at("out"));
-    let args = ["import", &source, "-o", &out, "--no-check"];
+    let line = format!("import '{}' -o out --no-check", fixture("blender"));
     let words = ["transforms_train.json", "clip/images/", "--allow-outside"];
-    refused(&args, 65, &words);
+    dir.refused(&line, 65, &words);
     assert!(!dir.path("out").exists());
-    succeed(&[&args[..], &["--allow-outside"]].concat());
+    dir.succeed(&format!("{line} --allow-outside"));
     // The same of a capture, by every command that reads one.
     let list = dir.path("out/transforms_train.json");
     let text = fs::read_to_string(&list).unwrap();
     fs::rename(dir.path("out/train"), dir.path("private")).unwrap();
     fs::write(&list, text.replace("\"train/", "\"../private/")).unwrap();
-    let data = ["--data", &out];
-    for command in [
-        &["inspect", &out][..],
-        &["split", &out, "-o", &dir.at("made"), "--protocol", "holdout"],
-        &["export", &out, "--format", "nerfstudio", "-o", &dir.at("made")],
-        &["train", &out, "-o", &dir.at("made"), "--iterations", "1"],
-        &["run", &out, "-o", &dir.at("made"), "--iterations", "1"],
-        &["enhance", &out, "-o", &dir.at("made")],
-        &["eval-geometry", &out, "--truth", &out],
-        &["ablate", &out, "-o", &dir.at("made"), data[0], data[1]],
+    for line in [
+        "inspect out",
+        "split out -o made --protocol holdout",
+        "export out --format nerfstudio -o made",
+        "train out -o made --iterations 1",
+        "run out -o made --iterations 1",
+        "enhance out -o made",
+        "eval-geometry out --truth out",
+        "ablate out -o made --data out",
     ] {
-        refused(command, 65, &["transforms_train.json", "private/", "--allow-outside"]);
+        dir.refused(line, 65, &["transforms_train.json", "private/", "--allow-outside"]);
     }
-    succeed(&["inspect", &out, "--allow-outside"]);
-    succeed(&[
-        "export",
-        &out,
-        "--format",
-        "nerfstudio",
-        "-o",
-        &dir.at("exported"),
-        "--allow-outside",
-    ]);
-    let set = [
-        "run",
-        &out,
-        "-o",
-        &dir.at("made"),
-        "--set",
-        "capture.reach=\"Anywhere\"",
-    ];
-    refused(&set, 78, &["capture.reach"]);
+    dir.succeed("inspect out --allow-outside");
+    dir.succeed("export out --format nerfstudio -o exported --allow-outside");
+    let set = "run out -o made --set capture.reach=\"Anywhere\"";
+    dir.refused(set, 78, &["capture.reach"]);
+}
+
+fn read(folder: &Path) -> Capture {
+    capture::read(folder, Split::Train, &CaptureOptions::default(), &Silent).unwrap()
+}
+
+fn megasam(name: &str) -> String {
+    fixture(&format!("../megasam/{name}"))
+}
+
+#[test]
+fn every_layout_is_imported_and_trained() {
+    let dir = Scratch::new();
+    for (source, name) in [
+        ("reconstructions/dog", "folder"),
+        ("outputs/dog_droid.npz", "droid"),
+        ("outputs_cvd/dog_sgd_cvd_hr.npz", "cvd"),
+    ] {
+        let source = megasam(source);
+        let line = format!("import '{source}' -o {name} --fps 10 --tau-motion 0.5 --json");
+        let report = dir.succeed(&line).result();
+        assert_eq!((&report["frames"], &report["format"]), (&3.into(), &"megasam".into()));
+        // the archives find the map of motion in the folder of reconstructions beside them
+        assert!(report["moving_share"].is_number(), "{report}");
+        let back = read(&dir.path(name));
+        assert_eq!((back.metric, back.time_frames), (false, 3));
+        assert!((back.duration_s.unwrap() - 0.2).abs() < 1e-9);
+        let record = dir.json(&format!("{name}/geometry.json"));
+        assert_eq!(
+            (&record["status"], &record["settings"]["format"]),
+            (&"finished".into(), &"megasam".into())
+        );
+        let facts = dir.succeed(&format!("inspect {name} --json")).result();
+        assert_eq!((&facts["kind"], &facts["with_depth"]), (&"capture".into(), &3.into()));
+        dir.succeed(&format!("train {name} -o {name}-out --iterations 5"));
+    }
+}
+
+#[test]
+fn numpy_files_are_imported() {
+    let dir = Scratch::new();
+    let clip = megasam("outputs_cvd/dog_sgd_cvd_hr.npz");
+    let ended = dir.succeed(&format!("import '{clip}' -o out"));
+    assert!(
+        ended.stderr.contains("30 frames per second are assumed") && ended.stderr.contains("3 frames of 24 x 16"),
+        "{}",
+        ended.stderr
+    );
+    assert_eq!(ended.stdout.trim_end(), "out");
+    let again = format!("import '{}' -o out", megasam("outputs/dog_droid.npz"));
+    dir.refused(&again, 73, &["--force"]);
+    dir.succeed(&format!("{again} --force"));
+    let capture = read(&dir.path("out"));
+    assert!(capture.frames.iter().all(|f| f.mask.is_some() && f.depth.is_some()));
+}
+
+#[test]
+fn invalid_megasam_requests_are_rejected_with_a_hint() {
+    let dir = Scratch::new();
+    write_capture(&dir.path("capture"), false);
+    dir.write("bad_droid.npz", b"no archive");
+    dir.write("a.ply", b"ply");
+    fs::create_dir_all(dir.path("empty")).unwrap();
+    let droid = megasam("outputs/dog_droid.npz");
+    let words = "is a capture, which the format 4dgs cannot store";
+    for (line, code, says) in [
+        ("export capture -o out", 65, words),
+        ("export capture --format megasam", 2, "choose one of 4dgs"),
+        ("import bad_droid.npz -o out", 65, "not an npz archive"),
+        ("import empty -o out", 65, "is a folder"),
+        (
+            "import empty -o out --format megasam",
+            65,
+            "the array `images` is missing",
+        ),
+        ("import a.ply -o out --fps 3", 2, "--fps has no meaning for ply"),
+        (
+            &*format!("import '{droid}' -o out --motion-prob /nowhere/m.npy"),
+            66,
+            "/nowhere/m.npy",
+        ),
+    ] {
+        dir.refused(line, code, &[says]);
+    }
+    assert!(!dir.path("out").exists(), "what cannot be used leaves nothing behind");
 }

@@ -1,7 +1,7 @@
 //! Scenes to the files of other tools and back, from outside.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
-use crate::common::{Scratch, refused, succeed};
+use crate::common::Scratch;
 use m4_testkit::{SceneSpec, moving_scene, random_camera, random_splats};
 use minute4d::core::{Column, Exposure, Intrinsics, Scene, SourceFrame, SplatLayout};
 use minute4d::io::scene::safetensors;
@@ -45,7 +45,6 @@ fn number(value: &Value) -> f64 {
 fn every_format_renders_like_its_source_scene() {
     let dir = Scratch::new();
     write_scene(&dir, false);
-    let out = dir.at("out");
     // Least PSNR of the worst view. What is rounded: colours and opacities to 1/255 or 1/510, places to a
     // twentieth of a median scale; PLY rounds nothing. The rest is not read here.
     for (format, file, least_db) in [
@@ -56,8 +55,8 @@ fn every_format_renders_like_its_source_scene() {
         ("spz", "scene.spz", None),
         ("gltf", "scene.glb", None),
     ] {
-        let report = succeed(&["export", &out, "--format", format, "--json"]).result();
-        assert_eq!(report["path"], dir.at(&format!("out/{file}")));
+        let report = dir.succeed(&format!("export out --format {format} --json")).result();
+        assert_eq!(report["path"], format!("out/{file}"));
         assert_eq!(report["format"], format);
         assert!(number(&report["bytes"]) > 1000.0 && number(&report["bytes_per_splat"]) > 5.0);
         let compared = &report["comparison"];
@@ -68,58 +67,47 @@ fn every_format_renders_like_its_source_scene() {
             assert!(worst > least_db, "{format}: {worst:.2} dB in the worst view");
             assert!(compared["without_mip_psnr_db"].is_null());
         }
-        refused(&["export", &out, "--format", format], 73, &["--force"]);
+        dir.refused(&format!("export out --format {format}"), 73, &["--force"]);
     }
     for format in ["colmap", "nerfstudio"] {
-        refused(&["export", &out, "--format", format], 65, &[format, "stores captures"]);
+        dir.refused(
+            &format!("export out --format {format}"),
+            65,
+            &[format, "stores captures"],
+        );
     }
     // 17 numbers per splat, besides the header
-    let still = succeed(&["export", &out, "--format", "ply", "--force", "--no-compare", "--json"]).result();
+    let still = dir
+        .succeed("export out --format ply --force --no-compare --json")
+        .result();
     assert!((68.0..69.5).contains(&number(&still["bytes_per_splat"])), "{still}");
-    assert_eq!(fs::read_dir(dir.path("out/ply")).unwrap().count(), FRAMES);
-    let half = succeed(&[
-        "export",
-        &out,
-        "--format",
-        "ply-sequence",
-        "--fps",
-        "11",
-        "--force",
-        "--no-compare",
-        "--json",
-    ]);
-    assert_eq!(half.result()["moments"].as_array().unwrap().len(), 6);
-    assert_eq!(fs::read_dir(dir.path("out/ply")).unwrap().count(), 6);
-    assert!(half.result()["comparison"].is_null());
+    assert_eq!(dir.count("out/ply"), FRAMES);
+    let half = dir.succeed("export out --format ply-sequence --fps 11 --force --no-compare --json");
+    let half = half.result();
+    assert_eq!(half["moments"].as_array().unwrap().len(), 6);
+    assert_eq!(dir.count("out/ply"), 6);
+    assert!(half["comparison"].is_null());
 
-    let ended = succeed(&["export", &out, "-o", &dir.at("clip.mp4")]);
+    let ended = dir.succeed("export out -o clip.mp4");
     assert_eq!(
         ended.stdout.trim_end(),
-        dir.at("clip.mp4"),
+        "clip.mp4",
         "the result is the path and nothing else"
     );
-    assert_eq!(
-        succeed(&["inspect", &dir.at("clip.mp4"), "--json"]).result()["frames"],
-        FRAMES
-    );
+    let clip = dir.succeed("inspect clip.mp4 --json").result();
+    assert_eq!(clip["frames"], FRAMES);
 }
 
 #[test]
 fn mip_filter_is_baked_or_reported_as_a_loss() {
     let dir = Scratch::new();
     write_scene(&dir, true);
-    let out = dir.at("out");
-    let report = |more: &[&str]| {
-        let args: Vec<&str> = ["export", &out, "--force", "--json"]
-            .iter()
-            .chain(more)
-            .copied()
-            .collect();
-        let report = succeed(&args).result();
+    let report = |more: &str| {
+        let report = dir.succeed(&format!("export out --force --json {more}")).result();
         let losses = ["baked", "dropped"].map(|sort| report["losses"][sort].to_string());
         (report["comparison"].clone(), losses)
     };
-    let (kept, [baked, dropped]) = report(&["--keep-mip"]);
+    let (kept, [baked, dropped]) = report("--keep-mip");
     let plain_db = number(&kept["without_mip_psnr_db"]);
     assert!(plain_db < number(&kept["psnr_db"]));
     assert!(
@@ -134,7 +122,7 @@ fn mip_filter_is_baked_or_reported_as_a_loss() {
         ("spz", false),
         ("gltf", false),
     ] {
-        let (compared, [baked, dropped]) = report(&["--format", format]);
+        let (compared, [baked, dropped]) = report(&format!("--format {format}"));
         if is_read {
             let db = number(&compared["psnr_db"]);
             println!("{format}: {db:.2} dB where {plain_db:.2} dB were without");
@@ -153,10 +141,8 @@ fn mip_filter_is_baked_or_reported_as_a_loss() {
 fn exports_round_trip_through_import() {
     let dir = Scratch::new();
     write_scene(&dir, false);
-    let out = dir.at("out");
-    succeed(&["export", &out, "--no-compare"]);
-    let (file, back) = (dir.at("out/scene.4dgs"), dir.at("back"));
-    let report = succeed(&["import", &file, "-o", &back, "--json"]).result();
+    dir.succeed("export out --no-compare");
+    let report = dir.succeed("import out/scene.4dgs -o back --json").result();
     assert_eq!(
         (&report["cameras"], &report["time_frames"]),
         (&FRAMES.into(), &FRAMES.into())
@@ -165,19 +151,19 @@ fn exports_round_trip_through_import() {
         (&report["splats_static"], &report["splats_dynamic"]),
         (&576.into(), &60.into())
     );
-    let facts = succeed(&["inspect", &back, "--json"]).result();
+    let facts = dir.succeed("inspect back --json").result();
     assert_eq!(
         (&facts["kind"], &facts["record"]["status"]),
         (&"run".into(), &"finished".into())
     );
     assert_eq!(facts["scene"]["cameras"], FRAMES);
-    succeed(&["render", &back, "-o", &dir.at("png")]);
-    assert_eq!(fs::read_dir(dir.path("png")).unwrap().count(), FRAMES);
+    dir.succeed("render back -o png");
+    assert_eq!(dir.count("png"), FRAMES);
     // what has been rounded once is hardly changed by being rounded again
-    let again = succeed(&["export", &back, "--json"]).result();
+    let again = dir.succeed("export back --json").result();
     assert!(number(&again["comparison"]["psnr_db"]) > 40.0, "{again}");
-    refused(&["import", &file, "-o", &back], 73, &["--force"]);
-    succeed(&["import", &file, "-o", &back, "--force"]);
+    dir.refused("import out/scene.4dgs -o back", 73, &["--force"]);
+    dir.succeed("import out/scene.4dgs -o back --force");
 }
 
 #[test]
@@ -204,33 +190,21 @@ fn static_ply_of_another_program_gets_cameras() {
     };
     safetensors::write(&dir.path("a.safetensors"), &scene, None, &BTreeMap::new()).unwrap();
     // without cameras there is nothing to compare from, and no clip
-    let report = succeed(&[
-        "export",
-        &dir.at("a.safetensors"),
-        "--format",
-        "ply",
-        "-o",
-        &dir.at("a.ply"),
-        "--json",
-    ])
-    .result();
+    let report = dir
+        .succeed("export a.safetensors --format ply -o a.ply --json")
+        .result();
     assert!(report["comparison"].is_null() && report["bytes_per_s"].is_null());
-    refused(
-        &["export", &dir.at("a.safetensors"), "-o", &dir.at("a.mp4")],
-        65,
-        &["no cameras"],
-    );
+    dir.refused("export a.safetensors -o a.mp4", 65, &["no cameras"]);
 
-    let ended = succeed(&["import", &dir.at("a.ply"), "-o", &dir.at("in")]);
+    let ended = dir.succeed("import a.ply -o in");
     assert!(ended.stderr.contains("no cameras"), "{}", ended.stderr);
-    let facts = succeed(&["inspect", &dir.at("in"), "--json"]).result();
+    let facts = dir.succeed("inspect in --json").result();
     assert_eq!(
         (&facts["scene"]["cameras"], &facts["scene"]["sh_degree"]),
         (&60.into(), &2.into())
     );
-    let image = dir.at("png");
-    succeed(&["render", &dir.at("in"), "-o", &image]);
-    let middle = fs::metadata(dir.path("png/00000.png")).unwrap().len();
+    dir.succeed("render in -o png");
+    let middle = dir.read("png/00000.png").len();
     assert!(middle > 20_000, "the splats are in the image: {middle} bytes");
 }
 
@@ -238,41 +212,28 @@ fn static_ply_of_another_program_gets_cameras() {
 fn invalid_requests_are_rejected_with_a_hint() {
     let dir = Scratch::new();
     write_scene(&dir, false);
-    let out = dir.at("out");
-    fs::write(dir.path("a.obj"), "v 0 0 0\n").unwrap();
-    fs::write(
-        dir.path("a.ply"),
+    dir.write("a.obj", "v 0 0 0\n");
+    dir.write(
+        "a.ply",
         "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nend_header\n1\n",
-    )
-    .unwrap();
-    fs::write(dir.path("a.spz"), "\x1f").unwrap();
-    let (nowhere, at) = (dir.at("nowhere"), dir.at("in"));
-    let names = ["a.obj", "a.ply", "a.spz", "gone.ply", "gone.mp4"];
-    let [obj, ply, spz, gone_ply, gone_mp4] = names.map(|name| dir.at(name));
-    for (args, code, says) in [
-        (
-            vec!["export", &*out, "--time", "3"],
-            2,
-            "--time has no meaning for 4dgs",
-        ),
-        (vec!["export", &out, "--fps", "10"], 2, "--fps has no meaning for 4dgs"),
-        (
-            vec!["export", &out, "--format", "ply", "--time", "99"],
-            2,
-            "frames 0 to 11",
-        ),
-        (vec!["export", &out, "--format", "ply", "--time", "soon"], 2, "soon"),
-        (vec!["export", &out, "--format", "obj"], 2, "choose one of 4dgs"),
-        (vec!["export", &out, "--format", "usd"], 2, "choose one of 4dgs"),
-        (vec!["export", &nowhere], 66, "nowhere"),
-        (vec!["import", &obj, "-o", &at], 2, "add --format"),
-        (vec!["import", &ply, "-o", &at], 65, "has no property scale_0"),
-        (vec!["import", &spz, "-o", &at], 2, "spz files cannot be imported"),
-        (vec!["import", &out, "-o", &at], 65, "is a folder"),
-        (vec!["import", &gone_ply, "-o", &at], 66, "gone.ply"),
-        (vec!["import", &gone_mp4, "-o", &at], 66, "gone.mp4"),
+    );
+    dir.write("a.spz", "\x1f");
+    for (line, code, says) in [
+        ("export out --time 3", 2, "--time has no meaning for 4dgs"),
+        ("export out --fps 10", 2, "--fps has no meaning for 4dgs"),
+        ("export out --format ply --time 99", 2, "frames 0 to 11"),
+        ("export out --format ply --time soon", 2, "soon"),
+        ("export out --format obj", 2, "choose one of 4dgs"),
+        ("export out --format usd", 2, "choose one of 4dgs"),
+        ("export nowhere", 66, "nowhere"),
+        ("import a.obj -o in", 2, "add --format"),
+        ("import a.ply -o in", 65, "has no property scale_0"),
+        ("import a.spz -o in", 2, "spz files cannot be imported"),
+        ("import out -o in", 65, "is a folder"),
+        ("import gone.ply -o in", 66, "gone.ply"),
+        ("import gone.mp4 -o in", 66, "gone.mp4"),
     ] {
-        refused(&args, code, &[says]);
+        dir.refused(line, code, &[says]);
     }
     assert!(
         !dir.path("in").exists(),

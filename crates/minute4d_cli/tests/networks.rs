@@ -2,7 +2,7 @@
 #![cfg(feature = "nets")]
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
-use crate::common::{Ended, Scratch, program};
+use crate::common::{Ended, Scratch, text};
 use m4_testkit::write_formula_weights;
 use minute4d::core::{Capture, Plane};
 use minute4d::device::{DeviceChoice, DeviceRequest};
@@ -119,18 +119,6 @@ fn made(clip: &Path, out: &Path, store: &Path, frontend: &str, threads: Option<u
     read(out)
 }
 
-fn run(clip: &Path, out: &Path, store: &Path, more: &[&str]) -> Ended {
-    let mut command = program();
-    command
-        .env("MINUTE4D_WEIGHTS", store)
-        .env("HF_HOME", store)
-        .arg("geometry")
-        .arg(clip)
-        .arg("-o")
-        .arg(out);
-    Ended::of(command.args(more).output().unwrap())
-}
-
 fn read(out: &Path) -> Capture {
     capture::read(out, Split::Train, &CaptureOptions::default(), &Silent).unwrap()
 }
@@ -179,10 +167,11 @@ fn megasam_front_end_makes_a_capture_and_records_its_networks() {
 #[test]
 fn incompatible_or_missing_front_end_parts_are_rejected() {
     let dir = Scratch::new();
-    let (clip, store, out) = (dir.path("clip"), dir.path("weights"), dir.path("out"));
-    write_clip(&clip);
+    let store = dir.path("weights");
+    write_clip(&dir.path("clip"));
     write_weights(&store);
-    for (front_end, code, words) in [
+    let env = ["MINUTE4D_WEIGHTS", "HF_HOME"].map(|name| (name, text(&store)));
+    for (options, code, words) in [
         (
             "megasam+moge",
             66,
@@ -191,27 +180,12 @@ fn incompatible_or_missing_front_end_parts_are_rejected() {
         ("classical+raft", 2, &["classical", "raft", "flow"]),
         ("gmflow", 2, &["gmflow", "raft"]),
         ("megasan", 2, &["megasan", "moge"]),
+        (
+            "megasam --segmenter mobilesam",
+            66,
+            &["minute4d weights fetch mobile-sam"],
+        ),
     ] {
-        let ended = run(&clip, &out, &store, &["--frontend", front_end]);
-        assert_eq!(ended.code, code, "{front_end}: {}", ended.stderr);
-        for word in words {
-            assert!(
-                ended.stderr.contains(word),
-                "{front_end}: {word} is not in {}",
-                ended.stderr
-            );
-        }
+        dir.refused_with(&format!("geometry clip -o out --frontend {options}"), &env, code, words);
     }
-    let ended = run(
-        &clip,
-        &out,
-        &store,
-        &["--frontend", "megasam", "--segmenter", "mobilesam"],
-    );
-    assert!(
-        ended.code == 66 && ended.stderr.contains("minute4d weights fetch mobile-sam"),
-        "{} {}",
-        ended.code,
-        ended.stderr
-    );
 }

@@ -1,7 +1,7 @@
 //! What the page shows while it plays: every image belongs to one instant.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
-use crate::common::{Scratch, train, write_clip};
+use crate::common::{Scratch, write_clip};
 use m4_testkit::{Chromium, find_chromium};
 use minute4d::core::{
     Camera, Intrinsics, RgbImage, Scene, Se3,
@@ -121,8 +121,7 @@ fn playback_images_match_their_time() {
     let Some(chromium) = find_chromium() else { return };
     let dir = Scratch::new();
     write_clip(&dir.path("capture"), SIZE, FRAMES, FPS);
-    let trained = train(&dir.at("capture"), &dir.at("out"), "300", &[]);
-    assert_eq!(trained.code, 0, "{}", trained.stderr);
+    dir.succeed("train capture -o out --iterations 300");
     let scene = safetensors::read(&dir.path("out/scene.safetensors")).unwrap().scene;
     let kept: Vec<u32> = (0..scene.splats.n_static() as u32).collect();
     let without = Scene {

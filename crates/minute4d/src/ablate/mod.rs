@@ -7,14 +7,12 @@
 //! Rows share the geometry, except for the row without segmentation, which has its own. All rows take as many steps as the full one.
 
 mod report;
-mod row;
 mod tracking_effect;
 
-pub use report::{AblationReport, RowReport};
-pub use row::{Row, UnknownRow};
+pub use report::{AblationReport, Row, RowReport, UnknownRow};
 
 use crate::bench::today;
-use crate::evaluate::{self, EvalOptions, EvalReport, EvaluationError};
+use crate::evaluate::{self, EvalOptions, EvalReport};
 use crate::folder::CAPTURE_FOLDER;
 use crate::record::{GeometryRecord, RunRecord, Status, write_json};
 use crate::{Error, Job, Settings, is_capture};
@@ -50,7 +48,7 @@ pub struct AblateOptions {
 ///
 /// # Errors
 ///
-/// [`Error::Evaluation`] without held-out views; else [`Error`] of the row that failed, or what cannot be read or written.
+/// [`Error::Refused`] without held-out views; else [`Error`] of the row that failed, or what cannot be read or written.
 pub fn ablate(input: &Path, out: &Path, options: &AblateOptions, job: &Job<'_>) -> Result<AblationReport, Error> {
     if !input.exists() {
         return Err(Error::Missing {
@@ -61,7 +59,7 @@ pub fn ablate(input: &Path, out: &Path, options: &AblateOptions, job: &Job<'_>) 
     job.check()?;
     let data = options.data.clone().unwrap_or_else(|| input.to_path_buf());
     if !data.join(Split::Test.file_name()).is_file() {
-        return Err(EvaluationError::NoTestList { path: data }.into());
+        return Err(evaluate::no_test_list(&data).into());
     }
     fs::create_dir_all(out).map_err(|source| Error::Write {
         path: out.to_path_buf(),

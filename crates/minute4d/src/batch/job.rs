@@ -5,12 +5,10 @@
 //! may succeed on another machine or later, so the job may be started again.
 
 use crate::batch::child::{self, Ended, Watch};
-use crate::batch::credentials;
 use crate::batch::error::BatchError;
-use crate::batch::layout::{Layout, RUN_FILE};
+use crate::batch::layout::{JobRecord, Layout, Outcome, RUN_FILE, now_s, write_json};
 use crate::batch::manifest::{Job, Manifest, VERSION};
 use crate::batch::publish::{Present, Published, present, publish, recover, remove};
-use crate::batch::record::{JobRecord, Outcome, now_s, write_json};
 use m4_io::atomic;
 use serde_json::Value;
 use std::fs::{self, File, OpenOptions, TryLockError};
@@ -238,7 +236,7 @@ impl Attempt<'_> {
             .arg(self.layout.work(id))
             .arg("--")
             .arg(&self.job.input);
-        credentials::remove(&mut command);
+        child::remove_credentials(&mut command);
         child::run(command, log, self.watch).map_err(BatchError::read(&self.tools.program))
     }
 

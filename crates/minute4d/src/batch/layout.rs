@@ -1,6 +1,16 @@
-//! The layout of the folder of results.
+//! The folder of results: names of jobs, which are safe as folder names on any system, where everything of a job lies, and the record
+//! of its outcome, `.state/ID.json`.
 
+use crate::batch::error::BatchError;
+use crate::batch::manifest::VERSION;
+use m4_io::atomic;
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
+use std::collections::HashMap;
+use std::fs;
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
+use std::time::{SystemTime, UNIX_EPOCH};
 
 /// What a published result says of the job that it belongs to.
 pub const RESULT_FILE: &str = "batch.json";
@@ -75,5 +85,163 @@ impl Layout {
     /// The folder in which an older result waits to be removed.
     pub(crate) fn outgoing(&self, id: &str) -> PathBuf {
         self.root.join(".outgoing").join(id)
+    }
+}
+
+/// Most characters of a name before what makes it unique.
+const LONGEST: usize = 80;
+/// Characters of a hash that make a name unique.
+const HASH_CHARS: usize = 8;
+
+/// Names that Windows keeps for devices.
+const DEVICES: [&str; 4] = ["con", "prn", "aux", "nul"];
+
+/// Gives each input `(name, path)` an id. Those whose names fall together, also where case does not count, get a
+/// piece of the hash of their path, so that no id depends on which other clips are listed later or earlier.
+pub(crate) fn ids(inputs: &[(String, String)]) -> Vec<String> {
+    let plain: Vec<String> = inputs.iter().map(|(name, _)| safe(name)).collect();
+    let mut count: HashMap<String, usize> = HashMap::new();
+    for name in &plain {
+        *count.entry(name.to_lowercase()).or_default() += 1;
+    }
+    let mut given = Vec::with_capacity(plain.len());
+    for (name, (_, path)) in plain.into_iter().zip(inputs) {
+        let alone = count.get(&name.to_lowercase()).is_some_and(|&n| n == 1);
+        given.push(if alone {
+            name
+        } else {
+            format!("{name}-{}", short_hash(path))
+        });
+    }
+    given
+}
+
+fn short_hash(text: &str) -> String {
+    blake3::hash(text.as_bytes())
+        .to_hex()
+        .chars()
+        .take(HASH_CHARS)
+        .collect()
+}
+
+fn safe(name: &str) -> String {
+    let kept = |c: char| {
+        if c.is_ascii_alphanumeric() || "._-".contains(c) {
+            c
+        } else {
+            '_'
+        }
+    };
+    let text: String = name.chars().map(kept).take(LONGEST).collect();
+    let text = text.trim_start_matches(['.', '-']).trim_end_matches('.');
+    match text {
+        "" => "clip".to_owned(),
+        text if DEVICES.contains(&text.to_lowercase().as_str()) => format!("{text}_"),
+        text => text.to_owned(),
+    }
+}
+
+/// Whether an id of a manifest can be the name of a folder: it names no other place.
+pub(crate) fn is_safe(id: &str) -> bool {
+    !id.is_empty()
+        && id.len() <= LONGEST + HASH_CHARS + 1
+        && !id.starts_with(['.', '-'])
+        && id.chars().all(|c| c.is_ascii_alphanumeric() || "._-".contains(c))
+}
+
+/// The outcome of a job.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Outcome {
+    /// The result is published.
+    Done,
+    /// A permanent failure, for which the clip's own bytes are the evidence: it is not run again unless forced.
+    Failed,
+    /// The machine could not do it, or it was stopped: a note only, which does not prevent another run.
+    Retryable,
+}
+
+/// The record of a job.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct JobRecord {
+    /// [`VERSION`].
+    pub version: u32,
+    /// The job.
+    pub id: String,
+    /// Hash of input and settings that all this is of; another one starts again.
+    pub key: String,
+    /// The outcome.
+    pub outcome: Outcome,
+    /// The reason.
+    pub reason: String,
+    /// Exit code of the run, where it had one.
+    pub code: Option<i32>,
+    /// Wall-clock seconds that it took.
+    pub seconds: f64,
+    /// The machine.
+    pub host: String,
+    /// When it ended, seconds since 1970.
+    pub when_s: u64,
+}
+
+impl JobRecord {
+    /// The record, if there is one that this release can use and that is of this input and these settings.
+    pub(crate) fn read(path: &Path, key: &str) -> Result<Option<Self>, BatchError> {
+        Ok(read_json::<Self>(path)?.filter(|r| r.version == VERSION && r.key == key))
+    }
+}
+
+/// Seconds since 1970 by this machine's clock.
+pub(crate) fn now_s() -> u64 {
+    SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_secs())
+}
+
+/// Reads JSON; `None` where there is no file or it holds something else.
+pub(crate) fn read_json<T: DeserializeOwned>(path: &Path) -> Result<Option<T>, BatchError> {
+    match fs::read(path) {
+        Ok(bytes) => Ok(serde_json::from_slice(&bytes).ok()),
+        Err(e) if matches!(e.kind(), ErrorKind::NotFound | ErrorKind::NotADirectory) => Ok(None),
+        Err(source) => Err(BatchError::read(path)(source)),
+    }
+}
+
+/// Writes JSON, whole or not at all.
+pub(crate) fn write_json(path: &Path, value: &impl Serialize) -> Result<(), BatchError> {
+    let text = serde_json::to_string_pretty(value).map_err(|e| BatchError::write(path)(e.into()))? + "\n";
+    atomic::write(path, text.as_bytes()).map_err(BatchError::write(path))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{ids, is_safe};
+
+    #[test]
+    fn ids_are_safe_unique_and_do_not_depend_on_the_order() {
+        let given = |names: &[(&str, &str)]| {
+            let owned: Vec<_> = names.iter().map(|(a, b)| ((*a).to_owned(), (*b).to_owned())).collect();
+            ids(&owned)
+        };
+        let odd = given(&[
+            ("../../etc", "1"),
+            ("a b\nc", "2"),
+            ("ü", "3"),
+            ("con", "4"),
+            ("...", "5"),
+            ("x", "6"),
+        ]);
+        assert_eq!(odd, ["_.._etc", "a_b_c", "_", "con_", "clip", "x"]);
+        let long = "l".repeat(500);
+        let clash = given(&[("Clip", "/a/Clip.mp4"), ("clip", "/b/clip.mp4"), (&long, "l")]);
+        assert!(
+            clash[0].starts_with("Clip-") && clash[1].starts_with("clip-"),
+            "{clash:?}"
+        );
+        assert_ne!(clash[0].to_lowercase(), clash[1].to_lowercase());
+        let turned = given(&[("clip", "/b/clip.mp4"), ("Clip", "/a/Clip.mp4")]);
+        assert_eq!((&turned[0], &turned[1]), (&clash[1], &clash[0]));
+        assert!(odd.iter().chain(&clash).all(|id| is_safe(id)), "{odd:?} {clash:?}");
+        for bad in ["", "..", ".hidden", "a/b", "-rf", "a\\b", "ä"] {
+            assert!(!is_safe(bad), "{bad}");
+        }
     }
 }

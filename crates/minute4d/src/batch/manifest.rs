@@ -1,7 +1,7 @@
 //! The manifest: one JSON object per line, the first for all jobs, each other one for one job.
 
 use crate::batch::error::BatchError;
-use crate::batch::names;
+use crate::batch::layout;
 use m4_io::atomic;
 use serde::{Deserialize, Serialize};
 use std::collections::HashSet;
@@ -153,7 +153,7 @@ impl Manifest {
         for (i, line) in lines.filter(|(_, line)| !line.trim().is_empty()) {
             let line_number = i + 1;
             let job: Job = serde_json::from_str(line).map_err(|e| format!("line {line_number} is not a job ({e})"))?;
-            if !names::is_safe(&job.id) {
+            if !layout::is_safe(&job.id) {
                 return Err(format!(
                     "line {line_number}: the id {:?} cannot be the name of a folder",
                     job.id

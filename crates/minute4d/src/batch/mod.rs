@@ -7,22 +7,18 @@
 pub mod slurm;
 
 mod child;
-mod credentials;
 mod error;
 mod job;
 mod layout;
 mod manifest;
-mod names;
 mod plan;
 mod publish;
-mod record;
 mod report;
 
 pub use child::Watch;
 pub use error::BatchError;
 pub use job::{INDEX_VARIABLES, JobEnd, Tools, index_of_environment, run_job};
-pub use layout::{Layout, POSTER_FILE, RESULT_FILE};
+pub use layout::{JobRecord, Layout, Outcome, POSTER_FILE, RESULT_FILE};
 pub use manifest::{Arguments, FORMAT, Job, Manifest, VERSION};
 pub use plan::{Plan, plan};
-pub use record::{JobRecord, Outcome};
 pub use report::{ClipReport, ClipState, Report, page};

@@ -5,9 +5,8 @@
 //! publish the same job one wins, and the other finds it done.
 
 use crate::batch::error::BatchError;
-use crate::batch::layout::{Layout, RESULT_FILE, RUN_FILE};
+use crate::batch::layout::{Layout, RESULT_FILE, RUN_FILE, now_s, read_json, write_json};
 use crate::batch::manifest::VERSION;
-use crate::batch::record::{now_s, read_json, write_json};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::fs::{self, File};

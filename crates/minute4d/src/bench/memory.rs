@@ -1,8 +1,7 @@
 //! Peak memory of training: the program trains on a synthetic clip, and the peak is read from its record.
 
 use super::Machine;
-use super::save::today;
-use super::table::aligned;
+use super::table::{aligned, today};
 use crate::record::RunRecord;
 use crate::{Error, Observer};
 use m4_core::Silent;

@@ -8,14 +8,12 @@ mod gpu;
 mod measure;
 mod memory;
 mod report;
-mod save;
 mod table;
 
 pub use memory::{MemoryCase, MemoryConfig, MemoryReport, memory};
 pub use report::{BenchReport, Bound, Case, GpuCase, GpuMachine, KernelRow, Machine, StepRow};
-pub(crate) use save::today;
-pub use save::{SavedReport, save};
-pub(crate) use table::aligned;
+pub use table::{SavedReport, save};
+pub(crate) use table::{aligned, today};
 
 use crate::device::DeviceChoice;
 use crate::{Error, Observer, with_threads};

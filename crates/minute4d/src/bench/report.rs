@@ -1,6 +1,6 @@
 //! The results of a benchmark.
 
-use super::save;
+use super::table;
 use m4_kernels::SimdLevel;
 use serde::Serialize;
 
@@ -69,7 +69,7 @@ impl Machine {
             simd: level.name().to_owned(),
             platform: format!("{}-{}", std::env::consts::ARCH, std::env::consts::OS),
             minute4d: env!("CARGO_PKG_VERSION").to_owned(),
-            commit: save::commit(),
+            commit: table::commit(),
             gpu: None,
         }
     }
@@ -226,7 +226,7 @@ impl BenchReport {
         Self {
             format: FORMAT.to_owned(),
             version: VERSION,
-            date: save::today(),
+            date: table::today(),
             machine,
             steps,
             cases,

@@ -2,7 +2,6 @@
 
 #[cfg(feature = "gpu")]
 mod gpu;
-mod network;
 #[cfg(not(feature = "gpu"))]
 mod no_gpu;
 
@@ -10,8 +9,6 @@ mod no_gpu;
 pub use gpu::{GpuPainter, OpenGpu};
 #[cfg(not(feature = "gpu"))]
 pub use no_gpu::{GpuPainter, OpenGpu};
-
-pub use network::NetworkDevice;
 
 use crate::Error;
 use std::fmt;
@@ -85,6 +82,53 @@ pub struct DeviceRequest {
     pub choice: DeviceChoice,
     /// Most memory that training may take on a GPU, megabytes; `None` for as much as it takes.
     pub max_vram_mb: Option<usize>,
+}
+
+impl From<DeviceChoice> for DeviceRequest {
+    fn from(choice: DeviceChoice) -> Self {
+        Self {
+            choice,
+            max_vram_mb: None,
+        }
+    }
+}
+
+/// A device for networks.
+#[derive(Debug, Clone)]
+pub struct NetworkDevice {
+    #[cfg(feature = "nets")]
+    pub(crate) device: m4_nets::Compute,
+    name: String,
+}
+
+impl NetworkDevice {
+    /// `cpu`, or what the GPU is called.
+    #[must_use]
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    pub(crate) fn processor() -> Self {
+        Self {
+            #[cfg(feature = "nets")]
+            device: m4_nets::cpu().into(),
+            name: "cpu".to_owned(),
+        }
+    }
+}
+
+impl DeviceChoice {
+    /// Where networks run by this choice.
+    ///
+    /// # Errors
+    ///
+    /// As [`DeviceChoice::open`].
+    pub fn for_networks(self) -> Result<NetworkDevice, Error> {
+        let Some(gpu) = self.open()? else {
+            return Ok(NetworkDevice::processor());
+        };
+        Ok(gpu.for_networks())
+    }
 }
 
 #[cfg(test)]

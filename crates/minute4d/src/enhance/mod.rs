@@ -8,10 +8,7 @@
 //! front ends find. [`masks`] does the first half on a capture in memory, with any [`VideoSegmenter`]; [`Follower`] is the one that needs no network
 //! with a memory.
 
-mod apply;
 mod config;
-mod error;
-mod follower;
 mod plan;
 #[cfg(feature = "nets")]
 mod sam2;
@@ -20,25 +17,25 @@ mod stage;
 mod tapip3d;
 
 pub use config::{EnhanceConfig, Tapip3dConfig, Tracker};
-pub use error::EnhanceError;
-pub use follower::Follower;
+pub(crate) use plan::{Before, Plan};
 #[cfg(feature = "nets")]
 pub use sam2::Sam2Follower;
-pub(crate) use stage::moving_share;
 pub use stage::{EnhanceReport, STAGE, make};
+pub(crate) use stage::{apply, moving_share};
 #[cfg(feature = "nets")]
 pub use tapip3d::Tapip3dTracker;
 
-pub(crate) use apply::apply;
-pub(crate) use plan::{Before, Plan};
-
-use crate::Error;
+use crate::error::Category;
+use crate::geometry::{self, Segmenter};
 use crate::record::write_json;
+use crate::{Error, Refusal};
 use m4_core::{Capture, CompactIds, CompactMask, Plane, Progress, RgbImage};
-use m4_geometry::classical::dense::FlowSource;
+use m4_geometry::classical::dense::{self, FlowSource, InverseSearch};
 use m4_geometry::masks::{
-    Coarse, FrameSource, ImageError, InstanceReport, RefineInput, RefineSettings, RefinedFrame, VideoSegmenter, refine,
+    Coarse, FlowFollower, FrameSource, ImageError, InstanceError, InstanceReport, RefineInput, RefineSettings,
+    RefinedFrame, VideoSegmenter, refine,
 };
+use m4_geometry::tracks::TrackError;
 use m4_io::capture::Split;
 use std::borrow::Cow;
 use std::path::Path;
@@ -72,8 +69,8 @@ impl FrameSource for Frames<'_> {
 ///
 /// # Errors
 ///
-/// [`Error::Enhance`]: a frame says nothing about the dynamic part, the maps are the wrong way round, the settings make no sense, `segmenter`
-/// fails or `progress` says to stop.
+/// [`Error::Refused`]: a frame says nothing about the dynamic part. [`Error::Enhance`]: the maps are the wrong way round, the settings make
+/// no sense, `segmenter` fails or `progress` says to stop.
 pub fn masks(
     mut capture: Capture,
     settings: &RefineSettings,
@@ -107,14 +104,17 @@ pub(crate) fn write(
     report.map_or(Ok(()), |report| write_json(&folder.join(REPORT_FILE), report))
 }
 
-fn coarse(capture: &Capture) -> Result<Coarse<'_>, EnhanceError> {
+fn coarse(capture: &Capture) -> Result<Coarse<'_>, Refusal> {
     if let Some(maps) = capture.frames.iter().map(|frame| frame.motion.as_ref()).collect() {
         return Ok(Coarse::Motion(maps));
     }
     let masks = capture.frames.iter().enumerate().map(|(i, frame)| {
-        frame.mask.as_ref().ok_or_else(|| EnhanceError::NoCoarse {
-            frame: i,
-            name: frame.name.clone(),
+        frame.mask.as_ref().ok_or_else(|| {
+            Refusal::bad_input(format!(
+                "frame {i} ({:?}) has neither a motion map nor a mask, so there is nothing to refine; create the capture with masks \
+                 (`minute4d geometry`), or import it with them",
+                frame.name
+            ))
         })
     });
     masks.collect::<Result<_, _>>().map(Coarse::Masks)
@@ -136,6 +136,73 @@ fn at_size(found: RefinedFrame, (width, height): (usize, usize)) -> (CompactMask
         mask,
         CompactIds::from(&Plane::from_fn(width, height, |x, y| ids[at(x, y)])),
     )
+}
+
+/// Why masks could not be refined or points not be followed.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum EnhanceError {
+    /// Refinement failed.
+    #[error(transparent)]
+    Instances(#[from] InstanceError),
+    /// Points could not be followed.
+    #[error(transparent)]
+    Tracks(#[from] TrackError),
+}
+
+impl EnhanceError {
+    /// Returns the category of the failure.
+    #[must_use]
+    pub fn category(&self) -> Category {
+        match self {
+            Self::Instances(InstanceError::Cancelled { .. }) | Self::Tracks(TrackError::Cancelled { .. }) => {
+                Category::Stopped
+            }
+            Self::Instances(InstanceError::Setting { .. }) | Self::Tracks(TrackError::Setting { .. }) => {
+                Category::BadSettings
+            }
+            Self::Instances(_) | Self::Tracks(_) => Category::BadInput,
+        }
+    }
+}
+
+/// Classical flow, and a segmenter of single images or none.
+pub struct Follower {
+    segmenter: Option<Box<dyn dense::Segmenter>>,
+    weights_hash: Option<String>,
+}
+
+impl Follower {
+    /// Loads the weights of the requested segmenter.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Network`] if the build has no networks, or the weights are missing or cannot be used.
+    pub fn load(segmenter: Segmenter) -> Result<Self, Error> {
+        let resolved = geometry::resolve_segmenter(segmenter)?;
+        Ok(Self {
+            segmenter: resolved.load()?,
+            weights_hash: resolved.weights_hash().map(str::to_owned),
+        })
+    }
+
+    /// Returns the segmenter that propagates masks along flow.
+    #[must_use]
+    pub fn segmenter(&self) -> FlowFollower<'_> {
+        FlowFollower::new(&InverseSearch, self.segmenter.as_deref())
+    }
+
+    /// Returns the source of flow, which also checks motion maps.
+    #[must_use]
+    pub fn flow(&self) -> &dyn FlowSource {
+        &InverseSearch
+    }
+
+    /// BLAKE3 of the weights, for records.
+    #[must_use]
+    pub fn weights_hash(&self) -> Option<&str> {
+        self.weights_hash.as_deref()
+    }
 }
 
 #[cfg(test)]
@@ -230,7 +297,7 @@ mod tests {
         given.frames[2].mask = None;
         let error = masks(given, &RefineSettings::default(), &follower.segmenter(), None, &Silent).unwrap_err();
         assert!(
-            matches!(error, Error::Enhance(_)) && error.to_string().contains("00002"),
+            matches!(error, Error::Refused(_)) && error.to_string().contains("00002"),
             "{error}"
         );
         assert_eq!(error.category(), Category::BadInput);

@@ -1,12 +1,17 @@
-//! Errors of reading and writing videos, images, captures, scenes and cameras.
+//! The category of a failure, and errors that several operations share: data, outputs.
 
-use super::Category;
+use m4_io::ErrorKind;
 use m4_io::capture::WriteCaptureError;
 use m4_io::dataset::ReadSourceError;
+use m4_io::dataset::export::WriteCaptureAsError;
 use m4_io::image::{ReadImageError, WriteImageError};
+use m4_io::scene::WriteFileError;
+use m4_io::scene::fourdgs::ReadFourdgsError;
+use m4_io::scene::ply::ReadPlyError;
 use m4_io::scene::safetensors::{ReadSceneError, WriteSceneError};
 use m4_io::trajectory::ReadTrajectoryError;
 use m4_io::video::{ReadVideoError, WriteVideoError};
+use std::path::PathBuf;
 
 /// Why data could not be read or written: the errors of [`m4_io`].
 #[derive(Debug, thiserror::Error)]
@@ -39,6 +44,18 @@ pub enum DataError {
     /// Reading cameras.
     #[error(transparent)]
     ReadTrajectory(#[from] ReadTrajectoryError),
+    /// Reading `.4dgs`.
+    #[error(transparent)]
+    ReadFourdgs(#[from] ReadFourdgsError),
+    /// Reading PLY.
+    #[error(transparent)]
+    ReadPly(#[from] ReadPlyError),
+    /// Writing a file of splats.
+    #[error(transparent)]
+    WriteSplats(#[from] WriteFileError),
+    /// Writing a capture for another tool.
+    #[error(transparent)]
+    WriteCaptureAs(#[from] WriteCaptureAsError),
 }
 
 impl DataError {
@@ -56,6 +73,159 @@ impl DataError {
             Self::ReadScene(e) => e.kind().into(),
             Self::WriteScene(e) => e.kind().into(),
             Self::ReadTrajectory(e) => e.kind().into(),
+            Self::ReadFourdgs(e) => e.kind().into(),
+            Self::ReadPly(e) => e.kind().into(),
+            Self::WriteSplats(e) => e.kind().into(),
+            Self::WriteCaptureAs(e) => e.kind().into(),
         }
+    }
+}
+
+/// The category of a failure, which determines the exit code of the program.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[non_exhaustive]
+pub enum Category {
+    /// An invariant of the program is broken.
+    Internal,
+    /// An argument is invalid.
+    Usage,
+    /// An input is damaged, incomplete or inconsistent.
+    BadInput,
+    /// An input does not exist.
+    NoInput,
+    /// This machine cannot do the computation: a device, a program or weights are missing or fail, or memory is insufficient.
+    NoDevice,
+    /// An output cannot be written.
+    CannotWrite,
+    /// The machine failed while reading.
+    Io,
+    /// The same command may succeed later.
+    TryAgain,
+    /// A setting does not exist or has an invalid value.
+    BadSettings,
+    /// The caller asked to stop; what was finished is kept.
+    Stopped,
+}
+
+impl Category {
+    /// Returns the exit code of this category, after `sysexits.h`. That of [`Category::Stopped`] depends
+    /// on the signal; 130 here.
+    #[must_use]
+    pub fn exit_code(self) -> u8 {
+        match self {
+            Self::Internal => 1,
+            Self::Usage => 2,
+            Self::BadInput => 65,
+            Self::NoInput => 66,
+            Self::NoDevice => 69,
+            Self::CannotWrite => 73,
+            Self::Io => 74,
+            Self::TryAgain => 75,
+            Self::BadSettings => 78,
+            Self::Stopped => 130,
+        }
+    }
+}
+
+impl From<ErrorKind> for Category {
+    fn from(kind: ErrorKind) -> Self {
+        match kind {
+            ErrorKind::NotFound => Self::NoInput,
+            ErrorKind::BadData | ErrorKind::Unsupported => Self::BadInput,
+            ErrorKind::Unavailable => Self::NoDevice,
+            ErrorKind::CannotWrite => Self::CannotWrite,
+            ErrorKind::Io => Self::Io,
+            ErrorKind::Cancelled => Self::Stopped,
+            _ => Self::Internal,
+        }
+    }
+}
+
+/// Why a folder or file cannot be used as an output, although the system would write it ([`Error::Write`](super::Error::Write) is the other case).
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum OutputError {
+    /// A file has the name of a folder to create.
+    #[error("cannot create the folder {}: a file with that name exists; choose another name", path.display())]
+    InTheWay {
+        /// The file.
+        path: PathBuf,
+    },
+    /// A folder with other files in it.
+    #[error("the folder {} is not empty and not made by minute4d (it has no usable {missing}); choose another folder, or --force to write into it anyway", path.display())]
+    NotOurs {
+        /// The folder.
+        path: PathBuf,
+        /// The record that it lacks.
+        missing: &'static str,
+    },
+    /// A folder with earlier work.
+    #[error("the folder {} contains {what}; --resume continues it, --force replaces it", path.display())]
+    Exists {
+        /// The folder.
+        path: PathBuf,
+        /// What is in it.
+        what: &'static str,
+    },
+    /// A folder that another process uses.
+    #[error("another minute4d is using {}; wait for it, or choose another folder", path.display())]
+    Busy {
+        /// The folder.
+        path: PathBuf,
+    },
+    /// A file that would be replaced.
+    #[error("{} already exists; --force replaces it", path.display())]
+    WouldReplace {
+        /// The file or folder.
+        path: PathBuf,
+    },
+    /// What was written did not read back as it was written.
+    #[error("{} was written but does not read back correctly: {what}; check the disk", path.display())]
+    Verify {
+        /// The file.
+        path: PathBuf,
+        /// The difference.
+        what: String,
+    },
+}
+
+impl OutputError {
+    /// Returns the category of the failure.
+    #[must_use]
+    pub fn category(&self) -> Category {
+        match self {
+            Self::Busy { .. } => Category::TryAgain,
+            _ => Category::CannotWrite,
+        }
+    }
+}
+
+/// A request or an input that cannot be used: what is wrong, where, and what to do next.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("{message}")]
+#[non_exhaustive]
+pub struct Refusal {
+    /// The category of the failure.
+    pub category: Category,
+    /// The message.
+    pub message: String,
+}
+
+impl Refusal {
+    pub(crate) fn new(category: Category, message: impl Into<String>) -> Self {
+        Self {
+            category,
+            message: message.into(),
+        }
+    }
+
+    /// An argument that is invalid, or that does not go with the others.
+    pub(crate) fn usage(message: impl Into<String>) -> Self {
+        Self::new(Category::Usage, message)
+    }
+
+    /// An input that is damaged, incomplete or inconsistent.
+    pub(crate) fn bad_input(message: impl Into<String>) -> Self {
+        Self::new(Category::BadInput, message)
     }
 }

@@ -1,25 +1,17 @@
 //! The error type of the library, and the category of each failure.
 //!
-//! [`Error`] has one variant for each operation; the type of an operation lies beside it (`evaluate/error.rs`), and those that
-//! several operations share lie here. Each says its own [`Category`].
+//! [`Error`] has a variant for what a caller may tell apart: the errors of other crates by operation, outputs, settings, networks.
+//! Requests and inputs that cannot be used are [`Refusal`]s, whose messages stand where they are refused. Each says its [`Category`].
 
-mod category;
 mod data;
 mod network;
-mod output;
 
-pub use category::Category;
-pub use data::DataError;
+pub use data::{Category, DataError, OutputError, Refusal};
 pub use network::{NetworkError, NetworkMethod};
-pub use output::OutputError;
 
 use crate::enhance::EnhanceError;
-use crate::evaluate::{EvaluationError, ProtocolError};
-use crate::export::ExportError;
-use crate::geometry::{GivenError, ReconstructionError};
-use crate::import::ImportError;
-use crate::render::{PathError, TimeError};
-use crate::reproduce::ReproduceError;
+use crate::geometry::ReconstructionError;
+use crate::render::TimeError;
 use crate::settings::SettingsError;
 use crate::viewer::ViewerError;
 use m4_eval::geometry::GeometryError;
@@ -30,7 +22,11 @@ use m4_geometry::megasam::MegasamError;
 use m4_io::ErrorKind;
 use m4_io::capture::WriteCaptureError;
 use m4_io::dataset::ReadSourceError;
+use m4_io::dataset::export::WriteCaptureAsError;
 use m4_io::image::{ReadImageError, WriteImageError};
+use m4_io::scene::WriteFileError;
+use m4_io::scene::fourdgs::ReadFourdgsError;
+use m4_io::scene::ply::ReadPlyError;
 use m4_io::scene::safetensors::{ReadSceneError, WriteSceneError};
 use m4_io::trajectory::ReadTrajectoryError;
 use m4_io::video::{ReadVideoError, WriteVideoError};
@@ -127,9 +123,9 @@ pub enum Error {
     #[cfg(feature = "nets")]
     #[error(transparent)]
     Weights(#[from] crate::weights::WeightsError),
-    /// Geometry that the user provided.
+    /// A request or an input that cannot be used.
     #[error(transparent)]
-    Given(#[from] GivenError),
+    Refused(#[from] Refusal),
     /// Cameras, depth and masks from a video.
     #[error(transparent)]
     Reconstruction(#[from] ReconstructionError),
@@ -145,24 +141,15 @@ pub enum Error {
     /// A time along a camera path.
     #[error(transparent)]
     Time(#[from] TimeError),
-    /// A camera path.
-    #[error(transparent)]
-    Path(#[from] PathError),
     /// The page of a scene, and its server.
     #[error(transparent)]
     Viewer(#[from] ViewerError),
-    /// Exporting a scene.
+    /// Scoring images.
     #[error(transparent)]
-    Export(#[from] ExportError),
-    /// Importing a file.
+    Score(#[from] ImageError),
+    /// Scoring geometry.
     #[error(transparent)]
-    Import(#[from] ImportError),
-    /// Scoring a scene or a capture.
-    #[error(transparent)]
-    Evaluation(#[from] EvaluationError),
-    /// The table of a data set.
-    #[error(transparent)]
-    Reproduce(#[from] ReproduceError),
+    ScoreGeometry(#[from] GeometryError),
     /// A row of an ablation failed.
     #[error("the row {row} failed: {message}; its files are in {}", folder.display())]
     Row {
@@ -190,10 +177,9 @@ macro_rules! from_parts_of {
 
 from_parts_of! {
     DataError: ReadVideoError, WriteVideoError, ReadImageError, WriteImageError, ReadSourceError, WriteCaptureError,
-        ReadSceneError, WriteSceneError, ReadTrajectoryError;
+        ReadSceneError, WriteSceneError, ReadTrajectoryError, ReadFourdgsError, ReadPlyError, WriteFileError, WriteCaptureAsError;
     ReconstructionError: SparseError, DenseError, MegasamError;
     ViewerError: PageError, FramesError, ServeError;
-    EvaluationError: ProtocolError, ImageError, GeometryError;
 }
 
 impl Error {
@@ -216,7 +202,7 @@ impl Error {
             Self::Network(e) => e.category(),
             #[cfg(feature = "nets")]
             Self::Weights(e) => e.category(),
-            Self::Given(e) => e.category(),
+            Self::Refused(e) => e.category,
             Self::Reconstruction(e) => e.category(),
             Self::Enhance(e) => e.category(),
             Self::Init(InitError::BadSetting { .. }) | Self::Train(TrainError::BadSetting { .. }) => {
@@ -226,13 +212,8 @@ impl Error {
             Self::Train(TrainError::Device { .. }) => Category::NoDevice,
             Self::Init(_) | Self::Train(_) => Category::BadInput,
             Self::Time(_) => Category::Usage,
-            Self::Path(e) => e.category(),
             Self::Viewer(e) => e.category(),
-            Self::Export(e) => e.category(),
-            Self::Import(e) => e.category(),
-            Self::Evaluation(e) => e.category(),
-            Self::Reproduce(e) => e.category(),
-            Self::Row { .. } => Category::BadInput,
+            Self::Score(_) | Self::ScoreGeometry(_) | Self::Row { .. } => Category::BadInput,
         }
     }
 

@@ -1,15 +1,14 @@
 //! Scores a scene on held-out views by the rules of a protocol.
 
+use super::SplitRecord;
 use super::choices::{Choices, FrameChoice, Headline, MaskChoice, PoseChoice, PoseTreatment, ResolutionChoice, poses};
 use super::covisible::{MaskSource, Masks};
-use super::held_out::HeldOut;
 use super::perceptual::Perceptual;
 use super::protocol::{FrameRule, Protocol, Rules, StartPose};
 use super::refine::{Moved, Refiner};
-use super::views::EvalOptions;
-use super::{ProtocolError, SplitRecord};
+use super::views::{EvalOptions, HeldOut};
 use crate::render::SceneRenderer;
-use crate::{Error, Observer};
+use crate::{Error, Observer, Refusal};
 use m4_core::{Camera, CompactMask};
 use m4_eval::image::{ImageReport, MeanScore, Metric, PlanarImage, PsnrKind};
 use m4_kernels::{Frame, SimdLevel};
@@ -34,7 +33,8 @@ pub(super) struct Scored {
 pub(super) fn check(data: &Path, protocol: Protocol, options: &EvalOptions) -> Result<Option<SplitRecord>, Error> {
     let rules = protocol.rules();
     if options.refine_poses && rules.refine.is_none() {
-        return Err(ProtocolError::NoRefinement(protocol).into());
+        let message = format!("the protocol {protocol} does not refine the poses of test images; omit --refine-poses");
+        return Err(Refusal::usage(message).into());
     }
     let folder = if data.is_dir() {
         data
@@ -42,14 +42,7 @@ pub(super) fn check(data: &Path, protocol: Protocol, options: &EvalOptions) -> R
         data.parent().unwrap_or(data)
     };
     let split = SplitRecord::read(folder)?;
-    let not_split = |found: String| {
-        Err(ProtocolError::NotSplit {
-            path: data.to_path_buf(),
-            asked: protocol,
-            found,
-        }
-        .into())
-    };
+    let not_split = |found: String| Err(not_split(data, protocol, &found).into());
     match (rules.frames, split) {
         (FrameRule::TestSplit, None) => Ok(None),
         (FrameRule::TestSplit, Some(split)) => {
@@ -71,6 +64,15 @@ pub(super) fn check(data: &Path, protocol: Protocol, options: &EvalOptions) -> R
     }
 }
 
+/// The held-out frames of the capture are not those of the protocol; `found` is what the capture says.
+fn not_split(data: &Path, asked: Protocol, found: &str) -> Refusal {
+    Refusal::bad_input(format!(
+        "{} was not split by the protocol {asked} ({found}); `minute4d split CAPTURE --protocol {asked} -o NEW` writes such a capture \
+         for training and evaluation",
+        data.display()
+    ))
+}
+
 /// Scores the views.
 pub(super) fn score(
     held: &HeldOut,
@@ -84,16 +86,9 @@ pub(super) fn score(
     let rules = protocol.rules();
     let views = &held.test.frames;
     if let Some(split) = split.as_ref().filter(|s| s.held_out.len() != views.len()) {
-        return Err(ProtocolError::NotSplit {
-            path: data.to_path_buf(),
-            asked: protocol,
-            found: format!(
-                "it lists {} views where split.json has {}",
-                views.len(),
-                split.held_out.len()
-            ),
-        }
-        .into());
+        let (here, there) = (views.len(), split.held_out.len());
+        let found = format!("it lists {here} views where split.json has {there}");
+        return Err(not_split(data, protocol, &found).into());
     }
     let masks = if rules.covisible {
         Masks::find(data, options.covisible.as_deref(), options.reach, observer)?

@@ -6,8 +6,7 @@
 //! top; then each training frame is tested for seeing that point (`m4_eval::image::covisible::seen_by_depth`). Dynamic pixels are valid
 //! only at the time of the test image: they are projected from the training frame that is nearest in time.
 
-use super::ProtocolError;
-use crate::{Error, Observer, Settings};
+use crate::{Category, Error, Observer, Refusal, Settings};
 use m4_core::{Camera, Capture, CaptureFrame, DepthMap, Mask, Plane};
 use m4_eval::image::covisible::{CovisibleCounts, DEPTH_TOLERANCE, DepthView, seen_by_depth};
 use m4_io::image::{read_mask, write_mask};
@@ -79,9 +78,11 @@ impl Masks {
         let mut settings = Settings::fast();
         settings.capture.reach = reach;
         let capture = crate::train::read(root, &settings, observer)?;
-        let training = Training::of(capture).map_err(|why| ProtocolError::NoCovisibility {
-            path: root.to_path_buf(),
-            why,
+        let training = Training::of(capture).map_err(|why| {
+            let (root, hint) = (root.display(), "give the official ones with --covisible DIR");
+            Refusal::bad_input(format!(
+                "co-visibility masks cannot be computed for {root}: {why}; {hint}"
+            ))
         })?;
         observer.warn(
             "there are no published co-visibility masks: they are computed from poses and depth of the training frames, and scores inside \
@@ -121,13 +122,26 @@ impl Masks {
                 let stem = Path::new(&view.name).file_stem().unwrap_or_default();
                 let path = folder.join(format!("{}.png", stem.to_string_lossy()));
                 if !path.is_file() {
-                    let view = view.name.clone();
-                    return Err(ProtocolError::NoMask { path, view }.into());
+                    let message = format!(
+                        "there is no co-visibility mask {} for the view {}; masks are PNG files named as the image of their view, white \
+                         where the training video saw the point",
+                        path.display(),
+                        view.name
+                    );
+                    return Err(Refusal::new(Category::NoInput, message).into());
                 }
                 let mask = read_mask(&path)?.to_mask();
                 let (expected, found) = (view.rgb.size(), mask.size());
                 if expected != found {
-                    return Err(ProtocolError::MaskSize { path, expected, found }.into());
+                    let message = format!(
+                        "{} has {} x {} pixels but its view {} x {}; give the masks of the same factor",
+                        path.display(),
+                        found.0,
+                        found.1,
+                        expected.0,
+                        expected.1
+                    );
+                    return Err(Refusal::bad_input(message).into());
                 }
                 Ok(Some(mask))
             }

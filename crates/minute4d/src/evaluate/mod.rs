@@ -5,15 +5,12 @@
 //! scene, its held-out views --views (Rules: masks, metrics, poses)--> eval.json with every choice
 //! ```
 
-pub mod protocol;
-
 mod align;
 mod by_protocol;
 mod choices;
 mod covisible;
-mod error;
-mod held_out;
 mod perceptual;
+pub mod protocol;
 mod refine;
 mod split;
 mod views;
@@ -22,16 +19,15 @@ pub use align::Alignment;
 pub use choices::{Choices, FrameChoice, Headline, MaskChoice, PoseChoice, PoseTreatment, ResolutionChoice};
 pub(crate) use covisible::adopt as adopt_covisible;
 pub use covisible::{COVISIBLE_FOLDER, MaskSource};
-pub use error::{EvaluationError, ProtocolError};
-pub(crate) use held_out::HeldOut;
 pub use perceptual::LpipsChoice;
 pub use protocol::{FrameRule, Protocol, Task};
 pub use refine::Moved;
 pub use split::{Parts, SPLIT_FILE, SplitRecord, parts, split};
+pub(crate) use views::HeldOut;
 pub use views::{EvalOptions, EvalReport, OtherMean, views, views_by};
 
 use crate::settings::Settings;
-use crate::{Error, Observer};
+use crate::{Error, Observer, Refusal};
 use m4_core::Capture;
 use m4_eval::geometry::{GeometryReport, evaluate};
 use m4_io::capture::{CaptureOptions, Split};
@@ -66,4 +62,12 @@ fn known(path: &Path, options: &CaptureOptions, observer: &dyn Observer) -> Resu
         return Ok(llff::read(path)?);
     }
     Ok(m4_io::capture::read(path, Split::Train, options, observer)?)
+}
+
+/// The refusal of a capture without held-out views.
+pub(crate) fn no_test_list(data: &Path) -> Refusal {
+    Refusal::bad_input(format!(
+        "{} has no transforms_test.json, so there are no held-out views to compare with; give a capture that has some",
+        data.display()
+    ))
 }

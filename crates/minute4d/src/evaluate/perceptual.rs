@@ -1,7 +1,5 @@
 //! LPIPS as a protocol defines it, with the networks whose weights are installed, and the reason for missing ones.
 
-#[cfg(feature = "nets")]
-use super::ProtocolError;
 use super::protocol::LpipsRule;
 use crate::Error;
 use crate::device::DeviceChoice;
@@ -55,8 +53,9 @@ pub(super) struct Perceptual {
 
 #[cfg(feature = "nets")]
 mod with_nets {
-    use super::{DeviceChoice, Error, ImageReport, LpipsRule, Mask, Perceptual, PlanarImage, ProtocolError, choice};
+    use super::{DeviceChoice, Error, ImageReport, LpipsRule, Mask, Perceptual, PlanarImage, choice};
     use crate::weights::{Store, find};
+    use crate::{Category, Refusal};
     use m4_nets::lpips::{Lpips, LpipsImage, LpipsNet};
 
     impl LpipsRule {
@@ -104,8 +103,10 @@ mod with_nets {
                     {
                         Err(absent) => Some(absent),
                         Ok(path) => {
-                            let loaded = Lpips::load(net, &path, &device.device)
-                                .map_err(|e| ProtocolError::LpipsWeights { why: e.to_string() })?;
+                            let loaded = Lpips::load(net, &path, &device.device).map_err(|e| {
+                                let hint = "`minute4d weights verify` says more";
+                                Refusal::bad_input(format!("the weights of LPIPS cannot be used: {e}; {hint}"))
+                            })?;
                             out.nets.push((rule, loaded));
                             None
                         }
@@ -125,9 +126,9 @@ mod with_nets {
             reference: &PlanarImage,
             mask: Option<&Mask>,
         ) -> Result<(), Error> {
-            let failed = |e: m4_nets::lpips::LpipsError| ProtocolError::Lpips {
-                view: name.to_owned(),
-                why: e.to_string(),
+            let failed = |e: m4_nets::lpips::LpipsError| {
+                let message = format!("LPIPS of the view {name} failed: {e}");
+                Refusal::new(Category::NoDevice, message)
             };
             if self.nets.is_empty() {
                 return Ok(());

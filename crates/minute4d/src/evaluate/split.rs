@@ -1,10 +1,10 @@
 //! Splits a capture of a whole video into training and test frames.
 
-use super::{FrameRule, Protocol, ProtocolError};
+use super::{FrameRule, Protocol};
 use crate::error::OutputError;
 use crate::folder::{self, Existing, Lock};
 use crate::record::write_json;
-use crate::{Error, Observer, Settings, capture_folder, hash};
+use crate::{Error, Observer, Refusal, Settings, capture_folder, hash};
 use m4_core::Capture;
 use m4_io::capture::{Split, TRACKS_FILE};
 use m4_io::reach::Reach;
@@ -76,26 +76,28 @@ pub struct Parts {
 ///
 /// # Errors
 ///
-/// [`ProtocolError::NothingToSplit`] for protocols whose views come with the data, [`ProtocolError::TooShort`] if fewer than two frames
-/// would train or none judge, [`ProtocolError::Tracks`] if tracks do not go with the frames.
-pub fn parts(capture: Capture, protocol: Protocol) -> Result<Parts, ProtocolError> {
+/// A refusal for protocols whose views come with the data, if fewer than two frames would train or none judge, or if tracks do not go
+/// with the frames.
+pub fn parts(capture: Capture, protocol: Protocol) -> Result<Parts, Refusal> {
     let frames = capture.frames.len();
     let rule = protocol.rules().frames;
-    let held_out = rule.held_out(frames).ok_or(ProtocolError::NothingToSplit(protocol))?;
+    let held_out = rule.held_out(frames).ok_or_else(|| {
+        Refusal::usage(format!(
+            "the protocol {protocol} uses the held-out views of the data set, so there is nothing to split; import them with the data \
+             set"
+        ))
+    })?;
     let (train, test) = (frames - held_out.len(), held_out.len());
     if train < 2 || test == 0 {
-        return Err(ProtocolError::TooShort {
-            protocol,
-            frames,
-            train,
-            test,
-        });
+        return Err(Refusal::bad_input(format!(
+            "the protocol {protocol} leaves {train} of {frames} frames for training and {test} for evaluation; use a longer clip"
+        )));
     }
     let trains: Vec<usize> = (0..frames).filter(|i| held_out.binary_search(i).is_err()).collect();
     let tracks = capture.tracks.as_ref().map(|tracks| tracks.in_order(&trains));
-    let tracks = tracks.transpose().map_err(|e| ProtocolError::Tracks {
-        path: PathBuf::from("the capture"),
-        what: e.to_string(),
+    let tracks = tracks.transpose().map_err(|e| {
+        let hint = "compute them again with `minute4d enhance`";
+        Refusal::bad_input(format!("tracks of the capture do not match its frames: {e}; {hint}"))
     })?;
     let (mut kept, mut judged) = (Vec::with_capacity(train), Vec::with_capacity(test));
     for (i, frame) in capture.frames.into_iter().enumerate() {
@@ -149,7 +151,8 @@ pub fn split(
     if let (Ok(from), Ok(to)) = (fs::canonicalize(folder), fs::canonicalize(out))
         && from == to
     {
-        return Err(ProtocolError::SameFolder(out.to_path_buf()).into());
+        let what = "would be split into itself and lose frames; name another folder";
+        return Err(Refusal::usage(format!("{} {what}", out.display())).into());
     }
     let mut settings = Settings::fast();
     settings.capture.reach = reach;
@@ -157,13 +160,7 @@ pub fn split(
     let source_blake3 = hash::of_capture(&capture);
     let frames = capture.frames.len();
     let names: Vec<String> = capture.frames.iter().map(|f| f.name.clone()).collect();
-    let parts = parts(capture, protocol).map_err(|e| match e {
-        ProtocolError::Tracks { what, .. } => ProtocolError::Tracks {
-            path: data.to_path_buf(),
-            what,
-        },
-        other => other,
-    })?;
+    let parts = parts(capture, protocol)?;
     let record = SplitRecord {
         format: FORMAT.to_owned(),
         version: 1,
@@ -220,8 +217,8 @@ fn clear(out: &Path) -> Result<(), Error> {
 #[cfg(test)]
 mod tests {
     use super::{Parts, parts, split};
-    use crate::evaluate::{EvaluationError, Protocol, ProtocolError};
-    use crate::{Error, Existing, OutputError, Silent};
+    use crate::evaluate::Protocol;
+    use crate::{Category, Error, Existing, OutputError, Silent};
     use m4_core::{Camera, Capture, CaptureFrame, Intrinsics, Plane, Se3, Tracks};
     use m4_io::capture::{self, CaptureOptions, Split};
     use m4_io::reach::Reach;
@@ -266,14 +263,14 @@ mod tests {
 
     #[test]
     fn splits_that_leave_too_few_frames_are_refused() {
-        assert!(matches!(
-            parts(clip(8), Protocol::Dycheck),
-            Err(ProtocolError::NothingToSplit(_))
-        ));
-        let short = parts(clip(3), Protocol::Rodygs);
-        assert!(matches!(short, Err(ProtocolError::TooShort { test: 0, train: 3, .. })));
-        let one = parts(clip(2), Protocol::Instant4d);
-        assert!(matches!(one, Err(ProtocolError::TooShort { train: 1, .. })), "{one:?}");
+        for (frames, protocol, words) in [
+            (8, Protocol::Dycheck, "nothing to split"),
+            (3, Protocol::Rodygs, "3 of 3 frames for training and 0 for evaluation"),
+            (2, Protocol::Instant4d, "1 of 2 frames for training"),
+        ] {
+            let message = parts(clip(frames), protocol).unwrap_err().to_string();
+            assert!(message.contains(words), "{message}");
+        }
     }
 
     #[test]
@@ -323,14 +320,6 @@ mod tests {
             "nothing of the first split is left"
         );
         let foreign = split(&full, Protocol::Holdout, &full, Existing::Force, Reach::Inside, &Silent);
-        assert!(
-            matches!(
-                foreign,
-                Err(Error::Evaluation(EvaluationError::Protocol(ProtocolError::SameFolder(
-                    _
-                ))))
-            ),
-            "{foreign:?}"
-        );
+        assert_eq!(foreign.unwrap_err().category(), Category::Usage);
     }
 }

@@ -1,18 +1,20 @@
 //! Scores a scene on the held-out views of a capture.
 
-use super::align::Alignment;
-use super::by_protocol;
+use super::align::{self, Alignment};
 use super::choices::Choices;
-use super::held_out::HeldOut;
 use super::protocol::Protocol;
-use crate::device::DeviceChoice;
-use crate::folder::EVAL_FILE;
+use super::{by_protocol, no_test_list};
+use crate::device::{DeviceChoice, OpenGpu};
+use crate::folder::{EVAL_FILE, SCENE_FILE};
 use crate::record::write_json;
 use crate::render::SceneRenderer;
+use crate::settings::Settings;
 use crate::{Error, Observer, hash};
-use m4_core::CompactMask;
+use m4_core::{Camera, Capture, CaptureFrame, CompactMask, Exposure, RgbImage, Scene};
 use m4_eval::image::{ImageReport, MeanScore, PlanarImage};
+use m4_io::capture::{CaptureOptions, Split};
 use m4_io::reach::Reach;
+use m4_io::scene::safetensors;
 use m4_kernels::SimdLevel;
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -88,7 +90,7 @@ pub struct EvalReport {
 ///
 /// # Errors
 ///
-/// [`Error::Evaluation`] without held-out views; else what could not be read, compared or written.
+/// [`Error::Refused`] without held-out views; else what could not be read, compared or written.
 pub fn views(
     out: &Path,
     data: &Path,
@@ -108,7 +110,7 @@ pub fn views(
 ///
 /// # Errors
 ///
-/// As [`views`]; [`Error::Evaluation`] if the capture cannot be judged by the protocol.
+/// As [`views`]; [`Error::Refused`] if the capture cannot be judged by the protocol.
 pub fn views_by(out: &Path, data: &Path, options: &EvalOptions, observer: &dyn Observer) -> Result<EvalReport, Error> {
     let start = Instant::now();
     let level = SimdLevel::detect()?;
@@ -182,4 +184,87 @@ fn plain(
         observer.update("eval", i + 1, views.len(), &note);
     }
     Ok((images, drawing_s))
+}
+
+/// A scene and the views that it is judged by.
+pub struct HeldOut {
+    /// The file of the scene.
+    pub path: PathBuf,
+    /// The scene.
+    pub scene: Scene,
+    /// The views.
+    pub test: Capture,
+    /// Alignment of the held-out cameras, if the scene has a world of its own.
+    pub alignment: Option<Alignment>,
+    stretch: f64,
+}
+
+impl HeldOut {
+    /// The scene of the run `out` and the held-out views of the capture `data`, which may name files within `reach`.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Refused`] without held-out views; else what could not be read.
+    pub fn read(out: &Path, data: &Path, reach: Reach, observer: &dyn Observer) -> Result<Self, Error> {
+        let path = out.join(SCENE_FILE);
+        let scene = safetensors::read(&path)?.scene;
+        let options = CaptureOptions {
+            reach,
+            ..Settings::fast().capture
+        };
+        let test = test_views(data, &options, observer)?;
+        let alignment = align::between(&scene, data, observer)?;
+        let stretch = (scene.time_frames.max(2) - 1) as f64 / (test.time_frames.max(2) - 1) as f64;
+        Ok(Self {
+            path,
+            scene,
+            test,
+            alignment,
+            stretch,
+        })
+    }
+
+    /// When a view was taken, frames of the scene.
+    pub fn moment(&self, frame: &CaptureFrame) -> f64 {
+        frame.t * self.stretch
+    }
+
+    /// Creates a renderer of the scene.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Gpu`] if it does not fit.
+    pub fn renderer(&self, level: SimdLevel, gpu: Option<&OpenGpu>) -> Result<SceneRenderer<'_>, Error> {
+        SceneRenderer::new(&self.scene, level, gpu)
+    }
+
+    /// The scene as a view's camera sees it.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Gpu`] if the device fails.
+    pub fn draw(&self, renderer: &mut SceneRenderer<'_>, frame: &CaptureFrame) -> Result<RgbImage, Error> {
+        renderer.image(&self.camera(frame), self.moment(frame), &Exposure::IDENTITY)
+    }
+
+    /// A view's camera in the world of the scene.
+    pub fn camera(&self, frame: &CaptureFrame) -> Camera {
+        self.alignment.as_ref().map_or(frame.camera, |a| Camera {
+            c2w: a.similarity().transform_pose(&frame.camera.c2w),
+            ..frame.camera
+        })
+    }
+}
+
+fn test_views(data: &Path, options: &CaptureOptions, observer: &dyn Observer) -> Result<Capture, Error> {
+    if !data.exists() {
+        return Err(Error::Missing {
+            what: "capture",
+            path: data.to_path_buf(),
+        });
+    }
+    if data.is_dir() && !data.join(Split::Test.file_name()).is_file() {
+        return Err(no_test_list(data).into());
+    }
+    Ok(m4_io::capture::read(data, Split::Test, options, observer)?)
 }

@@ -1,6 +1,6 @@
 //! The export formats.
 
-use super::ExportError;
+use crate::Refusal;
 use serde::Serialize;
 use std::path::Path;
 use std::str::FromStr;
@@ -113,13 +113,14 @@ impl Format {
 }
 
 impl FromStr for Format {
-    type Err = ExportError;
+    type Err = Refusal;
 
-    fn from_str(text: &str) -> Result<Self, ExportError> {
+    fn from_str(text: &str) -> Result<Self, Refusal> {
         let found = FORMATS.iter().find(|entry| entry.1 == text);
-        found
-            .map(|entry| entry.0)
-            .ok_or_else(|| ExportError::Unknown { given: text.to_owned() })
+        found.map(|entry| entry.0).ok_or_else(|| {
+            let names = Self::names();
+            Refusal::usage(format!("{text:?} is not a format; choose one of {names}"))
+        })
     }
 }
 

@@ -4,23 +4,17 @@
 //! there is a reader, one in `crate::import`. Formats of captures have an arm in `capture.rs` instead.
 
 mod bake;
-mod capture;
-mod compare;
-mod error;
 mod format;
 mod report;
-mod video;
 mod write;
 
-pub use compare::Comparison;
-pub use error::ExportError;
 pub use format::{Format, Time};
-pub use report::{ExportReport, Losses};
+pub use report::{Comparison, ExportReport, Losses};
 
 use crate::error::OutputError;
 use crate::folder::SCENE_FILE;
 use crate::render::{Moment, Span};
-use crate::{Error, Observer, is_capture};
+use crate::{Error, Observer, Refusal, is_capture};
 use m4_core::Scene;
 use m4_io::scene::safetensors;
 use std::path::{Path, PathBuf};
@@ -79,15 +73,16 @@ pub fn make(input: &Path, job: &ExportJob, observer: &dyn Observer) -> Result<Ex
     let lone_capture = is_capture(input) && !input.join(SCENE_FILE).is_file();
     if job.format.takes_capture() {
         if is_capture(input) {
-            return capture::make(input, job, observer);
+            return write::make_capture(input, job, observer);
         }
-        return Err(ExportError::NeedsCapture { format: job.format }.into());
+        return Err(write::needs_capture(job.format).into());
     }
     if lone_capture {
-        return Err(ExportError::NeedsScene {
-            format: job.format,
-            path: input.to_path_buf(),
-        }
+        return Err(Refusal::bad_input(format!(
+            "{} is a capture, which the format {} cannot store; choose colmap or nerfstudio, or train it first (`minute4d train`)",
+            input.display(),
+            job.format.name()
+        ))
         .into());
     }
     let (folder, file) = if input.is_dir() {
@@ -128,7 +123,7 @@ pub fn scene_to(scene: &Scene, out: &Path, job: &ExportJob, observer: &dyn Obser
     drop(plain);
     let encode_s = start.elapsed().as_secs_f64();
     let comparison = if job.compare {
-        compare::compare(scene, &written.path, job.format, &moments, observer)?
+        report::compare(scene, &written.path, job.format, &moments, observer)?
     } else {
         None
     };
@@ -138,14 +133,20 @@ pub fn scene_to(scene: &Scene, out: &Path, job: &ExportJob, observer: &dyn Obser
 }
 
 impl ExportJob {
-    fn check(&self) -> Result<(), ExportError> {
+    fn check(&self) -> Result<(), Refusal> {
         let time = self.format.time();
         if self.time.is_some() && time != Time::Instant {
-            return Err(ExportError::NoInstant { format: self.format });
+            return Err(Refusal::usage(format!(
+                "--time has no meaning for {}, which holds the whole clip; leave it out, or choose a format of one instant such as ply",
+                self.format.name()
+            )));
         }
         let is_sampled = matches!(time, Time::Sequence | Time::Video);
         if self.fps.is_some() && !is_sampled {
-            return Err(ExportError::NoRate { format: self.format });
+            return Err(Refusal::usage(format!(
+                "--fps has no meaning for {}; leave it out, or choose ply-sequence or mp4",
+                self.format.name()
+            )));
         }
         Ok(())
     }

@@ -1,11 +1,17 @@
-//! The report of an export.
+//! What an export says of its file: losses, and how renders of it compare with those of the scene.
 
-use super::{Comparison, Format, Time};
-use m4_core::Scene;
+use super::{Format, Time};
+use crate::import::read_back;
+use crate::render::Painter;
+use crate::{Category, Error, Observer, Refusal};
+use m4_core::{Camera, Scene};
+use m4_eval::image::{PlanarImage, psnr_db};
 use m4_io::scene::{Loss, Written};
+use m4_kernels::SimdLevel;
 use serde::Serialize;
 use std::fmt;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
 
 /// What was exported, how large it is and what it lost.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -139,4 +145,129 @@ impl fmt::Display for ExportReport {
             None => Ok(()),
         }
     }
+}
+
+/// Views that are compared.
+const VIEWS: usize = 4;
+
+/// How close the file is to the scene.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Comparison {
+    /// Cameras of the source that were rendered, spread over the clip.
+    pub views: usize,
+    /// Mean PSNR of the render of the file against that of the scene, dB; 100 for equal images.
+    pub psnr_db: f64,
+    /// That of the worst view, dB.
+    pub lowest_psnr_db: f64,
+    /// The mean where a player has no Mip filter, dB; for scenes that were trained with one.
+    pub without_mip_psnr_db: Option<f64>,
+    /// Wall-clock seconds of reading back and rendering.
+    pub seconds: f64,
+}
+
+/// A view, and which of the moments of the file it sees; 0 where the file holds all of them.
+struct Look {
+    camera: Camera,
+    t: f64,
+    moment: usize,
+}
+
+/// Reads the file back and renders both; `None` for formats that are not read back, and for scenes without
+/// cameras.
+pub(super) fn compare(
+    scene: &Scene,
+    path: &Path,
+    format: Format,
+    moments: &[f64],
+    observer: &dyn Observer,
+) -> Result<Option<Comparison>, Error> {
+    let start = Instant::now();
+    let looks = looks(scene, format, moments);
+    if looks.is_empty() {
+        return Ok(None);
+    }
+    let level = SimdLevel::detect()?;
+    let mut painter = Painter::new(scene, level);
+    let (mut with, mut without) = (Vec::new(), Vec::new());
+    let mut last: Option<(usize, Scene)> = None;
+    for (i, look) in looks.iter().enumerate() {
+        if observer.cancelled() {
+            return Err(Error::Stopped {
+                stage: "export",
+                saved: false,
+            });
+        }
+        if last.as_ref().is_none_or(|(moment, _)| *moment != look.moment) {
+            let Some(read) = read_back(format, path, look.moment) else {
+                return Ok(None);
+            };
+            let read = read.map_err(|e| {
+                let name = format.name();
+                let message =
+                    format!("the {name} file was written but does not read back; this is a bug, please report it: {e}");
+                Refusal::new(Category::Internal, message)
+            })?;
+            // Background and near plane are the player's.
+            let mut back = read.scene;
+            (back.background, back.near) = (scene.background, scene.near);
+            if format.time() != Time::Clip {
+                back.time_frames = scene.time_frames;
+            }
+            last = Some((look.moment, back));
+        }
+        let Some((_, back)) = &mut last else { continue };
+        let reference = rendered(&mut painter, look)?;
+        let score = |back: &Scene| -> Result<f64, Error> {
+            let drawn = rendered(&mut Painter::new(back, level), look)?;
+            Ok(psnr_db(&drawn, &reference, None)?.unwrap_or(f64::NAN))
+        };
+        with.push(score(back)?);
+        if scene.mip && back.mip {
+            back.mip = false;
+            without.push(score(back)?);
+            back.mip = true;
+        }
+        observer.update("compare", i + 1, looks.len(), "");
+    }
+    let mean = |scores: &[f64]| scores.iter().sum::<f64>() / scores.len() as f64;
+    Ok(Some(Comparison {
+        views: with.len(),
+        psnr_db: mean(&with),
+        lowest_psnr_db: with.iter().copied().fold(f64::INFINITY, f64::min),
+        without_mip_psnr_db: (!without.is_empty()).then(|| mean(&without)),
+        seconds: start.elapsed().as_secs_f64(),
+    }))
+}
+
+fn rendered(painter: &mut Painter<'_>, look: &Look) -> Result<PlanarImage, Error> {
+    let frame = painter.frame(&look.camera, look.t, false);
+    let planes = [&frame.rgb[0][..], &frame.rgb[1][..], &frame.rgb[2][..]];
+    Ok(PlanarImage::from_planes(frame.width, frame.height, planes)?)
+}
+
+/// Cameras of the source, evenly spread: at their own moments, or at those of the file.
+fn looks(scene: &Scene, format: Format, moments: &[f64]) -> Vec<Look> {
+    let n = scene.source.len();
+    let views = n.min(VIEWS);
+    let sources = (0..views).map(|k| &scene.source[(2 * k + 1) * n / (2 * views)]);
+    let nearest =
+        |t: f64| (0..moments.len()).min_by(|&a, &b| (moments[a] - t).abs().total_cmp(&(moments[b] - t).abs()));
+    sources
+        .filter_map(|frame| {
+            let camera = frame.camera;
+            match format.time() {
+                Time::Clip => Some(Look {
+                    camera,
+                    t: frame.t,
+                    moment: 0,
+                }),
+                Time::Instant | Time::Sequence => {
+                    let moment = nearest(frame.t)?;
+                    let t = moments[moment];
+                    Some(Look { camera, t, moment })
+                }
+                Time::Video | Time::Capture => None,
+            }
+        })
+        .collect()
 }

@@ -1,10 +1,18 @@
-//! Calls the writer of each format.
+//! Writes files of splats, captures for other tools, and videos.
 
-use super::{ExportError, ExportJob, Format, video};
-use crate::{Error, Observer};
-use m4_core::Scene;
-use m4_io::scene::{Written, fourdgs, gltf, ply, splatv, spz};
+use super::{ExportJob, ExportReport, Format, Losses, occupied};
+use crate::error::OutputError;
+use crate::render::{Painter, source_fps};
+use crate::{Error, Observer, Refusal, Settings};
+use m4_core::{Capture, Scene};
+use m4_io::capture::{self, CaptureOptions, Split};
+use m4_io::dataset::export::WriteCaptureAsError;
+use m4_io::dataset::{colmap, nerfstudio};
+use m4_io::scene::{Loss, Written, fourdgs, gltf, ply, splatv, spz};
+use m4_io::video::Mp4Writer;
+use m4_kernels::SimdLevel;
 use std::path::Path;
+use std::time::Instant;
 
 /// Writes `scene` to `out`; `moments` are those of [`ExportJob::moments`].
 pub(super) fn write(
@@ -16,29 +24,130 @@ pub(super) fn write(
 ) -> Result<Written, Error> {
     let t = moments.first().copied().unwrap_or(0.0);
     let written = match job.format {
-        Format::Fourdgs => fourdgs::write(out, scene, &job.fourdgs).map_err(ExportError::from)?,
-        Format::Splatv => splatv::write(out, scene).map_err(ExportError::from)?,
-        Format::Ply => ply::write(out, scene, t).map_err(ExportError::from)?,
+        Format::Fourdgs => fourdgs::write(out, scene, &job.fourdgs)?,
+        Format::Splatv => splatv::write(out, scene)?,
+        Format::Ply => ply::write(out, scene, t)?,
         Format::PlySequence => {
             let mut stopped = false;
             let written = ply::write_sequence(out, scene, moments, |done| {
                 observer.update("export", done, moments.len(), "");
                 stopped = observer.cancelled();
                 !stopped
-            })
-            .map_err(ExportError::from)?;
+            })?;
             if stopped {
-                return Err(Error::Stopped {
-                    stage: "export",
-                    saved: false,
-                });
+                return Err(STOPPED);
             }
             written
         }
-        Format::Spz => spz::write(out, scene, t).map_err(ExportError::from)?,
-        Format::Gltf => gltf::write(out, scene, t).map_err(ExportError::from)?,
-        Format::Colmap | Format::Nerfstudio => return Err(ExportError::NeedsCapture { format: job.format }.into()),
-        Format::Mp4 => video::write(out, scene, job.fps, observer)?,
+        Format::Spz => spz::write(out, scene, t)?,
+        Format::Gltf => gltf::write(out, scene, t)?,
+        Format::Colmap | Format::Nerfstudio => return Err(needs_capture(job.format).into()),
+        Format::Mp4 => write_video(out, scene, job.fps, observer)?,
     };
     Ok(written)
 }
+
+/// The refusal of a scene for a format that holds captures.
+pub(super) fn needs_capture(format: Format) -> Refusal {
+    Refusal::bad_input(format!(
+        "the format {} stores captures, not scenes; give the folder of a capture, or choose a format of scenes such as ply",
+        format.name()
+    ))
+}
+
+/// Renders every camera of the source at its own moment, with its exposure, in the order of time.
+fn write_video(out: &Path, scene: &Scene, fps: Option<f64>, observer: &dyn Observer) -> Result<Written, Error> {
+    let size = match scene.source.first() {
+        Some(first) => first.camera.intrinsics,
+        None => {
+            let message = "the scene has no cameras to render it from; render it along a path, such as --path swing";
+            return Err(Refusal::bad_input(message).into());
+        }
+    };
+    let mut painter = Painter::new(scene, SimdLevel::detect()?);
+    let fps = fps.unwrap_or_else(|| source_fps(scene));
+    let mut writer = Mp4Writer::create(out, size.width, size.height, fps)?;
+    for (i, frame) in scene.source.iter().enumerate() {
+        if observer.cancelled() {
+            return Err(STOPPED);
+        }
+        let camera = frame.camera.resized(size.width, size.height);
+        writer.push(&painter.image(&camera, frame.t, &frame.exposure))?;
+        observer.update("export", i + 1, scene.source.len(), "");
+    }
+    writer.finish()?;
+    let bytes = std::fs::metadata(out)
+        .map_err(|source| Error::Read {
+            path: out.to_path_buf(),
+            source,
+        })?
+        .len();
+    Ok(Written {
+        path: out.to_path_buf(),
+        bytes,
+        splats: 0,
+        losses: vec![Loss::Baked(format!("everything, into {} images", scene.source.len()))],
+    })
+}
+
+/// Writes the capture at `input`.
+pub(super) fn make_capture(input: &Path, job: &ExportJob, observer: &dyn Observer) -> Result<ExportReport, Error> {
+    let name = job.format.file_name();
+    let out = match &job.out {
+        Some(out) => out.clone(),
+        None if input.is_dir() => input.join(name),
+        None => input.parent().unwrap_or(Path::new("")).join(name),
+    };
+    if !job.replace && occupied(&out) {
+        return Err(OutputError::WouldReplace { path: out }.into());
+    }
+    let options = CaptureOptions {
+        reach: job.reach,
+        ..Settings::fast().capture
+    };
+    let train = capture::read(input, Split::Train, &options, observer)?;
+    // COLMAP has no place for views of other cameras
+    let has_views = input.join(Split::Test.file_name()).is_file();
+    let takes_views = job.format == Format::Nerfstudio;
+    let test = if has_views && takes_views {
+        Some(capture::read(input, Split::Test, &options, observer)?)
+    } else {
+        None
+    };
+    let start = Instant::now();
+    let (bytes, mut losses) = write_capture(&out, &train, test.as_ref(), job.format, observer)?;
+    if has_views && !takes_views {
+        losses.dropped.push("held-out views".to_owned());
+    }
+    let seconds = start.elapsed().as_secs_f64();
+    Ok(ExportReport::of_capture(job.format, out, bytes, losses, seconds))
+}
+
+/// One arm a format; bytes that were written, and what they hold differently.
+fn write_capture(
+    out: &Path,
+    train: &Capture,
+    test: Option<&Capture>,
+    format: Format,
+    observer: &dyn Observer,
+) -> Result<(u64, Losses), Error> {
+    let written = match format {
+        Format::Colmap => colmap::write(out, train, observer),
+        Format::Nerfstudio => nerfstudio::write(out, train, test, observer),
+        other => {
+            return Err(Error::Internal {
+                what: format!("{} was treated as a capture format", other.name()),
+            });
+        }
+    };
+    let written = written.map_err(|error| match error {
+        WriteCaptureAsError::Cancelled { .. } => STOPPED,
+        other => other.into(),
+    })?;
+    Ok((written.bytes, Losses::of(written.losses)))
+}
+
+const STOPPED: Error = Error::Stopped {
+    stage: "export",
+    saved: false,
+};

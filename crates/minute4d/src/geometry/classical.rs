@@ -3,11 +3,10 @@
 use super::cached_flow::CachedFlow;
 use super::clip::{Clip, FrameGeometry};
 use super::confidence::{Confidence, Grade};
-use super::depth::KnownDepth;
+use super::depth::{KnownDepth, rescale};
 use super::given::Given;
 use super::iterate;
 use super::methods::Context;
-use super::scale::rescale;
 use crate::Error;
 use crate::record::GeometrySummary;
 use m4_core::{Camera, Capture, DepthMap, RgbImage, Tracks};

@@ -1,11 +1,16 @@
 //! The frames of the stage and what the user provides of them.
+//!
+//! Geometry also uses frames between those that `max_frames` keeps; the capture does not. Flow, masks and tracks need small steps
+//! from frame to frame: where a clip is thinned, an object moves too far from one kept frame to the next, so geometry runs on up to
+//! [`MOST_PER_STEP`] frames per kept one.
 
-use super::between::Between;
+use super::frontend::{Cameras, Plan};
 use super::given::Given;
 use super::methods::Context;
-use crate::Error;
+use crate::{Error, Observer, Settings};
 use m4_core::{Camera, Capture, CaptureFrame, CompactDepth, CompactMask, Plane, RgbImage, Tracks, Video};
 use m4_geometry::classical::sparse::SparseConfig;
+use m4_io::video::{VideoOptions, evenly};
 use std::path::Path;
 
 /// A clip and what is known of it.
@@ -103,4 +108,136 @@ fn moments(video: &Video) -> (Vec<f64>, Option<f64>) {
     };
     let moments = times_s.iter().enumerate().map(moment).collect();
     (moments, (duration_s > 0.0).then_some(duration_s))
+}
+
+/// Steps of geometry per step from one kept frame to the next, at most.
+const MOST_PER_STEP: usize = 4;
+/// Frames that geometry may use in total, unless more are kept: what the default memory of the dense stage holds at 480x360.
+const MOST_FRAMES: usize = 240;
+
+/// How many frames are kept, and how many are read for geometry.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Between {
+    kept: Option<usize>,
+    read: Option<usize>,
+}
+
+impl Between {
+    /// Reads no more than is kept where the user gives data per frame, and where networks run, which follow longer steps and cost
+    /// more per frame than all the rest.
+    pub fn of(settings: &Settings, plan: &Plan) -> Self {
+        let kept = settings.video.max_frames;
+        let small_steps = plan.cameras == Cameras::Corners && plan.used.is_empty() && !settings.geometry.any_given();
+        let read = kept.map(|kept| if small_steps { to_read(kept) } else { kept });
+        Self { kept, read }
+    }
+
+    /// The options with which the clip is read.
+    pub fn to_read(self, video: &VideoOptions) -> VideoOptions {
+        VideoOptions {
+            max_frames: self.read,
+            ..video.clone()
+        }
+    }
+
+    /// Keeps the frames that were asked for, with their times; tracks lose the others.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Internal`] if tracks have fewer frames than the capture.
+    pub fn keep(self, capture: Capture, observer: &dyn Observer) -> Result<Capture, Error> {
+        let all = capture.frames.len();
+        let chosen = evenly(all, self.kept);
+        if chosen.len() == all {
+            return Ok(capture);
+        }
+        let tracks = capture.tracks.as_ref().map(|tracks| tracks.in_order(&chosen));
+        let tracks = tracks.transpose().map_err(|e| Error::Internal {
+            what: format!("tracks do not fit their frames: {e}"),
+        })?;
+        let mut frames: Vec<_> = capture.frames.into_iter().map(Some).collect();
+        let frames: Vec<_> = chosen.iter().filter_map(|&i| frames[i].take()).collect();
+        observer.warn(&format!(
+            "geometry used {all} frames to follow motion; {} of them are kept for training (max_frames)",
+            frames.len()
+        ));
+        Ok(Capture {
+            frames,
+            tracks,
+            ..capture
+        })
+    }
+}
+
+/// Frames to read so that every step between two of `kept` frames has up to [`MOST_PER_STEP`] parts.
+fn to_read(kept: usize) -> usize {
+    let per_step = (MOST_FRAMES / kept.max(1)).clamp(1, MOST_PER_STEP);
+    // At least one frame must be kept: the reader refuses 0.
+    kept.saturating_sub(1)
+        .saturating_mul(per_step)
+        .saturating_add(kept.min(1))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Between, MOST_FRAMES, to_read};
+    use crate::Silent;
+    use m4_core::{Camera, Capture, CaptureFrame, Intrinsics, Plane, Se3, Tracks};
+    use m4_io::video::evenly;
+
+    #[test]
+    fn steps_have_four_parts_while_memory_allows() {
+        assert_eq!([0, 1, 2, 24].map(to_read), [0, 1, 5, 93]);
+        assert_eq!([100, 200, 241, 1000].map(to_read), [199, 200, 241, 1000]);
+        for kept in 2..MOST_FRAMES {
+            let read = to_read(kept);
+            assert!((kept..=MOST_FRAMES).contains(&read), "{kept}: {read}");
+            // The frames of a long clip that are kept are the same with and without those between.
+            let clip = 10 * (read - 1) + 1;
+            let all = evenly(clip, Some(read));
+            let direct = evenly(clip, Some(kept));
+            let kept: Vec<usize> = evenly(all.len(), Some(kept)).iter().map(|&i| all[i]).collect();
+            assert_eq!(kept, direct);
+        }
+    }
+
+    #[test]
+    fn kept_frames_keep_their_times_and_tracks() {
+        let frame = |i: usize| CaptureFrame {
+            name: format!("{i:05}"),
+            camera: Camera {
+                intrinsics: Intrinsics::centred(2, 1, 1.0),
+                c2w: Se3::identity(),
+            },
+            t: i as f64,
+            rgb: Plane::filled(2, 1, [i as u8; 3]),
+            depth: None,
+            mask: None,
+            motion: None,
+            instances: None,
+            camera_index: None,
+        };
+        let places = (0..9).map(|i| [i as f32, 0.0, 1.0]).collect();
+        let capture = Capture {
+            frames: (0..9).map(frame).collect(),
+            time_frames: 9,
+            duration_s: Some(1.0),
+            metric: false,
+            tracks: Some(Tracks::new(9, 1, places, vec![true; 9]).unwrap()),
+        };
+        let between = Between {
+            kept: Some(3),
+            read: Some(9),
+        };
+        let thin = between.keep(capture.clone(), &Silent).unwrap();
+        let times: Vec<f64> = thin.frames.iter().map(|f| f.t).collect();
+        assert_eq!((times, thin.time_frames), (vec![0.0, 4.0, 8.0], 9));
+        let tracks = thin.tracks.unwrap();
+        assert_eq!((tracks.frames(), tracks.place(1, 0)), (3, Some([4.0, 0.0, 1.0])));
+        let all = Between {
+            kept: Some(20),
+            read: Some(77),
+        };
+        assert_eq!(all.keep(capture, &Silent).unwrap().frames.len(), 9);
+    }
 }

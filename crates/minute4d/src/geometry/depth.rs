@@ -2,9 +2,8 @@
 
 use super::frontend::MonoClip;
 use super::given::Given;
-use super::scale::{depth_ratio, rescale, typical_depth};
-use crate::{Error, Observer};
-use m4_core::DepthMap;
+use crate::{Error, Observer, Refusal};
+use m4_core::{DepthMap, median};
 use m4_geometry::classical::reconstruction::{CameraMotion, SparseReconstruction};
 
 /// Given poses and given depth whose units differ by more than this factor do not fit.
@@ -42,7 +41,7 @@ impl<'a> KnownDepth<'a> {
     ///
     /// # Errors
     ///
-    /// [`super::GivenError::NoScale`] if given depth covers too few points.
+    /// [`Error::Refused`] if given depth covers too few points.
     pub fn set_unit(
         &self,
         sparse: &mut SparseReconstruction,
@@ -106,4 +105,78 @@ fn to_metres(
         ));
     }
     Ok(())
+}
+
+/// Fewest points whose depth must be given.
+const NEEDED: usize = 30;
+
+/// The reconstruction with all lengths times `by`.
+pub(super) fn rescale(sparse: &SparseReconstruction, by: f64) -> SparseReconstruction {
+    let mut scaled = sparse.clone();
+    for camera in &mut scaled.cameras {
+        camera.c2w.translation *= by;
+    }
+    for point in scaled.tracks.iter_mut().filter_map(|t| t.point.as_mut()) {
+        *point *= by;
+    }
+    scaled
+}
+
+/// Given depth over reconstructed depth, the median over all sightings of points.
+///
+/// # Errors
+///
+/// A refusal if too few points have a given depth.
+pub(super) fn depth_ratio(sparse: &SparseReconstruction, depth: &[DepthMap]) -> Result<f64, Refusal> {
+    let mut ratios = Vec::new();
+    let mut found = 0;
+    for track in &sparse.tracks {
+        let Some(point) = track.point else { continue };
+        let before = ratios.len();
+        for (frame, seen) in (track.first_frame..).zip(&track.observations) {
+            let (Some(camera), Some(map)) = (sparse.cameras.get(frame), depth.get(frame)) else {
+                break;
+            };
+            let k = &camera.intrinsics;
+            let cell = |at: f32, side: usize, cells: usize| {
+                let at = (f64::from(at) + 0.5) / side as f64 * cells as f64;
+                (at.max(0.0) as usize).min(cells.saturating_sub(1))
+            };
+            let given = map[(
+                cell(seen[0], k.width, map.width()),
+                cell(seen[1], k.height, map.height()),
+            )];
+            let (_, z) = camera.project(&point);
+            if given > 0.0 && given.is_finite() && z > 0.0 {
+                ratios.push(f64::from(given) / z);
+            }
+        }
+        found += usize::from(ratios.len() > before);
+    }
+    match median(&mut ratios) {
+        Some(ratio) if found >= NEEDED => Ok(ratio),
+        _ => Err(Refusal::bad_input(format!(
+            "the depth maps know only {found} of the points that were reconstructed, {NEEDED} are needed to bring both to one scale; give \
+             --poses in metres too, or depth maps with fewer holes"
+        ))),
+    }
+}
+
+/// How far away the scene is: the median depth of all sightings of points, or else of what was given; 1 without either.
+pub(super) fn typical_depth(sparse: &SparseReconstruction, depth: Option<&[DepthMap]>) -> f64 {
+    let mut depths = Vec::new();
+    for track in &sparse.tracks {
+        let Some(point) = track.point else { continue };
+        let cameras = sparse
+            .cameras
+            .iter()
+            .skip(track.first_frame)
+            .take(track.observations.len());
+        depths.extend(cameras.map(|c| c.project(&point).1).filter(|z| *z > 0.0));
+    }
+    if depths.is_empty() {
+        let given = depth.unwrap_or_default().iter().flat_map(|d| d.data());
+        depths.extend(given.filter(|z| **z > 0.0).map(|&z| f64::from(z)));
+    }
+    median(&mut depths).unwrap_or(1.0)
 }

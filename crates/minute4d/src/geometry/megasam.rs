@@ -4,10 +4,9 @@ use super::cached_flow::CachedFlow;
 use super::clip::{Clip, FrameGeometry};
 use super::depth::KnownDepth;
 use super::frontend::NetworkCorrespondence;
-use super::given::GivenError;
 use super::methods::Context;
 use crate::record::GeometrySummary;
-use crate::{Error, Observer, enhance};
+use crate::{Error, Observer, Refusal, enhance};
 use m4_core::{Camera, Capture, CompactMask, Intrinsics, Mask, Plane};
 use m4_geometry::megasam::{
     DepthPrior, MegasamGeometry, MegasamInput, PairFlow, SourceFlow, TAU_MOTION, TrackingSize, reconstruct, track,
@@ -27,7 +26,8 @@ pub(super) fn compute(mut clip: Clip, context: &Context<'_>) -> Result<(Capture,
     let (plan, device) = (&context.methods.frontend, &context.methods.device);
     let given = &clip.given;
     if given.cameras.is_some() {
-        return Err(GivenError::CamerasTwice.into());
+        let message = "the front end megasam estimates the poses itself: omit --poses, or choose another --frontend";
+        return Err(Refusal::bad_input(message).into());
     }
     let images = clip.images();
     let full = images.first().map_or((0, 0), |p| p.size());

@@ -12,29 +12,21 @@
 //! An interrupted stage resumes after the last of these steps (`steps`): optical flow of each pair of frames, depth from networks of each
 //! frame, the reconstruction of cameras, and dense depth; the last two again for a second pass.
 
-mod between;
 mod cached_flow;
 mod classical;
 mod clip;
-mod compute;
 mod confidence;
 mod depth;
-mod error;
 mod frontend;
 mod given;
 mod iterate;
 #[cfg(feature = "nets")]
 mod megasam;
 mod methods;
-mod options;
-mod scale;
 mod segmenter;
 
 pub use confidence::{Confidence, Focal, Grade};
-pub use error::ReconstructionError;
 pub use frontend::{Frontend, Part as FrontendPart, UnknownFrontend, UsedNetwork};
-pub use given::GivenError;
-pub use options::GeometryOptions;
 pub use segmenter::Segmenter;
 pub(crate) use segmenter::resolve as resolve_segmenter;
 
@@ -42,13 +34,16 @@ use crate::capture_folder::CaptureFolder;
 use crate::enhance::{EnhanceConfig, Tracker};
 use crate::record::{GeometryRecord, Input, plain_json};
 use crate::settings::part_to_toml;
-use crate::{Error, Job, hash};
-use compute::compute;
+use crate::{Category, Error, Job, hash};
 use frontend::Cameras;
 use given::Sources;
-use methods::{Context, Methods};
-use serde::Serialize;
-use std::path::Path;
+use m4_geometry::classical::dense::DenseError;
+use m4_geometry::classical::sparse::SparseError;
+use m4_geometry::megasam::MegasamError;
+use m4_geometry::tracks::TrackError;
+use methods::{Context, Methods, compute};
+use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
 
 /// Name of the stage.
 pub const STAGE: &str = "geometry";
@@ -142,4 +137,68 @@ pub fn make(input: &Path, capture: &Path, job: &Job<'_>) -> Result<GeometryRecor
         Ok(())
     })?;
     Ok(folder.record)
+}
+
+/// Who measures flow, and what the user knows already. Files are hashed with the input: another content is another
+/// result.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct GeometryOptions {
+    /// Who measures flow.
+    pub frontend: Frontend,
+    /// Who outlines what moves.
+    pub segmenter: Segmenter,
+    /// Who follows points of it.
+    pub tracker: Tracker,
+    /// The lens: `fx,fy,cx,cy` in pixels of the frames (principal point from the image's corner), or a JSON file with
+    /// `fl_x`, `fl_y`, `cx`, `cy`, `w`, `h`.
+    pub intrinsics: Option<String>,
+    /// Poses a frame: a `transforms.json`, or a trajectory of lines `t tx ty tz qx qy qz qw` (camera to world, OpenCV
+    /// axes).
+    pub poses: Option<PathBuf>,
+    /// A folder of masks, one a frame, not black where something moves.
+    pub masks: Option<PathBuf>,
+    /// A folder of depth maps, one a frame: greyscale PNG of 16 bits, millimetres of z-depth, 0 where unknown.
+    pub depth: Option<PathBuf>,
+}
+
+impl GeometryOptions {
+    /// True when the user gave anything that replaces what would be computed.
+    #[must_use]
+    pub fn any_given(&self) -> bool {
+        self.intrinsics.is_some() || self.poses.is_some() || self.masks.is_some() || self.depth.is_some()
+    }
+}
+
+/// Why nothing could be reconstructed from a video.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum ReconstructionError {
+    /// Cameras and tracks from a video.
+    #[error(transparent)]
+    Sparse(#[from] SparseError),
+    /// Depth and masks from a video.
+    #[error(transparent)]
+    Dense(#[from] DenseError),
+    /// MegaSaM's reconstruction failed.
+    #[error(transparent)]
+    Megasam(#[from] MegasamError),
+}
+
+impl ReconstructionError {
+    /// Returns the category of the failure.
+    #[must_use]
+    pub fn category(&self) -> Category {
+        match self {
+            Self::Sparse(SparseError::Setting { .. }) | Self::Dense(DenseError::Setting { .. }) => {
+                Category::BadSettings
+            }
+            Self::Sparse(SparseError::Cancelled)
+            | Self::Dense(DenseError::Cancelled { .. } | DenseError::Tracks(TrackError::Cancelled { .. })) => {
+                Category::Stopped
+            }
+            Self::Megasam(e) if e.is_stop() => Category::Stopped,
+            Self::Sparse(_) | Self::Dense(_) | Self::Megasam(_) => Category::BadInput,
+        }
+    }
 }

@@ -1,17 +1,18 @@
-//! Imports a clip with poses as a capture.
+//! Imports a capture, and checks it against the flow of its images.
 
-use super::checked::{Checked, checked};
-use super::{ImportError, ImportJob, ImportOptions, STAGE};
+use super::{ImportJob, ImportOptions, STAGE};
 use crate::capture_folder::{self, CaptureFolder};
 use crate::evaluate::{COVISIBLE_FOLDER, adopt_covisible};
-use crate::progress::RecordingObserver;
 use crate::record::{GeometryRecord, Input, Status, plain_json};
-use crate::{Error, Observer, Settings, StageEvent, folder, hash};
-use m4_core::{Capture, CompactMask};
+use crate::stage::RecordingObserver;
+use crate::{Error, Observer, Refusal, Settings, StageEvent, folder, hash};
+use m4_core::{Capture, CompactMask, Progress};
+use m4_geometry::classical::dense::InverseSearch;
+use m4_geometry::consistency::{self, Cause, Consistency, ConsistencyError, Verdict};
 use m4_io::capture::{self, Split};
-use m4_io::dataset::dycheck;
-use m4_io::dataset::{Imported, ReadSourceError, SourceErrorCause, SourceFormat};
+use m4_io::dataset::{Imported, ReadSourceError, SourceErrorCause, SourceFormat, dycheck};
 use serde::Serialize;
+use std::fmt;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -145,7 +146,7 @@ pub(crate) fn write(
 }
 
 /// Refuses options of what the files of MegaSaM hold themselves.
-fn check_megasam(options: &ImportOptions) -> Result<(), ImportError> {
+fn check_megasam(options: &ImportOptions) -> Result<(), Refusal> {
     let beside = [
         ("--images", options.images.is_some()),
         ("--depth", options.depth.is_some()),
@@ -155,10 +156,12 @@ fn check_megasam(options: &ImportOptions) -> Result<(), ImportError> {
         ("--factor", options.factor.is_some()),
     ];
     match beside.into_iter().find(|(_, is_given)| *is_given) {
-        Some((option, _)) => Err(ImportError::NotOfFormat {
-            option,
-            format: SourceFormat::Megasam.name(),
-        }),
+        Some((option, _)) => {
+            let format = SourceFormat::Megasam.name();
+            Err(Refusal::usage(format!(
+                "{option} has no meaning for {format}, which has its own; leave it out"
+            )))
+        }
         None => Ok(()),
     }
 }
@@ -171,7 +174,7 @@ const STOPPED: Error = Error::Stopped {
 fn source_stopped(error: ReadSourceError) -> Error {
     match error.cause {
         SourceErrorCause::Cancelled => STOPPED,
-        _ => ImportError::from(error).into(),
+        _ => error.into(),
     }
 }
 
@@ -206,5 +209,109 @@ fn report(
         held_out,
         check,
         seconds,
+    }
+}
+
+/// The result of the comparison.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Checked {
+    /// Of the capture that was written.
+    #[serde(flatten)]
+    pub consistency: Consistency,
+    /// What was put right first, and how things stood before.
+    pub repaired: Option<Repaired>,
+}
+
+/// The corrections.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Repaired {
+    /// The convention errors found.
+    pub causes: Vec<Cause>,
+    /// The comparison of the capture as its files say.
+    pub before: Consistency,
+}
+
+/// Compares the training frames with their flow; with `fix` the causes that are found are put right in all frames, held-out views included, and
+/// the comparison is made again.
+pub(super) fn checked(
+    mut imported: Imported,
+    fix: bool,
+    keeper: &RecordingObserver<'_>,
+) -> Result<(Checked, Imported), Error> {
+    let check = |imported: &Imported| {
+        let found = consistency::check(&imported.train, &InverseSearch, keeper);
+        found.map_err(|error| match error {
+            ConsistencyError::Cancelled => STOPPED,
+            other => {
+                let message = format!("the capture cannot be checked: {other}; --no-check imports it anyway");
+                Refusal::bad_input(message).into()
+            }
+        })
+    };
+    let found: Consistency = check(&imported)?;
+    if fix && !found.causes.is_empty() {
+        imported.train = consistency::fixed(imported.train, &found.causes);
+        imported.test = imported.test.map(|test| consistency::fixed(test, &found.causes));
+        let after = check(&imported)?;
+        for cause in &found.causes {
+            keeper.warn(&format!("{cause}; this was corrected"));
+        }
+        let repaired = Some(Repaired {
+            causes: found.causes.clone(),
+            before: found,
+        });
+        return Ok((
+            Checked {
+                consistency: after,
+                repaired,
+            },
+            imported,
+        ));
+    }
+    for cause in &found.causes {
+        keeper.warn(&format!("{cause}; --fix puts it right"));
+    }
+    if found.verdict == Verdict::Bad && found.causes.is_empty() {
+        keeper.warn(
+            "cameras and depth do not fit the images, and none of the usual convention errors (axes, direction, unit, focal length, half a pixel) explains \
+             it: are they of the same clip and frames?",
+        );
+    }
+    let checked = Checked {
+        consistency: found,
+        repaired: None,
+    };
+    Ok((checked, imported))
+}
+
+impl fmt::Display for Checked {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let c = &self.consistency;
+        if c.verdict == Verdict::Unknown {
+            return write!(
+                f,
+                "consistency unknown: {} static pixels were tracked, by {:.2} px on average, which is too little to decide",
+                c.samples, c.flow_px
+            );
+        }
+        write!(f, "consistency {}: ", c.verdict.name())?;
+        match c.error_px {
+            Some(px) => write!(
+                f,
+                "cameras and flow differ by {px:.2} px (median of {} pixels)",
+                c.samples
+            )?,
+            None => f.write_str("most pixels would be behind a camera")?,
+        }
+        if let Some(share) = c.depth_error {
+            write!(f, ", depth by {:.2} %", 100.0 * share)?;
+        }
+        if let Some(before) = self.repaired.as_ref().map(|r| &r.before) {
+            match before.error_px {
+                Some(px) => write!(f, "; {px:.2} px before the correction")?,
+                None => f.write_str("; behind a camera before the correction")?,
+            }
+        }
+        Ok(())
     }
 }

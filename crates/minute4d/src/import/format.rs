@@ -1,6 +1,6 @@
 //! The import formats: splats as a scene, clips with poses as a capture.
 
-use super::ImportError;
+use crate::Refusal;
 use crate::export::Format;
 use m4_io::dataset::{SourceFormat, megasam};
 use m4_io::scene::ply::frame_name;
@@ -41,8 +41,8 @@ impl ImportFormat {
     ///
     /// # Errors
     ///
-    /// [`ImportError`] where nothing says it, or it cannot be imported.
-    pub fn of(path: &Path, asked: Option<Self>) -> Result<Self, ImportError> {
+    /// A refusal where nothing says it, or it cannot be imported.
+    pub fn of(path: &Path, asked: Option<Self>) -> Result<Self, Refusal> {
         if let Some(asked) = asked {
             return Ok(asked);
         }
@@ -55,42 +55,50 @@ impl ImportFormat {
         }
         if path.is_dir() {
             if m4_io::dataset::davis::detect(path) {
-                return Err(ImportError::NoPoses {
-                    path: path.to_path_buf(),
-                });
+                return Err(Refusal::bad_input(format!(
+                    "{} is a DAVIS clip, which has no camera poses; estimate them with `minute4d run IMAGES --masks ANNOTATIONS -o \
+                     OUT`, with the folders of one clip",
+                    path.display()
+                )));
             }
             let first = path.join(frame_name(0));
-            return Err(if first.is_file() {
-                ImportError::Sequence {
-                    path: path.to_path_buf(),
-                    first,
-                }
+            let (path, known) = (path.display(), Self::names());
+            return Err(Refusal::bad_input(if first.is_file() {
+                format!(
+                    "{path} is a folder: a sequence cannot be imported as a clip, since the correspondence of splats between files is \
+                     unknown; give one of its files, such as {}",
+                    first.display()
+                )
             } else {
-                ImportError::Folder {
-                    path: path.to_path_buf(),
-                    known: Self::names(),
-                }
-            });
+                format!(
+                    "{path} is a folder with none of the known layouts; if it has one, select it with --format, one of {known}"
+                )
+            }));
         }
-        let format = Format::of_path(path).ok_or_else(|| ImportError::Unknown {
-            path: path.to_path_buf(),
-            known: Self::names(),
+        let format = Format::of_path(path).ok_or_else(|| {
+            let (path, known) = (path.display(), Self::names());
+            Refusal::usage(format!(
+                "the format of {path} is not recognised by its name; add --format, one of {known}"
+            ))
         })?;
         if SCENES.contains(&format) {
             Ok(Self::Scene(format))
         } else {
-            Err(ImportError::WriteOnly {
-                name: format.name(),
-                known: Self::names(),
-            })
+            Err(write_only(format))
         }
     }
 }
 
-impl FromStr for ImportFormat {
-    type Err = ImportError;
+/// The refusal of a format that is written only.
+pub(super) fn write_only(format: Format) -> Refusal {
+    let (name, known) = (format.name(), ImportFormat::names());
+    Refusal::usage(format!("{name} files cannot be imported; {known} can"))
+}
 
-    fn from_str(text: &str) -> Result<Self, ImportError> {
+impl FromStr for ImportFormat {
+    type Err = Refusal;
+
+    fn from_str(text: &str) -> Result<Self, Refusal> {
         if let Some(format) = SCENES.into_iter().find(|f| f.name() == text) {
             return Ok(Self::Scene(format));
         }
@@ -98,16 +106,13 @@ impl FromStr for ImportFormat {
             return Ok(Self::Source(source));
         }
         let written = Format::all().find(|f| f.name() == text);
-        Err(match written {
-            Some(format) => ImportError::WriteOnly {
-                name: format.name(),
-                known: Self::names(),
+        Err(written.map_or_else(
+            || {
+                let known = Self::names();
+                Refusal::usage(format!("no format is called {text}; these can be imported: {known}"))
             },
-            None => ImportError::NoSuchFormat {
-                given: text.to_owned(),
-                known: Self::names(),
-            },
-        })
+            write_only,
+        ))
     }
 }
 

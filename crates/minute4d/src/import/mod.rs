@@ -8,30 +8,22 @@
 
 mod cameras;
 mod capture;
-mod checked;
-mod error;
 mod format;
-mod job;
-mod read;
 
 pub use cameras::default_cameras;
-pub use capture::CaptureReport;
 pub(crate) use capture::write as write_capture;
-pub use checked::Checked;
-pub use error::ImportError;
+pub use capture::{CaptureReport, Checked};
 pub use format::ImportFormat;
-pub use job::ImportJob;
 pub use m4_io::dataset::{ImportOptions, SourceFormat};
-pub(crate) use read::read_back;
 
 use crate::clock::Clock;
 use crate::export::{Format, Losses};
 use crate::folder::{Existing, SCENE_FILE};
 use crate::record::{Input, RunRecord, SplatCount};
 use crate::workspace::Workspace;
-use crate::{Error, Job, Observer, Settings, hash};
-use m4_io::scene::Imported;
-use m4_io::scene::safetensors;
+use crate::{DataError, Error, Job, Observer, Refusal, Settings, hash};
+use m4_io::scene::ply::frame_name;
+use m4_io::scene::{Imported, fourdgs, ply, safetensors};
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -93,7 +85,10 @@ pub fn make(file: &Path, out: &Path, job: &ImportJob, observer: &dyn Observer) -
     };
     if let Some(option) = job.of_captures() {
         let format = format.name();
-        return Err(ImportError::NoCaptureOption { option, format }.into());
+        return Err(Refusal::usage(format!(
+            "{option} has no meaning for {format} files, which hold splats; leave it out"
+        ))
+        .into());
     }
     scene(file, out, splats, job.existing, observer).map(Report::Scene)
 }
@@ -113,12 +108,9 @@ fn scene(
         observer,
     };
     // Read before the folder is made, so that a wrong file leaves nothing behind.
-    let Imported { mut scene, up, losses } = read::read(format, file)?;
+    let Imported { mut scene, up, losses } = read(format, file)?;
     if scene.splats.n() == 0 {
-        return Err(ImportError::NoSplats {
-            path: file.to_path_buf(),
-        }
-        .into());
+        return Err(Refusal::bad_input(format!("{} contains no splats", file.display())).into());
     }
     let cameras = scene.source.len();
     if cameras == 0 {
@@ -160,5 +152,72 @@ fn scene(
         cameras,
         losses: Losses::of(losses),
         seconds: record.seconds,
+    })
+}
+
+/// What to import, and what its files do not say.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ImportJob {
+    /// The format; `None` for what the name or the files of a folder say.
+    pub format: Option<ImportFormat>,
+    /// What to do with a folder that holds something.
+    pub existing: Existing,
+    /// Of captures.
+    pub options: ImportOptions,
+    /// Compare cameras and depth of a capture with the flow of its images.
+    pub check: bool,
+    /// Put right what that finds.
+    pub fix: bool,
+}
+
+impl ImportJob {
+    /// Everything as the files say.
+    #[must_use]
+    pub fn new(format: Option<ImportFormat>) -> Self {
+        Self {
+            format,
+            existing: Existing::Refuse,
+            options: ImportOptions::default(),
+            check: true,
+            fix: false,
+        }
+    }
+
+    /// An option that has a meaning for captures alone and was given.
+    fn of_captures(&self) -> Option<&'static str> {
+        let (o, d) = (&self.options, ImportOptions::default());
+        let given = [
+            ("--fps", o.fps != d.fps),
+            ("--tau-motion", o.tau_motion != d.tau_motion),
+            ("--motion-prob", o.motion.is_some()),
+            ("--images", o.images != d.images),
+            ("--depth", o.depth != d.depth),
+            ("--depth-unit", o.depth_unit != d.depth_unit),
+            ("--masks", o.masks != d.masks),
+            ("--invert-masks", o.invert_masks != d.invert_masks),
+            ("--tracks", o.tracks != d.tracks),
+            ("--axes", o.axes != d.axes),
+            ("--factor", o.factor != d.factor),
+            ("--allow-outside", o.reach != d.reach),
+            ("--fix", self.fix),
+            ("--no-check", !self.check),
+        ];
+        given.into_iter().find(|(_, is_given)| *is_given).map(|(name, _)| name)
+    }
+}
+
+/// The scene in a file.
+fn read(format: Format, path: &Path) -> Result<Imported, Error> {
+    let read = read_back(format, path, 0).ok_or_else(|| format::write_only(format))?;
+    Ok(read?)
+}
+
+/// The scene in what was exported; of a sequence that of file `moment`. `None` for formats that are not read.
+pub(crate) fn read_back(format: Format, path: &Path, moment: usize) -> Option<Result<Imported, DataError>> {
+    Some(match format {
+        Format::Fourdgs => fourdgs::read(path).map_err(DataError::from),
+        Format::Ply => ply::read(path).map_err(DataError::from),
+        Format::PlySequence => ply::read(&path.join(frame_name(moment))).map_err(DataError::from),
+        Format::Splatv | Format::Spz | Format::Gltf | Format::Colmap | Format::Nerfstudio | Format::Mp4 => return None,
     })
 }

@@ -1,16 +1,14 @@
 //! `preview.mp4`: source, re-render and frozen time with a swinging camera, side by side.
 
-mod label;
 mod panels;
 mod poster;
-mod sharpest;
 
 pub use poster::{POSTER_FILE, poster};
 
 use crate::folder::PREVIEW_FILE;
-use crate::progress::RecordingObserver;
 use crate::render::{SceneRenderer, SwingConfig, source_fps, swing};
 use crate::settings::part_to_toml;
+use crate::stage::RecordingObserver;
 use crate::workspace::{Task, Workspace};
 use crate::{Error, StageEvent, hash};
 use m4_core::{Camera, Capture, Exposure, Progress, ResizeFilter, Scene, resize_rgb};
@@ -86,7 +84,7 @@ fn draw(run: &Workspace<'_>, capture: &Capture, scene: &Scene, keeper: &Recordin
     let fps = source_fps(scene);
     let mut writer = Mp4Writer::create(&run.path(PREVIEW_FILE), panels.size().0, panels.size().1, fps)?;
 
-    let frozen = sharpest::sharpest(capture).min(scene.source.len() - 1);
+    let frozen = poster::sharpest(capture).min(scene.source.len() - 1);
     let still = &scene.source[frozen];
     let mut renderer = SceneRenderer::new(scene, run.level, run.gpu.as_ref())?;
     let distance = renderer.painter().median_depth(&still.camera, still.t).unwrap_or(1.0);

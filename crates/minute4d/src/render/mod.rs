@@ -1,23 +1,19 @@
 //! Renders images of a trained scene along a camera path into files.
 
 mod draw;
-mod error;
 mod options;
 mod path;
 mod region;
-mod renderer;
 mod sink;
 mod size;
 mod spline;
 mod swing;
 mod time;
 
-pub use draw::{Painter, to_rgb, view};
-pub use error::PathError;
+pub use draw::{Painter, SceneRenderer, to_rgb, view};
 pub use options::{PathConfig, PathOptions};
 pub use path::{CameraPath, Plan, SourcePath, Stop};
 pub use region::Region;
-pub use renderer::SceneRenderer;
 pub use size::{Fit, fitted, zoomed};
 pub use spline::{PoseSpline, Spline};
 pub use swing::{SwingConfig, swing};
@@ -83,7 +79,7 @@ impl RenderJob {
     ///
     /// # Errors
     ///
-    /// As [`CameraPath::plan`]; [`Error::Time`] if a moment lies outside the scene, [`PathError::Size`] for
+    /// As [`CameraPath::plan`]; [`Error::Time`] if a moment lies outside the scene, [`Error::Refused`] for
     /// sizes that are not rendered.
     pub fn plan(&self, scene: &Scene, painter: &mut Painter<'_>) -> Result<Plan, Error> {
         let mut plan = self.path.plan(scene, painter, self)?;

@@ -1,6 +1,7 @@
-//! Options of a camera path, and their defaults.
+//! The options of camera paths.
 
-use super::{CameraPath, Moment, PathError, SwingConfig};
+use super::{CameraPath, Moment, SwingConfig};
+use crate::Refusal;
 use serde::{Deserialize, Serialize};
 
 /// Options of the user; `None` leaves the choice to [`PathConfig`] and the scene.
@@ -86,8 +87,8 @@ impl PathOptions {
     ///
     /// # Errors
     ///
-    /// [`PathError::Unused`] and [`PathError::Range`].
-    pub fn check(&self, path: &CameraPath) -> Result<(), PathError> {
+    /// A refusal that names the option.
+    pub fn check(&self, path: &CameraPath) -> Result<(), Refusal> {
         let given = [
             ("--seconds", self.seconds.is_some()),
             ("--at", self.at.is_some()),
@@ -99,11 +100,7 @@ impl PathOptions {
         ];
         let known = path.takes();
         if let Some((option, _)) = given.into_iter().find(|(name, given)| *given && !known.contains(name)) {
-            return Err(PathError::Unused {
-                option,
-                path: path.to_string(),
-                known,
-            });
+            return Err(unused(option, &path.to_string(), known));
         }
         let numbers = [
             ("--seconds", self.seconds, 0.01, 3600.0, "0.01 to 3600 seconds"),
@@ -115,21 +112,28 @@ impl PathOptions {
         ];
         for (option, value, least, most, expected) in numbers {
             if let Some(value) = value.filter(|v| !(*v >= least && *v <= most)) {
-                return Err(PathError::Range {
-                    option,
-                    value,
-                    expected,
-                });
+                let message = format!("{option} is {value}; {expected} was expected");
+                return Err(Refusal::usage(message));
             }
         }
         Ok(())
     }
 }
 
+/// The refusal of an option that the path `path` has no use for; `known` are those that it takes.
+pub(super) fn unused(option: &str, path: &str, known: &[&str]) -> Refusal {
+    let takes = match known {
+        [] => "none of these options".to_owned(),
+        known => known.join(", "),
+    };
+    Refusal::usage(format!(
+        "{option} has no meaning for the camera path {path}; it takes {takes}"
+    ))
+}
+
 #[cfg(test)]
 mod tests {
     use super::{CameraPath, PathOptions};
-    use crate::render::PathError;
 
     #[test]
     fn unused_options_are_rejected() {
@@ -147,14 +151,12 @@ mod tests {
             strength: Some(1.5),
             ..PathOptions::default()
         };
-        assert!(matches!(
-            strong.check(&CameraPath::Stabilised),
-            Err(PathError::Range { value: 1.5, .. })
-        ));
+        let error = strong.check(&CameraPath::Stabilised).unwrap_err();
+        assert_eq!(error.to_string(), "--strength is 1.5; 0 to 1 was expected");
         let nan = PathOptions {
             amount: Some(f64::NAN),
             ..PathOptions::default()
         };
-        assert!(matches!(nan.check(&CameraPath::Swing), Err(PathError::Range { .. })));
+        assert!(nan.check(&CameraPath::Swing).is_err());
     }
 }

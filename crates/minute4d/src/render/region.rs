@@ -1,7 +1,6 @@
 //! The region in which a camera may move: the view of its start, and the positions of the source camera.
 
-use super::Painter;
-use super::Stop;
+use super::{Painter, Stop};
 use m4_core::{Column, Scene, nalgebra::Vector3};
 
 /// Share of the source cameras that counts as the reach of the source.

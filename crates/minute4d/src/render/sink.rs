@@ -1,9 +1,9 @@
 //! Writes rendered images to their destination.
 
-use super::{PathError, Stop};
-use crate::Error;
+use super::Stop;
 use crate::error::OutputError;
 use crate::folder::{self, remove_file};
+use crate::{Error, Refusal};
 use m4_core::RgbImage;
 use m4_io::{image, video::Mp4Writer};
 use std::fs;
@@ -29,10 +29,10 @@ impl Sink {
     pub fn check(out: &Path, replace: bool) -> Result<(), Error> {
         let extension = extension(out);
         if OTHER_VIDEOS.contains(&extension.as_str()) {
-            return Err(PathError::Format {
-                path: out.to_path_buf(),
-                extension,
-            }
+            let path = out.display();
+            return Err(Refusal::usage(format!(
+                "{path} has the extension {extension}, which is not supported; name an .mp4 file, a .png file or a folder"
+            ))
             .into());
         }
         if is_file(&extension) && out.exists() && !replace {
@@ -51,10 +51,11 @@ impl Sink {
         let extension = extension(out);
         if IMAGE_EXTENSIONS.contains(&extension.as_str()) {
             if stops.len() != 1 {
-                return Err(PathError::OneImage {
-                    path,
-                    frames: stops.len(),
-                }
+                let (path, frames) = (path.display(), stops.len());
+                return Err(Refusal::usage(format!(
+                    "{path} is one image, but the path has {frames}; name a folder or an .mp4 file, or choose one time with --path source \
+                     --at T"
+                ))
                 .into());
             }
             return Ok(Self::Image(path));

@@ -1,6 +1,6 @@
 //! Cameras for images of another size.
 
-use super::PathError;
+use crate::Refusal;
 use m4_core::Intrinsics;
 
 /// Longest side of an image, pixels.
@@ -21,15 +21,13 @@ pub enum Fit {
 ///
 /// # Errors
 ///
-/// [`PathError::Size`].
-pub fn fitted(k: &Intrinsics, (width, height): (usize, usize), fit: Fit) -> Result<Intrinsics, PathError> {
+/// A refusal of images that are too small or too large.
+pub fn fitted(k: &Intrinsics, (width, height): (usize, usize), fit: Fit) -> Result<Intrinsics, Refusal> {
     let fits = |side: usize| (1..=MAX_SIDE_PX).contains(&side);
     if !fits(width) || !fits(height) {
-        return Err(PathError::Size {
-            width,
-            height,
-            limit: MAX_SIDE_PX,
-        });
+        return Err(Refusal::usage(format!(
+            "images of {width} x {height} pixels are not supported; each side must have 1 to {MAX_SIDE_PX}"
+        )));
     }
     let (w, h) = (width as f64, height as f64);
     let (across, down) = (w / k.width as f64, h / k.height as f64);

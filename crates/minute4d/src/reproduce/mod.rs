@@ -10,25 +10,20 @@
 //! tasks have separate tables ([`crate::evaluate::Task`]), and our results are separate from published ones, which were measured on
 //! other machines, most with other poses.
 
-mod ablation;
-mod error;
-mod plot;
 mod published;
 mod report;
 mod scene;
 mod suite;
 mod table;
 
-pub use ablation::SceneAblation;
-pub use error::ReproduceError;
 pub use published::{Published, published};
-pub use report::{MissingScene, ReproduceReport, SceneRow, TableReport};
+pub use report::{MissingScene, ReproduceReport, SceneAblation, SceneRow, TableReport};
 pub use suite::{Suite, UnknownSuite};
 
 use crate::bench::today;
 use crate::evaluate::Protocol;
 use crate::record::write_json;
-use crate::{Error, Job};
+use crate::{Category, Error, Job, Refusal};
 use m4_io::atomic;
 use serde::Serialize;
 use std::fs;
@@ -72,7 +67,7 @@ pub struct ReproduceOptions {
 ///
 /// # Errors
 ///
-/// [`ReproduceError::NoScenes`] where no scene of the data set is in `data`, with where people get them; [`Error`] of the scene that failed,
+/// [`Error::Refused`] where no scene of the data set is in `data`, with where people get them; [`Error`] of the scene that failed,
 /// when those before it are kept.
 pub fn reproduce(
     suite: Suite,
@@ -92,7 +87,14 @@ pub fn reproduce(
     let scenes = suite.find(data, &options.scenes);
     let (found, missing) = scenes;
     if found.is_empty() {
-        return Err(ReproduceError::no_scenes(suite, data, &missing).into());
+        let missing: Vec<String> = missing.iter().map(|m| format!("{} ({})", m.scene, m.why)).collect();
+        let message = format!(
+            "no scene of {suite} is in {}: {}. {}",
+            data.display(),
+            missing.join(", "),
+            suite.source()
+        );
+        return Err(Refusal::new(Category::NoInput, message).into());
     }
     for scene in &missing {
         job.observer
@@ -112,7 +114,7 @@ pub fn reproduce(
                 .update("scenes", done, total, &format!("{protocol} {}", found.name));
             let made = scene::make(suite, found, protocol, out, options, job)?;
             if let Some(program) = &options.ablations {
-                ablations.push(ablation::of(&made, program, job)?);
+                ablations.push(report::of(&made, program, job)?);
             }
             rows.push(made.row);
             done += 1;
@@ -133,7 +135,7 @@ pub fn reproduce(
         missing,
     };
     for table in &report.tables {
-        plot::write(&out.join(table.plot_file()), table)?;
+        table::write(&out.join(table.plot_file()), table)?;
     }
     write_json(&out.join(REPORT_FILE), &report)?;
     let path = out.join(TABLE_FILE);

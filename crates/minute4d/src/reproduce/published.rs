@@ -29,185 +29,73 @@ pub struct Published {
     pub source: &'static str,
 }
 
-const fn row(
-    method: &'static str,
-    poses: Option<&'static str>,
-    psnr_db: f64,
-    scenes: Option<usize>,
-    source: &'static str,
-) -> Published {
-    Published {
-        method,
-        poses,
-        psnr_db,
-        ssim: None,
-        lpips: None,
-        training: None,
-        frames_per_s: None,
-        scenes,
-        source,
-    }
+/// A table of rows with a dash where nothing was seen stated.
+macro_rules! published {
+    ($($method:literal, $poses:tt, $psnr_db:literal, $ssim:tt, $lpips:tt, $training:tt, $frames_per_s:tt, $scenes:tt, $source:literal;)*) => {
+        &[$(Published {
+            method: $method,
+            poses: stated!($poses),
+            psnr_db: $psnr_db,
+            ssim: stated!($ssim),
+            lpips: stated!($lpips),
+            training: stated!($training),
+            frames_per_s: stated!($frames_per_s),
+            scenes: stated!($scenes),
+            source: $source,
+        }),*]
+    };
 }
 
-const HELD_OUT: &[Published] = &[
-    Published {
-        ssim: Some(0.717),
-        training: Some("29 s"),
-        ..row("Minute4D", Some("slam"), 25.77, Some(5), "paper")
-    },
-    Published {
-        training: Some("0.12 h"),
-        ..row("Instant4D", Some("slam"), 24.52, Some(5), "paper")
-    },
-    Published {
-        training: Some("0.03 h"),
-        ..row("Instant4D lite", Some("slam"), 23.02, Some(5), "paper")
-    },
-    row("Deform3D", Some("given"), 22.63, Some(5), "paper"),
-    Published {
-        training: Some("1.2 h"),
-        ..row("4D-GS", Some("given"), 21.64, Some(5), "paper")
-    },
-    Published {
-        training: Some("over 24 h"),
-        ..row("D-NeRF", Some("given"), 21.50, Some(5), "paper")
-    },
-    Published {
-        training: Some("1.0 h"),
-        ..row("RoDyGS", Some("estimated"), 17.37, Some(5), "paper")
-    },
-    Published {
-        training: Some("22 h"),
-        ..row("RoDynRF", Some("given"), 16.80, Some(5), "paper")
-    },
-    Published {
-        training: Some("22 h"),
-        ..row("RoDynRF", Some("estimated"), 14.90, Some(5), "paper")
-    },
+macro_rules! stated {
+    (-) => {
+        None
+    };
+    ($value:literal) => {
+        Some($value)
+    };
+}
+
+const HELD_OUT: &[Published] = published![
+    // method, poses, PSNR, SSIM, LPIPS, training, frames/s, scenes, source
+    "Minute4D",       "slam",      25.77, 0.717, -, "29 s",      -, 5, "paper";
+    "Instant4D",      "slam",      24.52, -,     -, "0.12 h",    -, 5, "paper";
+    "Instant4D lite", "slam",      23.02, -,     -, "0.03 h",    -, 5, "paper";
+    "Deform3D",       "given",     22.63, -,     -, -,           -, 5, "paper";
+    "4D-GS",          "given",     21.64, -,     -, "1.2 h",     -, 5, "paper";
+    "D-NeRF",         "given",     21.50, -,     -, "over 24 h", -, 5, "paper";
+    "RoDyGS",         "estimated", 17.37, -,     -, "1.0 h",     -, 5, "paper";
+    "RoDynRF",        "given",     16.80, -,     -, "22 h",      -, 5, "paper";
+    "RoDynRF",        "estimated", 14.90, -,     -, "22 h",      -, 5, "paper";
 ];
 
-const NOVEL_DYCHECK: &[Published] = &[
-    Published {
-        ssim: Some(0.729),
-        lpips: Some(0.274),
-        training: Some("30 min"),
-        frames_per_s: Some(45.0),
-        ..row("SE(3) B-spline", None, 20.17, Some(5), "peers")
-    },
-    Published {
-        ssim: Some(0.706),
-        lpips: Some(0.264),
-        training: Some("45 to 50 min"),
-        frames_per_s: Some(38.0),
-        ..row("MoSca", Some("given"), 19.32, None, "peers")
-    },
-    Published {
-        ssim: Some(0.676),
-        lpips: Some(0.289),
-        training: Some("45 to 50 min"),
-        frames_per_s: Some(38.0),
-        ..row("MoSca", Some("estimated"), 18.84, None, "peers")
-    },
-    Published {
-        lpips: Some(0.255),
-        training: Some("10.5 min"),
-        frames_per_s: Some(180.0),
-        ..row("MOSAIC-GS", None, 18.40, None, "peers")
-    },
-    Published {
-        ssim: Some(0.70),
-        lpips: Some(0.40),
-        ..row("MotionScale", None, 17.98, None, "peers")
-    },
-    Published {
-        ssim: Some(0.598),
-        lpips: Some(0.296),
-        training: Some("10 min to 2 h"),
-        ..row("Shape of Motion", None, 17.32, None, "peers")
-    },
-    row("RoDynRF", None, 17.10, None, "peers"),
-    Published {
-        ssim: Some(0.60),
-        lpips: Some(0.37),
-        training: Some("6 min"),
-        ..row("4D-Fly", None, 17.03, None, "peers")
-    },
-    Published {
-        lpips: Some(0.418),
-        training: Some("5 to 9 h"),
-        frames_per_s: Some(200.0),
-        ..row("Gaussian Marbles", Some("given"), 16.72, None, "peers")
-    },
-    row("4DGaussians", None, 13.11, None, "peers"),
+const NOVEL_DYCHECK: &[Published] = published![
+    // method, poses, PSNR, SSIM, LPIPS, training, frames/s, scenes, source
+    "SE(3) B-spline",   -,           20.17, 0.729, 0.274, "30 min",        45.0,  5, "peers";
+    "MoSca",            "given",     19.32, 0.706, 0.264, "45 to 50 min",  38.0,  -, "peers";
+    "MoSca",            "estimated", 18.84, 0.676, 0.289, "45 to 50 min",  38.0,  -, "peers";
+    "MOSAIC-GS",        -,           18.40, -,     0.255, "10.5 min",      180.0, -, "peers";
+    "MotionScale",      -,           17.98, 0.70,  0.40,  -,               -,     -, "peers";
+    "Shape of Motion",  -,           17.32, 0.598, 0.296, "10 min to 2 h", -,     -, "peers";
+    "RoDynRF",          -,           17.10, -,     -,     -,               -,     -, "peers";
+    "4D-Fly",           -,           17.03, 0.60,  0.37,  "6 min",         -,     -, "peers";
+    "Gaussian Marbles", "given",     16.72, -,     0.418, "5 to 9 h",      200.0, -, "peers";
+    "4DGaussians",      -,           13.11, -,     -,     -,               -,     -, "peers";
 ];
 
-const NOVEL_NVIDIA: &[Published] = &[
-    Published {
-        ssim: Some(0.871),
-        lpips: Some(0.049),
-        training: Some("30 min"),
-        frames_per_s: Some(45.0),
-        ..row("SE(3) B-spline", None, 27.81, Some(7), "peers")
-    },
-    Published {
-        lpips: Some(0.053),
-        frames_per_s: Some(400.0),
-        ..row("SplineGS", None, 27.21, Some(7), "peers")
-    },
-    Published {
-        lpips: Some(0.070),
-        training: Some("45 min"),
-        frames_per_s: Some(38.0),
-        ..row("MoSca", None, 26.72, Some(7), "peers")
-    },
-    Published {
-        lpips: Some(0.060),
-        training: Some("10.5 min"),
-        frames_per_s: Some(180.0),
-        ..row("MOSAIC-GS", None, 26.26, Some(7), "peers")
-    },
-    Published {
-        lpips: Some(0.082),
-        training: Some("74 h"),
-        frames_per_s: Some(0.05),
-        ..row("DynamicNeRF", None, 26.10, Some(7), "peers")
-    },
-    Published {
-        lpips: Some(0.065),
-        training: Some("28 h"),
-        frames_per_s: Some(0.42),
-        ..row("RoDynRF", None, 25.89, Some(7), "peers")
-    },
-    Published {
-        training: Some("0.006 h"),
-        frames_per_s: Some(1218.0),
-        ..row("Minute4D", Some("slam"), 24.73, Some(7), "paper")
-    },
-    Published {
-        training: Some("0.25 h"),
-        frames_per_s: Some(48.0),
-        ..row("Casual-FVS", None, 24.57, Some(7), "paper")
-    },
-    Published {
-        training: Some("0.02 h"),
-        frames_per_s: Some(822.0),
-        ..row("Instant4D", Some("slam"), 23.99, Some(7), "paper")
-    },
-    Published {
-        training: Some("0.15 h"),
-        frames_per_s: Some(117.0),
-        ..row("InstantSplat", None, 22.56, Some(7), "paper")
-    },
-    Published {
-        training: Some("1.2 h"),
-        frames_per_s: Some(43.0),
-        ..row("4D-GS", Some("given"), 21.45, Some(7), "paper")
-    },
-    Published {
-        training: Some("64 h"),
-        frames_per_s: Some(0.4),
-        ..row("HyperNeRF", Some("given"), 17.60, Some(7), "paper")
-    },
+const NOVEL_NVIDIA: &[Published] = published![
+    // method, poses, PSNR, SSIM, LPIPS, training, frames/s, scenes, source
+    "SE(3) B-spline", -,       27.81, 0.871, 0.049, "30 min",   45.0,   7, "peers";
+    "SplineGS",       -,       27.21, -,     0.053, -,          400.0,  7, "peers";
+    "MoSca",          -,       26.72, -,     0.070, "45 min",   38.0,   7, "peers";
+    "MOSAIC-GS",      -,       26.26, -,     0.060, "10.5 min", 180.0,  7, "peers";
+    "DynamicNeRF",    -,       26.10, -,     0.082, "74 h",     0.05,   7, "peers";
+    "RoDynRF",        -,       25.89, -,     0.065, "28 h",     0.42,   7, "peers";
+    "Minute4D",       "slam",  24.73, -,     -,     "0.006 h",  1218.0, 7, "paper";
+    "Casual-FVS",     -,       24.57, -,     -,     "0.25 h",   48.0,   7, "paper";
+    "Instant4D",      "slam",  23.99, -,     -,     "0.02 h",   822.0,  7, "paper";
+    "InstantSplat",   -,       22.56, -,     -,     "0.15 h",   117.0,  7, "paper";
+    "4D-GS",          "given", 21.45, -,     -,     "1.2 h",    43.0,   7, "paper";
+    "HyperNeRF",      "given", 17.60, -,     -,     "64 h",     0.4,    7, "paper";
 ];
 
 /// Published numbers that may stand beside those of a protocol: of the same task on the same data set.

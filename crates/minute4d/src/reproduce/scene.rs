@@ -11,13 +11,12 @@
 
 use super::report::{SceneRow, pose_word};
 use super::suite::{FoundScene, Suite};
-use super::{GeometrySource, ReproduceError, ReproduceOptions};
+use super::{GeometrySource, ReproduceOptions};
 use crate::error::OutputError;
 use crate::evaluate::{self, EvalOptions, EvalReport, FrameRule, PoseTreatment, Protocol};
 use crate::folder::{self, EVAL_FILE, Existing};
-use crate::import;
 use crate::record::{RunRecord, write_json};
-use crate::{Error, Job, geometry, hash};
+use crate::{Error, Job, Refusal, geometry, hash, import};
 use m4_io::capture::{self, Split};
 use m4_io::dataset::{ImportOptions, SourceFormat};
 use serde::{Deserialize, Serialize};
@@ -129,12 +128,9 @@ pub(super) fn make(
             job.observer,
         )?;
     } else if !whole.join(Split::Test.file_name()).is_file() {
-        return Err(ReproduceError::NoViews {
-            path: scene.path.clone(),
-            protocol,
-            hint: HINT,
-        }
-        .into());
+        let path = scene.path.display();
+        let message = format!("{path} has no held-out views, which the protocol {protocol} scores; {HINT}");
+        return Err(Refusal::bad_input(message).into());
     }
     let record = crate::train::make(&data, &run, &job)?;
     let judging = EvalOptions {
@@ -146,8 +142,12 @@ pub(super) fn make(
     let report = evaluate::views_by(&run, &views, &judging, job.observer)?;
     let treatment = report.choices.as_ref().map(|choices| choices.poses.treatment);
     if own && !splits && treatment == Some(PoseTreatment::Given) {
-        let path = scene.path.clone();
-        return Err(ReproduceError::NotAligned { path }.into());
+        return Err(Refusal::bad_input(format!(
+            "the cameras found from the images of {} do not align with those of the data set, so its views cannot be placed; train with \
+             --geometry given",
+            scene.path.display()
+        ))
+        .into());
     }
     let row = row(scene, &report, &record, geometry_s)?;
     write_json(&file, &CachedRow { key, row: row.clone() })?;
@@ -162,9 +162,10 @@ fn own_geometry(imported: &Path, out: &Path, job: &Job<'_>) -> Result<f64, Error
     let n = train.frames.len();
     let even = |(i, frame): (usize, &m4_core::CaptureFrame)| (frame.t - i as f64).abs() < 0.25;
     if train.time_frames != n || !train.frames.iter().enumerate().all(even) {
-        return Err(ReproduceError::UnevenTimes {
-            path: imported.to_path_buf(),
-        }
+        return Err(Refusal::bad_input(format!(
+            "the training images of {} are not evenly spaced in time, as geometry from images alone assumes; omit --geometry own",
+            imported.display()
+        ))
         .into());
     }
     if let Some(duration_s) = train.duration_s.filter(|d| *d > 0.0 && n > 1) {
@@ -219,7 +220,7 @@ fn whole_capture(
         reach: job.settings.capture.reach,
         ..ImportOptions::default()
     };
-    let read = m4_io::dataset::read(&scene.path, format, &import, job.observer).map_err(ReproduceError::from)?;
+    let read = m4_io::dataset::read(&scene.path, format, &import, job.observer)?;
     let source = (scene.path.as_path(), format);
     import::write_capture(whole, &read, source, options.factor, job.observer)?;
     write_json(&file, &Imported { key })?;

@@ -1,9 +1,9 @@
 //! Data sets: their scenes, the layout of their folders, and where to download them.
 
-use super::{MissingScene, ReproduceError};
+use super::MissingScene;
+use crate::Refusal;
 use crate::evaluate::Protocol;
-use m4_io::dataset::davis;
-use m4_io::dataset::{SourceFormat, detect};
+use m4_io::dataset::{SourceFormat, davis, detect};
 use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -137,7 +137,7 @@ impl Suite {
     }
 
     /// The protocols to follow: those asked for, or its own.
-    pub(super) fn protocols_of(self, asked: &[Protocol]) -> Result<Vec<Protocol>, ReproduceError> {
+    pub(super) fn protocols_of(self, asked: &[Protocol]) -> Result<Vec<Protocol>, Refusal> {
         let facts = self.facts();
         if asked.is_empty() {
             return Ok(facts.protocols.to_vec());
@@ -145,11 +145,10 @@ impl Suite {
         let known: Vec<Protocol> = facts.protocols.iter().chain(facts.more_protocols).copied().collect();
         if let Some(&protocol) = asked.iter().find(|p| !known.contains(p)) {
             let known: Vec<&str> = known.iter().map(|p| p.name()).collect();
-            return Err(ReproduceError::NotItsProtocol {
-                suite: self,
-                protocol,
-                known: known.join(", "),
-            });
+            let known = known.join(", ");
+            return Err(Refusal::usage(format!(
+                "{self} is not scored by the protocol {protocol}; its protocols are {known}"
+            )));
         }
         Ok(asked.to_vec())
     }

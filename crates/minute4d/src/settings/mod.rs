@@ -1,22 +1,14 @@
 //! Every setting of the pipeline, and how layers of them are put together.
 
-mod error;
-mod init;
 mod layers;
 #[cfg(test)]
 mod page;
-mod preset;
 mod profile;
 mod train;
-mod without;
 
-pub use error::SettingsError;
-pub use init::InitSettings;
-pub use layers::Layers;
-pub use preset::Preset;
-pub use profile::Profile;
-pub use train::{ColourFitSettings, DensitySettings, LossSettings, RefinementSettings, TrainSettings};
-pub use without::Enhancement;
+pub use layers::{Layers, SettingsError};
+pub use profile::{Enhancement, Preset, Profile};
+pub use train::{ColourFitSettings, DensitySettings, InitSettings, LossSettings, RefinementSettings, TrainSettings};
 
 use crate::Error;
 use crate::enhance::EnhanceConfig;

@@ -1,7 +1,6 @@
 //! Writes checkpoints during training, and resumes from them.
 
-use crate::folder;
-use crate::{Error, Observer};
+use crate::{Error, Observer, folder};
 use m4_core::{Capture, Progress};
 use m4_io::scene::safetensors::{self, SceneFile};
 use m4_kernels::SimdLevel;

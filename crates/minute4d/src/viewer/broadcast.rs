@@ -1,8 +1,7 @@
 //! Shows the scene in the browser during training.
 
-use super::LiveConfig;
-use super::pack::pack;
 use super::source::{Source, event};
+use super::{LiveConfig, pack};
 use crate::folder::VIEWER_FILE;
 use crate::{Error, Observer, StageEvent};
 use m4_core::{Progress, Scene};

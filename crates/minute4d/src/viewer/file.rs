@@ -1,7 +1,6 @@
 //! `viewer.html` as a stage of a run.
 
-use super::STAGE;
-use super::pack::{frames, median_depth, pack};
+use super::{STAGE, frames, median_depth, pack};
 use crate::error::OutputError;
 use crate::folder::{CAPTURE_FOLDER, SCENE_FILE, VIEWER_FILE};
 use crate::settings::part_to_toml;

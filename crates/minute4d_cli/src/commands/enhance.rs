@@ -1,26 +1,60 @@
 //! `minute4d enhance`: improves the masks of a capture and tracks points.
 
-use super::settings::{job, print_config, settings};
-use crate::args::Enhance;
 use crate::failure::Failure;
+use crate::options::{OutArgs, ReachArgs, SettingsArgs, print_config, segmenters, settings, trackers};
 use crate::output::Output;
-use minute4d::device::DeviceRequest;
+use clap::Args;
+use minute4d::Job;
+use minute4d::device::DeviceChoice;
+use minute4d::enhance::Tracker;
+use minute4d::geometry::Segmenter;
 use serde_json::json;
+use std::path::PathBuf;
+
+/// `minute4d enhance`
+#[derive(Debug, Args)]
+pub struct Enhance {
+    /// A capture with motion maps or masks of dynamic regions
+    #[arg(required_unless_present = "print_config")]
+    pub capture: Option<PathBuf>,
+    /// Folder for the enhanced capture
+    #[arg(long, short, value_name = "DIR", required_unless_present = "print_config")]
+    pub out: Option<PathBuf>,
+    /// Segmentation method [default: auto]
+    #[arg(long, value_parser = segmenters())]
+    pub segmenter: Option<Segmenter>,
+    /// Tracking method [default: auto]
+    #[arg(long, value_parser = trackers())]
+    pub tracker: Option<Tracker>,
+    /// Device for networks: `cpu`, `gpu` (the best one), `gpu:N` (`minute4d doctor` lists them), or `auto`
+    #[arg(long, value_name = "DEVICE", default_value = "cpu")]
+    pub device: DeviceChoice,
+    /// Settings.
+    #[command(flatten)]
+    pub settings: SettingsArgs,
+    /// What may happen to an existing folder.
+    #[command(flatten)]
+    pub existing: OutArgs,
+    /// Which files the capture may refer to.
+    #[command(flatten)]
+    pub reach: ReachArgs,
+}
 
 pub fn run(args: &Enhance, output: &Output) -> Result<(), Failure> {
     let mut settings = settings(&args.settings, None, None)?;
     settings.capture.reach = args.reach.reach();
     let geometry = &mut settings.geometry;
-    geometry.segmenter = args.segmenter.map_or(geometry.segmenter, Into::into);
-    geometry.tracker = args.tracker.map_or(geometry.tracker, Into::into);
+    geometry.segmenter = args.segmenter.unwrap_or(geometry.segmenter);
+    geometry.tracker = args.tracker.unwrap_or(geometry.tracker);
     let (Some(capture), Some(out), false) = (&args.capture, &args.out, args.settings.print_config) else {
         return print_config(&settings, output);
     };
-    let device = DeviceRequest {
-        choice: args.device,
-        max_vram_mb: None,
+    let job = Job {
+        settings,
+        device: args.device.into(),
+        existing: args.existing.mode(),
+        observer: output,
     };
-    let job = job(device, &args.existing, settings, output);
     let report = minute4d::enhance::make(capture, out, &job)?;
     let share = |share: Option<f64>| share.map_or_else(|| "unknown".to_owned(), |s| format!("{:.1} %", 100.0 * s));
     output.note(&format!(

@@ -1,12 +1,40 @@
 //! `minute4d geometry`: turns a video into a capture.
 
-use super::settings::{job, print_config, settings};
-use crate::args::Geometry;
 use crate::failure::Failure;
+use crate::options::{OutArgs, SettingsArgs, VideoArgs, WithoutArgs, print_config, settings};
 use crate::output::Output;
-use minute4d::device::DeviceRequest;
+use clap::Args;
+use minute4d::Job;
+use minute4d::device::DeviceChoice;
 use minute4d::geometry::Segmenter;
 use serde_json::json;
+use std::path::PathBuf;
+
+/// `minute4d geometry`
+#[derive(Debug, Args)]
+pub struct Geometry {
+    /// A video or a folder of images
+    #[arg(required_unless_present = "print_config")]
+    pub input: Option<PathBuf>,
+    /// Folder for the capture
+    #[arg(long, short, value_name = "DIR", required_unless_present = "print_config")]
+    pub out: Option<PathBuf>,
+    /// The part of the video.
+    #[command(flatten)]
+    pub video: VideoArgs,
+    /// Device for networks: `cpu`, `gpu` (the best one), `gpu:N` (`minute4d doctor` lists them), or `auto`
+    #[arg(long, value_name = "DEVICE", default_value = "cpu")]
+    pub device: DeviceChoice,
+    /// Parts of the method to switch off.
+    #[command(flatten)]
+    pub without: WithoutArgs,
+    /// Settings.
+    #[command(flatten)]
+    pub settings: SettingsArgs,
+    /// What may happen to an existing folder.
+    #[command(flatten)]
+    pub existing: OutArgs,
+}
 
 pub fn run(args: &Geometry, output: &Output) -> Result<(), Failure> {
     let mut settings = settings(&args.settings, Some(&args.video), None)?;
@@ -15,15 +43,12 @@ pub fn run(args: &Geometry, output: &Output) -> Result<(), Failure> {
         return print_config(&settings, output);
     };
     let asked = settings.geometry.segmenter;
-    let job = job(
-        DeviceRequest {
-            choice: args.device,
-            max_vram_mb: None,
-        },
-        &args.existing,
+    let job = Job {
         settings,
-        output,
-    );
+        device: args.device.into(),
+        existing: args.existing.mode(),
+        observer: output,
+    };
     let record = minute4d::geometry::make(input, out, &job)?;
     if let Some(found) = &record.found {
         output.note(&format!(

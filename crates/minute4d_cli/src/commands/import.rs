@@ -1,9 +1,110 @@
 //! `minute4d import`: turns files of another tool into a scene or a capture.
 
-use crate::args::Import;
 use crate::failure::Failure;
+use crate::options::{ReachArgs, choice, positive, rate, share};
 use crate::output::Output;
-use minute4d::import::{CaptureReport, ImportReport, Report};
+use clap::Args;
+use clap::builder::TypedValueParser;
+use minute4d::Existing;
+use minute4d::import::{CaptureReport, ImportFormat, ImportJob, ImportOptions, ImportReport, Report};
+use minute4d::io::capture::Axes;
+use std::path::PathBuf;
+
+/// `minute4d import`
+#[derive(Debug, Args)]
+pub struct Import {
+    /// A clip with poses from another tool (COLMAP, nerfstudio, ViPE, MegaSaM, DyCheck, NVIDIA, Record3D), which becomes a capture; or a .4dgs
+    /// file or a 3DGS PLY file, which becomes a scene
+    #[arg(value_name = "SOURCE")]
+    pub file: PathBuf,
+    /// Folder for the capture, or for the scene (with the layout of a run)
+    #[arg(long, short, value_name = "DIR")]
+    pub out: PathBuf,
+    /// Format of the source [default: detected from names and contents]
+    #[arg(long, value_name = "FORMAT")]
+    pub format: Option<ImportFormat>,
+    /// Frames per second, for sources without timestamps [default: 30]
+    #[arg(long, value_name = "FPS", value_parser = rate)]
+    pub fps: Option<f64>,
+    /// Folder of images or a video, if they are not where the format expects them
+    #[arg(long, value_name = "PATH")]
+    pub images: Option<PathBuf>,
+    /// Depth maps that replace those of the source: a folder with one file per frame (16-bit PNG, EXR, PFM, npy), or an npz
+    #[arg(long, value_name = "PATH")]
+    pub depth: Option<PathBuf>,
+    /// Scene units per step of 16-bit depth maps [default: as the format defines, or 0.001]
+    #[arg(long, value_name = "UNIT", value_parser = positive)]
+    pub depth_unit: Option<f64>,
+    /// Masks of dynamic regions that replace those of the source: a folder with one file per frame, or an npz
+    #[arg(long, value_name = "PATH")]
+    pub masks: Option<PathBuf>,
+    /// Invert the masks, if they mean the opposite of what the format defines
+    #[arg(long)]
+    pub invert_masks: bool,
+    /// Point tracks: an npz of TAPIP3D, SpatialTracker or CoTracker
+    #[arg(long, value_name = "FILE")]
+    pub tracks: Option<PathBuf>,
+    /// Axis convention of the cameras, if the format does not define it [default: detected]
+    #[arg(long, value_name = "AXES", value_parser = axes())]
+    pub axes: Option<Axes>,
+    /// Downscaling factor of a data set's images, such as 2 for DyCheck's rgb/2x [default: that of the protocols]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=64))]
+    pub factor: Option<u32>,
+    /// Threshold of 1 - motion_prob above which a pixel of a MegaSaM clip is dynamic, 0 to 1 [default: 0.7]
+    #[arg(long, value_name = "TAU", value_parser = share)]
+    pub tau_motion: Option<f64>,
+    /// MegaSaM's motion_prob.npy [default: reconstructions/NAME/motion_prob.npy next to the file or its folder, or
+    /// motion_prob.npy next to the file]
+    #[arg(long, value_name = "FILE")]
+    pub motion_prob: Option<PathBuf>,
+    /// Correct the convention errors that the check finds: axes, pose direction, depth unit, focal length, half-pixel shifts
+    #[arg(long, conflicts_with = "no_check")]
+    pub fix: bool,
+    /// Skip the check of cameras and depth against the optical flow of the images
+    #[arg(long)]
+    pub no_check: bool,
+    /// Replace the results of an earlier import in the folder; other files are kept
+    #[arg(long)]
+    pub force: bool,
+    /// Which files the source may refer to.
+    #[command(flatten)]
+    pub reach: ReachArgs,
+}
+
+fn axes() -> impl TypedValueParser<Value = Axes> {
+    choice([
+        ("opengl", "x right, y up, z back: nerfstudio, Blender", Axes::OpenGl),
+        ("opencv", "x right, y down, z forward: COLMAP, Instant4D", Axes::OpenCv),
+    ])
+}
+
+impl Import {
+    /// Returns the job in the library's type.
+    fn job(&self) -> ImportJob {
+        let defaults = ImportOptions::default();
+        ImportJob {
+            existing: if self.force { Existing::Force } else { Existing::Refuse },
+            options: ImportOptions {
+                fps: self.fps,
+                images: self.images.clone(),
+                depth: self.depth.clone(),
+                depth_unit: self.depth_unit,
+                masks: self.masks.clone(),
+                invert_masks: self.invert_masks,
+                tracks: self.tracks.clone(),
+                axes: self.axes,
+                tau_motion: self.tau_motion.unwrap_or(defaults.tau_motion),
+                motion: self.motion_prob.clone(),
+                factor: self.factor,
+                reach: self.reach.reach(),
+                ..defaults
+            },
+            check: !self.no_check,
+            fix: self.fix,
+            ..ImportJob::new(self.format)
+        }
+    }
+}
 
 pub fn run(args: &Import, output: &Output) -> Result<(), Failure> {
     let report = minute4d::import::make(&args.file, &args.out, &args.job(), output)?;

@@ -1,29 +1,28 @@
-//! One file per command, which turns arguments into a call of the library and prints the result.
+//! One file per command: its options, the call of the library, and the result that is printed.
 
-mod ablate;
-mod batch;
-mod bench;
-mod doctor;
-mod enhance;
-mod eval;
-mod eval_geometry;
-mod export;
-mod geometry;
-mod import;
-mod inspect;
-mod render;
-mod reproduce;
-mod run;
-mod settings;
-mod split;
-mod train;
-mod view;
-#[cfg(feature = "nets")]
-mod weights;
+pub mod ablate;
+pub mod batch;
+pub mod bench;
+pub mod doctor;
+pub mod enhance;
+pub mod eval;
+pub mod export;
+pub mod geometry;
+pub mod import;
+pub mod inspect;
+pub mod render;
+pub mod reproduce;
+pub mod run;
+pub mod split;
+pub mod train;
+pub mod view;
+#[cfg_attr(not(feature = "nets"), path = "no_weights.rs")]
+pub mod weights;
 
-use crate::args::{Cli, Command};
+use crate::cli::{Cli, Command};
 use crate::failure::Failure;
 use crate::output::Output;
+use std::path::PathBuf;
 
 /// Runs the command with the requested number of threads.
 ///
@@ -45,21 +44,12 @@ pub fn run(cli: &Cli, output: &Output) -> Result<(), Failure> {
         Command::Split(args) => split::run(args, output),
         Command::Reproduce(args) => reproduce::run(args, output),
         Command::Ablate(args) => ablate::run(args, output),
-        Command::EvalGeometry(args) => eval_geometry::run(args, output),
+        Command::EvalGeometry(args) => eval::run_geometry(args, output),
         Command::Batch(args) => batch::run(args, &cli.common, output),
         Command::Inspect(args) => inspect::run(args, output),
         Command::Doctor => doctor::run(output),
         Command::Bench(args) => bench::run(args, &cli.common, output),
-        #[cfg(feature = "nets")]
         Command::Weights(args) => weights::run(args, output),
-        #[cfg(not(feature = "nets"))]
-        Command::Weights(_) => Err(Failure {
-            code: minute4d::Category::NoDevice.exit_code(),
-            reason: format!(
-                "this program was built without networks, so it uses no weights; `{}` builds it with networks",
-                minute4d::BUILD_FULL
-            ),
-        }),
     })
     .map_err(Failure::from)?;
     outcome.map_err(|failure| stopped(failure, output))
@@ -71,4 +61,14 @@ fn stopped(failure: Failure, output: &Output) -> Failure {
         Some(code) if failure.code == minute4d::Category::Stopped.exit_code() => Failure { code, ..failure },
         _ => failure,
     }
+}
+
+/// Returns the path of this program, which runs parts of some commands in processes of their own.
+fn program() -> Result<PathBuf, Failure> {
+    std::env::current_exe().map_err(|e| {
+        minute4d::Error::Internal {
+            what: format!("the path of this program is unknown: {e}"),
+        }
+        .into()
+    })
 }

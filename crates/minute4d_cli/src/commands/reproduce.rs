@@ -1,13 +1,67 @@
 //! `minute4d reproduce`: computes the published tables of a data set.
 
-use super::settings::{job, print_config, settings};
-use crate::args::{GeometryArg, OutArgs, Reproduce};
+use super::program;
 use crate::failure::Failure;
+use crate::options::{LengthArgs, ReachArgs, SettingsArgs, choice, print_config, settings};
 use crate::output::Output;
-use minute4d::Error;
-use minute4d::device::DeviceRequest;
-use minute4d::reproduce::{GeometrySource, ReproduceOptions, TABLE_FILE, reproduce};
+use clap::Args;
+use clap::builder::TypedValueParser;
+use minute4d::device::DeviceChoice;
+use minute4d::evaluate::Protocol;
+use minute4d::reproduce::{GeometrySource, ReproduceOptions, Suite, TABLE_FILE, reproduce};
+use minute4d::{Existing, Job};
 use std::path::PathBuf;
+
+/// `minute4d reproduce`
+#[derive(Debug, Args)]
+pub struct Reproduce {
+    /// The data set: dycheck, nvidia or davis
+    pub suite: Suite,
+    /// Folder with the scenes in their published layout
+    #[arg(long, value_name = "DIR")]
+    pub data: PathBuf,
+    /// Folder for the tables (reproduce.md, reproduce.json, one image per scene) and the runs; finished scenes are not run again
+    #[arg(long, short, value_name = "DIR")]
+    pub out: PathBuf,
+    /// Evaluation protocols [default: those of the data set: instant4d,dycheck; nvidia; davis]
+    #[arg(long, value_name = "NAME,NAME", value_delimiter = ',')]
+    pub protocols: Vec<Protocol>,
+    /// Scenes to run [default: those of the published tables]
+    #[arg(long, value_name = "NAME,NAME", value_delimiter = ',')]
+    pub scenes: Vec<String>,
+    /// Downscaling factor of the images of DyCheck and NVIDIA [default: 2, as in published results]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=8))]
+    pub factor: Option<u32>,
+    /// Optimise the poses of test images before scoring, where published methods do under the protocol
+    #[arg(long)]
+    pub refine_poses: bool,
+    /// Poses and depth to train with: given (those of the data set) or own (estimated from the training images; views of other cameras are
+    /// then placed by alignment) [davis: always own]
+    #[arg(long, value_name = "WHOSE", default_value = "given", value_parser = sources())]
+    pub geometry: GeometrySource,
+    /// Also run every scene without segmentation, without tracking, and without density control
+    #[arg(long)]
+    pub ablations: bool,
+    /// Device for training, rendering and networks: `cpu`, `gpu`, `gpu:N` or `auto`
+    #[arg(long, value_name = "DEVICE", default_value = "cpu")]
+    pub device: DeviceChoice,
+    /// The length of training.
+    #[command(flatten)]
+    pub length: LengthArgs,
+    /// Settings.
+    #[command(flatten)]
+    pub settings: SettingsArgs,
+    /// Which files the data set may refer to.
+    #[command(flatten)]
+    pub reach: ReachArgs,
+}
+
+fn sources() -> impl TypedValueParser<Value = GeometrySource> {
+    choice([
+        ("given", "Those of the data set", GeometrySource::Given),
+        ("own", "Estimated from the training images alone", GeometrySource::Own),
+    ])
+}
 
 pub fn run(args: &Reproduce, output: &Output) -> Result<(), Failure> {
     let mut settings = settings(&args.settings, None, Some(&args.length))?;
@@ -15,30 +69,20 @@ pub fn run(args: &Reproduce, output: &Output) -> Result<(), Failure> {
     if args.settings.print_config {
         return print_config(&settings, output);
     }
-    let ablations = args.ablations.then(std::env::current_exe).transpose();
     let options = ReproduceOptions {
-        geometry: match args.geometry {
-            GeometryArg::Given => GeometrySource::Given,
-            GeometryArg::Own => GeometrySource::Own,
-        },
-        ablations: ablations.map_err(|source| Error::Read {
-            path: PathBuf::from("the program itself"),
-            source,
-        })?,
+        geometry: args.geometry,
+        ablations: args.ablations.then(program).transpose()?,
         protocols: args.protocols.clone(),
         scenes: args.scenes.clone(),
         factor: args.factor,
         refine_poses: args.refine_poses,
     };
-    let device = DeviceRequest {
-        choice: args.device,
-        max_vram_mb: None,
+    let job = Job {
+        settings,
+        device: args.device.into(),
+        existing: Existing::Resume,
+        observer: output,
     };
-    let existing = OutArgs {
-        resume: true,
-        force: false,
-    };
-    let job = job(device, &existing, settings, output);
     let report = reproduce(args.suite, &args.data, &args.out, &options, &job)?;
     output.note(&format!("tables written to {}", args.out.join(TABLE_FILE).display()));
     output.result(&report.to_markdown(), minute4d::plain_json(&report)?);

@@ -1,30 +1,56 @@
 //! `minute4d run`: turns a video into a scene.
 
-use super::settings::{job, print_config, settings};
-use super::view::while_training;
-use crate::args::Run;
+use super::view::{PageArgs, while_training};
 use crate::failure::Failure;
+use crate::options::{OutArgs, TrainingArgs, VideoArgs, print_config};
 use crate::output::{Output, duration};
-use minute4d::Observer;
+use clap::Args;
 use minute4d::folder::{PREVIEW_FILE, VIEWER_FILE};
 use minute4d::record::RunRecord;
+use minute4d::{Job, Observer};
 use serde_json::json;
-use std::path::Path;
+use std::path::{Path, PathBuf};
+
+/// `minute4d run`
+#[derive(Debug, Args)]
+pub struct Run {
+    /// A video, a folder of images, or a capture folder (whose geometry is then used)
+    #[arg(required_unless_present = "print_config")]
+    pub input: Option<PathBuf>,
+    /// Folder for all results: scene.safetensors, viewer.html, preview.mp4, run.json, metrics.jsonl, capture/
+    #[arg(long, short, value_name = "DIR", required_unless_present = "print_config")]
+    pub out: Option<PathBuf>,
+    /// The part of the video.
+    #[command(flatten)]
+    pub video: VideoArgs,
+    /// How to train.
+    #[command(flatten)]
+    pub training: TrainingArgs,
+    /// The viewer page.
+    #[command(flatten)]
+    pub page: PageArgs,
+    /// What may happen to an existing folder.
+    #[command(flatten)]
+    pub existing: OutArgs,
+    /// Also write poster.jpg, for overviews of many clips.
+    #[arg(long, hide = true)]
+    pub poster: bool,
+}
 
 pub fn run(args: &Run, output: &Output) -> Result<(), Failure> {
-    let mut settings = settings(&args.settings, Some(&args.video), Some(&args.length))?;
-    settings.capture.reach = args.reach.reach();
-    args.without.apply(&mut settings);
-    settings.viewer.write &= !args.page.no_viewer;
-    if let Some(seconds) = args.time_limit {
-        settings.limit.time_s = seconds;
-    }
-    let (Some(input), Some(out), false) = (&args.input, &args.out, args.settings.print_config) else {
+    let mut settings = args.training.settings(Some(&args.video))?;
+    settings.capture.reach = args.training.reach.reach();
+    let (Some(input), Some(out), false) = (&args.input, &args.out, args.training.settings.print_config) else {
         return print_config(&settings, output);
     };
-    let device = args.device.request()?;
+    let device = args.training.device.request()?;
     let work = |observer: &dyn Observer| {
-        let job = job(device, &args.existing, settings, observer);
+        let job = Job {
+            settings,
+            device,
+            existing: args.existing.mode(),
+            observer,
+        };
         let done = minute4d::run(input, out, &job)?;
         if args.poster {
             minute4d::preview::poster(out, input, &job.settings)?;

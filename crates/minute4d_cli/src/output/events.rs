@@ -71,7 +71,7 @@ impl Events {
                 (done, now)
             }
         };
-        let eta_s = super::lines::eta_s(
+        let eta_s = super::terminal::eta_s(
             (now - started).as_secs_f64(),
             done.saturating_sub(first_done),
             total.saturating_sub(done),

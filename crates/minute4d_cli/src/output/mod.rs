@@ -1,7 +1,6 @@
 //! Output of the program: the result on stdout and messages on stderr, or events as JSON lines.
 
 mod events;
-mod lines;
 mod stop;
 mod terminal;
 
@@ -9,12 +8,11 @@ pub use stop::{StopSignal, stop_at_eof, watch_signals};
 
 use events::Events;
 pub use events::end_of_json;
-use lines::Lines;
 use minute4d::{Observer, Progress, StageEvent};
 use serde_json::Value;
 use std::io::{ErrorKind, IsTerminal, Write};
 use std::sync::{Arc, Mutex, PoisonError};
-use terminal::Bars;
+use terminal::{Bars, Lines};
 
 /// The destination of progress.
 enum Mode {

@@ -1,8 +1,9 @@
-//! Progress on a terminal: one bar for the current phase.
+//! Progress: one bar for the current phase on a terminal, else one line every ten seconds.
 
+use super::duration;
 use indicatif::{ProgressBar, ProgressStyle};
 use std::sync::{Mutex, PoisonError};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// The bar of the current phase.
 #[derive(Default)]
@@ -53,4 +54,93 @@ fn style() -> ProgressStyle {
     ProgressStyle::with_template("{prefix:>12} [{bar:28}] {pos}/{len}  {elapsed} elapsed, {eta} left  {wide_msg}")
         .unwrap_or_else(|_| ProgressStyle::default_bar())
         .progress_chars("=> ")
+}
+
+const INTERVAL: Duration = Duration::from_secs(10);
+
+struct Phase {
+    name: String,
+    started: Instant,
+    first_done: usize,
+    last_line: Instant,
+}
+
+/// Decides which steps are printed.
+#[derive(Default)]
+pub struct Lines(Mutex<Option<Phase>>);
+
+impl Lines {
+    /// Returns the line to print for this step, if ten seconds have passed since the last.
+    pub fn update(&self, phase: &str, done: usize, total: usize, note: &str) -> Option<String> {
+        self.at(Instant::now(), phase, done, total, note)
+    }
+
+    fn at(&self, now: Instant, phase: &str, done: usize, total: usize, note: &str) -> Option<String> {
+        let mut current = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let same = current.as_ref().is_some_and(|p| p.name == phase);
+        if !same {
+            let last_line = current.as_ref().map_or(now, |p| p.last_line);
+            *current = Some(Phase {
+                name: phase.to_owned(),
+                started: now,
+                first_done: done,
+                last_line,
+            });
+        }
+        let entry = current.as_mut()?;
+        if now.saturating_duration_since(entry.last_line) < INTERVAL {
+            return None;
+        }
+        entry.last_line = now;
+        let percent = (100 * done).checked_div(total).unwrap_or(0);
+        let mut line = format!("{phase}: {done}/{total} ({percent} %)");
+        let elapsed_s = now.saturating_duration_since(entry.started).as_secs_f64();
+        if let Some(eta) = eta_s(
+            elapsed_s,
+            done.saturating_sub(entry.first_done),
+            total.saturating_sub(done),
+        ) {
+            line += &format!(", {} left", duration(eta));
+        }
+        if !note.is_empty() {
+            line += ", ";
+            line += note;
+        }
+        Some(line)
+    }
+}
+
+/// Estimates the seconds that `left` steps take if `done` took `elapsed_s`; `None` before the first.
+pub fn eta_s(elapsed_s: f64, done: usize, left: usize) -> Option<f64> {
+    (done > 0).then(|| elapsed_s / done as f64 * left as f64)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::Lines;
+    use std::time::{Duration, Instant};
+
+    #[test]
+    fn progress_prints_every_ten_seconds_with_the_remaining_time() {
+        let (lines, start) = (Lines::default(), Instant::now());
+        let at = |s: u64, done| lines.at(start + Duration::from_secs(s), "train", done, 100, "loss 0.1");
+        assert_eq!(at(0, 0), None);
+        assert_eq!(at(9, 9), None);
+        assert_eq!(
+            at(10, 10).as_deref(),
+            Some("train: 10/100 (10 %), 1m30s left, loss 0.1")
+        );
+        assert_eq!(at(19, 20), None);
+        assert!(at(20, 50).is_some_and(|l| l.contains("50/100 (50 %), 20.0 s left")));
+    }
+
+    #[test]
+    fn short_phases_do_not_flood_the_log() {
+        let (lines, start) = (Lines::default(), Instant::now());
+        let printed = (0..100u64).filter(|&s| {
+            let phase = format!("phase {s}");
+            lines.at(start + Duration::from_secs(s), &phase, 1, 1, "").is_some()
+        });
+        assert_eq!(printed.count(), 9);
+    }
 }

@@ -2,6 +2,7 @@
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
 pub mod clips;
+pub mod data_sets;
 
 use minute4d::Silent;
 use minute4d::core::{Camera, Capture, CaptureFrame, Intrinsics, Plane, RgbImage, Se3, nalgebra::Vector6};
@@ -75,27 +76,10 @@ impl Ended {
     }
 }
 
-/// Calls the program.
-pub fn call(args: &[&str]) -> Ended {
-    Ended::of(program().args(args).output().unwrap())
-}
-
-/// Calls the program and expects success.
-pub fn succeed(args: &[&str]) -> Ended {
-    let ended = call(args);
-    assert_eq!(ended.code, 0, "{args:?}\n{}\n{}", ended.stdout, ended.stderr);
-    ended
-}
-
-/// Calls the program and expects it to refuse with that code and these words, on stderr and as events.
-pub fn refused(args: &[&str], code: i32, words: &[&str]) {
-    refused_with(args, &[], code, words);
-}
-
-/// As [`refused`], with environment variables.
-pub fn refused_with(args: &[&str], env: &[(&str, &str)], code: i32, words: &[&str]) {
-    let args: Vec<&str> = args.iter().copied().chain(["--json"]).collect();
-    let ended = Ended::of(program().args(&args).envs(env.iter().copied()).output().unwrap());
+/// Expects a call of the program to be refused with that code and these words, on stderr and as events.
+fn check_refusal(command: &mut Command, code: i32, words: &[&str]) {
+    let ended = Ended::of(command.output().unwrap());
+    let args: Vec<_> = command.get_args().collect();
     assert_eq!(ended.code, code, "{args:?}\n{}\n{}", ended.stdout, ended.stderr);
     let end = ended.end();
     let reason = end["reason"].as_str().unwrap();
@@ -146,6 +130,67 @@ impl Scratch {
     /// A path as text, for arguments.
     pub fn at(&self, name: &str) -> String {
         text(&self.path(name)).to_owned()
+    }
+
+    /// The program with arguments as they are typed, started in this folder: words with spaces between them; what stands in single
+    /// quotes is one word.
+    pub fn command(&self, line: &str) -> Command {
+        let mut command = program();
+        command.current_dir(self.0.path());
+        for (i, part) in line.split('\'').enumerate() {
+            match i % 2 {
+                0 => command.args(part.split_whitespace()),
+                _ => command.arg(part),
+            };
+        }
+        command
+    }
+
+    /// Calls the program as typed.
+    pub fn call(&self, line: &str) -> Ended {
+        Ended::of(self.command(line).output().unwrap())
+    }
+
+    /// Calls the program as typed and expects success.
+    pub fn succeed(&self, line: &str) -> Ended {
+        let ended = self.call(line);
+        assert_eq!(ended.code, 0, "{line}\n{}\n{}", ended.stdout, ended.stderr);
+        ended
+    }
+
+    /// Calls the program as typed and expects it to refuse with that code and these words, on stderr and as events.
+    pub fn refused(&self, line: &str, code: i32, words: &[&str]) {
+        self.refused_with(line, &[], code, words);
+    }
+
+    /// As [`Self::refused`], with environment variables.
+    pub fn refused_with(&self, line: &str, env: &[(&str, &str)], code: i32, words: &[&str]) {
+        let mut command = self.command(line);
+        check_refusal(command.arg("--json").envs(env.iter().copied()), code, words);
+    }
+
+    /// The JSON file of that name.
+    pub fn json(&self, name: &str) -> Value {
+        serde_json::from_slice(&std::fs::read(self.path(name)).unwrap()).unwrap()
+    }
+
+    /// The contents of a file.
+    pub fn read(&self, name: &str) -> Vec<u8> {
+        std::fs::read(self.path(name)).unwrap()
+    }
+
+    /// The number of files in a folder.
+    pub fn count(&self, name: &str) -> usize {
+        std::fs::read_dir(self.path(name)).unwrap().count()
+    }
+
+    /// Makes the program `bin/NAME` of a script. By another process: one that is forked here meanwhile would hold it open for
+    /// writing.
+    #[cfg(target_os = "linux")]
+    pub fn install(&self, name: &str, body: &str) {
+        let text = self.write(&format!("{name}.txt"), format!("#!/bin/sh\n{body}\n"));
+        let install = ["-D", "-m", "755", &text, &self.at(&format!("bin/{name}"))];
+        assert!(Command::new("install").args(install).status().unwrap().success());
     }
 
     pub fn write(&self, name: &str, bytes: impl AsRef<[u8]>) -> String {
@@ -285,11 +330,4 @@ pub fn write_images(folder: &Path, n: usize) {
     for frame in capture_of((128, 96), n, false).frames {
         write_rgb(&folder.join(format!("{}.png", frame.name)), &frame.rgb).unwrap();
     }
-}
-
-/// Trains quickly.
-pub fn train(capture: &str, out: &str, iterations: &str, more: &[&str]) -> Ended {
-    let args = ["train", capture, "-o", out, "--iterations", iterations];
-    let args: Vec<&str> = args.iter().chain(more).copied().collect();
-    call(&args)
 }

@@ -9,15 +9,14 @@
 //! variances are of a sample (`n / (n - 1)` times as large): [`SsimKind`]. They differ in the second decimal, so a figure without its
 //! flavour says little.
 
-mod partial;
 mod window;
+
+pub use window::{SSIM_SIGMA_PX, SSIM_WINDOW_PX};
 
 use super::{ImageError, PlanarImage, same_size};
 use m4_core::{Mask, Plane};
 use serde::{Deserialize, Serialize};
 use window::Window;
-
-pub use window::{SSIM_SIGMA_PX, SSIM_WINDOW_PX};
 
 const C1: f64 = 0.01 * 0.01;
 const C2: f64 = 0.03 * 0.03;
@@ -143,7 +142,7 @@ pub fn ssim_map_of(
         let mean = |f: &dyn Fn(f64, f64) -> f64| {
             let values: Vec<f64> = a.iter().zip(b).map(|(&a, &b)| f(f64::from(a), f64::from(b))).collect();
             match kind {
-                SsimKind::DycheckMasked => partial::filtered(&values, mask, width, height, &window),
+                SsimKind::DycheckMasked => filtered(&values, mask, width, height, &window),
                 _ => window.filtered(&values, width, height),
             }
         };
@@ -152,7 +151,7 @@ pub fn ssim_map_of(
         for i in 0..sum.len() {
             let spread = [aa[i] - ma[i] * ma[i], bb[i] - mb[i] * mb[i], ab[i] - ma[i] * mb[i]];
             let [va, vb, cov] = match kind {
-                SsimKind::DycheckMasked => partial::possible(spread),
+                SsimKind::DycheckMasked => possible(spread),
                 _ => spread.map(|v| v * window.unbias()),
             };
             let means = (2.0 * ma[i] * mb[i] + C1) / (ma[i] * ma[i] + mb[i] * mb[i] + C1);
@@ -181,6 +180,53 @@ pub fn ssim(
         Some(mask) if kind == SsimKind::DycheckMasked => mask.data().iter().any(|&m| m != 0).then(|| map.mean()),
         Some(mask) => map.mean_inside(mask),
     })
+}
+
+/// Weighted means of those `values` `[height][width]` that are in `mask` (all of them without one), where the window lies wholly
+/// inside: along rows, then along columns. Each sum is multiplied by the number of taps over how many of them are in the mask,
+/// *not* by the weights that are; 0 where none is. After the first pass a place is in the mask if any of its taps was.
+pub(crate) fn filtered(values: &[f64], mask: Option<&Mask>, width: usize, height: usize, window: &Window) -> Vec<f64> {
+    let (out_w, out_h) = (width + 1 - window.side(), height + 1 - window.side());
+    let kept: Vec<bool> = match mask {
+        Some(mask) => mask.data().iter().map(|&m| m != 0).collect(),
+        None => vec![true; values.len()],
+    };
+    let (mut rows, mut rows_kept) = (vec![0.0; out_w * height], vec![false; out_w * height]);
+    for y in 0..height {
+        for x in 0..out_w {
+            let taps = y * width + x..y * width + x + window.side();
+            (rows[y * out_w + x], rows_kept[y * out_w + x]) = mean(taps.map(|i| (values[i], kept[i])), window);
+        }
+    }
+    let mut out = vec![0.0; out_w * out_h];
+    for y in 0..out_h {
+        for x in 0..out_w {
+            let taps = (y..y + window.side()).map(|y| y * out_w + x);
+            (out[y * out_w + x], _) = mean(taps.map(|i| (rows[i], rows_kept[i])), window);
+        }
+    }
+    out
+}
+
+/// The renormalised sum, and whether anything was in the mask.
+fn mean(values: impl Iterator<Item = (f64, bool)>, window: &Window) -> (f64, bool) {
+    let (mut sum, mut count) = (0.0, 0usize);
+    for ((value, kept), weight) in values.zip(window.taps()) {
+        if kept {
+            sum += weight * value;
+            count += 1;
+        }
+    }
+    if count == 0 {
+        return (0.0, false);
+    }
+    (sum * window.side() as f64 / count as f64, true)
+}
+
+/// Variances and covariance as they can be: renormalised means of squares need not be above the squares of means.
+pub(crate) fn possible([va, vb, cov]: [f64; 3]) -> [f64; 3] {
+    let (va, vb) = (va.max(0.0), vb.max(0.0));
+    [va, vb, cov.abs().min((va * vb).sqrt()).copysign(cov)]
 }
 
 #[cfg(test)]

@@ -2,12 +2,11 @@
 
 use super::{JobEnd, Tools, index_of_environment, run_job};
 use crate::batch::child::Watch;
+use crate::batch::layout::Outcome;
 use crate::batch::manifest::{Arguments, Job, Manifest};
-use crate::batch::record::Outcome;
-use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
-use std::thread;
+use std::{fs, thread};
 
 /// A batch in a folder that is removed with the test.
 struct Batch {

@@ -2,10 +2,9 @@
 
 use super::{Present, Published, bring, check, mark, present, publish, recover, swap};
 use crate::batch::layout::Layout;
-use std::fs;
 use std::path::Path;
 use std::sync::Barrier;
-use std::thread;
+use std::{fs, thread};
 
 fn write_run(folder: &Path, scene: &str, status: &str) {
     fs::create_dir_all(folder.join("capture")).unwrap();

@@ -5,10 +5,9 @@ mod page;
 pub use page::page;
 
 use crate::batch::error::BatchError;
-use crate::batch::layout::{Layout, RUN_FILE};
+use crate::batch::layout::{JobRecord, Layout, Outcome, RUN_FILE, read_json};
 use crate::batch::manifest::{Job, Manifest};
 use crate::batch::publish::{Present, present};
-use crate::batch::record::{JobRecord, Outcome, read_json};
 use serde::Serialize;
 use serde_json::Value;
 use std::collections::BTreeMap;

@@ -8,10 +8,8 @@
 //! ([`Task`]): images of the *training* camera at moments that were held out, which is the table of the Minute4D and Instant4D
 //! papers, and images of *other* cameras, which is DyCheck's own test. The same scenes score 7 dB apart in the two.
 
-mod frames;
 mod rules;
 
-pub use frames::FrameRule;
 pub use rules::{LpipsRule, RefineRule, Rules, StartPose};
 
 use serde::{Deserialize, Serialize};
@@ -103,9 +101,85 @@ impl FromStr for Protocol {
     }
 }
 
+/// Which frames of a training video are held out.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case", tag = "rule")]
+pub enum FrameRule {
+    /// Frame `i`, counted from 0, where `(i + offset) mod every = 0`.
+    Every {
+        /// One of this many frames.
+        every: usize,
+        /// Added to the index first.
+        offset: usize,
+    },
+    /// All but `int(train_share * n)` frames that `numpy.linspace(0, n - 1, ..)` names, fractions cut off.
+    Linspace {
+        /// Share of the frames that train, 0..1.
+        train_share: f64,
+    },
+    /// The held-out views that the capture brings.
+    TestSplit,
+}
+
+impl FrameRule {
+    /// Indices of the held-out frames of a video of `frames`, ascending; `None` where the capture brings its views.
+    #[must_use]
+    pub fn held_out(self, frames: usize) -> Option<Vec<usize>> {
+        match self {
+            Self::Every { every, offset } => {
+                let every = every.max(1);
+                Some((0..frames).filter(|i| (i + offset).is_multiple_of(every)).collect())
+            }
+            Self::Linspace { train_share } => {
+                let train = linspace(frames, (frames as f64 * train_share) as usize);
+                // ascending, so each frame is looked for once
+                let mut next = train.into_iter().peekable();
+                let trains = |i: usize, next: &mut std::iter::Peekable<std::vec::IntoIter<usize>>| {
+                    let mut found = false;
+                    while next.next_if_eq(&i).is_some() {
+                        found = true;
+                    }
+                    found
+                };
+                Some((0..frames).filter(|&i| !trains(i, &mut next)).collect())
+            }
+            Self::TestSplit => None,
+        }
+    }
+
+    /// Description for reports.
+    #[must_use]
+    pub fn description(self) -> String {
+        match self {
+            Self::Every { every, offset: 0 } => format!("frame i of the training video where i mod {every} = 0"),
+            Self::Every { every, offset } => {
+                format!("frame i of the training video where (i + {offset}) mod {every} = 0")
+            }
+            Self::Linspace { train_share } => format!(
+                "frames of the training video that numpy.linspace(0, n - 1, int({train_share} n)) leaves out, fractions cut off"
+            ),
+            Self::TestSplit => "the held-out views that the data set brings".to_owned(),
+        }
+    }
+}
+
+/// `numpy.linspace(0, n - 1, count).astype(int)`: in doubles, `i * step`, the last one `n - 1` itself.
+fn linspace(n: usize, count: usize) -> Vec<usize> {
+    let last = n.saturating_sub(1);
+    match count {
+        0 => Vec::new(),
+        1 => vec![0],
+        _ => {
+            let step = last as f64 / (count - 1) as f64;
+            let inner = (0..count - 1).map(|i| (i as f64 * step) as usize);
+            inner.chain([last]).collect()
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
-    use super::{FrameRule, Protocol, Task};
+    use super::{FrameRule, Protocol, Task, linspace};
 
     #[test]
     fn names_are_read_back_and_tasks_follow_from_the_frames() {
@@ -121,5 +195,42 @@ mod tests {
             assert_eq!(novel, rules.task == Task::NovelViews, "{protocol}");
         }
         assert!("psnr".parse::<Protocol>().is_err());
+    }
+
+    fn held_out(protocol: Protocol, frames: usize) -> Vec<usize> {
+        protocol.rules().frames.held_out(frames).unwrap()
+    }
+
+    /// Expected values: numpy 2, `np.linspace(0, n - 1, int(n * 0.85)).astype(int)`.
+    #[test]
+    fn the_split_of_instant4d_is_that_of_numpy() {
+        assert_eq!(
+            linspace(20, 17),
+            [0, 1, 2, 3, 4, 5, 7, 8, 9, 10, 11, 13, 14, 15, 16, 17, 19]
+        );
+        assert_eq!(held_out(Protocol::Instant4d, 6), [4]);
+        assert_eq!(held_out(Protocol::Instant4d, 12), [5, 10]);
+        assert_eq!(held_out(Protocol::Instant4d, 13), [5, 11]);
+        assert_eq!(held_out(Protocol::Instant4d, 20), [6, 12, 18]);
+        assert_eq!(held_out(Protocol::Instant4d, 24), [5, 11, 17, 22]);
+        let of_72 = [6, 12, 19, 25, 32, 38, 45, 51, 58, 64, 70];
+        assert_eq!(held_out(Protocol::Instant4d, 72), of_72);
+        let of_475 = held_out(Protocol::Instant4d, 475);
+        assert_eq!((of_475.len(), of_475.iter().sum::<usize>()), (72, 17262));
+        assert!(held_out(Protocol::Instant4d, 0).is_empty());
+        // int(0.85) = 0 frames of a single one train
+        assert_eq!(held_out(Protocol::Instant4d, 1), [0]);
+    }
+
+    #[test]
+    fn every_so_many_is_counted_from_its_offset() {
+        assert_eq!(held_out(Protocol::Rodygs, 24), [4, 12, 20]);
+        assert_eq!(held_out(Protocol::Holdout, 17), [0, 8, 16]);
+        assert_eq!(held_out(Protocol::Davis, 12), [2, 6, 10]);
+        assert_eq!(Protocol::Dycheck.rules().frames.held_out(24), None);
+        let words = Protocol::Rodygs.rules().frames.description();
+        assert!(words.contains("(i + 4) mod 8 = 0"), "{words}");
+        let json = serde_json::to_string(&Protocol::Instant4d.rules().frames).unwrap();
+        assert_eq!(json, r#"{"rule":"linspace","train_share":0.85}"#);
     }
 }

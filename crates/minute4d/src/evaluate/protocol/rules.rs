@@ -72,60 +72,51 @@ pub struct Rules {
 
 const PER_CHANNEL: Metric = Metric::Psnr(PsnrKind::PerChannel);
 const ZERO_PADDED: Metric = Metric::Ssim(SsimKind::GaussianZeroPadded);
-const BOTH: &[LpipsRule] = &[LpipsRule::Alex, LpipsRule::Vgg];
 /// DyCheck's images at a factor of 2.
 const DYCHECK_2X: Option<[usize; 2]> = Some([360, 480]);
 
+/// What protocols have that hold frames out.
+const HELD_OUT: Rules = Rules {
+    protocol: Protocol::Holdout,
+    name: "holdout",
+    title: "every eighth frame of the training video held out",
+    task: Task::HeldOutFrames,
+    frames: FrameRule::Every { every: 8, offset: 0 },
+    size_px: None,
+    covisible: false,
+    whole: &[PER_CHANNEL, ZERO_PADDED],
+    inside: &[],
+    lpips: &[LpipsRule::Alex, LpipsRule::Vgg],
+    headline: None,
+    refine: None,
+    note: "the first frame is held out, so that the first moment is beyond what trained",
+};
+
 static TABLE: [Rules; 6] = [
-    Rules {
-        protocol: Protocol::Holdout,
-        name: "holdout",
-        title: "every eighth frame of the training video held out",
-        task: Task::HeldOutFrames,
-        frames: FrameRule::Every { every: 8, offset: 0 },
-        size_px: None,
-        covisible: false,
-        whole: &[PER_CHANNEL, ZERO_PADDED],
-        inside: &[],
-        lpips: BOTH,
-        headline: None,
-        refine: None,
-        note: "the first frame is held out, so that the first moment is beyond what trained",
-    },
+    HELD_OUT,
     Rules {
         protocol: Protocol::Instant4d,
         name: "instant4d",
         title: "15 % of the frames of DyCheck's camera 0 held out (Instant4D)",
-        task: Task::HeldOutFrames,
         frames: FrameRule::Linspace { train_share: 0.85 },
         size_px: DYCHECK_2X,
-        covisible: false,
-        whole: &[PER_CHANNEL, ZERO_PADDED],
-        inside: &[],
-        lpips: BOTH,
-        headline: None,
-        refine: None,
         note: "published numbers are the mean over channels of the PSNR of each, of images that were not clamped (psnr_per_channel_unclamped), \
                with poses of a MegaSaM that saw the held-out frames; that linspace cuts fractions off is assumed",
+        ..HELD_OUT
     },
     Rules {
         protocol: Protocol::Rodygs,
         name: "rodygs",
         title: "every eighth frame of DyCheck's camera 0 held out (RoDyGS)",
-        task: Task::HeldOutFrames,
         frames: FrameRule::Every { every: 8, offset: 4 },
         size_px: DYCHECK_2X,
-        covisible: false,
-        whole: &[PER_CHANNEL, ZERO_PADDED],
-        inside: &[],
-        lpips: BOTH,
-        headline: None,
         refine: Some(RefineRule {
             steps: 1000,
             lr: 5e-5,
             start: StartPose::NearestTraining,
         }),
         note: "RoDyGS estimates poses of the training frames alone and finds those of the held-out ones by refinement",
+        ..HELD_OUT
     },
     Rules {
         protocol: Protocol::Dycheck,
@@ -169,16 +160,9 @@ static TABLE: [Rules; 6] = [
         protocol: Protocol::Davis,
         name: "davis",
         title: "every fourth frame of a clip of DAVIS held out",
-        task: Task::HeldOutFrames,
         frames: FrameRule::Every { every: 4, offset: 2 },
-        size_px: None,
-        covisible: false,
-        whole: &[PER_CHANNEL, ZERO_PADDED],
-        inside: &[],
-        lpips: BOTH,
-        headline: None,
-        refine: None,
         note: "a substitute of this program: DAVIS has no other view, and the papers show images of it alone",
+        ..HELD_OUT
     },
 ];
 

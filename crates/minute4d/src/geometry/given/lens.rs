@@ -1,6 +1,7 @@
 //! Parses intrinsics from the command line or a JSON file.
 
-use super::{GivenError, same_shape};
+use super::same_shape;
+use crate::{Error, Refusal};
 use m4_core::Intrinsics;
 use serde::Deserialize;
 use std::fs;
@@ -37,16 +38,18 @@ pub fn numbers(text: &str) -> Option<Vec<f64>> {
 ///
 /// # Errors
 ///
-/// [`GivenError`] if it is incomplete, distorted, or of images of another shape.
-pub fn read(given: &str, size: (usize, usize)) -> Result<Intrinsics, GivenError> {
-    let bad = |reason: String| GivenError::Lens {
-        given: given.to_owned(),
-        reason,
+/// [`Error`] if it is incomplete, distorted, or of images of another shape.
+pub fn read(given: &str, size: (usize, usize)) -> Result<Intrinsics, Error> {
+    let bad = |reason: String| {
+        Refusal::bad_input(format!(
+            "the intrinsics {given:?} cannot be used: {reason}; give --intrinsics fx,fy,cx,cy in pixels of the frames, or a JSON file with \
+             fl_x, fl_y, cx, cy, w and h"
+        ))
     };
     let lens = match numbers(given) {
         Some(numbers) => of_numbers(&numbers, size).map_err(bad)?,
         None => {
-            let bytes = fs::read(given).map_err(|source| GivenError::Read {
+            let bytes = fs::read(given).map_err(|source| Error::Read {
                 path: given.into(),
                 source,
             })?;
@@ -56,14 +59,15 @@ pub fn read(given: &str, size: (usize, usize)) -> Result<Intrinsics, GivenError>
     };
     let positive = |f: f64| f.is_finite() && f > 0.0;
     if !positive(lens.fx) || !positive(lens.fy) {
-        return Err(bad(format!("focal lengths of {} and {} pixels", lens.fx, lens.fy)));
+        return Err(bad(format!("focal lengths of {} and {} pixels", lens.fx, lens.fy)).into());
     }
     let inside = |c: f64, side: usize| c > 0.0 && c < side as f64;
     if !inside(lens.cx, size.0) || !inside(lens.cy, size.1) {
         return Err(bad(format!(
             "its principal point {}, {} lies outside the frames of {} x {} pixels",
             lens.cx, lens.cy, size.0, size.1
-        )));
+        ))
+        .into());
     }
     Ok(lens)
 }

@@ -1,20 +1,18 @@
 //! Geometry that the user provides: intrinsics, poses, masks, depth; read, checked against the clip, and hashed.
 
-mod error;
-mod files;
 mod lens;
 mod poses;
 
-pub use error::GivenError;
-
 use super::GeometryOptions;
-use crate::{Error, hash};
-use files::Clip;
+use crate::{Category, Error, Refusal, hash};
 use m4_core::{Camera, DepthMap, Intrinsics, Mask, Plane, Video};
 use m4_io::image::{read_depth, read_mask, read_rgb};
+use m4_io::video::image_files;
 use rayon::prelude::*;
 use serde::Serialize;
-use std::path::Path;
+use std::collections::HashMap;
+use std::ffi::OsStr;
+use std::path::{Path, PathBuf};
 
 /// Metres a step of a depth map.
 const DEPTH_UNIT: f64 = 0.001;
@@ -42,8 +40,8 @@ impl Sources {
         let of = |option: &'static str, path: Option<&Path>| -> Result<Option<String>, Error> {
             let Some(path) = path else { return Ok(None) };
             if !path.exists() {
-                let path = path.to_path_buf();
-                return Err(GivenError::Missing { option, path }.into());
+                let message = format!("there is nothing at {}, which was given with {option}", path.display());
+                return Err(Refusal::new(Category::NoInput, message).into());
             }
             hash::of_path(path).map(Some)
         };
@@ -109,8 +107,8 @@ impl Given {
         if let (Some(depth), Some(path)) = (&depth, &options.depth)
             && !depth.iter().flat_map(|d| d.data()).any(|&z| z > 0.0)
         {
-            let path = path.clone();
-            return Err(GivenError::NoDepth { path }.into());
+            let message = format!("the depth maps in {} are 0 (unknown) everywhere", path.display());
+            return Err(Refusal::bad_input(message).into());
         }
         Ok(Self {
             lens,
@@ -145,18 +143,29 @@ fn each<T: Send>(
     size: impl Fn(&T) -> (usize, usize) + Sync,
 ) -> Result<Vec<T>, Error> {
     let files = clip.files(what, folder)?;
-    let one = |path: &std::path::PathBuf| {
+    let one = |path: &PathBuf| {
         let value = read(path)?;
         let found = size(&value);
         if !same_shape(found, clip.size) {
-            let (path, frame) = (path.clone(), clip.size);
-            return Err(GivenError::Size { path, found, frame }.into());
+            return Err(other_shape(path, found, clip.size).into());
         }
         Ok(value)
     };
     // The first in order that fails is the one that is named, whatever the number of threads.
     let all: Vec<Result<T, Error>> = files.par_iter().map(one).collect();
     all.into_iter().collect()
+}
+
+/// The refusal of an image of another shape than the frames.
+fn other_shape(path: &Path, found: (usize, usize), frame: (usize, usize)) -> Refusal {
+    Refusal::bad_input(format!(
+        "{} is {} x {} pixels and the frames are {} x {}: the aspect ratios differ",
+        path.display(),
+        found.0,
+        found.1,
+        frame.0,
+        frame.1
+    ))
 }
 
 /// True where both are the same image at some size.
@@ -177,6 +186,73 @@ fn mask(path: &Path) -> Result<Mask, Error> {
 fn depth(path: &Path) -> Result<DepthMap, Error> {
     let map: Plane<f32> = read_depth(path, DEPTH_UNIT)?.to_map();
     Ok(map)
+}
+
+/// A clip as far as files are to be found for its frames.
+pub struct Clip {
+    /// Number of frames.
+    pub frames: usize,
+    /// Their width and height.
+    pub size: (usize, usize),
+    /// Of a folder: all its images, and which of them the frames are.
+    source: Option<(Vec<PathBuf>, Vec<usize>)>,
+}
+
+impl Clip {
+    /// Of `video`, which was read from `input`.
+    pub fn of(input: &Path, video: &Video, folder_fps: f64) -> Result<Self, Error> {
+        let source = if input.is_dir() {
+            let index = |time_s: f64| (time_s * folder_fps).round() as usize;
+            let chosen = video.frames.iter().map(|f| index(f.time_s)).collect();
+            Some((image_files(input)?, chosen))
+        } else {
+            None
+        };
+        Ok(Self {
+            frames: video.frames.len(),
+            size: video.frames.first().map_or((0, 0), |f| f.rgb.size()),
+            source,
+        })
+    }
+
+    /// The file in `folder` for every frame: by the names of the frames where they have names, else by order.
+    pub fn files(&self, what: &'static str, folder: &Path) -> Result<Vec<PathBuf>, Error> {
+        if !folder.is_dir() {
+            let source = std::io::Error::new(std::io::ErrorKind::NotADirectory, "a folder was expected");
+            let path = folder.to_path_buf();
+            return Err(Error::Read { path, source });
+        }
+        let files = image_files(folder)?;
+        if let Some((all, chosen)) = &self.source {
+            let by_name: HashMap<&OsStr, &PathBuf> = files.iter().filter_map(|p| Some((p.file_stem()?, p))).collect();
+            let named = |&i: &usize| Some((*by_name.get(all.get(i)?.file_stem()?)?).clone());
+            if let Some(named) = chosen.iter().map(named).collect::<Option<Vec<_>>>() {
+                return Ok(named);
+            }
+        }
+        self.in_order(what, folder, files)
+    }
+
+    /// One of `items` a frame, by order: they are as many as the frames, or as the images that the frames were chosen
+    /// from.
+    pub fn in_order<T: Clone>(&self, what: &'static str, path: &Path, items: Vec<T>) -> Result<Vec<T>, Error> {
+        if items.len() == self.frames {
+            return Ok(items);
+        }
+        if let Some((all, chosen)) = &self.source
+            && items.len() == all.len()
+            && let Some(chosen) = chosen.iter().map(|&i| items.get(i).cloned()).collect()
+        {
+            return Ok(chosen);
+        }
+        Err(Refusal::bad_input(format!(
+            "{} has {} {what} for {} frames; give one per frame, in the order or with the names of the frames",
+            path.display(),
+            items.len(),
+            self.frames
+        ))
+        .into())
+    }
 }
 
 #[cfg(test)]

@@ -1,8 +1,7 @@
 //! Reads poses: `transforms.json` of our own captures and of nerfstudio, or a trajectory in the format of the TUM benchmark.
 
-use super::files::Clip;
-use super::{GivenError, same_shape};
-use crate::Error;
+use super::{Clip, other_shape, same_shape};
+use crate::{Error, Refusal};
 use m4_core::{Camera, Intrinsics, Se3};
 use m4_io::trajectory;
 use std::fs;
@@ -25,19 +24,23 @@ pub fn read(
         cameras.sort_by(|a, b| a.1.total_cmp(&b.1));
         cameras.into_iter().map(|(camera, _)| camera).collect()
     } else {
-        let text = fs::read_to_string(path).map_err(|source| GivenError::Read {
+        let text = fs::read_to_string(path).map_err(|source| Error::Read {
             path: path.to_path_buf(),
             source,
         })?;
-        let bad = |(line, what)| GivenError::Line {
-            path: path.to_path_buf(),
-            line,
-            what,
+        let bad = |(line, what): (usize, String)| {
+            Refusal::bad_input(format!(
+                "{}, line {line}: {what}; each line is `t tx ty tz qx qy qz qw`, camera to world",
+                path.display()
+            ))
         };
         let poses = trajectory_lines(&text).map_err(bad)?;
         let Some(intrinsics) = known else {
-            let path = path.to_path_buf();
-            return Err(GivenError::NoLens { path }.into());
+            return Err(Refusal::bad_input(format!(
+                "{} has poses without intrinsics; give --intrinsics, or --fov with the horizontal field of view",
+                path.display()
+            ))
+            .into());
         };
         poses.into_iter().map(|c2w| Camera { intrinsics, c2w }).collect()
     };
@@ -45,12 +48,7 @@ pub fn read(
     for camera in &mut cameras {
         let k = &camera.intrinsics;
         if lens.is_none() && !same_shape((k.width, k.height), clip.size) {
-            return Err(GivenError::Size {
-                path: path.to_path_buf(),
-                found: (k.width, k.height),
-                frame: clip.size,
-            }
-            .into());
+            return Err(other_shape(path, (k.width, k.height), clip.size).into());
         }
         camera.intrinsics = lens.unwrap_or_else(|| k.resized(clip.size.0, clip.size.1));
     }

@@ -1,9 +1,11 @@
 //! Bullet time: plays, freezes time while the camera moves around, and plays on.
 
-use super::shapes::side_rad;
-use super::{PathConfig, PathError, PathOptions, SourcePath, Stop};
+use super::{PathConfig, PathOptions, SourcePath, Stop};
+use crate::Refusal;
 use crate::render::Region;
-use crate::render::swing::orbit;
+use crate::render::swing::{figure_of_eight, orbit};
+use m4_core::nalgebra::{Matrix3, Vector3};
+use m4_core::{Camera, Se3};
 use std::f64::consts::TAU;
 
 /// When a bullet path does what; seconds.
@@ -25,8 +27,8 @@ impl Bullet {
     ///
     /// # Errors
     ///
-    /// [`PathError::TooShort`].
-    pub fn new(freeze_s: f64, source_s: f64, options: &PathOptions, config: &PathConfig) -> Result<Self, PathError> {
+    /// A refusal of a path that is over before time is frozen.
+    pub fn new(freeze_s: f64, source_s: f64, options: &PathOptions, config: &PathConfig) -> Result<Self, Refusal> {
         let all = [freeze_s, (source_s - freeze_s).max(0.0)];
         // Slowing down over e seconds covers e / 2 seconds of the source.
         let ease_s = all.map(|s| config.ease_s.min(2.0 * s).max(0.0));
@@ -44,10 +46,11 @@ impl Bullet {
             } else if short < 0.0 {
                 let least: f64 = ease_s.iter().sum::<f64>() * 0.5;
                 if kept < least {
-                    return Err(PathError::TooShort {
-                        seconds,
-                        hold_s: bullet.hold_s + 2.0 * least,
-                    });
+                    let hold_s = bullet.hold_s + 2.0 * least;
+                    return Err(Refusal::usage(format!(
+                        "--seconds {seconds} leaves no time besides the {hold_s} s for which time is frozen; choose more, or less with \
+                         --hold-s"
+                    )));
                 }
                 // Both sides give in proportion, but keep what the slowing down needs.
                 let spare = all.iter().zip(ease_s).map(|(a, e)| a - 0.5 * e).sum::<f64>();
@@ -111,5 +114,37 @@ fn eased(s: f64, ease_s: f64) -> f64 {
         s * s / (2.0 * ease_s)
     } else {
         s - 0.5 * ease_s
+    }
+}
+
+/// Greatest turn to either side that is good for the scene, radians, or what was asked for.
+pub fn side_rad(region: &Region, options: &PathOptions, config: &PathConfig) -> f64 {
+    let [least, most] = config.side_deg.map(f64::to_radians);
+    let good = (region.reach / region.distance).atan().clamp(least, most.max(least));
+    options.degrees.map_or(good, f64::to_radians) * options.amount.unwrap_or(1.0)
+}
+
+/// The swing at a share of its length: a figure of eight, twice.
+pub fn swing(region: &Region, share: f64, options: &PathOptions, config: &PathConfig) -> Camera {
+    let own = &config.swing;
+    let scale = options.amount.unwrap_or(1.0) * options.degrees.map_or(1.0, |d| d / own.side_deg);
+    let (side, up) = figure_of_eight(2.0 * TAU * share, own);
+    orbit(&region.stop.camera, &region.pivot(), side * scale, up * scale)
+}
+
+/// The pose at `centre` with `target` on its axis and `down` downwards, as far as it can be.
+pub fn looking(centre: Vector3<f64>, target: &Vector3<f64>, down: &Vector3<f64>) -> Se3<f64> {
+    let ahead = (target - centre).normalize();
+    let across = down.cross(&ahead);
+    // Straight up or down there is no side; any will do.
+    let across = if across.norm() > 1e-9 * down.norm() {
+        across.normalize()
+    } else {
+        let least = ahead.iamin();
+        Vector3::ith(least, 1.0).cross(&ahead).normalize()
+    };
+    Se3 {
+        rotation: Matrix3::from_columns(&[across, ahead.cross(&across), ahead]),
+        translation: centre,
     }
 }

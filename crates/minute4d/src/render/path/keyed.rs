@@ -1,6 +1,6 @@
 //! Interpolates cameras between the keyframes of a file.
 
-use super::shapes::looking;
+use super::bullet::looking;
 use super::{SourcePath, Stop};
 use crate::render::spline::{PoseSpline, Spline};
 use crate::render::{Moment, Span, TimeError};

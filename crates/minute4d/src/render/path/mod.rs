@@ -2,19 +2,18 @@
 
 mod bullet;
 mod keyed;
-mod shapes;
 mod source;
-mod stabilised;
 
 pub use source::SourcePath;
 
-use super::{Painter, PathConfig, PathError, PathOptions, Region, RenderJob, Span, TimePath, source_fps};
-use crate::Error;
+use super::options::unused;
+use super::{Painter, PathConfig, PathOptions, Region, RenderJob, Span, TimePath, source_fps};
+use crate::{Error, Refusal};
 use bullet::Bullet;
 use keyed::KeyedPath;
 use m4_core::{Camera, Exposure, Scene};
 use m4_io::trajectory::{self, Trajectory};
-use stabilised::Smoothing;
+use source::Smoothing;
 use std::fmt;
 use std::path::{Path, PathBuf};
 
@@ -94,7 +93,7 @@ impl CameraPath {
     ///
     /// # Errors
     ///
-    /// [`Error::Path`] for options that cannot work, [`Error::Time`] for moments outside the scene,
+    /// [`Error::Refused`] for options that cannot work, [`Error::Time`] for moments outside the scene,
     /// [`Error::Data`] for a file that cannot be used.
     pub fn plan(&self, scene: &Scene, painter: &mut Painter<'_>, job: &RenderJob) -> Result<Plan, Error> {
         job.options.check(self)?;
@@ -145,25 +144,23 @@ fn anchor(job: &RenderJob, span: &Span) -> Result<Option<f64>, Error> {
 }
 
 /// Images of an open path: one at both ends, if the rate meets them.
-fn open_frames(seconds: f64, fps: f64) -> Result<usize, PathError> {
+fn open_frames(seconds: f64, fps: f64) -> Result<usize, Refusal> {
     limited((seconds * fps + 1e-6).floor() + 1.0, seconds, fps)
 }
 
 /// Images of a path that is closed: the last is the one before the first.
-fn closed_frames(seconds: f64, fps: f64) -> Result<usize, PathError> {
+fn closed_frames(seconds: f64, fps: f64) -> Result<usize, Refusal> {
     limited((seconds * fps).round().max(1.0), seconds, fps)
 }
 
-fn limited(frames: f64, seconds: f64, fps: f64) -> Result<usize, PathError> {
+fn limited(frames: f64, seconds: f64, fps: f64) -> Result<usize, Refusal> {
     if frames <= MAX_FRAMES as f64 {
         Ok(frames as usize)
     } else {
-        Err(PathError::TooManyFrames {
-            seconds,
-            fps,
-            frames,
-            limit: MAX_FRAMES,
-        })
+        Err(Refusal::usage(format!(
+            "the path takes {seconds} s, which is {frames} images at {fps} per second; at most {MAX_FRAMES} are rendered, so choose fewer \
+             with --seconds or --fps"
+        )))
     }
 }
 
@@ -179,7 +176,7 @@ struct Maker<'a> {
 }
 
 impl Maker<'_> {
-    fn stops(&self, path: &CameraPath, painter: &mut Painter<'_>) -> Result<Vec<Stop>, PathError> {
+    fn stops(&self, path: &CameraPath, painter: &mut Painter<'_>) -> Result<Vec<Stop>, Refusal> {
         match path {
             // A file does not come here: it has no need of a maker.
             CameraPath::Train | CameraPath::File(_) => Ok(match self.options.at {
@@ -194,7 +191,7 @@ impl Maker<'_> {
     }
 
     /// From the first to the last frame of the source, or the one moment that is asked for.
-    fn along(&self, stop: impl Fn(f64) -> Stop) -> Result<Vec<Stop>, PathError> {
+    fn along(&self, stop: impl Fn(f64) -> Stop) -> Result<Vec<Stop>, Refusal> {
         if let (Some(t), Some(_)) = (self.at, self.options.at) {
             return Ok(vec![stop(t)]);
         }
@@ -207,7 +204,7 @@ impl Maker<'_> {
             .collect())
     }
 
-    fn stabilised(&self, painter: &mut Painter<'_>) -> Result<Vec<Stop>, PathError> {
+    fn stabilised(&self, painter: &mut Painter<'_>) -> Result<Vec<Stop>, Refusal> {
         let region = self.region(painter);
         let smoothing = Smoothing {
             sigma_s: self.options.smooth_s.unwrap_or(self.config.smooth_s),
@@ -215,7 +212,7 @@ impl Maker<'_> {
             stray: self.config.stray * region.distance,
             stray_rad: self.config.stray_deg.to_radians(),
         };
-        let smoothed = stabilised::stabilised(self.source, &smoothing);
+        let smoothed = source::stabilised(self.source, &smoothing);
         self.along(|t| {
             let mut stop = self.source.at(t);
             stop.camera.c2w = smoothed.at(t);
@@ -224,19 +221,19 @@ impl Maker<'_> {
     }
 
     /// About what one camera sees, in the moment of that camera.
-    fn swing(&self, painter: &mut Painter<'_>) -> Result<Vec<Stop>, PathError> {
+    fn swing(&self, painter: &mut Painter<'_>) -> Result<Vec<Stop>, Refusal> {
         let region = self.region(painter);
         let seconds = self.options.seconds.unwrap_or(self.config.seconds);
         let n = closed_frames(seconds, self.fps)?;
         let stops = (0..n).map(|i| Stop {
-            camera: shapes::swing(&region, i as f64 / n as f64, self.options, self.config),
+            camera: bullet::swing(&region, i as f64 / n as f64, self.options, self.config),
             t: region.stop.t,
             exposure: Exposure::IDENTITY,
         });
         Ok(stops.collect())
     }
 
-    fn bullet(&self, painter: &mut Painter<'_>) -> Result<Vec<Stop>, PathError> {
+    fn bullet(&self, painter: &mut Painter<'_>) -> Result<Vec<Stop>, Refusal> {
         let region = self.region(painter);
         let (first, _) = self.source.span();
         let freeze_s = (region.stop.t - first) / self.source.frames_per_s;
@@ -264,20 +261,16 @@ fn stop_of(frame: &m4_core::SourceFrame) -> Stop {
 
 fn file(path: &Path, scene: &Scene, job: &RenderJob) -> Result<Plan, Error> {
     if path.extension().is_none() && !path.exists() {
-        return Err(PathError::Unknown {
-            name: path.display().to_string(),
-        }
+        let (name, words) = (path.display().to_string(), WORDS.join(", "));
+        return Err(Refusal::usage(format!(
+            "there is no camera path {name:?}; write {words}, or the name of a file"
+        ))
         .into());
     }
     match trajectory::load(path, scene.time_frames)? {
         Trajectory::Listed(listed) => {
             if job.options.seconds.is_some() {
-                return Err(PathError::Unused {
-                    option: "--seconds",
-                    path: path.display().to_string(),
-                    known: &[],
-                }
-                .into());
+                return Err(unused("--seconds", &path.display().to_string(), &[]).into());
             }
             let stops = listed.into_iter().map(|(camera, t)| Stop {
                 camera,

@@ -1,9 +1,10 @@
 //! `minute4d batch plan`: writes clips and settings into a manifest.
 
-use super::super::settings::{print_config, settings};
-use crate::args::BatchPlan;
+use super::{absolute, hash};
 use crate::failure::Failure;
+use crate::options::{TrainingArgs, VideoArgs, print_config};
 use crate::output::{Output, duration};
+use clap::Args;
 use minute4d::Settings;
 use minute4d::batch::{Arguments, Plan, plan};
 use minute4d::io::atomic::AtomicFile;
@@ -12,25 +13,47 @@ use serde_json::json;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
+/// `minute4d batch plan`
+#[derive(Debug, Args)]
+pub struct BatchPlan {
+    /// Videos, folders, or @LIST, a text file with one of these per line
+    #[arg(required_unless_present = "print_config", value_name = "VIDEOS")]
+    pub given: Vec<String>,
+    /// The manifest to write
+    #[arg(short = 'o', value_name = "FILE", required_unless_present = "print_config")]
+    pub manifest: Option<PathBuf>,
+    /// Folder for the results, with one folder per clip in it
+    #[arg(long, value_name = "DIR", required_unless_present = "print_config")]
+    pub out: Option<PathBuf>,
+    /// Search folders recursively
+    #[arg(long)]
+    pub recursive: bool,
+    /// Replace an existing manifest
+    #[arg(long)]
+    pub force: bool,
+    /// The part of each video.
+    #[command(flatten)]
+    pub video: VideoArgs,
+    /// How to train.
+    #[command(flatten)]
+    pub training: TrainingArgs,
+}
+
 pub fn run(args: &BatchPlan, output: &Output) -> Result<(), Failure> {
-    let mut settings = settings(&args.settings, Some(&args.video), Some(&args.length))?;
-    args.without.apply(&mut settings);
-    settings.viewer.write &= !args.no_viewer;
-    if let Some(seconds) = args.time_limit {
-        settings.limit.time_s = seconds;
-    }
-    let (Some(manifest), Some(results), false) = (&args.manifest, &args.out, args.settings.print_config) else {
+    let mut settings = args.training.settings(Some(&args.video))?;
+    let (Some(manifest), Some(results), false) = (&args.manifest, &args.out, args.training.settings.print_config)
+    else {
         return print_config(&settings, output);
     };
     make_paths_absolute(&mut settings)?;
-    args.device.request()?;
+    args.training.device.request()?;
     let results = absolute(results)?;
     let planned = plan(&Plan {
         given: &args.given,
         recursive: args.recursive,
         results: &results,
         run: arguments(args, &settings, manifest)?,
-        hash: &super::hash,
+        hash: &hash,
     })?;
     planned.write(manifest, args.force)?;
     let training = settings.train.budget_s.max(0.0) * planned.jobs.len() as f64;
@@ -74,12 +97,12 @@ fn arguments(args: &BatchPlan, settings: &Settings, manifest: &Path) -> Result<A
         }
         .into());
     }
-    let mut arguments = vec!["--device".to_owned(), args.device.device.to_string()];
-    if let Some(mb) = args.device.max_vram {
+    let mut arguments = vec!["--device".to_owned(), args.training.device.device.to_string()];
+    if let Some(mb) = args.training.device.max_vram {
         arguments.extend(["--max-vram".to_owned(), mb.to_string()]);
     }
     // Not part of the settings: the user who plans grants this permission, a file cannot.
-    if args.reach.allow_outside {
+    if args.training.reach.allow_outside {
         arguments.push("--allow-outside".to_owned());
     }
     Ok(Arguments {
@@ -102,15 +125,4 @@ fn make_paths_absolute(settings: &mut Settings) -> Result<(), Failure> {
         *lens = absolute(Path::new(lens))?.display().to_string();
     }
     Ok(())
-}
-
-/// Returns the absolute path.
-fn absolute(path: &Path) -> Result<PathBuf, Failure> {
-    std::path::absolute(path).map_err(|source| {
-        minute4d::Error::Read {
-            path: path.to_path_buf(),
-            source,
-        }
-        .into()
-    })
 }

@@ -1,12 +1,30 @@
 //! `minute4d batch run`: runs one job of a manifest.
 
-use crate::args::{BatchRun, Common};
+use super::hash;
+use crate::cli::Common;
+use crate::commands::program;
 use crate::failure::Failure;
 use crate::output::{Output, duration};
+use clap::Args;
 use minute4d::batch::{BatchError, JobEnd, Manifest, Outcome, Tools, Watch, index_of_environment, run_job};
 use minute4d::{Category, Progress};
 use serde_json::json;
+use std::path::PathBuf;
 use sysinfo::System;
+
+/// `minute4d batch run`
+#[derive(Debug, Args)]
+pub struct BatchRun {
+    /// The manifest
+    #[arg(long, value_name = "FILE")]
+    pub manifest: PathBuf,
+    /// Index of the job, counted from 0 [default: SLURM_ARRAY_TASK_ID or JOB_COMPLETION_INDEX, whichever is set first]
+    #[arg(long, value_name = "N")]
+    pub index: Option<usize>,
+    /// Run the job again even if it failed permanently
+    #[arg(long)]
+    pub retry_failed: bool,
+}
 
 pub fn run(args: &BatchRun, common: &Common, output: &Output) -> Result<(), Failure> {
     output.stop().of_an_engine();
@@ -21,15 +39,12 @@ pub fn run(args: &BatchRun, common: &Common, output: &Output) -> Result<(), Fail
             "no job index: pass --index from 0 to {last}; a scheduler starts one process per job (docs/batch.md)"
         )));
     };
-    let program = std::env::current_exe().map_err(|e| minute4d::Error::Internal {
-        what: format!("the path of this program is unknown: {e}"),
-    })?;
     let tools = Tools {
-        program,
+        program: program()?,
         arguments: common
             .threads
             .map_or_else(Vec::new, |n| vec!["--threads".to_owned(), n.to_string()]),
-        hash: &super::hash,
+        hash: &hash,
         host: System::host_name().unwrap_or_else(|_| "unknown".to_owned()),
     };
     let end = run_job(&manifest, index, args.retry_failed, &tools, &JobProgress(output)).map_err(batch_failure)?;

@@ -1,0 +1,332 @@
+//! Readers of data sets: one row for each file that a format parses, in an otherwise valid clip, and for each file of depth, masks or
+//! tracks that accompanies a clip.
+
+use super::{alone, among, within};
+use crate::files::{Wrap, copy, fixture, fixture_bytes};
+use crate::reader::{Around, Outcome, Reader};
+use crate::valid;
+use m4_core::Silent;
+use m4_io::dataset::SourceFormat::{self, Colmap, Dycheck, Megasam, Nerfstudio, Nvidia, Record3d, Vipe};
+use m4_io::dataset::side::depth::{decode_exr, decode_pfm, read_depth};
+use m4_io::dataset::side::mask::read_mask;
+use m4_io::dataset::{ImportOptions, davis};
+use m4_io::reach::Reach;
+use m4_io::video::VideoOptions;
+use std::path::{Path, PathBuf};
+
+/// Reads a clip, and detects its format.
+fn clip(path: &Path, format: SourceFormat, options: &ImportOptions) -> Outcome {
+    let _ = m4_io::dataset::detect(path);
+    Outcome::of(m4_io::dataset::read(path, format, options, &Silent), |found| {
+        valid::capture(&found.train).or_else(|| found.test.as_ref().and_then(valid::capture))
+    })
+}
+
+/// A file of a fixture.
+fn plain(name: &'static str, format: SourceFormat, source: &str, file: &str) -> Reader {
+    let reader = among(name, &format!("import/{source}"), file, move |p| {
+        clip(p, format, &ImportOptions::default())
+    });
+    let wrap = if file.ends_with(".png") { Wrap::Png } else { Wrap::Plain };
+    Reader { wrap, ..reader }
+}
+
+/// A file of a fixture whose images lie elsewhere.
+fn with_images(name: &'static str, format: SourceFormat, source: &str, file: &str) -> Reader {
+    let options = ImportOptions {
+        images: Some(fixture("import/clip/images")),
+        ..ImportOptions::default()
+    };
+    among(name, &format!("import/{source}"), file, move |p| {
+        clip(p, format, &options)
+    })
+}
+
+/// A member of an archive of a fixture.
+fn member(name: &'static str, format: SourceFormat, source: &str, file: &str, inside: &'static str) -> Reader {
+    within(name, inside, plain(name, format, source, file))
+}
+
+pub fn rows() -> Vec<Reader> {
+    [
+        cameras_of_tools(),
+        archives_of_tools(),
+        megasam(),
+        phones(),
+        data_sets(),
+        side_files(),
+    ]
+    .into_iter()
+    .flatten()
+    .collect()
+}
+
+fn cameras_of_tools() -> Vec<Reader> {
+    vec![
+        with_images(
+            "import-colmap-cameras-txt",
+            Colmap,
+            "colmap_text",
+            "sparse/0/cameras.txt",
+        ),
+        with_images("import-colmap-images-txt", Colmap, "colmap_text", "sparse/0/images.txt"),
+        with_images(
+            "import-colmap-cameras-bin",
+            Colmap,
+            "colmap_binary",
+            "sparse/0/cameras.bin",
+        ),
+        with_images(
+            "import-colmap-images-bin",
+            Colmap,
+            "colmap_binary",
+            "sparse/0/images.bin",
+        ),
+        plain("import-colmap-opencv", Colmap, "colmap_opencv", "sparse/0/cameras.txt"),
+        plain(
+            "import-colmap-fisheye",
+            Colmap,
+            "colmap_fisheye",
+            "sparse/0/cameras.bin",
+        ),
+        plain("import-nerfstudio", Nerfstudio, "nerfstudio", "transforms.json"),
+        plain("import-nerfstudio-depth", Nerfstudio, "nerfstudio", "depth/2.png"),
+        plain("import-nerfstudio-mask", Nerfstudio, "nerfstudio", "masks/2.png"),
+        plain(
+            "import-nerfstudio-image",
+            Nerfstudio,
+            "nerfstudio",
+            "images/frame_2.jpg",
+        ),
+        beside_clip("import-instant4d", "transforms.json"),
+        beside_clip("import-instant4d-depth", "depth_2.npy"),
+    ]
+}
+
+/// The same with the images that its list names beside it.
+fn beside_clip(name: &'static str, file: &str) -> Reader {
+    let options = ImportOptions {
+        reach: Reach::Anywhere,
+        ..ImportOptions::default()
+    };
+    let reader = among(name, "import/instant4d", file, move |p| clip(p, Nerfstudio, &options));
+    let Around::Fixtures(mut all) = reader.around else {
+        panic!("{} is among no fixtures", reader.name)
+    };
+    all.push(("import/clip".to_owned(), "clip".to_owned()));
+    Reader {
+        around: Around::Fixtures(all),
+        ..reader
+    }
+}
+
+fn megasam() -> Vec<Reader> {
+    let read = |p: &Path| clip(p, Megasam, &ImportOptions::default());
+    let droid = |name| among(name, "megasam/outputs/dog_droid.npz", "", read);
+    let of_folder = |name, file| among(name, "megasam/reconstructions/dog", file, read);
+    vec![
+        droid("import-megasam"),
+        within("import-megasam-images", "images.npy", droid("")),
+        within("import-megasam-depths", "depths.npy", droid("")),
+        within("import-megasam-intrinsic", "intrinsic.npy", droid("")),
+        within("import-megasam-poses", "cam_c2w.npy", droid("")),
+        among("import-megasam-cvd", "megasam/outputs_cvd/dog_sgd_cvd_hr.npz", "", read),
+        of_folder("import-megasam-folder-images", "images.npy"),
+        of_folder("import-megasam-folder-disps", "disps.npy"),
+        of_folder("import-megasam-folder-poses", "poses.npy"),
+        of_folder("import-megasam-folder-intrinsics", "intrinsics.npy"),
+        of_folder("import-megasam-folder-motion", "motion_prob.npy"),
+    ]
+}
+
+fn archives_of_tools() -> Vec<Reader> {
+    vec![
+        plain("import-vipe-pose", Vipe, "vipe", "pose/dog.npz"),
+        member("import-vipe-pose-data", Vipe, "vipe", "pose/dog.npz", "data.npy"),
+        member("import-vipe-pose-inds", Vipe, "vipe", "pose/dog.npz", "inds.npy"),
+        plain("import-vipe-lens", Vipe, "vipe", "intrinsics/dog.npz"),
+        member("import-vipe-lens-data", Vipe, "vipe", "intrinsics/dog.npz", "data.npy"),
+        plain("import-vipe-camera", Vipe, "vipe", "intrinsics/dog_camera.txt"),
+        plain("import-vipe-depth", Vipe, "vipe", "depth/dog.zip"),
+        member("import-vipe-depth-exr", Vipe, "vipe", "depth/dog.zip", "00002.exr"),
+        plain("import-vipe-mask", Vipe, "vipe", "mask/dog.zip"),
+        member("import-vipe-mask-png", Vipe, "vipe", "mask/dog.zip", "00002.png"),
+        plain("import-vipe-names", Vipe, "vipe", "mask/dog.txt"),
+        plain("import-vipe-video", Vipe, "vipe", "rgb/dog.mp4"),
+    ]
+}
+
+fn phones() -> Vec<Reader> {
+    vec![
+        plain("import-record3d", Record3d, "record3d/clip.r3d", ""),
+        member(
+            "import-record3d-metadata",
+            Record3d,
+            "record3d/clip.r3d",
+            "",
+            "metadata",
+        ),
+        member(
+            "import-record3d-depth",
+            Record3d,
+            "record3d/clip.r3d",
+            "",
+            "rgbd/1.depth",
+        ),
+        member(
+            "import-record3d-confidence",
+            Record3d,
+            "record3d/clip.r3d",
+            "",
+            "rgbd/1.conf",
+        ),
+        member("import-record3d-image", Record3d, "record3d/clip.r3d", "", "rgbd/1.jpg"),
+        member(
+            "import-record3d-large",
+            Record3d,
+            "record3d/large.r3d",
+            "",
+            "rgbd/0.depth",
+        ),
+    ]
+}
+
+/// The same where `dataset.json` and `metadata.json` say which frames there are, as in scenes of Nerfies.
+fn without_splits(reader: Reader) -> Reader {
+    Reader {
+        around: Around::Made(|here| {
+            let to = here.join("dycheck");
+            let copied = copy(&fixture("import/dycheck"), &to);
+            let gone = copied.and_then(|()| std::fs::remove_dir_all(to.join("splits")));
+            gone.unwrap_or_else(|e| panic!("a copy of import/dycheck: {e}"));
+        }),
+        ..reader
+    }
+}
+
+fn data_sets() -> Vec<Reader> {
+    let annotation = among(
+        "import-davis-annotation",
+        "import/davis",
+        "Annotations/480p/ball/00001.png",
+        |p| {
+            let folder = p.join("JPEGImages/480p/ball");
+            let read = davis::read_clip(&folder, &VideoOptions::default(), &Silent);
+            Outcome::of(read, |clip| valid::video(&clip.video))
+        },
+    );
+    vec![
+        without_splits(plain("import-dycheck-dataset", Dycheck, "dycheck", "dataset.json")),
+        without_splits(plain("import-dycheck-metadata", Dycheck, "dycheck", "metadata.json")),
+        plain("import-dycheck-scene", Dycheck, "dycheck", "scene.json"),
+        plain("import-dycheck-extra", Dycheck, "dycheck", "extra.json"),
+        plain("import-dycheck-split", Dycheck, "dycheck", "splits/train.json"),
+        plain("import-dycheck-camera", Dycheck, "dycheck", "camera/0_00001.json"),
+        plain("import-dycheck-depth", Dycheck, "dycheck", "depth/2x/0_00001.npy"),
+        plain("import-nvidia-poses", Nvidia, "nvidia", "poses_bounds.npy"),
+        plain("import-nvidia-disparity", Nvidia, "nvidia", "disp/001.npy"),
+        plain("import-nvidia-mask", Nvidia, "nvidia", "motion_masks/001.png"),
+        Reader {
+            wrap: Wrap::Png,
+            ..annotation
+        },
+    ]
+}
+
+/// A valid clip with side files.
+fn beside(change: impl FnOnce(&mut ImportOptions)) -> Outcome {
+    let mut options = ImportOptions {
+        depth_unit: Some(0.0005),
+        ..ImportOptions::default()
+    };
+    change(&mut options);
+    clip(&fixture("import/record3d/clip.r3d"), Record3d, &options)
+}
+
+/// A file that `set` makes the depth, masks or tracks of the clip.
+fn given(name: &'static str, source: &str, file: &str, set: fn(&mut ImportOptions, PathBuf)) -> Reader {
+    among(name, &format!("import/side/{source}"), file, move |p| {
+        beside(|o| set(o, p.to_path_buf()))
+    })
+}
+
+fn tracks(options: &mut ImportOptions, path: PathBuf) {
+    options.tracks = Some(path);
+}
+
+fn depth(options: &mut ImportOptions, path: PathBuf) {
+    options.depth = Some(path);
+}
+
+fn masks(options: &mut ImportOptions, path: PathBuf) {
+    options.masks = Some(path);
+}
+
+fn contents(files: &'static [&'static str]) -> impl Fn() -> Vec<Vec<u8>> + Send + Sync {
+    move || {
+        files
+            .iter()
+            .map(|f| fixture_bytes(&format!("import/side/{f}")))
+            .collect()
+    }
+}
+
+fn one_map(path: &Path) -> Outcome {
+    Outcome::of(read_depth(path, 0.001), valid::depth)
+}
+
+fn side_files() -> Vec<Reader> {
+    let bytes = |p: &Path| std::fs::read(p).unwrap_or_default();
+    let exrs = &["depth_exr/frame9.exr", "depth_exr/frame10.exr", "exr_other/parts.exr"];
+    let pfms = &["depth_pfm/frame8.pfm", "depth_pfm/frame9.pfm"];
+    let pngs = &["masks_palette/frame8.png", "masks_png/frame8.png"];
+    let seen = |p: &Path| Outcome::of(read_mask(p, false), |_| None);
+    let jpegs = || vec![fixture_bytes("import/nerfstudio/images/frame_1.jpg")];
+    vec![
+        alone("side-exr", "a.exr", contents(exrs), move |p| {
+            Outcome::of(decode_exr(&bytes(p)), valid::map)
+        }),
+        alone("side-pfm", "a.pfm", contents(pfms), move |p| {
+            Outcome::of(decode_pfm(&bytes(p)), valid::map)
+        }),
+        alone(
+            "side-depth",
+            "a",
+            contents(&["depth_exr/frame9.exr", "depth_pfm/frame8.pfm", "depth_npy/frame8.npy"]),
+            one_map,
+        ),
+        Reader {
+            wrap: Wrap::Png,
+            ..alone("side-depth-png", "a.png", contents(&["depth_png/frame8.png"]), one_map)
+        },
+        given("side-depth-stack", "depth.npz", "", depth),
+        within(
+            "side-depth-stack-array",
+            "depths.npy",
+            given("", "depth.npz", "", depth),
+        ),
+        given("side-depth-folder", "depth_npy", "frame9.npy", depth),
+        Reader {
+            wrap: Wrap::Png,
+            ..alone("side-mask-png", "a.png", contents(pngs), seen)
+        },
+        alone("side-mask-jpeg", "a.jpg", jpegs, seen),
+        given("side-mask-stack", "masks.npz", "", masks),
+        within("side-mask-stack-array", "masks.npy", given("", "masks.npz", "", masks)),
+        given("side-tracks-tapip3d", "tapip3d.npz", "", tracks),
+        within("side-tracks-coords", "coords.npy", given("", "tapip3d.npz", "", tracks)),
+        within(
+            "side-tracks-cameras",
+            "extrinsics.npy",
+            given("", "tapip3d.npz", "", tracks),
+        ),
+        within("side-tracks-colours", "colors.npy", given("", "world.npz", "", tracks)),
+        given("side-tracks-cotracker", "cotracker.npz", "", tracks),
+        within(
+            "side-tracks-pixels",
+            "tracks.npy",
+            given("", "cotracker.npz", "", tracks),
+        ),
+        given("side-tracks-spatracker", "spatracker.npz", "", tracks),
+    ]
+}

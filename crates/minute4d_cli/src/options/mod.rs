@@ -1,0 +1,301 @@
+//! Options that several commands have.
+
+mod settings;
+mod values;
+
+pub use settings::{print_config, settings};
+pub use values::{choice, image_size, positive, rate, render_size, share, zoom};
+
+use crate::failure::Failure;
+use clap::Args;
+use clap::builder::TypedValueParser;
+use minute4d::device::{DeviceChoice, DeviceRequest};
+use minute4d::enhance::Tracker;
+use minute4d::geometry::{Frontend, Segmenter};
+use minute4d::io::reach::Reach;
+use minute4d::settings::{Enhancement, Preset, Profile};
+use minute4d::{Existing, Settings};
+use std::path::PathBuf;
+use values::{degrees, duration, seconds};
+
+/// The device for training.
+#[derive(Debug, Args)]
+pub struct DeviceArgs {
+    /// Device for training and networks: `cpu`, `gpu` (the best one), `gpu:N` (`minute4d doctor` lists them), or `auto` (a hardware
+    /// GPU if there is one, else the CPU)
+    #[arg(long, value_name = "DEVICE", default_value = "cpu")]
+    pub device: DeviceChoice,
+    /// Limit of GPU memory for training in megabytes: frames that do not fit are uploaded when needed; training that does not
+    /// fit without them is refused [default: unlimited]
+    #[arg(long, value_name = "MB", value_parser = clap::value_parser!(u32).range(1..))]
+    pub max_vram: Option<u32>,
+}
+
+impl DeviceArgs {
+    /// Returns the request in the library's type.
+    pub fn request(&self) -> Result<DeviceRequest, Failure> {
+        Ok(DeviceRequest {
+            choice: self.device,
+            max_vram_mb: vram_limit(self.device, self.max_vram)?,
+        })
+    }
+}
+
+/// Checks `--max-vram`, which applies to GPUs only; returns megabytes.
+pub fn vram_limit(device: DeviceChoice, max_vram: Option<u32>) -> Result<Option<usize>, Failure> {
+    if device == DeviceChoice::Cpu && max_vram.is_some() {
+        return Err(Failure::usage(
+            "--max-vram limits a GPU's memory; choose a GPU with --device gpu, or omit --max-vram",
+        ));
+    }
+    Ok(max_vram.map(|mb| mb as usize))
+}
+
+/// What may happen to an output folder that already exists.
+#[derive(Debug, Args)]
+pub struct OutArgs {
+    /// Continue an earlier run; finished stages are not repeated
+    #[arg(long, conflicts_with = "force")]
+    pub resume: bool,
+    /// Replace the results of an earlier run in the folder; other files are kept
+    #[arg(long)]
+    pub force: bool,
+}
+
+impl OutArgs {
+    /// Returns the choice in the library's type.
+    pub fn mode(&self) -> Existing {
+        match (self.resume, self.force) {
+            (true, _) => Existing::Resume,
+            (_, true) => Existing::Force,
+            _ => Existing::Refuse,
+        }
+    }
+}
+
+/// Which files a data set may refer to.
+#[derive(Debug, Args)]
+pub struct ReachArgs {
+    /// Also read images, depth, masks and tracks outside the folder of the data set, by path or by link. Only for data sets
+    /// that you trust: a malicious one could refer to private images on this machine
+    #[arg(long)]
+    pub allow_outside: bool,
+}
+
+impl ReachArgs {
+    /// Returns the choice in the library's type.
+    pub fn reach(&self) -> Reach {
+        if self.allow_outside {
+            Reach::Anywhere
+        } else {
+            Reach::Inside
+        }
+    }
+}
+
+/// The part of a video that is read, and how.
+#[derive(Debug, Args)]
+pub struct VideoArgs {
+    /// Maximum number of frames to train on, sampled evenly over the clip; geometry may use up to four times as many
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(2..))]
+    pub max_frames: Option<u32>,
+    /// Downscale frames so that their longest side is at most this many pixels
+    #[arg(long, value_name = "PX", value_parser = clap::value_parser!(u32).range(16..=8192))]
+    pub size: Option<u32>,
+    /// Start time in the clip, seconds
+    #[arg(long, value_name = "S", value_parser = seconds)]
+    pub start: Option<f64>,
+    /// End time in the clip, seconds
+    #[arg(long, value_name = "S", value_parser = seconds)]
+    pub end: Option<f64>,
+    /// Horizontal field of view of the camera in degrees, if known
+    #[arg(long, value_name = "DEG", value_parser = degrees)]
+    pub fov: Option<f64>,
+    /// Treat the camera as static; depth is then a placeholder
+    #[arg(long)]
+    pub static_camera: bool,
+    /// Front end, the methods for camera poses, optical flow and monocular depth: `auto`, or parts joined by `+`: `megasam` (poses, by a
+    /// network), `classical`, `raft` (flow), `moge`, `unidepth`, `depth-anything` (depth); all but `classical` need weights (`minute4d
+    /// weights list`) [default: auto]
+    #[arg(long, value_name = "WORD+WORD")]
+    pub frontend: Option<Frontend>,
+    /// Segmentation method [default: auto]
+    #[arg(long, value_parser = segmenters())]
+    pub segmenter: Option<Segmenter>,
+    /// Tracking method [default: auto]
+    #[arg(long, value_parser = trackers())]
+    pub tracker: Option<Tracker>,
+    /// Camera intrinsics: a JSON file with fl_x, fl_y, cx, cy, w and h, or the numbers, in pixels of the frames
+    #[arg(long, value_name = "FILE|FX,FY,CX,CY")]
+    pub intrinsics: Option<String>,
+    /// Camera poses, one per frame: transforms.json, or lines "t tx ty tz qx qy qz qw" (camera to world, OpenCV axes)
+    #[arg(long, value_name = "FILE")]
+    pub poses: Option<PathBuf>,
+    /// Folder of masks, one image per frame, not black where the scene is dynamic
+    #[arg(long, value_name = "DIR")]
+    pub masks: Option<PathBuf>,
+    /// Folder of depth maps, one 16-bit PNG per frame: z-depth in millimetres, 0 where unknown
+    #[arg(long, value_name = "DIR")]
+    pub depth: Option<PathBuf>,
+    /// Refuse a video with damaged frames instead of dropping these frames
+    #[arg(long)]
+    pub strict_video: bool,
+}
+
+/// Parses a segmentation method.
+pub fn segmenters() -> impl TypedValueParser<Value = Segmenter> {
+    choice([
+        (
+            "auto",
+            "`mobilesam` if its weights are installed, then `sam2` if its weights are; otherwise `none`",
+            Segmenter::Auto,
+        ),
+        ("none", "No network: masks from motion and colour only", Segmenter::None),
+        (
+            "mobilesam",
+            "MobileSAM; `minute4d weights fetch mobile-sam` installs its weights",
+            Segmenter::Mobilesam,
+        ),
+        (
+            "sam2",
+            "SAM 2.1, which tracks objects through the clip; needs the weights of one of its sizes",
+            Segmenter::Sam2,
+        ),
+    ])
+}
+
+/// Parses a tracking method.
+pub fn trackers() -> impl TypedValueParser<Value = Tracker> {
+    choice([
+        ("auto", "`flow`", Tracker::Auto),
+        ("none", "No tracking", Tracker::None),
+        (
+            "flow",
+            "Chained optical flow, lifted to 3D with depth and continued through occlusions",
+            Tracker::Flow,
+        ),
+        (
+            "tapip3d",
+            "TAPIP3D, a network whose licence forbids commercial use",
+            Tracker::Tapip3d,
+        ),
+    ])
+}
+
+/// Settings in layers: profile, preset, file, `--set`, then dedicated options.
+#[derive(Debug, Args)]
+pub struct SettingsArgs {
+    /// The built-in settings to start from [default: that of --config, else fast]
+    #[arg(long, value_parser = profiles())]
+    pub profile: Option<Profile>,
+    /// A TOML file of settings that override the profile; docs/settings.md explains every key
+    #[arg(long, value_name = "FILE")]
+    pub config: Option<PathBuf>,
+    /// Override one setting, such as train.iterations=2000; may be repeated
+    #[arg(long, value_name = "KEY=VALUE")]
+    pub set: Vec<String>,
+    /// Seed of the random number generator
+    #[arg(long, value_name = "S")]
+    pub seed: Option<u64>,
+    /// Print the effective settings as TOML and exit
+    #[arg(long)]
+    pub print_config: bool,
+}
+
+fn profiles() -> impl TypedValueParser<Value = Profile> {
+    choice([
+        ("fast", "Minutes on a plain CPU", Profile::Fast),
+        ("faithful", "The paper's settings, literally", Profile::Faithful),
+    ])
+}
+
+/// The length of training.
+#[derive(Debug, Args)]
+pub struct LengthArgs {
+    /// Time budget of training on this machine, for the fast profile [default: default]
+    #[arg(long, value_parser = presets())]
+    pub preset: Option<Preset>,
+    /// Number of training iterations (overrides the time budget)
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    pub iterations: Option<u32>,
+}
+
+fn presets() -> impl TypedValueParser<Value = Preset> {
+    choice([
+        (
+            "draft",
+            "A quick preview: ten seconds, a third of the splats",
+            Preset::Draft,
+        ),
+        ("default", "Sixty seconds", Preset::Default),
+    ])
+}
+
+/// Switches for parts of the method (`minute4d ablate` measures each).
+#[derive(Debug, Args)]
+pub struct WithoutArgs {
+    /// Disable segmentation networks
+    #[arg(long)]
+    pub no_seg: bool,
+    /// Disable point tracking and the propagation of points between frames
+    #[arg(long)]
+    pub no_track: bool,
+    /// Disable density control: no splats are added or pruned during training
+    #[arg(long)]
+    pub no_density: bool,
+}
+
+impl WithoutArgs {
+    /// Applies the switches to the settings.
+    pub fn apply(&self, settings: &mut Settings) {
+        let parts = [
+            (self.no_seg, Enhancement::Segmentation),
+            (self.no_track, Enhancement::Tracking),
+            (self.no_density, Enhancement::Density),
+        ];
+        for (_, part) in parts.into_iter().filter(|(off, _)| *off) {
+            settings.switch_off(part);
+        }
+    }
+}
+
+/// How a scene is trained: `run`, `train` and the jobs of a batch have these options.
+#[derive(Debug, Args)]
+pub struct TrainingArgs {
+    /// The length of training.
+    #[command(flatten)]
+    pub length: LengthArgs,
+    /// Time limit, such as 90s, 10m or 1.5h: training is shortened to the time left and the preview may be skipped; geometry that
+    /// takes longer is saved (exit code 75, continue with --resume)
+    #[arg(long, value_name = "TIME", value_parser = duration)]
+    pub time_limit: Option<f64>,
+    /// The device for training.
+    #[command(flatten)]
+    pub device: DeviceArgs,
+    /// Parts of the method to switch off.
+    #[command(flatten)]
+    pub without: WithoutArgs,
+    /// Settings.
+    #[command(flatten)]
+    pub settings: SettingsArgs,
+    /// Do not write viewer.html
+    #[arg(long)]
+    pub no_viewer: bool,
+    /// Which files a capture may refer to.
+    #[command(flatten)]
+    pub reach: ReachArgs,
+}
+
+impl TrainingArgs {
+    /// Combines the layers of settings with these options, except for the permission to read outside of a capture, which no file of
+    /// settings can hold.
+    pub fn settings(&self, video: Option<&VideoArgs>) -> Result<Settings, Failure> {
+        let mut settings = settings(&self.settings, video, Some(&self.length))?;
+        self.without.apply(&mut settings);
+        settings.viewer.write &= !self.no_viewer;
+        if let Some(seconds) = self.time_limit {
+            settings.limit.time_s = seconds;
+        }
+        Ok(settings)
+    }
+}
