@@ -6,6 +6,7 @@ use crate::valid;
 use m4_core::Silent;
 use m4_io::dataset::colmap;
 use m4_io::scene::{fourdgs, ply};
+use std::path::Path;
 
 pub fn rows() -> Vec<Reader> {
     let points = || {
@@ -30,7 +31,11 @@ const DEGREES: [usize; 2] = [0, 2];
 fn splats() -> Vec<Reader> {
     let clips = || {
         let one = |degree| {
-            let encoded = fourdgs::encode(&made::scene(degree), &fourdgs::FourdgsConfig::default());
+            let encoded = fourdgs::encode(
+                Path::new("a.4dgs"),
+                &made::scene(degree),
+                &fourdgs::FourdgsConfig::default(),
+            );
             encoded.unwrap_or_else(|e| panic!("a valid clip: {e}")).0
         };
         DEGREES.map(one).to_vec()

@@ -53,6 +53,7 @@ impl From<ErrorKind> for Category {
         match kind {
             ErrorKind::NotFound => Self::NoInput,
             ErrorKind::BadData | ErrorKind::Unsupported => Self::BadInput,
+            ErrorKind::BadOption => Self::BadSettings,
             ErrorKind::Unavailable => Self::NoDevice,
             ErrorKind::CannotWrite => Self::CannotWrite,
             ErrorKind::Io => Self::Io,

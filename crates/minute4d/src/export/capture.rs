@@ -1,11 +1,11 @@
 //! Exports a capture for other tools.
 
-use super::{ExportError, ExportJob, ExportReport, Format, Losses, occupied};
+use super::{ExportJob, ExportReport, Format, Losses, occupied};
 use crate::error::OutputError;
 use crate::{Error, Observer, Settings};
 use m4_core::Capture;
+use m4_io::ErrorKind;
 use m4_io::capture::{self, CaptureOptions, Split};
-use m4_io::dataset::export::WriteCaptureAsError;
 use m4_io::dataset::{colmap, nerfstudio};
 use std::path::Path;
 use std::time::Instant;
@@ -60,9 +60,9 @@ fn write(
             });
         }
     };
-    let written = written.map_err(|error| match error {
-        WriteCaptureAsError::Cancelled { .. } => STOPPED,
-        other => ExportError::from(other).into(),
+    let written = written.map_err(|error| match error.kind() {
+        ErrorKind::Cancelled => STOPPED,
+        _ => error.into(),
     })?;
     Ok((written.bytes, Losses::of(written.losses)))
 }

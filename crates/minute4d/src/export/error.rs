@@ -2,8 +2,6 @@
 
 use super::Format;
 use crate::Category;
-use m4_io::dataset::export::WriteCaptureAsError;
-use m4_io::scene::WriteFileError;
 use std::path::PathBuf;
 
 /// Why an export failed.
@@ -53,12 +51,6 @@ pub enum ExportError {
         /// The reason.
         source: Box<crate::import::ImportError>,
     },
-    /// Writing a capture for another tool.
-    #[error(transparent)]
-    Capture(#[from] WriteCaptureAsError),
-    /// Writing a file of splats.
-    #[error(transparent)]
-    File(#[from] WriteFileError),
 }
 
 impl ExportError {
@@ -68,8 +60,6 @@ impl ExportError {
         match self {
             Self::NoInstant { .. } | Self::NoRate { .. } | Self::Unknown { .. } => Category::Usage,
             Self::NoCameras | Self::NeedsScene { .. } | Self::NeedsCapture { .. } => Category::BadInput,
-            Self::Capture(e) => e.kind().into(),
-            Self::File(e) => e.kind().into(),
             Self::ReadBack { .. } => Category::Internal,
         }
     }

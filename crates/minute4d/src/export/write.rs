@@ -16,17 +16,16 @@ pub(super) fn write(
 ) -> Result<Written, Error> {
     let t = moments.first().copied().unwrap_or(0.0);
     let written = match job.format {
-        Format::Fourdgs => fourdgs::write(out, scene, &job.fourdgs).map_err(ExportError::from)?,
-        Format::Splatv => splatv::write(out, scene).map_err(ExportError::from)?,
-        Format::Ply => ply::write(out, scene, t).map_err(ExportError::from)?,
+        Format::Fourdgs => fourdgs::write(out, scene, &job.fourdgs)?,
+        Format::Splatv => splatv::write(out, scene)?,
+        Format::Ply => ply::write(out, scene, t)?,
         Format::PlySequence => {
             let mut stopped = false;
             let written = ply::write_sequence(out, scene, moments, |done| {
                 observer.update("export", done, moments.len(), "");
                 stopped = observer.cancelled();
                 !stopped
-            })
-            .map_err(ExportError::from)?;
+            })?;
             if stopped {
                 return Err(Error::Stopped {
                     stage: "export",
@@ -35,8 +34,8 @@ pub(super) fn write(
             }
             written
         }
-        Format::Spz => spz::write(out, scene, t).map_err(ExportError::from)?,
-        Format::Gltf => gltf::write(out, scene, t).map_err(ExportError::from)?,
+        Format::Spz => spz::write(out, scene, t)?,
+        Format::Gltf => gltf::write(out, scene, t)?,
         Format::Colmap | Format::Nerfstudio => return Err(ExportError::NeedsCapture { format: job.format }.into()),
         Format::Mp4 => video::write(out, scene, job.fps, observer)?,
     };

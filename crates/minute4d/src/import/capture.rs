@@ -10,7 +10,8 @@ use crate::{Error, Observer, Settings, StageEvent, folder, hash};
 use m4_core::{Capture, CompactMask};
 use m4_io::capture::{self, Split};
 use m4_io::dataset::dycheck;
-use m4_io::dataset::{Imported, ReadSourceError, SourceErrorCause, SourceFormat};
+use m4_io::dataset::{Imported, SourceFormat};
+use m4_io::{ErrorKind, ReadError};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -168,9 +169,9 @@ const STOPPED: Error = Error::Stopped {
     saved: false,
 };
 
-fn source_stopped(error: ReadSourceError) -> Error {
-    match error.cause {
-        SourceErrorCause::Cancelled => STOPPED,
+fn source_stopped(error: ReadError) -> Error {
+    match error.kind() {
+        ErrorKind::Cancelled => STOPPED,
         _ => ImportError::from(error).into(),
     }
 }

@@ -2,9 +2,7 @@
 
 use crate::Category;
 use m4_geometry::consistency::ConsistencyError;
-use m4_io::dataset::ReadSourceError;
-use m4_io::scene::fourdgs::ReadFourdgsError;
-use m4_io::scene::ply::ReadPlyError;
+use m4_io::ReadError;
 use std::path::PathBuf;
 
 /// Why an import failed.
@@ -79,18 +77,12 @@ pub enum ImportError {
         /// The format.
         format: &'static str,
     },
-    /// Reading a clip that another tool posed.
+    /// Reading the file or folder.
     #[error(transparent)]
-    Source(#[from] ReadSourceError),
+    Read(#[from] ReadError),
     /// Comparing a capture with the flow of its images.
     #[error("the capture cannot be checked: {0}; --no-check imports it anyway")]
     Check(#[from] ConsistencyError),
-    /// Reading `.4dgs`.
-    #[error(transparent)]
-    Fourdgs(#[from] ReadFourdgsError),
-    /// Reading PLY.
-    #[error(transparent)]
-    Ply(#[from] ReadPlyError),
 }
 
 impl ImportError {
@@ -103,14 +95,12 @@ impl ImportError {
             | Self::NoSuchFormat { .. }
             | Self::NoCaptureOption { .. }
             | Self::NotOfFormat { .. } => Category::Usage,
-            Self::Source(e) => e.kind().into(),
+            Self::Read(e) => e.kind().into(),
             Self::Folder { .. }
             | Self::Sequence { .. }
             | Self::NoPoses { .. }
             | Self::NoSplats { .. }
             | Self::Check(_) => Category::BadInput,
-            Self::Fourdgs(e) => e.kind().into(),
-            Self::Ply(e) => e.kind().into(),
         }
     }
 }

@@ -3,7 +3,7 @@
 use super::{MissingScene, Suite};
 use crate::Category;
 use crate::evaluate::Protocol;
-use m4_io::dataset::ReadSourceError;
+use m4_io::ReadError;
 use std::path::{Path, PathBuf};
 
 /// Why a table cannot be made.
@@ -56,7 +56,7 @@ pub enum ReproduceError {
     },
     /// A scene cannot be imported.
     #[error(transparent)]
-    Import(#[from] ReadSourceError),
+    Import(#[from] ReadError),
     /// An image of a table cannot be written.
     #[error("cannot write {}: {what}", path.display())]
     Plot {
