@@ -1,8 +1,12 @@
-//! The kinds of failure, from which a program chooses its exit code.
+//! Errors of reading and writing.
 
+use crate::reach::OutsideError;
+use crate::shortened;
+use crate::video::DecoderEnd;
 use std::io;
+use std::path::{Path, PathBuf};
 
-/// The sort of a failure. Every error of this crate has a method `kind` that returns it.
+/// The sort of a failure, from which a program chooses its exit code. Every error of this crate has a method `kind` that returns it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[non_exhaustive]
 pub enum ErrorKind {
@@ -12,6 +16,8 @@ pub enum ErrorKind {
     BadData,
     /// An input is fine but needs something that this program does not have (65).
     Unsupported,
+    /// An option has a value that it cannot have (78).
+    BadOption,
     /// Nothing is known against the input: a program that is needed is missing, or was killed, hung, or got too little memory (69).
     Unavailable,
     /// An output cannot be made: permissions, a full disk, a path that is in the way (73).
@@ -31,5 +37,274 @@ impl ErrorKind {
             io::ErrorKind::UnexpectedEof | io::ErrorKind::InvalidData => Self::BadData,
             _ => Self::Io,
         }
+    }
+}
+
+/// Why a file or folder could not be read: which one, the place in it, what is wrong, and what to do next.
+#[derive(Debug, thiserror::Error)]
+#[error(
+    "cannot read {}{}: {}",
+    shortened(path.display()),
+    place.as_ref().map(|p| format!(", {}", shortened(p))).unwrap_or_default(),
+    shortened(fault)
+)]
+#[non_exhaustive]
+pub struct ReadError {
+    /// The file or folder at fault.
+    pub path: PathBuf,
+    /// The field, line or frame.
+    pub place: Option<String>,
+    /// What is wrong there.
+    pub fault: Fault,
+}
+
+impl ReadError {
+    /// The sort of this failure.
+    #[must_use]
+    pub fn kind(&self) -> ErrorKind {
+        self.fault.kind()
+    }
+}
+
+/// What is wrong with a file.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum Fault {
+    /// The system could not read it.
+    #[error("{0}")]
+    Io(#[from] io::Error),
+    /// It holds, lacks or needs something.
+    #[error("{what}; {hint}")]
+    Content {
+        /// The sort of failure.
+        kind: ErrorKind,
+        /// What it holds, and what was expected.
+        what: String,
+        /// How to fix it.
+        hint: String,
+    },
+    /// A file that it names lies outside of its folder.
+    #[error(transparent)]
+    Outside(#[from] Box<OutsideError>),
+    /// Another file that it names cannot be read.
+    #[error(transparent)]
+    File(#[from] Box<ReadError>),
+    /// The process that decodes it crashed, was killed, hung, or took more than it may. That may be the machine's fault as well as
+    /// the file's.
+    #[error("{decoder} failed: {how}; {}", how.advice())]
+    Decoder {
+        /// Which decoder, for people.
+        decoder: &'static str,
+        /// How it failed.
+        how: DecoderEnd,
+    },
+    /// The caller asked to stop.
+    #[error("stopped")]
+    Cancelled,
+}
+
+impl From<ReadError> for Fault {
+    fn from(error: ReadError) -> Self {
+        Self::File(Box::new(error))
+    }
+}
+
+impl Fault {
+    fn content(kind: ErrorKind, what: impl Into<String>, hint: impl Into<String>) -> Self {
+        let (what, hint) = (what.into(), hint.into());
+        Self::Content { kind, what, hint }
+    }
+
+    /// Something that the format needs is missing.
+    pub fn missing(what: impl Into<String>, hint: impl Into<String>) -> Self {
+        Self::bad(format!("{} is missing", what.into()), hint)
+    }
+
+    /// A value cannot be, or does not fit the others.
+    pub fn bad(what: impl Into<String>, hint: impl Into<String>) -> Self {
+        Self::content(ErrorKind::BadData, what, hint)
+    }
+
+    /// It ends too early or contradicts itself.
+    pub(crate) fn damaged(what: impl std::fmt::Display) -> Self {
+        Self::bad(format!("it is damaged: {what}"), "copy or export it again")
+    }
+
+    /// It is in order but is not read here.
+    pub fn unsupported(what: impl Into<String>, hint: impl Into<String>) -> Self {
+        Self::content(ErrorKind::Unsupported, what, hint)
+    }
+
+    /// It needs a program that is not there.
+    pub fn unavailable(what: impl Into<String>, hint: impl Into<String>) -> Self {
+        Self::content(ErrorKind::Unavailable, what, hint)
+    }
+
+    /// An option cannot have this value.
+    pub fn option(what: impl Into<String>, hint: impl Into<String>) -> Self {
+        Self::content(ErrorKind::BadOption, what, hint)
+    }
+
+    /// It would not fit into memory.
+    #[must_use]
+    pub fn too_large(what: &str, needed_bytes: u64, limit_bytes: u64) -> Self {
+        let (needed, limit) = (needed_bytes >> 20, limit_bytes >> 20);
+        Self::unsupported(
+            format!("{what} takes {needed} MiB of memory, above the limit of {limit} MiB"),
+            "take fewer or smaller frames, or raise the limit (max_memory_bytes)",
+        )
+    }
+
+    /// The sort of this failure.
+    #[must_use]
+    pub fn kind(&self) -> ErrorKind {
+        match self {
+            Self::Io(source) => ErrorKind::of_read(source),
+            Self::Content { kind, .. } => *kind,
+            Self::Outside(_) => ErrorKind::BadData,
+            Self::File(error) => error.kind(),
+            Self::Decoder { .. } => ErrorKind::Unavailable,
+            Self::Cancelled => ErrorKind::Cancelled,
+        }
+    }
+
+    /// The fault of the file that names `file`.
+    #[must_use]
+    pub fn of_file(self, file: &Path) -> Self {
+        self.at(file).into()
+    }
+
+    /// Adds the file to the fault.
+    #[must_use]
+    pub fn at(self, path: &Path) -> ReadError {
+        match self {
+            // it is named already
+            Self::File(error) if error.path == path => *error,
+            fault => ReadError {
+                path: path.to_path_buf(),
+                place: None,
+                fault,
+            },
+        }
+    }
+
+    /// Adds the file, and the field, line or frame.
+    #[must_use]
+    pub fn within(self, path: &Path, place: impl Into<String>) -> ReadError {
+        let place = Some(place.into());
+        ReadError { place, ..self.at(path) }
+    }
+}
+
+/// Names the file of a fault.
+pub(crate) trait AtPath<T> {
+    /// The value, or the fault with the file.
+    fn at(self, path: &Path) -> Result<T, ReadError>;
+}
+
+impl<T, E: Into<Fault>> AtPath<T> for Result<T, E> {
+    fn at(self, path: &Path) -> Result<T, ReadError> {
+        self.map_err(|fault| fault.into().at(path))
+    }
+}
+
+/// Why a file or folder could not be written. What was there before is still there, unless the last renames of a folder failed.
+#[derive(Debug, thiserror::Error)]
+#[error("cannot write {}: {}", path.display(), shortened(fault))]
+#[non_exhaustive]
+pub struct WriteError {
+    /// The file or folder.
+    pub path: PathBuf,
+    /// What is wrong.
+    pub fault: WriteFault,
+}
+
+/// Why something could not be written.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum WriteFault {
+    /// The file system refused.
+    #[error("{0}; check the permissions and the free space, or choose another folder")]
+    Io(io::Error),
+    /// The data hold what the format cannot, or an option is out of range.
+    #[error("{0}")]
+    Bad(String),
+    /// This size, rate or file name is not written.
+    #[error("{0}")]
+    Unsupported(String),
+    /// What was written reads back otherwise.
+    #[error("it was written but does not read back ({0}) and was removed; check the disk")]
+    Verify(String),
+    /// The encoder failed, or made something else than it was given.
+    #[error("encoding failed: {0}; this is a bug, please report it")]
+    Encode(String),
+    /// The caller asked to stop.
+    #[error("stopped; what was written is incomplete and is not taken for a whole")]
+    Cancelled,
+}
+
+impl WriteError {
+    fn new(path: &Path, fault: WriteFault) -> Self {
+        let path = path.to_path_buf();
+        Self { path, fault }
+    }
+
+    pub(crate) fn io(path: &Path, source: io::Error) -> Self {
+        Self::new(path, WriteFault::Io(source))
+    }
+
+    pub(crate) fn bad(path: &Path, what: impl Into<String>) -> Self {
+        Self::new(path, WriteFault::Bad(what.into()))
+    }
+
+    pub(crate) fn unsupported(path: &Path, what: impl Into<String>) -> Self {
+        Self::new(path, WriteFault::Unsupported(what.into()))
+    }
+
+    pub(crate) fn verify(path: &Path, reason: impl ToString) -> Self {
+        Self::new(path, WriteFault::Verify(reason.to_string()))
+    }
+
+    pub(crate) fn encode(path: &Path, reason: impl ToString) -> Self {
+        Self::new(path, WriteFault::Encode(reason.to_string()))
+    }
+
+    pub(crate) fn cancelled(path: &Path) -> Self {
+        Self::new(path, WriteFault::Cancelled)
+    }
+
+    /// Whether the disk or the quota is full: with more room it would be written.
+    #[must_use]
+    pub fn wants_room(&self) -> bool {
+        let full = [io::ErrorKind::StorageFull, io::ErrorKind::QuotaExceeded];
+        matches!(&self.fault, WriteFault::Io(source) if full.contains(&source.kind()))
+    }
+
+    /// The sort of this failure.
+    #[must_use]
+    pub fn kind(&self) -> ErrorKind {
+        match &self.fault {
+            WriteFault::Io(_) | WriteFault::Verify(_) | WriteFault::Encode(_) => ErrorKind::CannotWrite,
+            WriteFault::Bad(_) => ErrorKind::BadData,
+            WriteFault::Unsupported(_) => ErrorKind::Unsupported,
+            WriteFault::Cancelled => ErrorKind::Cancelled,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::Fault;
+    use std::path::Path;
+
+    #[test]
+    fn long_quotes_are_shortened_and_keep_the_advice() {
+        let fault = Fault::bad(format!("{:?} is not a number", "9ü".repeat(100_000)), "correct it");
+        let message = fault.within(Path::new("a.txt"), "line 7").to_string();
+        assert!(
+            message.starts_with("cannot read a.txt, line 7: \"9ü9ü")
+                && message.ends_with("is not a number; correct it")
+        );
+        assert!(message.chars().count() < 600, "{message}");
     }
 }

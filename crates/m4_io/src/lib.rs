@@ -19,7 +19,9 @@ pub mod trajectory;
 pub mod video;
 
 mod error;
+mod files;
+mod pose;
 mod shortened;
 
-pub use error::ErrorKind;
+pub use error::{ErrorKind, Fault, ReadError, WriteError, WriteFault};
 pub use shortened::shortened;

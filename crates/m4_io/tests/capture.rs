@@ -1,25 +1,11 @@
 //! Captures: what is written comes back, and the benchmark scenes are read as they are meant.
 
+use crate::common::Heard;
 use m4_core::{
-    Camera, Capture, CaptureFrame, CompactIds, CompactMask, Intrinsics, Plane, Progress, Se3, Silent, nalgebra::Vector6,
+    Camera, Capture, CaptureFrame, CompactIds, CompactMask, Intrinsics, Plane, Se3, Silent, nalgebra::Vector6,
 };
 use m4_io::capture::{CaptureOptions, Split, read, write};
 use std::path::PathBuf;
-use std::sync::Mutex;
-
-/// Remembers what it was warned of.
-#[derive(Default)]
-struct Warnings(Mutex<Vec<String>>);
-
-impl Progress for Warnings {
-    fn update(&self, _: &str, _: usize, _: usize, _: &str) {}
-    fn warn(&self, message: &str) {
-        self.0.lock().unwrap().push(message.to_owned());
-    }
-    fn cancelled(&self) -> bool {
-        false
-    }
-}
 
 #[track_caller]
 fn bench(name: &str) -> Option<PathBuf> {
@@ -138,7 +124,7 @@ fn a_nerfstudio_file_without_times_or_centre_is_read_with_a_warning() {
         frame(2)
     );
     std::fs::write(dir.path().join("transforms.json"), text).unwrap();
-    let heard = Warnings::default();
+    let heard = Heard::default();
     let got = read(dir.path(), Split::Train, &CaptureOptions::default(), &heard).unwrap();
     assert_eq!(got.frames.iter().map(|f| f.t).collect::<Vec<_>>(), [0.0, 1.0, 2.0]);
     let k = got.frames[0].camera.intrinsics;
@@ -151,8 +137,11 @@ fn a_nerfstudio_file_without_times_or_centre_is_read_with_a_warning() {
         got.frames[0].camera.unproject(19.5, 14.5, 2.0).as_slice(),
         [0.0, 0.0, -2.0]
     );
-    let heard = heard.0.into_inner().unwrap();
-    assert!(heard.len() == 1 && heard[0].contains("3 frames of"), "{heard:?}");
+    assert!(
+        heard.all().contains("3 frames of") && !heard.all().contains('\n'),
+        "{}",
+        heard.all()
+    );
 }
 
 #[test]

@@ -4,10 +4,8 @@
 use crate::common::script;
 use crate::common::{ffmpeg, have_ffmpeg, pinwheel};
 use m4_core::{CounterRng, Plane, Progress, Silent, Video};
-use m4_io::ErrorKind;
-use m4_io::video::{
-    DecoderEnd, DecoderLimits, DecoderProgram, Mp4Writer, ReadVideoError, VideoOptions, read, read_with,
-};
+use m4_io::video::{DecoderEnd, DecoderLimits, DecoderProgram, Mp4Writer, VideoOptions, read, read_with};
+use m4_io::{ErrorKind, Fault, ReadError};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
@@ -32,15 +30,15 @@ fn limits(set: impl FnOnce(&mut DecoderLimits)) -> DecoderLimits {
 }
 
 /// How the decoder failed; checks that nothing is held against the clip and that the message says all that it must.
-fn failure(result: Result<Video, ReadVideoError>, words: &[&str]) -> DecoderEnd {
+fn failure(result: Result<Video, ReadError>, words: &[&str]) -> DecoderEnd {
     let Err(error) = result else { panic!("it was decoded") };
     let text = error.to_string();
     assert_eq!(error.kind(), ErrorKind::Unavailable, "{text}");
     for word in words {
         assert!(text.contains(word), "{word:?} is not in: {text}");
     }
-    match error {
-        ReadVideoError::DecoderFailed { how, .. } => how,
+    match error.fault {
+        Fault::Decoder { how, .. } => how,
         other => panic!("{other:?}"),
     }
 }
@@ -117,8 +115,10 @@ fn damaged_clips_never_crash_the_parent() {
             }
         }
         // What the child survived, this process does too.
-        if let Err(ReadVideoError::DecoderFailed { how, .. }) = &there {
-            eprintln!("case {case}: {how}");
+        if let Err(e) = &there
+            && matches!(e.fault, Fault::Decoder { .. })
+        {
+            eprintln!("case {case}: {e}");
             continue;
         }
         match (there, read_with(None, &path, &part, &Silent)) {
@@ -164,7 +164,6 @@ fn a_decoder_without_memory() {
 fn a_decoder_that_is_not_there() {
     let nowhere = DecoderProgram::new("/nowhere/decoder", "decode");
     let error = read_with(Some(&nowhere), &pinwheel(), &options(DecoderLimits::default()), &Silent).unwrap_err();
-    assert!(matches!(error, ReadVideoError::DecoderNotStarted { .. }), "{error}");
     assert!(error.to_string().contains("/nowhere/decoder"), "{error}");
     // This is no clip's fault.
     assert_eq!(error.kind(), ErrorKind::Io);
@@ -189,98 +188,64 @@ fn the_decoder_started_by_hand_says_what_it_is() {
 
 /// Reads the example with a script as its decoder.
 #[cfg(unix)]
-fn with_fake(body: &str, limits: DecoderLimits, progress: &dyn Progress) -> Result<Video, ReadVideoError> {
+fn with_fake(body: &str, limits: DecoderLimits, progress: &dyn Progress) -> Result<Video, ReadError> {
     let dir = tempfile::tempdir().unwrap();
     let fake = DecoderProgram::new(script(dir.path(), "fake", body), "decode");
     read_with(Some(&fake), &pinwheel(), &options(limits), progress)
 }
 
+/// How a decoder must have failed.
 #[cfg(unix)]
-#[test]
-fn decoders_that_crash() {
-    let usual = DecoderLimits::default;
-    for (body, signal, word) in [
-        ("kill -KILL $$", 9, "SIGKILL"),
-        ("kill -SEGV $$", 11, "SIGSEGV"),
-        ("head -c 20 >/dev/null; kill -ABRT $$", 6, "SIGABRT"),
-    ] {
-        let how = failure(
-            with_fake(body, usual(), &Silent),
-            &["pinwheel.mp4", "H.264 decoder", word],
-        );
-        assert_eq!(how, DecoderEnd::Signal { signal });
-    }
-    let how = failure(
-        with_fake("echo it is broken >&2; exit 3", usual(), &Silent),
-        &["it is broken", "3"],
-    );
-    assert!(matches!(how, DecoderEnd::Answer { .. }));
-    // As loud as a decoder, and no decoder.
-    failure(
-        with_fake("echo hello, hello, hello, hello; cat >/dev/null", usual(), &Silent),
-        &["does not answer"],
-    );
-    // Agreed, and then gone: no shorter answer passes for an image.
-    let ready = "printf 'm4h264\\000\\001\\001'";
-    failure(
-        with_fake(&format!("{ready}; exit 0"), usual(), &Silent),
-        &["ended early"],
-    );
-    failure(
-        with_fake(&format!("{ready}; printf '\\002abc'; exit 0"), usual(), &Silent),
-        &["ended early"],
-    );
-    failure(
-        with_fake(&format!("{ready}; printf '\\011'; cat >/dev/null"), usual(), &Silent),
-        &["answer 9"],
-    );
+#[track_caller]
+fn assert_end(how: &DecoderEnd, want: &str, case: &str) {
+    let found = format!("{how:?}");
+    assert!(found.starts_with(want), "{found} where {want} was expected: {case}");
 }
 
 #[cfg(unix)]
 #[test]
-fn decoders_that_hang() {
-    let patience = limits(|l| l.idle_seconds = 1);
-    for body in [
-        "sleep 600",
+fn decoders_that_crash_hang_or_talk_without_end() {
+    let (usual, patience) = (DecoderLimits::default(), limits(|l| l.idle_seconds = 1));
+    let ready = "printf 'm4h264\\000\\001\\001'";
+    let idle = "Idle { seconds: 1 }";
+    let waits = &["nothing came from it for 1 s", "idle_seconds"][..];
+    let cases: [(&str, &str, &[&str]); 13] = [
+        ("kill -KILL $$", "Signal { signal: 9 }", &["H.264 decoder", "SIGKILL"]),
+        ("kill -SEGV $$", "Signal { signal: 11 }", &["SIGSEGV"]),
+        ("head -c 20 >/dev/null; kill -ABRT $$", "Signal { signal: 6 }", &[]),
+        ("echo it is broken >&2; exit 3", "Answer", &["it is broken", "3"]),
+        // As loud as a decoder, and no decoder.
+        ("echo hello, hello; cat >/dev/null", "Answer", &["does not answer"]),
+        // Agreed, and then gone: no shorter answer passes for an image.
+        ("READY; exit 0", "Answer", &["ended early"]),
+        ("READY; printf '\\002abc'; exit 0", "Answer", &["ended early"]),
+        ("READY; printf '\\011'; cat >/dev/null", "Answer", &["answer 9"]),
+        ("sleep 600", idle, waits),
         // Takes everything and says nothing; or talks, and decodes nothing.
-        "cat >/dev/null; sleep 600",
-        "printf 'm4h264\\000\\001\\001'; while :; do echo working >&2; sleep 0.2; done",
+        ("cat >/dev/null; sleep 600", idle, waits),
+        ("READY; while :; do echo working >&2; sleep 0.2; done", idle, waits),
         // Lets go of its output, and stays.
-        "exec >&- ; sleep 600",
-    ] {
+        ("exec >&- ; sleep 600", idle, waits),
+        ("exec yes >&2", "Messages { read_mb: 1 }", &["MiB of messages"]),
+    ];
+    for (body, want, words) in cases {
+        let limits = if want == idle { patience } else { usual };
         let start = Instant::now();
-        let how = failure(
-            with_fake(body, patience, &Silent),
-            &["nothing came from it for 1 s", "idle_seconds"],
-        );
-        assert_eq!(how, DecoderEnd::Idle { seconds: 1 });
+        let how = failure(with_fake(&body.replace("READY", ready), limits, &Silent), words);
+        assert_end(&how, want, body);
         assert!(start.elapsed() < Duration::from_secs(30), "{body}");
     }
-}
-
-#[cfg(unix)]
-#[test]
-fn decoders_that_talk_without_end() {
-    let how = failure(
-        with_fake("exec yes >&2", DecoderLimits::default(), &Silent),
-        &["MiB of messages"],
-    );
-    assert_eq!(how, DecoderEnd::Messages { read_mb: 1 });
 }
 
 #[cfg(target_os = "linux")]
 #[test]
 fn decoders_that_take_too_much() {
     // `tail` keeps a line until it ends.
-    let how = failure(
-        with_fake("exec tail -n 1 /dev/zero", limits(|l| l.memory_mb = 200), &Silent),
-        &["200 MiB", "memory_mb"],
-    );
+    let (tail, memory) = ("exec tail -n 1 /dev/zero", limits(|l| l.memory_mb = 200));
+    let how = failure(with_fake(tail, memory, &Silent), &["200 MiB", "memory_mb"]);
     assert_eq!(how, DecoderEnd::Memory { limit_mb: 200 });
-    let how = failure(
-        with_fake("while :; do :; done", limits(|l| l.cpu_seconds = 1), &Silent),
-        &["longer than the 1 s", "cpu_seconds"],
-    );
+    let (spin, cpu) = ("while :; do :; done", limits(|l| l.cpu_seconds = 1));
+    let how = failure(with_fake(spin, cpu, &Silent), &["longer than the 1 s", "cpu_seconds"]);
     assert_eq!(how, DecoderEnd::Cpu { limit_s: 1 });
     // Files: 1 MiB, no core dump. A bare child runs before it is limited: it waits until it is.
     let dir = tempfile::tempdir().unwrap();
@@ -314,7 +279,7 @@ fn stopping_ends_the_child_and_what_it_started() {
     let stop = StopAt(&note, AtomicUsize::new(0));
     let start = Instant::now();
     let error = with_fake(&body, DecoderLimits::default(), &stop).unwrap_err();
-    assert!(matches!(error, ReadVideoError::Cancelled { .. }), "{error}");
+    assert_eq!(error.kind(), ErrorKind::Cancelled, "{error}");
     assert!(stop.1.load(Ordering::Relaxed) > 0 && start.elapsed() < Duration::from_secs(30));
     for pid in std::fs::read_to_string(&note).unwrap().split_whitespace() {
         let gone = || {
@@ -337,7 +302,7 @@ fn with_fake_ffmpeg(
     probe: &str,
     decode: &str,
     limits: DecoderLimits,
-) -> Result<Video, ReadVideoError> {
+) -> Result<Video, ReadError> {
     let dir = tempfile::tempdir().unwrap();
     let clip = dir.path().join("clip.mkv");
     std::fs::write(&clip, [0x1a, 0x45, 0xdf, 0xa3, 0, 0, 0, 0]).unwrap();
@@ -367,88 +332,57 @@ fn sent(second: u32) -> String {
 #[cfg(unix)]
 #[test]
 fn hanging_crashing_or_verbose_ffmpeg_is_stopped() {
+    let (usual, patience) = (DecoderLimits::default(), limits(|l| l.idle_seconds = 1));
+    let memory = limits(|l| l.memory_mb = 300);
+    let (idle, crash) = ("Idle { seconds: 1 }", "Signal { signal: 11 }");
+    let talk = "exec yes '[h264 @ 0x1] [error] broken' >&2";
+    let endless = "!exec tr '\\0' x </dev/zero >&2";
+    let no_memory = "echo '[h264 @ 0x1] [error] Cannot allocate memory' >&2; exit 1";
+    let unread = "echo '[error] clip.mkv: Input/output error' >&2; exit 1";
+    // What ffprobe does, and ffmpeg after the first image, or in its place (`!`).
+    let not_read = format!("!{unread}");
+    let cases: [(&str, &str, &str, &[&str]); 11] = [
+        (PROBED, "sleep 600", idle, &["ffmpeg failed", "idle_seconds"]),
+        (PROBED, "kill -SEGV $$", crash, &["ffmpeg failed", "SIGSEGV"]),
+        (PROBED, talk, "Messages", &["MiB of messages"]),
+        // No line end ever.
+        (PROBED, endless, "Messages", &["MiB of messages"]),
+        (PROBED, no_memory, "Memory { limit_mb: 300 }", &["300 MiB"]),
+        ("sleep 600", "!", idle, &["ffprobe failed", "idle_seconds"]),
+        ("kill -SEGV $$", "!", crash, &["ffprobe failed", "SIGSEGV"]),
+        ("exec yes >&2", "!", "Messages", &["ffprobe failed"]),
+        // Bytes are bad where a decoder says so, and nowhere else.
+        (unread, "!", "Answer", &["failed", "clip.mkv"]),
+        (PROBED, &not_read, "Answer", &["failed"]),
+        (PROBED, "!exit 1", "Answer", &["failed", "clip.mkv"]),
+    ];
+    let bad = "echo '[error] clip.mkv: Invalid data found when processing input' >&2; exit 1";
     for launcher in [None, Some(program())] {
-        ffmpegs_that_fail(|probe, decode, limits| with_fake_ffmpeg(launcher.as_ref(), probe, decode, limits));
-    }
-}
-
-#[cfg(unix)]
-fn ffmpegs_that_fail(with_fake_ffmpeg: impl Fn(&str, &str, DecoderLimits) -> Result<Video, ReadVideoError>) {
-    let patience = limits(|l| l.idle_seconds = 1);
-    let usual = DecoderLimits::default();
-    let original = [sent(0), sent(1), sent(2)].join("\n");
-    let video = with_fake_ffmpeg(PROBED, &original, usual).unwrap();
-    assert_eq!(
-        (video.frames.len(), video.warnings.len()),
-        (3, 0),
-        "{:?}",
-        video.warnings
-    );
-
-    let hang = format!("{}\nsleep 600", sent(0));
-    let how = failure(
-        with_fake_ffmpeg(PROBED, &hang, patience),
-        &["ffmpeg failed on", "clip.mkv", "idle_seconds"],
-    );
-    assert_eq!(how, DecoderEnd::Idle { seconds: 1 });
-    let crash = format!("{}\nkill -SEGV $$", sent(0));
-    let how = failure(
-        with_fake_ffmpeg(PROBED, &crash, usual),
-        &["ffmpeg failed on", "SIGSEGV"],
-    );
-    assert_eq!(how, DecoderEnd::Signal { signal: 11 });
-    let talk = format!("{}\nexec yes '[h264 @ 0x1] [error] broken' >&2", sent(0));
-    let how = failure(
-        with_fake_ffmpeg(PROBED, &talk, usual),
-        &["ffmpeg failed on", "MiB of messages"],
-    );
-    assert!(matches!(how, DecoderEnd::Messages { .. }));
-    // No line end ever.
-    let talk = "exec tr '\\0' x </dev/zero >&2";
-    let how = failure(with_fake_ffmpeg(PROBED, talk, usual), &["MiB of messages"]);
-    assert!(matches!(how, DecoderEnd::Messages { .. }));
-    let memory = format!(
-        "{}\necho '[h264 @ 0x1] [error] Cannot allocate memory' >&2; exit 1",
-        sent(0)
-    );
-    let how = failure(
-        with_fake_ffmpeg(PROBED, &memory, limits(|l| l.memory_mb = 300)),
-        &["300 MiB"],
-    );
-    assert_eq!(how, DecoderEnd::Memory { limit_mb: 300 });
-    // An end by its own decision leaves what was decoded.
-    let short = format!("{}\nexit 1", sent(0));
-    let video = with_fake_ffmpeg(PROBED, &short, usual).unwrap();
-    assert_eq!(video.frames.len(), 1);
-    assert!(video.warnings[0].contains("only 1 of 3 frames"), "{:?}", video.warnings);
-
-    let how = failure(
-        with_fake_ffmpeg("sleep 600", "", patience),
-        &["ffprobe failed on", "idle_seconds"],
-    );
-    assert_eq!(how, DecoderEnd::Idle { seconds: 1 });
-    let how = failure(
-        with_fake_ffmpeg("kill -SEGV $$", "", usual),
-        &["ffprobe failed on", "SIGSEGV"],
-    );
-    assert_eq!(how, DecoderEnd::Signal { signal: 11 });
-    let how = failure(
-        with_fake_ffmpeg("exec yes >&2", "", usual),
-        &["ffprobe failed on", "messages"],
-    );
-    assert!(matches!(how, DecoderEnd::Messages { .. }));
-
-    // Bytes are bad where a decoder says so, and nowhere else.
-    let fail = |message: &str| format!("echo '[error] {message}' >&2; exit 1");
-    let bad = fail("clip.mkv: Invalid data found when processing input");
-    for (probe, decode) in [(bad.as_str(), ""), (PROBED, bad.as_str())] {
-        let error = with_fake_ffmpeg(probe, decode, usual).err().unwrap();
-        assert_eq!(error.kind(), ErrorKind::BadData, "{error}");
-    }
-    let unread = fail("clip.mkv: Input/output error");
-    for (probe, decode) in [(unread.as_str(), ""), (PROBED, unread.as_str()), (PROBED, "exit 1")] {
-        let how = failure(with_fake_ffmpeg(probe, decode, usual), &["failed on", "clip.mkv"]);
-        assert!(matches!(how, DecoderEnd::Answer { .. }), "{how}");
+        let read = |probe: &str, decode: &str, limits| with_fake_ffmpeg(launcher.as_ref(), probe, decode, limits);
+        let video = read(PROBED, &[sent(0), sent(1), sent(2)].join("\n"), usual).unwrap();
+        let counts = (video.frames.len(), video.warnings.len());
+        assert_eq!(counts, (3, 0), "{:?}", video.warnings);
+        for (probe, decode, want, words) in cases {
+            let limits = match want {
+                _ if want == idle => patience,
+                _ if want.starts_with("Memory") => memory,
+                _ => usual,
+            };
+            let body = match decode.strip_prefix('!') {
+                Some(alone) => alone.to_owned(),
+                None => format!("{}\n{decode}", sent(0)),
+            };
+            let how = failure(read(probe, &body, limits), words);
+            assert_end(&how, want, &body);
+        }
+        // An end by its own decision leaves what was decoded.
+        let video = read(PROBED, &format!("{}\nexit 1", sent(0)), usual).unwrap();
+        assert_eq!(video.frames.len(), 1);
+        assert!(video.warnings[0].contains("only 1 of 3 frames"), "{:?}", video.warnings);
+        for (probe, decode) in [(bad, ""), (PROBED, bad)] {
+            let error = read(probe, decode, usual).err().unwrap();
+            assert_eq!(error.kind(), ErrorKind::BadData, "{error}");
+        }
     }
 }
 
@@ -516,6 +450,10 @@ fn a_clip_cannot_name_other_files() {
         let list = dir.path().join(name);
         std::fs::write(&list, text).unwrap();
         let error = read(&list, &options, &Silent).unwrap_err();
-        assert!(matches!(error, ReadVideoError::NotVideo { .. }), "{name}: {error}");
+        let text = error.to_string();
+        assert!(
+            error.kind() == ErrorKind::BadData && text.contains("not a video"),
+            "{name}: {text}"
+        );
     }
 }

@@ -4,7 +4,8 @@
 
 use crate::common::{pinwheel, script};
 use m4_core::{Progress, Silent};
-use m4_io::video::{DecoderProgram, ReadVideoError, VideoOptions, read_with};
+use m4_io::video::{DecoderProgram, VideoOptions, read_with};
+use m4_io::{ErrorKind, Fault};
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
@@ -164,7 +165,13 @@ fn ffmpeg_start_failures_do_not_blame_the_clip() {
         assert!(spoiled.success());
         for launcher in [Some(program()), None] {
             let error = read_with(launcher.as_ref(), &clip, &options, &Silent).unwrap_err();
-            let needed = matches!(error, ReadVideoError::NeedsFfmpeg { .. });
+            let needed = matches!(
+                error.fault,
+                Fault::Content {
+                    kind: ErrorKind::Unavailable,
+                    ..
+                }
+            );
             assert!(needed && error.to_string().contains("ffprobe"), "{spoil}: {error}");
         }
     }

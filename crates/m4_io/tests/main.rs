@@ -1,6 +1,8 @@
 //! Every test of this crate that works on files, in one program: they share their helpers.
 
 #[cfg(test)]
+mod bad_captures;
+#[cfg(test)]
 mod bad_inputs;
 #[cfg(test)]
 mod capture;
@@ -16,8 +18,6 @@ mod exports;
 mod isolation;
 #[cfg(test)]
 mod mp4_writer;
-#[cfg(test)]
-mod outside;
 #[cfg(test)]
 mod resize;
 #[cfg(test)]

@@ -4,7 +4,8 @@ use m4_core::{
     Camera, Column, CounterRng, Exposure, Intrinsics, Scene, Se3, SourceFrame, SplatLayout, Splats, StateTensor,
     TrainState, nalgebra::Vector6,
 };
-use m4_io::scene::safetensors::{ReadSceneError, read, write};
+use m4_io::ErrorKind;
+use m4_io::scene::safetensors::{read, write};
 use std::collections::BTreeMap;
 
 fn splats(layout: SplatLayout, n_static: usize, n_dynamic: usize) -> Splats {
@@ -156,11 +157,15 @@ fn damaged_scene_files_are_refused() {
         };
         let text = error.to_string();
         assert!(text.contains("scene.safetensors"), "{text}");
-        let name = format!("{error:?}").split([' ', '{']).next().unwrap().to_owned();
+        let name = match () {
+            () if text.contains("its checksum is") => "checksum",
+            () if text.contains("it is damaged") => "damaged",
+            () => "other",
+        };
         *outcomes.entry(name).or_insert(0) += 1;
     }
     eprintln!("{outcomes:?}");
-    assert!(outcomes["Checksum"] > 100 && outcomes["Damaged"] > 50, "{outcomes:?}");
+    assert!(outcomes["checksum"] > 100 && outcomes["damaged"] > 50, "{outcomes:?}");
 }
 
 #[test]
@@ -174,9 +179,10 @@ fn newer_versions_are_refused() {
     bytes[at] = b'7';
     std::fs::write(&path, bytes).unwrap();
     let error = read(&path).unwrap_err();
+    let text = error.to_string();
     assert!(
-        matches!(error, ReadSceneError::NewerVersion { found: 7, known: 1, .. }),
-        "{error}"
+        text.contains("version 7") && text.contains("up to 1") && text.contains("update minute4d"),
+        "{text}"
     );
-    assert!(error.to_string().contains("update minute4d"), "{error}");
+    assert_eq!(error.kind(), ErrorKind::Unsupported);
 }

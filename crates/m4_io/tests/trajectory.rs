@@ -3,9 +3,10 @@
 use m4_core::Camera;
 use m4_core::nalgebra::{Matrix3, Vector3};
 use m4_io::ErrorKind;
-use m4_io::trajectory::{self, KeyPose, Keyed, ReadTrajectoryError, SceneTime, Trajectory};
+use m4_io::ReadError;
+use m4_io::trajectory::{self, KeyPose, Keyed, SceneTime, Trajectory};
 
-fn load(text: &str) -> Result<Trajectory, ReadTrajectoryError> {
+fn load(text: &str) -> Result<Trajectory, ReadError> {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("path.json");
     std::fs::write(&path, text).unwrap();

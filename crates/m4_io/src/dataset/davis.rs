@@ -8,11 +8,12 @@
 //! A [`Listing`](crate::dataset::Listing) is of posed frames, which these are not: [`read_clip`] gives what the estimation of geometry starts
 //! from, a video, and its masks of objects. Source: the README of davischallenge/davis-2017.
 
-use crate::dataset::files::images::{of_video, size_of};
-use crate::dataset::files::stem;
+use crate::dataset::files::images::size_of;
 use crate::dataset::side::mask::read_mask;
-use crate::dataset::{ReadSourceError, SourceErrorCause};
+use crate::error::AtPath;
+use crate::files::stem;
 use crate::video::{VideoOptions, image_files, read};
+use crate::{Fault, ReadError};
 use m4_core::{CompactIds, Progress, Video};
 use std::path::{Path, PathBuf};
 
@@ -41,21 +42,21 @@ pub fn detect(path: &Path) -> bool {
 ///
 /// # Errors
 ///
-/// [`ReadSourceError`]: another layout, images that cannot be read, or a map that has no palette or another size than its image.
-pub fn read_clip(path: &Path, options: &VideoOptions, progress: &dyn Progress) -> Result<DavisClip, ReadSourceError> {
+/// [`ReadError`]: another layout, images that cannot be read, or a map that has no palette or another size than its image.
+pub fn read_clip(path: &Path, options: &VideoOptions, progress: &dyn Progress) -> Result<DavisClip, ReadError> {
     let annotations = annotations(path)?;
     let options = VideoOptions {
         folder_fps: FPS,
         ..options.clone()
     };
-    let files = image_files(path).map_err(|e| of_video(path, e))?;
-    let video = read(path, &options, progress).map_err(|e| of_video(path, e))?;
+    let files = image_files(path)?;
+    let video = read(path, &options, progress)?;
     let mut instances = Vec::with_capacity(video.frames.len());
     for frame in &video.frames {
         let index = (frame.time_s * FPS).round() as usize;
         let Some(image) = files.get(index) else {
             let what = format!("frame {index} is not among the {} images", files.len());
-            return Err(SourceErrorCause::bad(what, "do not change files while they are read").at(path));
+            return Err(Fault::bad(what, "do not change files while they are read").at(path));
         };
         let file = annotations.join(format!("{}.png", stem(image)));
         instances.push(if file.is_file() { Some(map(&file, image)?) } else { None });
@@ -63,7 +64,7 @@ pub fn read_clip(path: &Path, options: &VideoOptions, progress: &dyn Progress) -
     Ok(DavisClip { video, instances })
 }
 
-fn annotations(path: &Path) -> Result<PathBuf, ReadSourceError> {
+fn annotations(path: &Path) -> Result<PathBuf, ReadError> {
     let parts = (path.file_name(), path.parent().and_then(Path::file_name));
     let root = path.parent().and_then(Path::parent).and_then(Path::parent);
     match (parts, root) {
@@ -72,22 +73,22 @@ fn annotations(path: &Path) -> Result<PathBuf, ReadSourceError> {
         }
         _ => {
             let what = "it is not a folder ROOT/JPEGImages/RESOLUTION/NAME";
-            Err(SourceErrorCause::bad(what, "give the folder of the clip's images").at(path))
+            Err(Fault::bad(what, "give the folder of the clip's images").at(path))
         }
     }
 }
 
-fn map(file: &Path, image: &Path) -> Result<CompactIds, ReadSourceError> {
-    let read = read_mask(file, false).map_err(|e| e.at(file))?;
+fn map(file: &Path, image: &Path) -> Result<CompactIds, ReadError> {
+    let read = read_mask(file, false).at(file)?;
     let Some(ids) = read.instances else {
         let what = "it has no palette, so it does not distinguish objects";
-        return Err(SourceErrorCause::bad(what, "give the annotations as they were published").at(file));
+        return Err(Fault::bad(what, "give the annotations as they were published").at(file));
     };
-    let size = size_of(image).map_err(|e| e.at(image))?;
+    let size = size_of(image)?;
     if ids.size() != size {
         let ((w, h), (pw, ph)) = (ids.size(), size);
         let what = format!("it is {w} x {h} pixels but its image is {pw} x {ph}");
-        return Err(SourceErrorCause::bad(what, "give images and annotations of one resolution").at(file));
+        return Err(Fault::bad(what, "give images and annotations of one resolution").at(file));
     }
     Ok(ids)
 }

@@ -1,7 +1,7 @@
-//! Camera models with distortion.
+//! Camera models with distortion, and its removal from images, depth maps and masks.
 
-use super::SourceErrorCause;
-use m4_core::Intrinsics;
+use crate::Fault;
+use m4_core::{Intrinsics, Plane, RgbImage};
 
 /// How a lens bends rays, from normalised pinhole coordinates `(x, y) = (X / Z, Y / Z)` to those that the pixels have.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -96,28 +96,25 @@ impl Lens {
         }
     }
 
-    /// What is wrong with its numbers.
-    ///
-    /// # Errors
-    ///
-    /// The value and what was expected.
-    pub fn check(&self) -> Result<(), String> {
+    /// Refuses sizes, focal lengths and numbers that cannot be.
+    pub(crate) fn check(&self) -> Result<(), Fault> {
         let k = &self.intrinsics;
+        let bad = |what: String| Err(Fault::bad(what, "correct the camera in the source"));
         let side = |n: usize| (1..=1 << 16).contains(&n);
         if !(side(k.width) && side(k.height)) {
-            return Err(format!("images of {} x {} pixels", k.width, k.height));
+            return bad(format!("images of {} x {} pixels", k.width, k.height));
         }
         if !(k.fx.is_finite() && k.fx > 0.0 && k.fy.is_finite() && k.fy > 0.0) {
-            return Err(format!("focal lengths {} and {}, above 0 was expected", k.fx, k.fy));
+            return bad(format!("focal lengths {} and {}, above 0 was expected", k.fx, k.fy));
         }
         if !(k.cx.is_finite() && k.cy.is_finite() && self.distortion.is_finite()) {
-            return Err(format!("intrinsics with a NaN or infinite value: {self:?}"));
+            return bad(format!("intrinsics with a NaN or infinite value: {self:?}"));
         }
         Ok(())
     }
 
     /// Refuses an image of another size.
-    pub(crate) fn check_size(&self, (width, height): (usize, usize)) -> Result<(), SourceErrorCause> {
+    pub(crate) fn check_size(&self, (width, height): (usize, usize)) -> Result<(), Fault> {
         let k = &self.intrinsics;
         if (k.width, k.height) == (width, height) {
             return Ok(());
@@ -126,9 +123,152 @@ impl Lens {
             "its image is {width} x {height} but its camera is of {} x {} pixels",
             k.width, k.height
         );
-        Err(SourceErrorCause::bad(
-            what,
-            "use the images that the cameras were computed from",
-        ))
+        Err(Fault::bad(what, "use the images that the cameras were computed from"))
+    }
+}
+
+/// Farthest that the focal length is stretched so that no pixel looks past the stored image.
+const MAX_STRETCH: f64 = 8.0;
+/// Samples along each side of the border.
+const BORDER: usize = 64;
+
+/// Where each pixel of an image through a pinhole lies in the stored one.
+#[derive(Debug, Clone)]
+pub struct Undistort {
+    from: Lens,
+    /// The pinhole that comes out: same size and principal point, the focal lengths stretched so that every pixel has a source.
+    pub to: Intrinsics,
+}
+
+impl Undistort {
+    /// `None` for a lens without distortion.
+    ///
+    /// # Errors
+    ///
+    /// A lens whose image no pinhole can show: the distortion is not monotone within it.
+    pub fn new(lens: &Lens) -> Result<Option<Self>, Fault> {
+        if lens.distortion == Distortion::None {
+            return Ok(None);
+        }
+        let stretched = |s: f64| Intrinsics {
+            fx: lens.intrinsics.fx * s,
+            fy: lens.intrinsics.fy * s,
+            ..lens.intrinsics
+        };
+        let whole = |s: f64| {
+            Self {
+                from: *lens,
+                to: stretched(s),
+            }
+            .covers()
+        };
+        let (mut low, mut high) = (0.25, MAX_STRETCH);
+        if !whole(high) {
+            let what = format!("the distortion {:?} bends rays back within the image", lens.distortion);
+            return Err(Fault::unsupported(
+                what,
+                "undistort the images with the tool that made them",
+            ));
+        }
+        for _ in 0..40 {
+            let middle = 0.5 * (low + high);
+            if whole(middle) {
+                high = middle;
+            } else {
+                low = middle;
+            }
+        }
+        Ok(Some(Self {
+            from: *lens,
+            to: stretched(high),
+        }))
+    }
+
+    /// Pixel of the stored image, corner-based, that shows what is at corner-based `(u, v)` of the new one.
+    fn source(&self, u: f64, v: f64) -> [f64; 2] {
+        let (to, k) = (&self.to, &self.from.intrinsics);
+        let [x, y] = self.from.distortion.distorted((u - to.cx) / to.fx, (v - to.cy) / to.fy);
+        [k.fx * x + k.cx, k.fy * y + k.cy]
+    }
+
+    /// Whether the whole border, and rays towards it, come from within the stored image, in order.
+    fn covers(&self) -> bool {
+        let (w, h) = (self.to.width as f64, self.to.height as f64);
+        let inside = |[u, v]: [f64; 2]| (0.0..=w).contains(&u) && (0.0..=h).contains(&v);
+        let along = |i: usize| i as f64 / BORDER as f64;
+        (0..=BORDER).all(|i| {
+            let (u, v) = (along(i) * w, along(i) * h);
+            [[u, 0.0], [u, h], [0.0, v], [w, v]].into_iter().all(|[u, v]| {
+                let mut last = 0.0;
+                inside(self.source(u, v))
+                    && (1..=16).all(|k| {
+                        let part = f64::from(k) / 16.0;
+                        let [x, y] = [
+                            (u - self.to.cx) / self.to.fx * part,
+                            (v - self.to.cy) / self.to.fy * part,
+                        ];
+                        let [x, y] = self.from.distortion.distorted(x, y);
+                        let r = x.hypot(y);
+                        let grows = r >= last;
+                        last = r;
+                        grows
+                    })
+            })
+        })
+    }
+
+    /// An image of the stored size through the pinhole, bilinear.
+    #[must_use]
+    pub fn rgb(&self, image: &RgbImage) -> RgbImage {
+        let (w, h) = image.size();
+        Plane::from_fn(w, h, |x, y| {
+            let [u, v] = self.source(x as f64 + 0.5, y as f64 + 0.5);
+            let (u, v) = (
+                (u - 0.5).clamp(0.0, (w - 1) as f64),
+                (v - 0.5).clamp(0.0, (h - 1) as f64),
+            );
+            let (x0, y0) = (u.floor() as usize, v.floor() as usize);
+            let (x1, y1) = ((x0 + 1).min(w - 1), (y0 + 1).min(h - 1));
+            let (a, b) = (u - x0 as f64, v - y0 as f64);
+            let at = |x: usize, y: usize, c: usize| f64::from(image[(x, y)][c]);
+            std::array::from_fn(|c| {
+                let top = at(x0, y0, c) * (1.0 - a) + at(x1, y0, c) * a;
+                let low = at(x0, y1, c) * (1.0 - a) + at(x1, y1, c) * a;
+                (top * (1.0 - b) + low * b).round() as u8
+            })
+        })
+    }
+
+    /// A map or mask of any size through the pinhole, the nearest value.
+    #[must_use]
+    pub fn nearest<T: Copy>(&self, map: &Plane<T>) -> Plane<T> {
+        let (w, h) = map.size();
+        let (sx, sy) = (self.to.width as f64 / w as f64, self.to.height as f64 / h as f64);
+        let pixel = |u: f64, n: usize| (u.floor().max(0.0) as usize).min(n - 1);
+        Plane::from_fn(w, h, |x, y| {
+            let [u, v] = self.source((x as f64 + 0.5) * sx, (y as f64 + 0.5) * sy);
+            map[(pixel(u / sx, w), pixel(v / sy, h))]
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::Undistort;
+    use crate::dataset::{Distortion, Lens};
+    use m4_core::Intrinsics;
+
+    fn lens(distortion: Distortion) -> Lens {
+        Lens {
+            intrinsics: Intrinsics::centred(120, 80, 100.0),
+            distortion,
+        }
+    }
+
+    #[test]
+    fn pinholes_need_no_undistortion_and_folding_lenses_are_refused() {
+        assert!(Undistort::new(&lens(Distortion::None)).unwrap().is_none());
+        let folds = Undistort::new(&lens(Distortion::brown(-40.0, 0.0, 0.0, 0.0, 0.0)));
+        assert!(folds.is_err() || folds.unwrap().unwrap().to.fx > 300.0);
     }
 }

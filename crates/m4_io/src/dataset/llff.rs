@@ -5,9 +5,11 @@
 //! JSON               "poses": [n][3][5] (columns right, up, back, place); other keys are ignored
 //! ```
 
-use crate::dataset::files::npy::NpyFile;
-use crate::dataset::files::{json, pose};
-use crate::dataset::{ReadSourceError, SourceErrorCause};
+use crate::error::AtPath;
+use crate::files::json;
+use crate::npy::Numbers;
+use crate::pose;
+use crate::{Fault, ReadError};
 use m4_core::{Camera, Capture, CaptureFrame, Intrinsics, Plane};
 use serde::Deserialize;
 use serde::de::IgnoredAny;
@@ -29,13 +31,13 @@ pub(super) struct Pose {
 }
 
 /// Reads `poses_bounds.npy`: one row per camera, at least one.
-pub(super) fn read_bounds(path: &Path) -> Result<Vec<Pose>, ReadSourceError> {
-    let array = NpyFile::read(path, MAX_BYTES).map_err(|e| e.at(path))?;
+pub(super) fn read_bounds(path: &Path) -> Result<Vec<Pose>, ReadError> {
+    let array = Numbers::read(path, MAX_BYTES).at(path)?;
     match array.shape[..] {
         [n, WIDTH] if n > 0 => {}
         _ => {
             let what = format!("an array of shape {:?}; [cameras, 17] was expected", array.shape);
-            return Err(SourceErrorCause::bad(what, HINT).at(path));
+            return Err(Fault::bad(what, HINT).at(path));
         }
     }
     let one = |row: &[f64; WIDTH]| {
@@ -44,7 +46,7 @@ pub(super) fn read_bounds(path: &Path) -> Result<Vec<Pose>, ReadSourceError> {
         let (near, far) = (row[15], row[16]);
         if !(near > 0.0 && far > near && far.is_finite()) {
             let what = format!("depth from {near} to {far}; 0 < near < far was expected");
-            return Err(SourceErrorCause::bad(what, HINT));
+            return Err(Fault::bad(what, HINT));
         }
         Ok(Pose { camera, near, far })
     };
@@ -79,11 +81,11 @@ pub fn detect(path: &Path) -> bool {
 ///
 /// # Errors
 ///
-/// [`ReadSourceError`]: not JSON of that layout, no poses, or one that is no rotation.
-pub fn read(path: &Path) -> Result<Capture, ReadSourceError> {
+/// [`ReadError`]: not JSON of that layout, no poses, or one that is no rotation.
+pub fn read(path: &Path) -> Result<Capture, ReadError> {
     let File { poses } = json(path)?;
     if poses.is_empty() {
-        return Err(SourceErrorCause::bad("\"poses\" is empty", HINT).at(path));
+        return Err(Fault::bad("\"poses\" is empty", HINT).at(path));
     }
     let time_frames = poses.len();
     let frame = |(i, m): (usize, [[f64; 5]; 3])| {
@@ -110,17 +112,17 @@ pub fn read(path: &Path) -> Result<Capture, ReadSourceError> {
 }
 
 /// A camera by its axes right, down, forward, and the other columns of the matrix.
-fn camera(axes: [[f64; 3]; 3], m: &[[f64; 5]; 3]) -> Result<Camera, SourceErrorCause> {
+fn camera(axes: [[f64; 3]; 3], m: &[[f64; 5]; 3]) -> Result<Camera, Fault> {
     let c2w = pose::of_rotation(axes, [0, 1, 2].map(|i| m[i][3]))?;
     let [height, width, focal] = [0, 1, 2].map(|i| m[i][4]);
     let side = |v: f64| (v.fract() == 0.0 && (1.0..=65536.0).contains(&v)).then_some(v as usize);
     let (Some(w), Some(h)) = (side(width), side(height)) else {
         let what = format!("images of {width} x {height} pixels");
-        return Err(SourceErrorCause::bad(what, HINT));
+        return Err(Fault::bad(what, HINT));
     };
     if !(focal.is_finite() && focal > 0.0) {
         let what = format!("the focal length {focal}; pixels, above 0, were expected");
-        return Err(SourceErrorCause::bad(what, HINT));
+        return Err(Fault::bad(what, HINT));
     }
     Ok(Camera {
         intrinsics: Intrinsics::centred(w, h, focal),

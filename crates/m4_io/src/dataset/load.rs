@@ -1,11 +1,12 @@
 //! Loads a [`Listing`] as a capture: everything decoded, in parallel, within a memory limit.
 
-use super::undistort::Undistort;
-use super::{ImportOptions, Imported, ListedFrame, Listing, ReadSourceError, SourceErrorCause};
+use super::lens::Undistort;
+use super::{ImportOptions, Imported, ListedFrame, Listing};
+use crate::error::AtPath;
+use crate::files::in_parallel;
+use crate::{Fault, ReadError};
 use m4_core::{Camera, Capture, CaptureFrame, CompactDepth, CompactIds, CompactMask, Progress, Tracks};
-use rayon::prelude::*;
 use std::path::Path;
-use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// Bytes of eight pixels: colour, depth of 32 bits, and room for a mask.
 const BYTES_PER_8_PIXELS: u64 = 64;
@@ -14,13 +15,13 @@ const BYTES_PER_8_PIXELS: u64 = 64;
 ///
 /// # Errors
 ///
-/// [`ReadSourceError`], which names the frame at fault.
+/// [`ReadError`], which names the frame at fault.
 pub fn load(
     path: &Path,
     listing: Listing,
     options: &ImportOptions,
     progress: &dyn Progress,
-) -> Result<Imported, ReadSourceError> {
+) -> Result<Imported, ReadError> {
     load_of(path, listing, BYTES_PER_8_PIXELS, options, progress)
 }
 
@@ -31,7 +32,7 @@ pub(crate) fn load_of(
     bytes_per_8_pixels: u64,
     options: &ImportOptions,
     progress: &dyn Progress,
-) -> Result<Imported, ReadSourceError> {
+) -> Result<Imported, ReadError> {
     let Listing {
         train,
         test,
@@ -41,9 +42,7 @@ pub(crate) fn load_of(
         tracks,
     } = listing;
     if train.is_empty() {
-        return Err(
-            SourceErrorCause::missing("every frame of the training video", "give a source with frames").at(path),
-        );
+        return Err(Fault::missing("every frame of the training video", "give a source with frames").at(path));
     }
     if let Some(tracks) = tracks.as_ref().filter(|t| t.frames() != train.len()) {
         let what = format!(
@@ -51,12 +50,18 @@ pub(crate) fn load_of(
             tracks.frames(),
             train.len()
         );
-        return Err(SourceErrorCause::bad(what, "give tracks of the same clip").at(path));
+        return Err(Fault::bad(what, "give tracks of the same clip").at(path));
     }
-    check_memory(&train, &test, bytes_per_8_pixels, options).map_err(|e| e.at(path))?;
-    let capture = |frames: Vec<ListedFrame>, phase, tracks: Option<Tracks>| -> Result<Capture, ReadSourceError> {
+    check_memory(&train, &test, bytes_per_8_pixels, options).at(path)?;
+    let capture = |frames: Vec<ListedFrame>, phase, tracks: Option<Tracks>| -> Result<Capture, ReadError> {
         Ok(Capture {
-            frames: decode(path, &frames, time_frames, phase, progress)?,
+            frames: in_parallel(
+                phase,
+                &frames,
+                progress,
+                || Fault::Cancelled.at(path),
+                |i, frame| one(frame, time_frames).map_err(|e| e.within(path, format!("frame {i} ({})", frame.name))),
+            )?,
             time_frames,
             duration_s,
             metric,
@@ -78,61 +83,31 @@ fn check_memory(
     test: &[ListedFrame],
     bytes_per_8_pixels: u64,
     options: &ImportOptions,
-) -> Result<(), SourceErrorCause> {
+) -> Result<(), Fault> {
     let pixels = |f: &ListedFrame| (f.lens.intrinsics.width as u64).saturating_mul(f.lens.intrinsics.height as u64);
     let total = train.iter().chain(test).map(pixels).fold(0u64, u64::saturating_add);
     let needed_bytes = total.saturating_mul(bytes_per_8_pixels).div_ceil(8);
     if needed_bytes <= options.max_memory_bytes {
         return Ok(());
     }
-    Err(SourceErrorCause::TooLarge {
-        what: format!("a clip of {} frames", train.len() + test.len()),
-        needed_bytes,
-        limit_bytes: options.max_memory_bytes,
-    })
+    let what = format!("a clip of {} frames", train.len() + test.len());
+    Err(Fault::too_large(&what, needed_bytes, options.max_memory_bytes))
 }
 
-fn decode(
-    path: &Path,
-    frames: &[ListedFrame],
-    time_frames: usize,
-    phase: &str,
-    progress: &dyn Progress,
-) -> Result<Vec<CaptureFrame>, ReadSourceError> {
-    let done = AtomicUsize::new(0);
-    let decoded: Vec<Result<CaptureFrame, ReadSourceError>> = frames
-        .par_iter()
-        .enumerate()
-        .map(|(i, frame)| {
-            if progress.cancelled() {
-                return Err(SourceErrorCause::Cancelled.at(path));
-            }
-            let out = one(frame, time_frames).map_err(|e| e.within(path, format!("frame {i} ({})", frame.name)));
-            progress.update(phase, done.fetch_add(1, Ordering::Relaxed) + 1, frames.len(), "");
-            out
-        })
-        .collect();
-    decoded.into_iter().collect()
-}
-
-fn one(frame: &ListedFrame, time_frames: usize) -> Result<CaptureFrame, SourceErrorCause> {
-    frame
-        .lens
-        .check()
-        .map_err(|what| SourceErrorCause::bad(what, "correct the camera in the source"))?;
+fn one(frame: &ListedFrame, time_frames: usize) -> Result<CaptureFrame, Fault> {
+    frame.lens.check()?;
     let last = time_frames.max(1) as f64 - 1.0;
     if !(0.0..=last).contains(&frame.t) {
         let what = format!("its time is {}; 0 to {last} frames were expected", frame.t);
-        return Err(SourceErrorCause::bad(what, "correct the times in the source"));
+        return Err(Fault::bad(what, "correct the times in the source"));
     }
     if !frame.c2w.matrix().iter().all(|v| v.is_finite()) {
-        return Err(SourceErrorCause::bad(
+        return Err(Fault::bad(
             "its pose holds a NaN or infinite value",
             "correct the pose in the source",
         ));
     }
-    let get = |e: String| SourceErrorCause::unsupported(e, "undistort the images with the tool that made them");
-    let undistort = Undistort::new(&frame.lens).map_err(get)?;
+    let undistort = Undistort::new(&frame.lens)?;
     let rgb = frame.rgb.get()?;
     frame.lens.check_size(rgb.size())?;
     let (mut depth, mut mask) = (got(&frame.depth)?, got(&frame.mask)?);
@@ -163,14 +138,14 @@ fn one(frame: &ListedFrame, time_frames: usize) -> Result<CaptureFrame, SourceEr
 }
 
 /// Says that the `i`th of `n` steps of a loop begins, or stops it.
-pub(crate) fn step(phase: &str, i: usize, n: usize, progress: &dyn Progress) -> Result<(), SourceErrorCause> {
+pub(crate) fn step(phase: &str, i: usize, n: usize, progress: &dyn Progress) -> Result<(), Fault> {
     if progress.cancelled() {
-        return Err(SourceErrorCause::Cancelled);
+        return Err(Fault::Cancelled);
     }
     progress.update(phase, i + 1, n, "");
     Ok(())
 }
 
-fn got<T>(source: &Option<super::FrameSource<T>>) -> Result<Option<T>, SourceErrorCause> {
+fn got<T>(source: &Option<super::FrameSource<T>>) -> Result<Option<T>, Fault> {
     source.as_ref().map(super::FrameSource::get).transpose()
 }

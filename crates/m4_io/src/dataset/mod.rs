@@ -19,7 +19,7 @@
 pub mod colmap;
 pub mod davis;
 pub mod dycheck;
-pub mod export;
+pub(crate) mod export;
 pub mod llff;
 pub mod megasam;
 pub mod nerfstudio;
@@ -28,21 +28,17 @@ mod record3d;
 pub mod side;
 mod vipe;
 
-mod error;
 mod files;
 mod lens;
 mod listing;
 mod load;
-mod options;
-mod undistort;
 
-pub use error::{ReadSourceError, SourceErrorCause};
 pub use lens::{Distortion, Lens};
-pub use listing::{FrameSource, Imported, ListedFrame, Listing};
+pub use listing::{FrameSource, ImportOptions, Imported, ListedFrame, Listing};
 pub use load::load;
 pub(crate) use load::{load_of, step};
-pub use options::ImportOptions;
 
+use crate::{Fault, ReadError};
 use m4_core::Progress;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
@@ -68,97 +64,60 @@ pub enum SourceFormat {
     Megasam,
 }
 
-/// What is known of one format.
-struct Row {
-    format: SourceFormat,
-    name: &'static str,
-    /// Detects a file or folder of the format by names and first bytes.
-    detect: fn(&Path) -> bool,
-    list: fn(&Path, &ImportOptions, &dyn Progress) -> Result<Listing, ReadSourceError>,
-}
+/// Detects a file or folder of a format by names and first bytes.
+type Detect = fn(&Path) -> bool;
+type List = fn(&Path, &ImportOptions, &dyn Progress) -> Result<Listing, ReadError>;
 
-/// In the order of [`SourceFormat`].
-const ROWS: &[Row] = &[
-    Row {
-        format: SourceFormat::Dycheck,
-        name: "dycheck",
-        detect: dycheck::detect,
-        list: dycheck::list,
-    },
-    Row {
-        format: SourceFormat::Nvidia,
-        name: "nvidia",
-        detect: nvidia::detect,
-        list: nvidia::list,
-    },
-    Row {
-        format: SourceFormat::Record3d,
-        name: "record3d",
-        detect: record3d::detect,
-        list: record3d::list,
-    },
-    Row {
-        format: SourceFormat::Colmap,
-        name: "colmap",
-        detect: colmap::detect,
-        list: colmap::list,
-    },
-    Row {
-        format: SourceFormat::Nerfstudio,
-        name: "nerfstudio",
-        detect: nerfstudio::detect,
-        list: nerfstudio::list,
-    },
-    Row {
-        format: SourceFormat::Vipe,
-        name: "vipe",
-        detect: vipe::detect,
-        list: vipe::list,
-    },
-    Row {
-        format: SourceFormat::Megasam,
-        name: "megasam",
-        detect: megasam::detect,
-        list: megasam::list,
-    },
+/// Name and reader of each format, in the order of [`SourceFormat`].
+const ROWS: &[(SourceFormat, &str, Detect, List)] = &[
+    (SourceFormat::Dycheck, "dycheck", dycheck::detect, dycheck::list),
+    (SourceFormat::Nvidia, "nvidia", nvidia::detect, nvidia::list),
+    (SourceFormat::Record3d, "record3d", record3d::detect, record3d::list),
+    (SourceFormat::Colmap, "colmap", colmap::detect, colmap::list),
+    (
+        SourceFormat::Nerfstudio,
+        "nerfstudio",
+        nerfstudio::detect,
+        nerfstudio::list,
+    ),
+    (SourceFormat::Vipe, "vipe", vipe::detect, vipe::list),
+    (SourceFormat::Megasam, "megasam", megasam::detect, megasam::list),
 ];
 
 impl SourceFormat {
     /// All variants.
     pub fn all() -> impl Iterator<Item = Self> {
-        ROWS.iter().map(|row| row.format)
+        ROWS.iter().map(|row| row.0)
     }
 
     /// Returns the name on the command line.
     #[must_use]
     pub fn name(self) -> &'static str {
-        ROWS.iter().find(|row| row.format == self).map_or("", |row| row.name)
+        ROWS.iter().find(|row| row.0 == self).map_or("", |row| row.1)
     }
 }
 
 /// The format of what is at `path`, by names and first bytes; `None` if it is none of these.
 #[must_use]
 pub fn detect(path: &Path) -> Option<SourceFormat> {
-    ROWS.iter().find(|row| (row.detect)(path)).map(|row| row.format)
+    ROWS.iter().find(|row| (row.2)(path)).map(|row| row.0)
 }
 
 /// Reads a file or folder of that format; depth, masks and tracks that the options name take the place of its own.
 ///
 /// # Errors
 ///
-/// [`ReadSourceError`], which names the file and the place at fault.
+/// [`ReadError`], which names the file and the place at fault.
 pub fn read(
     path: &Path,
     format: SourceFormat,
     options: &ImportOptions,
     progress: &dyn Progress,
-) -> Result<Imported, ReadSourceError> {
-    match ROWS.iter().find(|row| row.format == format) {
-        Some(row) => {
-            let mut listing = (row.list)(path, options, progress)?;
-            side::attach(&mut listing, options, progress)?;
-            load(path, listing, options, progress)
-        }
-        None => Err(SourceErrorCause::unsupported("no reader has this format", "name another").at(path)),
-    }
+) -> Result<Imported, ReadError> {
+    let Some((_, _, _, list)) = ROWS.iter().find(|row| row.0 == format) else {
+        return Err(Fault::unsupported("no reader has this format", "name another").at(path));
+    };
+    let mut listing = list(path, options, progress)?;
+    side::attach(&mut listing, options, progress)?;
+    load(path, listing, options, progress)
 }

@@ -16,16 +16,21 @@
 //!
 //! Source: `vipe/utils/io.py` of NVIDIA's repository (Apache-2.0).
 
-use crate::dataset::files::arrays::Arrays;
-use crate::dataset::files::{Inside, Members, clock, images, lens, pose, text};
+use crate::dataset::files::{Inside, Members, clock, images};
 use crate::dataset::side::depth::decode_exr;
-use crate::dataset::{FrameSource, ImportOptions, Lens, ListedFrame, Listing, ReadSourceError, SourceErrorCause};
-use crate::image;
+use crate::dataset::{FrameSource, ImportOptions, Lens, ListedFrame, Listing};
+use crate::error::AtPath;
+use crate::files::text;
+use crate::npy::{Array, Npz, Numbers};
+use crate::{Fault, ReadError};
+use crate::{image, pose};
 use m4_core::{CompactDepth, CompactIds, CompactMask, Progress};
 use std::collections::{BTreeMap, HashMap, HashSet};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+/// Bytes of an array of poses or lenses: a quarter of a million frames.
+const MAX_SMALL_BYTES: u64 = 16 << 20;
 /// Largest depth map or mask, unpacked.
 const MAX_MEMBER_BYTES: u64 = 1 << 30;
 
@@ -56,8 +61,8 @@ fn names(run: &Path) -> Vec<String> {
     names
 }
 
-pub(super) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress) -> Result<Listing, ReadSourceError> {
-    clock::fps(options).map_err(|e| e.at(path))?;
+pub(super) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress) -> Result<Listing, ReadError> {
+    clock::fps(options).at(path)?;
     let (run, name) = match run_of(path) {
         Some(found) => found,
         None => {
@@ -66,11 +71,11 @@ pub(super) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress
                 [one] => (path.to_path_buf(), one.clone()),
                 [] => {
                     let hint = "give the folder of a run, with pose, intrinsics and rgb";
-                    return Err(SourceErrorCause::missing("pose/NAME.npz with its intrinsics/NAME.npz", hint).at(path));
+                    return Err(Fault::missing("pose/NAME.npz with its intrinsics/NAME.npz", hint).at(path));
                 }
                 several => {
                     let what = format!("the run has {} clips: {}", several.len(), several.join(", "));
-                    return Err(SourceErrorCause::unsupported(what, "give pose/NAME.npz of one of them").at(path));
+                    return Err(Fault::unsupported(what, "give pose/NAME.npz of one of them").at(path));
                 }
             }
         }
@@ -86,10 +91,10 @@ pub(super) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress
         .unwrap_or_else(|| part("rgb", &format!("{name}.mp4")));
     if !clip.exists() {
         let hint = "give the clip or the folder of its images (images)";
-        return Err(SourceErrorCause::missing("the clip", hint).at(&clip));
+        return Err(Fault::missing("the clip", hint).at(&clip));
     }
     let images = images::read(&clip, &inside, options, progress)?;
-    let zipped = |folder: &str| -> Result<Option<Arc<Zipped>>, ReadSourceError> {
+    let zipped = |folder: &str| -> Result<Option<Arc<Zipped>>, ReadError> {
         let file = inside.file(part(folder, &format!("{name}.zip")))?;
         let open = file.is_file().then(|| Zipped::open(&file, &inside));
         Ok(open.transpose()?.map(Arc::new))
@@ -99,7 +104,7 @@ pub(super) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress
     let time_frames = images.all.len();
     if let Some((&last, _)) = poses.last_key_value().filter(|(last, _)| **last >= time_frames) {
         let what = format!("it has a pose of frame {last}, but the clip has {time_frames}");
-        return Err(SourceErrorCause::bad(what, "give the clip of this run").at(&pose_file));
+        return Err(Fault::bad(what, "give the clip of this run").at(&pose_file));
     }
     let last_s = images.times_s.and_then(|times| times.last().copied());
     let duration_s = clock::duration_of(last_s, time_frames, options, progress);
@@ -110,9 +115,9 @@ pub(super) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress
             .map_err(|e| e.within(&pose_file, format!("array `data`, frame {i}")))?;
         let k = lenses.get(&i).ok_or_else(|| {
             let hint = "give the files of one run";
-            SourceErrorCause::missing(format!("the line of frame {i}"), hint).within(&lens_file, "array `inds`")
+            Fault::missing(format!("the line of frame {i}"), hint).within(&lens_file, "array `inds`")
         })?;
-        let member = |zip: &Option<Arc<Zipped>>, extension: &str| -> Result<Option<Member>, ReadSourceError> {
+        let member = |zip: &Option<Arc<Zipped>>, extension: &str| -> Result<Option<Member>, ReadError> {
             let name = format!("{i:05}.{extension}");
             match zip {
                 Some(zip) => zip.member(name),
@@ -120,7 +125,7 @@ pub(super) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress
             }
         };
         let (depth, mask) = (member(&depths, "exr")?, member(&masks, "png")?);
-        let k = lens::pinhole([k[0], k[1], k[2], k[3]], image.size);
+        let k = images::pinhole([k[0], k[1], k[2], k[3]], image.size);
         train.push(ListedFrame {
             depth: depth.map(|member| FrameSource::new(move || member.depth())),
             mask: mask.clone().map(|member| {
@@ -144,33 +149,36 @@ pub(super) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress
 }
 
 /// The arrays `data` and `inds`: the `width` numbers of each frame that has some.
-fn indexed(file: &Path, width: usize) -> Result<(PathBuf, BTreeMap<usize, Vec<f64>>), ReadSourceError> {
-    let mut arrays = Arrays::open(file)?;
-    let data = arrays.need(&["data"], "it is needed")?;
-    let inds = arrays.need(&["inds"], "it is needed")?;
-    let (shape, data) = arrays.numbers(data, 2)?;
-    let (_, inds) = arrays.numbers(inds, 1)?;
+fn indexed(file: &Path, width: usize) -> Result<(PathBuf, BTreeMap<usize, Vec<f64>>), ReadError> {
+    let mut npz = Npz::open(file).at(file)?;
+    let mut array = |name: &str| npz.need(name, MAX_SMALL_BYTES).and_then(Array::numbers).at(file);
+    let (
+        Numbers {
+            shape, values: data, ..
+        },
+        inds,
+    ) = (array("data")?, array("inds")?.values);
     if inds.is_empty() || data.len() != inds.len() * width {
         let what = format!(
             "data has shape {shape:?} and there are {} inds; {width} numbers for each were expected",
             inds.len()
         );
         let hint = "other camera models have more; run ViPE with a pinhole camera";
-        return Err(SourceErrorCause::bad(what, hint).at(file));
+        return Err(Fault::bad(what, hint).at(file));
     }
     let mut all = BTreeMap::new();
     for (index, numbers) in inds.iter().zip(data.chunks_exact(width)) {
         let whole = *index >= 0.0 && index.fract() == 0.0 && *index < f64::from(u32::MAX);
         if !whole || all.insert(*index as usize, numbers.to_vec()).is_some() {
             let what = format!("it holds {index}, no frame or one that was there before");
-            return Err(SourceErrorCause::bad(what, "give the file that ViPE wrote").within(file, "array `inds`"));
+            return Err(Fault::bad(what, "give the file that ViPE wrote").within(file, "array `inds`"));
         }
     }
     Ok((file.to_path_buf(), all))
 }
 
 /// Refuses lenses that are no pinholes; a file that is missing says nothing, as in ViPE.
-fn pinholes(path: &Path) -> Result<(), ReadSourceError> {
+fn pinholes(path: &Path) -> Result<(), ReadError> {
     if !path.is_file() {
         return Ok(());
     }
@@ -179,14 +187,14 @@ fn pinholes(path: &Path) -> Result<(), ReadSourceError> {
         if !(line.trim().is_empty() || kind == "PINHOLE") {
             let what = format!("the camera is {line:?}; only PINHOLE is read");
             let hint = "run ViPE with a pinhole camera (`pipeline=default`)";
-            return Err(SourceErrorCause::unsupported(what, hint).within(path, format!("line {}", i + 1)));
+            return Err(Fault::unsupported(what, hint).within(path, format!("line {}", i + 1)));
         }
     }
     Ok(())
 }
 
 /// Numbers of instances that are static: the sky.
-fn sky(path: &Path) -> Result<HashSet<u16>, ReadSourceError> {
+fn sky(path: &Path) -> Result<HashSet<u16>, ReadError> {
     if !path.is_file() {
         return Ok(HashSet::new());
     }
@@ -197,7 +205,7 @@ fn sky(path: &Path) -> Result<HashSet<u16>, ReadSourceError> {
             .and_then(|(id, phrase)| Some((id.trim().parse().ok()?, phrase)));
         let (id, phrase) = parsed.ok_or_else(|| {
             let what = format!("{line:?} is not a number with a phrase, such as `1: person`");
-            SourceErrorCause::bad(what, "give the file that ViPE wrote").within(path, format!("line {}", i + 1))
+            Fault::bad(what, "give the file that ViPE wrote").within(path, format!("line {}", i + 1))
         })?;
         phrases.insert(id, phrase.trim().to_ascii_lowercase());
     }
@@ -215,16 +223,16 @@ struct Zipped {
 }
 
 impl Zipped {
-    fn open(path: &Path, inside: &Inside) -> Result<Self, ReadSourceError> {
+    fn open(path: &Path, inside: &Inside) -> Result<Self, ReadError> {
         Ok(Self {
             path: path.to_path_buf(),
-            members: Members::open(path, inside.clone()).map_err(|e| e.at(path))?,
+            members: Members::open(path, inside.clone()).at(path)?,
         })
     }
 
     /// The map of that name, if it is there.
-    fn member(self: &Arc<Self>, name: String) -> Result<Option<Member>, ReadSourceError> {
-        let has = self.members.has(&name).map_err(|e| e.at(&self.path))?;
+    fn member(self: &Arc<Self>, name: String) -> Result<Option<Member>, ReadError> {
+        let has = self.members.has(&name).at(&self.path)?;
         Ok(has.then(|| Member {
             zip: Arc::clone(self),
             name,
@@ -244,17 +252,17 @@ impl Member {
         self.zip.path.join(&self.name)
     }
 
-    fn bytes(&self) -> Result<Vec<u8>, SourceErrorCause> {
+    fn bytes(&self) -> Result<Vec<u8>, Fault> {
         let bytes = self.zip.members.read(&self.name, MAX_MEMBER_BYTES)?;
-        bytes.ok_or_else(|| SourceErrorCause::missing(&self.name, "copy the archive again"))
+        bytes.ok_or_else(|| Fault::missing(&self.name, "copy the archive again"))
     }
 
-    fn depth(&self) -> Result<CompactDepth, SourceErrorCause> {
+    fn depth(&self) -> Result<CompactDepth, Fault> {
         let decoded = self.bytes().and_then(|bytes| decode_exr(&bytes));
         Ok(decoded.map_err(|e| e.of_file(&self.path()))?.into())
     }
 
-    fn ids(&self) -> Result<CompactIds, SourceErrorCause> {
+    fn ids(&self) -> Result<CompactIds, Fault> {
         let bytes = self.bytes().map_err(|e| e.of_file(&self.zip.path))?;
         Ok(image::ids_of_bytes(&self.path(), &bytes)?)
     }

@@ -84,15 +84,9 @@ mod tests {
     }
 
     #[test]
-    fn focal_length_of_26_mm_is_read() {
-        // 4:3: the diagonal is 5000 pixels.
-        let focal = focal_px(&block(), 4000, 3000).unwrap();
-        assert!((focal - 26.0 / 43.266_615 * 5000.0).abs() < 1e-9);
-    }
-
-    #[test]
     fn truncated_exif_blocks_give_no_focal_length() {
         let whole = block();
+        assert!(focal_px(&whole, 40, 30).is_some());
         for cut in 0..38 {
             assert_eq!(focal_px(&whole[..cut], 40, 30), None, "{cut}");
         }

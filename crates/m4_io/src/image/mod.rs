@@ -3,12 +3,10 @@
 //! Reading takes 8- and 16-bit PNG and JPEG. Transparent pixels are laid over black. Writing is
 //! atomic; the format follows the file name's extension.
 
-mod error;
 mod exif;
 mod read;
 mod write;
 
-pub use error::{ReadImageError, WriteImageError};
 pub use read::{
     Photo, decode_rgb, ids_of_bytes, read_depth, read_grey, read_ids, read_mask, read_photo, read_rgb, size,
 };

@@ -1,7 +1,6 @@
 //! Writes planes as PNG and JPEG files.
 
-use super::WriteImageError;
-use crate::atomic;
+use crate::{WriteError, atomic};
 use image::codecs::jpeg::JpegEncoder;
 use image::codecs::png::PngEncoder;
 use image::{ExtendedColorType, ImageEncoder};
@@ -11,14 +10,15 @@ use std::path::Path;
 /// Quality of JPEG files, 1 to 100: at 95 the coding error is under that of 8-bit video.
 const JPEG_QUALITY: u8 = 95;
 
-fn is_jpeg(path: &Path) -> Result<bool, WriteImageError> {
+fn is_jpeg(path: &Path) -> Result<bool, WriteError> {
     let extension = path.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase);
     match extension.as_deref() {
         Some("png") => Ok(false),
         Some("jpg" | "jpeg") => Ok(true),
-        _ => Err(WriteImageError::UnknownFormat {
-            path: path.to_path_buf(),
-        }),
+        _ => Err(WriteError::unsupported(
+            path,
+            "the name must end in .png, .jpg or .jpeg",
+        )),
     }
 }
 
@@ -27,13 +27,9 @@ fn save(
     bytes: &[u8],
     (width, height): (usize, usize),
     colour: ExtendedColorType,
-) -> Result<(), WriteImageError> {
-    let encode = |reason: String| WriteImageError::Encode {
-        path: path.to_path_buf(),
-        reason,
-    };
+) -> Result<(), WriteError> {
     let (Ok(w), Ok(h)) = (u32::try_from(width), u32::try_from(height)) else {
-        return Err(encode(format!("{width} x {height} pixels are too many")));
+        return Err(WriteError::bad(path, format!("{width} x {height} pixels are too many")));
     };
     let mut file = Vec::new();
     if is_jpeg(path)? {
@@ -41,19 +37,16 @@ fn save(
     } else {
         PngEncoder::new(&mut file).write_image(bytes, w, h, colour)
     }
-    .map_err(|e| encode(e.to_string()))?;
-    atomic::write(path, &file).map_err(|source| WriteImageError::Io {
-        path: path.to_path_buf(),
-        source,
-    })
+    .map_err(|e| WriteError::bad(path, e.to_string()))?;
+    atomic::write(path, &file).map_err(|e| WriteError::io(path, e))
 }
 
 /// Writes a colour image as PNG or JPEG (quality 95), by the extension.
 ///
 /// # Errors
 ///
-/// [`WriteImageError`] for other extensions and when the file system refuses.
-pub fn write_rgb(path: &Path, image: &RgbImage) -> Result<(), WriteImageError> {
+/// [`WriteError`] for other extensions and when the file system refuses.
+pub fn write_rgb(path: &Path, image: &RgbImage) -> Result<(), WriteError> {
     save(path, image.data().as_flattened(), image.size(), ExtendedColorType::Rgb8)
 }
 
@@ -64,13 +57,10 @@ pub fn write_rgb(path: &Path, image: &RgbImage) -> Result<(), WriteImageError> {
 ///
 /// # Errors
 ///
-/// [`WriteImageError`] when the extension is not `.png` or the file system refuses.
-pub fn write_depth(path: &Path, depth: &DepthMap, unit: f64) -> Result<(), WriteImageError> {
+/// [`WriteError`] when the extension is not `.png` or the file system refuses.
+pub fn write_depth(path: &Path, depth: &DepthMap, unit: f64) -> Result<(), WriteError> {
     if is_jpeg(path)? {
-        return Err(WriteImageError::Encode {
-            path: path.to_path_buf(),
-            reason: "JPEG cannot store 16-bit depth; use .png".into(),
-        });
+        return Err(WriteError::bad(path, "JPEG cannot store 16-bit depth; use .png"));
     }
     let steps = |z: f32| {
         if z > 0.0 {
@@ -87,8 +77,8 @@ pub fn write_depth(path: &Path, depth: &DepthMap, unit: f64) -> Result<(), Write
 ///
 /// # Errors
 ///
-/// [`WriteImageError`] for other extensions and when the file system refuses.
-pub fn write_mask(path: &Path, mask: &Mask) -> Result<(), WriteImageError> {
+/// [`WriteError`] for other extensions and when the file system refuses.
+pub fn write_mask(path: &Path, mask: &Mask) -> Result<(), WriteError> {
     write_grey(path, mask)
 }
 
@@ -96,13 +86,10 @@ pub fn write_mask(path: &Path, mask: &Mask) -> Result<(), WriteImageError> {
 ///
 /// # Errors
 ///
-/// [`WriteImageError`] when the extension is not `.png` or the file system refuses.
-pub fn write_ids(path: &Path, ids: &CompactIds) -> Result<(), WriteImageError> {
+/// [`WriteError`] when the extension is not `.png` or the file system refuses.
+pub fn write_ids(path: &Path, ids: &CompactIds) -> Result<(), WriteError> {
     if is_jpeg(path)? {
-        return Err(WriteImageError::Encode {
-            path: path.to_path_buf(),
-            reason: "JPEG changes numbers; use .png".into(),
-        });
+        return Err(WriteError::bad(path, "JPEG changes numbers; use .png"));
     }
     let plane = ids.to_plane();
     if ids.largest() <= u16::from(u8::MAX) {
@@ -116,31 +103,16 @@ pub fn write_ids(path: &Path, ids: &CompactIds) -> Result<(), WriteImageError> {
 ///
 /// # Errors
 ///
-/// [`WriteImageError`] for other extensions and when the file system refuses.
-pub fn write_grey(path: &Path, grey: &Plane<u8>) -> Result<(), WriteImageError> {
+/// [`WriteError`] for other extensions and when the file system refuses.
+pub fn write_grey(path: &Path, grey: &Plane<u8>) -> Result<(), WriteError> {
     save(path, grey.data(), grey.size(), ExtendedColorType::L8)
 }
 
 #[cfg(test)]
 mod tests {
-    use super::{write_depth, write_ids, write_mask, write_rgb};
-    use crate::image::{read_depth, read_ids, read_mask, read_rgb, size};
+    use super::{write_depth, write_ids, write_rgb};
+    use crate::image::{read_depth, read_ids, read_rgb};
     use m4_core::{CompactIds, Plane};
-
-    #[test]
-    fn png_images_round_trip() {
-        let dir = tempfile::tempdir().unwrap();
-        let rgb = Plane::from_fn(37, 23, |x, y| [(x * 7) as u8, (y * 11) as u8, (x * y) as u8]);
-        let path = dir.path().join("a.png");
-        write_rgb(&path, &rgb).unwrap();
-        assert_eq!(read_rgb(&path).unwrap(), rgb);
-        assert_eq!(size(&path).unwrap(), (37, 23));
-
-        let mask = Plane::from_fn(5, 4, |x, y| if (x + y) % 2 == 0 { 255 } else { 0 });
-        let path = dir.path().join("m.png");
-        write_mask(&path, &mask).unwrap();
-        assert_eq!(read_mask(&path).unwrap().to_mask(), mask);
-    }
 
     #[test]
     fn unknown_depth_stays_distinct_from_near_depth() {

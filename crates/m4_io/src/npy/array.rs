@@ -1,143 +1,127 @@
 //! Reads the numbers of an array from front to back.
 
-use super::Header;
-use half::f16;
-use std::io::{self, Cursor, Read};
+use super::{Header, Number};
+use crate::Fault;
+use std::fs::File;
+use std::io::{BufReader, Cursor, Read};
+use std::path::Path;
 
 /// Most dimensions of an array.
 const MAX_RANK: usize = 8;
+const HINT: &str = "save it again with numpy";
 
-/// Why an array cannot be read.
-#[derive(Debug)]
-pub enum ArrayError {
-    /// What is wrong with it, in words that follow "the array".
-    Bad(String),
-    /// It would take more memory than is allowed.
-    TooLarge {
-        /// What it takes, bytes.
-        needed_bytes: u64,
-        /// The limit.
-        limit_bytes: u64,
-    },
-}
-
-/// Type of a number.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Number {
-    /// `bool`, a byte each.
-    Bool,
-    /// `uint8`.
-    U8,
-    /// `int8`.
-    I8,
-    /// `uint16`.
-    U16,
-    /// `int16`.
-    I16,
-    /// `uint32`.
-    U32,
-    /// `int32`.
-    I32,
-    /// `uint64`.
-    U64,
-    /// `int64`.
-    I64,
-    /// `float16`.
-    F16,
-    /// `float32`.
-    F32,
-    /// `float64`.
-    F64,
-}
-
-impl Number {
-    /// The type of a `descr`, and whether its bytes are most significant first.
-    fn parse(descr: &str) -> Option<(Self, bool)> {
-        let number = match descr.get(1..)? {
-            "b1" => Self::Bool,
-            "u1" => Self::U8,
-            "i1" => Self::I8,
-            "u2" => Self::U16,
-            "i2" => Self::I16,
-            "u4" => Self::U32,
-            "i4" => Self::I32,
-            "u8" => Self::U64,
-            "i8" => Self::I64,
-            "f2" => Self::F16,
-            "f4" => Self::F32,
-            "f8" => Self::F64,
-            _ => return None,
-        };
-        match descr.as_bytes()[0] {
-            b'<' | b'|' | b'=' => Some((number, false)),
-            b'>' => Some((number, true)),
-            _ => None,
-        }
-    }
-
-    fn bytes(self) -> usize {
-        match self {
-            Self::Bool | Self::U8 | Self::I8 => 1,
-            Self::U16 | Self::I16 | Self::F16 => 2,
-            Self::U32 | Self::I32 | Self::F32 => 4,
-            Self::U64 | Self::I64 | Self::F64 => 8,
-        }
+/// The type of a `descr`, and whether its bytes are most significant first.
+fn parse(descr: &str) -> Option<(Number, bool)> {
+    let number = match descr.get(1..)? {
+        "b1" => Number::Bool,
+        "u1" => Number::U8,
+        "i1" => Number::I8,
+        "u2" => Number::U16,
+        "i2" => Number::I16,
+        "u4" => Number::U32,
+        "i4" => Number::I32,
+        "u8" => Number::U64,
+        "i8" => Number::I64,
+        "f2" => Number::F16,
+        "f4" => Number::F32,
+        "f8" => Number::F64,
+        _ => return None,
+    };
+    match descr.as_bytes()[0] {
+        b'<' | b'|' | b'=' => Some((number, false)),
+        b'>' => Some((number, true)),
+        _ => None,
     }
 }
 
 /// An array whose header was read and whose numbers follow, in C order.
 pub struct Array<'a> {
-    /// Type of its numbers.
-    pub number: Number,
     /// Slowest dimension first.
     pub shape: Vec<usize>,
+    /// Type of its numbers.
+    pub(crate) number: Number,
+    /// For messages.
+    name: String,
     big_endian: bool,
     reader: Box<dyn Read + 'a>,
 }
 
+/// All numbers of an array.
+pub(crate) struct Numbers {
+    /// Slowest dimension first.
+    pub shape: Vec<usize>,
+    /// In C order.
+    pub values: Vec<f64>,
+    /// Whether they are stored as integers or booleans.
+    pub whole: bool,
+}
+
+impl Numbers {
+    /// Those of a `.npy` file; in memory they may take `limit_bytes`.
+    pub(crate) fn read(path: &Path, limit_bytes: u64) -> Result<Self, Fault> {
+        // in memory each number takes 8 bytes, in the file 1 at least
+        Array::of_file("the array", path, limit_bytes / 8)?.numbers()
+    }
+
+    /// Height and width of one map, `[h][w]`, also with dimensions of 1 around.
+    pub(crate) fn map_size(&self) -> Result<(usize, usize), Fault> {
+        match self.shape[..] {
+            [h, w] | [h, w, 1] | [1, h, w] | [1, h, w, 1] if h * w > 0 => Ok((h, w)),
+            _ => {
+                let what = format!("an array of shape {:?}; [height, width] was expected", self.shape);
+                Err(Fault::bad(what, "save one map per file"))
+            }
+        }
+    }
+}
+
+impl Array<'static> {
+    /// That of a `.npy` file, its header read; it may take `limit_bytes`.
+    pub(crate) fn of_file(name: &str, path: &Path, limit_bytes: u64) -> Result<Self, Fault> {
+        let file = File::open(path)?;
+        let file_bytes = file.metadata()?.len();
+        Self::open(name, BufReader::new(file), file_bytes, limit_bytes)
+    }
+}
+
 impl<'a> Array<'a> {
-    /// Reads the header. `most_bytes` is what `reader` can give at most, and `limit_bytes` what the array may take.
+    /// Reads the header. `name` is for messages, `most_bytes` what `reader` can give at most, and `limit_bytes` what the array may take.
     ///
     /// # Errors
     ///
-    /// [`ArrayError`]: no array, numbers of another type, or more of them than there are bytes for.
-    pub fn open(mut reader: impl Read + 'a, most_bytes: u64, limit_bytes: u64) -> Result<Self, ArrayError> {
-        let header = Header::read(&mut reader).map_err(ArrayError::Bad)?;
-        let Some((number, big_endian)) = Number::parse(&header.descr) else {
+    /// [`Fault`]: no array, numbers of another type, or more of them than there are bytes for.
+    pub fn open(name: &str, mut reader: impl Read + 'a, most_bytes: u64, limit_bytes: u64) -> Result<Self, Fault> {
+        let bad = |why: String| Fault::bad(format!("{name} {why}"), HINT);
+        let header = Header::read(&mut reader).map_err(bad)?;
+        let Some((number, big_endian)) = parse(&header.descr) else {
             let types = "booleans, integers and floats are read";
-            return Err(ArrayError::Bad(format!(
-                "holds numbers of type {}; {types}",
-                header.descr
-            )));
+            return Err(bad(format!("holds numbers of type {}; {types}", header.descr)));
         };
         if header.shape.len() > MAX_RANK {
-            return Err(ArrayError::Bad(format!("has {} dimensions", header.shape.len())));
+            return Err(bad(format!("has {} dimensions", header.shape.len())));
         }
         let needed_bytes = header.len().and_then(|n| n.checked_mul(number.bytes() as u64));
         let needed_bytes = needed_bytes.unwrap_or(u64::MAX);
         if needed_bytes > most_bytes {
-            return Err(ArrayError::Bad(format!(
+            return Err(bad(format!(
                 "has shape {:?} of {}, more than the file can hold; it is damaged or cut off",
                 header.shape, header.descr
             )));
         }
         if needed_bytes > limit_bytes {
-            return Err(ArrayError::TooLarge {
-                needed_bytes,
-                limit_bytes,
-            });
+            return Err(Fault::too_large(name, needed_bytes, limit_bytes));
         }
         // with no dimension of 0 each is smaller than the product, which is no larger than the limit
         let shape: Result<Vec<usize>, _> = header.shape.iter().map(|&n| usize::try_from(n)).collect();
-        let shape = shape.map_err(|_| ArrayError::Bad(format!("has shape {:?}", header.shape)))?;
         let mut array = Self {
             number,
-            shape,
+            shape: shape.map_err(|_| bad(format!("has shape {:?}", header.shape)))?,
+            name: name.to_owned(),
             big_endian,
             reader: Box::new(reader),
         };
         if header.fortran_order && array.shape.len() > 1 {
-            let bytes = array.bytes(needed_bytes as usize)?;
+            let bytes = array.next_bytes(needed_bytes as usize)?;
             array.end()?;
             let turned = in_c_order(&bytes, &array.shape, number.bytes());
             array.reader = Box::new(Cursor::new(turned));
@@ -145,86 +129,64 @@ impl<'a> Array<'a> {
         Ok(array)
     }
 
-    /// The next `n` bytes.
-    fn bytes(&mut self, n: usize) -> Result<Vec<u8>, ArrayError> {
-        let mut bytes = Vec::with_capacity(n);
-        let read = (&mut self.reader).take(n as u64).read_to_end(&mut bytes);
-        read.map_err(unpacked)?;
-        if bytes.len() == n {
-            Ok(bytes)
-        } else {
-            Err(ArrayError::Bad(
-                "ends before all of its numbers; it is damaged or cut off".into(),
-            ))
-        }
+    fn bad(&self, why: impl std::fmt::Display) -> Fault {
+        Fault::bad(format!("{} {why}", self.name), HINT)
     }
 
-    /// The next `n` numbers of an array of 8-bit integers; callers compare [`Array::number`] first.
+    fn unpacked(&self, error: &std::io::Error) -> Fault {
+        self.bad(format_args!("cannot be unpacked ({error}); it is damaged or cut off"))
+    }
+
+    /// The next `n` bytes: of an array of 8-bit integers its numbers.
     ///
     /// # Errors
     ///
-    /// [`ArrayError::Bad`] if there are fewer.
-    pub fn next_u8(&mut self, n: usize) -> Result<Vec<u8>, ArrayError> {
-        self.bytes(n)
+    /// [`Fault`] if there are fewer.
+    pub fn next_bytes(&mut self, n: usize) -> Result<Vec<u8>, Fault> {
+        let mut bytes = Vec::with_capacity(n);
+        let read = (&mut self.reader).take(n as u64).read_to_end(&mut bytes);
+        read.map_err(|e| self.unpacked(&e))?;
+        if bytes.len() == n {
+            return Ok(bytes);
+        }
+        Err(self.bad("ends before all of its numbers; it is damaged or cut off"))
     }
 
     /// The next `n` numbers; integers of 64 bits beyond 2^53 are rounded.
     ///
     /// # Errors
     ///
-    /// [`ArrayError::Bad`] if there are fewer.
-    pub fn next_f64(&mut self, n: usize) -> Result<Vec<f64>, ArrayError> {
+    /// [`Fault`] if there are fewer.
+    pub fn next_f64(&mut self, n: usize) -> Result<Vec<f64>, Fault> {
         let (number, big_endian) = (self.number, self.big_endian);
-        let wide = |bytes: &[u8]| match (number, big_endian) {
-            (Number::Bool, _) => f64::from(u8::from(bytes[0] != 0)),
-            (Number::U8, _) => f64::from(bytes[0]),
-            (Number::I8, _) => f64::from(i8::from_le_bytes(exact(bytes))),
-            (Number::U16, false) => f64::from(u16::from_le_bytes(exact(bytes))),
-            (Number::U16, true) => f64::from(u16::from_be_bytes(exact(bytes))),
-            (Number::I16, false) => f64::from(i16::from_le_bytes(exact(bytes))),
-            (Number::I16, true) => f64::from(i16::from_be_bytes(exact(bytes))),
-            (Number::U32, false) => f64::from(u32::from_le_bytes(exact(bytes))),
-            (Number::U32, true) => f64::from(u32::from_be_bytes(exact(bytes))),
-            (Number::I32, false) => f64::from(i32::from_le_bytes(exact(bytes))),
-            (Number::I32, true) => f64::from(i32::from_be_bytes(exact(bytes))),
-            (Number::U64, false) => u64::from_le_bytes(exact(bytes)) as f64,
-            (Number::U64, true) => u64::from_be_bytes(exact(bytes)) as f64,
-            (Number::I64, false) => i64::from_le_bytes(exact(bytes)) as f64,
-            (Number::I64, true) => i64::from_be_bytes(exact(bytes)) as f64,
-            (Number::F16, false) => f16::from_le_bytes(exact(bytes)).to_f64(),
-            (Number::F16, true) => f16::from_be_bytes(exact(bytes)).to_f64(),
-            (Number::F32, false) => f64::from(f32::from_le_bytes(exact(bytes))),
-            (Number::F32, true) => f64::from(f32::from_be_bytes(exact(bytes))),
-            (Number::F64, false) => f64::from_le_bytes(exact(bytes)),
-            (Number::F64, true) => f64::from_be_bytes(exact(bytes)),
-        };
-        let width = number.bytes();
-        let bytes = self.bytes(n.saturating_mul(width))?;
-        Ok(bytes.chunks_exact(width).map(wide).collect())
+        let bytes = self.next_bytes(n.saturating_mul(number.bytes()))?;
+        let numbers = bytes.chunks_exact(number.bytes());
+        Ok(numbers.map(|bytes| number.read(bytes, big_endian)).collect())
     }
 
     /// Makes sure that nothing follows; of an archive this also compares the checksum.
     ///
     /// # Errors
     ///
-    /// [`ArrayError::Bad`].
-    pub fn end(&mut self) -> Result<(), ArrayError> {
-        let mut one = [0];
-        match self.reader.read(&mut one) {
+    /// [`Fault`].
+    pub fn end(&mut self) -> Result<(), Fault> {
+        match self.reader.read(&mut [0]) {
             Ok(0) => Ok(()),
-            Ok(_) => Err(ArrayError::Bad("continues after all of its numbers".into())),
-            Err(e) => Err(unpacked(e)),
+            Ok(_) => Err(self.bad("continues after all of its numbers")),
+            Err(e) => Err(self.unpacked(&e)),
         }
     }
-}
 
-fn unpacked(error: io::Error) -> ArrayError {
-    ArrayError::Bad(format!("cannot be unpacked ({error}); it is damaged or cut off"))
-}
-
-/// The `N` bytes of a number: `chunks_exact` gives no other length.
-fn exact<const N: usize>(bytes: &[u8]) -> [u8; N] {
-    std::array::from_fn(|k| bytes[k])
+    /// Reads the array to its end.
+    pub(crate) fn numbers(mut self) -> Result<Numbers, Fault> {
+        let values = self.next_f64(self.shape.iter().product())?;
+        self.end()?;
+        Ok(Numbers {
+            whole: !self.number.is_float(),
+            shape: self.shape,
+            values,
+        })
+    }
 }
 
 /// Numbers whose first index runs fastest as numbers whose last one does.
@@ -251,8 +213,9 @@ fn in_c_order(bytes: &[u8], shape: &[usize], width: usize) -> Vec<u8> {
 
 #[cfg(test)]
 mod tests {
-    use super::{Array, ArrayError, Number};
+    use super::{Array, Number};
     use crate::npy::Header;
+    use crate::{ErrorKind, Fault};
 
     fn npy(descr: &str, fortran: bool, shape: &str, numbers: &[u8]) -> Vec<u8> {
         let order = if fortran { "True" } else { "False" };
@@ -264,12 +227,10 @@ mod tests {
         out
     }
 
-    fn values(bytes: &[u8]) -> Result<Vec<f64>, ArrayError> {
-        let mut array = Array::open(bytes, bytes.len() as u64, 1 << 20)?;
-        let n = array.shape.iter().product();
-        let values = array.next_f64(n)?;
-        array.end()?;
-        Ok(values)
+    fn values(bytes: &[u8]) -> Result<Vec<f64>, Fault> {
+        Ok(Array::open("the array", bytes, bytes.len() as u64, 1 << 20)?
+            .numbers()?
+            .values)
     }
 
     #[test]
@@ -321,8 +282,8 @@ mod tests {
     }
 
     #[test]
-    fn mismatched_image_sizes_are_refused() {
-        let refused = |bytes: &[u8], limit| match Array::open(bytes, bytes.len() as u64, limit) {
+    fn shapes_beyond_the_file_or_the_limit_are_refused() {
+        let refused = |bytes: &[u8], limit| match Array::open("the array", bytes, bytes.len() as u64, limit) {
             Ok(_) => panic!("it was taken"),
             Err(cause) => cause,
         };
@@ -333,30 +294,28 @@ mod tests {
             "(0, 9999999999999999999999)",
         ] {
             let cause = refused(&npy("<f8", false, shape, &[0; 24]), u64::MAX);
-            assert!(matches!(cause, ArrayError::Bad(_)), "{shape}");
+            assert_eq!(cause.kind(), ErrorKind::BadData, "{shape}");
         }
         let large = npy("|u1", false, "(2, 8)", &[0; 16]);
-        assert!(matches!(
-            refused(&large, 15),
-            ArrayError::TooLarge { needed_bytes: 16, .. }
-        ));
-        let ArrayError::Bad(what) = refused(&npy("|O", false, "(1,)", &[0; 8]), 99) else {
-            panic!("objects are not read");
-        };
+        assert_eq!(refused(&large, 15).kind(), ErrorKind::Unsupported);
+        let what = refused(&npy("|O", false, "(1,)", &[0; 8]), 99).to_string();
         assert!(what.contains("|O"), "{what}");
         assert!(values(&npy("<f4", false, "(2,)", &[0; 9])).is_err());
         let deep = npy("|u1", false, "(1,1,1,1,1,1,1,1,1)", &[0]);
-        assert!(matches!(refused(&deep, 99), ArrayError::Bad(_)));
+        assert_eq!(refused(&deep, 99).kind(), ErrorKind::BadData);
     }
 
     #[test]
     fn a_written_header_is_read() {
         let mut bytes = Header::new("|u1", vec![2, 2]).to_bytes();
         bytes.extend([1, 2, 3, 4]);
-        let mut array = Array::open(bytes.as_slice(), bytes.len() as u64, 99).unwrap();
+        let mut array = Array::open("the array", bytes.as_slice(), bytes.len() as u64, 99).unwrap();
         assert_eq!((array.number, array.shape.as_slice()), (Number::U8, &[2, 2][..]));
-        assert_eq!(array.next_u8(3).unwrap(), [1, 2, 3]);
+        assert_eq!(array.next_bytes(3).unwrap(), [1, 2, 3]);
         assert!(array.end().is_err());
-        assert!(array.next_u8(1).is_err(), "the last was taken by the look for an end");
+        assert!(
+            array.next_bytes(1).is_err(),
+            "the last was taken by the search for the end"
+        );
     }
 }

@@ -13,7 +13,10 @@
 mod array;
 mod header;
 mod npz;
+mod number;
 
-pub use array::{Array, ArrayError, Number};
+pub use array::Array;
+pub(crate) use array::Numbers;
 pub(crate) use header::Header;
 pub use npz::Npz;
+pub(crate) use number::Number;

@@ -13,25 +13,13 @@ pub mod safetensors;
 pub mod splatv;
 pub mod spz;
 
-pub(crate) mod cameras_check;
-mod clock;
-mod file;
-mod file_error;
-mod instant;
-mod peak;
-mod row;
+mod common;
 mod rub;
-mod verified;
-mod words;
-mod written;
+mod splats;
 
-pub use clock::DEFAULT_FPS;
-pub use file_error::WriteFileError;
-pub use instant::instant;
-pub use peak::at_peak;
-pub use written::{Imported, Loss, Written};
-
-pub(crate) use words::plural;
+pub use common::{DEFAULT_FPS, Imported, Loss, Written};
+pub(crate) use common::{plural, usable};
+pub use splats::{at_peak, instant};
 
 /// The constant harmonic: a colour is `1/2 + C0` times the first coefficient (docs/spec/optimiser.md 1.8).
 pub(crate) const C0: f64 = 0.282_094_791_773_878_14;

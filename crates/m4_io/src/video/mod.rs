@@ -24,22 +24,16 @@
 
 mod colour;
 mod decoder;
-mod error;
 mod ffmpeg;
-mod folder;
 mod h264;
 mod mp4;
-mod options;
 mod orient;
 mod plan;
 mod read;
 mod write;
 
 pub use decoder::{DecoderEnd, DecoderLimits, DecoderProgram, decoder_program, set_decoder_program};
-pub use error::{ReadVideoError, WriteVideoError};
-pub use folder::{image_files, natural};
 pub use h264::serve as serve_decoder;
-pub use options::VideoOptions;
-pub use plan::evenly;
-pub use read::{read, read_with};
+pub use plan::{VideoOptions, evenly};
+pub use read::{image_files, read, read_with};
 pub use write::Mp4Writer;

@@ -1,18 +1,18 @@
-//! Chooses the frames to keep and their size, and checks that they fit into memory.
+//! Which part of a clip is read, how large, and within which limits: the options, the frames to keep, and their memory.
 
-use super::{ReadVideoError, VideoOptions};
+use super::decoder::DecoderLimits;
+use crate::Fault;
 use m4_core::{ResizeFilter, RgbImage, Video, VideoFrame, resize_rgb};
-use std::path::Path;
+use serde::{Deserialize, Serialize};
+use std::path::PathBuf;
 
 /// Slack when comparing times that went through text with microseconds.
 const TIME_SLACK_S: f64 = 1e-5;
 
 /// Fails unless every option can be.
-pub fn check_options(options: &VideoOptions) -> Result<(), ReadVideoError> {
-    let bad = |option, value: String, expected| ReadVideoError::BadOption {
-        option,
-        value,
-        expected,
+pub fn check_options(options: &VideoOptions) -> Result<(), Fault> {
+    let bad = |option: &str, value: String, expected: &str| {
+        Fault::option(format!("the video option {option} is {value}"), expected)
     };
     if options.max_frames == Some(0) {
         return Err(bad("max_frames", "0".into(), "at least 1 frame must be kept"));
@@ -57,10 +57,10 @@ pub fn evenly(n: usize, count: Option<usize>) -> Vec<usize> {
 }
 
 /// Indices of the frames to keep, given when each is shown: seconds from the first, in order.
-pub fn select(path: &Path, times_s: &[f64], options: &VideoOptions) -> Result<Vec<usize>, ReadVideoError> {
+pub fn select(times_s: &[f64], options: &VideoOptions) -> Result<Vec<usize>, Fault> {
     let inside: Vec<usize> = (0..times_s.len()).filter(|&i| in_range(times_s[i], options)).collect();
     if inside.is_empty() {
-        return Err(nothing_in_range(path, times_s.last().copied().unwrap_or(0.0), options));
+        return Err(nothing_in_range(times_s.last().copied().unwrap_or(0.0), options));
     }
     Ok(evenly(inside.len(), options.max_frames)
         .into_iter()
@@ -69,13 +69,19 @@ pub fn select(path: &Path, times_s: &[f64], options: &VideoOptions) -> Result<Ve
 }
 
 /// The error of a range that holds no frame.
-pub fn nothing_in_range(path: &Path, duration_s: f64, options: &VideoOptions) -> ReadVideoError {
-    ReadVideoError::NothingInRange {
-        path: path.to_path_buf(),
-        duration_s,
-        start_s: options.start_s.unwrap_or(0.0),
-        end_s: options.end_s.unwrap_or(duration_s),
-    }
+pub fn nothing_in_range(duration_s: f64, options: &VideoOptions) -> Fault {
+    let (start, end) = (options.start_s.unwrap_or(0.0), options.end_s.unwrap_or(duration_s));
+    let what = format!("it lasts {duration_s:.2} s and has no frame in {start:.2} s to {end:.2} s");
+    Fault::bad(what, "change the start and the end")
+}
+
+/// The fault of a clip whose frames change their size.
+pub fn size_changes(from: (usize, usize), to: (usize, usize), time_s: f64) -> Fault {
+    let what = format!(
+        "its size changes from {} x {} to {} x {} at {time_s:.2} s",
+        from.0, from.1, to.0, to.1
+    );
+    Fault::unsupported(what, "split it there")
 }
 
 /// The size of kept frames: `width` x `height` as displayed, shrunk so that the longest side fits.
@@ -90,25 +96,21 @@ pub fn target_size(width: f64, height: f64, options: &VideoOptions) -> (usize, u
 }
 
 /// Refuses before anything is decoded.
-pub fn check_memory(
-    path: &Path,
-    frames: usize,
-    size: (usize, usize),
-    options: &VideoOptions,
-) -> Result<(), ReadVideoError> {
+pub fn check_memory(frames: usize, size: (usize, usize), options: &VideoOptions) -> Result<(), Fault> {
     let needed_bytes = [size.0, size.1, 3]
         .iter()
         .fold(frames as u64, |n, &side| n.saturating_mul(side as u64));
-    if needed_bytes > options.max_memory_bytes {
-        return Err(ReadVideoError::TooLarge {
-            path: path.to_path_buf(),
-            frames,
-            size,
-            needed_bytes,
-            limit_bytes: options.max_memory_bytes,
-        });
+    if needed_bytes <= options.max_memory_bytes {
+        return Ok(());
     }
-    Ok(())
+    let (needed, limit) = (needed_bytes >> 20, options.max_memory_bytes >> 20);
+    let what = format!(
+        "{frames} frames of {} x {} pixels take {needed} MiB of memory, above the limit of {limit} MiB",
+        size.0, size.1
+    );
+    let hint = "keep fewer frames (max_frames), a shorter part (start_s, end_s) or smaller frames (size), or raise the limit \
+                (max_memory_bytes)";
+    Err(Fault::unsupported(what, hint))
 }
 
 /// Gathers kept frames at the target size.
@@ -161,11 +163,54 @@ pub fn thinned(kept: usize, of: usize) -> Option<String> {
     (kept < of).then(|| format!("read {kept} of {of} frames, evenly spaced"))
 }
 
+/// Settings of [`super::read()`].
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct VideoOptions {
+    /// Keep at most this many frames, evenly spaced from the first to the last. Default: all.
+    pub max_frames: Option<usize>,
+    /// Shrink frames so that their longest side has this many pixels; smaller frames stay as they are.
+    /// Default 640, between the 480 of the paper's DyCheck runs and the width of 360p video.
+    /// `None` keeps the size of the file.
+    pub size: Option<usize>,
+    /// Leave out what is shown before, seconds from the first frame. Default: nothing.
+    pub start_s: Option<f64>,
+    /// Leave out what is shown after, seconds from the first frame. Default: nothing.
+    pub end_s: Option<f64>,
+    /// Damaged frames are an error, in place of being left out with a warning. Default false.
+    pub strict: bool,
+    /// Bytes that the frames (3 per pixel, after shrinking) may take before reading is refused.
+    /// Default 4 GiB: half of the memory of a small laptop.
+    pub max_memory_bytes: u64,
+    /// Frames per second of a folder of images, which has no times of its own. Default 30.
+    pub folder_fps: f64,
+    /// The program that decodes what this one does not (all but 8-bit H.264 in MP4 and MOV files);
+    /// `ffprobe` is expected beside it. Default `ffmpeg`, looked up on the PATH.
+    pub ffmpeg: PathBuf,
+    /// What the processes that decode may take.
+    pub decoder: DecoderLimits,
+}
+
+impl Default for VideoOptions {
+    fn default() -> Self {
+        Self {
+            max_frames: None,
+            size: Some(640),
+            start_s: None,
+            end_s: None,
+            strict: false,
+            max_memory_bytes: 4 << 30,
+            folder_fps: 30.0,
+            ffmpeg: PathBuf::from("ffmpeg"),
+            decoder: DecoderLimits::default(),
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
-    use super::{evenly, select, target_size};
-    use crate::video::VideoOptions;
-    use std::path::Path;
+    use super::VideoOptions;
+    use super::{evenly, select};
 
     #[test]
     fn kept_frames_span_the_clip_evenly() {
@@ -193,24 +238,13 @@ mod tests {
             max_frames: Some(3),
             ..VideoOptions::default()
         };
-        assert_eq!(select(Path::new("x"), &times, &options).unwrap(), [25, 38, 50]);
+        assert_eq!(select(&times, &options).unwrap(), [25, 38, 50]);
         let late = VideoOptions {
             start_s: Some(9.0),
             ..options.clone()
         };
         let late = VideoOptions { end_s: None, ..late };
-        let error = select(Path::new("x"), &times, &late).unwrap_err().to_string();
+        let error = select(&times, &late).unwrap_err().to_string();
         assert!(error.contains("lasts 3.96 s"), "{error}");
-    }
-
-    #[test]
-    fn frames_are_shrunk_but_never_enlarged() {
-        let options = VideoOptions {
-            size: Some(640),
-            ..VideoOptions::default()
-        };
-        assert_eq!(target_size(1920.0, 1080.0, &options), (640, 360));
-        assert_eq!(target_size(1080.0, 1920.0, &options), (360, 640));
-        assert_eq!(target_size(480.0, 360.0, &options), (480, 360));
     }
 }

@@ -1,16 +1,21 @@
 //! Chooses the decoder of a clip.
 
 use super::decoder::{DecoderProgram, decoder_program};
-use super::mp4::{Movie, Mp4Error};
-use super::{ReadVideoError, VideoOptions, ffmpeg, folder, h264, mp4, plan};
-use m4_core::{Progress, Video};
+use super::mp4::{self, Movie, Mp4Error};
+use super::plan::{self, Collector};
+use super::{VideoOptions, ffmpeg, h264};
+use crate::error::AtPath;
+use crate::files::in_parallel;
+use crate::{ErrorKind, Fault, ReadError, files, image};
+use m4_core::{Progress, ResizeFilter, Video, resize_rgb};
 use std::fs::File;
-use std::io::{ErrorKind, Read};
-use std::path::Path;
+use std::io::{self, Read};
+use std::path::{Path, PathBuf};
 
 /// Bytes of a file's start that tell what it is.
 const START_BYTES: u64 = 512;
 
+const NOT_VIDEO: &str = "it is not a video";
 /// Said of a file that ffmpeg may still know.
 const UNKNOWN: &str = "its first bytes are those of no known container; give an MP4, MOV, MKV, WebM or AVI file";
 
@@ -20,8 +25,8 @@ const UNKNOWN: &str = "its first bytes are those of no known container; give an 
 ///
 /// # Errors
 ///
-/// [`ReadVideoError`], which names the file, what is wrong with it and what to do.
-pub fn read(path: &Path, options: &VideoOptions, progress: &dyn Progress) -> Result<Video, ReadVideoError> {
+/// [`ReadError`], which names the file, what is wrong with it and what to do.
+pub fn read(path: &Path, options: &VideoOptions, progress: &dyn Progress) -> Result<Video, ReadError> {
     read_with(decoder_program(), path, options, progress)
 }
 
@@ -35,30 +40,30 @@ pub fn read_with(
     path: &Path,
     options: &VideoOptions,
     progress: &dyn Progress,
-) -> Result<Video, ReadVideoError> {
+) -> Result<Video, ReadError> {
+    clip(decoder, path, options, progress).at(path)
+}
+
+fn clip(
+    decoder: Option<&DecoderProgram>,
+    path: &Path,
+    options: &VideoOptions,
+    progress: &dyn Progress,
+) -> Result<Video, Fault> {
     plan::check_options(options)?;
     if path.is_dir() {
-        return folder::read(path, options, progress);
+        return folder(path, options, progress);
     }
-    let io = |source| ReadVideoError::Io {
-        path: path.to_path_buf(),
-        source,
-    };
-    let mut file = File::open(path).map_err(io)?;
-    let meta = file.metadata().map_err(io)?;
+    let mut file = File::open(path)?;
+    let meta = file.metadata()?;
     if !meta.is_file() {
-        return Err(ReadVideoError::NotVideo {
-            path: path.to_path_buf(),
-            reason: "it is a device or a pipe; give a file or a folder of images".into(),
-        });
+        return Err(not_video("it is a device or a pipe; give a file or a folder of images"));
     }
     if meta.len() == 0 {
-        return Err(ReadVideoError::Empty {
-            path: path.to_path_buf(),
-        });
+        return Err(Fault::bad("it is empty (0 bytes)", "copy it again from the camera"));
     }
     let mut start = Vec::new();
-    (&mut file).take(START_BYTES).read_to_end(&mut start).map_err(io)?;
+    (&mut file).take(START_BYTES).read_to_end(&mut start)?;
     if mp4::looks_like_mp4(&start) {
         return mp4(path, &mut file, meta.len(), options, decoder, progress);
     }
@@ -66,17 +71,40 @@ pub fn read_with(
         Ok(what) => ffmpeg::read(path, what, options, decoder, progress),
         Err(reason) => match ffmpeg::read(path, "of no kind that is known", options, decoder, progress) {
             // Without ffmpeg what is known of its first bytes must do.
-            Err(ReadVideoError::NeedsFfmpeg { .. }) if reason != UNKNOWN => Err(ReadVideoError::NotVideo {
-                path: path.to_path_buf(),
-                reason: reason.to_owned(),
-            }),
-            Err(ReadVideoError::NotVideo { path, reason: message }) => Err(ReadVideoError::NotVideo {
-                path,
-                reason: format!("{reason} ({message})"),
-            }),
+            Err(e)
+                if matches!(
+                    e,
+                    Fault::Content {
+                        kind: ErrorKind::Unavailable,
+                        ..
+                    }
+                ) && reason != UNKNOWN =>
+            {
+                Err(not_video(reason))
+            }
+            Err(Fault::Content { what, hint, .. }) if what == NOT_VIDEO => {
+                Err(not_video(&format!("{reason} ({hint})")))
+            }
             other => other,
         },
     }
+}
+
+/// The file is none that any decoder knows.
+pub(super) fn not_video(reason: &str) -> Fault {
+    Fault::bad(NOT_VIDEO, reason)
+}
+
+/// There is sound but no image.
+pub(super) fn no_video_track(found: &str) -> Fault {
+    let what = format!("it has no video track ({found})");
+    Fault::bad(what, "a clip filmed with a moving camera is needed")
+}
+
+/// Not one frame came out.
+pub(super) fn no_frames(reason: &str) -> Fault {
+    let what = format!("it has no frame that can be decoded: {reason}");
+    Fault::bad(what, "record or export it again")
 }
 
 /// The name of a container that only ffmpeg reads, or why the file is none that is known.
@@ -115,47 +143,35 @@ fn mp4(
     options: &VideoOptions,
     decoder: Option<&DecoderProgram>,
     progress: &dyn Progress,
-) -> Result<Video, ReadVideoError> {
+) -> Result<Video, Fault> {
     let movie = match Movie::read(file, len) {
         Ok(movie) => movie,
         Err(Mp4Error::Fragmented) => return ffmpeg::read(path, "a fragmented MP4 file", options, decoder, progress),
-        Err(error) => {
-            return Err(match error {
-                Mp4Error::Io(source) if source.kind() != ErrorKind::UnexpectedEof => ReadVideoError::Io {
-                    path: path.to_path_buf(),
-                    source,
-                },
-                Mp4Error::Truncated(what) => ReadVideoError::Truncated {
-                    path: path.to_path_buf(),
-                    what,
-                },
-                other => ReadVideoError::Damaged {
-                    path: path.to_path_buf(),
-                    what: other.to_string(),
-                },
-            });
+        Err(Mp4Error::Io(e)) if e.kind() != io::ErrorKind::UnexpectedEof => return Err(e.into()),
+        Err(Mp4Error::Truncated(what)) => {
+            let hint = "copy it again from the camera, or repair the recording (`untrunc`)";
+            return Err(Fault::bad(format!("it is incomplete: {what}"), hint));
+        }
+        Err(other) => {
+            let hint = "copy it again, or convert it with `ffmpeg -i IN -pix_fmt yuv420p OUT.mp4`";
+            return Err(Fault::bad(format!("it is damaged: {other}"), hint));
         }
     };
     let Some(track) = movie.video() else {
         let kinds: Vec<String> = movie.tracks.iter().map(|t| mp4::kind_name(t.handler)).collect();
-        return Err(ReadVideoError::NoVideoTrack {
-            path: path.to_path_buf(),
-            found: if kinds.is_empty() {
-                "it has no tracks at all".into()
-            } else {
-                format!("it has {}", kinds.join(", "))
-            },
-        });
+        let found = if kinds.is_empty() {
+            "it has no tracks at all".to_owned()
+        } else {
+            format!("it has {}", kinds.join(", "))
+        };
+        return Err(no_video_track(&found));
     };
     if track.samples.is_empty() {
-        return Err(ReadVideoError::NoFrames {
-            path: path.to_path_buf(),
-            reason: "its video track is empty; record it again".into(),
-        });
+        return Err(no_frames("its video track is empty"));
     }
     let codec = track.entries[0].codec;
     let h264::Unsupported(what) = if matches!(&codec, b"avc1" | b"avc3") {
-        match h264::read(path, file, track, options, decoder, progress)? {
+        match h264::read(file, track, options, decoder, progress)? {
             h264::Outcome::Decoded(video) => return Ok(video),
             h264::Outcome::Unsupported(unsupported) => unsupported,
         }
@@ -163,4 +179,74 @@ fn mp4(
         h264::Unsupported(mp4::codec_name(codec))
     };
     ffmpeg::read(path, &what, options, decoder, progress)
+}
+
+/// Reads the images of a folder in natural order (`2.png` before `10.png`), evenly spaced in time.
+fn folder(path: &Path, options: &VideoOptions, progress: &dyn Progress) -> Result<Video, Fault> {
+    let files = image_files(path)?;
+    let times: Vec<f64> = (0..files.len()).map(|i| i as f64 / options.folder_fps).collect();
+    let kept = plan::select(&times, options)?;
+    let expected = image::size(&files[0])?;
+    for file in &files {
+        let found = image::size(file)?;
+        if found != expected {
+            return Err(other_size(file, found, expected));
+        }
+    }
+    let longest = expected.0.max(expected.1) as f64;
+    let size = plan::target_size(expected.0 as f64, expected.1 as f64, options);
+    plan::check_memory(kept.len(), size, options)?;
+
+    let frames = in_parallel(
+        "read images",
+        &kept,
+        progress,
+        || Fault::Cancelled,
+        |_, &i| {
+            let mut photo = image::read_photo(&files[i])?;
+            let (w, h) = photo.rgb.size();
+            let (width, height) = plan::target_size(w as f64, h as f64, options);
+            if let Some(small) = resize_rgb(&photo.rgb, width, height, ResizeFilter::Triangle) {
+                photo.rgb = small;
+            }
+            Ok(photo)
+        },
+    )?;
+    // Images turned by their EXIF blocks may differ although the files agree.
+    let upright = frames.first().map_or(size, |f| f.rgb.size());
+    if let Some(i) = frames.iter().position(|f| f.rgb.size() != upright) {
+        return Err(other_size(&files[kept[i]], frames[i].rgb.size(), upright));
+    }
+    let scale = upright.0.max(upright.1) as f64 / longest;
+    let focal_px = frames.first().and_then(|f| f.focal_px).map(|f| f * scale);
+    let mut collector = Collector::new(upright);
+    for (photo, &i) in frames.into_iter().zip(&kept) {
+        collector.push(photo.rgb, times[i]);
+    }
+    let inside = times.iter().filter(|&&t| plan::in_range(t, options)).count();
+    collector.warnings.extend(plan::thinned(kept.len(), inside));
+    collector.finish(focal_px).ok_or_else(no_images)
+}
+
+fn no_images() -> Fault {
+    let what = "it is a folder that has no image whose name ends in .jpg, .jpeg or .png";
+    Fault::bad(what, "give a video file or a folder of frames")
+}
+
+fn other_size(file: &Path, (w, h): (usize, usize), (width, height): (usize, usize)) -> Fault {
+    let what = format!("it is {w} x {h} pixels but those before it are {width} x {height}");
+    Fault::bad(what, "frames of one camera must have one size").of_file(file)
+}
+
+/// The images (PNG, JPEG) of a folder in natural order: `2.png` before `10.png`; at least one.
+///
+/// # Errors
+///
+/// [`ReadError`] if the folder cannot be read or has none.
+pub fn image_files(path: &Path) -> Result<Vec<PathBuf>, ReadError> {
+    let files = files::listed(path, &["png", "jpg", "jpeg"])?;
+    if files.is_empty() {
+        return Err(no_images().at(path));
+    }
+    Ok(files)
 }

@@ -1,8 +1,9 @@
 //! Writes images as an MP4 file that plays in common players.
 
 use super::colour::{Planes420, Range, YuvMatrix};
+use super::h264;
 use super::mp4::Movie;
-use super::{WriteVideoError, h264};
+use crate::WriteError;
 use crate::atomic::AtomicFile;
 use m4_core::RgbImage;
 use muxide::api::{Muxer, MuxerBuilder, VideoCodec};
@@ -57,12 +58,9 @@ impl Mp4Writer {
     ///
     /// # Errors
     ///
-    /// [`WriteVideoError`] for sizes or rates that H.264 does not have, and when the file system refuses.
-    pub fn create(path: &Path, width: usize, height: usize, fps: f64) -> Result<Self, WriteVideoError> {
-        let unsupported = |what: String| WriteVideoError::Unsupported {
-            path: path.to_path_buf(),
-            what,
-        };
+    /// [`WriteError`] for sizes or rates that H.264 does not have, and when the file system refuses.
+    pub fn create(path: &Path, width: usize, height: usize, fps: f64) -> Result<Self, WriteError> {
+        let unsupported = |what: String| WriteError::unsupported(path, what);
         let (even_width, even_height) = (width.next_multiple_of(2), height.next_multiple_of(2));
         let (short, long) = (even_width.min(even_height), even_width.max(even_height));
         if short < SIDES_PX.0 || long > SIDES_PX.1 || short > SHORT_SIDE_PX {
@@ -76,10 +74,7 @@ impl Mp4Writer {
                 "{fps} frames per second; 0.1 to 1000 were expected"
             )));
         }
-        let encode = |reason: String| WriteVideoError::Encode {
-            path: path.to_path_buf(),
-            reason,
-        };
+        let encode = |reason: String| WriteError::encode(path, reason);
         let config = EncoderConfig::new()
             .profile(Profile::High)
             .vui(VuiConfig::bt709())
@@ -97,10 +92,7 @@ impl Mp4Writer {
             Encoder::with_api_config(OpenH264API::from_source(), config).map_err(|e| encode(e.to_string()))?;
         let matrix = YuvMatrix::from_code(1, height, Range::Limited);
         let matrix = matrix.ok_or_else(|| encode("BT.709 is not known".into()))?;
-        let file = AtomicFile::create(path).map_err(|source| WriteVideoError::Io {
-            path: path.to_path_buf(),
-            source,
-        })?;
+        let file = AtomicFile::create(path).map_err(|e| WriteError::io(path, e))?;
         let muxer = MuxerBuilder::new(file)
             .video(VideoCodec::H264, even_width as u32, even_height as u32, fps)
             .with_fast_start(true)
@@ -121,20 +113,17 @@ impl Mp4Writer {
     ///
     /// # Errors
     ///
-    /// [`WriteVideoError`] if its size is not that of the clip or the encoder fails.
-    pub fn push(&mut self, image: &RgbImage) -> Result<(), WriteVideoError> {
+    /// [`WriteError`] if its size is not that of the clip or the encoder fails.
+    pub fn push(&mut self, image: &RgbImage) -> Result<(), WriteError> {
         if image.size() != self.size {
-            return Err(WriteVideoError::FrameSize {
-                path: self.path.clone(),
-                frame: self.frames,
-                expected: self.size,
-                found: image.size(),
-            });
+            let ((w, h), (width, height)) = (image.size(), self.size);
+            let what = format!(
+                "frame {} is {w} x {h} pixels where {width} x {height} were expected",
+                self.frames
+            );
+            return Err(WriteError::bad(&self.path, what));
         }
-        let encode = |reason: String| WriteVideoError::Encode {
-            path: self.path.clone(),
-            reason,
-        };
+        let encode = |reason: String| WriteError::encode(&self.path, reason);
         let planes = Planes420::new(image, &self.matrix);
         let [cb, cr] = &planes.chroma;
         let half = planes.width / 2;
@@ -161,9 +150,9 @@ impl Mp4Writer {
     ///
     /// # Errors
     ///
-    /// [`WriteVideoError`] if there were no frames, the file system refuses, or the file does not hold
+    /// [`WriteError`] if there were no frames, the file system refuses, or the file does not hold
     /// as many decodable frames as were pushed.
-    pub fn finish(self) -> Result<(), WriteVideoError> {
+    pub fn finish(self) -> Result<(), WriteError> {
         let Self {
             path,
             size,
@@ -172,25 +161,16 @@ impl Mp4Writer {
             ..
         } = self;
         if frames == 0 {
-            return Err(WriteVideoError::NoFrames { path });
+            return Err(WriteError::bad(&path, "there are no frames"));
         }
-        let io = |source| WriteVideoError::Io {
-            path: path.clone(),
-            source,
-        };
+        let io = |e| WriteError::io(&path, e);
         muxer.finish_in_place().map_err(|e| match e {
             muxide::api::MuxerError::Io(source) => io(source),
-            other => WriteVideoError::Encode {
-                path: path.clone(),
-                reason: other.to_string(),
-            },
+            other => WriteError::encode(&path, other),
         })?;
         let mut file = muxer.into_writer();
         file.sync().map_err(io)?;
-        verify(file.temporary_path(), size, frames).map_err(|reason| WriteVideoError::Verify {
-            path: path.clone(),
-            reason,
-        })?;
+        verify(file.temporary_path(), size, frames).map_err(|reason| WriteError::verify(&path, reason))?;
         file.commit().map_err(io)
     }
 }

@@ -1,7 +1,8 @@
 //! Captures for other tools, read back.
 
+use crate::common::{Stop, says};
 use m4_core::nalgebra::{Quaternion, UnitQuaternion, Vector3};
-use m4_core::{Capture, CaptureFrame, CompactMask, Progress, Silent, Tracks};
+use m4_core::{Capture, CaptureFrame, CompactMask, Silent, Tracks};
 use m4_io::dataset::{colmap, nerfstudio};
 use m4_io::image::{read_depth, read_mask, read_rgb};
 use m4_testkit::BoxScene;
@@ -139,19 +140,6 @@ fn captures_without_depth_have_no_points() {
     assert!(list.contains("mask_path") && !out.join("points.ply").exists());
 }
 
-/// Asks to stop at once.
-struct Stop;
-
-impl Progress for Stop {
-    fn update(&self, _phase: &str, _done: usize, _total: usize, _note: &str) {}
-
-    fn warn(&self, _message: &str) {}
-
-    fn cancelled(&self) -> bool {
-        true
-    }
-}
-
 #[test]
 fn cancelled_or_failed_exports_leave_no_files() {
     let (_, capture) = capture_of(3);
@@ -166,16 +154,19 @@ fn cancelled_or_failed_exports_leave_no_files() {
     assert!(colmap::write(&out, &capture, &Stop).is_err());
     let mut broken = capture.clone();
     broken.frames[1].camera.c2w.rotation[(0, 0)] = f64::NAN;
-    let message = nerfstudio::write(&out, &broken, None, &Silent).unwrap_err().to_string();
-    assert!(message.contains("frame 1"), "{message}");
+    says(
+        &nerfstudio::write(&out, &broken, None, &Silent).unwrap_err(),
+        &["frame 1"],
+    );
     let mut late = capture.clone();
     late.frames[2].t = 9.0;
-    let message = nerfstudio::write(&out, &late, None, &Silent).unwrap_err().to_string();
-    assert!(message.contains("frame 2") && message.contains("t = 9"), "{message}");
+    says(
+        &nerfstudio::write(&out, &late, None, &Silent).unwrap_err(),
+        &["frame 2", "t = 9"],
+    );
     let mut hollow = capture.clone();
     hollow.frames[0].mask = Some(CompactMask::from_fn(0, 0, |_, _| true));
-    let message = colmap::write(&out, &hollow, &Silent).unwrap_err();
-    assert!(message.to_string().contains("no pixels"), "{message}");
+    says(&colmap::write(&out, &hollow, &Silent).unwrap_err(), &["no pixels"]);
     let empty = Capture {
         frames: Vec::new(),
         ..capture

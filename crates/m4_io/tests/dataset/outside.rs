@@ -1,6 +1,6 @@
 //! Sources that name files outside of their folder, or lead to them by links.
 
-use crate::dataset::support::{copied, fixture, refused};
+use crate::dataset::support::{copied, fixture, refused, refuses, says};
 use m4_core::Silent;
 use m4_io::dataset::SourceFormat::{self, Nerfstudio};
 use m4_io::dataset::{ImportOptions, read};
@@ -12,12 +12,6 @@ fn anywhere() -> ImportOptions {
     ImportOptions {
         reach: Reach::Anywhere,
         ..ImportOptions::default()
-    }
-}
-
-fn says(message: &str, words: &[&str]) {
-    for word in words {
-        assert!(message.contains(word), "{word:?} is not in: {message}");
     }
 }
 
@@ -37,9 +31,9 @@ fn a_list_that_names_private_files_is_refused() {
             let quoted = format!("\"{from}\"");
             assert!(text.contains(&quoted));
             fs::write(&file, text.replace(&quoted, &format!("{name:?}"))).unwrap();
-            let message = refused(&here, Nerfstudio, &ImportOptions::default());
-            says(
-                &message,
+            refuses(
+                &here,
+                Nerfstudio,
                 &["transforms.json", "frame ", private, "outside of", "--allow-outside"],
             );
             read(&here, Nerfstudio, &anywhere(), &Silent).unwrap();
@@ -47,14 +41,12 @@ fn a_list_that_names_private_files_is_refused() {
     }
     // Blender's scenes leave the extension out
     fs::write(&file, text.replace("\"images/frame_3.jpg\"", "\"../private\"")).unwrap();
-    says(
-        &refused(&here, Nerfstudio, &ImportOptions::default()),
-        &["private.jpg", "--allow-outside"],
-    );
+    refuses(&here, Nerfstudio, &["private.jpg", "--allow-outside"]);
     let tracks = "{\"tracks_path\": \"../private.jpg\", ";
     fs::write(&file, text.replacen('{', tracks, 1)).unwrap();
-    says(
-        &refused(&here, Nerfstudio, &ImportOptions::default()),
+    refuses(
+        &here,
+        Nerfstudio,
         &["transforms.json", "tracks_path", "private.jpg", "--allow-outside"],
     );
 }
@@ -82,8 +74,11 @@ fn folders_that_the_options_name_may_be_read() {
         ..ImportOptions::default()
     };
     read(&fixture("import/blender"), Nerfstudio, &options, &Silent).unwrap();
-    let message = refused(&fixture("import/blender"), Nerfstudio, &ImportOptions::default());
-    says(&message, &["transforms_train.json", "clip/images", "--allow-outside"]);
+    refuses(
+        &fixture("import/blender"),
+        Nerfstudio,
+        &["transforms_train.json", "clip/images", "--allow-outside"],
+    );
 }
 
 #[cfg(unix)]
@@ -117,9 +112,9 @@ fn links_out_of_a_source_are_not_followed() {
         for file in files {
             let (dir, here) = copied(&format!("import/{name}"));
             link(&here.join(file), dir.path());
-            let message = refused(&here, format, &ImportOptions::default());
-            says(
-                &message,
+            refuses(
+                &here,
+                format,
                 &[file.rsplit('/').next().unwrap(), "private", "--allow-outside"],
             );
             if let Err(e) = read(&here, format, &anywhere(), &Silent) {

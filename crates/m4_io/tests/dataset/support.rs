@@ -1,10 +1,9 @@
 //! Reading and changing sources.
 
-pub use crate::common::fixtures::{copy, fixture};
-use m4_core::{Progress, Silent};
+pub use crate::common::{Heard, copy, fixture, says};
+use m4_core::Silent;
 use m4_io::dataset::{ImportOptions, SourceFormat, read};
 use std::path::{Path, PathBuf};
-use std::sync::Mutex;
 use tempfile::TempDir;
 
 /// A copy of `fixtures/NAME` that a test may change, and the folder that it is in.
@@ -30,24 +29,8 @@ pub fn refused(path: &Path, format: SourceFormat, options: &ImportOptions) -> St
     }
 }
 
-/// Records warnings.
-#[derive(Default)]
-pub struct Heard(Mutex<Vec<String>>);
-
-impl Heard {
-    pub fn all(&self) -> String {
-        self.0.lock().unwrap().join("\n")
-    }
-}
-
-impl Progress for Heard {
-    fn update(&self, _: &str, _: usize, _: usize, _: &str) {}
-
-    fn cancelled(&self) -> bool {
-        false
-    }
-
-    fn warn(&self, message: &str) {
-        self.0.lock().unwrap().push(message.to_owned());
-    }
+/// Asserts that a source is refused for a reason that has all of `words`.
+#[track_caller]
+pub fn refuses(path: &Path, format: SourceFormat, words: &[&str]) {
+    says(&refused(path, format, &ImportOptions::default()), words);
 }

@@ -1,61 +1,18 @@
 //! The category of a failure, and errors that several operations share: data, outputs.
 
-use m4_io::ErrorKind;
-use m4_io::capture::WriteCaptureError;
-use m4_io::dataset::ReadSourceError;
-use m4_io::dataset::export::WriteCaptureAsError;
-use m4_io::image::{ReadImageError, WriteImageError};
-use m4_io::scene::WriteFileError;
-use m4_io::scene::fourdgs::ReadFourdgsError;
-use m4_io::scene::ply::ReadPlyError;
-use m4_io::scene::safetensors::{ReadSceneError, WriteSceneError};
-use m4_io::trajectory::ReadTrajectoryError;
-use m4_io::video::{ReadVideoError, WriteVideoError};
+use m4_io::{ErrorKind, ReadError, WriteError};
 use std::path::PathBuf;
 
 /// Why data could not be read or written: the errors of [`m4_io`].
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum DataError {
-    /// Reading a clip.
+    /// Reading a file or folder.
     #[error(transparent)]
-    ReadVideo(#[from] ReadVideoError),
-    /// Writing a clip.
+    Read(#[from] ReadError),
+    /// Writing a file or folder.
     #[error(transparent)]
-    WriteVideo(#[from] WriteVideoError),
-    /// Reading an image.
-    #[error(transparent)]
-    ReadImage(#[from] ReadImageError),
-    /// Writing an image.
-    #[error(transparent)]
-    WriteImage(#[from] WriteImageError),
-    /// Reading a capture.
-    #[error(transparent)]
-    ReadCapture(#[from] ReadSourceError),
-    /// Writing a capture.
-    #[error(transparent)]
-    WriteCapture(#[from] WriteCaptureError),
-    /// Reading a scene.
-    #[error(transparent)]
-    ReadScene(#[from] ReadSceneError),
-    /// Writing a scene.
-    #[error(transparent)]
-    WriteScene(#[from] WriteSceneError),
-    /// Reading cameras.
-    #[error(transparent)]
-    ReadTrajectory(#[from] ReadTrajectoryError),
-    /// Reading `.4dgs`.
-    #[error(transparent)]
-    ReadFourdgs(#[from] ReadFourdgsError),
-    /// Reading PLY.
-    #[error(transparent)]
-    ReadPly(#[from] ReadPlyError),
-    /// Writing a file of splats.
-    #[error(transparent)]
-    WriteSplats(#[from] WriteFileError),
-    /// Writing a capture for another tool.
-    #[error(transparent)]
-    WriteCaptureAs(#[from] WriteCaptureAsError),
+    Write(#[from] WriteError),
 }
 
 impl DataError {
@@ -63,20 +20,8 @@ impl DataError {
     #[must_use]
     pub fn category(&self) -> Category {
         match self {
-            Self::ReadVideo(ReadVideoError::BadOption { .. }) => Category::BadSettings,
-            Self::ReadVideo(e) => e.kind().into(),
-            Self::WriteVideo(e) => e.kind().into(),
-            Self::ReadImage(e) => e.kind().into(),
-            Self::WriteImage(e) => e.kind().into(),
-            Self::ReadCapture(e) => e.kind().into(),
-            Self::WriteCapture(e) => e.kind().into(),
-            Self::ReadScene(e) => e.kind().into(),
-            Self::WriteScene(e) => e.kind().into(),
-            Self::ReadTrajectory(e) => e.kind().into(),
-            Self::ReadFourdgs(e) => e.kind().into(),
-            Self::ReadPly(e) => e.kind().into(),
-            Self::WriteSplats(e) => e.kind().into(),
-            Self::WriteCaptureAs(e) => e.kind().into(),
+            Self::Read(e) => e.kind().into(),
+            Self::Write(e) => e.kind().into(),
         }
     }
 }
@@ -132,6 +77,7 @@ impl From<ErrorKind> for Category {
         match kind {
             ErrorKind::NotFound => Self::NoInput,
             ErrorKind::BadData | ErrorKind::Unsupported => Self::BadInput,
+            ErrorKind::BadOption => Self::BadSettings,
             ErrorKind::Unavailable => Self::NoDevice,
             ErrorKind::CannotWrite => Self::CannotWrite,
             ErrorKind::Io => Self::Io,

@@ -19,17 +19,7 @@ use m4_eval::image::ImageError;
 use m4_geometry::classical::dense::DenseError;
 use m4_geometry::classical::sparse::SparseError;
 use m4_geometry::megasam::MegasamError;
-use m4_io::ErrorKind;
-use m4_io::capture::WriteCaptureError;
-use m4_io::dataset::ReadSourceError;
-use m4_io::dataset::export::WriteCaptureAsError;
-use m4_io::image::{ReadImageError, WriteImageError};
-use m4_io::scene::WriteFileError;
-use m4_io::scene::fourdgs::ReadFourdgsError;
-use m4_io::scene::ply::ReadPlyError;
-use m4_io::scene::safetensors::{ReadSceneError, WriteSceneError};
-use m4_io::trajectory::ReadTrajectoryError;
-use m4_io::video::{ReadVideoError, WriteVideoError};
+use m4_io::{ErrorKind, ReadError, WriteError};
 use m4_kernels::SimdLevelError;
 use m4_train::TrainError;
 use m4_train::init::InitError;
@@ -176,8 +166,7 @@ macro_rules! from_parts_of {
 }
 
 from_parts_of! {
-    DataError: ReadVideoError, WriteVideoError, ReadImageError, WriteImageError, ReadSourceError, WriteCaptureError,
-        ReadSceneError, WriteSceneError, ReadTrajectoryError, ReadFourdgsError, ReadPlyError, WriteFileError, WriteCaptureAsError;
+    DataError: ReadError, WriteError;
     ReconstructionError: SparseError, DenseError, MegasamError;
     ViewerError: PageError, FramesError, ServeError;
 }
@@ -235,12 +224,13 @@ impl Error {
 
 #[cfg(test)]
 mod tests {
-    use super::{Category, Error, OutputError, ReadVideoError, ServeError};
+    use super::{Category, Error, OutputError, ServeError};
     use m4_geometry::classical::dense::DenseError;
     use m4_geometry::tracks::TrackError;
+    use m4_io::Fault;
     use std::error::Error as _;
     use std::io;
-    use std::path::PathBuf;
+    use std::path::{Path, PathBuf};
 
     #[test]
     fn a_stop_is_no_fault_of_the_input_however_deep_it_was_noticed() {
@@ -257,10 +247,7 @@ mod tests {
     #[test]
     fn the_type_of_an_operation_adds_nothing_to_the_message_nor_to_the_causes() {
         let refused = || io::Error::from(io::ErrorKind::PermissionDenied);
-        let video = || ReadVideoError::Io {
-            path: PathBuf::from("clip.mp4"),
-            source: refused(),
-        };
+        let video = || Fault::Io(refused()).at(Path::new("clip.mp4"));
         let server = || ServeError::Listen {
             port: 80,
             source: refused(),
@@ -270,13 +257,19 @@ mod tests {
                 video().to_string(),
                 Error::from(video()),
                 Category::from(video().kind()),
+                None,
             ),
-            (server().to_string(), Error::from(server()), Category::TryAgain),
+            (
+                server().to_string(),
+                Error::from(server()),
+                Category::TryAgain,
+                Some(refused().to_string()),
+            ),
         ];
-        for (message, error, category) in expected {
+        for (message, error, category, expected_cause) in expected {
             assert_eq!((error.to_string(), error.category()), (message, category));
             let cause = error.source().map(ToString::to_string);
-            assert_eq!(cause, Some(refused().to_string()));
+            assert_eq!(cause, expected_cause);
             assert!(error.source().and_then(|cause| cause.source()).is_none());
         }
     }

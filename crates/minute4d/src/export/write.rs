@@ -5,8 +5,8 @@ use crate::error::OutputError;
 use crate::render::{Painter, source_fps};
 use crate::{Error, Observer, Refusal, Settings};
 use m4_core::{Capture, Scene};
+use m4_io::ErrorKind;
 use m4_io::capture::{self, CaptureOptions, Split};
-use m4_io::dataset::export::WriteCaptureAsError;
 use m4_io::dataset::{colmap, nerfstudio};
 use m4_io::scene::{Loss, Written, fourdgs, gltf, ply, splatv, spz};
 use m4_io::video::Mp4Writer;
@@ -140,9 +140,9 @@ fn write_capture(
             });
         }
     };
-    let written = written.map_err(|error| match error {
-        WriteCaptureAsError::Cancelled { .. } => STOPPED,
-        other => other.into(),
+    let written = written.map_err(|error| match error.kind() {
+        ErrorKind::Cancelled => STOPPED,
+        _ => error.into(),
     })?;
     Ok((written.bytes, Losses::of(written.losses)))
 }

@@ -10,7 +10,9 @@ use m4_core::{Capture, CompactMask, Progress};
 use m4_geometry::classical::dense::InverseSearch;
 use m4_geometry::consistency::{self, Cause, Consistency, ConsistencyError, Verdict};
 use m4_io::capture::{self, Split};
-use m4_io::dataset::{Imported, ReadSourceError, SourceErrorCause, SourceFormat, dycheck};
+use m4_io::dataset::dycheck;
+use m4_io::dataset::{Imported, SourceFormat};
+use m4_io::{ErrorKind, ReadError};
 use serde::Serialize;
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -171,9 +173,9 @@ const STOPPED: Error = Error::Stopped {
     saved: false,
 };
 
-fn source_stopped(error: ReadSourceError) -> Error {
-    match error.cause {
-        SourceErrorCause::Cancelled => STOPPED,
+fn source_stopped(error: ReadError) -> Error {
+    match error.kind() {
+        ErrorKind::Cancelled => STOPPED,
         _ => error.into(),
     }
 }

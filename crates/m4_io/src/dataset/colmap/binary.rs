@@ -1,7 +1,7 @@
 //! The three tables as binary files: counts u64, identifiers of cameras and images u32, numbers f64, all little-endian.
 
 use super::tables::{ColmapCamera, ColmapImage, ColmapPoint, PlacedError, damaged};
-use crate::dataset::SourceErrorCause;
+use crate::Fault;
 
 /// COLMAP's models in the order of their numbers, each with how many parameters it has (`colmap/sensor/models.h`, 4.2).
 const MODELS: [(&str, usize); 18] = [
@@ -80,7 +80,7 @@ pub fn read_cameras(bytes: &[u8]) -> Result<Vec<ColmapCamera>, PlacedError> {
             let what = format!("its lens is of the unknown model {model}");
             (
                 format!("camera {id}"),
-                SourceErrorCause::unsupported(what, "undistort the images (`colmap image_undistorter`)"),
+                Fault::unsupported(what, "undistort the images (`colmap image_undistorter`)"),
             )
         })?;
         let parameters: Vec<f64> = (0..len).map(|_| from.f64()).collect::<Result<_, _>>()?;

@@ -1,14 +1,15 @@
 //! COLMAP's camera models.
 
+use crate::Fault;
 use crate::dataset::colmap::ColmapCamera;
-use crate::dataset::{Distortion, Lens, SourceErrorCause};
+use crate::dataset::{Distortion, Lens};
 use m4_core::Intrinsics;
 
 /// Longest side of an image, pixels.
 const MAX_SIDE: u64 = 1 << 16;
 
 /// The lens of a camera.
-pub(super) fn of(camera: &ColmapCamera) -> Result<Lens, SourceErrorCause> {
+pub(super) fn of(camera: &ColmapCamera) -> Result<Lens, Fault> {
     let fisheye = |k: [f64; 4]| Distortion::Fisheye { k };
     let radial = |k1, k2| Distortion::brown(k1, k2, 0.0, 0.0, 0.0);
     let ([fx, fy, cx, cy], distortion) = match (camera.model.as_str(), camera.parameters.as_slice()) {
@@ -34,13 +35,13 @@ pub(super) fn of(camera: &ColmapCamera) -> Result<Lens, SourceErrorCause> {
             let what = format!("its lens is of the model {model} with {} parameters", parameters.len());
             let hint = "models of pinholes, RADIAL, OPENCV and their fisheyes are read; undistort the images \
                           (`colmap image_undistorter`)";
-            return Err(SourceErrorCause::unsupported(what, hint));
+            return Err(Fault::unsupported(what, hint));
         }
     };
     let side = |px: u64| (1..=MAX_SIDE).contains(&px);
     if !(side(camera.width) && side(camera.height)) {
         let what = format!("its images are {} x {} pixels", camera.width, camera.height);
-        return Err(SourceErrorCause::bad(what, "export the model again"));
+        return Err(Fault::bad(what, "export the model again"));
     }
     let lens = Lens {
         intrinsics: Intrinsics {
@@ -53,8 +54,7 @@ pub(super) fn of(camera: &ColmapCamera) -> Result<Lens, SourceErrorCause> {
         },
         distortion,
     };
-    lens.check()
-        .map_err(|what| SourceErrorCause::bad(what, "export the model again"))?;
+    lens.check()?;
     Ok(lens)
 }
 

@@ -23,15 +23,17 @@ mod tables;
 mod text;
 mod write;
 
-pub use tables::{ColmapCamera, ColmapImage, ColmapPoint, ColmapTables, read_points, read_tables};
-pub use write::write;
-
-use crate::dataset::files::{Inside, below, clock, images};
-use crate::dataset::{ImportOptions, ListedFrame, Listing, ReadSourceError, SourceErrorCause};
-use crate::video::natural;
+use crate::dataset::files::{Inside, clock, images};
+use crate::dataset::{ImportOptions, ListedFrame, Listing};
+use crate::error::AtPath;
+use crate::files::below;
+use crate::files::natural;
+use crate::{Fault, ReadError};
 use m4_core::Progress;
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
+pub use tables::{ColmapCamera, ColmapImage, ColmapPoint, ColmapTables, read_points, read_tables};
+pub use write::write;
 
 /// Whether there is a sparse model in or at `path`.
 pub(super) fn detect(path: &Path) -> bool {
@@ -62,7 +64,7 @@ fn image_folder(
     model: &Path,
     images: &[ColmapImage],
     options: &ImportOptions,
-) -> Result<(PathBuf, PathBuf), ReadSourceError> {
+) -> Result<(PathBuf, PathBuf), ReadError> {
     if let Some(folder) = &options.images {
         return Ok((folder.clone(), model.to_path_buf()));
     }
@@ -74,15 +76,15 @@ fn image_folder(
     let has = |(folder, _): &(PathBuf, PathBuf)| below(folder, first).is_ok_and(|file| file.is_file());
     folders.into_iter().find(has).ok_or_else(|| {
         let what = format!("the image {first:?}, in a folder `images` beside the model or above it,");
-        SourceErrorCause::missing(what, "give the folder of the images (images)").at(model)
+        Fault::missing(what, "give the folder of the images (images)").at(model)
     })
 }
 
-pub(super) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress) -> Result<Listing, ReadSourceError> {
-    clock::fps(options).map_err(|e| e.at(path))?;
+pub(super) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress) -> Result<Listing, ReadError> {
+    clock::fps(options).at(path)?;
     let folder = model_folder(path).ok_or_else(|| {
         let hint = "a folder with cameras and images, both .bin or both .txt, or one with sparse/0 is needed";
-        SourceErrorCause::missing("a sparse model", hint).at(path)
+        Fault::missing("a sparse model", hint).at(path)
     })?;
     if path.join("sparse/1").is_dir() && folder.ends_with("sparse/0") {
         progress.warn("there are several sparse models; the first (sparse/0) is read");
@@ -99,14 +101,15 @@ pub(super) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress
     let places = places(&images_in, &images);
     let mut train = Vec::with_capacity(images.len());
     for (i, image) in images.iter().enumerate() {
-        let at = |cause: SourceErrorCause| cause.within(&folder, format!("image {} ({:?})", image.id, image.name));
+        let at = |cause: Fault| cause.within(&folder, format!("image {} ({:?})", image.id, image.name));
         let lens = lenses.get(&image.camera).ok_or_else(|| {
             let what = format!("it was taken by camera {}, which is not there", image.camera);
-            at(SourceErrorCause::bad(what, "export the model again"))
+            at(Fault::bad(what, "export the model again"))
         })?;
         let c2w = image.c2w().map_err(at)?;
         let file = below(&images_in, &image.name).map_err(at)?;
-        let stored = images::of_file(&inside.check(file).map_err(at)?).map_err(at)?;
+        let file = inside.check(file).map_err(at)?;
+        let stored = images::of_file(&file).map_err(|e| at(e.into()))?;
         lens.check_size(stored.size).map_err(at)?;
         let t = places.as_ref().map_or(i as f64, |places| places.of[i] as f64);
         train.push(ListedFrame::new(image.name.clone(), *lens, c2w, t, stored.rgb));

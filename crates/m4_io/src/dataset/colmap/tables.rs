@@ -1,8 +1,9 @@
 //! The contents of the files, between bytes and cameras.
 
 use super::{binary, text};
-use crate::dataset::files::bytes;
-use crate::dataset::{ReadSourceError, SourceErrorCause};
+use crate::error::AtPath;
+use crate::files::bytes;
+use crate::{Fault, ReadError};
 use m4_core::{
     Camera, Intrinsics, Se3,
     nalgebra::{Quaternion, Rotation3, UnitQuaternion, Vector3},
@@ -12,10 +13,10 @@ use std::path::Path;
 const HINT: &str = "export the model again";
 
 /// The place of a fault in a file, and the fault.
-pub(super) type PlacedError = (String, SourceErrorCause);
+pub(super) type PlacedError = (String, Fault);
 
 pub(super) fn damaged(place: String, reason: String) -> PlacedError {
-    (place, SourceErrorCause::bad(reason, HINT))
+    (place, Fault::bad(reason, HINT))
 }
 
 /// A row of `cameras`: a lens of any of COLMAP's models, as the file has it.
@@ -50,7 +51,7 @@ pub struct ColmapImage {
 
 impl ColmapImage {
     /// Camera to world, OpenCV axes.
-    pub(super) fn c2w(&self) -> Result<Se3<f64>, SourceErrorCause> {
+    pub(super) fn c2w(&self) -> Result<Se3<f64>, Fault> {
         let [w, x, y, z] = self.rotation;
         let q = Quaternion::new(w, x, y, z);
         let numbers = self.translation.iter().all(|v| v.is_finite());
@@ -59,7 +60,7 @@ impl ColmapImage {
                 "the pose is {:?} {:?}; a rotation and a place were expected",
                 self.rotation, self.translation
             );
-            return Err(SourceErrorCause::bad(what, HINT));
+            return Err(Fault::bad(what, HINT));
         }
         let w2c = Se3 {
             rotation: UnitQuaternion::new_normalize(q).to_rotation_matrix().into_inner(),
@@ -125,8 +126,8 @@ impl ColmapTables {
 ///
 /// # Errors
 ///
-/// [`ReadSourceError`], which names the file and the line or byte at fault.
-pub fn read_tables(folder: &Path) -> Result<ColmapTables, ReadSourceError> {
+/// [`ReadError`], which names the file and the line or byte at fault.
+pub fn read_tables(folder: &Path) -> Result<ColmapTables, ReadError> {
     Ok(if folder.join("cameras.bin").exists() {
         ColmapTables {
             cameras: parse(&folder.join("cameras.bin"), binary::read_cameras)?,
@@ -144,8 +145,8 @@ pub fn read_tables(folder: &Path) -> Result<ColmapTables, ReadSourceError> {
 ///
 /// # Errors
 ///
-/// [`ReadSourceError`], which names the byte at fault.
-pub fn read_points(folder: &Path) -> Result<Vec<ColmapPoint>, ReadSourceError> {
+/// [`ReadError`], which names the byte at fault.
+pub fn read_points(folder: &Path) -> Result<Vec<ColmapPoint>, ReadError> {
     parse(&folder.join("points3D.bin"), binary::read_points)
 }
 
@@ -156,7 +157,7 @@ fn utf8<T>(parse: impl Fn(&str) -> Result<T, PlacedError>) -> impl Fn(&[u8]) -> 
     }
 }
 
-fn parse<T>(path: &Path, parse: impl Fn(&[u8]) -> Result<T, PlacedError>) -> Result<T, ReadSourceError> {
-    let bytes = bytes(path, u64::MAX).map_err(|e| e.at(path))?;
+fn parse<T>(path: &Path, parse: impl Fn(&[u8]) -> Result<T, PlacedError>) -> Result<T, ReadError> {
+    let bytes = bytes(path, u64::MAX).at(path)?;
     parse(&bytes).map_err(|(place, cause)| cause.within(path, place))
 }

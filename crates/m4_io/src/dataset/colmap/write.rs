@@ -8,8 +8,9 @@
 
 use super::binary;
 use super::tables::{ColmapPoint, ColmapTables, read_points, read_tables};
-use crate::dataset::export::{FramePaths, Staging, WriteCaptureAsError, check, images, static_points};
-use crate::scene::{Loss, WriteFileError, Written, plural};
+use crate::WriteError;
+use crate::dataset::export::{FramePaths, Staging, check, static_points, write_frames};
+use crate::scene::{Loss, Written, plural};
 use m4_core::{Capture, Progress};
 use std::fs;
 use std::path::Path;
@@ -21,8 +22,8 @@ const MAX_POINTS: usize = 100_000;
 ///
 /// # Errors
 ///
-/// [`WriteCaptureAsError`]: nothing is then changed, unless the last renames fail.
-pub fn write(out: &Path, capture: &Capture, progress: &dyn Progress) -> Result<Written, WriteCaptureAsError> {
+/// [`WriteError`]: nothing is then changed, unless the last renames fail.
+pub fn write(out: &Path, capture: &Capture, progress: &dyn Progress) -> Result<Written, WriteError> {
     check(out, capture)?;
     let staging = Staging::new(out)?;
     let name = |i: usize| format!("{i:05}.png");
@@ -34,7 +35,7 @@ pub fn write(out: &Path, capture: &Capture, progress: &dyn Progress) -> Result<W
         };
         (frame, paths)
     });
-    images::write(staging.path(), out, &frames.collect::<Vec<_>>(), 1.0, progress)?;
+    write_frames(staging.path(), out, &frames.collect::<Vec<_>>(), 1.0, progress)?;
     let points: Vec<ColmapPoint> = static_points(capture, MAX_POINTS);
     let cameras: Vec<_> = capture.frames.iter().map(|f| f.camera).collect();
     let tables = ColmapTables::new(&cameras, (0..cameras.len()).map(name));
@@ -48,17 +49,17 @@ pub fn write(out: &Path, capture: &Capture, progress: &dyn Progress) -> Result<W
 }
 
 /// Writes the three binary files and reads them back.
-fn write_model(folder: &Path, tables: &ColmapTables, points: &[ColmapPoint]) -> Result<(), WriteFileError> {
-    fs::create_dir_all(folder).map_err(|e| WriteFileError::io(folder, e))?;
+fn write_model(folder: &Path, tables: &ColmapTables, points: &[ColmapPoint]) -> Result<(), WriteError> {
+    fs::create_dir_all(folder).map_err(|e| WriteError::io(folder, e))?;
     for (name, bytes) in [
         ("cameras.bin", binary::cameras(&tables.cameras)),
         ("images.bin", binary::images(&tables.images)),
         ("points3D.bin", binary::points(points)),
     ] {
         let path = folder.join(name);
-        fs::write(&path, bytes).map_err(|e| WriteFileError::io(&path, e))?;
+        fs::write(&path, bytes).map_err(|e| WriteError::io(&path, e))?;
     }
-    let verify = |reason: String| WriteFileError::verify(folder, reason);
+    let verify = |reason: String| WriteError::verify(folder, reason);
     let back = read_tables(folder).and_then(|tables| Ok((tables, read_points(folder)?)));
     let (read, read_points) = back.map_err(|e| verify(e.to_string()))?;
     if read != *tables || read_points != points {

@@ -19,16 +19,17 @@
 //! (the authors' page says so, their code takes both as equal): the unit is the one that puts the median of depth between `near` and
 //! `far`.
 
-mod camera;
 mod ids;
-mod unit;
 
-use crate::dataset::files::images::{StoredImage, of_file};
-use crate::dataset::files::{Inside, clock, json, lens};
+use self::ids::{Id, Split, Unit, unit_of_depth};
+use crate::dataset::files::images::{self, StoredImage, of_file};
+use crate::dataset::files::{Inside, clock};
 use crate::dataset::side::depth;
-use crate::dataset::{ImportOptions, ListedFrame, Listing, ReadSourceError, SourceErrorCause};
-use ids::{Id, Split};
-use m4_core::Progress;
+use crate::dataset::{Distortion, ImportOptions, Lens, ListedFrame, Listing};
+use crate::error::AtPath;
+use crate::files::json;
+use crate::{Fault, ReadError, pose};
+use m4_core::{Intrinsics, Progress, Se3};
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
 
@@ -54,19 +55,19 @@ struct Extra {
     fps: Option<f64>,
 }
 
-pub(crate) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress) -> Result<Listing, ReadSourceError> {
+pub(crate) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress) -> Result<Listing, ReadError> {
     let factor = options.factor.unwrap_or(DEFAULT_FACTOR);
     let folder = path.join(format!("rgb/{factor}x"));
     if !folder.is_dir() {
         let hint = "choose a factor whose images exist (the option factor)";
-        return Err(SourceErrorCause::missing(format!("rgb/{factor}x"), hint).at(path));
+        return Err(Fault::missing(format!("rgb/{factor}x"), hint).at(path));
     }
     let Split { train, test } = ids::read(path, progress)?;
     let (first, last) = (train[0].time, train[train.len() - 1].time);
     // the video's own frames are one apart; ids may have gaps, such as those of held-out moments
     let step = (last - first) / (train.len().max(2) - 1) as f64;
     let inside = Inside::of(path, options);
-    let unit = unit::of_depth((path, &inside), factor, &train, options, progress)?;
+    let unit = unit_of_depth((path, &inside), factor, &train, options, progress)?;
     let reader = Reader {
         root: path,
         inside,
@@ -101,9 +102,9 @@ pub(crate) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress
     })
 }
 
-fn fps(path: &Path, options: &ImportOptions, progress: &dyn Progress) -> Result<f64, ReadSourceError> {
+fn fps(path: &Path, options: &ImportOptions, progress: &dyn Progress) -> Result<f64, ReadError> {
     let file = path.join("extra.json");
-    let given = clock::fps(options).map_err(|e| e.at(path))?;
+    let given = clock::fps(options).at(path)?;
     let own = if file.is_file() {
         json::<Extra>(&file)?.fps
     } else {
@@ -120,7 +121,7 @@ fn fps(path: &Path, options: &ImportOptions, progress: &dyn Progress) -> Result<
         return Ok(fps);
     }
     let what = format!("fps is {fps}; frames per second, above 0, were expected");
-    Err(SourceErrorCause::bad(what, "correct it").at(&file))
+    Err(Fault::bad(what, "correct it").at(&file))
 }
 
 struct Reader<'a> {
@@ -132,18 +133,18 @@ struct Reader<'a> {
     step: f64,
     /// From the first to the last training frame, in frames.
     steps: f64,
-    unit: Option<unit::Unit>,
+    unit: Option<Unit>,
 }
 
 impl Reader<'_> {
-    fn frame(&self, id: &Id, camera_index: Option<u32>) -> Result<ListedFrame, ReadSourceError> {
+    fn frame(&self, id: &Id, camera_index: Option<u32>) -> Result<ListedFrame, ReadError> {
         let file = self.root.join(format!("camera/{}.json", id.name));
-        let camera = camera::read(&file)?;
+        let camera = read_camera(&file)?;
         let image = self.root.join(format!("rgb/{}x/{}.png", self.factor, id.name));
         let image = self.inside.file(image)?;
-        let StoredImage { size, rgb, .. } = of_file(&image).map_err(|e| e.at(&image))?;
+        let StoredImage { size, rgb } = of_file(&image)?;
         let mut lens = camera.lens;
-        lens.intrinsics = lens::resized(&lens.intrinsics, size).map_err(|e| e.at(&image))?;
+        lens.intrinsics = images::resized(&lens.intrinsics, size).at(&image)?;
         let depth = self.root.join(format!("depth/{}x/{}.npy", self.factor, id.name));
         let depth = self.inside.file(depth)?;
         let unit = self.unit.filter(|_| depth.is_file());
@@ -154,4 +155,72 @@ impl Reader<'_> {
             ..ListedFrame::new(id.name.clone(), lens, camera.c2w, t, rgb)
         })
     }
+}
+
+const HINT: &str = "correct the camera, or export it again";
+
+#[derive(Deserialize)]
+struct File {
+    orientation: [[f64; 3]; 3],
+    position: [f64; 3],
+    focal_length: f64,
+    principal_point: [f64; 2],
+    image_size: [f64; 2],
+    #[serde(default)]
+    skew: f64,
+    #[serde(default = "one")]
+    pixel_aspect_ratio: f64,
+    #[serde(default)]
+    radial_distortion: [f64; 3],
+    /// Early files call it `tangential`.
+    #[serde(default, alias = "tangential")]
+    tangential_distortion: [f64; 2],
+}
+
+fn one() -> f64 {
+    1.0
+}
+
+struct Camera {
+    /// Of the images of factor 1.
+    lens: Lens,
+    c2w: Se3<f64>,
+}
+
+fn read_camera(path: &Path) -> Result<Camera, ReadError> {
+    let file: File = json(path)?;
+    if file.skew != 0.0 {
+        let what = format!(
+            "skew is {}; only cameras whose pixels are rectangles are read",
+            file.skew
+        );
+        return Err(Fault::unsupported(what, "undistort the images").at(path));
+    }
+    let whole = |v: f64| (v.fract() == 0.0 && (1.0..=65536.0).contains(&v)).then_some(v as usize);
+    let [Some(width), Some(height)] = file.image_size.map(whole) else {
+        let what = format!(
+            "image_size is {:?}; [width, height] in pixels was expected",
+            file.image_size
+        );
+        return Err(Fault::bad(what, HINT).at(path));
+    };
+    let [k1, k2, k3] = file.radial_distortion;
+    let [p1, p2] = file.tangential_distortion;
+    let lens = Lens {
+        intrinsics: Intrinsics {
+            width,
+            height,
+            fx: file.focal_length,
+            fy: file.focal_length * file.pixel_aspect_ratio,
+            cx: file.principal_point[0],
+            cy: file.principal_point[1],
+        },
+        distortion: Distortion::brown(k1, k2, k3, p1, p2),
+    };
+    lens.check().at(path)?;
+    // orientation is world to camera: its transpose turns camera to world
+    let o = file.orientation;
+    let turned = [0, 1, 2].map(|i| [o[0][i], o[1][i], o[2][i]]);
+    let c2w = pose::of_rotation(turned, file.position).map_err(|e| e.within(path, "orientation and position"))?;
+    Ok(Camera { lens, c2w })
 }

@@ -1,17 +1,18 @@
 //! The times of frames.
 
-use crate::dataset::{ImportOptions, SourceErrorCause};
+use crate::Fault;
+use crate::dataset::ImportOptions;
 use m4_core::Progress;
 
 /// Frames per second where nothing says it.
 pub(crate) const DEFAULT_FPS: f64 = 30.0;
 
 /// Frames per second of the options, checked.
-pub(crate) fn fps(options: &ImportOptions) -> Result<Option<f64>, SourceErrorCause> {
+pub(crate) fn fps(options: &ImportOptions) -> Result<Option<f64>, Fault> {
     match options.fps {
         Some(fps) if !(fps.is_finite() && fps > 0.0) => {
             let what = format!("the option fps is {fps}; frames per second, above 0, were expected");
-            Err(SourceErrorCause::bad(what, "give another"))
+            Err(Fault::bad(what, "give another"))
         }
         fps => Ok(fps),
     }

@@ -1,14 +1,14 @@
 //! Reads a file or folder of MegaSaM.
 
-use super::depth::{self, Stored};
-use super::motion;
-use crate::dataset::files::npy::{array_error, is_float, open_npz};
-use crate::dataset::files::{clock, lens, pose};
-use crate::dataset::{FrameSource, ImportOptions, Lens, ListedFrame, Listing, ReadSourceError, SourceErrorCause, step};
+use super::{BLOCK, Stored, candidates, check_polarity, depth_of, find_motion, mask_of};
+use crate::dataset::files::{clock, images};
+use crate::dataset::{FrameSource, ImportOptions, Lens, ListedFrame, Listing, step};
+use crate::error::AtPath;
 use crate::npy::{Array, Npz, Number};
+use crate::pose;
+use crate::{Fault, ReadError};
 use m4_core::{CompactMask, DepthMap, Intrinsics, Plane, Progress, RgbImage, Se3};
-use std::fs::File;
-use std::io::{BufReader, ErrorKind};
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 /// Bytes per pixel: colour and depth, and room for a mask.
@@ -25,15 +25,15 @@ struct Clip {
 /// Lists a `.npz` file or a folder of reconstructions; see [the module](super) for what is converted.
 ///
 /// What was assumed (the frame rate, a motion map that is missing or looks inverted) is reported to `progress`.
-pub fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress) -> Result<Listing, ReadSourceError> {
-    let here = |cause: SourceErrorCause| cause.at(path);
+pub fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress) -> Result<Listing, ReadError> {
+    let here = |cause: Fault| cause.at(path);
     clock::fps(options).map_err(here)?;
     if !(0.0..=1.0).contains(&options.tau_motion) {
         let what = format!(
             "the option tau_motion is {}; a probability, 0 to 1, was expected",
             options.tau_motion
         );
-        return Err(here(SourceErrorCause::bad(what, "give another")));
+        return Err(here(Fault::bad(what, "give another")));
     }
     let mut input = Input::open(path, options.max_memory_bytes).map_err(here)?;
     let clip = input.clip().map_err(here)?;
@@ -78,28 +78,28 @@ struct Input {
 }
 
 impl Input {
-    fn open(path: &Path, limit_bytes: u64) -> Result<Self, SourceErrorCause> {
+    fn open(path: &Path, limit_bytes: u64) -> Result<Self, Fault> {
         let from = if path.is_dir() {
             Storage::Folder(path.to_path_buf())
         } else {
-            Storage::Archive(open_npz(path)?)
+            Storage::Archive(Npz::open(path)?)
         };
         Ok(Self { from, limit_bytes })
     }
 
     /// An array, its header read; `None` if it is missing.
-    fn find(&mut self, name: &str) -> Result<Option<Array<'_>>, SourceErrorCause> {
+    fn find(&mut self, name: &str) -> Result<Option<Array<'_>>, Fault> {
         match &mut self.from {
-            Storage::Archive(npz) => npz.array(name, self.limit_bytes).map_err(|e| error_of(name, e)),
+            Storage::Archive(npz) => npz.array(name, self.limit_bytes),
             Storage::Folder(folder) => match open(&folder.join(format!("{name}.npy")), name, self.limit_bytes) {
-                Err(SourceErrorCause::Io(e)) if e.kind() == ErrorKind::NotFound => Ok(None),
+                Err(Fault::Io(e)) if e.kind() == ErrorKind::NotFound => Ok(None),
                 other => other.map(Some),
             },
         }
     }
 
     /// An array that must be there.
-    fn array(&mut self, name: &str) -> Result<Array<'_>, SourceErrorCause> {
+    fn array(&mut self, name: &str) -> Result<Array<'_>, Fault> {
         let has = match &self.from {
             Storage::Archive(npz) => format!(
                 "it has {}; images, depths, intrinsic and cam_c2w are needed",
@@ -108,21 +108,18 @@ impl Input {
             Storage::Folder(_) => "images.npy, disps.npy, poses.npy and intrinsics.npy are needed".to_owned(),
         };
         self.find(name)?
-            .ok_or_else(|| SourceErrorCause::missing(format!("the array `{name}`"), has))
+            .ok_or_else(|| Fault::missing(format!("the array `{name}`"), has))
     }
 
     /// All numbers of an array of that shape, which is not large.
-    fn all(&mut self, name: &str, shape: &[usize], is: &str) -> Result<Vec<f64>, SourceErrorCause> {
-        let mut array = self.array(name)?;
+    fn all(&mut self, name: &str, shape: &[usize], is: &str) -> Result<Vec<f64>, Fault> {
+        let array = self.array(name)?;
         check_shape(name, &array, shape, is)?;
-        let values = array.next_f64(shape.iter().product());
-        let values = values.map_err(|e| error_of(name, e))?;
-        array.end().map_err(|e| error_of(name, e))?;
-        Ok(values)
+        Ok(array.numbers()?.values)
     }
 
     /// The size of the clip by the shape of the images; refuses what would not fit into memory.
-    fn clip(&mut self) -> Result<Clip, SourceErrorCause> {
+    fn clip(&mut self) -> Result<Clip, Fault> {
         let planar = matches!(self.from, Storage::Folder(_));
         let limit_bytes = self.limit_bytes;
         let images = self.array("images")?;
@@ -139,22 +136,19 @@ impl Input {
         let needed_bytes = pixels.saturating_mul(BYTES_PER_PIXEL);
         if needed_bytes > limit_bytes {
             let (w, h) = clip.size;
-            return Err(SourceErrorCause::TooLarge {
-                what: format!("a clip of {} frames of {w} x {h} pixels", clip.frames),
-                needed_bytes,
-                limit_bytes,
-            });
+            let what = format!("a clip of {} frames of {w} x {h} pixels", clip.frames);
+            return Err(Fault::too_large(&what, needed_bytes, limit_bytes));
         }
         Ok(clip)
     }
 
     /// One lens, and matrices camera to world.
-    fn matrices(&mut self, clip: Clip) -> Result<Vec<(Intrinsics, Se3<f64>)>, SourceErrorCause> {
+    fn matrices(&mut self, clip: Clip) -> Result<Vec<(Intrinsics, Se3<f64>)>, Fault> {
         let k = self.all("intrinsic", &[3, 3], "one matrix")?;
         let zeros = [k[1], k[3], k[6], k[7]];
         if k[8] != 1.0 || zeros.iter().any(|v| v.is_nan() || v.abs() > 1e-6 * k[0].abs()) {
             let what = format!("the array `intrinsic` is {k:?}");
-            return Err(SourceErrorCause::bad(
+            return Err(Fault::bad(
                 what,
                 "[fx, 0, cx, 0, fy, cy, 0, 0, 1] was expected (is it transposed?)",
             ));
@@ -174,7 +168,7 @@ impl Input {
     }
 
     /// A lens per frame, and translations with quaternions world to camera.
-    fn quaternions(&mut self, clip: Clip) -> Result<Vec<(Intrinsics, Se3<f64>)>, SourceErrorCause> {
+    fn quaternions(&mut self, clip: Clip) -> Result<Vec<(Intrinsics, Se3<f64>)>, Fault> {
         let is = "fx fy cx cy for each of the frames of `images`";
         let k = self.all("intrinsics", &[clip.frames, 4], is)?;
         let is = "tx ty tz qx qy qz qw for each of the frames of `images`";
@@ -183,20 +177,20 @@ impl Input {
         frames
             .map(|(i, (k, &[x, y, z, qx, qy, qz, qw]))| {
                 let w2c = pose::of_quaternion([x, y, z], [qw, qx, qy, qz]);
-                let w2c = w2c.map_err(|e| e.prefixed(&format!("the array `poses`, frame {i}")))?;
+                let w2c = w2c?;
                 Ok((pinhole(*k, clip, "intrinsics", i)?, w2c.inverse()))
             })
             .collect()
     }
 
-    fn images(&mut self, clip: Clip, progress: &dyn Progress) -> Result<Vec<RgbImage>, SourceErrorCause> {
+    fn images(&mut self, clip: Clip, progress: &dyn Progress) -> Result<Vec<RgbImage>, Fault> {
         let (w, h) = clip.size;
         let planar = matches!(self.from, Storage::Folder(_));
         let mut array = self.array("images")?;
         let mut images = Vec::new();
         for i in 0..clip.frames {
             step("read images", i, clip.frames, progress)?;
-            let bytes = array.next_u8(3 * w * h).map_err(|e| error_of("images", e))?;
+            let bytes = array.next_bytes(3 * w * h)?;
             let pixels = if planar {
                 // blue, green, red, a plane each
                 let plane = |c: usize| &bytes[c * w * h..(c + 1) * w * h];
@@ -207,11 +201,11 @@ impl Input {
             };
             images.push(plane(w, h, pixels)?);
         }
-        array.end().map_err(|e| error_of("images", e))?;
+        array.end()?;
         Ok(images)
     }
 
-    fn depths(&mut self, path: &Path, clip: Clip, progress: &dyn Progress) -> Result<Vec<DepthMap>, SourceErrorCause> {
+    fn depths(&mut self, path: &Path, clip: Clip, progress: &dyn Progress) -> Result<Vec<DepthMap>, Fault> {
         let folder = matches!(self.from, Storage::Folder(_));
         let name = if folder {
             "disps"
@@ -241,12 +235,12 @@ impl Input {
         let (mut maps, mut known) = (Vec::new(), 0);
         for i in 0..clip.frames {
             step("read depth", i, clip.frames, progress)?;
-            let values = array.next_f64(w * h).map_err(|e| error_of(name, e))?;
-            let map: Vec<f32> = values.iter().map(|&v| depth::depth(stored, v)).collect();
+            let values = array.next_f64(w * h)?;
+            let map: Vec<f32> = values.iter().map(|&v| depth_of(stored, v)).collect();
             known += map.iter().filter(|z| **z > 0.0).count();
             maps.push(plane(w, h, map)?);
         }
-        array.end().map_err(|e| error_of(name, e))?;
+        array.end()?;
         let share = known as f64 / (clip.frames * w * h) as f64;
         if share < 0.5 {
             progress.warn(&format!(
@@ -267,12 +261,9 @@ fn masks(
     clip: Clip,
     options: &ImportOptions,
     progress: &dyn Progress,
-) -> Result<Option<Vec<Motion>>, ReadSourceError> {
-    let Some(file) = motion::find(path, options) else {
-        let at: Vec<String> = motion::candidates(path)
-            .iter()
-            .map(|p| p.display().to_string())
-            .collect();
+) -> Result<Option<Vec<Motion>>, ReadError> {
+    let Some(file) = find_motion(path, options) else {
+        let at: Vec<String> = candidates(path).iter().map(|p| p.display().to_string()).collect();
         progress.warn(&format!(
             "no motion map was found ({}), so every pixel counts as static; give the file motion_prob.npy \
              that MegaSaM wrote into reconstructions/NAME",
@@ -280,7 +271,7 @@ fn masks(
         ));
         return Ok(None);
     };
-    let read = || {
+    let read = || -> Result<Vec<Motion>, Fault> {
         const NAME: &str = "motion_prob";
         let mut array = open(&file, NAME, options.max_memory_bytes)?;
         check_floats(NAME, &array)?;
@@ -288,25 +279,25 @@ fn masks(
         let mut masks = Vec::new();
         for i in 0..clip.frames {
             step("read masks", i, clip.frames, progress)?;
-            let values = array.next_f64(map.0 * map.1).map_err(|e| error_of(NAME, e))?;
-            let mask = motion::mask(i, &values, map, clip.size, options.tau_motion)?;
+            let values = array.next_f64(map.0 * map.1)?;
+            let mask = mask_of(i, &values, map, clip.size, options.tau_motion)?;
             let dynamic = |x: usize, y: usize| (255.0 * (1.0 - values[y * map.0 + x]).clamp(0.0, 1.0)).round() as u8;
             masks.push((mask, Plane::from_fn(map.0, map.1, dynamic)));
         }
         if array.shape[0] == clip.frames {
-            array.end().map_err(|e| error_of(NAME, e))?;
+            array.end()?;
         }
         Ok(masks)
     };
-    let masks: Vec<Motion> = read().map_err(|cause: SourceErrorCause| cause.at(&file))?;
-    motion::check_polarity(masks.iter().map(|m| &m.0), options.tau_motion, progress);
+    let masks = read().at(&file)?;
+    check_polarity(masks.iter().map(|m| &m.0), options.tau_motion, progress);
     Ok(Some(masks))
 }
 
 /// Width and height of the motion map: an eighth of the image, or all of it.
-fn map_size(array: &Array<'_>, clip: Clip) -> Result<(usize, usize), SourceErrorCause> {
+fn map_size(array: &Array<'_>, clip: Clip) -> Result<(usize, usize), Fault> {
     let (w, h) = clip.size;
-    let small = (w / motion::BLOCK, h / motion::BLOCK);
+    let small = (w / BLOCK, h / BLOCK);
     let size = match array.shape.as_slice() {
         // MegaSaM writes at most 1000 frames into an npz, and the maps of all
         &[frames, mh, mw] if frames == clip.frames || (frames > clip.frames && clip.frames == 1000) => (mw, mh),
@@ -323,49 +314,43 @@ fn map_size(array: &Array<'_>, clip: Clip) -> Result<(usize, usize), SourceError
 }
 
 /// The array of a `.npy` file, its header read.
-fn open(path: &Path, name: &str, limit_bytes: u64) -> Result<Array<'static>, SourceErrorCause> {
-    let file = File::open(path)?;
-    let bytes = file.metadata()?.len();
-    Array::open(BufReader::new(file), bytes, limit_bytes).map_err(|e| error_of(name, e))
+fn open(path: &Path, name: &str, limit_bytes: u64) -> Result<Array<'static>, Fault> {
+    Array::of_file(&format!("the array `{name}`"), path, limit_bytes)
 }
 
-fn error_of(name: &str, cause: crate::npy::ArrayError) -> SourceErrorCause {
-    array_error(&format!("the array `{name}`"), cause)
-}
-
-fn shape_error(name: &str, array: &Array<'_>, expected: &str) -> SourceErrorCause {
+fn shape_error(name: &str, array: &Array<'_>, expected: &str) -> Fault {
     let what = format!(
         "the array `{name}` has shape {:?} where {expected} was expected",
         array.shape
     );
-    SourceErrorCause::bad(what, HINT)
+    Fault::bad(what, HINT)
 }
 
-fn check_shape(name: &str, array: &Array<'_>, expected: &[usize], is: &str) -> Result<(), SourceErrorCause> {
+fn check_shape(name: &str, array: &Array<'_>, expected: &[usize], is: &str) -> Result<(), Fault> {
     if array.shape == expected {
         return Ok(());
     }
     Err(shape_error(name, array, &format!("{is} = {expected:?}")))
 }
 
-fn check_bytes(images: &Array<'_>) -> Result<(), SourceErrorCause> {
+fn check_bytes(images: &Array<'_>) -> Result<(), Fault> {
     if images.number == Number::U8 {
         return Ok(());
     }
     let what = format!("the array `images` holds numbers of type {:?}", images.number);
-    Err(SourceErrorCause::bad(what, "save it as uint8"))
+    Err(Fault::bad(what, "save it as uint8"))
 }
 
-fn check_floats(name: &str, array: &Array<'_>) -> Result<(), SourceErrorCause> {
-    if is_float(array) {
+fn check_floats(name: &str, array: &Array<'_>) -> Result<(), Fault> {
+    if array.number.is_float() {
         return Ok(());
     }
     let what = format!("the array `{name}` holds numbers of type {:?}", array.number);
-    Err(SourceErrorCause::bad(what, "save it as float16, float32 or float64"))
+    Err(Fault::bad(what, "save it as float16, float32 or float64"))
 }
 
 /// The pinhole of `fx fy cx cy`, pixels; principal points are measured from the image's corner (see [the module](super)).
-fn pinhole(numbers: [f64; 4], clip: Clip, array: &str, frame: usize) -> Result<Intrinsics, SourceErrorCause> {
+fn pinhole(numbers: [f64; 4], clip: Clip, array: &str, frame: usize) -> Result<Intrinsics, Fault> {
     let [fx, fy, cx, cy] = numbers;
     let (w, h) = (clip.size.0 as f64, clip.size.1 as f64);
     let inside = |c: f64, side: f64| c >= -side && c <= 2.0 * side;
@@ -373,11 +358,11 @@ fn pinhole(numbers: [f64; 4], clip: Clip, array: &str, frame: usize) -> Result<I
     if !(positive(fx) && positive(fy) && inside(cx, w) && inside(cy, h)) {
         let what =
             format!("the array `{array}`, frame {frame}: fx fy cx cy are {numbers:?} for images of {w} x {h} pixels");
-        return Err(SourceErrorCause::bad(what, HINT));
+        return Err(Fault::bad(what, HINT));
     }
-    Ok(lens::pinhole(numbers, clip.size))
+    Ok(images::pinhole(numbers, clip.size))
 }
 
-fn plane<T>(w: usize, h: usize, data: Vec<T>) -> Result<Plane<T>, SourceErrorCause> {
-    Plane::from_vec(w, h, data).map_err(|e| SourceErrorCause::bad(e.to_string(), HINT))
+fn plane<T>(w: usize, h: usize, data: Vec<T>) -> Result<Plane<T>, Fault> {
+    Plane::from_vec(w, h, data).map_err(|e| Fault::bad(e.to_string(), HINT))
 }

@@ -1,14 +1,13 @@
 //! Converts the entries of the file to frames.
 
-use super::json::{Frame, Transforms};
-use super::{axes, lens};
-use crate::capture::{self, Axes};
-use crate::dataset::files::{Inside, clock, images, json, pose};
+use super::json::{Frame, Transforms, lens_of};
+use crate::dataset::files::{Inside, clock, images};
 use crate::dataset::side::depth;
-use crate::dataset::{FrameSource, ImportOptions, ListedFrame, Listing, ReadSourceError, SourceErrorCause};
-use crate::image;
-use crate::tracks::{self, TracksErrorCause};
-use crate::video::natural;
+use crate::dataset::{FrameSource, ImportOptions, ListedFrame, Listing};
+use crate::error::AtPath;
+use crate::files::{json, natural};
+use crate::pose::{self, Axes};
+use crate::{Fault, ReadError, capture, image, tracks};
 use m4_core::{CompactMask, Progress, Se3, Tracks};
 use std::io;
 use std::path::{Path, PathBuf};
@@ -37,11 +36,11 @@ fn files(path: &Path) -> Option<(PathBuf, Option<PathBuf>)> {
     }
 }
 
-pub fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress) -> Result<Listing, ReadSourceError> {
-    clock::fps(options).map_err(|e| e.at(path))?;
+pub fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress) -> Result<Listing, ReadError> {
+    clock::fps(options).at(path)?;
     let (train_file, test_file) = files(path).ok_or_else(|| {
         let hint = "give it or the folder that it is in";
-        SourceErrorCause::missing("transforms.json or transforms_train.json", hint).at(path)
+        Fault::missing("transforms.json or transforms_train.json", hint).at(path)
     })?;
     let mut train = List::read(&train_file, Kind::DataSet, options, progress)?;
     let mut test = Vec::new();
@@ -82,7 +81,7 @@ pub fn list_capture(
     split: capture::Split,
     options: &ImportOptions,
     progress: &dyn Progress,
-) -> Result<Listing, ReadSourceError> {
+) -> Result<Listing, ReadError> {
     let list = List::read(file, Kind::Capture, options, progress)?;
     if list.entries.is_empty() {
         return Err(no_frames(file));
@@ -90,7 +89,7 @@ pub fn list_capture(
     let held_out = split == capture::Split::Test;
     if held_out && !list.timed {
         let what = "time of the held-out views";
-        return Err(SourceErrorCause::missing(what, "add their times, 0 to 1").within(file, "frames"));
+        return Err(Fault::missing(what, "add their times, 0 to 1").within(file, "frames"));
     }
     let time_frames = if held_out {
         list.time_frames()?
@@ -113,8 +112,8 @@ pub fn list_capture(
     })
 }
 
-fn no_frames(file: &Path) -> ReadSourceError {
-    SourceErrorCause::bad("it lists no frames", "give a file with frames").at(file)
+fn no_frames(file: &Path) -> ReadError {
+    Fault::bad("it lists no frames", "give a file with frames").at(file)
 }
 
 /// Whose conventions a file has where it does not say.
@@ -144,14 +143,9 @@ struct List {
 }
 
 impl List {
-    fn read(
-        path: &Path,
-        kind: Kind,
-        options: &ImportOptions,
-        progress: &dyn Progress,
-    ) -> Result<Self, ReadSourceError> {
+    fn read(path: &Path, kind: Kind, options: &ImportOptions, progress: &dyn Progress) -> Result<Self, ReadError> {
         let mut file: Transforms = json(path)?;
-        let bad = |key: &str, what: String, hint: &str| SourceErrorCause::bad(what, hint).within(path, key.to_owned());
+        let bad = |key: &str, what: String, hint: &str| Fault::bad(what, hint).within(path, key.to_owned());
         let values = std::mem::take(&mut file.frames);
         let mut entries = Vec::with_capacity(values.len());
         for (i, value) in values.into_iter().enumerate() {
@@ -182,7 +176,7 @@ impl List {
             None => None,
         };
         let axes = match kind {
-            Kind::DataSet => axes::tell(&file, &entries, options, progress),
+            Kind::DataSet => axes_of(&file, &entries, options, progress),
             Kind::Capture => file.axes.unwrap_or_default(),
         };
         let timed = entries.iter().filter(|(_, entry)| entry.time.is_some()).count();
@@ -232,7 +226,7 @@ impl List {
     }
 
     /// How many frames `time` = 0..1 spans, of held-out views.
-    fn time_frames(&self) -> Result<usize, ReadSourceError> {
+    fn time_frames(&self) -> Result<usize, ReadError> {
         for name in [capture::Split::Train.file_name(), "transforms.json"] {
             let training = self.folder.join(name);
             if training != self.path && training.is_file() {
@@ -241,15 +235,14 @@ impl List {
         }
         self.file.time_frames.filter(|&n| n > 0).ok_or_else(|| {
             let hint = "put transforms_train.json beside the file, or add time_frames";
-            SourceErrorCause::missing("the number of training frames, which the times 0 to 1 span,", hint)
-                .at(&self.path)
+            Fault::missing("the number of training frames, which the times 0 to 1 span,", hint).at(&self.path)
         })
     }
 
-    fn duration_s(&self) -> Result<Option<f64>, ReadSourceError> {
+    fn duration_s(&self) -> Result<Option<f64>, ReadError> {
         match self.file.duration_s {
             Some(s) if !(s.is_finite() && s >= 0.0) => {
-                let cause = SourceErrorCause::bad(format!("it is {s}"), "write seconds, not below 0");
+                let cause = Fault::bad(format!("it is {s}"), "write seconds, not below 0");
                 Err(cause.within(&self.path, "duration_s"))
             }
             known => Ok(known),
@@ -262,7 +255,7 @@ impl List {
         time_frames: usize,
         held_out: bool,
         options: &ImportOptions,
-    ) -> Result<Vec<ListedFrame>, ReadSourceError> {
+    ) -> Result<Vec<ListedFrame>, ReadError> {
         let all = entries.iter().map(|(i, entry)| {
             let frame = self.frame(entry, time_frames, held_out, options);
             frame.map_err(|e| e.within(&self.path, format!("frame {i} ({})", entry.file_path)))
@@ -276,15 +269,15 @@ impl List {
         time_frames: usize,
         held_out: bool,
         options: &ImportOptions,
-    ) -> Result<ListedFrame, SourceErrorCause> {
+    ) -> Result<ListedFrame, Fault> {
         // frames without a time got one by their order
         let time = entry.time.unwrap_or(0.0);
         if !(0.0..=1.0).contains(&time) {
             let what = format!("time = {time}; 0 (first training frame) to 1 (last) was expected");
-            return Err(SourceErrorCause::bad(what, "divide the times by the last"));
+            return Err(Fault::bad(what, "divide the times by the last"));
         }
         let rows = entry.transform_matrix.as_ref();
-        let rows = rows.ok_or_else(|| SourceErrorCause::missing("transform_matrix", "write the file again"))?;
+        let rows = rows.ok_or_else(|| Fault::missing("transform_matrix", "write the file again"))?;
         let mut c2w = self.axes.to_opencv(&pose::of_rows("transform_matrix", rows)?);
         c2w.translation *= self.undo_scale;
         if let Some(undo) = &self.undo {
@@ -295,7 +288,7 @@ impl List {
             let file = name.as_ref().map(|name| self.folder.join(name));
             file.map(|file| self.inside.check(file)).transpose()
         };
-        let lens = lens::of(&entry.lens.or(&self.file.lens), image.size)?;
+        let lens = lens_of(&entry.lens.or(&self.file.lens), image.size)?;
         let t = time * (time_frames.max(1) - 1) as f64;
         let (depth_unit, dynamic_is_zero) = (self.depth_unit, self.dynamic_is_zero);
         Ok(ListedFrame {
@@ -320,9 +313,9 @@ impl List {
     }
 
     /// The file of an image: Blender's scenes leave its extension out.
-    fn image(&self, name: &str, options: &ImportOptions) -> Result<PathBuf, SourceErrorCause> {
+    fn image(&self, name: &str, options: &ImportOptions) -> Result<PathBuf, Fault> {
         if name.is_empty() {
-            return Err(SourceErrorCause::missing("file_path", "write the file again"));
+            return Err(Fault::missing("file_path", "write the file again"));
         }
         let folder = options.images.as_deref().unwrap_or(&self.folder);
         let exact = folder.join(name);
@@ -336,24 +329,19 @@ impl List {
                 "the image {} is missing; put it there, or give the folder that file_path starts from (images)",
                 exact.display()
             );
-            SourceErrorCause::Io(io::Error::new(io::ErrorKind::NotFound, what))
+            Fault::Io(io::Error::new(io::ErrorKind::NotFound, what))
         });
         self.inside.check(found?)
     }
 
     /// The tracks that the file names, their frames in the order of the entries.
-    fn tracks(&self, options: &ImportOptions) -> Result<Option<Tracks>, ReadSourceError> {
+    fn tracks(&self, options: &ImportOptions) -> Result<Option<Tracks>, ReadError> {
         let Some(name) = &self.file.tracks_path else {
             return Ok(None);
         };
         let path = self.inside.check(self.folder.join(name));
         let path = path.map_err(|e| e.within(&self.path, "tracks_path"))?;
-        let bad = |what: String| SourceErrorCause::bad(what, "write the tracks of this clip").at(&path);
-        let read = tracks::read(&path, self.entries.len(), options.max_memory_bytes);
-        let tracks = read.map_err(|e| match e.cause {
-            TracksErrorCause::Io(source) => SourceErrorCause::Io(source).at(&path),
-            other => bad(other.to_string()),
-        })?;
+        let tracks = tracks::read(&path, self.entries.len(), options.max_memory_bytes)?;
         let mut sorted: Vec<usize> = self.entries.iter().map(|(i, _)| *i).collect();
         if sorted.is_sorted() {
             return Ok(Some(tracks));
@@ -361,6 +349,32 @@ impl List {
         sorted.sort_unstable();
         let place = |(i, _): &(usize, Frame)| sorted.partition_point(|k| k < i);
         let order: Vec<usize> = self.entries.iter().map(place).collect();
-        Ok(Some(tracks.in_order(&order).map_err(|e| bad(e.to_string()))?))
+        let bad = |e: m4_core::ShapeError| Fault::bad(e.to_string(), "write the tracks of this clip").at(&path);
+        Ok(Some(tracks.in_order(&order).map_err(bad)?))
     }
+}
+
+/// The axes by the option, the file, or the keys that it has; see the module.
+fn axes_of(file: &Transforms, frames: &[(usize, Frame)], options: &ImportOptions, progress: &dyn Progress) -> Axes {
+    if let Some(axes) = options.axes.or(file.axes) {
+        return axes;
+    }
+    let of_opengl = file.lens.camera_angle_x.is_some()
+        || file.lens.camera_model.is_some()
+        || file.lens.is_fisheye.is_some()
+        || file.applied_transform.is_some()
+        || file.orientation_override.is_some()
+        || file.aabb_scale.is_some()
+        || file.ply_file_path.is_some()
+        || frames
+            .iter()
+            .any(|(_, frame)| frame.lens.camera_angle_x.is_some() || frame.lens.camera_model.is_some());
+    if of_opengl || !frames.iter().all(|(_, frame)| frame.time.is_some()) {
+        return Axes::OpenGl;
+    }
+    progress.warn(
+        "transforms.json is laid out as those of Instant4D and does not name its axes; OpenCV axes were assumed (if everything is \
+         behind the cameras, give the axes: opengl)",
+    );
+    Axes::OpenCv
 }

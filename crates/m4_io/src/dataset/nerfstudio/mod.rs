@@ -9,9 +9,7 @@
 //! axes, metric, duration_s, tracks_path, depth_unit_scale_factor      of our own captures (crate::capture)
 //! frames[]  file_path, transform_matrix, time (0..1), depth_file_path, mask_path, motion_path, instance_path, camera
 //!
-//! json     the keys as they are in the file
-//! lens     lens of a frame
-//! axes     which way the cameras look
+//! json     the keys as they are in the file, and the lens of a frame
 //! list     entries -> frames
 //! write    a capture -> the folder of a data set
 //! ```
@@ -35,14 +33,12 @@
 //!
 //! Source: nerfstudio's `nerfstudio_dataparser.py`, `depth_dataset.py` and `data_utils.py` (Apache-2.0), `blender_dataparser.py`.
 
-mod axes;
 mod json;
-pub(crate) mod lens;
 mod list;
 mod write;
 
 pub use write::write;
 
-pub(crate) use json::{Frame, LensKeys, Transforms, rows};
+pub(crate) use json::{Frame, LensKeys, Transforms, lens_of, rows};
 pub(crate) use list::list_capture;
 pub(super) use list::{detect, list};

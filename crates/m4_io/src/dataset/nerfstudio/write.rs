@@ -13,10 +13,11 @@
 //! --auto-scale-poses False` keeps them).
 
 use super::json::{Frame, LensKeys, Transforms, rows};
-use crate::capture::depth_unit;
+use crate::WriteError;
+use crate::capture::{depth_unit, farthest};
 use crate::dataset::colmap::ColmapPoint;
-use crate::dataset::export::{FramePaths, Staging, WriteCaptureAsError, check, images, static_points};
-use crate::scene::{Loss, WriteFileError, Written};
+use crate::dataset::export::{FramePaths, Staging, check, static_points, write_frames};
+use crate::scene::{Loss, Written};
 use crate::trajectory;
 use m4_core::{Capture, CaptureFrame, Progress};
 use std::fmt::Write as _;
@@ -37,13 +38,13 @@ const POSE_WITHIN: f64 = 1e-6;
 ///
 /// # Errors
 ///
-/// [`WriteCaptureAsError`]: nothing is then changed, unless the last renames fail.
+/// [`WriteError`]: nothing is then changed, unless the last renames fail.
 pub fn write(
     out: &Path,
     train: &Capture,
     test: Option<&Capture>,
     progress: &dyn Progress,
-) -> Result<Written, WriteCaptureAsError> {
+) -> Result<Written, WriteError> {
     check(out, train)?;
     if let Some(test) = test {
         check(out, test)?;
@@ -61,20 +62,20 @@ pub fn write(
     let unit = unit(train);
     let points = static_points(train, MAX_POINTS);
     let list = list(train, &frames, unit, !points.is_empty());
-    let clipped = images::write(staging.path(), out, &frames, unit, progress)?;
+    let clipped = write_frames(staging.path(), out, &frames, unit, progress)?;
     let put = |name: &str, bytes: &[u8]| {
         let path = staging.path().join(name);
-        let io = |e| WriteFileError::io(&out.join(name), e);
+        let io = |e| WriteError::io(&out.join(name), e);
         fs::write(&path, bytes).map_err(io)?;
         match fs::read(&path).map_err(io)? == bytes {
             true => Ok(()),
-            false => Err(WriteFileError::verify(&out.join(name), "its bytes differ")),
+            false => Err(WriteError::verify(&out.join(name), "its bytes differ")),
         }
     };
     if !points.is_empty() {
         put(POINTS, &ply(&points))?;
     }
-    let mut text = serde_json::to_vec_pretty(&list).map_err(|e| WriteFileError::io(&out.join(LIST), e.into()))?;
+    let mut text = serde_json::to_vec_pretty(&list).map_err(|e| WriteError::io(&out.join(LIST), e.into()))?;
     text.push(b'\n');
     put(LIST, &text)?;
     read_back(&staging.path().join(LIST), out, &frames, train.time_frames)?;
@@ -97,14 +98,7 @@ fn paths(prefix: &str, i: usize, frame: &CaptureFrame) -> FramePaths {
 
 /// Millimetres where these are neither too coarse nor too few.
 fn unit(train: &Capture) -> f64 {
-    let farthest = train
-        .frames
-        .iter()
-        .filter_map(|f| f.depth.as_ref())
-        .flat_map(|d| d.every(1))
-        .filter(|z| z.is_finite())
-        .fold(0.0f32, f32::max);
-    if (LEAST_FAR..=65535.0 * UNIT).contains(&f64::from(farthest)) {
+    if (LEAST_FAR..=65535.0 * UNIT).contains(&f64::from(farthest(train))) {
         UNIT
     } else {
         depth_unit(train)
@@ -148,8 +142,8 @@ fn read_back(
     out: &Path,
     frames: &[(&CaptureFrame, FramePaths)],
     time_frames: usize,
-) -> Result<(), WriteFileError> {
-    let verify = |reason: String| WriteFileError::verify(&out.join(LIST), reason);
+) -> Result<(), WriteError> {
+    let verify = |reason: String| WriteError::verify(&out.join(LIST), reason);
     let back = trajectory::read(list, time_frames.max(2)).map_err(|e| verify(e.to_string()))?;
     let same = |((camera, t), (frame, _)): (&(m4_core::Camera, f64), &(&CaptureFrame, FramePaths))| {
         let off = (camera.c2w.matrix() - frame.camera.c2w.matrix()).amax();

@@ -2,7 +2,7 @@
 
 use super::convert::Clip;
 use crate::scene::Loss;
-use crate::scene::cameras_check::usable;
+use crate::scene::usable;
 use ::fourdgs::provenance::Provenance;
 use ::fourdgs::records::{POSE_TO_RIG, POSE_TO_SCENE, TRAJECTORY_LINEAR};
 use ::fourdgs::{Camera as View, CoordinateFrame, RigTrajectory, SensorCalibration};

@@ -1,7 +1,7 @@
 //! Converts splats to the columns of the container, and back.
 
 use crate::scene::Loss;
-use crate::scene::row::{FOREVER_CLIPS, Life, Row, collect, logit, sigmoid, unit};
+use crate::scene::splats::{FOREVER_CLIPS, Life, Row, collect, logit, sigmoid, unit};
 use crate::scene::{C0, plural};
 use ::fourdgs::GaussianSet;
 use ::fourdgs::quantization::{SH_QUANT_HI, SH_QUANT_LO, sh_coefficient, support_k};

@@ -15,10 +15,8 @@
 //! | quaternion (w, x, y, z) | (x, y, z, w) |
 //! | world, y down | as it is; the coordinate frame record says so |
 
-mod budget;
 mod cameras;
 mod convert;
-mod error;
 mod notes;
 mod read;
 mod verify;
@@ -27,6 +25,5 @@ mod write;
 #[cfg(test)]
 mod tests;
 
-pub use error::ReadFourdgsError;
 pub use read::{parse, read};
 pub use write::{FourdgsConfig, Precision, encode, write};

@@ -19,8 +19,8 @@ pub(super) struct Notes {
     pub mip: Option<bool>,
 }
 
-/// The record of a scene. Numbers are written so that they come back bit by bit.
-pub(super) fn write(scene: &Scene) -> Metadata {
+/// The metadata record of a scene. Numbers are written so that they come back bit by bit.
+pub(super) fn record(scene: &Scene) -> Metadata {
     let [r, g, b] = scene.background;
     let mut entries = BTreeMap::from([
         ("time_frames".to_owned(), scene.time_frames.to_string()),
@@ -37,29 +37,31 @@ pub(super) fn write(scene: &Scene) -> Metadata {
     }
 }
 
-/// The facts in the records of a file.
-pub(super) fn read(records: &[Metadata]) -> Notes {
-    let Some(record) = records.iter().find(|r| r.name == NAME) else {
-        return Notes::default();
-    };
-    let text = |key: &str| record.entries.get(key).map(String::as_str);
-    let colour = |text: &str| {
-        let parts: Vec<f32> = text.split(' ').map_while(|v| v.parse().ok()).collect();
-        <[f32; 3]>::try_from(parts).ok()
-    };
-    Notes {
-        time_frames: text("time_frames")
-            .and_then(|v| v.parse().ok())
-            .filter(|n| (1..=MAX_FRAMES).contains(n)),
-        duration_s: text("duration_s")
-            .and_then(|v| v.parse().ok())
-            .filter(|s: &f64| s.is_finite() && *s >= 0.0),
-        background: text("background")
-            .and_then(colour)
-            .filter(|c| c.iter().all(|v| v.is_finite())),
-        near: text("near")
-            .and_then(|v| v.parse().ok())
-            .filter(|v: &f32| v.is_finite() && *v >= 0.0),
-        mip: text("mip").and_then(|v| v.parse().ok()),
+impl Notes {
+    /// The facts in the records of a file.
+    pub(super) fn read(records: &[Metadata]) -> Self {
+        let Some(record) = records.iter().find(|r| r.name == NAME) else {
+            return Self::default();
+        };
+        let text = |key: &str| record.entries.get(key).map(String::as_str);
+        let colour = |text: &str| {
+            let parts: Vec<f32> = text.split(' ').map_while(|v| v.parse().ok()).collect();
+            <[f32; 3]>::try_from(parts).ok()
+        };
+        Self {
+            time_frames: text("time_frames")
+                .and_then(|v| v.parse().ok())
+                .filter(|n| (1..=MAX_FRAMES).contains(n)),
+            duration_s: text("duration_s")
+                .and_then(|v| v.parse().ok())
+                .filter(|s: &f64| s.is_finite() && *s >= 0.0),
+            background: text("background")
+                .and_then(colour)
+                .filter(|c| c.iter().all(|v| v.is_finite())),
+            near: text("near")
+                .and_then(|v| v.parse().ok())
+                .filter(|v: &f32| v.is_finite() && *v >= 0.0),
+            mip: text("mip").and_then(|v| v.parse().ok()),
+        }
     }
 }

@@ -1,10 +1,16 @@
 //! Reads a `.4dgs` file as a scene.
 
+use super::cameras;
 use super::convert::{BadField, Clip, from_set};
-use super::notes::{self, MAX_FRAMES};
-use super::{ReadFourdgsError, budget, cameras};
+use super::notes::{MAX_FRAMES, Notes};
+use crate::error::AtPath;
+use crate::files::bytes;
 use crate::scene::{DEFAULT_FPS, Imported, Loss};
+use crate::{Fault, ReadError};
 use ::fourdgs::error::RefusalKind;
+use ::fourdgs::opcode;
+use ::fourdgs::records::parse_chunk;
+use ::fourdgs::serialization::{MAGIC, Records, STREAM_HEADER_SIZE};
 use ::fourdgs::stream_reader::{ReadOptions, read_from};
 use m4_core::Scene;
 use std::path::Path;
@@ -16,13 +22,9 @@ const NEAR: f32 = 0.01;
 ///
 /// # Errors
 ///
-/// [`ReadFourdgsError`] if the file is missing, damaged, or of a kind that is not known here.
-pub fn read(path: &Path) -> Result<Imported, ReadFourdgsError> {
-    let bytes = crate::scene::file::load(path).map_err(|source| ReadFourdgsError::Io {
-        path: path.to_path_buf(),
-        source,
-    })?;
-    parse(path, &bytes)
+/// [`ReadError`] if the file is missing, damaged, or of a kind that is not known here.
+pub fn read(path: &Path) -> Result<Imported, ReadError> {
+    parse(path, &bytes(path, u64::MAX).at(path)?)
 }
 
 /// The scene in the bytes of a file; `path` is for messages alone.
@@ -30,32 +32,28 @@ pub fn read(path: &Path) -> Result<Imported, ReadFourdgsError> {
 /// # Errors
 ///
 /// As [`read`]. Decoding allocates no more than 48 MiB and 96 bytes per byte of the file.
-pub fn parse(path: &Path, bytes: &[u8]) -> Result<Imported, ReadFourdgsError> {
-    budget::check(bytes).map_err(|over| ReadFourdgsError::TooLarge {
-        path: path.to_path_buf(),
-        needed: over.needed,
-        allowed: over.allowed,
-        len: bytes.len() as u64,
-    })?;
+pub fn parse(path: &Path, bytes: &[u8]) -> Result<Imported, ReadError> {
+    scene_of(bytes).at(path)
+}
+
+fn unsupported(reason: impl Into<String>) -> Fault {
+    let hint = "write it again as .4dgs version 1 with the model gaussian-birth and deflate streams";
+    Fault::unsupported(reason, hint)
+}
+
+fn scene_of(bytes: &[u8]) -> Result<Imported, Fault> {
+    budget(bytes)?;
     let options = ReadOptions {
         recover_truncated: false,
         ..ReadOptions::default()
     };
-    let file = read_from(bytes, &options).map_err(|e| refused(path, e))?;
-    let unsupported = |reason: String| ReadFourdgsError::Unsupported {
-        path: path.to_path_buf(),
-        reason,
-    };
+    let file = read_from(bytes, &options).map_err(|e| refused(&e))?;
     if !file.objects.tracks.is_empty() {
-        return Err(unsupported("its splats are moved by the tracks of objects".to_owned()));
+        return Err(unsupported("its splats are moved by the tracks of objects"));
     }
-    let damaged = |reason: String| ReadFourdgsError::Damaged {
-        path: path.to_path_buf(),
-        reason,
-    };
-    let facts = notes::read(&file.metadata);
+    let facts = Notes::read(&file.metadata);
     let clip = clip(file.header.duration_sec, &facts)
-        .ok_or_else(|| damaged(format!("it says that it lasts {} s", file.header.duration_sec)))?;
+        .ok_or_else(|| Fault::damaged(format!("it says that it lasts {} s", file.header.duration_sec)))?;
     let mut losses = Vec::new();
     if !file.audio_sources.is_empty() {
         losses.push(Loss::Dropped("the sound".to_owned()));
@@ -67,12 +65,7 @@ pub fn parse(path: &Path, bytes: &[u8]) -> Result<Imported, ReadFourdgsError> {
     );
     let (splats, changed) = from_set(&file.gaussians, &clip, file.header.cutoff).map_err(|bad| {
         let BadField { splat, field, value } = bad;
-        ReadFourdgsError::BadValue {
-            path: path.to_path_buf(),
-            splat,
-            field,
-            value,
-        }
+        Fault::damaged(format!("{field} of splat {splat} is {value}"))
     })?;
     losses.extend(changed);
     if file
@@ -106,7 +99,7 @@ pub fn parse(path: &Path, bytes: &[u8]) -> Result<Imported, ReadFourdgsError> {
 }
 
 /// Frames and their length: those of our own writer, else 30 per second.
-fn clip(duration_s: f64, facts: &notes::Notes) -> Option<Clip> {
+fn clip(duration_s: f64, facts: &Notes) -> Option<Clip> {
     if !(duration_s.is_finite() && duration_s >= 0.0) {
         return None;
     }
@@ -126,18 +119,92 @@ fn clip(duration_s: f64, facts: &notes::Notes) -> Option<Clip> {
     })
 }
 
-fn refused(path: &Path, error: ::fourdgs::Error) -> ReadFourdgsError {
+fn refused(error: &::fourdgs::Error) -> Fault {
     use ::fourdgs::Error as E;
-    let path = path.to_path_buf();
+    use RefusalKind::{UnsupportedCodec, UnsupportedModel, UnsupportedVersion};
     let reason = error.to_string();
     match error {
         E::UnsupportedVersion(_) | E::UnsupportedCodec(_) | E::UnsupportedModel(_) | E::UnsupportedOperation(_) => {
-            ReadFourdgsError::Unsupported { path, reason }
+            unsupported(reason)
         }
         E::Refused {
-            kind: RefusalKind::UnsupportedVersion | RefusalKind::UnsupportedModel | RefusalKind::UnsupportedCodec,
+            kind: UnsupportedVersion | UnsupportedModel | UnsupportedCodec,
             ..
-        } => ReadFourdgsError::Unsupported { path, reason },
-        _ => ReadFourdgsError::Damaged { path, reason },
+        } => unsupported(reason),
+        _ => Fault::damaged(reason),
     }
+}
+
+/// Memory that any file may ask for, bytes.
+const FREE: u64 = 48 << 20;
+/// Memory that a byte of the file may ask for besides: splats take 8 to 15 bytes in a file and about 600
+/// while they are decoded.
+const PER_BYTE: u64 = 96;
+/// A splat of a scene, of its chunk before, and of the columns after.
+const PER_SPLAT: u64 = 2 * 76 + 100;
+/// A symbol of a stream: eight bytes decoded, up to four raw.
+const PER_SYMBOL: u64 = 12;
+
+/// Refuses a file whose records claim more than it may ask for. The decoder of the `fourdgs` crate stops at half a gigabyte,
+/// whatever the size of the file; streams with one constant row let a kilobyte ask for that much. Whatever does not parse is left to the decoder, which refuses it at
+/// that place without having allocated for what follows.
+fn budget(bytes: &[u8]) -> Result<(), Fault> {
+    let allowed = FREE + PER_BYTE * bytes.len() as u64;
+    let (mut kept, mut largest) = (0u64, 0u64);
+    let body = bytes.get(MAGIC.len()..).unwrap_or_default();
+    for record in Records::new(body, 0) {
+        let Ok(record) = record else { break };
+        match record.opcode {
+            opcode::CHUNK => {
+                let Ok((head, streams)) = parse_chunk(record.content) else {
+                    break;
+                };
+                kept = kept.saturating_add(u64::from(head.count) * PER_SPLAT);
+                // A chunk that is compressed as a whole hides its streams; each symbol in it is a byte at least.
+                let symbols = if head.compression.is_empty() {
+                    stream_symbols(streams, u64::from(head.count))
+                } else {
+                    head.uncompressed_size
+                        .saturating_add(u64::from(head.count).saturating_mul(26))
+                };
+                largest = largest.max(symbols.saturating_mul(PER_SYMBOL));
+            }
+            // Bands are kept, decoded, until the last chunk.
+            opcode::SH_BAND_STREAM => {
+                let symbols = stream_symbols(record.content.get(1..).unwrap_or_default(), u64::MAX);
+                kept = kept.saturating_add(symbols.saturating_mul(PER_SYMBOL));
+            }
+            _ => {}
+        }
+        let needed = kept.saturating_add(largest);
+        if needed > allowed {
+            let len = bytes.len();
+            let what = format!(
+                "it declares splats that need {needed} bytes of memory, and a file of {len} bytes may use {allowed}"
+            );
+            return Err(Fault::bad(what, "it is damaged or malicious"));
+        }
+    }
+    Ok(())
+}
+
+/// Symbols of the streams that follow one another in `bytes`. A stream with another count than `expected`
+/// is refused by the decoder before it allocates.
+fn stream_symbols(mut bytes: &[u8], expected: u64) -> u64 {
+    const CONSTANT: u8 = 2;
+    let mut symbols = 0u64;
+    while let Some((head, rest)) = bytes.split_at_checked(STREAM_HEADER_SIZE) {
+        let (mode, channels) = (head[2], u64::from(head[4]));
+        let count = u64::from(u32::from_le_bytes([head[5], head[6], head[7], head[8]]));
+        let payload = u64::from_le_bytes([
+            head[9], head[10], head[11], head[12], head[13], head[14], head[15], head[16],
+        ]);
+        let rows = if mode == CONSTANT { 1 } else { count.min(expected) };
+        symbols = symbols.saturating_add(rows * channels);
+        let Some(next) = usize::try_from(payload).ok().and_then(|n| rest.get(n..)) else {
+            break;
+        };
+        bytes = next;
+    }
+    symbols
 }

@@ -2,8 +2,9 @@
 
 use super::convert::{Clip, to_set};
 use super::{cameras, notes, verify};
-use crate::scene::clock::Clock;
-use crate::scene::{DEFAULT_FPS, Loss, WriteFileError, Written, at_peak, plural};
+use crate::WriteError;
+use crate::scene::common::{Clock, check_finite, publish};
+use crate::scene::{DEFAULT_FPS, Loss, Written, at_peak, plural};
 use ::fourdgs::quantization::{Bounds, Profile};
 use ::fourdgs::stream_reader::{ReadOptions, read_from};
 use ::fourdgs::{GaussianSet, SceneExtras, WriteOptions, write_to_vec};
@@ -58,11 +59,11 @@ impl Precision {
 ///
 /// # Errors
 ///
-/// [`WriteFileError`] when the scene has values that are not finite, the file system refuses, or the
+/// [`WriteError`] when the scene has values that are not finite, the file system refuses, or the
 /// bytes do not decode to the scene.
-pub fn write(path: &Path, scene: &Scene, config: &FourdgsConfig) -> Result<Written, WriteFileError> {
-    let (bytes, losses) = encode(scene, config)?;
-    crate::scene::file::publish(path, &bytes).map_err(|e| WriteFileError::io(path, e))?;
+pub fn write(path: &Path, scene: &Scene, config: &FourdgsConfig) -> Result<Written, WriteError> {
+    let (bytes, losses) = encode(path, scene, config)?;
+    publish(path, &bytes)?;
     Ok(Written {
         path: path.to_path_buf(),
         bytes: bytes.len() as u64,
@@ -71,18 +72,13 @@ pub fn write(path: &Path, scene: &Scene, config: &FourdgsConfig) -> Result<Writt
     })
 }
 
-/// The bytes of the file, decoded and compared with the scene, and what they cannot hold.
+/// The bytes of the file `path`, decoded and compared with the scene, and what they cannot hold.
 ///
 /// # Errors
 ///
 /// As [`write()`].
-pub fn encode(scene: &Scene, config: &FourdgsConfig) -> Result<(Vec<u8>, Vec<Loss>), WriteFileError> {
-    if !scene.splats.is_finite() {
-        return Err(WriteFileError::bad(
-            ".4dgs",
-            "a parameter of a splat is not a finite number",
-        ));
-    }
+pub fn encode(path: &Path, scene: &Scene, config: &FourdgsConfig) -> Result<(Vec<u8>, Vec<Loss>), WriteError> {
+    check_finite(path, scene)?;
     let clock = Clock::of(scene);
     let clip = Clip {
         step_s: clock.step_s,
@@ -93,7 +89,7 @@ pub fn encode(scene: &Scene, config: &FourdgsConfig) -> Result<(Vec<u8>, Vec<Los
     let (provenance, unheld) = cameras::provenance(scene, &clip);
     let extras = SceneExtras {
         camera: cameras::view(scene, &clip),
-        metadata: vec![notes::write(scene)],
+        metadata: vec![notes::record(scene)],
         provenance,
         ..SceneExtras::default()
     };
@@ -106,10 +102,10 @@ pub fn encode(scene: &Scene, config: &FourdgsConfig) -> Result<(Vec<u8>, Vec<Los
         metadata: BTreeMap::from([("color_space".to_owned(), "srgb-rec709-display".to_owned())]),
         ..WriteOptions::default()
     };
-    let bad = |e: ::fourdgs::Error| WriteFileError::bad(".4dgs", e.to_string());
+    let bad = |e: ::fourdgs::Error| WriteError::bad(path, e.to_string());
     let bytes = write_to_vec(&set, f64::from(clip.duration_s()), &options, &extras).map_err(bad)?;
     let bounds = Bounds::for_profile(options.profile, median(&set));
-    decodes_to(&bytes, &set, &bounds)?;
+    decodes_to(&bytes, &set, &bounds).map_err(|reason| WriteError::encode(path, reason))?;
 
     let mut losses = Vec::new();
     if clock.assumed {
@@ -133,17 +129,13 @@ pub fn encode(scene: &Scene, config: &FourdgsConfig) -> Result<(Vec<u8>, Vec<Los
     Ok((bytes, losses))
 }
 
-fn decodes_to(bytes: &[u8], set: &GaussianSet, bounds: &Bounds) -> Result<(), WriteFileError> {
+fn decodes_to(bytes: &[u8], set: &GaussianSet, bounds: &Bounds) -> Result<(), String> {
     let options = ReadOptions {
         recover_truncated: false,
         ..ReadOptions::default()
     };
-    let verify = |reason: String| WriteFileError::Decode {
-        format: ".4dgs",
-        reason,
-    };
-    let file = read_from(bytes, &options).map_err(|e| verify(e.to_string()))?;
-    verify::check(set, bounds, &file).map_err(verify)
+    let file = read_from(bytes, &options).map_err(|e| e.to_string())?;
+    verify::check(set, bounds, &file)
 }
 
 /// The median over all scales, as the container measures its bound of positions by; see `Bounds`.

@@ -1,4 +1,7 @@
-//! The text header of a PLY file.
+//! The text header of a PLY file, and the rows of a table as columns of numbers.
+
+use crate::Fault;
+use crate::npy::Number;
 
 /// Longest header that is read, bytes.
 const MAX_HEADER: usize = 64 << 10;
@@ -11,50 +14,26 @@ pub(super) enum Encoding {
     Text,
 }
 
-/// A type of number.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Kind {
-    I8,
-    U8,
-    I16,
-    U16,
-    I32,
-    U32,
-    F32,
-    F64,
-}
-
-impl Kind {
-    fn named(name: &str) -> Option<Self> {
-        Some(match name {
-            "char" | "int8" => Self::I8,
-            "uchar" | "uint8" => Self::U8,
-            "short" | "int16" => Self::I16,
-            "ushort" | "uint16" => Self::U16,
-            "int" | "int32" => Self::I32,
-            "uint" | "uint32" => Self::U32,
-            "float" | "float32" => Self::F32,
-            "double" | "float64" => Self::F64,
-            _ => return None,
-        })
-    }
-
-    /// Bytes of a number.
-    pub fn bytes(self) -> usize {
-        match self {
-            Self::I8 | Self::U8 => 1,
-            Self::I16 | Self::U16 => 2,
-            Self::I32 | Self::U32 | Self::F32 => 4,
-            Self::F64 => 8,
-        }
-    }
+/// The type of number of that name.
+fn number_of(name: &str) -> Option<Number> {
+    Some(match name {
+        "char" | "int8" => Number::I8,
+        "uchar" | "uint8" => Number::U8,
+        "short" | "int16" => Number::I16,
+        "ushort" | "uint16" => Number::U16,
+        "int" | "int32" => Number::I32,
+        "uint" | "uint32" => Number::U32,
+        "float" | "float32" => Number::F32,
+        "double" | "float64" => Number::F64,
+        _ => return None,
+    })
 }
 
 /// A number of each row.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct Property {
     pub name: String,
-    pub kind: Kind,
+    pub kind: Number,
 }
 
 /// A table.
@@ -83,30 +62,22 @@ pub(super) struct Header {
     pub length: usize,
 }
 
-/// What is wrong with a header.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub(super) enum BadHeader {
-    /// The file is of another kind.
-    NotPly(String),
-    /// It is a PLY file that makes no sense.
-    Damaged(String),
-}
-
 /// Reads the text.
-pub(super) fn parse(bytes: &[u8]) -> Result<Header, BadHeader> {
-    let damaged = |reason: &str, line: &str| {
+pub(super) fn parse(bytes: &[u8]) -> Result<Header, Fault> {
+    let bad = |reason: &str, line: &str| {
         let line: String = line.chars().take(80).collect();
-        BadHeader::Damaged(format!("its header has {reason}: {line:?}"))
+        Fault::damaged(format!("its header has {reason}: {line:?}"))
     };
     let mut lines = Lines { bytes, at: 0 };
     if lines.next() != Some("ply") {
-        return Err(BadHeader::NotPly("it does not start with \"ply\"".to_owned()));
+        let what = "it is not a PLY file: it does not start with \"ply\"";
+        return Err(Fault::bad(what, "check the name, or import it as another format"));
     }
     let mut encoding = None;
     let mut elements: Vec<Element> = Vec::new();
     loop {
         let Some(line) = lines.next() else {
-            return Err(BadHeader::Damaged("its header has no end, or is not text".to_owned()));
+            return Err(Fault::damaged("its header has no end, or is not text".to_owned()));
         };
         let words: Vec<&str> = line.split_ascii_whitespace().collect();
         match words[..] {
@@ -117,32 +88,30 @@ pub(super) fn parse(bytes: &[u8]) -> Result<Header, BadHeader> {
                     "binary_little_endian" => Encoding::Little,
                     "binary_big_endian" => Encoding::Big,
                     "ascii" => Encoding::Text,
-                    _ => return Err(damaged("an unknown format", line)),
+                    _ => return Err(bad("an unknown format", line)),
                 });
             }
             ["element", name, rows] => elements.push(Element {
                 name: name.to_owned(),
-                rows: rows
-                    .parse()
-                    .map_err(|_| damaged("a count that is not a number", line))?,
+                rows: rows.parse().map_err(|_| bad("a count that is not a number", line))?,
                 properties: Vec::new(),
                 lists: false,
             }),
             ["property", "list", _, _, _] => match elements.last_mut() {
                 Some(element) => element.lists = true,
-                None => return Err(damaged("a property before the first element", line)),
+                None => return Err(bad("a property before the first element", line)),
             },
             ["property", kind, name] => {
-                let kind = Kind::named(kind).ok_or_else(|| damaged("an unknown type", line))?;
+                let kind = number_of(kind).ok_or_else(|| bad("an unknown type", line))?;
                 match elements.last_mut() {
                     Some(element) => element.properties.push(Property {
                         name: name.to_owned(),
                         kind,
                     }),
-                    None => return Err(damaged("a property before the first element", line)),
+                    None => return Err(bad("a property before the first element", line)),
                 }
             }
-            _ => return Err(damaged("a line that makes no sense", line)),
+            _ => return Err(bad("a line that makes no sense", line)),
         }
     }
     match encoding {
@@ -151,7 +120,7 @@ pub(super) fn parse(bytes: &[u8]) -> Result<Header, BadHeader> {
             elements,
             length: lines.at,
         }),
-        None => Err(BadHeader::Damaged("its header states no format".to_owned())),
+        None => Err(Fault::damaged("its header states no format".to_owned())),
     }
 }
 
@@ -172,9 +141,92 @@ impl<'a> Lines<'a> {
     }
 }
 
+/// Numbers of one table.
+pub(super) struct Table<'a> {
+    element: &'a Element,
+    columns: Vec<Option<Vec<f32>>>,
+}
+
+impl<'a> Table<'a> {
+    /// Reads the properties that are `wanted` from `bytes`, which start at the table. The rows are compared
+    /// with the bytes that are there before anything is allocated.
+    pub fn read(
+        element: &'a Element,
+        encoding: Encoding,
+        bytes: &[u8],
+        wanted: impl Fn(&str) -> bool,
+    ) -> Result<Self, Fault> {
+        let width = element.properties.len();
+        // a digit and a space in text
+        let stride = if encoding == Encoding::Text {
+            2 * width
+        } else {
+            element.stride()
+        };
+        // the last number of a text may end the file
+        let there = bytes.len().saturating_add(usize::from(encoding == Encoding::Text));
+        if stride == 0 || element.rows > there / stride {
+            return Err(Fault::damaged(format!(
+                "its header says {} splats of {stride} bytes or more and the file has {} bytes for them",
+                element.rows,
+                bytes.len()
+            )));
+        }
+        let mut columns: Vec<Option<Vec<f32>>> = element
+            .properties
+            .iter()
+            .map(|p| wanted(&p.name).then(|| Vec::with_capacity(element.rows)))
+            .collect();
+        if encoding == Encoding::Text {
+            text(element, bytes, &mut columns)?;
+        } else {
+            let big = encoding == Encoding::Big;
+            for row in bytes.chunks_exact(stride).take(element.rows) {
+                let mut at = 0;
+                for (property, column) in element.properties.iter().zip(&mut columns) {
+                    let next = at + property.kind.bytes();
+                    if let Some(column) = column {
+                        column.push(property.kind.read(&row[at..next], big) as f32);
+                    }
+                    at = next;
+                }
+            }
+        }
+        Ok(Self { element, columns })
+    }
+
+    /// The column of the first of these names that the table has.
+    pub fn column(&self, names: &[&str]) -> Option<(&str, Number, &[f32])> {
+        names.iter().find_map(|name| {
+            let at = self.element.properties.iter().position(|p| p.name == *name)?;
+            let property = &self.element.properties[at];
+            Some((property.name.as_str(), property.kind, self.columns[at].as_deref()?))
+        })
+    }
+}
+
+fn text(element: &Element, bytes: &[u8], columns: &mut [Option<Vec<f32>>]) -> Result<(), Fault> {
+    let mut words = bytes.split(|b| b.is_ascii_whitespace()).filter(|word| !word.is_empty());
+    for row in 0..element.rows {
+        for (property, column) in element.properties.iter().zip(&mut *columns) {
+            let number = words
+                .next()
+                .and_then(|word| std::str::from_utf8(word).ok()?.parse::<f64>().ok());
+            let Some(number) = number else {
+                let what = format!("{} of splat {row} is not a number, or missing", property.name);
+                return Err(Fault::damaged(what));
+            };
+            if let Some(column) = column {
+                column.push(number as f32);
+            }
+        }
+    }
+    Ok(())
+}
+
 #[cfg(test)]
 mod tests {
-    use super::{BadHeader, Encoding, parse};
+    use super::{Encoding, parse};
 
     #[test]
     fn elements_and_properties_are_listed() {
@@ -189,7 +241,7 @@ mod tests {
 
     #[test]
     fn malformed_ply_headers_are_rejected() {
-        assert!(matches!(parse(b"PLY\n"), Err(BadHeader::NotPly(_))));
+        assert!(parse(b"PLY\n").unwrap_err().to_string().contains("not a PLY file"));
         for text in [
             "ply\nend_header\n",
             "ply\nformat ascii 1.0\nproperty float x\nend_header\n",
@@ -199,7 +251,10 @@ mod tests {
             "ply\nformat ascii 1.0\nelement vertex 1\n",
             "ply\nformat ascii 2.0\nend_header\n",
         ] {
-            assert!(matches!(parse(text.as_bytes()), Err(BadHeader::Damaged(_))), "{text}");
+            assert!(
+                parse(text.as_bytes()).unwrap_err().to_string().contains("damaged"),
+                "{text}"
+            );
         }
     }
 }

@@ -1,10 +1,11 @@
 //! Reads a PLY file of splats as a scene.
 
-use super::ReadPlyError;
-use super::header::{BadHeader, Kind, parse as parse_header};
-use super::table::Table;
-use crate::scene::row::{Life, Row, collect, unit};
+use super::header::{Table, parse as parse_header};
+use crate::error::AtPath;
+use crate::files::bytes;
+use crate::scene::splats::{Life, Row, collect, unit};
 use crate::scene::{C0, Imported, Loss};
+use crate::{Fault, ReadError};
 use m4_core::Scene;
 use std::path::Path;
 
@@ -18,13 +19,9 @@ const BEYOND: f32 = 20.0;
 ///
 /// # Errors
 ///
-/// [`ReadPlyError`] if the file is missing, damaged, or holds no splats.
-pub fn read(path: &Path) -> Result<Imported, ReadPlyError> {
-    let bytes = crate::scene::file::load(path).map_err(|source| ReadPlyError::Io {
-        path: path.to_path_buf(),
-        source,
-    })?;
-    parse(path, &bytes)
+/// [`ReadError`] if the file is missing, damaged, or holds no splats.
+pub fn read(path: &Path) -> Result<Imported, ReadError> {
+    parse(path, &bytes(path, u64::MAX).at(path)?)
 }
 
 /// True for a property that a splat is made of.
@@ -41,24 +38,18 @@ fn known(name: &str) -> bool {
 /// # Errors
 ///
 /// As [`read`].
-pub fn parse(path: &Path, bytes: &[u8]) -> Result<Imported, ReadPlyError> {
-    let unsupported = |reason: String| ReadPlyError::Unsupported {
-        path: path.to_path_buf(),
-        reason,
-    };
-    let damaged = |reason: String| ReadPlyError::Damaged {
-        path: path.to_path_buf(),
-        reason,
-    };
-    let header = parse_header(bytes).map_err(|bad| match bad {
-        BadHeader::NotPly(reason) => ReadPlyError::NotPly {
-            path: path.to_path_buf(),
-            reason,
-        },
-        BadHeader::Damaged(reason) => damaged(reason),
-    })?;
+pub fn parse(path: &Path, bytes: &[u8]) -> Result<Imported, ReadError> {
+    scene_of(bytes).at(path)
+}
+
+fn unsupported(reason: impl Into<String>) -> Fault {
+    Fault::unsupported(reason, "give a PLY file of splats as 3DGS writes it")
+}
+
+fn scene_of(bytes: &[u8]) -> Result<Imported, Fault> {
+    let header = parse_header(bytes)?;
     let [element, ..] = &header.elements[..] else {
-        return Err(unsupported("it has no tables".to_owned()));
+        return Err(unsupported("it has no tables"));
     };
     if header
         .elements
@@ -67,7 +58,7 @@ pub fn parse(path: &Path, bytes: &[u8]) -> Result<Imported, ReadPlyError> {
         .any(|p| p.name == "packed_position")
     {
         return Err(unsupported(
-            "it is a compressed PLY; splat-transform turns it into a plain one".to_owned(),
+            "it is a compressed PLY; splat-transform turns it into a plain one",
         ));
     }
     if element.name != "vertex" || element.lists {
@@ -77,18 +68,13 @@ pub fn parse(path: &Path, bytes: &[u8]) -> Result<Imported, ReadPlyError> {
             if element.lists { " with lists" } else { "" }
         )));
     }
-    let table = Table::read(element, header.encoding, &bytes[header.length..], known).map_err(damaged)?;
+    let table = Table::read(element, header.encoding, &bytes[header.length..], known)?;
     let (columns, sh_degree) = Columns::of(&table).map_err(unsupported)?;
     let rows = (0..element.rows)
         .map(|i| columns.row(i))
         .collect::<Result<Vec<_>, _>>()
         .and_then(|rows| columns.check_colours(element.rows).map(|()| rows))
-        .map_err(|(splat, property, value)| ReadPlyError::BadValue {
-            path: path.to_path_buf(),
-            splat,
-            property,
-            value,
-        })?;
+        .map_err(|(splat, property, value)| Fault::damaged(format!("{property} of splat {splat} is {value}")))?;
     let splats = collect(sh_degree, &rows, |i, out| columns.colour(i, out));
     Ok(Imported {
         scene: Scene {
@@ -170,11 +156,7 @@ impl<'a> Columns<'a> {
             Some(columns) => (columns, None),
             None => {
                 let (_, kind, red) = find(&["red"]).ok_or("it has no property f_dc_0 and no red")?;
-                let divisor = if matches!(kind, Kind::F32 | Kind::F64) {
-                    1.0
-                } else {
-                    255.0
-                };
+                let divisor = if kind.is_float() { 1.0 } else { 255.0 };
                 ([red, need(&["green"])?, need(&["blue"])?], Some(divisor))
             }
         };

@@ -1,8 +1,9 @@
 //! Instants to PLY files and back, and files of other writers.
 
-use super::{ReadPlyError, frame_name, parse, read, write, write_sequence};
+use super::{frame_name, parse, read, write, write_sequence};
+use crate::ErrorKind;
 use crate::scene::Loss;
-use crate::scene::row::{Row, sigmoid};
+use crate::scene::splats::{Row, sigmoid};
 use m4_core::{Column, Scene, SplatLayout};
 use m4_testkit::{SceneSpec, random_scene};
 use serde::Deserialize;
@@ -170,10 +171,7 @@ fn malformed_ply_is_rejected_with_a_reason() {
     let mut huge = head("4000000000000000000", &all);
     huge.extend([0; 560]);
     let error = parse(at, &huge).unwrap_err();
-    assert!(
-        matches!(&error, ReadPlyError::Damaged { reason, .. } if reason.contains("560 bytes")),
-        "{error}"
-    );
+    assert!(error.to_string().contains("560 bytes"), "{error}");
 
     let one = |names: &[&str], value: f32| {
         let mut bytes = head("1", names);
@@ -182,11 +180,12 @@ fn malformed_ply_is_rejected_with_a_reason() {
     };
     assert_eq!(one(&all, 0.5).unwrap().scene.splats.n(), 1);
     let nan = one(&all, f32::NAN).unwrap_err();
-    assert!(matches!(nan, ReadPlyError::BadValue { splat: 0, .. }), "{nan}");
+    assert!(nan.to_string().contains("of splat 0 is NaN"), "{nan}");
     for left_out in ["x", "opacity", "scale_0", "rot_2", "f_dc_1"] {
         let names: Vec<&str> = all.into_iter().filter(|n| *n != left_out).collect();
-        assert!(
-            matches!(one(&names, 0.5), Err(ReadPlyError::Unsupported { .. })),
+        assert_eq!(
+            one(&names, 0.5).unwrap_err().kind(),
+            ErrorKind::Unsupported,
             "{left_out}"
         );
     }
@@ -202,5 +201,10 @@ fn malformed_ply_is_rejected_with_a_reason() {
     assert!(one(&flat, 0.5).unwrap_err().to_string().contains("two scales"));
     let packed = one(&["packed_position"], 0.5).unwrap_err();
     assert!(packed.to_string().contains("compressed PLY"));
-    assert!(matches!(parse(at, b"\x89PNG"), Err(ReadPlyError::NotPly { .. })));
+    assert!(
+        parse(at, b"\x89PNG")
+            .unwrap_err()
+            .to_string()
+            .contains("not a PLY file")
+    );
 }

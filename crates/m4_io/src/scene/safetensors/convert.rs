@@ -1,6 +1,7 @@
 //! Converts between a [`m4_core::Scene`] and named arrays.
 
 use super::tensor::Source;
+use crate::{Fault, shortened};
 use m4_core::{
     Camera, Column, Exposure, Intrinsics, Se3, SourceFrame, SplatLayout, Splats, StateTensor,
     nalgebra::{Matrix3, Vector3},
@@ -11,17 +12,6 @@ use std::collections::BTreeMap;
 pub type Arrays = BTreeMap<String, StateTensor<'static>>;
 /// Named arrays to write.
 pub type Sources<'a> = BTreeMap<String, Source<'a>>;
-
-/// An array that is missing or has another type or shape.
-#[derive(Debug)]
-pub enum Mismatch {
-    Missing(String),
-    Other {
-        name: String,
-        found: String,
-        expected: String,
-    },
-}
 
 /// The columns of splats, with their names in files.
 const COLUMNS: [(Column, &str); 8] = [
@@ -73,7 +63,7 @@ pub fn arrays_to_splats(
     layout: SplatLayout,
     n_static: usize,
     n_dynamic: usize,
-) -> Result<Splats, Mismatch> {
+) -> Result<Splats, Fault> {
     let mut columns = Vec::with_capacity(layout.columns());
     let total = n_static.saturating_add(n_dynamic);
     for (column, name) in COLUMNS {
@@ -87,11 +77,8 @@ pub fn arrays_to_splats(
         arrays.remove(name);
     }
     // Every length was compared above, so this cannot fail.
-    Splats::from_columns(layout, n_static, n_dynamic, columns).map_err(|e| Mismatch::Other {
-        name: "splats".into(),
-        found: e.to_string(),
-        expected: "columns that agree".into(),
-    })
+    Splats::from_columns(layout, n_static, n_dynamic, columns)
+        .map_err(|e| Fault::damaged(format!("its splats are {e}")))
 }
 
 /// The arrays of the training cameras.
@@ -145,7 +132,7 @@ pub fn source_to_arrays(source: &[SourceFrame], arrays: &mut Sources<'_>) {
 }
 
 /// The training cameras of arrays.
-pub fn arrays_to_source(arrays: &Arrays) -> Result<Vec<SourceFrame>, Mismatch> {
+pub fn arrays_to_source(arrays: &Arrays) -> Result<Vec<SourceFrame>, Fault> {
     let n = arrays.get("source.t").map_or(0, StateTensor::len);
     let t = f64_array(arrays, "source.t", &[n])?;
     let lens = f64_array(arrays, "source.intrinsics", &[n, 6])?.as_chunks::<6>().0;
@@ -180,27 +167,29 @@ pub fn arrays_to_source(arrays: &Arrays) -> Result<Vec<SourceFrame>, Mismatch> {
     Ok((0..n).map(frame).collect())
 }
 
-fn other(name: &str, found: &StateTensor<'_>, kind: &str, shape: &[usize]) -> Mismatch {
-    Mismatch::Other {
-        name: name.to_owned(),
-        found: Source::Array(found.view()).describe(),
-        expected: format!("{kind} {shape:?}"),
-    }
+fn other(name: &str, found: &StateTensor<'_>, kind: &str, shape: &[usize]) -> Fault {
+    let found = Source::Array(found.view()).describe();
+    let name = shortened(format!("{name:?}"));
+    Fault::damaged(format!("array {name} is {found} where {kind} {shape:?} was expected"))
+}
+
+fn missing(name: &str) -> Fault {
+    Fault::damaged(format!("it has no array {}", shortened(format!("{name:?}"))))
 }
 
 /// The values of an array that must have a type and shape.
-pub fn f32_array<'a>(arrays: &'a Arrays, name: &str, shape: &[usize]) -> Result<&'a [f32], Mismatch> {
+pub fn f32_array<'a>(arrays: &'a Arrays, name: &str, shape: &[usize]) -> Result<&'a [f32], Fault> {
     match arrays.get(name) {
         Some(StateTensor::F32 { shape: found, data }) if found == shape => Ok(data),
         Some(found) => Err(other(name, found, "f32", shape)),
-        None => Err(Mismatch::Missing(name.to_owned())),
+        None => Err(missing(name)),
     }
 }
 
-fn f64_array<'a>(arrays: &'a Arrays, name: &str, shape: &[usize]) -> Result<&'a [f64], Mismatch> {
+fn f64_array<'a>(arrays: &'a Arrays, name: &str, shape: &[usize]) -> Result<&'a [f64], Fault> {
     match arrays.get(name) {
         Some(StateTensor::F64 { shape: found, data }) if found == shape => Ok(data),
         Some(found) => Err(other(name, found, "f64", shape)),
-        None => Err(Mismatch::Missing(name.to_owned())),
+        None => Err(missing(name)),
     }
 }

@@ -23,13 +23,9 @@
 //! it, which is compared on every read.
 
 mod convert;
-mod error;
-mod header;
 mod read;
 mod tensor;
-mod valid;
 mod write;
 
-pub use error::{ReadSceneError, WriteSceneError};
 pub use read::{SceneFile, read};
 pub use write::write;

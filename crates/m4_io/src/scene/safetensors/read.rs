@@ -1,11 +1,10 @@
-//! Reads a scene file.
+//! Reads a scene file, and checks the numbers of a scene.
 
-use super::ReadSceneError;
-use super::convert::{Arrays, Mismatch, arrays_to_source, arrays_to_splats};
-use super::header::{Header, KEY, VERSION, Version, checksum};
-use super::tensor::{self, Source};
-use super::valid;
-use m4_core::{Scene, TrainState};
+use super::convert::{Arrays, arrays_to_source, arrays_to_splats};
+use super::tensor::{self, Header, KEY, Source, VERSION, Version, checksum};
+use crate::error::AtPath;
+use crate::{Fault, ReadError, shortened};
+use m4_core::{Scene, SourceFrame, TrainState, nalgebra::Matrix3};
 use safetensors::tensor::Metadata;
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -14,6 +13,12 @@ use std::path::Path;
 
 /// Highest degrees that a layout may have; see [`m4_core::SplatLayout`].
 const MAX_DEGREES: (usize, usize) = (3, 2);
+/// Longest side of an image of the source, pixels.
+const MAX_SIDE_PX: usize = 1 << 16;
+/// Farthest that the product of a rotation and its transpose may be from the identity.
+const ROTATION_WITHIN: f64 = 1e-2;
+/// Most frames of a clip: nine hours at 30 frames per second. What goes through them frame by frame has to end.
+const MAX_FRAMES: usize = 1_000_000;
 
 /// What a scene file holds.
 #[derive(Debug, Clone, PartialEq)]
@@ -30,83 +35,67 @@ pub struct SceneFile {
 ///
 /// # Errors
 ///
-/// [`ReadSceneError`] if the file is missing, damaged, or of a newer format.
-pub fn read(path: &Path) -> Result<SceneFile, ReadSceneError> {
+/// [`ReadError`] if the file is missing, damaged, or of a newer format.
+pub fn read(path: &Path) -> Result<SceneFile, ReadError> {
+    file(path).at(path)
+}
+
+fn file(path: &Path) -> Result<SceneFile, Fault> {
     let (header, arrays) = load(path)?;
-    let Some(header) = header else {
-        return Err(ReadSceneError::NotScene {
-            path: path.to_path_buf(),
-            reason: format!("its metadata has no {KEY:?}"),
-        });
-    };
-    let damaged = |reason: String| ReadSceneError::Damaged {
-        path: path.to_path_buf(),
-        reason,
-    };
-    let version: Version = serde_json::from_str(&header).map_err(|e| damaged(e.to_string()))?;
-    if version.version > VERSION {
-        return Err(ReadSceneError::NewerVersion {
-            path: path.to_path_buf(),
-            found: version.version,
-            known: VERSION,
-        });
+    let header = header.ok_or_else(|| not_scene(format!("its metadata has no {KEY:?}")))?;
+    let Version { version } = serde_json::from_str(&header).map_err(Fault::damaged)?;
+    if version > VERSION {
+        let what = format!("it has format version {version}, and this program reads up to {VERSION}");
+        return Err(Fault::unsupported(what, "update minute4d"));
     }
-    let header: Header = serde_json::from_str(&header).map_err(|e| damaged(e.to_string()))?;
+    let header: Header = serde_json::from_str(&header).map_err(Fault::damaged)?;
     let views = arrays
         .iter()
         .map(|(name, array)| (name.clone(), Source::Array(array.view())));
-    let found = checksum(&header.scene, &header.metadata, &views.collect()).map_err(|e| damaged(e.to_string()))?;
+    let found = checksum(&header.scene, &header.metadata, &views.collect()).map_err(Fault::damaged)?;
     if found != header.blake3 {
-        return Err(ReadSceneError::Checksum {
-            path: path.to_path_buf(),
-            expected: header.blake3,
-            found,
-        });
+        let what = format!("its checksum is {found} where {} was written", shortened(header.blake3));
+        return Err(Fault::damaged(what));
     }
-    scene(path, header, arrays)
+    scene(header, arrays)
+}
+
+fn not_scene(reason: String) -> Fault {
+    Fault::bad(
+        format!("it is not a scene file: {reason}"),
+        "give the scene.safetensors of a run",
+    )
 }
 
 /// The arrays of a safetensors file and the JSON under [`KEY`], one array after the other. Sizes are
 /// compared with the bytes that are there before any array is read.
-pub fn load(path: &Path) -> Result<(Option<String>, Arrays), ReadSceneError> {
-    let io = |source| ReadSceneError::Io {
-        path: path.to_path_buf(),
-        source,
-    };
-    let file = File::open(path).map_err(io)?;
-    let len = file.metadata().map_err(io)?.len();
+fn load(path: &Path) -> Result<(Option<String>, Arrays), Fault> {
+    let file = File::open(path)?;
+    let len = file.metadata()?.len();
     let mut file = BufReader::new(file);
-    let not_scene = |reason: String| ReadSceneError::NotScene {
-        path: path.to_path_buf(),
-        reason,
-    };
     // The head first: a large file of another kind is not read whole.
     let mut start = [0; 9];
     if len < start.len() as u64 {
         return Err(not_scene(format!("it is {len} bytes long")));
     }
-    file.read_exact(&mut start).map_err(io)?;
+    file.read_exact(&mut start)?;
     let [head @ .., brace] = start;
     let head = u64::from_le_bytes(head);
     if brace != b'{' {
         return Err(not_scene("it does not start like a safetensors file".into()));
     }
-    let damaged = |reason: String| ReadSceneError::Damaged {
-        path: path.to_path_buf(),
-        reason,
-    };
     if head > len - 8 {
-        return Err(damaged(format!("its header says {head} bytes and the file has {len}")));
+        return Err(Fault::damaged(format!(
+            "its header says {head} bytes and the file has {len}"
+        )));
     }
     let mut json = vec![brace];
-    let rest = file.by_ref().take(head.saturating_sub(1));
-    read_to_end(rest, &mut json).map_err(io)?;
-    let metadata: Metadata = serde_json::from_slice(&json).map_err(|e| damaged(e.to_string()))?;
-    let bytes = metadata.data_len() as u64;
-    if bytes != len - 8 - head {
-        return Err(damaged(format!(
-            "its arrays have {bytes} bytes and the file has {} for them",
-            len - 8 - head
+    file.by_ref().take(head.saturating_sub(1)).read_to_end(&mut json)?;
+    let metadata: Metadata = serde_json::from_slice(&json).map_err(Fault::damaged)?;
+    let (bytes, rest) = (metadata.data_len() as u64, len - 8 - head);
+    if bytes != rest {
+        return Err(Fault::damaged(format!(
+            "its arrays have {bytes} bytes and the file has {rest} for them"
         )));
     }
     let mut arrays = Arrays::new();
@@ -114,37 +103,28 @@ pub fn load(path: &Path) -> Result<(Option<String>, Arrays), ReadSceneError> {
         let Some(info) = metadata.info(&name) else { continue };
         let (from, to) = info.data_offsets;
         let mut bytes = Vec::new();
-        read_to_end(file.by_ref().take((to - from) as u64), &mut bytes).map_err(io)?;
+        file.by_ref().take((to - from) as u64).read_to_end(&mut bytes)?;
         if bytes.len() != to - from {
-            return Err(damaged(format!("it ends within the array {name:?}")));
+            return Err(Fault::damaged(format!("it ends within the array {name:?}")));
         }
         let array = tensor::load(info.dtype, &info.shape, bytes)
-            .ok_or_else(|| damaged(format!("array {name:?} has the type {:?}", info.dtype)))?;
+            .ok_or_else(|| Fault::damaged(format!("array {name:?} has the type {:?}", info.dtype)))?;
         arrays.insert(name, array);
     }
     let header = metadata.metadata().as_ref().and_then(|m| m.get(KEY)).cloned();
     Ok((header, arrays))
 }
 
-fn read_to_end(mut from: impl Read, to: &mut Vec<u8>) -> std::io::Result<()> {
-    from.read_to_end(to).map(|_| ())
-}
-
-fn scene(path: &Path, header: Header, mut arrays: Arrays) -> Result<SceneFile, ReadSceneError> {
+fn scene(header: Header, mut arrays: Arrays) -> Result<SceneFile, Fault> {
     let facts = header.scene;
     if facts.sh_degree > MAX_DEGREES.0 || facts.time_degree > MAX_DEGREES.1 {
-        return Err(ReadSceneError::Damaged {
-            path: path.to_path_buf(),
-            reason: format!(
-                "it says degree {} in space and {} in time",
-                facts.sh_degree, facts.time_degree
-            ),
-        });
+        let (space, time) = (facts.sh_degree, facts.time_degree);
+        return Err(Fault::damaged(format!(
+            "it says degree {space} in space and {time} in time"
+        )));
     }
-    let cause = |cause| mismatch_error(path, cause);
-    let splats =
-        arrays_to_splats(&mut arrays, facts.layout(), facts.splats_static, facts.splats_dynamic).map_err(cause)?;
-    let source = arrays_to_source(&arrays).map_err(cause)?;
+    let splats = arrays_to_splats(&mut arrays, facts.layout(), facts.splats_static, facts.splats_dynamic)?;
+    let source = arrays_to_source(&arrays)?;
     let state = facts.has_state.then(|| {
         let named: Vec<String> = arrays.keys().filter(|n| n.starts_with("state.")).cloned().collect();
         let take = |name: String| Some((name["state.".len()..].to_owned(), arrays.remove(&name)?));
@@ -159,9 +139,8 @@ fn scene(path: &Path, header: Header, mut arrays: Arrays) -> Result<SceneFile, R
         near: facts.near,
         source,
     };
-    if let Some(reason) = valid::cause(&scene) {
-        let path = path.to_path_buf();
-        return Err(ReadSceneError::Damaged { path, reason });
+    if let Some(reason) = fault(&scene) {
+        return Err(Fault::damaged(reason));
     }
     Ok(SceneFile {
         scene,
@@ -170,16 +149,50 @@ fn scene(path: &Path, header: Header, mut arrays: Arrays) -> Result<SceneFile, R
     })
 }
 
-/// A fault of arrays with the name of the file.
-pub fn mismatch_error(path: &Path, cause: Mismatch) -> ReadSceneError {
-    let path = path.to_path_buf();
-    match cause {
-        Mismatch::Missing(name) => ReadSceneError::MissingArray { path, name },
-        Mismatch::Other { name, found, expected } => ReadSceneError::BadArray {
-            path,
-            name,
-            found,
-            expected,
-        },
+/// The first NaN, infinite or impossible value of a scene; `None` if it is valid.
+pub fn fault(scene: &Scene) -> Option<String> {
+    if !scene.splats.is_finite() {
+        return Some("a parameter of a splat is not a finite number".into());
     }
+    if !scene.background.iter().chain([&scene.near]).all(|v| v.is_finite()) {
+        let (background, near) = (scene.background, scene.near);
+        return Some(format!("background {background:?} or near {near} is not a number"));
+    }
+    if let Some(s) = scene.duration_s.filter(|s| !s.is_finite()) {
+        return Some(format!("the duration is {s} s"));
+    }
+    if scene.time_frames > MAX_FRAMES {
+        let n = scene.time_frames;
+        return Some(format!("the clip has {n} frames; at most {MAX_FRAMES} were expected"));
+    }
+    let of_frame =
+        |(i, frame): (usize, &SourceFrame)| Some(format!("frame {i} of the source has {}", of_source(frame)?));
+    scene.source.iter().enumerate().find_map(of_frame)
+}
+
+fn of_source(frame: &SourceFrame) -> Option<String> {
+    let k = &frame.camera.intrinsics;
+    let sides = [k.width, k.height];
+    if !sides.iter().all(|side| (1..=MAX_SIDE_PX).contains(side)) {
+        return Some(format!("images of {} x {} pixels", k.width, k.height));
+    }
+    let lens = [k.fx, k.fy, k.cx, k.cy];
+    if !(lens.iter().all(|v| v.is_finite()) && k.fx > 0.0 && k.fy > 0.0) {
+        return Some(format!("the intrinsics {lens:?} (fx, fy, cx, cy)"));
+    }
+    let c2w = &frame.camera.c2w;
+    if !c2w.translation.iter().all(|v| v.is_finite()) {
+        return Some("a place that is not of numbers".into());
+    }
+    let turned = c2w.rotation.transpose() * c2w.rotation - Matrix3::identity();
+    // a comparison that NaN fails
+    if !turned.iter().all(|v| v.abs() < ROTATION_WITHIN) || c2w.rotation.determinant() < 0.0 {
+        return Some("a pose that is not a rotation".into());
+    }
+    if !frame.t.is_finite() {
+        return Some(format!("the time {}", frame.t));
+    }
+    let exposure = &frame.exposure;
+    let numbers = exposure.matrix.as_flattened().iter().chain(&exposure.offset);
+    (!numbers.copied().all(f32::is_finite)).then(|| "an exposure that is not of numbers".into())
 }

@@ -1,10 +1,9 @@
 //! Writes a scene file.
 
-use super::WriteSceneError;
 use super::convert::{Sources, source_to_arrays, splats_to_arrays};
-use super::header::{Facts, Header, KEY, VERSION, checksum};
-use super::tensor::Source;
-use super::valid;
+use super::read::fault;
+use super::tensor::{Facts, Header, KEY, Source, VERSION, checksum};
+use crate::WriteError;
 use crate::atomic::AtomicFile;
 use m4_core::{Scene, TrainState};
 use safetensors::tensor::{Metadata, TensorInfo};
@@ -19,14 +18,14 @@ use std::path::Path;
 ///
 /// # Errors
 ///
-/// [`WriteSceneError`] when the file system refuses, a parameter is not a finite number, or an array of
+/// [`WriteError`] when the file system refuses, a parameter is not a finite number, or an array of
 /// the state does not have the length of its shape.
 pub fn write(
     path: &Path,
     scene: &Scene,
     state: Option<&TrainState<'_>>,
     metadata: &BTreeMap<String, String>,
-) -> Result<(), WriteSceneError> {
+) -> Result<(), WriteError> {
     check(path, scene, state)?;
     let mut arrays = Sources::new();
     splats_to_arrays(&scene.splats, &mut arrays);
@@ -48,10 +47,7 @@ pub fn write(
         near: scene.near,
         has_state: state.is_some(),
     };
-    let bad = |what: String| WriteSceneError::BadScene {
-        path: path.to_path_buf(),
-        what,
-    };
+    let bad = |what: String| WriteError::bad(path, what);
     let header = Header {
         version: VERSION,
         blake3: checksum(&facts, metadata, &arrays).map_err(|e| bad(e.to_string()))?,
@@ -59,21 +55,18 @@ pub fn write(
         metadata: metadata.clone(),
     };
     let header = serde_json::to_string(&header).map_err(|e| bad(e.to_string()))?;
-    save(path, &arrays, Some(header))
+    save(path, &arrays, header)
 }
 
 /// Refuses what would not come back, or would not render.
-fn check(path: &Path, scene: &Scene, state: Option<&TrainState<'_>>) -> Result<(), WriteSceneError> {
-    let bad = |what: String| WriteSceneError::BadScene {
-        path: path.to_path_buf(),
-        what,
-    };
+fn check(path: &Path, scene: &Scene, state: Option<&TrainState<'_>>) -> Result<(), WriteError> {
+    let bad = |what: String| WriteError::bad(path, what);
     if !scene.splats.is_finite() {
         return Err(bad(
             "a parameter of a splat is not a finite number; lower the learning rates".into(),
         ));
     }
-    if let Some(what) = valid::cause(scene) {
+    if let Some(what) = fault(scene) {
         return Err(bad(what));
     }
     for (name, array) in state.into_iter().flatten() {
@@ -84,15 +77,9 @@ fn check(path: &Path, scene: &Scene, state: Option<&TrainState<'_>>) -> Result<(
 
 /// Writes arrays and reads them back before they are published. Arrays go to the file piece by piece, so
 /// that no copy of one is ever in memory.
-pub fn save(path: &Path, arrays: &Sources<'_>, header: Option<String>) -> Result<(), WriteSceneError> {
-    let io = |source| WriteSceneError::Io {
-        path: path.to_path_buf(),
-        source,
-    };
-    let bad = |what: String| WriteSceneError::BadScene {
-        path: path.to_path_buf(),
-        what,
-    };
+fn save(path: &Path, arrays: &Sources<'_>, header: String) -> Result<(), WriteError> {
+    let io = |e| WriteError::io(path, e);
+    let bad = |what: String| WriteError::bad(path, what);
     // By type, widest first, so that every array is aligned; then by name.
     let mut order: Vec<(&String, &Source<'_>)> = arrays.iter().collect();
     order.sort_by(|(a_name, a), (b_name, b)| b.dtype().cmp(&a.dtype()).then(a_name.cmp(b_name)));
@@ -104,20 +91,16 @@ pub fn save(path: &Path, arrays: &Sources<'_>, header: Option<String>) -> Result
         array.pieces(|piece| file.write_all(piece)).map_err(io)?;
     }
     file.sync().map_err(io)?;
-    let verify = |reason: String| WriteSceneError::Verify {
-        path: path.to_path_buf(),
-        reason,
-    };
     match holds(file.temporary_path(), &head, &order) {
         Ok(true) => file.commit().map_err(io),
-        Ok(false) => Err(verify("it holds other values".into())),
-        Err(e) => Err(verify(e.to_string())),
+        Ok(false) => Err(WriteError::verify(path, "it holds other values")),
+        Err(e) => Err(WriteError::verify(path, e)),
     }
 }
 
 /// The head of a safetensors file: its length in 8 bytes, then JSON, padded with spaces so that arrays start
 /// at a multiple of 8.
-fn head(arrays: &[(&String, &Source<'_>)], header: Option<String>) -> Result<Vec<u8>, String> {
+fn head(arrays: &[(&String, &Source<'_>)], header: String) -> Result<Vec<u8>, String> {
     let mut offset = 0;
     let mut infos = Vec::with_capacity(arrays.len());
     for (name, array) in arrays {
@@ -131,7 +114,7 @@ fn head(arrays: &[(&String, &Source<'_>)], header: Option<String>) -> Result<Vec
         infos.push(((*name).clone(), info));
     }
     // One key alone: with more, their order would change from run to run.
-    let pairs = header.map(|json| HashMap::from([(KEY.to_owned(), json)]));
+    let pairs = Some(HashMap::from([(KEY.to_owned(), header)]));
     let metadata = Metadata::new(pairs, infos).map_err(|e| e.to_string())?;
     let mut json = serde_json::to_vec(&metadata).map_err(|e| e.to_string())?;
     json.resize(json.len().next_multiple_of(8), b' ');

@@ -18,13 +18,18 @@
 //! The tail of the last row of the texture is zeros. A camera is written as in the `cameras.json` of
 //! 3DGS, with `cx`, `cy` and `time` besides; what else a scene knows is under the key `minute4d`.
 
-mod header;
-mod write;
-
 #[cfg(test)]
 mod tests;
 
-pub use write::write;
+use crate::WriteError;
+use crate::scene::common::{check_finite, publish};
+use crate::scene::splats::{Life, Row, sigmoid};
+use crate::scene::{C0, Loss, Written, at_peak, plural};
+use half::f16;
+use m4_core::{Camera, Column, Scene, SourceFrame, Splats};
+use serde::Serialize;
+use std::f64::consts::SQRT_2;
+use std::path::Path;
 
 /// First word of a file.
 const MAGIC: u32 = 0x674b;
@@ -34,3 +39,222 @@ const SPLAT_BYTES: usize = 64;
 const TEXEL_BYTES: usize = 16;
 /// Texels in a row: 1024 splats.
 const TEX_WIDTH: usize = 4096;
+
+/// The longest life that is written, clips; a static splat has it.
+const LONGEST_LIFE: f64 = 60_000.0;
+
+/// Writes a scene, atomically. Colours become those in the middle of each splat's life, seen from
+/// all sides alike.
+///
+/// # Errors
+///
+/// [`WriteError`] when the scene has values that are not finite or too large for a half, or the file
+/// system refuses.
+pub fn write(path: &Path, scene: &Scene) -> Result<Written, WriteError> {
+    check_finite(path, scene)?;
+    let n = scene.splats.n();
+    let last = scene.time_frames.saturating_sub(1).max(1) as f64;
+    let splats = at_peak(&scene.splats);
+    let per_row = TEX_WIDTH * TEXEL_BYTES / SPLAT_BYTES;
+    let rows = n.div_ceil(per_row).max(1);
+    let texture = rows * TEX_WIDTH * TEXEL_BYTES;
+    let part = Part {
+        kind: "splat".to_owned(),
+        size: texture as u64,
+        texwidth: TEX_WIDTH as u64,
+        texheight: rows as u64,
+        cameras: views(scene, last),
+        minute4d: Facts::of(scene),
+    };
+    let json = serde_json::to_vec(&[part]).map_err(|e| WriteError::bad(path, e.to_string()))?;
+    let length = u32::try_from(json.len())
+        .map_err(|_| WriteError::bad(path, format!("its cameras take {} bytes", json.len())))?;
+    let mut bytes = Vec::with_capacity(8 + json.len() + texture);
+    bytes.extend(MAGIC.to_le_bytes());
+    bytes.extend(length.to_le_bytes());
+    bytes.extend(&json);
+    let mut worst = 0.0f64;
+    for i in 0..n {
+        let (words, shift) = words(&splats, i, last).map_err(|what| WriteError::bad(path, what))?;
+        bytes.extend(words.iter().flat_map(|w| w.to_le_bytes()));
+        worst = worst.max(shift);
+    }
+    bytes.resize(8 + json.len() + texture, 0);
+    publish(path, &bytes)?;
+    Ok(Written {
+        path: path.to_path_buf(),
+        bytes: bytes.len() as u64,
+        splats: n,
+        losses: losses(scene, worst * last),
+    })
+}
+
+/// Two halves in a word, the first in the low bits.
+fn pair(low: f16, high: f16) -> u32 {
+    u32::from(low.to_bits()) | u32::from(high.to_bits()) << 16
+}
+
+/// The words of splat `i`, and how far the middle of its life moved by rounding, clips.
+fn words(splats: &Splats, i: usize, last: f64) -> Result<([u32; 16], f64), String> {
+    let row = Row::of(splats, i);
+    let half = |what: &str, value: f64| {
+        let rounded = f16::from_f64(value);
+        if rounded.is_finite() {
+            Ok(rounded)
+        } else {
+            Err(format!(
+                "{what} of splat {i} is {value:.3e}, and a half holds 65504 at most"
+            ))
+        }
+    };
+    // A half below the smallest one would be a splat without extent.
+    let scale = |k: usize| {
+        let value = f64::from(row.log_scale[k]).exp();
+        half("the scale", value.max(f64::from(f16::from_bits(1))))
+    };
+    let byte = |v: f64| (v.clamp(0.0, 1.0) * 255.0).round() as u32;
+    let colour = |c: usize| byte(0.5 + C0 * f64::from(splats.column(Column::Colour, c)[i]));
+    let life = Life::of(splats, i);
+    let (middle, length) = life.map_or((0.0, LONGEST_LIFE), |l| {
+        let sd = f64::from(l.log_time_sd).exp();
+        (f64::from(l.time_mean) / last, (SQRT_2 * sd / last).min(LONGEST_LIFE))
+    });
+    let centre = half("the middle of the life", middle)?;
+    let shift = f64::from(centre) - middle;
+    let velocity: [f64; 3] = life.map_or([0.0; 3], |l| l.velocity.map(|v| f64::from(v) * last));
+    let mut motion = [f16::ZERO; 3];
+    for (half_way, &v) in motion.iter_mut().zip(&velocity) {
+        *half_way = half("the motion", v)?;
+    }
+    // Where the splat is at the moment that its middle was rounded to.
+    let mean: [f32; 3] = std::array::from_fn(|k| (f64::from(row.mean[k]) + velocity[k] * shift) as f32);
+    let quat = row.quat.map(f16::from_f32);
+    // 0 would be never.
+    let length = half(
+        "the length of the life",
+        length.max(f64::from(f16::MIN_POSITIVE_SUBNORMAL)),
+    )?;
+    let words = [
+        mean[0].to_bits(),
+        mean[1].to_bits(),
+        mean[2].to_bits(),
+        pair(quat[0], quat[1]),
+        pair(quat[2], quat[3]),
+        pair(scale(0)?, scale(1)?),
+        pair(scale(2)?, f16::ZERO),
+        colour(0) | colour(1) << 8 | colour(2) << 16 | byte(sigmoid(row.opacity)) << 24,
+        pair(motion[0], motion[1]),
+        pair(motion[2], f16::ZERO),
+        0,
+        0,
+        0,
+        0,
+        0,
+        pair(centre, length),
+    ];
+    Ok((words, shift.abs()))
+}
+
+fn losses(scene: &Scene, worst_shift: f64) -> Vec<Loss> {
+    let layout = scene.splats.layout();
+    let mut losses = Vec::new();
+    if layout.time_degree > 0 {
+        losses.push(Loss::Baked(
+            "the harmonics of time: every colour is that in the middle of the splat's lifetime".to_owned(),
+        ));
+    }
+    if layout.sh_degree > 0 {
+        losses.push(Loss::Dropped(
+            "the spherical harmonics: a colour is the same from every direction".to_owned(),
+        ));
+    }
+    if scene.mip {
+        losses.push(Loss::Dropped(
+            "the Mip filter for players (the header says that the scene wants it)".to_owned(),
+        ));
+    }
+    if scene.source.iter().any(|s| s.exposure != m4_core::Exposure::IDENTITY) {
+        losses.push(Loss::Dropped("the exposure of every frame".to_owned()));
+    }
+    losses.push(Loss::Quantised("colours and opacities to bytes".to_owned()));
+    losses.push(Loss::Quantised("scales and rotations to halves, 11 bits".to_owned()));
+    if scene.splats.n_dynamic() > 0 {
+        losses.push(Loss::Quantised(format!(
+            "of {}: motions and durations to 11 bits, moments by up to {worst_shift:.3} frames",
+            plural(scene.splats.n_dynamic(), "moving splat")
+        )));
+    }
+    losses
+}
+
+/// A part of the file; players read the first alone.
+#[derive(Debug, Serialize)]
+struct Part {
+    #[serde(rename = "type")]
+    kind: String,
+    size: u64,
+    texwidth: u64,
+    texheight: u64,
+    cameras: Vec<View>,
+    minute4d: Facts,
+}
+
+/// A camera as in the `cameras.json` of 3DGS: OpenCV axes, `rotation` is camera to world, row by row.
+#[derive(Debug, Serialize)]
+struct View {
+    id: u64,
+    img_name: String,
+    width: u64,
+    height: u64,
+    position: [f64; 3],
+    rotation: [[f64; 3]; 3],
+    fy: f64,
+    fx: f64,
+    cx: f64,
+    cy: f64,
+    /// Of the clip, 0 to 1.
+    time: f64,
+}
+
+/// Metadata that viewers ignore.
+#[derive(Debug, Serialize)]
+struct Facts {
+    time_frames: usize,
+    duration_s: Option<f64>,
+    background: [f32; 3],
+    near: f32,
+    mip: bool,
+}
+
+impl Facts {
+    fn of(scene: &Scene) -> Self {
+        Self {
+            time_frames: scene.time_frames,
+            duration_s: scene.duration_s,
+            background: scene.background,
+            near: scene.near,
+            mip: scene.mip,
+        }
+    }
+}
+
+/// The cameras of a scene; `last` is its last frame.
+fn views(scene: &Scene, last: f64) -> Vec<View> {
+    let view = |(i, frame): (usize, &SourceFrame)| {
+        let Camera { intrinsics: k, c2w } = &frame.camera;
+        View {
+            id: i as u64,
+            img_name: format!("{i:05}"),
+            width: k.width as u64,
+            height: k.height as u64,
+            position: c2w.translation.into(),
+            rotation: std::array::from_fn(|r| std::array::from_fn(|c| c2w.rotation[(r, c)])),
+            fy: k.fy,
+            fx: k.fx,
+            cx: k.cx,
+            cy: k.cy,
+            time: frame.t / last,
+        }
+    };
+    scene.source.iter().enumerate().map(view).collect()
+}

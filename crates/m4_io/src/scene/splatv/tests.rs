@@ -1,9 +1,9 @@
 //! Bytes of a scene as the player reads them.
 
 use super::write;
+use crate::ErrorKind;
 use crate::scene::Loss;
-use crate::scene::WriteFileError;
-use crate::scene::row::{Life, Row, sigmoid};
+use crate::scene::splats::{Life, Row, sigmoid};
 use half::f16;
 use m4_core::{Column, Scene, SplatLayout, Splats, nalgebra::Vector4};
 use m4_testkit::{SceneSpec, random_scene};
@@ -111,7 +111,7 @@ fn values_out_of_range_of_f16_are_refused() {
     scene.splats.column_mut(Column::Velocity, 0)[3] = 5000.0;
     let dir = tempfile::tempdir().unwrap();
     let error = write(&dir.path().join("a.splatv"), &scene).unwrap_err();
-    assert!(matches!(error, WriteFileError::BadScene { .. }));
+    assert_eq!(error.kind(), ErrorKind::BadData);
     assert!(error.to_string().contains("motion of splat 303"), "{error}");
     let layout = SplatLayout {
         isotropic: true,

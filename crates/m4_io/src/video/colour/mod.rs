@@ -1,9 +1,280 @@
 //! Converts the values of a video stream to sRGB.
 
-mod encode;
-mod matrix;
 mod tone;
 
-pub use encode::Planes420;
-pub use matrix::{Range, YuvMatrix};
 pub use tone::{Hdr, ToneMap};
+
+use m4_core::{Plane, RgbImage};
+use rayon::prelude::*;
+
+/// Which numbers stand for black and white.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Range {
+    /// 16 to 235 (chroma 16 to 240).
+    Limited,
+    /// 0 to 255.
+    Full,
+}
+
+/// Weights of red and blue in luma: the rest of the matrix follows from them.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct YuvMatrix {
+    kr: f32,
+    kb: f32,
+    range: Range,
+}
+
+impl YuvMatrix {
+    /// By the code of ITU-T H.273 table 4; what is unspecified (2) is guessed as players do: BT.601 below
+    /// 720 rows, BT.709 from there. `None` for codes of other kinds (RGB, YCgCo, constant luminance).
+    pub fn from_code(code: u16, height: usize, range: Range) -> Option<Self> {
+        let (kr, kb) = match code {
+            1 => (0.2126, 0.0722),
+            2 if height >= 720 => (0.2126, 0.0722),
+            2 | 5 | 6 => (0.299, 0.114),
+            4 => (0.30, 0.11),
+            7 => (0.212, 0.087),
+            9 => (0.2627, 0.0593),
+            _ => return None,
+        };
+        Some(Self { kr, kb, range })
+    }
+
+    /// An image from 4:2:0 planes with the given strides. Chroma lies at the left luma column and
+    /// between two luma rows (MPEG-2 siting, H.264's default) and is interpolated. `None` if a plane is
+    /// too short.
+    pub fn image_420(
+        &self,
+        (width, height): (usize, usize),
+        [luma, cb, cr]: [&[u8]; 3],
+        [luma_stride, chroma_stride]: [usize; 2],
+    ) -> Option<RgbImage> {
+        if width == 0 || height == 0 {
+            return None;
+        }
+        let (half_width, half_height) = (width.div_ceil(2), height.div_ceil(2));
+        let luma_end = (height - 1).checked_mul(luma_stride)?.checked_add(width)?;
+        let chroma_end = (half_height - 1).checked_mul(chroma_stride)?.checked_add(half_width)?;
+        if luma.len() < luma_end || cb.len() < chroma_end || cr.len() < chroma_end {
+            return None;
+        }
+        let k = self.coefficients();
+        let mut data = vec![[0u8; 3]; width * height];
+        data.par_chunks_mut(width).enumerate().for_each(|(y, row)| {
+            let luma = &luma[y * luma_stride..][..width];
+            let near = y / 2;
+            let far = if y % 2 == 0 {
+                near.saturating_sub(1)
+            } else {
+                (near + 1).min(half_height - 1)
+            };
+            // Chroma of the whole row first, so that the arithmetic below runs over plain arrays.
+            let line = |plane: &[u8]| -> Vec<f32> {
+                let a = &plane[near * chroma_stride..][..half_width];
+                let b = &plane[far * chroma_stride..][..half_width];
+                let blend = |(&a, &b)| 0.75 * f32::from(a) + 0.25 * f32::from(b);
+                let half: Vec<f32> = a.iter().zip(b).map(blend).collect();
+                let next = half[1..].iter().chain(half.last());
+                half.iter().zip(next).flat_map(|(&a, &b)| [a, 0.5 * (a + b)]).collect()
+            };
+            let (u, v) = (line(cb), line(cr));
+            for (((pixel, &l), &u), &v) in row.iter_mut().zip(luma).zip(&u).zip(&v) {
+                *pixel = k.rgb(f32::from(l), u, v);
+            }
+        });
+        Plane::from_vec(width, height, data).ok()
+    }
+
+    fn coefficients(&self) -> Coefficients {
+        let kg = 1.0 - self.kr - self.kb;
+        let (black, luma, chroma) = match self.range {
+            Range::Limited => (16.0, 255.0 / 219.0, 255.0 / 224.0),
+            Range::Full => (0.0, 1.0, 1.0),
+        };
+        Coefficients {
+            black,
+            luma,
+            r_v: 2.0 * (1.0 - self.kr) * chroma,
+            g_u: -2.0 * (1.0 - self.kb) * self.kb / kg * chroma,
+            g_v: -2.0 * (1.0 - self.kr) * self.kr / kg * chroma,
+            b_u: 2.0 * (1.0 - self.kb) * chroma,
+        }
+    }
+
+    /// Luma and chroma of a colour, each 0..255 before rounding: the inverse of the conversion above.
+    pub fn yuv(&self, [r, g, b]: [f32; 3]) -> [f32; 3] {
+        let kg = 1.0 - self.kr - self.kb;
+        let y = self.kr * r + kg * g + self.kb * b;
+        let (black, luma, chroma) = match self.range {
+            Range::Limited => (16.0, 219.0 / 255.0, 224.0 / 255.0),
+            Range::Full => (0.0, 1.0, 1.0),
+        };
+        [
+            y * luma + black,
+            (b - y) / (2.0 * (1.0 - self.kb)) * chroma + 128.0,
+            (r - y) / (2.0 * (1.0 - self.kr)) * chroma + 128.0,
+        ]
+    }
+}
+
+struct Coefficients {
+    black: f32,
+    luma: f32,
+    r_v: f32,
+    g_u: f32,
+    g_v: f32,
+    b_u: f32,
+}
+
+impl Coefficients {
+    #[inline]
+    fn rgb(&self, l: f32, u: f32, v: f32) -> [u8; 3] {
+        let l = (l - self.black) * self.luma;
+        let (u, v) = (u - 128.0, v - 128.0);
+        // A cast from float saturates.
+        [
+            (l + self.r_v * v + 0.5) as u8,
+            (l + self.g_u * u + self.g_v * v + 0.5) as u8,
+            (l + self.b_u * u + 0.5) as u8,
+        ]
+    }
+}
+
+/// Planes of an image in 4:2:0.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Planes420 {
+    /// Even.
+    pub width: usize,
+    /// Even.
+    pub height: usize,
+    /// `[height][width]`
+    pub luma: Vec<u8>,
+    /// `[height / 2][width / 2]`, blue and red.
+    pub chroma: [Vec<u8>; 2],
+}
+
+impl Planes420 {
+    /// Converts an image; odd sides grow by repeating the last column or row. Chroma is sited at the
+    /// left luma column, between two rows, and weighed 1 2 1 along the row.
+    pub fn new(image: &RgbImage, matrix: &YuvMatrix) -> Self {
+        let (w, h) = image.size();
+        let (width, height) = (w.next_multiple_of(2), h.next_multiple_of(2));
+        let pixel = |x: usize, y: usize| image[(x.min(w - 1), y.min(h - 1))].map(f32::from);
+        let mut luma = vec![0; width * height];
+        luma.par_chunks_mut(width).enumerate().for_each(|(y, row)| {
+            for (x, value) in row.iter_mut().enumerate() {
+                *value = matrix.yuv(pixel(x, y))[0].round() as u8;
+            }
+        });
+        let mut both = vec![[0; 2]; width / 2 * (height / 2)];
+        both.par_chunks_mut(width / 2).enumerate().for_each(|(y, row)| {
+            for (x, value) in row.iter_mut().enumerate() {
+                let mut mean = [0.0; 3];
+                for (column, weight) in [((2 * x).saturating_sub(1), 0.125), (2 * x, 0.25), (2 * x + 1, 0.125)] {
+                    for line in [2 * y, 2 * y + 1] {
+                        let p = pixel(column, line);
+                        (0..3).for_each(|c| mean[c] += weight * p[c]);
+                    }
+                }
+                let [_, cb, cr] = matrix.yuv(mean);
+                *value = [cb.round() as u8, cr.round() as u8];
+            }
+        });
+        let chroma = [0, 1].map(|c| both.iter().map(|v| v[c]).collect());
+        Self {
+            width,
+            height,
+            luma,
+            chroma,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Planes420, Range, YuvMatrix};
+    use m4_core::Plane;
+
+    #[test]
+    fn flat_colours_survive_both_ways_in_every_matrix_and_range() {
+        for code in [1, 4, 5, 6, 7, 9] {
+            for range in [Range::Limited, Range::Full] {
+                let matrix = YuvMatrix::from_code(code, 480, range).unwrap();
+                for colour in [
+                    [255.0, 0.0, 0.0],
+                    [10.0, 200.0, 60.0],
+                    [0.0, 0.0, 255.0],
+                    [255.0; 3],
+                    [0.0; 3],
+                ] {
+                    let [l, u, v] = matrix.yuv(colour).map(|v| v.round() as u8);
+                    let got = matrix.image_420((6, 4), [&[l; 24], &[u; 6], &[v; 6]], [6, 3]).unwrap();
+                    for (got, want) in got.data().iter().flatten().zip(colour.iter().cycle()) {
+                        assert!(
+                            (f32::from(*got) - want).abs() <= 3.0,
+                            "{code} {range:?} {colour:?} {got}"
+                        );
+                    }
+                }
+            }
+        }
+        assert!(YuvMatrix::from_code(0, 480, Range::Full).is_none());
+        assert_eq!(
+            YuvMatrix::from_code(2, 1080, Range::Full),
+            YuvMatrix::from_code(1, 1080, Range::Full)
+        );
+        assert_eq!(
+            YuvMatrix::from_code(2, 480, Range::Full),
+            YuvMatrix::from_code(6, 480, Range::Full)
+        );
+    }
+
+    #[test]
+    fn known_values_of_bt_601_and_709() {
+        // Pure red, limited range: (82, 90, 240) in BT.601 and (63, 102, 240) in BT.709.
+        let limited = |code| {
+            YuvMatrix::from_code(code, 480, Range::Limited)
+                .unwrap()
+                .yuv([255.0, 0.0, 0.0])
+        };
+        assert_eq!(limited(6).map(|v| v.round() as u8), [81, 90, 240]);
+        assert_eq!(limited(1).map(|v| v.round() as u8), [63, 102, 240]);
+    }
+
+    #[test]
+    fn chroma_is_interpolated_at_its_site() {
+        // Chroma rising along x: a luma column x lies at chroma column x / 2.
+        let matrix = YuvMatrix::from_code(6, 480, Range::Full).unwrap();
+        let cr: Vec<u8> = (0..4).flat_map(|_| (0..8).map(|i| 128 + 4 * i as u8)).collect();
+        let got = matrix
+            .image_420((16, 8), [&[100; 128], &[128; 32], &cr], [16, 8])
+            .unwrap();
+        for x in 0..15 {
+            let want = 100.0 + 1.402 * 2.0 * x as f64;
+            assert!((f64::from(got[(x, 3)][0]) - want).abs() <= 1.0, "{x}");
+        }
+        assert!(
+            matrix
+                .image_420((16, 8), [&[0; 100], &[0; 32], &[0; 32]], [16, 8])
+                .is_none()
+        );
+    }
+
+    #[test]
+    fn smooth_images_survive_420_round_trip() {
+        let matrix = YuvMatrix::from_code(1, 480, Range::Limited).unwrap();
+        let image = Plane::from_fn(41, 27, |x, y| {
+            [(x * 6) as u8, (y * 9) as u8, 200 - (x * 2 + y * 3) as u8]
+        });
+        let planes = Planes420::new(&image, &matrix);
+        assert_eq!((planes.width, planes.height), (42, 28));
+        let [cb, cr] = &planes.chroma;
+        let back = matrix.image_420((42, 28), [&planes.luma, cb, cr], [42, 21]).unwrap();
+        for y in 0..27 {
+            for x in 0..39 {
+                let off = back[(x, y)].iter().zip(image[(x, y)]).map(|(a, b)| a.abs_diff(b)).max();
+                assert!(off <= Some(6), "({x}, {y}): {:?} {:?}", back[(x, y)], image[(x, y)]);
+            }
+        }
+    }
+}

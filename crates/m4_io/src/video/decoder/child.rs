@@ -2,11 +2,10 @@
 
 use super::end::DecoderEnd;
 use super::messages::{Messages, OnLine};
-use super::{Allowed, environment, rlimits};
-use crate::video::ReadVideoError;
+use super::{Allowed, launch, rlimits};
+use crate::Fault;
 use m4_core::Progress;
 use std::io::{self, Read, Write};
-use std::path::Path;
 use std::process::{Child as Process, ChildStdin, Command, ExitStatus, Stdio};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, SyncSender, channel, sync_channel};
 use std::time::{Duration, Instant};
@@ -28,16 +27,11 @@ pub enum Halt {
 }
 
 impl Halt {
-    /// As the error of the clip at `path`.
-    pub fn into_error(self, path: &Path, decoder: &str) -> ReadVideoError {
-        let path = path.to_path_buf();
+    /// As the fault of the clip.
+    pub fn fault(self, decoder: &'static str) -> Fault {
         match self {
-            Self::Cancelled => ReadVideoError::Cancelled { path },
-            Self::Failed(how) => ReadVideoError::DecoderFailed {
-                path,
-                decoder: decoder.to_owned(),
-                how,
-            },
+            Self::Cancelled => Fault::Cancelled,
+            Self::Failed(how) => Fault::Decoder { decoder, how },
         }
     }
 }
@@ -88,7 +82,7 @@ impl<'a> Child<'a> {
             .stdin(if talks { Stdio::piped() } else { Stdio::null() })
             .stdout(Stdio::piped())
             .stderr(Stdio::piped());
-        environment::clear(command);
+        launch::clear_environment(command);
         // A group of its own: keys pressed in the terminal are for us, and wrappers go down with what they started.
         #[cfg(unix)]
         std::os::unix::process::CommandExt::process_group(command, 0);

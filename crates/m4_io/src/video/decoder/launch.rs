@@ -1,10 +1,12 @@
-//! Starts a program that does not limit itself: on Linux our own program is started first, limits itself, and then executes that program.
+//! Starts decoders: the registered program, the environment of a decoder, and programs that do not limit themselves; for these, on
+//! Linux, our own program is started first, limits itself, and then executes that program.
 
-use super::{Allowed, Confined, DecoderProgram, limit_self};
+use super::{Allowed, Confined, limit_self};
 use std::ffi::OsString;
 use std::io::{self, ErrorKind};
 use std::path::{Path, PathBuf};
 use std::process::Command;
+use std::sync::OnceLock;
 
 /// What our own program says of a program that it could not become.
 pub const NOT_STARTED: &str = "not started: ";
@@ -82,6 +84,77 @@ fn replace(command: &mut Command) -> io::Error {
 #[cfg(not(unix))]
 fn replace(_: &mut Command) -> io::Error {
     ErrorKind::Unsupported.into()
+}
+
+/// Variables that a decoder keeps, where they are set: where programs are and, of systems that need them, the shared
+/// libraries of a program that is not installed in the usual place (modules of a cluster) and the folder of Windows.
+const KEPT: &[&str] = if cfg!(windows) {
+    &["PATH", "SystemRoot"]
+} else if cfg!(target_os = "linux") {
+    &["PATH", "LD_LIBRARY_PATH"]
+} else {
+    &["PATH"]
+};
+
+/// Takes everything but [`KEPT`] from a command.
+pub(super) fn clear_environment(command: &mut Command) {
+    command.env_clear();
+    for name in KEPT {
+        if let Some(value) = std::env::var_os(name) {
+            command.env(name, value);
+        }
+    }
+    // Arenas of the C library take address space for every thread.
+    command.env("MALLOC_ARENA_MAX", "4");
+}
+
+static REGISTERED: OnceLock<DecoderProgram> = OnceLock::new();
+
+/// A program that calls [`super::super::serve_decoder`], and what it must be told to do so. The limits are
+/// two more arguments, behind these; on Linux a command line may follow, which the program becomes under these limits.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct DecoderProgram {
+    /// Its file, or a name on the PATH.
+    pub program: PathBuf,
+    /// Its first arguments.
+    pub arguments: Vec<OsString>,
+}
+
+impl DecoderProgram {
+    /// A program, and the argument that makes it a decoder.
+    pub fn new(program: impl Into<PathBuf>, argument: impl Into<OsString>) -> Self {
+        Self {
+            program: program.into(),
+            arguments: vec![argument.into()],
+        }
+    }
+
+    /// The command that starts it under these limits.
+    pub(crate) fn command(&self, allowed: &Allowed) -> Command {
+        let mut command = Command::new(&self.program);
+        command
+            .args(&self.arguments)
+            .arg(allowed.memory_bytes.to_string())
+            .arg(allowed.cpu_s.to_string());
+        command
+    }
+}
+
+/// From now on [`super::super::read()`] has H.264 decoded by `program`, in a process of its own, and on Linux ffmpeg
+/// started by it, so that it is limited before it reads a byte. A program calls this once, at its start, most often with
+/// [`std::env::current_exe`]; without it OpenH264 decodes inside of the calling process.
+///
+/// # Errors
+///
+/// The program, if another one was registered before.
+pub fn set_decoder_program(program: DecoderProgram) -> Result<(), DecoderProgram> {
+    REGISTERED.set(program)
+}
+
+/// The program that was registered.
+#[must_use]
+pub fn decoder_program() -> Option<&'static DecoderProgram> {
+    REGISTERED.get()
 }
 
 #[cfg(test)]

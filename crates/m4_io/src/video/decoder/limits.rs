@@ -1,6 +1,6 @@
 //! The resource limits of a decoder.
 
-use crate::video::ReadVideoError;
+use crate::Fault;
 use serde::{Deserialize, Serialize};
 
 const MIB: u64 = 1 << 20;
@@ -20,7 +20,7 @@ const PIXELS_A_SECOND: u64 = 2_000_000;
 const BYTES_A_SECOND: u64 = 5_000_000;
 
 /// What a process that decodes a video may take before it is ended with
-/// [`ReadVideoError::DecoderFailed`]. Memory and seconds are limits of the operating system, on Linux
+/// [`Fault::Decoder`]. Memory and seconds are limits of the operating system, on Linux
 /// alone; that something must come from it holds on every system.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -70,13 +70,9 @@ pub struct Allowed {
 
 impl DecoderLimits {
     /// Fails for limits under which nothing can be decoded.
-    pub(crate) fn check(&self) -> Result<(), ReadVideoError> {
-        let bad = |option, value: u64, expected| {
-            Err(ReadVideoError::BadOption {
-                option,
-                value: value.to_string(),
-                expected,
-            })
+    pub(crate) fn check(&self) -> Result<(), Fault> {
+        let bad = |option: &str, value: u64, expected: &str| {
+            Err(Fault::option(format!("the video option {option} is {value}"), expected))
         };
         // Of which none can overflow below.
         if self.memory_mb != 0 && !(64..=1 << 24).contains(&self.memory_mb) {

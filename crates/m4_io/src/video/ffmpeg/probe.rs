@@ -1,9 +1,11 @@
 //! Parses the output of `ffprobe`: codec, colours, and the time of each frame.
 
-use super::child::{command, probe_beside, start};
+use super::{command, probe_beside, start};
+use crate::Fault;
+use crate::video::VideoOptions;
 use crate::video::colour::Hdr;
 use crate::video::decoder::{Child, DecoderEnd, DecoderProgram, Halt, NOT_STARTED, Work, is_of_data};
-use crate::video::{ReadVideoError, VideoOptions};
+use crate::video::read::not_video;
 use m4_core::Progress;
 use serde::Deserialize;
 use std::path::Path;
@@ -72,7 +74,7 @@ pub fn describe(
     options: &VideoOptions,
     launcher: Option<&DecoderProgram>,
     progress: &dyn Progress,
-) -> Result<Option<Description>, ReadVideoError> {
+) -> Result<Option<Description>, Fault> {
     let program = probe_beside(&options.ffmpeg);
     // V: no cover images.
     let entries = "stream=codec_name,pix_fmt,color_space,color_transfer,width,height,field_order:packet=pts_time,flags";
@@ -92,50 +94,57 @@ pub fn describe(
         bytes: std::fs::metadata(path).map_or(0, |m| m.len()),
     };
     let allowed = options.decoder.allowed(work);
-    let needed = |reason: String| ReadVideoError::NeedsFfmpeg {
-        path: path.to_path_buf(),
-        what: what.to_owned(),
-        ffmpeg: program.clone(),
-        reason,
-    };
     let child = command((launcher, &program), &allowed, &arguments, path).and_then(|mut command| {
         let on_line = Box::new(|_: &str| true);
         Child::start(&mut command, start(launcher), allowed, MESSAGE_BYTES, on_line, progress)
     });
-    let mut child = child.map_err(|e| needed(e.to_string()))?;
-    let failed = |reason: String| ReadVideoError::Ffmpeg {
-        path: path.to_path_buf(),
-        reason,
-    };
+    let mut child = child.map_err(|e| needed(what, &program, &e.to_string()))?;
     let text = child
         .read_to_end(MAX_OUTPUT_BYTES)
-        .map_err(|halt| halt.into_error(path, "ffprobe"))?;
+        .map_err(|halt| halt.fault("ffprobe"))?;
     let Some(text) = text else {
-        return Err(failed("it has more than two million frames".into()));
+        return Err(undecoded("it has more than two million frames"));
     };
-    let exit = child.finish().map_err(|halt| halt.into_error(path, "ffprobe"))?;
+    let exit = child.finish().map_err(|halt| halt.fault("ffprobe"))?;
     if !exit.status.success() {
         let how = child.why(&exit);
         if !matches!(how, DecoderEnd::Answer { .. }) {
-            return Err(Halt::Failed(how).into_error(path, "ffprobe"));
+            return Err(Halt::Failed(how).fault("ffprobe"));
         }
         let message = child.message();
         let last = message.last().map_or("no reason given", String::as_str);
         if let Some((_, reason)) = last.split_once(NOT_STARTED).filter(|_| launcher.is_some()) {
-            return Err(needed(reason.to_owned()));
+            return Err(needed(what, &program, reason));
         }
         if !message.iter().any(|line| is_of_data(line)) {
             let what = format!("it says {:?}", last.trim());
-            return Err(Halt::Failed(DecoderEnd::Answer { what }).into_error(path, "ffprobe"));
+            return Err(Halt::Failed(DecoderEnd::Answer { what }).fault("ffprobe"));
         }
         let name = format!("file:{}: ", path.display());
-        return Err(ReadVideoError::NotVideo {
-            path: path.to_path_buf(),
-            reason: format!("ffprobe says {:?}", last.trim().trim_start_matches(&name)),
-        });
+        return Err(not_video(&format!(
+            "ffprobe says {:?}",
+            last.trim().trim_start_matches(&name)
+        )));
     }
-    let output: Output = serde_json::from_slice(&text).map_err(|e| failed(format!("ffprobe's answer: {e}")))?;
+    let output: Output = serde_json::from_slice(&text).map_err(|e| undecoded(&format!("ffprobe answered: {e}")))?;
     Ok(output.streams.first().map(|stream| summary(stream, &output.packets)))
+}
+
+/// The clip needs `program` of ffmpeg, and there is none.
+pub fn needed(what: &str, program: &Path, reason: &str) -> Fault {
+    let what = format!(
+        "it is {what}, which is decoded by ffmpeg, and `{}` cannot be started ({reason})",
+        program.display()
+    );
+    let hint = "install ffmpeg (apt, brew or winget install ffmpeg) or convert the clip to 8-bit H.264 elsewhere: ffmpeg -i IN \
+                -c:v libx264 -pix_fmt yuv420p OUT.mp4";
+    Fault::unavailable(what, hint)
+}
+
+/// ffmpeg gave up.
+pub fn undecoded(reason: &str) -> Fault {
+    let what = format!("ffmpeg cannot decode it: {reason}");
+    Fault::bad(what, "see whether a player shows it, and copy or export it again")
 }
 
 fn summary(stream: &Stream, packets: &[Packet]) -> Description {

@@ -1,12 +1,13 @@
 //! Decodes a clip through `ffmpeg`.
 
-use super::child::{command, start};
-use super::log::{FrameInfo, Line, parse};
-use super::probe::{Description, describe};
+use super::probe::{Description, describe, needed, undecoded};
+use super::{FrameInfo, Line, command, parse, start};
+use crate::Fault;
+use crate::video::VideoOptions;
 use crate::video::colour::ToneMap;
 use crate::video::decoder::{Child, DecoderEnd, DecoderProgram, Halt, Work, is_of_data, is_of_memory};
 use crate::video::plan::{self, Collector};
-use crate::video::{ReadVideoError, VideoOptions};
+use crate::video::read::{no_frames, no_video_track};
 use m4_core::{Plane, Progress, RgbImage, Video};
 use std::path::Path;
 use std::sync::mpsc::{Receiver, channel};
@@ -41,19 +42,13 @@ pub fn read(
     options: &VideoOptions,
     launcher: Option<&DecoderProgram>,
     progress: &dyn Progress,
-) -> Result<Video, ReadVideoError> {
+) -> Result<Video, Fault> {
     let description = describe(path, what, options, launcher, progress)?;
     let Some(description) = description.filter(|d| !d.codec.is_empty()) else {
-        return Err(ReadVideoError::NoVideoTrack {
-            path: path.to_path_buf(),
-            found: "ffprobe finds no video stream".into(),
-        });
+        return Err(no_video_track("ffprobe finds no video stream"));
     };
     if description.packets == 0 {
-        return Err(ReadVideoError::NoFrames {
-            path: path.to_path_buf(),
-            reason: format!("its {} stream is empty", description.codec),
-        });
+        return Err(no_frames(&format!("its {} stream is empty", description.codec)));
     }
     let decode = |every_frame_once| {
         Decoder::start(
@@ -68,7 +63,7 @@ pub fn read(
     };
     match decode(["-fps_mode", "passthrough"]) {
         // Before ffmpeg 5.1 the option had another name.
-        Err(ReadVideoError::DecoderFailed {
+        Err(Fault::Decoder {
             how: DecoderEnd::Answer { what },
             ..
         }) if what.contains("fps_mode") => decode(["-vsync", "passthrough"]),
@@ -77,7 +72,6 @@ pub fn read(
 }
 
 struct Decoder<'a> {
-    path: &'a Path,
     options: &'a VideoOptions,
     description: &'a Description,
     child: Child<'a>,
@@ -92,19 +86,19 @@ struct Decoder<'a> {
 
 impl<'a> Decoder<'a> {
     fn start(
-        (path, what): (&'a Path, &str),
+        (path, what): (&Path, &str),
         description: &'a Description,
         options: &'a VideoOptions,
         every_frame_once: [&str; 2],
         launcher: Option<&DecoderProgram>,
         progress: &'a dyn Progress,
-    ) -> Result<Self, ReadVideoError> {
+    ) -> Result<Self, Fault> {
         let in_range = match &description.times_s {
             Some(times) => {
                 let inside = times.iter().filter(|&&t| plan::in_range(t, options)).count();
                 if inside == 0 {
                     let last = times.last().copied().unwrap_or(0.0);
-                    return Err(plan::nothing_in_range(path, last, options));
+                    return Err(plan::nothing_in_range(last, options));
                 }
                 inside
             }
@@ -158,14 +152,8 @@ impl<'a> Decoder<'a> {
                 .args(["-f", "rawvideo", "pipe:1"]);
             Child::start(&mut command, start(launcher), allowed, message_bytes, on_line, progress)
         });
-        let child = child.map_err(|e| ReadVideoError::NeedsFfmpeg {
-            path: path.to_path_buf(),
-            what: what.to_owned(),
-            ffmpeg: options.ffmpeg.clone(),
-            reason: e.to_string(),
-        })?;
+        let child = child.map_err(|e| needed(what, &options.ffmpeg, &e.to_string()))?;
         Ok(Self {
-            path,
             options,
             description,
             child,
@@ -177,7 +165,7 @@ impl<'a> Decoder<'a> {
         })
     }
 
-    fn run(mut self, progress: &dyn Progress) -> Result<Video, ReadVideoError> {
+    fn run(mut self, progress: &dyn Progress) -> Result<Video, Fault> {
         let total = self.keep.last().map_or(0, |&i| i + 1);
         let mut collector: Option<Collector> = None;
         let mut first: Option<(FrameInfo, f64)> = None;
@@ -185,11 +173,9 @@ impl<'a> Decoder<'a> {
         let mut bytes = Vec::new();
         while next < self.keep.len() {
             if progress.cancelled() {
-                return Err(ReadVideoError::Cancelled {
-                    path: self.path.to_path_buf(),
-                });
+                return Err(Fault::Cancelled);
             }
-            let info = self.child.wait_for(&self.frames).map_err(|halt| self.halted(halt))?;
+            let info = self.child.wait_for(&self.frames).map_err(halted)?;
             let Some(info) = info else { break };
             let (start, origin_s) = *first.get_or_insert((info, info.time_s.unwrap_or(0.0)));
             let time_s = info
@@ -197,12 +183,8 @@ impl<'a> Decoder<'a> {
                 .map_or(decoded as f64 / self.options.folder_fps, |t| t - origin_s);
             decoded += 1;
             if (info.width, info.height) != (start.width, start.height) {
-                return Err(ReadVideoError::SizeChanges {
-                    path: self.path.to_path_buf(),
-                    from: (start.width, start.height),
-                    to: (info.width, info.height),
-                    time_s,
-                });
+                let (from, to) = ((start.width, start.height), (info.width, info.height));
+                return Err(plan::size_changes(from, to, time_s));
             }
             if !self.image_bytes(&info, &mut bytes)? {
                 break;
@@ -224,26 +206,26 @@ impl<'a> Decoder<'a> {
         self.finish(collector, decoded, next)
     }
 
-    fn collector(&self, info: &FrameInfo) -> Result<Collector, ReadVideoError> {
+    fn collector(&self, info: &FrameInfo) -> Result<Collector, Fault> {
         let width = info.width as f64 * info.pixel_aspect;
         let size = plan::target_size(width, info.height as f64, self.options);
-        plan::check_memory(self.path, self.keep.len(), size, self.options)?;
+        plan::check_memory(self.keep.len(), size, self.options)?;
         Ok(Collector::new(size))
     }
 
     /// Reads one image; false when the child ended before it was whole.
-    fn image_bytes(&mut self, info: &FrameInfo, bytes: &mut Vec<u8>) -> Result<bool, ReadVideoError> {
+    fn image_bytes(&mut self, info: &FrameInfo, bytes: &mut Vec<u8>) -> Result<bool, Fault> {
         let pixels = info.width.saturating_mul(info.height);
         if pixels == 0 || pixels > MAX_PIXELS {
             let what = format!("its frames are {} x {} pixels", info.width, info.height);
-            return Err(self.failed(what));
+            return Err(undecoded(&what));
         }
         bytes.resize(pixels * if self.tone_map.is_some() { 6 } else { 3 }, 0);
         let whole = self.child.read_exact(bytes);
-        whole.map_err(|halt| self.halted(halt))
+        whole.map_err(halted)
     }
 
-    fn image(&self, info: &FrameInfo, bytes: &[u8]) -> Result<RgbImage, ReadVideoError> {
+    fn image(&self, info: &FrameInfo, bytes: &[u8]) -> Result<RgbImage, Fault> {
         let image = match &self.tone_map {
             Some(map) => map.image_16(info.width, info.height, bytes),
             None => {
@@ -251,18 +233,17 @@ impl<'a> Decoder<'a> {
                 Plane::from_vec(info.width, info.height, pixels).ok()
             }
         };
-        image.ok_or_else(|| self.failed("an image has the wrong length".into()))
+        image.ok_or_else(|| undecoded("an image has the wrong length"))
     }
 
-    fn finish(mut self, collector: Option<Collector>, decoded: usize, kept: usize) -> Result<Video, ReadVideoError> {
+    fn finish(mut self, collector: Option<Collector>, decoded: usize, kept: usize) -> Result<Video, Fault> {
         let complete = kept == self.keep.len();
         // What remains of a clip of which enough was read is not needed.
         let exit = if complete {
             None
         } else {
-            Some(self.child.finish().map_err(|halt| self.halted(halt))?)
+            Some(self.child.finish().map_err(halted)?)
         };
-        let path = self.path.to_path_buf();
         let description = self.description;
         let complaints = std::mem::take(&mut *self.complaints.lock().unwrap_or_else(PoisonError::into_inner));
         if let Some(exit) = &exit
@@ -271,7 +252,7 @@ impl<'a> Decoder<'a> {
             let how = self.child.why(exit);
             // An early end by its own decision is reported below, and what it decoded is kept.
             if !matches!(how, DecoderEnd::Answer { .. }) {
-                return Err(self.halted(Halt::Failed(how)));
+                return Err(halted(Halt::Failed(how)));
             }
         }
         drop(self.child);
@@ -282,16 +263,16 @@ impl<'a> Decoder<'a> {
             .unwrap_or_else(|| "no reason given".into());
         if self.options.strict && (complaints.count > 0 || !complete) {
             let reason = format!("{} errors with `strict`, the first: {message}", complaints.count.max(1));
-            return Err(ReadVideoError::Ffmpeg { path, reason });
+            return Err(undecoded(&reason));
         }
         let Some(mut collector) = collector else {
             let reason = complaints.first.join("; ");
             let reason = if reason.is_empty() { message } else { reason };
             if !complaints.of_data {
                 // It shows no frame, and says nothing against the clip: it may not have been able to read it.
-                return Err(Halt::Failed(DecoderEnd::Answer { what: reason }).into_error(&path, "ffmpeg"));
+                return Err(Halt::Failed(DecoderEnd::Answer { what: reason }).fault("ffmpeg"));
             }
-            return Err(ReadVideoError::Ffmpeg { path, reason });
+            return Err(undecoded(&reason));
         };
         if let Some(hdr) = description.hdr {
             let name = hdr.name();
@@ -316,21 +297,12 @@ impl<'a> Decoder<'a> {
             ));
         }
         collector.warnings.extend(plan::thinned(self.keep.len(), self.in_range));
-        collector
-            .finish(None)
-            .ok_or(ReadVideoError::NoFrames { path, reason: message })
+        collector.finish(None).ok_or_else(|| no_frames(&message))
     }
+}
 
-    fn halted(&self, halt: Halt) -> ReadVideoError {
-        halt.into_error(self.path, "ffmpeg")
-    }
-
-    fn failed(&self, reason: String) -> ReadVideoError {
-        ReadVideoError::Ffmpeg {
-            path: self.path.to_path_buf(),
-            reason,
-        }
-    }
+fn halted(halt: Halt) -> Fault {
+    halt.fault("ffmpeg")
 }
 
 /// What happens to an image before it enters the pipe.

@@ -3,17 +3,15 @@
 //! The decoder (OpenH264) takes 8-bit 4:2:0 progressive streams of the Baseline, Main and High
 //! profiles, B-frames included; [`Unsupported`] says why anything else is left to ffmpeg.
 
-mod bits;
 mod config;
 mod decode;
 mod engine;
 mod read;
-mod serve;
 mod sps;
 mod wire;
 
+pub use decode::serve;
 pub use read::{Outcome, count, read};
-pub use serve::serve;
 
 /// Why a stream is not decoded here, for "the video is ...".
 #[derive(Debug, Clone, PartialEq, Eq)]

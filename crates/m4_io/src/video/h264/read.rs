@@ -4,17 +4,18 @@ use super::Unsupported;
 use super::config::Config;
 use super::decode::{Frame, H264};
 use super::engine::{Engine, Refusal};
+use crate::video::VideoOptions;
 use crate::video::colour::{Hdr, Range, ToneMap, YuvMatrix};
 use crate::video::decoder::{DecoderProgram, Work};
 use crate::video::mp4::{Sample, SampleEntry, Track};
 use crate::video::orient::Orientation;
 use crate::video::plan::{self, Collector};
-use crate::video::{ReadVideoError, VideoOptions};
+use crate::video::read::no_frames;
+use crate::{ErrorKind, Fault};
 use m4_core::{Progress, Video};
 use std::collections::VecDeque;
 use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom};
-use std::path::Path;
 
 /// The decoder, for messages.
 const DECODER: &str = "the H.264 decoder";
@@ -39,13 +40,12 @@ struct Shown {
 
 /// Reads the frames of `track`, which lie in `file`; `decoder` decodes, or this process itself.
 pub fn read(
-    path: &Path,
     file: &mut File,
     track: &Track,
     options: &VideoOptions,
     decoder: Option<&DecoderProgram>,
     progress: &dyn Progress,
-) -> Result<Outcome, ReadVideoError> {
+) -> Result<Outcome, Fault> {
     let (entry, config) = match track.entries.as_slice() {
         [entry] => match configure(entry) {
             Ok(config) => (entry, config),
@@ -58,13 +58,13 @@ pub fn read(
     };
     let shown = presentation(track);
     if shown.is_empty() {
-        return Err(ReadVideoError::NoFrames {
-            path: path.to_path_buf(),
-            reason: format!("its video track has {} samples and none is shown", track.samples.len()),
-        });
+        let samples = track.samples.len();
+        return Err(no_frames(&format!(
+            "its video track has {samples} samples and none is shown"
+        )));
     }
     let times: Vec<f64> = shown.iter().map(|s| s.time_s).collect();
-    let kept = plan::select(path, &times, options)?;
+    let kept = plan::select(&times, options)?;
     let inside = times.iter().filter(|&&t| plan::in_range(t, options)).count();
 
     let sps = &config.sps;
@@ -91,15 +91,14 @@ pub fn read(
     let (width, height) = (sps.width as f64 * aspect, sps.height as f64);
     let (width, height) = if swaps { (height, width) } else { (width, height) };
     let size = plan::target_size(width, height, options);
-    plan::check_memory(path, kept.len(), size, options)?;
+    plan::check_memory(kept.len(), size, options)?;
 
-    let Some(engine) = engine(path, &config, matrix, track, options, decoder, progress)? else {
+    let Some(engine) = engine(&config, matrix, track, options, decoder, progress)? else {
         let what = "H.264, for which the decoder cannot be set up here";
         return Ok(Outcome::Unsupported(Unsupported(what.into())));
     };
     let hdr = Hdr::from_code(transfer);
     let mut run = Run {
-        path,
         config: &config,
         engine,
         orientation,
@@ -119,12 +118,9 @@ pub fn read(
     if !damaged.is_empty() {
         let first_s = damaged.iter().fold(f64::INFINITY, |a, &b| a.min(b));
         if options.strict {
-            return Err(ReadVideoError::DamagedFrames {
-                path: path.to_path_buf(),
-                damaged: damaged.len(),
-                total: shown.len(),
-                first_s,
-            });
+            let (n, of) = (damaged.len(), shown.len());
+            let what = format!("{n} of {of} frames are damaged (the first at {first_s:.2} s)");
+            return Err(Fault::bad(what, "without --strict-video they are dropped"));
         }
         collector.warnings.push(format!(
             "{} of {} frames are damaged or missing and were left out, the first at {first_s:.2} s",
@@ -146,22 +142,18 @@ pub fn read(
     collector
         .finish(None)
         .map(Outcome::Decoded)
-        .ok_or_else(|| ReadVideoError::NoFrames {
-            path: path.to_path_buf(),
-            reason: "none was kept".into(),
-        })
+        .ok_or_else(|| no_frames("none was kept"))
 }
 
 /// Starts the decoder; `None` when OpenH264 cannot be set up.
 fn engine<'a>(
-    path: &Path,
     config: &Config,
     matrix: YuvMatrix,
     track: &Track,
     options: &VideoOptions,
     decoder: Option<&DecoderProgram>,
     progress: &'a dyn Progress,
-) -> Result<Option<Engine<'a>>, ReadVideoError> {
+) -> Result<Option<Engine<'a>>, Fault> {
     let Some(program) = decoder else {
         return Ok(Engine::here(config.setup(), matrix));
     };
@@ -179,12 +171,18 @@ fn engine<'a>(
     ) {
         Ok(engine) => Ok(Some(engine)),
         Err(Refusal::Setup) => Ok(None),
-        Err(Refusal::Halt(halt)) => Err(halt.into_error(path, DECODER)),
-        Err(Refusal::Start(source)) => Err(ReadVideoError::DecoderNotStarted {
-            path: path.to_path_buf(),
-            program: program.program.clone(),
-            source,
-        }),
+        Err(Refusal::Halt(halt)) => Err(halt.fault(DECODER)),
+        Err(Refusal::Start(e)) => {
+            let what = format!(
+                "the decoder program {} cannot be started ({e})",
+                program.program.display()
+            );
+            Err(Fault::Content {
+                kind: ErrorKind::Io,
+                what,
+                hint: "install the program again".into(),
+            })
+        }
     }
 }
 
@@ -213,7 +211,6 @@ fn presentation(track: &Track) -> Vec<Shown> {
 }
 
 struct Run<'a> {
-    path: &'a Path,
     config: &'a Config,
     engine: Engine<'a>,
     orientation: Option<Orientation>,
@@ -233,7 +230,7 @@ impl Run<'_> {
         shown: &[Shown],
         kept: &[usize],
         progress: &dyn Progress,
-    ) -> Result<(), ReadVideoError> {
+    ) -> Result<(), Fault> {
         let mut time_of = vec![None; samples.len()];
         for s in shown {
             time_of[s.sample] = Some(s.time_s);
@@ -248,15 +245,10 @@ impl Run<'_> {
         let mut fresh = true;
         for (i, sample) in samples[..total].iter().enumerate() {
             if progress.cancelled() {
-                return Err(ReadVideoError::Cancelled {
-                    path: self.path.to_path_buf(),
-                });
+                return Err(Fault::Cancelled);
             }
             progress.update("decode video", i + 1, total, "");
-            let there = coded_bytes(file, sample, &mut coded).map_err(|source| ReadVideoError::Io {
-                path: self.path.to_path_buf(),
-                source,
-            })?;
+            let there = coded_bytes(file, sample, &mut coded)?;
             let kind = match there {
                 true => self.config.annex_b(&coded, &mut annex_b),
                 false => None,
@@ -267,12 +259,8 @@ impl Run<'_> {
                 continue;
             };
             if let Some(to) = kind.resizes {
-                return Err(ReadVideoError::SizeChanges {
-                    path: self.path.to_path_buf(),
-                    from: (self.config.sps.width, self.config.sps.height),
-                    to,
-                    time_s: time_of[i].unwrap_or(0.0),
-                });
+                let from = (self.config.sps.width, self.config.sps.height);
+                return Err(plan::size_changes(from, to, time_of[i].unwrap_or(0.0)));
             }
             if kind.disposable && !keep[i] {
                 continue;
@@ -291,8 +279,8 @@ impl Run<'_> {
     }
 
     /// Takes what became of the frame that is shown at `time_s`.
-    fn take(&mut self, time_s: Option<f64>) -> Result<(), ReadVideoError> {
-        let decoded = self.engine.take().map_err(|halt| halt.into_error(self.path, DECODER))?;
+    fn take(&mut self, time_s: Option<f64>) -> Result<(), Fault> {
+        let decoded = self.engine.take().map_err(|halt| halt.fault(DECODER))?;
         match (decoded, time_s) {
             (Some(Some(image)), Some(time_s)) => {
                 let image = match &self.tone_map {

@@ -1,0 +1,278 @@
+//! Parts common to the writers of captures for other tools ([`super::colmap::write`], [`super::nerfstudio::write`]).
+//!
+//! ```text
+//! capture -> points of static regions, images, masks, depth -> a folder beside its place -> read back -> its name
+//! ```
+//!
+//! The dynamic part is 0 in the masks of both folders and left out of the points: their readers rebuild the static part.
+
+use super::colmap::ColmapPoint;
+use crate::files::in_parallel;
+use crate::scene::usable;
+use crate::{ReadError, WriteError, image};
+use m4_core::{Capture, CaptureFrame, DepthMap, Exposure, Plane, Progress, SourceFrame};
+use std::fs;
+use std::io::ErrorKind;
+use std::path::{Path, PathBuf};
+
+/// Refuses captures without frames, and invalid cameras.
+pub(super) fn check(out: &Path, capture: &Capture) -> Result<(), WriteError> {
+    if capture.frames.is_empty() {
+        return Err(WriteError::bad(out, "the capture has no frames"));
+    }
+    let last = capture.time_frames.max(2) as f64 - 1.0;
+    for (i, frame) in capture.frames.iter().enumerate() {
+        let bad = |what: String| Err(WriteError::bad(out, format!("frame {i} ({}): {what}", frame.name)));
+        if !(0.0..=last).contains(&frame.t) {
+            return bad(format!(
+                "it was taken at t = {}; 0 to {last} frames were expected",
+                frame.t
+            ));
+        }
+        let depth = frame.depth.as_ref().map(|d| d.size());
+        let mask = frame.mask.as_ref().map(|m| m.size());
+        if depth.into_iter().chain(mask).any(|(w, h)| w == 0 || h == 0) {
+            return bad("its depth map or mask has no pixels".to_owned());
+        }
+        let camera = frame.camera;
+        let seen = SourceFrame {
+            camera,
+            t: frame.t,
+            exposure: Exposure::IDENTITY,
+        };
+        if !usable(&seen) {
+            return bad(format!("its camera is none: {camera:?}"));
+        }
+        let k = &camera.intrinsics;
+        let (w, h) = frame.rgb.size();
+        if (w, h) != (k.width, k.height) {
+            return bad(format!(
+                "its image is {w} x {h} pixels and its camera {} x {}",
+                k.width, k.height
+            ));
+        }
+    }
+    Ok(())
+}
+
+/// Points of static pixels with known depth, at most `most`, spread evenly over frames and pixels.
+pub(super) fn static_points(capture: &Capture, most: usize) -> Vec<ColmapPoint> {
+    let with_depth = capture.frames.iter().filter(|f| f.depth.is_some()).count();
+    let mut points = Vec::new();
+    if with_depth == 0 || most == 0 {
+        return points;
+    }
+    let of_frame = (most / with_depth).max(1);
+    for frame in &capture.frames {
+        let Some(depth) = &frame.depth else { continue };
+        let (w, h) = depth.size();
+        let (pw, ph) = frame.rgb.size();
+        let step = ((w * h) as f64 / of_frame as f64).sqrt().ceil().max(1.0) as usize;
+        // where the depth map has another size than the image
+        let scale = [pw as f64 / w.max(1) as f64, ph as f64 / h.max(1) as f64];
+        for y in (step / 2..h).step_by(step) {
+            for x in (step / 2..w).step_by(step) {
+                let z = f64::from(depth.at(x, y));
+                if !(z > 0.0 && z.is_finite()) {
+                    continue;
+                }
+                let (u, v) = ((x as f64 + 0.5) * scale[0], (y as f64 + 0.5) * scale[1]);
+                if frame.mask.as_ref().is_some_and(|mask| {
+                    let (mw, mh) = mask.size();
+                    mask.at(
+                        ((u * mw as f64 / pw as f64) as usize).min(mw.saturating_sub(1)),
+                        ((v * mh as f64 / ph as f64) as usize).min(mh.saturating_sub(1)),
+                    )
+                }) {
+                    continue;
+                }
+                // from the centre of the first pixel
+                let position = frame.camera.unproject(u - 0.5, v - 0.5, z);
+                points.push(ColmapPoint {
+                    position: position.into(),
+                    colour: frame.rgb[((u as usize).min(pw - 1), (v as usize).min(ph - 1))],
+                });
+            }
+        }
+    }
+    points.truncate(most);
+    points
+}
+
+/// A folder beside the one that is to be made; dropped, it is removed.
+pub(super) struct Staging {
+    folder: tempfile::TempDir,
+    out: PathBuf,
+}
+
+impl Staging {
+    pub fn new(out: &Path) -> Result<Self, WriteError> {
+        let parent = out
+            .parent()
+            .filter(|p| !p.as_os_str().is_empty())
+            .unwrap_or(Path::new("."));
+        fs::create_dir_all(parent).map_err(|e| WriteError::io(parent, e))?;
+        let folder = tempfile::Builder::new()
+            .prefix(".minute4d-")
+            .tempdir_in(parent)
+            .map_err(|e| WriteError::io(parent, e))?;
+        Ok(Self {
+            folder,
+            out: out.to_path_buf(),
+        })
+    }
+
+    pub fn path(&self) -> &Path {
+        self.folder.path()
+    }
+
+    /// Gives what was written its place, what is called `list` last; an older `list` goes first, so that a folder that was left half-way is
+    /// none. Files of other names stay. The size of all files, bytes.
+    pub fn commit(self, list: &str) -> Result<u64, WriteError> {
+        let bytes = size(self.folder.path())?;
+        remove(&self.out.join(list))?;
+        fs::create_dir_all(&self.out).map_err(|e| WriteError::io(&self.out, e))?;
+        let failed = |e| WriteError::io(&self.out, e);
+        let mut names = Vec::new();
+        for entry in fs::read_dir(self.folder.path()).map_err(failed)? {
+            names.push(entry.map_err(failed)?.file_name());
+        }
+        names.sort_by_key(|name| name.as_os_str() == list);
+        for name in names {
+            let to = self.out.join(&name);
+            remove(&to)?;
+            fs::rename(self.folder.path().join(&name), &to).map_err(|e| WriteError::io(&to, e))?;
+        }
+        Ok(bytes)
+    }
+}
+
+fn remove(path: &Path) -> Result<(), WriteError> {
+    let done = if path.is_dir() {
+        fs::remove_dir_all(path)
+    } else {
+        fs::remove_file(path)
+    };
+    match done {
+        Err(e) if e.kind() != ErrorKind::NotFound => Err(WriteError::io(path, e)),
+        _ => Ok(()),
+    }
+}
+
+fn size(folder: &Path) -> Result<u64, WriteError> {
+    let failed = |e| WriteError::io(folder, e);
+    let mut bytes = 0;
+    for entry in fs::read_dir(folder).map_err(failed)? {
+        let entry = entry.map_err(failed)?;
+        let meta = entry.metadata().map_err(failed)?;
+        bytes += if meta.is_dir() {
+            size(&entry.path())?
+        } else {
+            meta.len()
+        };
+    }
+    Ok(bytes)
+}
+
+/// Steps of a 16-bit depth map.
+pub(crate) const MAX_STEPS: f64 = 65535.0;
+
+/// The files of a frame in a folder; `None` for those that are not written.
+pub(super) struct FramePaths {
+    pub image: String,
+    pub mask: Option<String>,
+    pub depth: Option<String>,
+}
+
+/// How many depths are too far for 16 bits in steps of `unit`.
+pub(crate) fn clipped(depth: &DepthMap, unit: f64) -> usize {
+    let limit = (MAX_STEPS + 0.5) * unit;
+    depth.data().iter().filter(|&&z| f64::from(z) > limit).count()
+}
+
+/// Writes the files of `frames` into `folder`; depth in steps of `unit`. Returns how many depths were too far for 16 bits.
+pub(super) fn write_frames(
+    folder: &Path,
+    out: &Path,
+    frames: &[(&CaptureFrame, FramePaths)],
+    unit: f64,
+    progress: &dyn Progress,
+) -> Result<usize, WriteError> {
+    let stopped = || WriteError::cancelled(out);
+    let clipped = in_parallel("write frames", frames, progress, stopped, |_, (frame, paths)| {
+        write_frame(folder, frame, paths, unit)
+    })?;
+    Ok(clipped.into_iter().sum())
+}
+
+fn write_frame(folder: &Path, frame: &CaptureFrame, paths: &FramePaths, unit: f64) -> Result<usize, WriteError> {
+    fn same<T>(path: &Path, back: Result<T, ReadError>, same: impl Fn(&T) -> bool) -> Result<(), WriteError> {
+        match back {
+            Ok(back) if same(&back) => Ok(()),
+            Ok(_) => Err(WriteError::verify(path, "its pixels differ")),
+            Err(e) => Err(WriteError::verify(path, e)),
+        }
+    }
+    let path = folder.join(&paths.image);
+    image::write_rgb(&path, &frame.rgb)?;
+    same(&path, image::read_rgb(&path), |back| *back == frame.rgb)?;
+    let (w, h) = frame.rgb.size();
+    if let (Some(name), Some(mask)) = (&paths.mask, &frame.mask) {
+        let path = folder.join(name);
+        let (mw, mh) = mask.size();
+        // their readers expect the size of the image, and white where they train
+        let is_static = Plane::from_fn(w, h, |x, y| if mask.at(x * mw / w, y * mh / h) { 0 } else { 255 });
+        image::write_mask(&path, &is_static)?;
+        same(&path, image::read_mask(&path), |back| back.to_mask() == is_static)?;
+    }
+    let (Some(name), Some(depth)) = (&paths.depth, &frame.depth) else {
+        return Ok(0);
+    };
+    let path = folder.join(name);
+    let (dw, dh) = depth.size();
+    let finite = |z: f32| if z.is_finite() { z } else { 0.0 };
+    let depth = Plane::from_fn(w, h, |x, y| finite(depth.at(x * dw / w, y * dh / h)));
+    image::write_depth(&path, &depth, unit)?;
+    same(&path, image::read_depth(&path, unit), |back| {
+        let close = |(i, &z): (usize, &f32)| {
+            // a known depth is a step at least
+            let z = if z > 0.0 {
+                f64::from(z).clamp(unit, MAX_STEPS * unit)
+            } else {
+                0.0
+            };
+            (f64::from(back.at(i % w, i / w)) - z).abs() <= 0.51 * unit + 1e-6 * z
+        };
+        back.size() == (w, h) && depth.data().iter().enumerate().all(close)
+    })?;
+    Ok(clipped(&depth, unit))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::Staging;
+    use std::fs;
+
+    #[test]
+    fn staging_replaces_files_only_on_commit() {
+        let dir = tempfile::tempdir().unwrap();
+        let out = dir.path().join("out");
+        fs::create_dir_all(out.join("a")).unwrap();
+        fs::write(out.join("a/old"), "old").unwrap();
+        fs::write(out.join("mine"), "kept").unwrap();
+        let dropped = Staging::new(&out).unwrap();
+        fs::write(dropped.path().join("list"), "x").unwrap();
+        drop(dropped);
+        assert!(!out.join("list").exists() && out.join("a/old").exists());
+
+        let staging = Staging::new(&out).unwrap();
+        fs::create_dir(staging.path().join("a")).unwrap();
+        fs::write(staging.path().join("a/new"), "new").unwrap();
+        fs::write(staging.path().join("list"), "l").unwrap();
+        assert_eq!(staging.commit("list").unwrap(), 4);
+        assert!(!out.join("a/old").exists() && out.join("mine").exists());
+        assert_eq!(fs::read(out.join("a/new")).unwrap(), b"new");
+        // nothing is left beside it
+        assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 1);
+    }
+}

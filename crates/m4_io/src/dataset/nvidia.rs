@@ -1,0 +1,232 @@
+//! NVIDIA Dynamic Scenes, and any clip in the layout of LLFF: `poses_bounds.npy` beside folders of images.
+//!
+//! ```text
+//! poses_bounds.npy       [n][17]: 3 x 5 by rows (rotation, centre, height width focal), then the nearest and farthest depth in view
+//! images_2/ or images/   n images, in natural order of names; camera i took image i at time i
+//! motion_masks/          optional, n masks, not 0 moves
+//! disp/                  optional, n maps of relative disparity (npy), of a network
+//! gt/ or test/           held-out views vCCC_tTTT.png: camera CCC at time TTT (RoDynRF's results; CCC is 000 there)
+//! mv_images/TTTTT/       held-out views camNN.jpg: camera NN - 1 at time TTTTT (NSFF), but for the view that trains
+//! ```
+//!
+//! Columns of the rotation are the camera's down, right and back in the world; in our axes (right, down, forward) they are
+//! columns 1, 0 and minus 2. The principal point is the middle. Images may be of any size; height, width and focal length shrink with
+//! them. Disparity of the network is known up to scale and shift: both are chosen for each frame so that its 0.1 and 99.9 percent
+//! quantiles are those of the bounds, which is how COLMAP's points made these (`imgs2poses.py` of Fyusion/LLFF); this is said through
+//! `progress`. Sources: `load_llff.py` of zhengqili/Neural-Scene-Flow-Fields, `dataLoader/nvidia.py` of facebookresearch/robust-dynrf.
+//!
+//! `v000_t000` is the view of the first training image: results compare only if both or neither count it.
+
+use crate::dataset::files::images::{self, StoredImage, of_file};
+use crate::dataset::files::{Inside, clock};
+use crate::dataset::llff::{self, Pose};
+use crate::dataset::side::depth::known;
+use crate::dataset::side::mask::read_mask;
+use crate::dataset::{FrameSource, ImportOptions, Lens, ListedFrame, Listing};
+use crate::error::AtPath;
+use crate::files::{listed, stem};
+use crate::npy::Numbers;
+use crate::{Fault, ReadError};
+use m4_core::{CompactDepth, DepthMap, Plane, Progress};
+use std::path::{Path, PathBuf};
+
+const EXTENSIONS: &[&str] = &["png", "jpg", "jpeg"];
+
+/// Detects a folder of the format.
+pub(crate) fn detect(path: &Path) -> bool {
+    path.join("poses_bounds.npy").is_file() && (path.join("images").is_dir() || path.join("images_2").is_dir())
+}
+
+pub(crate) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress) -> Result<Listing, ReadError> {
+    let poses = llff::read_bounds(&path.join("poses_bounds.npy"))?;
+    let n = poses.len();
+    let fps = clock::fps(options).at(path)?;
+    let folder = image_folder(path, options)?;
+    let inside = Inside::of(path, options);
+    let images = inside.files(as_many(&folder, EXTENSIONS, "images", n)?)?;
+    let optional = |name: &str, extensions: &[&str], what: &str| -> Result<Option<Vec<PathBuf>>, ReadError> {
+        let folder = path.join(name);
+        let listed = || inside.files(as_many(&folder, extensions, what, n)?);
+        folder.is_dir().then(listed).transpose()
+    };
+    let masks = optional("motion_masks", &["png"], "masks")?;
+    let disparity = optional("disp", &["npy"], "maps of disparity")?;
+    if disparity.is_some() && options.depth.is_none() {
+        progress.warn(&format!(
+            "disp of {} is relative: scale and shift of each frame are chosen by the bounds of its depth",
+            path.display()
+        ));
+    }
+    let train = images.iter().zip(&poses).enumerate().map(|(i, (image, pose))| {
+        let mut frame = frame(image, pose, i as f64, None)?;
+        if let Some(file) = masks.as_ref().map(|masks| masks[i].clone()) {
+            frame.mask = Some(FrameSource::new(move || {
+                Ok(read_mask(&file, false).map_err(|e| e.of_file(&file))?.mask)
+            }));
+        }
+        if let Some(file) = disparity.as_ref().map(|maps| maps[i].clone()) {
+            let (near, far) = (pose.near, pose.far);
+            frame.depth = Some(FrameSource::new(move || {
+                depth_of_disparity(&file, near, far).map_err(|e| e.of_file(&file))
+            }));
+        }
+        Ok(frame)
+    });
+    let train = train.collect::<Result<_, ReadError>>()?;
+    let test = views(path, n)?.into_iter().map(|view| {
+        let pose = &poses[view.camera];
+        let file = inside.file(view.file)?;
+        frame(&file, pose, view.time as f64, Some(view.camera as u32))
+    });
+    Ok(Listing {
+        train,
+        test: test.collect::<Result<_, _>>()?,
+        time_frames: n,
+        duration_s: fps.map(|fps| (n - 1) as f64 / fps),
+        metric: false,
+        tracks: None,
+    })
+}
+
+/// The folder of images.
+fn image_folder(path: &Path, options: &ImportOptions) -> Result<PathBuf, ReadError> {
+    let named = match (&options.images, options.factor) {
+        (Some(folder), _) => vec![folder.clone()],
+        (None, Some(0 | 1)) => vec![path.join("images")],
+        (None, Some(factor)) => vec![path.join(format!("images_{factor}"))],
+        (None, None) => vec![path.join("images_2"), path.join("images")],
+    };
+    named.iter().find(|p| p.is_dir()).cloned().ok_or_else(|| {
+        let what = named[0].display().to_string();
+        Fault::missing(what, "choose a factor whose images exist (the option factor)").at(path)
+    })
+}
+
+fn as_many(folder: &Path, extensions: &[&str], what: &str, n: usize) -> Result<Vec<PathBuf>, ReadError> {
+    let files = listed(folder, extensions)?;
+    if files.len() == n {
+        return Ok(files);
+    }
+    let what = format!("{} {what} for {n} poses of poses_bounds.npy", files.len());
+    Err(Fault::bad(what, "give one for each pose").at(folder))
+}
+
+fn frame(image: &Path, pose: &Pose, t: f64, camera_index: Option<u32>) -> Result<ListedFrame, ReadError> {
+    let StoredImage { size, rgb } = of_file(image)?;
+    let k = images::resized(&pose.camera.intrinsics, size).at(image)?;
+    Ok(ListedFrame {
+        camera_index,
+        ..ListedFrame::new(stem(image), Lens::pinhole(k), pose.camera.c2w, t, rgb)
+    })
+}
+
+/// Largest map of disparity in memory.
+const MAX_BYTES: u64 = 512 << 20;
+/// Quantiles that are put on the bounds: those that LLFF takes of the points.
+const QUANTILES: [f64; 2] = [0.001, 0.999];
+/// Depth ends at this many times `far`.
+const FARTHEST: f64 = 4.0;
+
+/// z-depth of a map `[h][w]` of disparity up to scale and shift.
+fn depth_of_disparity(path: &Path, near: f64, far: f64) -> Result<CompactDepth, Fault> {
+    let array = Numbers::read(path, MAX_BYTES)?;
+    let (h, w) = array.map_size()?;
+    let mut sorted: Vec<f64> = array.values.iter().copied().filter(|v| v.is_finite()).collect();
+    sorted.sort_unstable_by(f64::total_cmp);
+    let [low, high] = QUANTILES.map(|q| quantile(&sorted, q));
+    let differs = high > low;
+    if !differs {
+        let what = "its disparity is the same everywhere";
+        return Err(Fault::bad(
+            what,
+            "give maps of a network, or leave the folder disp away",
+        ));
+    }
+    let a = (1.0 / near - 1.0 / far) / (high - low);
+    let b = 1.0 / far - a * low;
+    let least = 1.0 / (FARTHEST * far);
+    let map: DepthMap = Plane::from_fn(w, h, |x, y| {
+        let disparity = a * array.values[y * w + x] + b;
+        if disparity.is_finite() {
+            known((1.0 / disparity.max(least)) as f32)
+        } else {
+            0.0
+        }
+    });
+    Ok(map.into())
+}
+
+/// Linear between the two nearest, NaN of nothing.
+fn quantile(sorted: &[f64], q: f64) -> f64 {
+    let Some(last) = sorted.len().checked_sub(1) else {
+        return f64::NAN;
+    };
+    let at = q * last as f64;
+    let (i, part) = (at.floor() as usize, at.fract());
+    sorted[i] * (1.0 - part) + sorted[(i + 1).min(last)] * part
+}
+
+struct View {
+    file: PathBuf,
+    camera: usize,
+    time: usize,
+}
+
+/// All of them, none where there is no folder of such; `n` cameras and moments.
+fn views(root: &Path, n: usize) -> Result<Vec<View>, ReadError> {
+    let flat = ["gt", "test"].map(|name| root.join(name));
+    if let Some(folder) = flat.iter().find(|p| p.is_dir()) {
+        let files = listed(folder, EXTENSIONS)?;
+        let views = files.into_iter().filter_map(|file| {
+            let (camera, time) = by_name(&stem(&file))?;
+            Some(checked(View { file, camera, time }, n))
+        });
+        return views.collect();
+    }
+    let folder = root.join("mv_images");
+    if !folder.is_dir() {
+        return Ok(Vec::new());
+    }
+    let mut moments = Vec::new();
+    for entry in std::fs::read_dir(&folder).at(&folder)? {
+        let path = entry.at(&folder)?.path();
+        if let (true, Ok(time)) = (path.is_dir(), stem(&path).parse::<usize>()) {
+            moments.push((time, path));
+        }
+    }
+    moments.sort();
+    let mut views = Vec::new();
+    for (time, moment) in moments {
+        let files = listed(&moment, EXTENSIONS)?;
+        // of the cameras around, in turn, one took the training image
+        let cameras = files.len().max(1);
+        for file in files {
+            let number = stem(&file).strip_prefix("cam").and_then(|n| n.parse::<usize>().ok());
+            let Some(camera) = number.and_then(|n| n.checked_sub(1)) else {
+                let what = "its name is not camNN, the number of a camera from 1";
+                return Err(Fault::bad(what, "name the views as NSFF does").at(&file));
+            };
+            if camera != time % cameras {
+                views.push(checked(View { file, camera, time }, n)?);
+            }
+        }
+    }
+    Ok(views)
+}
+
+/// `vCCC_tTTT`.
+fn by_name(name: &str) -> Option<(usize, usize)> {
+    let (camera, time) = name.strip_prefix('v')?.split_once("_t")?;
+    Some((camera.parse().ok()?, time.parse().ok()?))
+}
+
+fn checked(view: View, n: usize) -> Result<View, ReadError> {
+    if view.camera < n && view.time < n {
+        return Ok(view);
+    }
+    let what = format!(
+        "camera {} at time {} where there are {n} cameras and moments",
+        view.camera, view.time
+    );
+    Err(Fault::bad(what, "give views of the cameras in poses_bounds.npy").at(&view.file))
+}

@@ -1,0 +1,159 @@
+//! What the tests of this crate share.
+
+use m4_core::{Progress, RgbImage, Video};
+use m4_testkit::{Need, skip};
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::sync::Mutex;
+
+/// The example clip: 96 frames, 480x360, 24 per second, H.264 High with B-frames.
+pub fn pinwheel() -> PathBuf {
+    PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../../examples/pinwheel.mp4"))
+}
+
+/// True when ffmpeg can be started; else the test is listed as skipped.
+#[track_caller]
+pub fn have_ffmpeg() -> bool {
+    let there = Command::new("ffmpeg")
+        .arg("-version")
+        .output()
+        .is_ok_and(|o| o.status.success());
+    if !there {
+        skip(Need::Ffmpeg, "ffmpeg is not on the PATH");
+    }
+    there
+}
+
+/// True when ffmpeg can be started and has the encoder `name`; else the test, or that part of it, is listed as skipped. What is
+/// made with an encoder that is there has to succeed.
+#[track_caller]
+pub fn have_encoder(name: &str) -> bool {
+    if !have_ffmpeg() {
+        return false;
+    }
+    let listed = Command::new("ffmpeg").args(["-v", "error", "-encoders"]).output();
+    let there = listed.is_ok_and(|o| {
+        let text = String::from_utf8_lossy(&o.stdout);
+        text.lines().any(|line| line.split_whitespace().nth(1) == Some(name))
+    });
+    if !there {
+        skip(Need::Ffmpeg, &format!("this build of ffmpeg has no encoder {name}"));
+    }
+    there
+}
+
+/// Runs ffmpeg with arguments separated by spaces, then `output`; false where this build of ffmpeg cannot, and the test, or
+/// that part of it, is listed as skipped.
+#[track_caller]
+pub fn ffmpeg(arguments: &str, output: &Path) -> bool {
+    let mut command = Command::new("ffmpeg");
+    command.args(["-v", "error", "-nostdin", "-y", "-threads", "1"]);
+    command.args(arguments.split_whitespace()).arg(output);
+    match command.output() {
+        Ok(o) if o.status.success() => true,
+        Ok(o) => {
+            let message = String::from_utf8_lossy(&o.stderr);
+            skip(Need::Ffmpeg, &format!("ffmpeg {arguments}: {message}"));
+            false
+        }
+        Err(e) => {
+            skip(Need::Ffmpeg, &format!("ffmpeg cannot be started: {e}"));
+            false
+        }
+    }
+}
+
+/// Peak signal-to-noise ratio of two images of one size, dB.
+pub fn psnr(a: &RgbImage, b: &RgbImage) -> f64 {
+    assert_eq!(a.size(), b.size());
+    let square = |(a, b): (&u8, &u8)| (f64::from(*a) - f64::from(*b)).powi(2);
+    let pairs = a.data().as_flattened().iter().zip(b.data().as_flattened());
+    let mse = pairs.map(square).sum::<f64>() / (3 * a.data().len()) as f64;
+    10.0 * (255.0 * 255.0 / mse.max(1e-9)).log10()
+}
+
+/// Frame times, seconds.
+pub fn times(video: &Video) -> Vec<f64> {
+    video.frames.iter().map(|f| f.time_s).collect()
+}
+
+/// A script in a folder of its own.
+#[cfg(unix)]
+pub fn script(dir: &Path, name: &str, body: &str) -> PathBuf {
+    use std::os::unix::fs::PermissionsExt;
+    let path = dir.join(name);
+    // Written under another name by a shell of its own: a file that some thread has open for writing while another
+    // one forks cannot be started.
+    let write = format!(
+        "cat > '{0}.new' && chmod 755 '{0}.new' && mv '{0}.new' '{0}'",
+        path.display()
+    );
+    let mut shell = Command::new("sh")
+        .args(["-c", &write])
+        .stdin(std::process::Stdio::piped())
+        .spawn()
+        .unwrap();
+    let text = format!("#!/bin/sh\n{body}\n");
+    std::io::Write::write_all(&mut shell.stdin.take().unwrap(), text.as_bytes()).unwrap();
+    assert!(shell.wait().unwrap().success());
+    assert_eq!(std::fs::metadata(&path).unwrap().permissions().mode() & 0o777, 0o755);
+    path
+}
+
+/// All of `words` are in the message.
+#[track_caller]
+pub fn says(message: &dyn std::fmt::Display, words: &[&str]) {
+    let text = message.to_string();
+    for word in words {
+        assert!(text.contains(word), "{word:?} is not in: {text}");
+    }
+}
+
+/// Asks to stop at once.
+pub struct Stop;
+
+impl Progress for Stop {
+    fn update(&self, _: &str, _: usize, _: usize, _: &str) {}
+    fn warn(&self, _: &str) {}
+    fn cancelled(&self) -> bool {
+        true
+    }
+}
+
+/// Records warnings.
+#[derive(Default)]
+pub struct Heard(Mutex<Vec<String>>);
+
+impl Heard {
+    pub fn all(&self) -> String {
+        self.0.lock().unwrap().join("\n")
+    }
+}
+
+impl Progress for Heard {
+    fn update(&self, _: &str, _: usize, _: usize, _: &str) {}
+    fn warn(&self, message: &str) {
+        self.0.lock().unwrap().push(message.to_owned());
+    }
+    fn cancelled(&self) -> bool {
+        false
+    }
+}
+
+/// `fixtures/NAME`.
+pub fn fixture(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fixtures").join(name)
+}
+
+/// Copies a file, or a folder with all that is in it, to where a test may change it.
+pub fn copy(from: &Path, to: &Path) {
+    if from.is_file() {
+        std::fs::copy(from, to).unwrap();
+        return;
+    }
+    std::fs::create_dir_all(to).unwrap();
+    for entry in std::fs::read_dir(from).unwrap() {
+        let entry = entry.unwrap();
+        copy(&entry.path(), &to.join(entry.file_name()));
+    }
+}

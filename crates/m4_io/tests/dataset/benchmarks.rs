@@ -1,0 +1,333 @@
+//! Clips of DAVIS, NVIDIA and DyCheck, compared with what `oracles/import_formats_b.py` wrote them from.
+
+use super::truth_b::*;
+use crate::dataset::support::{Heard, copied, edit, fixture, refused, refuses, says};
+use m4_core::Silent;
+use m4_io::dataset::davis::{detect, read_clip};
+use m4_io::dataset::dycheck::covisible;
+use m4_io::dataset::{ImportOptions, SourceFormat, read};
+use m4_io::image;
+use m4_io::video::VideoOptions;
+
+#[test]
+fn davis_frames_are_read_with_their_instance_masks() {
+    let path = fixture("import/davis/JPEGImages/480p/ball");
+    assert!(detect(&path) && !detect(&fixture("import/davis")));
+    let clip = read_clip(&path, &VideoOptions::default(), &Silent).unwrap();
+    let (rgb, mask) = (truth("rgb"), truth("mask"));
+    assert_eq!((clip.video.frames.len(), clip.instances.len()), (5, 5));
+    assert!((clip.video.frames[4].time_s - 4.0 / 24.0).abs() < 1e-12);
+    for (i, frame) in clip.video.frames.iter().enumerate() {
+        let want = &rgb[i * W * H * 3..(i + 1) * W * H * 3];
+        let off = frame
+            .rgb
+            .data()
+            .iter()
+            .flatten()
+            .zip(want)
+            .map(|(&g, w)| (f64::from(g) - w).abs());
+        assert!(off.sum::<f64>() / want.len() as f64 <= 1.5);
+    }
+    for i in 0..4 {
+        let ids = clip.instances[i].as_ref().unwrap();
+        let number = 1 + i as u16 % 2;
+        for (at, moves) in mask[i * W * H..(i + 1) * W * H].iter().enumerate() {
+            assert_eq!(ids.at(at % W, at / W), if *moves > 0.0 { number } else { 0 });
+        }
+    }
+    assert!(clip.instances[4].is_none());
+}
+
+#[test]
+fn thinned_davis_frames_keep_their_own_masks() {
+    let options = VideoOptions {
+        max_frames: Some(2),
+        ..VideoOptions::default()
+    };
+    let clip = read_clip(&fixture("import/davis/JPEGImages/480p/ball"), &options, &Silent).unwrap();
+    assert_eq!(clip.instances.len(), 2);
+    assert!(clip.instances[0].is_some() && clip.instances[1].is_none());
+}
+
+#[test]
+fn malformed_davis_is_rejected_with_file_and_reason() {
+    says(
+        &read_clip(&fixture("import/davis"), &VideoOptions::default(), &Silent).unwrap_err(),
+        &["JPEGImages"],
+    );
+    let (_dir, path) = copied("import/davis");
+    let map = path.join("Annotations/480p/ball/00001.png");
+    std::fs::copy(fixture("import/nvidia/motion_masks/001.png"), &map).unwrap();
+    says(
+        &read_clip(&path.join("JPEGImages/480p/ball"), &VideoOptions::default(), &Silent).unwrap_err(),
+        &["00001.png", "no palette"],
+    );
+}
+
+fn own(name: &str) -> Vec<f64> {
+    array("nvidia/truth.npz", name)
+}
+
+#[test]
+fn nvidia_matches_the_clip_it_was_written_from() {
+    let heard = Heard::default();
+    let clip = read(
+        &fixture("import/nvidia"),
+        SourceFormat::Nvidia,
+        &ImportOptions::default(),
+        &heard,
+    )
+    .unwrap();
+    assert!(heard.all().contains("disp"), "{}", heard.all());
+    let train = &clip.train;
+    assert_poses(train, "c2w");
+    assert_images(train, &own("rgb"), 0.0, 0.0);
+    let mask = truth_mask();
+    for (i, frame) in train.frames.iter().enumerate() {
+        assert_lens(frame, [50.0, 50.0, 24.0, 18.0]);
+        let count = frame.mask.as_ref().unwrap().count();
+        // of a lens a little shorter than that of the mask
+        assert!(
+            count > 50 && count.abs_diff(mask[i]) < mask[i] / 8,
+            "{count} {}",
+            mask[i]
+        );
+    }
+    // scale and shift of the disparity are found by the bounds
+    let depth = own("depth");
+    for i in 0..5 {
+        assert_depth(train, i, &depth[i * W * H..(i + 1) * W * H], 0.02, |_, _| true);
+    }
+    assert_near(&times(train), &[0.0, 1.0, 2.0, 3.0, 4.0], 0.0);
+    assert!(!train.metric && train.duration_s.is_none());
+
+    let test = clip.test.unwrap();
+    assert_images(&test, &own("gt"), 0.0, 0.0);
+    assert_near(&times(&test), &[0.0, 1.0, 2.0, 3.0, 4.0], 0.0);
+    let first = train.frames[0].camera;
+    assert!(
+        test.frames
+            .iter()
+            .all(|f| f.camera == first && f.camera_index == Some(0))
+    );
+}
+
+/// Pixels that move, a frame.
+fn truth_mask() -> Vec<usize> {
+    let mask = truth("mask");
+    mask.chunks_exact(W * H)
+        .map(|m| m.iter().filter(|&&v| v > 0.0).count())
+        .collect()
+}
+
+#[test]
+fn nvidia_holds_out_views_of_other_cameras() {
+    let (_dir, path) = copied("import/nvidia");
+    std::fs::remove_dir_all(path.join("gt")).unwrap();
+    let clip = import(&path, SourceFormat::Nvidia, &ImportOptions::default()).unwrap();
+    let test = clip.test.unwrap();
+    let seen: Vec<(u32, f64)> = test.frames.iter().map(|f| (f.camera_index.unwrap(), f.t)).collect();
+    let mut want = Vec::new();
+    for t in 0..5u32 {
+        want.extend((0..3).filter(|c| *c != t % 3).map(|c| (c, f64::from(t))));
+    }
+    assert_eq!(seen, want);
+    for frame in &test.frames {
+        let camera = &clip.train.frames[frame.camera_index.unwrap() as usize].camera;
+        assert_eq!(frame.camera, *camera);
+    }
+    std::fs::remove_dir_all(path.join("mv_images")).unwrap();
+    assert!(
+        import(&path, SourceFormat::Nvidia, &ImportOptions::default())
+            .unwrap()
+            .test
+            .is_none()
+    );
+}
+
+#[test]
+fn malformed_nvidia_is_rejected_with_file_and_reason() {
+    let (_dir, path) = copied("import/nvidia");
+    let original = ImportOptions {
+        factor: Some(1),
+        ..ImportOptions::default()
+    };
+    says(&refused(&path, SourceFormat::Nvidia, &original), &["images is missing"]);
+    std::fs::rename(path.join("gt/v000_t004.png"), path.join("gt/v000_t005.png")).unwrap();
+    refuses(&path, SourceFormat::Nvidia, &["v000_t005.png", "time 5"]);
+    std::fs::remove_file(path.join("motion_masks/002.png")).unwrap();
+    refuses(&path, SourceFormat::Nvidia, &["motion_masks", "4 masks for 5 poses"]);
+    std::fs::remove_file(path.join("images_2/002.png")).unwrap();
+    refuses(&path, SourceFormat::Nvidia, &["images_2", "4 images for 5 poses"]);
+    let bytes = std::fs::read(path.join("poses_bounds.npy")).unwrap();
+    std::fs::write(path.join("poses_bounds.npy"), &bytes[..bytes.len() - 8]).unwrap();
+    refuses(&path, SourceFormat::Nvidia, &["poses_bounds.npy", "damaged or cut off"]);
+}
+
+#[test]
+fn dycheck_matches_the_clip_it_was_written_from() {
+    let path = fixture("import/dycheck");
+    let heard = Heard::default();
+    let clip = read(&path, SourceFormat::Dycheck, &ImportOptions::default(), &heard).unwrap();
+    assert!(heard.all().contains("thousandths"), "{}", heard.all());
+    let train = &clip.train;
+    assert_poses(train, "c2w");
+    assert_true_lens(train);
+    assert_images(train, &truth("rgb"), 0.0, 0.0);
+    let depth = truth("depth");
+    for i in 0..5 {
+        assert_depth(train, i, &depth[i * W * H..(i + 1) * W * H], 1e-6, |x, y| {
+            y > 0 || x >= 4
+        });
+    }
+    assert_near(&times(train), &[0.0, 1.0, 2.0, 3.0, 4.0], 0.0);
+    assert_eq!((train.time_frames, train.metric), (5, true));
+    assert!((train.duration_s.unwrap() - 0.4).abs() < 1e-12);
+    assert!(train.frames.iter().all(|f| f.camera_index.is_none()));
+
+    let test = clip.test.unwrap();
+    assert_poses(&test, "test_c2w");
+    assert_images(&test, &truth("test_rgb"), 0.0, 0.0);
+    assert_near(&times(&test), &[1.0, 3.0], 0.0);
+    let cameras: Vec<_> = test.frames.iter().map(|f| f.camera_index).collect();
+    assert_eq!(cameras, [Some(1), Some(2)]);
+    for (i, frame) in test.frames.iter().enumerate() {
+        let mask = image::read_mask(&covisible(&path, &frame.name, None)).unwrap();
+        assert_eq!(mask.count(), H * (W - 8 * (i + 1)));
+        assert!(frame.depth.is_none());
+    }
+}
+
+#[test]
+fn dycheck_without_splits_uses_dataset_lists() {
+    let (_dir, path) = copied("import/dycheck");
+    std::fs::remove_dir_all(path.join("splits")).unwrap();
+    std::fs::remove_file(path.join("extra.json")).unwrap();
+    let heard = Heard::default();
+    let clip = read(&path, SourceFormat::Dycheck, &ImportOptions::default(), &heard).unwrap();
+    assert!(heard.all().contains("30 frames per second"), "{}", heard.all());
+    assert_poses(&clip.train, "c2w");
+    assert!((clip.train.duration_s.unwrap() - 4.0 / 30.0).abs() < 1e-12);
+    assert_eq!(clip.test.unwrap().frames.len(), 2);
+    // a clip of which every second frame is held out, and one of another camera
+    edit(
+        &path.join("dataset.json"),
+        r#""train_ids": ["0_00000", "0_00001", "0_00002", "0_00003", "0_00004"], "val_ids": ["1_00001", "2_00003"]"#,
+        r#""train_ids": ["0_00000", "0_00002", "0_00004", "1_00001"], "val_ids": ["0_00001", "0_00003", "2_00003"]"#,
+    );
+    let heard = Heard::default();
+    let clip = read(&path, SourceFormat::Dycheck, &ImportOptions::default(), &heard).unwrap();
+    assert!(heard.all().contains("1 of 4 training frames"), "{}", heard.all());
+    assert_near(&times(&clip.train), &[0.0, 1.0, 2.0], 0.0);
+    assert_near(&times(&clip.test.unwrap()), &[0.5, 1.5, 1.5], 1e-12);
+}
+
+#[test]
+fn depth_unit_fits_the_scene() {
+    let depth = |path: &std::path::Path, options: &ImportOptions| {
+        let clip = import(path, SourceFormat::Dycheck, options).unwrap();
+        let depth = clip.train.frames[1].depth.clone().unwrap();
+        (
+            f64::from(depth.at(20, 20)) / truth("depth")[W * H + 20 * W + 20],
+            clip.train.metric,
+        )
+    };
+    let (_dir, path) = copied("import/dycheck");
+    let given = ImportOptions {
+        depth_unit: Some(0.002),
+        ..ImportOptions::default()
+    };
+    assert!((depth(&path, &given).0 - 2.0).abs() < 1e-5);
+    // a scene whose places are millimetres too
+    edit(
+        &path.join("scene.json"),
+        r#""near": 0.3, "far": 1.125"#,
+        r#""near": 300.0, "far": 1125.0"#,
+    );
+    let (ratio, metric) = depth(&path, &ImportOptions::default());
+    assert!((ratio - 1000.0).abs() < 1e-2 && !metric);
+    std::fs::remove_file(path.join("scene.json")).unwrap();
+    assert!((depth(&path, &ImportOptions::default()).0 - 1.0).abs() < 1e-5);
+}
+
+#[test]
+fn nerfstudio_lens_keys_are_parsed_or_refused() {
+    let (_dir, path) = copied("import/dycheck");
+    for i in 0..5 {
+        let file = path.join(format!("camera/0_{i:05}.json"));
+        edit(
+            &file,
+            r#""radial_distortion": [0, 0, 0]"#,
+            r#""radial_distortion": [-0.2, 0.05, 0]"#,
+        );
+    }
+    let clip = import(&path, SourceFormat::Dycheck, &ImportOptions::default()).unwrap();
+    // a barrel lens saw more than a pinhole of its focal length: the pinhole that shows all of it is shorter
+    let (k, want) = (clip.train.frames[0].camera.intrinsics, truth("k"));
+    assert!(k.fx < want[0] * 0.99 && k.fx > want[0] * 0.9, "{k:?}");
+    assert!((k.fx / k.fy - want[0] / want[4]).abs() < 1e-9, "{k:?}");
+    let file = path.join("camera/0_00002.json");
+    edit(&file, r#""skew": 0.0"#, r#""skew": 0.5"#);
+    refuses(&path, SourceFormat::Dycheck, &["0_00002.json", "skew is 0.5"]);
+}
+
+#[test]
+fn malformed_dycheck_is_rejected_with_file_and_reason() {
+    let factor = ImportOptions {
+        factor: Some(4),
+        ..ImportOptions::default()
+    };
+    says(
+        &refused(&fixture("import/dycheck"), SourceFormat::Dycheck, &factor),
+        &["rgb/4x is missing", "factor"],
+    );
+    let broken = |file: &str, from: &str, to: &str, says: &[&str]| {
+        let (_dir, path) = copied("import/dycheck");
+        edit(&path.join(file), from, to);
+        refuses(&path, SourceFormat::Dycheck, says);
+    };
+    broken(
+        "camera/0_00001.json",
+        "[[",
+        "[[9",
+        &["0_00001.json", "orientation", "not a rotation"],
+    );
+    broken(
+        "camera/0_00001.json",
+        r#""focal_length": 100.0"#,
+        r#""focal_length": -1"#,
+        &["focal lengths -1"],
+    );
+    broken(
+        "camera/0_00001.json",
+        "[96, 72]",
+        "[72, 96]",
+        &["0_00001.png", "rotated"],
+    );
+    broken(
+        "splits/train.json",
+        r#""time_ids": [4, "#,
+        r#""time_ids": ["#,
+        &["train.json", "4 time_ids"],
+    );
+    broken(
+        "splits/train.json",
+        r#""time_ids": [4, "#,
+        r#""time_ids": [3, "#,
+        &["of one moment"],
+    );
+    broken("splits/val.json", "1_00001", "../../x", &["not the name of a frame"]);
+    broken("splits/val.json", "1_00001", "0_00001", &["both splits"]);
+    broken(
+        "scene.json",
+        r#""scale": 0.25"#,
+        r#""scale": 0"#,
+        &["scene.json", "scale 0"],
+    );
+    broken(
+        "extra.json",
+        r#""fps": 10.0"#,
+        r#""fps": 0.0"#,
+        &["extra.json", "fps is 0"],
+    );
+}
