@@ -13,6 +13,7 @@ import unittest
 import draw
 import kinds
 import numpy as np
+import thin
 import views
 import write
 from paths import ClosedPath
@@ -249,6 +250,15 @@ class Draw(unittest.TestCase):
             self.assertTrue(all(7 <= int(number) <= 99 for _, number in names))
             seen |= {kind for kind, _ in names}
         self.assertEqual(seen, set(kinds.NAMES))
+
+
+class Thin(unittest.TestCase):
+    def test_a_thinned_scene_holds_out_the_frames_between(self):
+        frames = [{"file_path": f"train/{i}.jpg", "depth_file_path": f"depth/{i}.png"} for i in range(7)]
+        kept, held_out = thin.thinned({"w": 8, "frames": frames}, 3)
+        self.assertEqual(kept, {"w": 8, "frames": [frames[0], frames[3], frames[6]]})
+        self.assertEqual([frame["file_path"] for frame in held_out["frames"]], [f"train/{i}.jpg" for i in (1, 2, 4, 5)])
+        self.assertFalse(any("depth_file_path" in frame for frame in held_out["frames"]))
 
 
 class Geometry(unittest.TestCase):
