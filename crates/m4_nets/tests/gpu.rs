@@ -192,7 +192,7 @@ fn networks_of_depth_say_the_same_as_on_the_processor() {
     let Some(gpu) = gpu() else {
         return;
     };
-    let image = pattern(84, 56, 0.0);
+    let image = pattern(56, 42, 0.0);
     let folder = TempDir::new().unwrap();
     let path = folder.path().join("weights.safetensors");
 
@@ -209,7 +209,7 @@ fn networks_of_depth_say_the_same_as_on_the_processor() {
         .scaled("points_head.output_blocks.4.weight", 0.3);
     weights.write(&path);
     let options = MoGeOptions {
-        tokens: Some(60),
+        tokens: Some(24),
         known_focal_px: Some(70.0),
     };
     let map = |on: &Device| MoGe::load(&path, on).unwrap().infer(&image, &options).unwrap();
@@ -271,7 +271,7 @@ fn mobile_sam_matches_the_cpu() {
     assert_near("MobileSAM", &logits(&gpu), &logits(&cpu()), 1e-3);
 }
 
-/// Three masks of a point, and two objects followed through two frames, as logits of all masks one after the other.
+/// Masks of two points, and an object tracked through two frames, as logits of all masks one after the other.
 fn sam2(path: &std::path::Path, on: impl Into<Compute>) -> (Vec<f32>, Vec<Vec<f32>>) {
     let net = Arc::new(Sam2::load(path, on).unwrap().with_side(128).unwrap());
     let point = |at_px: [f32; 2], on_object| PointPrompt { at_px, on_object };
@@ -280,8 +280,7 @@ fn sam2(path: &std::path::Path, on: impl Into<Compute>) -> (Vec<f32>, Vec<Vec<f3
         ..Prompt::default()
     };
     let features = net.encode(&pattern(128, 96, 0.0)).unwrap();
-    let one = prompt(vec![point([40.0, 30.0], true)]);
-    let two = prompt(vec![point([90.0, 50.0], true), point([20.0, 70.0], false)]);
+    let one = prompt(vec![point([40.0, 30.0], true), point([20.0, 70.0], false)]);
     let masks = net.masks(&features, &one).unwrap();
     let masks: Vec<f32> = masks.iter().flat_map(|mask| mask.logits.data().to_vec()).collect();
     let clip = Clip {
@@ -292,7 +291,6 @@ fn sam2(path: &std::path::Path, on: impl Into<Compute>) -> (Vec<f32>, Vec<Vec<f3
     let images = Box::new(|i: usize| Ok(pattern(128, 96, 2.0 * i as f32)));
     let mut predictor = VideoPredictor::new(net, clip, images, VideoOptions::default()).unwrap();
     predictor.show(0, 1, &one).unwrap();
-    predictor.show(0, 2, &two).unwrap();
     let mut frames = Vec::new();
     let keep = |_, masks: &BTreeMap<u32, ObjectMask>| {
         frames.push(masks.values().flat_map(|mask| mask.logits.data().to_vec()).collect());
@@ -340,17 +338,17 @@ impl PosedClip for Wall {
     }
 
     fn image(&self, frame: usize) -> Result<RgbImage, ClipError> {
-        Ok(pattern(288, 128, 2.0 * frame as f32))
+        Ok(pattern(256, 128, 2.0 * frame as f32))
     }
 
     fn depth(&self, frame: usize) -> Result<DepthMap, ClipError> {
         let z = |x: usize, y: usize| 3.0 + 0.3 * (0.05 * x as f32 + 0.1 * frame as f32).sin() + 0.004 * y as f32;
-        Ok(Plane::from_fn(288, 128, z))
+        Ok(Plane::from_fn(256, 128, z))
     }
 
     fn camera(&self, _frame: usize) -> Result<Camera, ClipError> {
         Ok(Camera {
-            intrinsics: Intrinsics::centred(288, 128, 240.0),
+            intrinsics: Intrinsics::centred(256, 128, 240.0),
             c2w: m4_core::Se3::identity(),
         })
     }
@@ -376,16 +374,16 @@ fn points_are_followed_as_on_the_processor() {
         weights = weights.scaled_by(&name, |j| j.checked_sub(3).map_or(1.0, |j| damped(j % 48 / 3)));
     }
     weights.write_with(Some(("config", config)), &path);
-    let queries: Vec<PointQuery> = (0..12)
+    let queries: Vec<PointQuery> = (0..3)
         .map(|i| PointQuery {
-            frame: i % 3,
-            world: [0.2 * i as f64 - 1.1, 0.1 * (i % 5) as f64 - 0.2, 3.1],
+            frame: i,
+            world: [0.5 * i as f64 - 0.6, 0.1 * i as f64 - 0.2, 3.1],
         })
         .collect();
     let options = Tapip3dOptions {
         iterations: 1,
-        support_grid: 2,
-        ..Tapip3dOptions::at((288, 128))
+        support_grid: 1,
+        ..Tapip3dOptions::at((256, 128))
     };
     let steps = |on: Compute| -> [Vec<f32>; 2] {
         let net = Tapip3d::load(&path, on).unwrap();
