@@ -1,5 +1,5 @@
-//! Depth and masks on a drawn scene whose answer is known: a textured wall, a box in front of it that
-//! stands still, and another that moves.
+//! Depth and masks on a drawn scene whose answer is known: a textured wall, a static box in front of it,
+//! and a dynamic one.
 
 use m4_core::{Camera, Intrinsics, Mask, Plane, Progress, RgbImage, Se3, Silent, nalgebra::Vector3};
 use m4_geometry::classical::dense::{

@@ -81,7 +81,7 @@ impl fmt::Display for Score {
         write!(
             f,
             "{} tracks; off by {:.2} % seen, {:.2} % hidden (medians); right in {:.1} % of all frames, in {:.1} % of the {:.1} % in \
-             which the point is hidden; {:.1} % of what is said to be seen is not",
+             which the point is hidden; {:.1} % of those reported as visible are not",
             self.tracks,
             self.seen_percent,
             self.hidden_percent,

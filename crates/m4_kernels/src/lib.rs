@@ -14,6 +14,7 @@
 //! | `tile_binning` | ellipses to depth-ordered tile lists |
 //! | `blend` | tile lists to an image |
 //! | `loss` | L1 + SSIM and its gradient |
+//! | `cover` | growth of dynamic splats in front of a background that no other view shows |
 //! | `adam` | sparse parameter update |
 //! | `score` | time-weighted error per splat |
 //!
@@ -35,6 +36,7 @@
 pub mod adam;
 pub mod bench;
 pub mod blend;
+pub mod cover;
 #[cfg(feature = "gpu")]
 pub mod gpu;
 pub mod loss;

@@ -63,6 +63,7 @@ mod tests {
             time_degree: 0,
         };
         let scale = SceneScale {
+            one_centre: false,
             extent: 2.0,
             median_depth: 5.0,
             focal_px: 100.0,

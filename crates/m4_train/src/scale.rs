@@ -11,6 +11,8 @@ pub struct SceneScale {
     pub median_depth: f32,
     /// Mean focal length at full size, pixels.
     pub focal_px: f32,
+    /// All frames have the same centre of projection: a static camera, or one that only rotates.
+    pub one_centre: bool,
     /// Centres of at most 32 cameras, evenly spread.
     pub centres: Vec<[f32; 3]>,
 }
@@ -42,6 +44,7 @@ impl SceneScale {
             extent: cameras.max(0.1 * median_depth) as f32,
             median_depth: median_depth as f32,
             focal_px: (focal / n as f64) as f32,
+            one_centre: centres.windows(2).all(|pair| pair[0] == pair[1]),
             centres: centres
                 .iter()
                 .step_by(n.div_ceil(32))

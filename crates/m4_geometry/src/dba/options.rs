@@ -3,7 +3,7 @@
 use super::problem::Pinhole;
 use m4_core::Real;
 
-/// What moves.
+/// Parameters that are adjusted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Free {
     /// Poses alone.
@@ -31,7 +31,7 @@ impl Free {
 /// How a problem is adjusted. [`Default`] is the front end of docs/spec/front-end.md 1.5.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct DbaOptions {
-    /// What moves.
+    /// Parameters that are adjusted.
     pub free: Free,
     /// Gauss-Newton iterations: 2; with the focal length 4.
     pub iterations: usize,

@@ -1,4 +1,4 @@
-//! What moves, roughly, frame by frame; masks made larger and smaller by round elements, with exact distances.
+//! Coarse dynamic masks, frame by frame; masks made larger and smaller by round elements, with exact distances.
 
 use super::settings::{InstanceError, RefineSettings};
 use crate::classical::dense::{Components, to_outside};
@@ -17,7 +17,7 @@ const LEAST_AREA: f32 = 0.0015;
 pub enum Coarse<'a> {
     /// How likely each pixel is to move, 255 = certainly.
     Motion(Vec<&'a Plane<u8>>),
-    /// What moves.
+    /// Masks of dynamic pixels.
     Masks(Vec<&'a CompactMask>),
 }
 

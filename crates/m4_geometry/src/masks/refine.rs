@@ -32,7 +32,7 @@ const PHASE: &str = "tracking objects";
 pub struct RefineInput<'a> {
     /// The frames.
     pub clip: &'a dyn FrameSource,
-    /// What moves in them, roughly.
+    /// Their coarse dynamic masks.
     pub coarse: &'a Coarse<'a>,
     /// Flow by which the reading of maps of motion is checked besides their looks.
     pub flow: Option<&'a dyn FlowSource>,
@@ -41,7 +41,7 @@ pub struct RefineInput<'a> {
 /// One frame of the result, at the size at which things were followed.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct RefinedFrame {
-    /// What moves: everything that has a number, and coarse parts that nothing explains where these are kept.
+    /// Dynamic pixels: every instance, and unexplained coarse parts where these are kept.
     pub mask: CompactMask,
     /// Which thing each pixel shows, 0 for none.
     pub ids: CompactIds,

@@ -106,7 +106,7 @@ pub struct Rejected {
 /// What refinement found.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct InstanceReport {
-    /// Who followed things.
+    /// Tracking method.
     pub segmenter: String,
     /// Where the coarse masks come from: `motion` or `masks`.
     pub coarse: String,

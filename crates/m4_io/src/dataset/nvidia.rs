@@ -12,8 +12,8 @@
 //! Columns of the rotation are the camera's down, right and back in the world; in our axes (right, down, forward) they are
 //! columns 1, 0 and minus 2. The principal point is the middle. Images may be of any size; height, width and focal length shrink with
 //! them. Disparity of the network is known up to scale and shift: both are chosen for each frame so that its 0.1 and 99.9 percent
-//! quantiles are those of the bounds, which is how COLMAP's points made these (`imgs2poses.py` of Fyusion/LLFF); this is said through
-//! `progress`. Sources: `load_llff.py` of zhengqili/Neural-Scene-Flow-Fields, `dataLoader/nvidia.py` of facebookresearch/robust-dynrf.
+//! quantiles are those of the bounds, which is how COLMAP's points made these (`imgs2poses.py` of Fyusion/LLFF); `progress`
+//! reports this. Sources: `load_llff.py` of zhengqili/Neural-Scene-Flow-Fields, `dataLoader/nvidia.py` of facebookresearch/robust-dynrf.
 //!
 //! `v000_t000` is the view of the first training image: results compare only if both or neither count it.
 

@@ -2,7 +2,7 @@
 
 use super::{
     Backend, BackendError, ColourSums, DensityRound, DensityStats, FrameStore, ScoreSettings, StepSettings, StepView,
-    batch::add_touched,
+    batch::add_touched, pixels,
 };
 use crate::{
     colour_fit::add_seen,
@@ -12,6 +12,7 @@ use crate::{
 };
 use m4_core::{Capture, Column, Exposure, ShapeError, SplatLayout, Splats};
 use m4_kernels::adam::cpu::{AdamState, step as adam_step};
+use m4_kernels::cover;
 use m4_kernels::loss::cpu::{LossScratch, Target, loss};
 use m4_kernels::{FrameGradient, Gradients, Renderer, SimdLevel, StepStats, View, Wanted, morton_order};
 
@@ -203,9 +204,12 @@ impl Backend for CpuBackend<'_> {
         }
         let gradients = match views.len() {
             0 => return Ok(()),
-            1 => &self.gradients,
-            _ => &self.sum,
+            1 => &mut self.gradients,
+            _ => &mut self.sum,
         };
+        if settings.cover > 0.0 {
+            cover::cpu::add(&self.splats, gradients, settings.cover / pixels(views[0].view));
+        }
         adam_step(
             self.level,
             &mut self.splats,

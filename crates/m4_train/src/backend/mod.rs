@@ -57,11 +57,19 @@ impl<'a> StepView<'a> {
     }
 }
 
+/// Pixels of a view.
+fn pixels(view: &View) -> f32 {
+    let lens = &view.camera.intrinsics;
+    (lens.width * lens.height) as f32
+}
+
 /// What a step depends on besides splats and frames.
 #[derive(Debug, Clone, Copy)]
 pub struct StepSettings<'a> {
     /// Share of SSIM in the loss, 0..=1.
     pub lambda_ssim: f32,
+    /// Weight of [`m4_kernels::cover`], per pixel of a frame; 0 for none.
+    pub cover: f32,
     /// One learning rate per column of the splats.
     pub rates: &'a [f32],
     /// The optimiser.

@@ -27,6 +27,10 @@ pub struct TrainConfig {
     /// Weight of `1 - SSIM` beside L1. 0.2 (3DGS, Instant4D; the paper gives no value); 0.4 here (measured: +0.003
     /// SSIM on held-out views at no loss of PSNR).
     pub lambda_ssim: f32,
+    /// In a clip with one centre of projection: weight of the growth of dynamic splats, [`m4_kernels::cover`], as the least
+    /// difference in colour, 0..1, that is assumed between them and what is behind. 0 for none. 0.01 (measured: docs/geometry.md,
+    /// "Layers without parallax").
+    pub cover: f32,
     /// How fast parameters move.
     pub lr: RateConfig,
     /// The optimiser (docs/spec/optimiser.md 3). The bias of the moments is corrected by each splat's own number of steps, 0 for new ones.
@@ -76,6 +80,7 @@ impl TrainConfig {
             seed: 0,
             colour_fit_rounds: 1,
             lambda_ssim: 0.4,
+            cover: 0.01,
             lr: RateConfig::default(),
             adam: AdamConfig::default(),
             density: DensityConfig::fast(),
@@ -99,6 +104,7 @@ impl TrainConfig {
             iterations: 5000,
             colour_fit_rounds: 0,
             lambda_ssim: 0.2,
+            cover: 0.0,
             lr: RateConfig::faithful(),
             adam: AdamConfig {
                 sparse: false,
@@ -122,6 +128,7 @@ impl TrainConfig {
         let (density, lr, refine) = (&self.density, &self.lr, &self.refine);
         let shares = [
             ("loss.lambda_ssim", self.lambda_ssim),
+            ("cover", self.cover),
             ("density.until", density.until),
             ("density.error_threshold", density.error_threshold),
             ("density.budget", density.budget),

@@ -12,8 +12,8 @@ pub struct RateConfig {
     /// splat is seen in a few dozen steps (measured on held-out views: +1 to +2 dB after 500 steps, with the other rates
     /// alike; faster than this costs moving parts 0.1 to 0.2 dB in longer runs).
     pub colour: f32,
-    /// Of opacities (logit). 0.05 (3DGS): faster ones let what moves become glass that only its own camera
-    /// does not see through (measured on held-out views: -0.15 dB inside the moving parts at 0.3).
+    /// Of opacities (logit). 0.05 (3DGS): faster ones make dynamic objects translucent from every view but
+    /// the training camera's (measured on held-out views: -0.15 dB inside the moving parts at 0.3).
     pub opacity: f32,
     /// Of scales (logarithm). 0.005 (3DGS); 0.03 here, as for colours.
     pub scale: f32,

@@ -3,7 +3,7 @@
 //! A mask knows things that move; their shadows fall on things that do not. A pixel of standing
 //! surface is compared with the mean colour of its voxel over all frames; where a whole patch of the
 //! frame is darker or brighter than that mean, thin dark or bright splats are laid over the surface for
-//! the time of the frame. They tint what stands there instead of repainting it, so few suffice.
+//! the time of the frame. They tint the surface instead of repainting it, so few suffice.
 
 use crate::init::{
     InitConfig,

@@ -54,6 +54,7 @@ impl Trainer<'_> {
             .collect();
         let settings = StepSettings {
             lambda_ssim: self.config.lambda_ssim,
+            cover: if self.scale.one_centre { self.config.cover } else { 0.0 },
             rates: &lr,
             adam: self.config.adam,
             psnr: (i + 1).is_multiple_of(self.config.metrics_every) || i + 1 == n,

@@ -117,6 +117,7 @@ fn a_batched_step_matches_the_cpu() {
     let views = [(image(0), view), (image(2), late), (image(1), View { t: 0.5, ..view })];
     let settings = StepSettings {
         lambda_ssim: LAMBDA,
+        cover: 0.0,
         rates: &rates,
         adam: AdamConfig::default(),
         psnr: true,
@@ -172,6 +173,7 @@ fn missing_frames_are_errors() {
     let rates = vec![0.0; LAYOUT.columns()];
     let settings = StepSettings {
         lambda_ssim: LAMBDA,
+        cover: 0.0,
         rates: &rates,
         adam: AdamConfig::default(),
         psnr: true,

@@ -23,6 +23,7 @@ fn step(trainer: &mut GpuTrainer, view: &View) {
     let rates = vec![1e-3; trainer.download_splats().unwrap().layout().columns()];
     let settings = StepSettings {
         lambda_ssim: LAMBDA,
+        cover: 0.0,
         rates: &rates,
         adam: AdamConfig::default(),
         psnr: true,
@@ -135,6 +136,7 @@ fn densify_and_prune_match_the_cpu() {
                 .collect(),
         );
         let lengths = SceneScale {
+            one_centre: false,
             extent: usual,
             median_depth: 1.0,
             focal_px: 60.0,
@@ -208,6 +210,7 @@ fn a_set_of_splats_is_never_emptied_and_no_rule_changes_nothing() {
     let (mut trainer, views) = trainer(gpu, false);
     let before = trainer.download().unwrap();
     let lengths = SceneScale {
+        one_centre: false,
         extent: 1.0,
         median_depth: 1.0,
         focal_px: 60.0,

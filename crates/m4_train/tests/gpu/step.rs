@@ -5,6 +5,7 @@ use m4_core::{SplatLayout, Splats};
 use m4_kernels::{
     FrameGradient, Gradients, Renderer, SimdLevel, View, Wanted,
     adam::cpu::{AdamConfig, AdamState, step},
+    cover,
     loss::cpu::{LossScratch, Target, loss},
 };
 use m4_testkit::{SceneSpec, assert_gradient, random_camera, random_splats};
@@ -18,6 +19,8 @@ pub const LAYOUT: SplatLayout = SplatLayout {
 };
 pub const SIZE: (usize, usize) = (75, 50);
 pub const LAMBDA: f32 = 0.4;
+/// Large enough to change many steps.
+const COVER: f32 = 0.5;
 
 pub fn image(shift: usize) -> Target {
     let plane = |value: fn(usize, usize, usize) -> usize| -> Vec<u8> {
@@ -84,6 +87,7 @@ fn on_the_cpu(frames: &[Target], config: &AdamConfig, rates: &[f32], steps: usiz
         psnr = shown(&drawn.rgb, target);
         renderer.backward(&splats, &out, Wanted::default(), &mut gradients);
         touched += gradients.touched.iter().filter(|&&t| t == 1).count() as f64 / steps as f64;
+        cover::cpu::add(&splats, &mut gradients, COVER / (SIZE.0 * SIZE.1) as f32);
         step(SimdLevel::best(), &mut splats, &gradients, &mut adam, config, rates);
     }
     Host {
@@ -125,6 +129,7 @@ fn steps_are_those_of_the_cpu() {
         let mut trainer = GpuTrainer::new(gpu.clone(), &splats, &AdamState::new(&splats), &frames, 0).unwrap();
         let settings = StepSettings {
             lambda_ssim: LAMBDA,
+            cover: COVER,
             rates: &rates,
             adam: config,
             psnr: true,
@@ -181,6 +186,7 @@ fn splats_may_be_replaced() {
     let rates = vec![0.0; LAYOUT.columns()];
     let settings = StepSettings {
         lambda_ssim: LAMBDA,
+        cover: 0.0,
         rates: &rates,
         adam: AdamConfig::default(),
         psnr: true,
@@ -208,6 +214,7 @@ fn non_finite_parameters_are_reported() {
     rates[4] = f32::INFINITY;
     let settings = StepSettings {
         lambda_ssim: LAMBDA,
+        cover: 0.0,
         rates: &rates,
         adam: AdamConfig::default(),
         psnr: true,

@@ -3,7 +3,7 @@
 use m4_geometry::masks::RefineSettings;
 use serde::{Deserialize, Serialize};
 
-/// Who follows points of what moves.
+/// Tracking method of dynamic points.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Tracker {

@@ -139,16 +139,16 @@ pub fn make(input: &Path, capture: &Path, job: &Job<'_>) -> Result<GeometryRecor
     Ok(folder.record)
 }
 
-/// Who measures flow, and what the user knows already. Files are hashed with the input: another content is another
+/// Methods of the geometry stage, and what the user knows already. Files are hashed with the input: another content is another
 /// result.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct GeometryOptions {
-    /// Who measures flow.
+    /// Front end.
     pub frontend: Frontend,
-    /// Who outlines what moves.
+    /// Segmentation method.
     pub segmenter: Segmenter,
-    /// Who follows points of it.
+    /// Tracking method.
     pub tracker: Tracker,
     /// The lens: `fx,fy,cx,cy` in pixels of the frames (principal point from the image's corner), or a JSON file with
     /// `fl_x`, `fl_y`, `cx`, `cy`, `w`, `h`.

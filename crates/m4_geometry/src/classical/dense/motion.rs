@@ -1,4 +1,4 @@
-//! What moves: flow that the camera and the depth do not explain.
+//! Finds dynamic pixels: flow that the camera and the depth do not explain.
 
 use super::background::Background;
 use super::components::clean;

@@ -41,7 +41,7 @@ pub(super) struct Clip<'a> {
     pub progress: &'a dyn Progress,
 }
 
-/// What moves, and depth as if nothing did.
+/// Dynamic masks, and depth as if everything were static.
 pub(super) struct MotionSegmentation {
     pub moving: Masks,
     pub measured: Vec<Measured>,

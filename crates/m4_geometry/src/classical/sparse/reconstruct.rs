@@ -213,7 +213,7 @@ impl Clip<'_> {
             return self.turning(&focals, &sway);
         }
         let zoom = self.zoom(&focals)?;
-        // What is said about a walk that is none would mislead.
+        // Warnings about a translation that does not exist would mislead.
         self.quiet = zoom.is_some();
         self.limits.adapt(&sway, self.size.width);
         let moving = self.moving(&focals, sway.focal)?;

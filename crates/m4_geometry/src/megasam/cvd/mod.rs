@@ -11,7 +11,7 @@
 //! docs/spec/front-end.md 1.7, after MegaSaM (Li et al. 2024, section 3.3 and the released program). A
 //! pair of frames i, j with flow: pixel p of i lands at q = p + flow in j; d_i(p) and the poses say where it should land and
 //! how deep it should be there. The loss compares both, each times u_i(p), the pixel's certainty, which is learned
-//! along: `error u + 0.25 log(1/u)`. What moves gets a low u and keeps its initial shape.
+//! along: `error u + 0.25 log(1/u)`. Dynamic regions get a low u and keep their initial shape.
 //!
 //! - [`mod@reference`]: every loss term and its gradients, generic over f32 and f64: the definition.
 //! - `fast`: the same in f32, fused, in vectors and threads; the same bits on any number of threads.

@@ -61,6 +61,7 @@ impl Bench {
     pub fn step(&mut self, view: usize) -> Result<(), GpuError> {
         let settings = StepSettings {
             lambda_ssim: LAMBDA_SSIM,
+            cover: 0.0,
             rates: &self.rates,
             adam: AdamConfig::default(),
             psnr: false,

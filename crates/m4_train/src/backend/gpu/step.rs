@@ -1,9 +1,9 @@
 //! Whole training steps on the device.
 
 use super::GpuTrainer;
-use crate::backend::{StepSettings, StepView};
+use crate::backend::{StepSettings, StepView, pixels};
 use m4_core::ShapeError;
-use m4_kernels::{View, adam::gpu::step, gpu::GpuError};
+use m4_kernels::{View, adam::gpu::step, cover, gpu::GpuError};
 
 impl GpuTrainer {
     /// Renders each view, compares it with its frame, and moves every splat that was seen along the sum of the gradients; nothing for no
@@ -28,8 +28,8 @@ impl GpuTrainer {
         if views.len() > 1 {
             self.swap_sum();
         }
-        if !views.is_empty() {
-            self.move_splats(settings);
+        if let Some(first) = views.first() {
+            self.move_splats(settings, settings.cover / pixels(first.view));
         }
         Ok(())
     }
@@ -65,8 +65,13 @@ impl GpuTrainer {
         Ok(())
     }
 
-    fn move_splats(&self, settings: &StepSettings<'_>) {
+    /// Moves every splat that was seen; `weight` is that of [`cover`].
+    fn move_splats(&self, settings: &StepSettings<'_>, weight: f32) {
         self.tally.step(&self.gpu, &self.work.touched, self.splats.n);
+        if weight > 0.0 {
+            let (splats, gradients) = (&self.splats, &self.gradients);
+            cover::gpu::add(&self.gpu, splats, gradients, &self.work.touched, weight);
+        }
         step(
             &self.gpu,
             &self.splats,

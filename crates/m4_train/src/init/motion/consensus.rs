@@ -201,7 +201,7 @@ mod tests {
             off.fold(0.0, f32::max)
         };
         assert!(worst(&|p| truth.apply(p), &adopted) < 0.03);
-        // the outer third really stands still: it keeps its own motion
+        // the outer third is static: it keeps its own motion
         let real = |p: [f32; 3]| if p[0] < 1.4 { truth.apply(p) } else { p };
         let residual = |i: usize, m: &Rigid| Some((distance(m.apply(points[i]), real(points[i])) / 0.1).powi(2));
         let adopted = consensus.adopt(&motion, &near(&points), 20, residual);

@@ -265,7 +265,7 @@ mod tests {
         }
         assert!(
             here.follow(&there, place(10.0, 20.0), &still(10.0, 20.0)).is_none(),
-            "it stands still"
+            "a static pixel"
         );
         assert!(
             here.follow(&there, place(1.0, 20.0), &still(1.0, 20.0)).is_none(),

@@ -109,7 +109,7 @@ impl MonoDepth for SensorDepth {
     }
 }
 
-/// What stands for an aligned disparity against one on which all partners agree, where nothing was measured.
+/// Weight of an aligned disparity relative to one on which all partners agree, where nothing was measured.
 const PRIOR_WEIGHT: f32 = 0.3;
 /// Confidence from which on a measured disparity takes part in an alignment.
 const SURE: f32 = 0.5;

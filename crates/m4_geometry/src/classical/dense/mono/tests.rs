@@ -86,7 +86,7 @@ fn relative_depth_is_aligned_within_two_per_cent_whatever_its_kind() {
             assert!((with.disparity[below] / disparity(below) - 1.0).abs() < 0.02);
             assert!(with.confidence[below] > 0.0 && with.confidence[25 * W + 3] == 0.0);
             assert_eq!(with.disparity[above], measured.disparity[above]);
-            // What moves gets its own depth; the rest stays.
+            // Dynamic regions get their own depth; the rest stays.
             let background = vec![0.3; W * H];
             let mut out = background.clone();
             mono.place_moving(

@@ -6,7 +6,7 @@
 //!
 //! Motion finds dynamic regions but not their outline: flow is smooth across edges, a background model has the colours of the neighbours, and what lies
 //! still between two legs looks like the legs. A network that knows what things look like has the outline but does not know
-//! what moves. Prompts as in Kirillov et al., "Segment Anything" (2023): a box, points and the logits of an earlier mask.
+//! which objects are dynamic. Prompts as in Kirillov et al., "Segment Anything" (2023): a box, points and the logits of an earlier mask.
 //! What prompts contain and which answers are taken was measured with MobileSAM: docs/geometry.md.
 
 mod distance;

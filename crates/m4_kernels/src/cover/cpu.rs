@@ -1,0 +1,81 @@
+//! The version of the product: a few operations per splat, in parallel over rows.
+
+use super::reference::gradient;
+use crate::Gradients;
+use m4_core::{Column, Splats};
+use rayon::prelude::*;
+
+/// Rows of a task.
+const CHUNK_ROWS: usize = 8192;
+
+/// Adds the gradient of the dynamic splats that `gradients` touch, with this `weight`.
+///
+/// # Panics
+///
+/// If `gradients` are not those of `splats`.
+pub fn add(splats: &Splats, gradients: &mut Gradients, weight: f32) {
+    let n_static = splats.n_static();
+    let opacity = &splats.column(Column::Opacity, 0)[n_static..];
+    let touched = &gradients.touched[n_static..];
+    for column in &mut gradients.columns[splats.layout().range(Column::LogScale)] {
+        column[n_static..]
+            .par_chunks_mut(CHUNK_ROWS)
+            .zip(opacity.par_chunks(CHUNK_ROWS).zip(touched.par_chunks(CHUNK_ROWS)))
+            .for_each(|(column, (opacity, touched))| {
+                for ((g, &logit), &touched) in column.iter_mut().zip(opacity).zip(touched) {
+                    if touched != 0 {
+                        *g += gradient(logit, weight);
+                    }
+                }
+            });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::add;
+    use crate::Gradients;
+    use crate::cover::reference::gradient;
+    use m4_core::{Column, SplatLayout, Splats};
+
+    #[test]
+    fn opaque_dynamic_splats_that_were_touched_grow() {
+        for isotropic in [false, true] {
+            let layout = SplatLayout {
+                isotropic,
+                sh_degree: 0,
+                time_degree: 0,
+            };
+            let mut splats = Splats::zeros(layout, 1, 3);
+            // opacities 0.95, 0.05, 0.95
+            splats
+                .column_mut(Column::Opacity, 0)
+                .copy_from_slice(&[3.0, 3.0, -3.0, 3.0]);
+            let mut gradients = Gradients {
+                columns: splats.columns().iter().map(|c| vec![0.5; c.len()]).collect(),
+                touched: vec![1, 1, 1, 0],
+                ..Gradients::default()
+            };
+            let before = gradients.columns.clone();
+            add(&splats, &mut gradients, 0.01);
+            let scales = layout.range(Column::LogScale);
+            for (c, (now, before)) in gradients.columns.iter().zip(&before).enumerate() {
+                if scales.contains(&c) {
+                    let want = 0.5 + gradient(3.0, 0.01) as f32;
+                    assert!((now[1] - want).abs() < 1e-7 && (want - 0.490_474).abs() < 1e-5);
+                    assert_eq!([now[0], now[2], now[3]], [0.5; 3], "column {c}");
+                } else {
+                    assert_eq!(now, before, "column {c}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn the_gradient_is_that_of_the_loss() {
+        // opacity held fixed: the loss is linear in the logarithms
+        let loss = |log_sd: f64| -0.3 * (1.0 / (1.0 + (-1.2f64).exp())) * log_sd;
+        let difference = (loss(1.0 + 1e-3) - loss(1.0 - 1e-3)) / 2e-3;
+        assert!((gradient(1.2f64, 0.3) - difference).abs() < 1e-12);
+    }
+}
