@@ -223,40 +223,6 @@ mod tests {
         }
     }
 
-    /// Six blades of different colours, which rotate by more than half of the angle between them.
-    #[test]
-    fn tips_of_blades_that_rotate_fast_are_followed() {
-        let mut rng = CounterRng::new(8, 0, 0);
-        let mut still = Centroids::default();
-        for i in 0..2400 {
-            let (blade, along) = (i % 6, 0.1 + 0.9 * rng.uniform() as f32);
-            let (across, angle) = (
-                0.3 * (rng.uniform() as f32 - 0.5),
-                blade as f32 * std::f32::consts::FRAC_PI_3,
-            );
-            let (sin, cos) = angle.sin_cos();
-            still
-                .xyz
-                .push([cos * along - sin * across, sin * along + cos * across, 0.0]);
-            let shade = 0.15 * (12.0 * along).sin() * (15.0 * across).cos();
-            still
-                .rgb
-                .push([0, 1, 2].map(|k| 0.5 + shade + 0.3 * ((blade * (k + 1)) as f32).sin()));
-            still.edge.push(0.05);
-        }
-        let rotation = UnitQuaternion::from_scaled_axis(Vector3::new(0.0, 0.0, 0.58));
-        let at = |t: i32| moved(&still, |p| (rotation.powf(t as f32) * Vector3::from(p)).into());
-        let clouds: Vec<_> = (0..3).map(at).collect();
-        let found = between(&clouds, &|_| true);
-        for (i, fields) in found.iter().enumerate() {
-            let ends = fields.forward.places(&clouds[i].xyz);
-            let tips = (0..2400).filter(|&k| Vector3::from(still.xyz[k]).norm() > 0.8);
-            let off: Vec<f32> = tips.map(|k| distance(ends[k], clouds[i + 1].xyz[k])).collect();
-            let lost = off.iter().filter(|off| **off > 0.1).count();
-            assert!(lost < off.len() / 20, "{lost} of {} tips from {i}", off.len());
-        }
-    }
-
     /// Half of the cloud leaves the image: what is left must not be pulled back to the border.
     #[test]
     fn points_that_leave_the_image_follow_their_neighbours() {

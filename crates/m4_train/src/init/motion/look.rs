@@ -1,10 +1,6 @@
 //! The representation of a frame for patch tracking.
 
-use super::rigid::Rigid;
-use m4_core::{
-    Camera, CaptureFrame, DepthMap, Plane,
-    nalgebra::{Matrix2, Vector2},
-};
+use m4_core::{Camera, CaptureFrame, DepthMap, Plane};
 
 /// Half the side of a patch, pixels.
 const RADIUS: i32 = 3;
@@ -39,40 +35,6 @@ struct Texel {
     slope: [f64; 2],
 }
 
-/// Derivative of the place in the other image by the place in this one.
-struct Warp(Matrix2<f64>);
-
-impl Warp {
-    /// From its columns; `None` where a patch would shrink or grow to less than a quarter or more than four times its area, or is seen from behind.
-    fn new(x: [f64; 2], y: [f64; 2]) -> Option<Self> {
-        let warp = Matrix2::from_columns(&[x.into(), y.into()]);
-        (0.25..=4.0).contains(&warp.determinant()).then_some(Self(warp))
-    }
-
-    /// How much larger the box around a patch becomes.
-    fn scale(&self) -> f64 {
-        let row = |k: usize| self.0[(k, 0)].abs() + self.0[(k, 1)].abs();
-        row(0).max(row(1))
-    }
-
-    /// The texel with its offset and slope in the other image.
-    fn apply(&self, texel: Texel) -> Texel {
-        let Self(m) = self;
-        let d = m * Vector2::from(texel.d);
-        // the transposed inverse, times the slope
-        let [a, b] = texel.slope;
-        let determinant = m.determinant();
-        Texel {
-            d: d.into(),
-            slope: [
-                (m.m22 * a - m.m21 * b) / determinant,
-                (m.m11 * b - m.m12 * a) / determinant,
-            ],
-            ..texel
-        }
-    }
-}
-
 impl Look {
     /// `None` without depth or mask: then nothing moves there.
     pub fn new(frame: &CaptureFrame) -> Option<Self> {
@@ -96,10 +58,10 @@ impl Look {
         })
     }
 
-    /// Whether a whole patch around the place, stretched by `scale`, and its slopes are in the image.
-    fn holds(&self, [u, v]: [f64; 2], scale: f64) -> bool {
+    /// Whether a whole patch around the place, and its slopes, are in the image.
+    fn holds(&self, [u, v]: [f64; 2]) -> bool {
         let (w, h) = self.depth.size();
-        let r = scale * f64::from(RADIUS) + 1.0;
+        let r = f64::from(RADIUS) + 1.0;
         u >= r && v >= r && u + r + 1.0 < w as f64 && v + r + 1.0 < h as f64
     }
 
@@ -135,28 +97,18 @@ impl Look {
         out
     }
 
-    /// Where `p`, a point that this frame sees, is in the frame `to`, which is expected to see it moved by `motion`; and
+    /// Where `p`, a point that this frame sees, is in the frame `to`, which is expected to see it at `guess`; and
     /// how much that can be trusted, 0..1. World units. `None` where it is not seen or has nothing to follow.
     ///
-    /// The patch around `p`, as `motion` rotates and stretches it, is followed by the method of Lucas and Kanade (1981) in its inverse form, moving pixels
+    /// The patch around `p` is followed by the method of Lucas and Kanade (1981) in its inverse form, moving pixels
     /// alone, all three colours; the depth map of `to` says how far away it is.
-    pub fn follow(&self, to: &Self, p: [f32; 3], motion: &Rigid) -> Option<([f32; 3], f32)> {
+    pub fn follow(&self, to: &Self, p: [f32; 3], guess: [f32; 3]) -> Option<([f32; 3], f32)> {
         let (here, z) = self.camera.project(&p.map(f64::from).into());
-        let moved = |p: [f32; 3]| to.camera.project(&motion.apply(p).map(f64::from).into());
-        let (start, expected) = moved(p);
-        if z <= 0.0 || expected <= 0.0 || !self.holds(here, 1.0) {
+        let (start, expected) = to.camera.project(&guess.map(f64::from).into());
+        if z <= 0.0 || expected <= 0.0 || !self.holds(here) || !to.holds(start) {
             return None;
         }
-        let beside = |u: f64, v: f64| {
-            let p = self.camera.unproject(here[0] + u, here[1] + v, z);
-            let ([u, v], _) = moved([p.x as f32, p.y as f32, p.z as f32]);
-            [u - start[0], v - start[1]]
-        };
-        let warp = Warp::new(beside(1.0, 0.0), beside(0.0, 1.0))?;
-        if !to.holds(start, warp.scale()) {
-            return None;
-        }
-        let patch: Vec<Texel> = self.patch(here).into_iter().map(|t| warp.apply(t)).collect();
+        let patch = self.patch(here);
         if patch.len() < LEAST {
             return None;
         }
@@ -181,7 +133,7 @@ impl Look {
             rest = squares / n;
             at[0] += (d * b[0] - xy * b[1]) / determinant;
             at[1] += (a * b[1] - xy * b[0]) / determinant;
-            if (at[0] - start[0]).hypot(at[1] - start[1]) > FARTHEST_PX || !to.holds(at, warp.scale()) {
+            if (at[0] - start[0]).hypot(at[1] - start[1]) > FARTHEST_PX || !to.holds(at) {
                 return None;
             }
         }
@@ -211,19 +163,10 @@ fn smooth(plane: &Plane<f32>) -> Plane<f32> {
 #[cfg(test)]
 mod tests {
     use super::Look;
-    use crate::init::motion::Rigid;
-    use m4_core::{
-        Camera, CaptureFrame, CompactMask, Intrinsics, Plane, Se3,
-        nalgebra::{UnitQuaternion, Vector3},
-    };
+    use m4_core::{Camera, CaptureFrame, CompactMask, Intrinsics, Plane, Se3};
 
     /// A textured wall at depth 2 that moves by `shift` pixels; the left third is static.
     fn frame(shift: [f64; 2], flat: bool) -> CaptureFrame {
-        moved(flat, |x, y| [x - shift[0], y - shift[1]])
-    }
-
-    /// The wall, of which place `from(x, y)` is at pixel (x, y).
-    fn moved(flat: bool, from: impl Fn(f64, f64) -> [f64; 2]) -> CaptureFrame {
         let texture = |x: f64, y: f64| match flat {
             true => 0.5,
             false => 0.5 + 0.2 * (0.6 * x).sin() + 0.2 * (0.5 * y + 0.2 * x).cos(),
@@ -236,8 +179,7 @@ mod tests {
             },
             t: 0.0,
             rgb: Plane::from_fn(60, 40, |x, y| {
-                let [x, y] = from(x as f64, y as f64);
-                let v = texture(x, y);
+                let v = texture(x as f64 - shift[0], y as f64 - shift[1]);
                 [v, 0.8 * v, 1.0 - v].map(|v| (255.0 * v).round() as u8)
             }),
             depth: Some(Plane::filled(60, 40, 2.0).into()),
@@ -256,68 +198,28 @@ mod tests {
             let p = a.camera.unproject(x, y, 2.0);
             [p.x as f32, p.y as f32, p.z as f32]
         };
-        let still = |x: f64, y: f64| Rigid::shift(place(x, y), place(x, y));
         for (x, y) in [(30.0, 20.0), (41.0, 15.0), (36.5, 25.0)] {
-            let (q, trust) = here.follow(&there, place(x, y), &still(x, y)).unwrap();
+            let (q, trust) = here.follow(&there, place(x, y), place(x, y)).unwrap();
             let ([u, v], z) = b.camera.project(&q.map(f64::from).into());
             assert!((u - x - 1.3).hypot(v - y + 0.7) < 0.1, "({x}, {y}) went to ({u}, {v})");
             assert!((z - 2.0).abs() < 1e-5 && trust > 0.5);
         }
         assert!(
-            here.follow(&there, place(10.0, 20.0), &still(10.0, 20.0)).is_none(),
+            here.follow(&there, place(10.0, 20.0), place(10.0, 20.0)).is_none(),
             "a static pixel"
         );
         assert!(
-            here.follow(&there, place(1.0, 20.0), &still(1.0, 20.0)).is_none(),
+            here.follow(&there, place(1.0, 20.0), place(1.0, 20.0)).is_none(),
             "at the border"
         );
         assert!(
-            here.follow(
-                &there,
-                place(30.0, 20.0),
-                &Rigid::shift(place(30.0, 20.0), place(90.0, 20.0))
-            )
-            .is_none(),
+            here.follow(&there, place(30.0, 20.0), place(90.0, 20.0)).is_none(),
             "outside"
         );
         assert!(
-            here.follow(
-                &there,
-                place(30.0, 20.0),
-                &Rigid::shift(place(30.0, 20.0), [0.0, 0.0, -1.0])
-            )
-            .is_none(),
+            here.follow(&there, place(30.0, 20.0), [0.0, 0.0, -1.0]).is_none(),
             "behind"
         );
-    }
-
-    /// The wall rotates by a third of a radian around the middle of the image, and the guess is a pixel off.
-    #[test]
-    fn a_patch_that_rotates_is_followed() {
-        let (sin, cos) = 0.33f64.sin_cos();
-        let b = moved(false, |x, y| {
-            let (x, y) = (x - 30.0, y - 20.0);
-            [30.0 + cos * x + sin * y, 20.0 - sin * x + cos * y]
-        });
-        let a = frame([0.0; 2], false);
-        let (here, there) = (Look::new(&a).unwrap(), Look::new(&b).unwrap());
-        let place = |x: f64, y: f64| {
-            let p = a.camera.unproject(x, y, 2.0);
-            Vector3::new(p.x as f32, p.y as f32, p.z as f32)
-        };
-        let guess = Rigid {
-            rotation: UnitQuaternion::from_scaled_axis(Vector3::z() * 0.33),
-            from: place(30.0, 20.0),
-            to: place(31.0, 20.0),
-        };
-        for (x, y) in [(30.0, 20.0), (38.0, 17.0), (45.0, 26.0)] {
-            let (q, trust) = here.follow(&there, place(x, y).into(), &guess).unwrap();
-            let ([u, v], _) = b.camera.project(&q.map(f64::from).into());
-            let (x, y) = (x - 30.0, y - 20.0);
-            let (x, y) = (30.0 + cos * x - sin * y, 20.0 + sin * x + cos * y);
-            assert!((u - x).hypot(v - y) < 0.15, "({x}, {y}): ({u}, {v})");
-            assert!(trust > 0.5, "{trust}");
-        }
     }
 
     #[test]
@@ -325,7 +227,7 @@ mod tests {
         let a = Look::new(&frame([0.0; 2], true)).unwrap();
         let p = a.camera.unproject(40.0, 20.0, 2.0);
         let p = [p.x as f32, p.y as f32, p.z as f32];
-        assert!(a.follow(&a, p, &Rigid::shift(p, p)).unwrap().1 < 1e-3);
+        assert!(a.follow(&a, p, p).unwrap().1 < 1e-3);
         let without = CaptureFrame {
             mask: None,
             ..frame([0.0; 2], true)

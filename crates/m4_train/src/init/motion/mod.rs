@@ -4,12 +4,10 @@
 //! register (two keyframes -> a rigid motion around each point) -> field (motion at any place)
 //! follow (what tracks of the capture say, where there are any)
 //! look (their images -> where patches went)
-//! consensus (the motion that most of an object agrees on)
 //! bodies (what hangs together moves together, seen or not)
 //! ```
 
 mod bodies;
-mod consensus;
 mod field;
 mod follow;
 mod look;

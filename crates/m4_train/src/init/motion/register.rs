@@ -1,7 +1,5 @@
 //! Registers the dynamic points of two keyframes.
 
-use super::bodies::bodies;
-use super::consensus::Consensus;
 use super::follow::Follow;
 use super::look::Look;
 use super::rigid::Rigid;
@@ -51,8 +49,6 @@ fn joint(p: [f32; 3], rgb: [f32; 3], by: &Registration) -> [f32; 6] {
     [p[0] * a, p[1] * a, p[2] * a, rgb[0] * b, rgb[1] * b, rgb[2] * b]
 }
 
-/// Residuals above this are no worse than this: two reaches, or twice the colour scale.
-const MOST_RESIDUAL: f32 = 4.0;
 /// How many more points move together in the first rounds than in the last.
 const FIRST: usize = 8;
 
@@ -74,8 +70,7 @@ pub(crate) struct View<'a> {
 /// Each round matches every displaced node to the nearest point of `to` in place and colour; then the motion of
 /// a node is the rigid one that fits what the matches of its neighbours ask for, matches of unlike colour or far
 /// away weighing little, and nodes that go where they cannot be seen nothing at all. Neighbourhoods shrink from
-/// round to round: large pieces first, then their parts. Then nodes near tracks follow them, `follow`, and
-/// every node may take over the motion that most of its object agrees on ([`Consensus`]); in the last
+/// round to round: large pieces first, then their parts. Then tracks have their word, `follow`, on nodes that are near any; in the last
 /// rounds the images, `looks`, say where nodes went, which is exact to a fraction of a pixel.
 pub(crate) fn register(
     from: &View<'_>,
@@ -107,17 +102,14 @@ pub(crate) fn register(
             found.into_iter().map(|n| n.item).collect()
         })
         .collect();
-    let matched = |place: [f32; 3], rgb: [f32; 3]| {
-        (to.sees)(place).then(|| {
-            tree.query(&joint(place, rgb, by))
-                .nearest_one::<SquaredEuclidean<f32>>()
-                .execute()
-        })
-    };
     for round in 0..by.rounds {
-        let wanted = wanted(nodes, &motion, |p, m, rgb| {
-            let n = matched(m.apply(p), rgb)?;
-            Some((to.points.xyz[n.item as usize], 1.0 / (1.0 + n.distance).powi(2)))
+        let wanted = wanted(nodes, &motion, |_, place, rgb| {
+            let n = tree
+                .query(&joint(place, rgb, by))
+                .nearest_one::<SquaredEuclidean<f32>>()
+                .execute();
+            let match_ = to.points.xyz[n.item as usize];
+            (to.sees)(place).then(|| (match_, 1.0 / (1.0 + n.distance).powi(2)))
         });
         // from FIRST to 1 in the first two thirds of the rounds
         let left = 1.0 - (1.5 * round as f32 / by.rounds as f32).min(1.0);
@@ -128,32 +120,27 @@ pub(crate) fn register(
         let wanted = wanted(nodes, &motion, |p, _, _| follow.ask(p));
         motion = fitted(nodes, &motion, &near, &wanted, by.neighbours);
     }
-    let body = bodies(nodes.xyz.iter().copied(), by.reach);
-    let consensus = Consensus::of(&nodes.xyz, &motion, body, by.reach, 2 * by.neighbours);
-    motion = consensus.adopt(&motion, &near, by.neighbours, |i, m| {
-        matched(m.apply(nodes.xyz[i]), nodes.rgb[i]).map(|n| n.distance.min(MOST_RESIDUAL))
-    });
     if let Some([here, there]) = looks {
         for _ in 0..by.picture_rounds {
-            let wanted = wanted(nodes, &motion, |p, m, _| here.follow(there, p, m));
+            let wanted = wanted(nodes, &motion, |p, place, _| here.follow(there, p, place));
             motion = fitted(nodes, &motion, &near, &wanted, by.neighbours);
         }
     }
     motion
 }
 
-/// Where each node should go and how much that weighs, by `ask(node, its motion so far, its colour)`.
+/// Where each node should go and how much that weighs, by `ask(node, its place so far, its colour)`.
 fn wanted(
     nodes: &Centroids,
     motion: &[Rigid],
-    ask: impl Fn([f32; 3], &Rigid, [f32; 3]) -> Option<([f32; 3], f32)> + Sync,
+    ask: impl Fn([f32; 3], [f32; 3], [f32; 3]) -> Option<([f32; 3], f32)> + Sync,
 ) -> Vec<(Vector3<f32>, f32)> {
     nodes
         .xyz
         .par_iter()
         .zip(&nodes.rgb)
         .zip(motion)
-        .map(|((p, rgb), m)| match ask(*p, m, *rgb) {
+        .map(|((p, rgb), m)| match ask(*p, m.apply(*p), *rgb) {
             Some((q, weight)) => (q.into(), weight),
             None => (Vector3::zeros(), 0.0),
         })
