@@ -71,19 +71,12 @@ pub fn from_metadata(metadata: &serde_json::Value) -> Result<Actual> {
         }
         arrows.normal.entry(name.clone()).or_default();
         arrows.dev.entry(name.clone()).or_default();
-        for dependency in package["dependencies"]
-            .as_array()
-            .context("a package without dependencies")?
-        {
+        for dependency in package["dependencies"].as_array().context("a package without dependencies")? {
             let to = text(&dependency["name"]).context("a dependency without a name")?;
             if !names.contains(&to) {
                 continue;
             }
-            let kind = if dependency["kind"] == "dev" {
-                &mut arrows.dev
-            } else {
-                &mut arrows.normal
-            };
+            let kind = if dependency["kind"] == "dev" { &mut arrows.dev } else { &mut arrows.normal };
             kind.entry(name.clone()).or_default().insert(to);
         }
     }
@@ -100,9 +93,7 @@ pub fn from_metadata(metadata: &serde_json::Value) -> Result<Actual> {
 pub fn allowed(markdown: &str, crates: &BTreeSet<String>) -> Arrows {
     let crate_of = |word: &str| {
         let prefixed = format!("m4_{word}");
-        [word.to_owned(), prefixed]
-            .into_iter()
-            .find(|name| crates.contains(name))
+        [word.to_owned(), prefixed].into_iter().find(|name| crates.contains(name))
     };
     let mut arrows = Arrows::new();
     let mut in_table = false;
@@ -128,10 +119,7 @@ pub fn allowed(markdown: &str, crates: &BTreeSet<String>) -> Arrows {
         if words[..but].contains(&"all") {
             let except = named(&words[but..]);
             to.extend(
-                crates
-                    .iter()
-                    .filter(|&c| *c != name && !except.contains(c) && !c.starts_with("minute4d"))
-                    .cloned(),
+                crates.iter().filter(|&c| *c != name && !except.contains(c) && !c.starts_with("minute4d")).cloned(),
             );
         }
         arrows.entry(name).or_default().extend(to);
@@ -154,17 +142,13 @@ pub fn violations(actual: &Actual, allowed: &Arrows) -> Vec<String> {
             for to in targets {
                 let testing = kind == "dev-" && for_tests(from, to);
                 if !testing && !may.contains(to) {
-                    found.push(format!(
-                        "{from} has a {kind}dependency on {to}, which ARCHITECTURE.md does not allow"
-                    ));
+                    found.push(format!("{from} has a {kind}dependency on {to}, which ARCHITECTURE.md does not allow"));
                 }
             }
         }
     }
     for name in allowed.keys().filter(|name| !actual.normal.contains_key(*name)) {
-        found.push(format!(
-            "ARCHITECTURE.md has a row for {name}, which is not a crate of this workspace"
-        ));
+        found.push(format!("ARCHITECTURE.md has a row for {name}, which is not a crate of this workspace"));
     }
     found
 }
@@ -180,9 +164,5 @@ pub fn check(root: &Path) -> Result<()> {
     let actual = actual(root)?;
     let crates = actual.normal.keys().cloned().collect();
     let found = violations(&actual, &allowed(&markdown, &crates));
-    if found.is_empty() {
-        Ok(())
-    } else {
-        bail!("{}", found.join("\n"))
-    }
+    if found.is_empty() { Ok(()) } else { bail!("{}", found.join("\n")) }
 }

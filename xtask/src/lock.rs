@@ -30,9 +30,5 @@ pub fn check(root: &Path) -> Result<()> {
     let path = root.join("Cargo.lock");
     let lock = std::fs::read_to_string(&path).with_context(|| format!("cannot read {}", path.display()))?;
     let found = git_sources(&lock);
-    if found.is_empty() {
-        Ok(())
-    } else {
-        bail!("packages from git:\n{}", found.join("\n"))
-    }
+    if found.is_empty() { Ok(()) } else { bail!("packages from git:\n{}", found.join("\n")) }
 }

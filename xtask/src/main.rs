@@ -1,10 +1,6 @@
 //! `cargo xtask check`: every check that CI runs, in one program.
 #![forbid(unsafe_code)]
-#![expect(
-    clippy::print_stderr,
-    clippy::print_stdout,
-    reason = "a program that reports to a terminal"
-)]
+#![expect(clippy::print_stderr, clippy::print_stdout, reason = "a program that reports to a terminal")]
 
 use anyhow::{Context, Result, bail};
 use std::path::Path;
@@ -49,12 +45,9 @@ fn main() -> ExitCode {
         }
         ["results-time", seconds, ref scenes @ ..] if !scenes.is_empty() => {
             match seconds.split(',').map(str::parse).collect::<Result<Vec<f64>, _>>() {
-                Ok(seconds) => table(xtask::results::time_to_quality(
-                    &root,
-                    &seconds,
-                    scenes,
-                    &root.join("target/results"),
-                )),
+                Ok(seconds) => {
+                    table(xtask::results::time_to_quality(&root, &seconds, scenes, &root.join("target/results")))
+                }
                 Err(error) => Err(error).context(format!("{seconds}: expected seconds such as 5,15,60")),
             }
         }
@@ -90,28 +83,15 @@ fn check(root: &Path, tests: bool) -> Result<()> {
     let lints = ["clippy", "--workspace", "--all-targets"];
     let deny_warnings = ["--", "-D", "warnings"];
     step("clippy", || cargo(root, &[&lints[..], &deny_warnings].concat(), &[]))?;
-    step("clippy of all features", || {
-        cargo(root, &[&lints[..], &FULL, &deny_warnings].concat(), &[])
-    })?;
+    step("clippy of all features", || cargo(root, &[&lints[..], &FULL, &deny_warnings].concat(), &[]))?;
     let docs = ["doc", "--workspace", "--no-deps", "--document-private-items"];
     // The browser is not documented: with its feature, packages of others have the features that clippy checked them with.
     let features = [FULL[0], &format!("{},m4_testkit/browser", FULL[1])];
-    step("docs", || {
-        cargo(
-            root,
-            &[&docs[..], &features].concat(),
-            &[("RUSTDOCFLAGS", "-D warnings")],
-        )
-    })?;
+    step("docs", || cargo(root, &[&docs[..], &features].concat(), &[("RUSTDOCFLAGS", "-D warnings")]))?;
     if tests {
         for full in [false, true] {
-            let tests = xtask::tests::Tests {
-                full,
-                ..Default::default()
-            };
-            step(if full { "tests of all features" } else { "tests" }, || {
-                xtask::tests::run(root, &tests)
-            })?;
+            let tests = xtask::tests::Tests { full, ..Default::default() };
+            step(if full { "tests of all features" } else { "tests" }, || xtask::tests::run(root, &tests))?;
         }
     }
     Ok(())
@@ -119,16 +99,8 @@ fn check(root: &Path, tests: bool) -> Result<()> {
 
 /// The page of settings, by the tests of the crate whose settings they are.
 fn settings(root: &Path, write: bool) -> Result<()> {
-    let env: &[(&str, &str)] = if write {
-        &[("MINUTE4D_WRITE_SETTINGS", "1")]
-    } else {
-        &[]
-    };
-    cargo(
-        root,
-        &["test", "--quiet", "-p", "minute4d", "--lib", "settings::page"],
-        env,
-    )
+    let env: &[(&str, &str)] = if write { &[("MINUTE4D_WRITE_SETTINGS", "1")] } else { &[] };
+    cargo(root, &["test", "--quiet", "-p", "minute4d", "--lib", "settings::page"], env)
 }
 
 /// Prints what was measured.
@@ -153,20 +125,13 @@ fn cargo(root: &Path, args: &[&str], env: &[(&str, &str)]) -> Result<()> {
         .current_dir(root)
         .status()
         .context("cannot start cargo")?;
-    if status.success() {
-        Ok(())
-    } else {
-        bail!("cargo {} ended with {status}", args.join(" "))
-    }
+    if status.success() { Ok(()) } else { bail!("cargo {} ended with {status}", args.join(" ")) }
 }
 
 /// Runs cargo-deny where it is installed. Advisories are left out: they need a database from the
 /// network, and a new advisory must not fail an unchanged commit.
 fn deny(root: &Path) -> Result<()> {
-    let installed = Command::new("cargo-deny")
-        .arg("--version")
-        .output()
-        .is_ok_and(|o| o.status.success());
+    let installed = Command::new("cargo-deny").arg("--version").output().is_ok_and(|o| o.status.success());
     if !installed {
         eprintln!(
             "    cargo-deny is not installed: licences and duplicates were NOT checked (cargo install cargo-deny)"

@@ -57,9 +57,7 @@ pub fn build(root: &Path, work: &Path) -> Result<()> {
 pub fn compare(root: &Path, work: &Path) -> Result<Outcome> {
     let found = Command::new("npm").arg("--version").output();
     if !found.is_ok_and(|o| o.status.success()) {
-        return Ok(Outcome::Skipped {
-            reason: "npm is not installed".to_owned(),
-        });
+        return Ok(Outcome::Skipped { reason: "npm is not installed".to_owned() });
     }
     let folder = copied(root, work)?;
     if let Err(error) = npm(&folder, &["ci", "--no-audit", "--no-fund"]) {
@@ -67,9 +65,7 @@ pub fn compare(root: &Path, work: &Path) -> Result<Outcome> {
         if error.to_string().contains("EUSAGE") {
             return Err(error);
         }
-        return Ok(Outcome::Skipped {
-            reason: format!("the packages cannot be had: {error:#}"),
-        });
+        return Ok(Outcome::Skipped { reason: format!("the packages cannot be had: {error:#}") });
     }
     npm(&folder, &["test"])?;
     npm(&folder, &["run", "build"])?;
@@ -82,14 +78,7 @@ pub fn compare(root: &Path, work: &Path) -> Result<Outcome> {
     }
     let kept = read(&root.join(KEPT))?;
     let built = read(&work.join("page.html"))?;
-    Ok(if kept == built {
-        Outcome::Same
-    } else {
-        Outcome::Differs {
-            kept: kept.len(),
-            built: built.len(),
-        }
-    })
+    Ok(if kept == built { Outcome::Same } else { Outcome::Differs { kept: kept.len(), built: built.len() } })
 }
 
 /// A fresh copy of the sources, and of nothing that was built from them.
@@ -140,10 +129,7 @@ fn npm_with(folder: &Path, args: &[&str], env: &[(&str, &Path)]) -> Result<()> {
         .output()
         .context("cannot start npm")?;
     if !output.status.success() {
-        let (out, err) = (
-            String::from_utf8_lossy(&output.stdout),
-            String::from_utf8_lossy(&output.stderr),
-        );
+        let (out, err) = (String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
         bail!("npm {} ended with {}\n{out}{err}", args.join(" "), output.status);
     }
     Ok(())

@@ -24,9 +24,7 @@ pub type Sources = BTreeMap<String, String>;
 
 /// The digits and dots at the start of `text`, without a dot at their end.
 fn number(text: &str) -> &str {
-    let end = text
-        .find(|c: char| !c.is_ascii_digit() && c != '.')
-        .unwrap_or(text.len());
+    let end = text.find(|c: char| !c.is_ascii_digit() && c != '.').unwrap_or(text.len());
     text[..end].trim_end_matches('.')
 }
 
@@ -94,9 +92,7 @@ pub fn violations(rows: &[(String, Vec<String>)], sources: &Sources) -> Vec<Stri
         for marker in markers(text) {
             let named = rows.iter().any(|(item, files)| *item == marker && files.contains(file));
             if !named {
-                found.push(format!(
-                    "{file} has the marker `{PAPER}{marker}`, and no row for it names the file"
-                ));
+                found.push(format!("{file} has the marker `{PAPER}{marker}`, and no row for it names the file"));
             }
         }
     }
@@ -128,9 +124,7 @@ pub fn dangling(sources: &Sources, headings: &BTreeMap<String, BTreeSet<String>>
             };
             let section = number(rest.trim_start());
             if !headings.contains(section) {
-                found.push(format!(
-                    "{file} cites section `{section}` of {specification}, which has none"
-                ));
+                found.push(format!("{file} cites section `{section}` of {specification}, which has none"));
             }
         }
     }
@@ -186,9 +180,5 @@ pub fn check(root: &Path) -> Result<()> {
         specifications.insert(path, headings(&text));
     }
     found.extend(dangling(&sources, &specifications));
-    if found.is_empty() {
-        Ok(())
-    } else {
-        bail!("{}", found.join("\n"))
-    }
+    if found.is_empty() { Ok(()) } else { bail!("{}", found.join("\n")) }
 }

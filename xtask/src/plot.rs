@@ -20,9 +20,7 @@ pub struct Curve {
 pub fn time_to_quality(path: &Path, curves: &[Curve]) -> Result<()> {
     let all = || curves.iter().flat_map(|c| &c.points);
     let range = |pick: fn(&(f64, f64)) -> f64| {
-        all().map(pick).fold(None, |r: Option<(f64, f64)>, v| {
-            Some(r.map_or((v, v), |(a, b)| (a.min(v), b.max(v))))
-        })
+        all().map(pick).fold(None, |r: Option<(f64, f64)>, v| Some(r.map_or((v, v), |(a, b)| (a.min(v), b.max(v)))))
     };
     let (Some(x), Some(y)) = (range(|p| p.0), range(|p| p.1)) else {
         return Err(anyhow!("nothing to plot"));
@@ -72,10 +70,7 @@ mod tests {
     #[test]
     fn curves_are_plotted_and_an_empty_table_is_rejected() {
         let path = std::env::temp_dir().join(format!("minute4d-plot-{}.svg", std::process::id()));
-        let curve = Curve {
-            name: "fast".to_owned(),
-            points: vec![(5.0, 27.0), (60.0, 31.0)],
-        };
+        let curve = Curve { name: "fast".to_owned(), points: vec![(5.0, 27.0), (60.0, 31.0)] };
         time_to_quality(&path, &[curve]).unwrap();
         let text = std::fs::read_to_string(&path).unwrap();
         std::fs::remove_file(&path).unwrap();

@@ -22,18 +22,9 @@ struct Variant {
 }
 
 const VARIANTS: [Variant; 4] = [
-    Variant {
-        name: "fast",
-        args: &["--profile", "fast"],
-    },
-    Variant {
-        name: "fast, no density control",
-        args: &["--profile", "fast", "--set", "train.density.enabled=false"],
-    },
-    Variant {
-        name: "faithful",
-        args: &["--profile", "faithful"],
-    },
+    Variant { name: "fast", args: &["--profile", "fast"] },
+    Variant { name: "fast, no density control", args: &["--profile", "fast", "--set", "train.density.enabled=false"] },
+    Variant { name: "faithful", args: &["--profile", "faithful"] },
     Variant {
         name: "faithful, no density control",
         args: &["--profile", "faithful", "--set", "train.density.enabled=false"],
@@ -81,10 +72,7 @@ pub fn held_out(root: &Path, scenes: &[&str], work: &Path) -> Result<String> {
 fn last_metrics(run: &Path) -> Result<Value> {
     let path = run.join("metrics.jsonl");
     let text = std::fs::read_to_string(&path).with_context(|| format!("cannot read {}", path.display()))?;
-    let last = text
-        .lines()
-        .last()
-        .with_context(|| format!("{} is empty", path.display()))?;
+    let last = text.lines().last().with_context(|| format!("{} is empty", path.display()))?;
     serde_json::from_str(last).with_context(|| format!("{}: the last line is not JSON", path.display()))
 }
 
@@ -103,24 +91,12 @@ pub fn time_to_quality(root: &Path, seconds: &[f64], scenes: &[&str], work: &Pat
     for scene in scenes {
         let name = stem(scene);
         for profile in ["fast", "faithful"] {
-            let mut curve = Curve {
-                name: format!("{name}, {profile}"),
-                points: Vec::new(),
-            };
+            let mut curve = Curve { name: format!("{name}, {profile}"), points: Vec::new() };
             for &s in seconds {
                 let out = work.join(format!("{name}-{profile}-{s}s"));
                 let out_text = out.to_string_lossy().into_owned();
                 let budget = format!("train.budget_s={s:?}");
-                let train = [
-                    "train",
-                    scene,
-                    "-o",
-                    &out_text,
-                    "--force",
-                    "--quiet",
-                    "--profile",
-                    profile,
-                ];
+                let train = ["train", scene, "-o", &out_text, "--force", "--quiet", "--profile", profile];
                 run(&program, &[&train[..], &["--set", &budget]].concat())?;
                 run(&program, &["eval", &out_text, "--data", scene, "--quiet"])?;
                 let (record, eval) = (json(&out.join("run.json"))?, json(&out.join("eval.json"))?);
@@ -157,9 +133,7 @@ pub fn geometry(root: &Path, args: &[&str], work: &Path) -> Result<String> {
          |---|---|---|---|---|---|---|---|---|---|\n",
     );
     for pair in pairs {
-        let (input, truth) = pair
-            .split_once('=')
-            .with_context(|| format!("{pair}: expected INPUT=TRUTH"))?;
+        let (input, truth) = pair.split_once('=').with_context(|| format!("{pair}: expected INPUT=TRUTH"))?;
         let name = stem(truth.strip_suffix("/precomputed.json").unwrap_or(truth));
         let out = work.join(format!("{name}-capture"));
         let out_text = out.to_string_lossy().into_owned();
@@ -204,21 +178,12 @@ fn options<'a, 'b>(args: &'b [&'a str]) -> Result<(&'b [&'a str], &'b [&'a str])
 fn program(root: &Path) -> Result<PathBuf> {
     let cargo = std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
     let output = Command::new(cargo)
-        .args([
-            "build",
-            "--release",
-            "--package",
-            "minute4d_cli",
-            "--message-format=json",
-        ])
+        .args(["build", "--release", "--package", "minute4d_cli", "--message-format=json"])
         .current_dir(root)
         .output()
         .context("cannot start cargo")?;
     if !output.status.success() {
-        bail!(
-            "the program does not build:\n{}",
-            String::from_utf8_lossy(&output.stderr)
-        );
+        bail!("the program does not build:\n{}", String::from_utf8_lossy(&output.stderr));
     }
     String::from_utf8_lossy(&output.stdout)
         .lines()
@@ -229,16 +194,10 @@ fn program(root: &Path) -> Result<PathBuf> {
 
 /// Runs the program and returns what it printed.
 fn run(program: &Path, args: &[&str]) -> Result<String> {
-    let output = Command::new(program)
-        .args(args)
-        .output()
-        .with_context(|| format!("cannot start {}", program.display()))?;
+    let output =
+        Command::new(program).args(args).output().with_context(|| format!("cannot start {}", program.display()))?;
     if !output.status.success() {
-        bail!(
-            "minute4d {} failed:\n{}",
-            args.join(" "),
-            String::from_utf8_lossy(&output.stderr)
-        );
+        bail!("minute4d {} failed:\n{}", args.join(" "), String::from_utf8_lossy(&output.stderr));
     }
     Ok(String::from_utf8_lossy(&output.stdout).into_owned())
 }
@@ -253,7 +212,5 @@ fn number(value: &Value) -> f64 {
 }
 
 fn stem(path: &str) -> String {
-    Path::new(path)
-        .file_stem()
-        .map_or_else(|| path.to_owned(), |s| s.to_string_lossy().into_owned())
+    Path::new(path).file_stem().map_or_else(|| path.to_owned(), |s| s.to_string_lossy().into_owned())
 }

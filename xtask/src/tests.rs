@@ -162,10 +162,7 @@ pub fn summary(skipped: &[Skipped]) -> String {
         needs.entry(&one.need).or_default().push(one);
     }
     let names: BTreeSet<&str> = skipped.iter().map(|s| s.test.as_str()).collect();
-    let mut out = format!(
-        "\nNOT TESTED on this machine, wholly or in part: {} tests\n",
-        names.len()
-    );
+    let mut out = format!("\nNOT TESTED on this machine, wholly or in part: {} tests\n", names.len());
     for (need, tests) in needs {
         let hint = tests.first().map_or("", |s| s.hint.as_str());
         // Writing to a string does not fail.
@@ -188,10 +185,7 @@ pub fn lacking(skipped: &[Skipped], required: &BTreeSet<String>) -> Result<()> {
     if missing.is_empty() {
         return Ok(());
     }
-    bail!(
-        "tests were skipped for want of {}, which must be there",
-        missing.join(", ")
-    )
+    bail!("tests were skipped for want of {}, which must be there", missing.join(", "))
 }
 
 /// The programs that run longest, the longest first: they start before others.
@@ -254,12 +248,7 @@ fn default_tests(root: &Path, list: &Path) -> Result<()> {
 fn what_full_adds(root: &Path, list: &Path, more: &[String]) -> Result<()> {
     let before: BTreeSet<(String, String)> = programs(root, &DEFAULT, more)?
         .iter()
-        .map(|program| {
-            Ok(names(program)?
-                .into_iter()
-                .map(|test| (program.name.clone(), test))
-                .collect())
-        })
+        .map(|program| Ok(names(program)?.into_iter().map(|test| (program.name.clone(), test)).collect()))
         .collect::<Result<Vec<Vec<_>>>>()?
         .into_iter()
         .flatten()
@@ -330,11 +319,7 @@ fn run_alone(program: &Program, which: &Which, list: &Path) -> Result<()> {
     let text = [output.stdout, output.stderr].map(|bytes| String::from_utf8_lossy(&bytes).into_owned());
     let seconds = started.elapsed().as_secs();
     eprintln!("     Ended: {} after {seconds} s\n{}", program.name, text.concat());
-    if output.status.success() {
-        Ok(())
-    } else {
-        bail!("{} ended with {}", program.name, output.status)
-    }
+    if output.status.success() { Ok(()) } else { bail!("{} ended with {}", program.name, output.status) }
 }
 
 /// Builds the programs of tests of a selection of packages.
@@ -362,11 +347,7 @@ fn programs(root: &Path, selection: &[&str], more: &[String]) -> Result<Vec<Prog
         if let (true, (Some(path), Some(manifest), Some(target), Some(kind))) = (is_test, parts) {
             let folder = Path::new(&manifest).parent().unwrap_or(root).to_path_buf();
             let package = folder.file_name().unwrap_or_default().to_string_lossy().into_owned();
-            programs.push(Program {
-                name: format!("{package} ({kind} {target})"),
-                path: path.into(),
-                folder,
-            });
+            programs.push(Program { name: format!("{package} ({kind} {target})"), path: path.into(), folder });
         }
     }
     Ok(programs)
@@ -388,11 +369,7 @@ fn names(program: &Program) -> Result<Vec<String>> {
             bail!("{} cannot list its tests", program.name);
         }
         let text = String::from_utf8_lossy(&output.stdout).into_owned();
-        Ok(text
-            .lines()
-            .filter_map(|line| line.strip_suffix(": test"))
-            .map(str::to_owned)
-            .collect())
+        Ok(text.lines().filter_map(|line| line.strip_suffix(": test")).map(str::to_owned).collect())
     };
     Ok(listed(false)?.difference(&listed(true)?).cloned().collect())
 }
@@ -405,9 +382,5 @@ fn cargo(root: &Path, arguments: &[&str]) -> Command {
 
 fn ended(mut command: Command, name: &str) -> Result<()> {
     let status = command.status().with_context(|| format!("cannot start {name}"))?;
-    if status.success() {
-        Ok(())
-    } else {
-        bail!("{name} ended with {status}")
-    }
+    if status.success() { Ok(()) } else { bail!("{name} ended with {status}") }
 }

@@ -27,14 +27,7 @@ const TABLE: &str = "
 ";
 
 fn crates() -> BTreeSet<String> {
-    set(&[
-        "m4_core",
-        "m4_kernels",
-        "m4_io",
-        "m4_testkit",
-        "minute4d",
-        "minute4d_cli",
-    ])
+    set(&["m4_core", "m4_kernels", "m4_io", "m4_testkit", "minute4d", "minute4d_cli"])
 }
 
 #[test]
@@ -65,37 +58,22 @@ fn the_table_is_read_with_and_without_prefixes() {
 #[test]
 fn an_arrow_that_points_back_is_found() {
     let may = allowed(TABLE, &crates());
-    let mut actual = Actual {
-        normal: may.clone(),
-        dev: arrows(&[("m4_io", &["m4_testkit"])]),
-    };
-    assert_eq!(
-        violations(&actual, &may),
-        Vec::<String>::new(),
-        "testkit is for the tests of every crate"
-    );
+    let mut actual = Actual { normal: may.clone(), dev: arrows(&[("m4_io", &["m4_testkit"])]) };
+    assert_eq!(violations(&actual, &may), Vec::<String>::new(), "testkit is for the tests of every crate");
 
-    actual
-        .normal
-        .insert("m4_kernels".to_owned(), set(&["m4_core", "m4_io"]));
+    actual.normal.insert("m4_kernels".to_owned(), set(&["m4_core", "m4_io"]));
     actual.dev.insert("m4_core".to_owned(), set(&["m4_kernels"]));
     let found = violations(&actual, &may);
     assert_eq!(found.len(), 2, "{found:?}");
     assert!(found[0].contains("m4_kernels has a dependency on m4_io"), "{found:?}");
-    assert!(
-        found[1].contains("m4_core has a dev-dependency on m4_kernels"),
-        "{found:?}"
-    );
+    assert!(found[1].contains("m4_core has a dev-dependency on m4_kernels"), "{found:?}");
 }
 
 #[test]
 fn only_tests_of_measuring_crates_may_read_data() {
     let may = arrows(&[("m4_train", &[]), ("m4_core", &[])]);
     let with = |normal: &[&str], dev: &[&str], from: &str| {
-        let mut actual = Actual {
-            normal: may.clone(),
-            dev: Arrows::new(),
-        };
+        let mut actual = Actual { normal: may.clone(), dev: Arrows::new() };
         actual.normal.insert(from.to_owned(), set(normal));
         actual.dev.insert(from.to_owned(), set(dev));
         violations(&actual, &may).len()
@@ -112,13 +90,7 @@ fn a_crate_without_a_row_and_a_row_without_a_crate_are_found() {
     let mut normal = may.clone();
     normal.remove("m4_io");
     normal.insert("m4_new".to_owned(), set(&[]));
-    let found = violations(
-        &Actual {
-            normal,
-            dev: Arrows::new(),
-        },
-        &may,
-    );
+    let found = violations(&Actual { normal, dev: Arrows::new() }, &may);
     assert_eq!(found.len(), 2, "{found:?}");
     assert!(found.iter().any(|f| f.starts_with("m4_new has no row")), "{found:?}");
     assert!(found.iter().any(|f| f.contains("row for m4_io")), "{found:?}");

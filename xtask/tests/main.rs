@@ -18,13 +18,7 @@ fn skipped_tests_are_listed_once_with_a_hint() {
     let skipped = parse(LINES).unwrap();
     assert_eq!(skipped.len(), 2);
     let words = summary(&skipped);
-    for part in [
-        "2 tests",
-        "for want of ffmpeg: install ffmpeg",
-        "gpu::draws",
-        "video.rs:7",
-        "no adapter",
-    ] {
+    for part in ["2 tests", "for want of ffmpeg: install ffmpeg", "gpu::draws", "video.rs:7", "no adapter"] {
         assert!(words.contains(part), "{part}: {words}");
     }
     assert!(summary(&[]).contains("Every test could run"));

@@ -33,10 +33,7 @@ fn table_and_citations_of_this_workspace_are_true() {
 fn rows_and_markers_are_read() {
     let files = |names: &[&str]| names.iter().map(|&n| n.to_owned()).collect::<Vec<_>>();
     let want = vec![
-        (
-            "Eq. 1".to_owned(),
-            files(&["crates/a/src/one.rs", "crates/b/src/one.rs"]),
-        ),
+        ("Eq. 1".to_owned(), files(&["crates/a/src/one.rs", "crates/b/src/one.rs"])),
         ("Eq. 10".to_owned(), files(&["crates/a/src/ten.rs"])),
     ];
     assert_eq!(rows(TABLE), want);
@@ -98,12 +95,7 @@ fn citations_of_missing_sections_are_found() {
     let source = |text: &str| Sources::from([("crates/a/src/lib.rs".to_owned(), text.to_owned())]);
     let good = source("(docs/spec/a.md 4.4) and docs/spec/a.md 3; docs/spec/a.md\n3, too");
     assert_eq!(dangling(&good, &specifications), Vec::<String>::new());
-    for bad in [
-        "docs/spec/a.md 4.5",
-        "docs/spec/a.md",
-        "docs/spec/b.md 3",
-        "docs/spec/a 3",
-    ] {
+    for bad in ["docs/spec/a.md 4.5", "docs/spec/a.md", "docs/spec/b.md 3", "docs/spec/a 3"] {
         let found = dangling(&source(bad), &specifications);
         assert_eq!(found.len(), 1, "{bad}: {found:?}");
     }

@@ -23,28 +23,14 @@ impl Intrinsics {
     /// Square pixels, principal point in the middle.
     #[must_use]
     pub fn centred(width: usize, height: usize, focal_px: f64) -> Self {
-        Self {
-            width,
-            height,
-            fx: focal_px,
-            fy: focal_px,
-            cx: width as f64 / 2.0,
-            cy: height as f64 / 2.0,
-        }
+        Self { width, height, fx: focal_px, fy: focal_px, cx: width as f64 / 2.0, cy: height as f64 / 2.0 }
     }
 
     /// The same field of view on an image of another size.
     #[must_use]
     pub fn resized(&self, width: usize, height: usize) -> Self {
         let (sx, sy) = (width as f64 / self.width as f64, height as f64 / self.height as f64);
-        Self {
-            width,
-            height,
-            fx: self.fx * sx,
-            fy: self.fy * sy,
-            cx: self.cx * sx,
-            cy: self.cy * sy,
-        }
+        Self { width, height, fx: self.fx * sx, fy: self.fy * sy, cx: self.cx * sx, cy: self.cy * sy }
     }
 
     /// Horizontal field of view, radians.
@@ -97,9 +83,6 @@ impl Camera {
     /// The same camera with an image of another size.
     #[must_use]
     pub fn resized(&self, width: usize, height: usize) -> Self {
-        Self {
-            intrinsics: self.intrinsics.resized(width, height),
-            c2w: self.c2w,
-        }
+        Self { intrinsics: self.intrinsics.resized(width, height), c2w: self.c2w }
     }
 }

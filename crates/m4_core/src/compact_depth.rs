@@ -125,9 +125,6 @@ mod tests {
         let (steps, _) = both();
         let other = CompactDepth::from_steps(Plane::filled(5, 7, 0), UNIT);
         assert_ne!(steps, other, "sizes count");
-        assert_eq!(
-            CompactDepth::from_steps(Plane::filled(0, 0, 0), UNIT).every(1).count(),
-            0
-        );
+        assert_eq!(CompactDepth::from_steps(Plane::filled(0, 0, 0), UNIT).every(1).count(), 0);
     }
 }

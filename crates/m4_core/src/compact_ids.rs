@@ -39,10 +39,7 @@ impl CompactIds {
     pub fn to_plane(&self) -> Plane<u16> {
         let mut out = Plane::filled(self.width, self.height, 0);
         for (k, &(first, id)) in self.runs.iter().enumerate() {
-            let end = self
-                .runs
-                .get(k + 1)
-                .map_or(self.width * self.height, |next| next.0 as usize);
+            let end = self.runs.get(k + 1).map_or(self.width * self.height, |next| next.0 as usize);
             out.data_mut()[first as usize..end].fill(id);
         }
         out
@@ -70,11 +67,7 @@ impl From<&Plane<u16>> for CompactIds {
                 runs.push((pixel as u32, id));
             }
         }
-        Self {
-            width: ids.width(),
-            height: ids.height(),
-            runs,
-        }
+        Self { width: ids.width(), height: ids.height(), runs }
     }
 }
 
@@ -86,17 +79,10 @@ mod tests {
     #[test]
     fn id_maps_round_trip() {
         for (w, h) in [(0, 0), (0, 3), (1, 1), (7, 1), (13, 5), (64, 9)] {
-            let ids = Plane::from_fn(
-                w,
-                h,
-                |x, y| if (x / 3 + y) % 4 < 2 { 0 } else { (300 * (x / 3)) as u16 },
-            );
+            let ids = Plane::from_fn(w, h, |x, y| if (x / 3 + y) % 4 < 2 { 0 } else { (300 * (x / 3)) as u16 });
             let held = CompactIds::from(&ids);
             assert_eq!((held.size(), held.to_plane()), ((w, h), ids.clone()));
-            assert!(
-                (0..w * h).all(|i| held.at(i % w, i / w) == ids[(i % w, i / w)]),
-                "{w} x {h}"
-            );
+            assert!((0..w * h).all(|i| held.at(i % w, i / w) == ids[(i % w, i / w)]), "{w} x {h}");
             assert_eq!(held.largest(), ids.data().iter().copied().max().unwrap_or(0));
             assert_eq!(held.to_mask().count(), ids.data().iter().filter(|&&id| id != 0).count());
         }

@@ -19,11 +19,7 @@ impl CompactMask {
             let pixels = 64 * k..n.min(64 * k + 64);
             pixels.fold(0u64, |word, i| word | u64::from(f(i % width, i / width)) << (i % 64))
         };
-        Self {
-            width,
-            height,
-            words: (0..n.div_ceil(64)).map(word).collect(),
-        }
+        Self { width, height, words: (0..n.div_ceil(64)).map(word).collect() }
     }
 
     /// `(width, height)`.

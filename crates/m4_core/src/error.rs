@@ -19,10 +19,6 @@ impl ShapeError {
     ///
     /// [`ShapeError`] naming `what` when the lengths differ.
     pub fn check(what: &'static str, expected: usize, found: usize) -> Result<(), Self> {
-        if found == expected {
-            Ok(())
-        } else {
-            Err(Self { what, expected, found })
-        }
+        if found == expected { Ok(()) } else { Err(Self { what, expected, found }) }
     }
 }

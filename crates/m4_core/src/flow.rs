@@ -17,12 +17,7 @@ impl Flow {
     /// No displacement.
     #[must_use]
     pub fn zero(width: usize, height: usize) -> Self {
-        Self {
-            width,
-            height,
-            u: vec![0.0; width * height],
-            v: vec![0.0; width * height],
-        }
+        Self { width, height, u: vec![0.0; width * height], v: vec![0.0; width * height] }
     }
 
     /// Bilinear value at `(x, y)`, clamped to the image.

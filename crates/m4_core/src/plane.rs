@@ -24,11 +24,7 @@ impl<T> TryFrom<Written<T>> for Plane<T> {
     type Error = ShapeError;
 
     fn try_from(written: Written<T>) -> Result<Self, ShapeError> {
-        ShapeError::check(
-            "plane",
-            written.width.saturating_mul(written.height),
-            written.data.len(),
-        )?;
+        ShapeError::check("plane", written.width.saturating_mul(written.height), written.data.len())?;
         Self::from_vec(written.width, written.height, written.data)
     }
 }
@@ -98,22 +94,14 @@ impl<T> Plane<T> {
 
     /// The same shape with every value replaced by `f` of it.
     pub fn map<U>(&self, f: impl FnMut(&T) -> U) -> Plane<U> {
-        Plane {
-            width: self.width,
-            height: self.height,
-            data: self.data.iter().map(f).collect(),
-        }
+        Plane { width: self.width, height: self.height, data: self.data.iter().map(f).collect() }
     }
 }
 
 impl<T: Clone> Plane<T> {
     /// A plane of one value.
     pub fn filled(width: usize, height: usize, value: T) -> Self {
-        Self {
-            width,
-            height,
-            data: vec![value; width * height],
-        }
+        Self { width, height, data: vec![value; width * height] }
     }
 }
 

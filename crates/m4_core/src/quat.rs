@@ -54,11 +54,7 @@ mod tests {
             let mut step = Vector4::zeros();
             step[k] = 1e-6;
             let want = ((rotation(&(q + step)) - rotation(&(q - step))).component_mul(&g)).sum() / 2e-6;
-            assert!(
-                (got[k] - want).abs() < 1e-8,
-                "component {k}: {} where {want} was expected",
-                got[k]
-            );
+            assert!((got[k] - want).abs() < 1e-8, "component {k}: {} where {want} was expected", got[k]);
         }
     }
 }

@@ -56,10 +56,7 @@ fn windows(filter: ResizeFilter, from: usize, to: usize) -> Vec<Window> {
         let weight = |j: usize| filter.weight((j as f64 + 0.5 - centre) / wide);
         let weights: Vec<f64> = (first..end).map(weight).collect();
         let sum: f64 = weights.iter().sum();
-        Window {
-            first,
-            weights: weights.iter().map(|w| (w / sum * one).round() as i32).collect(),
-        }
+        Window { first, weights: weights.iter().map(|w| (w / sum * one).round() as i32).collect() }
     };
     (0..to).map(of).collect()
 }
@@ -87,15 +84,12 @@ pub fn resize_rgb(image: &RgbImage, width: usize, height: usize, filter: ResizeF
     let narrow = along_rows(image, width, filter);
     let rows = windows(filter, image.height(), height);
     let mut out = Plane::filled(width, height, [0; 3]);
-    out.data_mut()
-        .par_chunks_mut(width)
-        .zip(&rows)
-        .for_each(|(out, window)| {
-            for (x, pixel) in out.iter_mut().enumerate() {
-                let above = (window.first..).map(|y| &narrow[(x, y)]);
-                *pixel = mixed(&window.weights, above);
-            }
-        });
+    out.data_mut().par_chunks_mut(width).zip(&rows).for_each(|(out, window)| {
+        for (x, pixel) in out.iter_mut().enumerate() {
+            let above = (window.first..).map(|y| &narrow[(x, y)]);
+            *pixel = mixed(&window.weights, above);
+        }
+    });
     Some(out)
 }
 

@@ -13,10 +13,7 @@ pub struct Exposure {
 
 impl Exposure {
     /// Changes nothing.
-    pub const IDENTITY: Self = Self {
-        matrix: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
-        offset: [0.0; 3],
-    };
+    pub const IDENTITY: Self = Self { matrix: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]], offset: [0.0; 3] };
 }
 
 /// Camera, moment and exposure of one training frame, as optimised.

@@ -19,19 +19,13 @@ impl<T: Real> Se3<T> {
     /// The motion that moves nothing.
     #[must_use]
     pub fn identity() -> Self {
-        Self {
-            rotation: Matrix3::identity(),
-            translation: Vector3::zeros(),
-        }
+        Self { rotation: Matrix3::identity(), translation: Vector3::zeros() }
     }
 
     /// The upper three rows of a 4x4 matrix, taken as they are.
     #[must_use]
     pub fn from_matrix(m: &Matrix4<T>) -> Self {
-        Self {
-            rotation: m.fixed_view::<3, 3>(0, 0).into_owned(),
-            translation: m.fixed_view::<3, 1>(0, 3).into_owned(),
-        }
+        Self { rotation: m.fixed_view::<3, 3>(0, 0).into_owned(), translation: m.fixed_view::<3, 1>(0, 3).into_owned() }
     }
 
     /// As a 4x4 matrix with last row `0 0 0 1`.
@@ -47,10 +41,7 @@ impl<T: Real> Se3<T> {
     #[must_use]
     pub fn inverse(&self) -> Self {
         let rotation = self.rotation.transpose();
-        Self {
-            rotation,
-            translation: -(rotation * self.translation),
-        }
+        Self { rotation, translation: -(rotation * self.translation) }
     }
 
     /// `self` after `first`.
@@ -119,11 +110,7 @@ mod tests {
 
     #[test]
     fn exp_and_log_are_inverse() {
-        for w in [
-            Vector3::new(0.3, -0.2, 0.9),
-            Vector3::new(1e-10, 0.0, 2e-10),
-            Vector3::new(2.0, 1.0, -1.5),
-        ] {
+        for w in [Vector3::new(0.3, -0.2, 0.9), Vector3::new(1e-10, 0.0, 2e-10), Vector3::new(2.0, 1.0, -1.5)] {
             assert!((log_so3(&exp_so3(&w)) - w).norm() < 1e-9, "{w}");
         }
     }

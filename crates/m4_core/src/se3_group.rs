@@ -14,22 +14,13 @@ impl<T: Real> Se3<T> {
         let omega = twist.fixed_rows::<3>(3).into_owned();
         let (theta2, k) = (omega.norm_squared(), hat(&omega));
         let (b, c) = if theta2 < T::of(1e-6) {
-            (
-                T::of(0.5) - theta2 / T::of(24.0),
-                T::of(1.0 / 6.0) - theta2 / T::of(120.0),
-            )
+            (T::of(0.5) - theta2 / T::of(24.0), T::of(1.0 / 6.0) - theta2 / T::of(120.0))
         } else {
             let theta = theta2.sqrt();
-            (
-                (T::one() - theta.cos()) / theta2,
-                (theta - theta.sin()) / (theta2 * theta),
-            )
+            ((T::one() - theta.cos()) / theta2, (theta - theta.sin()) / (theta2 * theta))
         };
         let v = Matrix3::identity() + k * b + k * k * c;
-        Self {
-            rotation: exp_so3(&omega),
-            translation: v * twist.fixed_rows::<3>(0),
-        }
+        Self { rotation: exp_so3(&omega), translation: v * twist.fixed_rows::<3>(0) }
     }
 
     /// The twist whose [`exp`](Self::exp) this motion is, with a rotation of at most pi radians.
@@ -55,8 +46,7 @@ impl<T: Real> Se3<T> {
         let mut ad = Matrix6::zeros();
         ad.fixed_view_mut::<3, 3>(0, 0).copy_from(&self.rotation);
         ad.fixed_view_mut::<3, 3>(3, 3).copy_from(&self.rotation);
-        ad.fixed_view_mut::<3, 3>(0, 3)
-            .copy_from(&(hat(&self.translation) * self.rotation));
+        ad.fixed_view_mut::<3, 3>(0, 3).copy_from(&(hat(&self.translation) * self.rotation));
         ad
     }
 
@@ -64,10 +54,7 @@ impl<T: Real> Se3<T> {
     #[must_use]
     pub fn from_translation_quaternion(p: &[T; 7]) -> Self {
         let q = UnitQuaternion::from_quaternion(Quaternion::new(p[6], p[3], p[4], p[5]));
-        Self {
-            rotation: q.to_rotation_matrix().into_inner(),
-            translation: Vector3::new(p[0], p[1], p[2]),
-        }
+        Self { rotation: q.to_rotation_matrix().into_inner(), translation: Vector3::new(p[0], p[1], p[2]) }
     }
 
     /// As `tx ty tz qx qy qz qw` with `qw >= 0`.
@@ -82,10 +69,7 @@ impl<T: Real> Se3<T> {
     /// The same motion with another scalar.
     #[must_use]
     pub fn cast<U: Real>(&self) -> Se3<U> {
-        Se3 {
-            rotation: self.rotation.map(|x| U::of(x.f64())),
-            translation: self.translation.map(|x| U::of(x.f64())),
-        }
+        Se3 { rotation: self.rotation.map(|x| U::of(x.f64())), translation: self.translation.map(|x| U::of(x.f64())) }
     }
 }
 

@@ -18,11 +18,7 @@ impl Sim3 {
     /// The similarity that moves nothing.
     #[must_use]
     pub fn identity() -> Self {
-        Self {
-            scale: 1.0,
-            rotation: Matrix3::identity(),
-            translation: Vector3::zeros(),
-        }
+        Self { scale: 1.0, rotation: Matrix3::identity(), translation: Vector3::zeros() }
     }
 
     /// The similarity that minimises `sum |target - S(source)|^2` (Umeyama 1991, equations 34-42).
@@ -62,11 +58,7 @@ impl Sim3 {
         if !(scale.is_finite() && scale > 0.0) {
             return None;
         }
-        Some(Self {
-            scale,
-            rotation,
-            translation: mean_target - rotation * mean_source * scale,
-        })
+        Some(Self { scale, rotation, translation: mean_target - rotation * mean_source * scale })
     }
 
     /// The image of a point.
@@ -79,21 +71,14 @@ impl Sim3 {
     /// from the camera must be multiplied by [`Self::scale`].
     #[must_use]
     pub fn transform_pose(&self, c2w: &Se3<f64>) -> Se3<f64> {
-        Se3 {
-            rotation: self.rotation * c2w.rotation,
-            translation: self.transform(&c2w.translation),
-        }
+        Se3 { rotation: self.rotation * c2w.rotation, translation: self.transform(&c2w.translation) }
     }
 
     /// The similarity that undoes this one.
     #[must_use]
     pub fn inverse(&self) -> Self {
         let (rotation, scale) = (self.rotation.transpose(), 1.0 / self.scale);
-        Self {
-            scale,
-            rotation,
-            translation: -(rotation * self.translation * scale),
-        }
+        Self { scale, rotation, translation: -(rotation * self.translation * scale) }
     }
 }
 
@@ -111,11 +96,7 @@ mod tests {
     }
 
     fn some() -> Sim3 {
-        Sim3 {
-            scale: 2.7,
-            rotation: exp_so3(&Vector3::new(0.4, -1.1, 2.0)),
-            translation: Vector3::new(3.0, -1.0, 0.5),
-        }
+        Sim3 { scale: 2.7, rotation: exp_so3(&Vector3::new(0.4, -1.1, 2.0)), translation: Vector3::new(3.0, -1.0, 0.5) }
     }
 
     #[test]
@@ -142,10 +123,7 @@ mod tests {
             .map(|i| some().transform(&source[i]) + Vector3::new((i as f64 * 3.1).sin(), 0.2, (i as f64).cos()) * 0.3)
             .collect();
         let cost = |s: &Sim3| {
-            let errors = source
-                .iter()
-                .zip(&target)
-                .map(|(a, b)| (s.transform(a) - b).norm_squared());
+            let errors = source.iter().zip(&target).map(|(a, b)| (s.transform(a) - b).norm_squared());
             errors.sum::<f64>()
         };
         let best = Sim3::umeyama(&source, &target).expect("points with extent");
@@ -153,18 +131,9 @@ mod tests {
             for h in [-1e-3, 1e-3] {
                 let mut step = Vector3::zeros();
                 step[k] = h;
-                let turned = Sim3 {
-                    rotation: exp_so3(&step) * best.rotation,
-                    ..best
-                };
-                let moved = Sim3 {
-                    translation: best.translation + step,
-                    ..best
-                };
-                let scaled = Sim3 {
-                    scale: best.scale * (1.0 + h),
-                    ..best
-                };
+                let turned = Sim3 { rotation: exp_so3(&step) * best.rotation, ..best };
+                let moved = Sim3 { translation: best.translation + step, ..best };
+                let scaled = Sim3 { scale: best.scale * (1.0 + h), ..best };
                 for other in [turned, moved, scaled] {
                     assert!(cost(&other) > cost(&best));
                 }
@@ -186,10 +155,7 @@ mod tests {
     fn inverse_and_poses_agree_with_points() {
         let (s, x) = (some(), Vector3::new(0.3, -2.0, 1.0));
         assert!((s.inverse().transform(&s.transform(&x)) - x).norm() < 1e-12);
-        let pose = Se3 {
-            rotation: exp_so3(&Vector3::new(0.1, 0.9, -0.3)),
-            translation: Vector3::new(1.0, 0.0, 2.0),
-        };
+        let pose = Se3 { rotation: exp_so3(&Vector3::new(0.1, 0.9, -0.3)), translation: Vector3::new(1.0, 0.0, 2.0) };
         // A point at camera coordinates c is seen at s.scale * c after the similarity.
         let (c, moved) = (Vector3::new(0.2, 0.1, 4.0), s.transform_pose(&pose));
         assert!((moved.transform(&(c * s.scale)) - s.transform(&pose.transform(&c))).norm() < 1e-12);

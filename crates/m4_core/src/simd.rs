@@ -52,10 +52,7 @@ impl SimdLevel {
         all.iter()
             .find(|l| l.name().eq_ignore_ascii_case(name))
             .copied()
-            .ok_or_else(|| SimdLevelError {
-                asked: name.to_owned(),
-                available: all.iter().map(|l| l.name()).collect(),
-            })
+            .ok_or_else(|| SimdLevelError { asked: name.to_owned(), available: all.iter().map(|l| l.name()).collect() })
     }
 
     /// Every level that this machine has, the baseline of its architecture first.

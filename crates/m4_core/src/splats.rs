@@ -126,12 +126,7 @@ pub struct Splats {
 
 impl Clone for Splats {
     fn clone(&self) -> Self {
-        Self {
-            layout: self.layout,
-            n_static: self.n_static,
-            n_dynamic: self.n_dynamic,
-            columns: self.columns.clone(),
-        }
+        Self { layout: self.layout, n_static: self.n_static, n_dynamic: self.n_dynamic, columns: self.columns.clone() }
     }
 
     /// Uses the memory that is there.
@@ -150,12 +145,7 @@ impl Splats {
         let columns = (0..layout.columns())
             .map(|c| vec![0.0; if c < shared { n_static + n_dynamic } else { n_dynamic }])
             .collect();
-        Self {
-            layout,
-            n_static,
-            n_dynamic,
-            columns,
-        }
+        Self { layout, n_static, n_dynamic, columns }
     }
 
     /// Takes columns in the order of [`SplatLayout::column`].
@@ -175,12 +165,7 @@ impl Splats {
             let expected = if c < shared { n_static + n_dynamic } else { n_dynamic };
             ShapeError::check("column", expected, column.len())?;
         }
-        Ok(Self {
-            layout,
-            n_static,
-            n_dynamic,
-            columns,
-        })
+        Ok(Self { layout, n_static, n_dynamic, columns })
     }
 
     /// Which columns there are.
@@ -242,12 +227,7 @@ impl Splats {
             self.gather_column(rows, n_static, c, column, &mut gathered);
             columns.push(gathered);
         }
-        Ok(Self {
-            layout: self.layout,
-            n_static,
-            n_dynamic,
-            columns,
-        })
+        Ok(Self { layout: self.layout, n_static, n_dynamic, columns })
     }
 
     /// Becomes [`gather`](Self::gather) of itself, one column after the other: with memory for one more
@@ -274,11 +254,7 @@ impl Splats {
         let n_static = rows.iter().take_while(|&&r| (r as usize) < self.n_static).count();
         for &r in &rows[n_static..] {
             if (r as usize) < self.n_static || r as usize >= self.n() {
-                return Err(ShapeError {
-                    what: "gather: row",
-                    expected: self.n(),
-                    found: r as usize,
-                });
+                return Err(ShapeError { what: "gather: row", expected: self.n(), found: r as usize });
             }
         }
         Ok((n_static, rows.len() - n_static))
@@ -310,11 +286,7 @@ mod tests {
         for isotropic in [false, true] {
             for sh_degree in 0..=3 {
                 for time_degree in 0..=2 {
-                    let layout = SplatLayout {
-                        isotropic,
-                        sh_degree,
-                        time_degree,
-                    };
+                    let layout = SplatLayout { isotropic, sh_degree, time_degree };
                     let order = [
                         Column::Mean,
                         Column::LogScale,
@@ -338,15 +310,9 @@ mod tests {
 
     #[test]
     fn gather_keeps_static_rows_first() {
-        let layout = SplatLayout {
-            isotropic: false,
-            sh_degree: 0,
-            time_degree: 0,
-        };
+        let layout = SplatLayout { isotropic: false, sh_degree: 0, time_degree: 0 };
         let mut splats = Splats::zeros(layout, 2, 2);
-        splats
-            .column_mut(Column::Opacity, 0)
-            .copy_from_slice(&[0.0, 1.0, 2.0, 3.0]);
+        splats.column_mut(Column::Opacity, 0).copy_from_slice(&[0.0, 1.0, 2.0, 3.0]);
         splats.column_mut(Column::TimeMean, 0).copy_from_slice(&[20.0, 30.0]);
         let picked = splats.gather(&[1, 3, 3]).unwrap();
         assert_eq!((picked.n_static(), picked.n_dynamic()), (1, 2));

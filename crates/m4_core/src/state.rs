@@ -49,40 +49,28 @@ impl<'a> StateTensor<'a> {
     #[must_use]
     pub fn f32(data: impl Into<Cow<'a, [f32]>>) -> Self {
         let data = data.into();
-        Self::F32 {
-            shape: vec![data.len()],
-            data,
-        }
+        Self::F32 { shape: vec![data.len()], data }
     }
 
     /// A vector of 32-bit unsigned integers.
     #[must_use]
     pub fn u32(data: impl Into<Cow<'a, [u32]>>) -> Self {
         let data = data.into();
-        Self::U32 {
-            shape: vec![data.len()],
-            data,
-        }
+        Self::U32 { shape: vec![data.len()], data }
     }
 
     /// A vector of bytes.
     #[must_use]
     pub fn u8(data: impl Into<Cow<'a, [u8]>>) -> Self {
         let data = data.into();
-        Self::U8 {
-            shape: vec![data.len()],
-            data,
-        }
+        Self::U8 { shape: vec![data.len()], data }
     }
 
     /// A vector of 64-bit floats.
     #[must_use]
     pub fn f64(data: impl Into<Cow<'a, [f64]>>) -> Self {
         let data = data.into();
-        Self::F64 {
-            shape: vec![data.len()],
-            data,
-        }
+        Self::F64 { shape: vec![data.len()], data }
     }
 
     /// The same array, borrowed from this one.
@@ -90,22 +78,10 @@ impl<'a> StateTensor<'a> {
     pub fn view(&self) -> StateTensor<'_> {
         let shape = self.shape().to_vec();
         match self {
-            Self::F32 { data, .. } => StateTensor::F32 {
-                shape,
-                data: Cow::Borrowed(data),
-            },
-            Self::U32 { data, .. } => StateTensor::U32 {
-                shape,
-                data: Cow::Borrowed(data),
-            },
-            Self::U8 { data, .. } => StateTensor::U8 {
-                shape,
-                data: Cow::Borrowed(data),
-            },
-            Self::F64 { data, .. } => StateTensor::F64 {
-                shape,
-                data: Cow::Borrowed(data),
-            },
+            Self::F32 { data, .. } => StateTensor::F32 { shape, data: Cow::Borrowed(data) },
+            Self::U32 { data, .. } => StateTensor::U32 { shape, data: Cow::Borrowed(data) },
+            Self::U8 { data, .. } => StateTensor::U8 { shape, data: Cow::Borrowed(data) },
+            Self::F64 { data, .. } => StateTensor::F64 { shape, data: Cow::Borrowed(data) },
         }
     }
 

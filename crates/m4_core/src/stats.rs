@@ -21,10 +21,7 @@ mod tests {
     #[test]
     fn quantiles_are_values_of_the_nearest_rank() {
         let values = [4.0_f32, 1.0, 3.0, 2.0];
-        assert_eq!(
-            [0.0, 0.3, 0.9, 1.0].map(|q| quantile(&mut values.clone(), q)),
-            [1.0, 2.0, 4.0, 4.0].map(Some)
-        );
+        assert_eq!([0.0, 0.3, 0.9, 1.0].map(|q| quantile(&mut values.clone(), q)), [1.0, 2.0, 4.0, 4.0].map(Some));
         for n in 1..9 {
             let mut values: Vec<f64> = (0..n).rev().map(f64::from).collect();
             assert_eq!(median(&mut values), Some(f64::from(n / 2)), "{n}");

@@ -63,14 +63,7 @@ impl Tracks {
         for (visible, p) in visible.iter_mut().zip(&xyz) {
             *visible &= is_known(*p);
         }
-        Ok(Self {
-            frames,
-            count,
-            xyz,
-            visible,
-            rgb: None,
-            confidence: None,
-        })
+        Ok(Self { frames, count, xyz, visible, rgb: None, confidence: None })
     }
 
     /// The same with a colour per track, sRGB.
@@ -100,10 +93,7 @@ impl Tracks {
     /// [`ShapeError`] when there is not one per place.
     pub fn with_confidence_steps(self, steps: Vec<u8>) -> Result<Self, ShapeError> {
         ShapeError::check("confidence of tracks", self.xyz.len(), steps.len())?;
-        Ok(Self {
-            confidence: Some(steps),
-            ..self
-        })
+        Ok(Self { confidence: Some(steps), ..self })
     }
 
     /// Number of frames.
@@ -181,21 +171,14 @@ impl Tracks {
     /// [`ShapeError`] when `order` names a frame that is missing.
     pub fn in_order(&self, order: &[usize]) -> Result<Self, ShapeError> {
         if let Some(&frame) = order.iter().find(|&&i| i >= self.frames) {
-            return Err(ShapeError {
-                what: "frames of tracks",
-                expected: self.frames,
-                found: frame + 1,
-            });
+            return Err(ShapeError { what: "frames of tracks", expected: self.frames, found: frame + 1 });
         }
         let row = |i: usize| i * self.count..(i + 1) * self.count;
         Ok(Self {
             frames: order.len(),
             count: self.count,
             xyz: order.iter().flat_map(|&i| self.xyz[row(i)].iter().copied()).collect(),
-            visible: order
-                .iter()
-                .flat_map(|&i| self.visible[row(i)].iter().copied())
-                .collect(),
+            visible: order.iter().flat_map(|&i| self.visible[row(i)].iter().copied()).collect(),
             rgb: self.rgb.clone(),
             confidence: self
                 .confidence

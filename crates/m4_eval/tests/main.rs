@@ -49,9 +49,7 @@ fn read_image(name: &str) -> PlanarImage {
 }
 
 fn mask(name: &str) -> Mask {
-    let image = image::open(folder().join(format!("mask_{name}.png")))
-        .unwrap()
-        .to_luma8();
+    let image = image::open(folder().join(format!("mask_{name}.png"))).unwrap().to_luma8();
     Plane::from_vec(image.width() as usize, image.height() as usize, image.into_raw()).unwrap()
 }
 

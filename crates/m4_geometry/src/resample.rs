@@ -10,10 +10,7 @@ pub(crate) fn crop<T: Copy>(image: &Plane<T>, (width, height): (usize, usize)) -
 
 /// What share of source sample `i` lies in target cell `cell` of `n` source samples shared by `m` cells.
 fn overlap(cell: usize, n: usize, m: usize) -> Vec<(usize, f32)> {
-    let (start, end) = (
-        cell as f64 * n as f64 / m as f64,
-        (cell + 1) as f64 * n as f64 / m as f64,
-    );
+    let (start, end) = (cell as f64 * n as f64 / m as f64, (cell + 1) as f64 * n as f64 / m as f64);
     (start as usize..(end.ceil() as usize).min(n))
         .map(|i| {
             let share = (end.min((i + 1) as f64) - start.max(i as f64)).max(0.0);
@@ -67,21 +64,14 @@ pub fn resize_nearest<T: Copy>(plane: &Plane<T>, width: usize, height: usize) ->
         let middle = (i as f64 + 0.5) * from as f64 / to as f64;
         (middle as usize).min(from - 1)
     };
-    Plane::from_fn(width, height, |x, y| {
-        plane.row(at(y, height, plane.height()))[at(x, width, plane.width())]
-    })
+    Plane::from_fn(width, height, |x, y| plane.row(at(y, height, plane.height()))[at(x, width, plane.width())])
 }
 
 /// The plane at `width` x `height` pixels, bilinear between the middles of pixels, constant beyond the outer ones.
 #[must_use]
 pub fn resize_bilinear(plane: &Plane<f32>, width: usize, height: usize) -> Plane<f32> {
-    let (sx, sy) = (
-        plane.width() as f32 / width as f32,
-        plane.height() as f32 / height as f32,
-    );
-    Plane::from_fn(width, height, |x, y| {
-        bilinear(plane, (x as f32 + 0.5) * sx - 0.5, (y as f32 + 0.5) * sy - 0.5)
-    })
+    let (sx, sy) = (plane.width() as f32 / width as f32, plane.height() as f32 / height as f32);
+    Plane::from_fn(width, height, |x, y| bilinear(plane, (x as f32 + 0.5) * sx - 0.5, (y as f32 + 0.5) * sy - 0.5))
 }
 
 /// The value at column `x` and row `y`, whole numbers being the middles of pixels; constant beyond the outer ones.

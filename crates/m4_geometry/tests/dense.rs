@@ -53,32 +53,17 @@ fn texture(x: f64, y: f64, seed: f64) -> [u8; 3] {
 /// The camera steps to the right by `step` per frame; the moving box rises.
 fn draw(step: f64) -> Drawn {
     let intrinsics = Intrinsics::centred(SIZE.0, SIZE.1, 110.0);
-    let mut out = Drawn {
-        images: Vec::new(),
-        depth: Vec::new(),
-        moving: Vec::new(),
-        cameras: Vec::new(),
-    };
+    let mut out = Drawn { images: Vec::new(), depth: Vec::new(), moving: Vec::new(), cameras: Vec::new() };
     for i in 0..FRAMES {
         let t = i as f64;
-        let camera = Camera {
-            intrinsics,
-            c2w: Se3 {
-                translation: Vector3::new(step * t, 0.0, 0.0),
-                ..Se3::identity()
-            },
-        };
+        let camera =
+            Camera { intrinsics, c2w: Se3 { translation: Vector3::new(step * t, 0.0, 0.0), ..Se3::identity() } };
         // Left, right, top, bottom, depth, whether dynamic, and the shift of the texture with the box.
         let lift = 0.05 * t;
-        let boxes = [
-            (-0.75, -0.2, 0.0, 0.6, 2.2, false, 0.0),
-            (0.35, 0.95, 0.3 - lift, 0.8 - lift, 2.4, true, lift),
-        ];
+        let boxes = [(-0.75, -0.2, 0.0, 0.6, 2.2, false, 0.0), (0.35, 0.95, 0.3 - lift, 0.8 - lift, 2.4, true, lift)];
         let see = |x: usize, y: usize| {
-            let (dx, dy) = (
-                (x as f64 + 0.5 - intrinsics.cx) / intrinsics.fx,
-                (y as f64 + 0.5 - intrinsics.cy) / intrinsics.fy,
-            );
+            let (dx, dy) =
+                ((x as f64 + 0.5 - intrinsics.cx) / intrinsics.fx, (y as f64 + 0.5 - intrinsics.cy) / intrinsics.fy);
             for &(left, right, top, bottom, z, moves, shift) in &boxes {
                 let (wx, wy) = (step * t + dx * z, dy * z);
                 if (left..right).contains(&wx) && (top..bottom).contains(&wy) {
@@ -89,10 +74,8 @@ fn draw(step: f64) -> Drawn {
             (texture(step * t + dx * z, dy * z, 0.0), z, false)
         };
         out.images.push(Plane::from_fn(SIZE.0, SIZE.1, |x, y| see(x, y).0));
-        out.depth
-            .push(Plane::from_fn(SIZE.0, SIZE.1, |x, y| see(x, y).1 as f32));
-        out.moving
-            .push(Plane::from_fn(SIZE.0, SIZE.1, |x, y| if see(x, y).2 { 255 } else { 0 }));
+        out.depth.push(Plane::from_fn(SIZE.0, SIZE.1, |x, y| see(x, y).1 as f32));
+        out.moving.push(Plane::from_fn(SIZE.0, SIZE.1, |x, y| if see(x, y).2 { 255 } else { 0 }));
         out.cameras.push(camera);
     }
     out
@@ -102,10 +85,7 @@ fn draw(step: f64) -> Drawn {
 fn sparse(drawn: &Drawn, camera_motion: CameraMotion) -> SparseReconstruction {
     let mut tracks = Vec::new();
     for i in 0..FRAMES {
-        for (x, y) in (0..SIZE.0)
-            .step_by(16)
-            .flat_map(|x| (0..SIZE.1).step_by(16).map(move |y| (x, y)))
-        {
+        for (x, y) in (0..SIZE.0).step_by(16).flat_map(|x| (0..SIZE.1).step_by(16).map(move |y| (x, y))) {
             if drawn.moving[i][(x, y)] == 0 && camera_motion == CameraMotion::Parallax {
                 let point = drawn.cameras[i].unproject(x as f64, y as f64, f64::from(drawn.depth[i][(x, y)]));
                 tracks.push(Track {
@@ -135,18 +115,12 @@ fn references(drawn: &Drawn) -> Vec<&RgbImage> {
 fn score(drawn: &Drawn, found: &[DenseFrame]) -> ([f64; 2], f64) {
     let (mut sum, mut count, mut both, mut either) = ([0.0; 2], [0.0; 2], 0.0, 0.0);
     for (i, frame) in found.iter().enumerate() {
-        assert_eq!(
-            (frame.depth.size(), frame.mask.size(), frame.confidence.size()),
-            (SIZE, SIZE, SIZE)
-        );
+        assert_eq!((frame.depth.size(), frame.mask.size(), frame.confidence.size()), (SIZE, SIZE, SIZE));
         for (x, y) in (0..SIZE.0).flat_map(|x| (0..SIZE.1).map(move |y| (x, y))) {
             let (z, want) = (f64::from(frame.depth[(x, y)]), f64::from(drawn.depth[i][(x, y)]));
             assert!(z.is_finite() && z > 0.0, "frame {i}, pixel {x}, {y}: depth {z}");
             let confidence = frame.confidence[(x, y)];
-            assert!(
-                (0.0..=1.0).contains(&confidence),
-                "frame {i}, pixel {x}, {y}: confidence {confidence}"
-            );
+            assert!((0.0..=1.0).contains(&confidence), "frame {i}, pixel {x}, {y}: confidence {confidence}");
             let (m, f) = (drawn.moving[i][(x, y)] != 0, frame.mask[(x, y)] != 0);
             sum[usize::from(m)] += (z - want).abs() / want;
             count[usize::from(m)] += 1.0;
@@ -160,23 +134,16 @@ fn score(drawn: &Drawn, found: &[DenseFrame]) -> ([f64; 2], f64) {
 #[test]
 fn depth_and_masks_of_a_drawn_scene() {
     let drawn = draw(0.06);
-    let found = estimate_depth(
-        &references(&drawn),
-        &sparse(&drawn, CameraMotion::Parallax),
-        &DenseConfig::default(),
-        &Silent,
-    )
-    .unwrap();
+    let found =
+        estimate_depth(&references(&drawn), &sparse(&drawn, CameraMotion::Parallax), &DenseConfig::default(), &Silent)
+            .unwrap();
     let ([fixed, moving], iou) = score(&drawn, &found);
     eprintln!("static {fixed:.4}, moving {moving:.4}, masks {iou:.3}");
     // measured: 0.0101, 0.589 and 0.859
     assert!(fixed < 0.015, "static depth is off by {fixed:.4}");
     // The box floats, and nothing says how far before the wall: its distance is not recovered here (`dense::bodies` has tests of
     // what can be). It must lie before the wall, on which the error would be 4 / 2.4 - 1 = 0.667.
-    assert!(
-        moving < 0.62,
-        "the moving box is on the wall: its depth is off by {moving:.4}"
-    );
+    assert!(moving < 0.62, "the moving box is on the wall: its depth is off by {moving:.4}");
     assert!(iou > 0.8, "masks overlap by {iou:.3}");
 }
 
@@ -188,13 +155,7 @@ fn any_number_of_threads_gives_the_same_bits() {
     let run = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| {
-            estimate_depth(
-                &frames[..6],
-                &first(&reconstruction, 6),
-                &DenseConfig::default(),
-                &Silent,
-            )
-            .unwrap()
+            estimate_depth(&frames[..6], &first(&reconstruction, 6), &DenseConfig::default(), &Silent).unwrap()
         })
     };
     assert_eq!(run(1), run(3));
@@ -232,13 +193,9 @@ fn static_camera_gives_masks_and_placeholder_depth() {
     let drawn = draw(0.0);
     for camera_motion in [CameraMotion::Static, CameraMotion::RotationOnly] {
         let listener = Listener::default();
-        let found = estimate_depth(
-            &references(&drawn),
-            &sparse(&drawn, camera_motion),
-            &DenseConfig::default(),
-            &listener,
-        )
-        .unwrap();
+        let found =
+            estimate_depth(&references(&drawn), &sparse(&drawn, camera_motion), &DenseConfig::default(), &listener)
+                .unwrap();
         let (_, iou) = score(&drawn, &found);
         assert!(iou > 0.5, "{camera_motion:?}: masks overlap by {iou:.3}");
         // Static pixels lie on a sphere around the camera, dynamic ones in front of it.
@@ -247,11 +204,7 @@ fn static_camera_gives_masks_and_placeholder_depth() {
             for (i, (&z, &mask)) in frame.depth.data().iter().zip(frame.mask.data()).enumerate() {
                 let place = camera.unproject((i % w) as f64, (i / w) as f64, f64::from(z));
                 let distance = (place - camera.centre()).norm();
-                let fits = if mask > 0 {
-                    distance < 0.92
-                } else {
-                    (distance - 1.0).abs() < 0.01
-                };
+                let fits = if mask > 0 { distance < 0.92 } else { (distance - 1.0).abs() < 0.01 };
                 assert!(fits, "{camera_motion:?}: mask {mask} at distance {distance}");
             }
         }
@@ -270,13 +223,7 @@ fn single_frame_and_static_scene_succeed() {
     let grey: Vec<RgbImage> = (0..3).map(|_| Plane::filled(SIZE.0, SIZE.1, [90; 3])).collect();
     let mut blank = first(&all, 3);
     blank.tracks.clear();
-    let found = estimate_depth(
-        &grey.iter().collect::<Vec<_>>(),
-        &blank,
-        &DenseConfig::default(),
-        &Silent,
-    )
-    .unwrap();
+    let found = estimate_depth(&grey.iter().collect::<Vec<_>>(), &blank, &DenseConfig::default(), &Silent).unwrap();
     for frame in found {
         assert!(frame.depth.data().iter().all(|z| z.is_finite() && *z > 0.0));
         assert!(frame.mask.data().iter().all(|&m| m == 0));
@@ -305,14 +252,8 @@ fn bad_input_is_named() {
     let mut settings = config.clone();
     settings.working_side_px = 63;
     assert!(fails(&frames, &good, &settings).contains("dense.working_side_px"));
-    let stop = Listener {
-        stop: true,
-        ..Listener::default()
-    };
-    assert!(matches!(
-        estimate_depth(&frames, &good, &config, &stop),
-        Err(DenseError::Cancelled { .. })
-    ));
+    let stop = Listener { stop: true, ..Listener::default() };
+    assert!(matches!(estimate_depth(&frames, &good, &config, &stop), Err(DenseError::Cancelled { .. })));
 }
 
 /// Answers every prompt with the same kind of mask.
@@ -333,10 +274,7 @@ impl Segmenter for Oracle<'_> {
         (width, height): (usize, usize),
         prompts: &[SegmentPrompt],
     ) -> Result<Vec<SegmentMask>, SegmentError> {
-        let failed = |reason: &str| SegmentError::Source {
-            segmenter: self.name().to_owned(),
-            reason: reason.into(),
-        };
+        let failed = |reason: &str| SegmentError::Source { segmenter: self.name().to_owned(), reason: reason.into() };
         let logits: Vec<f32> = match self {
             Self::Truth(drawn) => {
                 let same = drawn.images.iter().position(|other| other == image);
@@ -359,20 +297,14 @@ fn a_segmenter_is_believed_where_it_means_the_same() {
         let (frames, good) = (references(&drawn), sparse(&drawn, motion));
         let flow = InverseSearch;
         let with = |segmenter: Option<&dyn Segmenter>| {
-            let sources = Sources {
-                segmenter,
-                ..Sources::flow(&flow)
-            };
+            let sources = Sources { segmenter, ..Sources::flow(&flow) };
             let config = DenseConfig::default();
             dense(&frames, &good, &sources, &config, &Silent)
         };
         let plain = with(None).unwrap();
         let sharp = with(Some(&Oracle::Truth(&drawn))).unwrap();
         let ((_, before), (_, after)) = (score(&drawn, &plain), score(&drawn, &sharp));
-        assert!(
-            after > 0.9 && after > before + 0.05,
-            "{motion:?}: {before:.3} to {after:.3}"
-        );
+        assert!(after > 0.9 && after > before + 0.05, "{motion:?}: {before:.3} to {after:.3}");
         // The whole image is not dynamic.
         let same = with(Some(&Oracle::Everything)).unwrap();
         assert!(same == plain, "{motion:?}");
@@ -409,10 +341,7 @@ fn dynamic_regions_take_depth_from_a_sensor() {
     let drawn = draw(0.08);
     let frames: Vec<&RgbImage> = drawn.images.iter().collect();
     let sparse = sparse(&drawn, CameraMotion::Parallax);
-    let sources = Sources {
-        mono: &Network(&drawn),
-        ..Sources::flow(&InverseSearch)
-    };
+    let sources = Sources { mono: &Network(&drawn), ..Sources::flow(&InverseSearch) };
     let config = DenseConfig::default();
     let found = estimate(&frames, &sparse, &sources, Some(&drawn.moving), &config, &Silent).unwrap();
     let found = found.enlarge(&frames, &Silent).unwrap();
@@ -424,10 +353,6 @@ fn dynamic_regions_take_depth_from_a_sensor() {
             .collect();
         errors.sort_by(f32::total_cmp);
         let middle = errors[errors.len() / 2];
-        assert!(
-            errors.len() > 200 && middle < 0.02,
-            "frame {i}: {middle} of {}",
-            errors.len()
-        );
+        assert!(errors.len() > 200 && middle < 0.02, "frame {i}: {middle} of {}", errors.len());
     }
 }

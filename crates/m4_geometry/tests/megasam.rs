@@ -18,12 +18,7 @@ use safetensors::{Dtype, SafeTensors};
 use std::path::Path;
 
 fn fixture(name: &str) -> Vec<u8> {
-    std::fs::read(
-        Path::new(env!("CARGO_MANIFEST_DIR"))
-            .join("../../fixtures/ops")
-            .join(name),
-    )
-    .unwrap()
+    std::fs::read(Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fixtures/ops").join(name)).unwrap()
 }
 
 fn plane(file: &[u8], name: &str) -> Plane<f32> {
@@ -74,21 +69,11 @@ fn sizes_are_those_of_the_published_program() {
     let all = SafeTensors::deserialize(&file).unwrap();
     let tensor = all.tensor("table").unwrap();
     assert_eq!(tensor.dtype(), Dtype::I64);
-    let table: Vec<usize> = tensor
-        .data()
-        .as_chunks::<8>()
-        .0
-        .iter()
-        .map(|b| i64::from_le_bytes(*b) as usize)
-        .collect();
+    let table: Vec<usize> = tensor.data().as_chunks::<8>().0.iter().map(|b| i64::from_le_bytes(*b) as usize).collect();
     assert!(table.len() >= 8 * 5);
     for row in table.chunks(8) {
         let size = TrackingSize::new((row[0], row[1]), 384.0 * 512.0).unwrap();
-        assert_eq!(
-            (size.scaled, size.cropped),
-            ((row[4], row[5]), (row[6], row[7])),
-            "{row:?}"
-        );
+        assert_eq!((size.scaled, size.cropped), ((row[4], row[5]), (row[6], row[7])), "{row:?}");
     }
 }
 
@@ -104,12 +89,7 @@ struct Scene {
 /// The first `frames` frames of a scene; `None` where it is not there.
 fn load(name: &str, frames: usize) -> Option<Scene> {
     let capture = capture::read(&shared(name)?, Split::Train, &CaptureOptions::default(), &Silent).unwrap();
-    let mut scene = Scene {
-        images: Vec::new(),
-        cameras: Vec::new(),
-        depth: Vec::new(),
-        moving: Vec::new(),
-    };
+    let mut scene = Scene { images: Vec::new(), cameras: Vec::new(), depth: Vec::new(), moving: Vec::new() };
     for frame in capture.frames.into_iter().take(frames) {
         scene.images.push(frame.rgb);
         scene.cameras.push(frame.camera);
@@ -151,11 +131,7 @@ impl Truth<'_> {
     /// Pixel `(x, y)` of the tracked image of frame `i`, in frame `j`.
     fn seen(&self, i: usize, j: usize, x: f64, y: f64) -> Seen {
         let (u, v) = (self.full(x, 0), self.full(y, 1));
-        let nowhere = Seen {
-            at: [x as f32, y as f32],
-            visible: false,
-            moving: false,
-        };
+        let nowhere = Seen { at: [x as f32, y as f32], visible: false, moving: false };
         let Some(p) = self.nearest(u, v) else { return nowhere };
         let z = f64::from(self.scene.depth[i][p]);
         let moving = self.scene.moving[i][p];
@@ -228,11 +204,7 @@ impl PairFlow for Truth<'_> {
         assert_eq!((a.size(), b.size()), (self.size.cropped, self.size.cropped));
         let (width, height) = self.size.cropped;
         let way = |i: usize, j: usize| {
-            let mut field = Flow {
-                width,
-                height,
-                ..Flow::default()
-            };
+            let mut field = Flow { width, height, ..Flow::default() };
             for n in 0..width * height {
                 let (x, y) = ((n % width) as f64, (n / width) as f64);
                 let seen = self.seen(i, j, x, y);
@@ -263,11 +235,7 @@ fn path_error(found: &MegasamGeometry, scene: &Scene) -> (f64, f64) {
     let got: Vec<Vector3<f64>> = found.c2w.iter().map(|p| p.translation).collect();
     let want: Vec<Vector3<f64>> = scene.cameras.iter().map(|c| c.c2w.translation).collect();
     let fit = Sim3::umeyama(&got, &want).unwrap();
-    let square: f64 = got
-        .iter()
-        .zip(&want)
-        .map(|(a, b)| (fit.transform(a) - b).norm_squared())
-        .sum();
+    let square: f64 = got.iter().zip(&want).map(|(a, b)| (fit.transform(a) - b).norm_squared()).sum();
     let length: f64 = want.windows(2).map(|w| (w[1] - w[0]).norm()).sum();
     ((square / got.len() as f64).sqrt() / length, fit.scale)
 }
@@ -299,11 +267,7 @@ fn true_flow_gives_true_cameras_and_depth() {
         images: &images,
         times_s: &times,
         // A guess that is off by an eighth.
-        lens: Intrinsics {
-            fx: 1.125 * lens.fx,
-            fy: 1.125 * lens.fy,
-            ..lens
-        },
+        lens: Intrinsics { fx: 1.125 * lens.fx, fy: 1.125 * lens.fy, ..lens },
         focal_is_free: true,
         prior: Some(&prior),
     };
@@ -368,12 +332,7 @@ fn true_pairs(scene: &Scene) -> PairStore {
             (x[p], y[p]) = ((u - px) as f32, (v - py) as f32);
             mask[p] = seen && !scene.moving[pair.target].data()[q];
         }
-        let flow = Flow {
-            width: WIDTH,
-            height: HEIGHT,
-            u: x,
-            v: y,
-        };
+        let flow = Flow { width: WIDTH, height: HEIGHT, u: x, v: y };
         store.push(pair, &flow, &mask).unwrap();
     }
     assert!(store.spilled_pairs() > 0);

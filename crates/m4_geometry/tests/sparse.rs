@@ -80,11 +80,7 @@ fn a_rendered_room_is_reconstructed() {
     let centres = |cameras: &[Camera]| cameras.iter().map(Camera::centre).collect::<Vec<_>>();
     let (ours, want) = (centres(&found.cameras), centres(&truth));
     let fit = Sim3::umeyama(&ours, &want).expect("a trajectory");
-    let worst = ours
-        .iter()
-        .zip(&want)
-        .map(|(a, b)| (fit.transform(a) - b).norm())
-        .fold(0.0, f64::max);
+    let worst = ours.iter().zip(&want).map(|(a, b)| (fit.transform(a) - b).norm()).fold(0.0, f64::max);
     let path: f64 = want.windows(2).map(|w| (w[1] - w[0]).norm()).sum();
     assert!(worst < 0.02 * path, "off by {worst} on a path of {path}");
     let focal = found.cameras[0].intrinsics.fx;
@@ -108,14 +104,8 @@ fn a_rendered_room_is_reconstructed() {
             (off, off_moves) = (off + 1, off_moves + moves);
         }
     }
-    assert!(
-        on >= 10 && 4 * on_moves >= 3 * on,
-        "{on_moves} of {on} tracks on the plate move"
-    );
-    assert!(
-        off > 100 && 10 * off_moves <= off,
-        "{off_moves} of {off} tracks beside the plate move"
-    );
+    assert!(on >= 10 && 4 * on_moves >= 3 * on, "{on_moves} of {on} tracks on the plate move");
+    assert!(off > 100 && 10 * off_moves <= off, "{off_moves} of {off} tracks beside the plate move");
 }
 
 #[test]
@@ -141,21 +131,12 @@ fn bad_input_is_refused() {
         (vec![plain(100, 80)], "the clip has 1 frame(s)"),
         (vec![plain(100, 80), plain(100, 81)], "frame 1 is (100, 81) pixels"),
         (vec![plain(60, 80), plain(60, 80)], "frames of 60x80 pixels"),
-        (
-            vec![plain(100, 80), plain(100, 80)],
-            "only 0 points could be tracked from frame 0",
-        ),
+        (vec![plain(100, 80), plain(100, 80)], "only 0 points could be tracked from frame 0"),
     ] {
         assert!(run(&frames).contains(reason), "{}", run(&frames));
     }
     let (a, b) = (plain(100, 80), plain(100, 80));
-    let config = SparseConfig {
-        fov_deg: Some(f64::NAN),
-        ..SparseConfig::default()
-    };
+    let config = SparseConfig { fov_deg: Some(f64::NAN), ..SparseConfig::default() };
     let got = reconstruct(&[&a, &b], &config).map(|_| ());
-    assert!(
-        matches!(got, Err(SparseError::Setting { name: "fov_deg", .. })),
-        "{got:?}"
-    );
+    assert!(matches!(got, Err(SparseError::Setting { name: "fov_deg", .. })), "{got:?}");
 }

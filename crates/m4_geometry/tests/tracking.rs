@@ -12,12 +12,7 @@ use m4_geometry::megasam::tracker::{
 use std::collections::HashMap;
 
 const GRID: Grid = Grid { width: 96, height: 64 };
-const LENS: Pinhole<f64> = Pinhole {
-    fx: 84.0,
-    fy: 84.0,
-    cx: 47.5,
-    cy: 31.5,
-};
+const LENS: Pinhole<f64> = Pinhole { fx: 84.0, fy: 84.0, cx: 47.5, cy: 31.5 };
 const FRAMES: usize = 20;
 const BALL: f64 = 0.5;
 
@@ -106,14 +101,7 @@ fn ball(frame: usize) -> Vector3<f64> {
 /// Camera to world at a frame.
 fn camera(frame: usize) -> Se3<f64> {
     let t = frame as f64 / (FRAMES - 1) as f64;
-    let turn = Vector6::new(
-        0.0,
-        0.0,
-        0.0,
-        0.05 * (4.0 * t).sin(),
-        0.2 - 0.4 * t,
-        0.04 * (5.0 * t).cos(),
-    );
+    let turn = Vector6::new(0.0, 0.0, 0.0, 0.05 * (4.0 * t).sin(), 0.2 - 0.4 * t, 0.04 * (5.0 * t).cos());
     Se3 {
         translation: Vector3::new(-0.9 + 1.8 * t, 0.25 * (6.0 * t).sin(), 0.7 * t * t),
         rotation: Se3::exp(&turn).rotation,
@@ -136,10 +124,7 @@ fn cast(c2w: &Se3<f64>, centre: &Vector3<f64>, u: f64, v: f64) -> (f64, bool) {
     let (low, high) = (Vector3::new(-2.4, -0.4, 4.0), Vector3::new(-0.9, 1.5, 5.0));
     let (mut enter, mut leave) = (0.0_f64, f64::INFINITY);
     for axis in 0..3 {
-        let (a, b) = (
-            (low[axis] - from[axis]) / ray[axis],
-            (high[axis] - from[axis]) / ray[axis],
-        );
+        let (a, b) = ((low[axis] - from[axis]) / ray[axis], (high[axis] - from[axis]) / ray[axis]);
         (enter, leave) = (enter.max(a.min(b)), leave.min(a.max(b)));
     }
     if enter < leave && enter > 0.0 {
@@ -165,10 +150,7 @@ fn pixels() -> impl Iterator<Item = (f64, f64)> {
 fn flow(i: usize, j: usize) -> DenseFlow {
     let (from, to) = (camera(i), camera(j).inverse());
     let mut rng = CounterRng::new(5, i as u64, j as u64);
-    let mut out = DenseFlow {
-        flow_px: [Vec::new(), Vec::new()],
-        confidence: Vec::new(),
-    };
+    let mut out = DenseFlow { flow_px: [Vec::new(), Vec::new()], confidence: Vec::new() };
     for (u, v) in pixels() {
         let (depth, moving) = cast(&from, &ball(i), u, v);
         let local = Vector3::new((u - LENS.cx) / LENS.fx, (v - LENS.cy) / LENS.fy, 1.0) * depth;
@@ -202,26 +184,12 @@ fn sensor(frame: usize) -> Vec<f32> {
 }
 
 fn inputs(sensor: impl Fn(usize) -> Vec<f32>) -> Vec<FrameInput> {
-    (0..FRAMES)
-        .map(|frame| FrameInput {
-            frame,
-            time_s: frame as f64 / 30.0,
-            sensor: sensor(frame),
-        })
-        .collect()
+    (0..FRAMES).map(|frame| FrameInput { frame, time_s: frame as f64 / 30.0, sensor: sensor(frame) }).collect()
 }
 
 fn run(settings: &TrackerSettings, guess: f64, sensor: fn(usize) -> Vec<f32>) -> Tracked {
     let frames = inputs(sensor);
-    let clip = Clip {
-        grid: GRID,
-        lens: Pinhole {
-            fx: LENS.fx * guess,
-            fy: LENS.fy * guess,
-            ..LENS
-        },
-        frames: &frames,
-    };
+    let clip = Clip { grid: GRID, lens: Pinhole { fx: LENS.fx * guess, fy: LENS.fy * guess, ..LENS }, frames: &frames };
     let mut source = FlowCorrespondence::new(flow);
     track(&clip, &mut source, settings, &Silent).expect("a clip that can be tracked")
 }
@@ -231,11 +199,7 @@ fn path_error(tracked: &Tracked) -> f64 {
     let got: Vec<Vector3<f64>> = tracked.c2w().iter().map(|p| p.translation).collect();
     let want: Vec<Vector3<f64>> = (0..FRAMES).map(|k| camera(k).translation).collect();
     let fit = Sim3::umeyama(&got, &want).expect("a path");
-    let square: f64 = got
-        .iter()
-        .zip(&want)
-        .map(|(a, b)| (fit.transform(a) - b).norm_squared())
-        .sum();
+    let square: f64 = got.iter().zip(&want).map(|(a, b)| (fit.transform(a) - b).norm_squared()).sum();
     let length: f64 = want.windows(2).map(|w| (w[1] - w[0]).norm()).sum();
     (square / FRAMES as f64).sqrt() / length
 }
@@ -292,16 +256,10 @@ fn cameras_focal_length_depth_and_mask_are_recovered_from_flow() {
 
 #[test]
 fn without_any_hint_of_depth_the_path_is_recovered_too() {
-    let settings = TrackerSettings {
-        optimise_focal: false,
-        ..TrackerSettings::for_flow()
-    };
+    let settings = TrackerSettings { optimise_focal: false, ..TrackerSettings::for_flow() };
     let tracked = run(&settings, 1.0, |_| vec![0.0; GRID.len()]);
     let (path, depth, mask) = (path_error(&tracked), depth_error(&tracked), mask_iou(&tracked));
-    eprintln!(
-        "path {path:.5}, depth {depth:.4}, mask {mask:.3}, rms {:.3} px",
-        tracked.rms_px
-    );
+    eprintln!("path {path:.5}, depth {depth:.4}, mask {mask:.3}, rms {:.3} px", tracked.rms_px);
     assert_eq!(tracked.geometry.lens, LENS);
     assert!(path < 0.02, "path off by {path}");
     assert!(depth < 0.03, "depth off by {depth}");
@@ -312,20 +270,13 @@ fn without_any_hint_of_depth_the_path_is_recovered_too() {
 fn still(_i: usize, j: usize) -> DenseFlow {
     let mut rng = CounterRng::new(6, 0, j as u64);
     let mut plane = || (0..GRID.len()).map(|_| (NOISE_PX * rng.normal()) as f32).collect();
-    DenseFlow {
-        flow_px: [plane(), plane()],
-        confidence: vec![1.0; GRID.len()],
-    }
+    DenseFlow { flow_px: [plane(), plane()], confidence: vec![1.0; GRID.len()] }
 }
 
 #[test]
 fn a_camera_on_a_tripod_stays_where_it_is() {
     let frames = inputs(sensor);
-    let clip = Clip {
-        grid: GRID,
-        lens: LENS,
-        frames: &frames,
-    };
+    let clip = Clip { grid: GRID, lens: LENS, frames: &frames };
     let mut source = FlowCorrespondence::new(still);
     let tracked = track(&clip, &mut source, &TrackerSettings::for_flow(), &Silent).expect("two keyframes are enough");
     eprintln!("{:?}, keyframes {:?}", tracked.observability, tracked.keyframes);
@@ -338,10 +289,7 @@ fn a_camera_on_a_tripod_stays_where_it_is() {
     }
     // With no parallax depth is that of the hints.
     let hints = sensor(0);
-    let off = hints
-        .iter()
-        .zip(&tracked.geometry.disparity[0])
-        .filter(|(h, _)| **h > 0.0);
+    let off = hints.iter().zip(&tracked.geometry.disparity[0]).filter(|(h, _)| **h > 0.0);
     let off = off.map(|(h, d)| (d / h - 1.0).abs()).fold(0.0_f32, f32::max);
     assert!(off < 0.1, "depth off by {off}");
 }
@@ -352,11 +300,7 @@ fn single_frames_and_unordered_frames_are_rejected() {
     let mut source = FlowCorrespondence::new(still);
     let settings = TrackerSettings::for_flow();
     let mut ask = |frames: &[FrameInput]| {
-        let clip = Clip {
-            grid: GRID,
-            lens: LENS,
-            frames,
-        };
+        let clip = Clip { grid: GRID, lens: LENS, frames };
         let error = track(&clip, &mut source, &settings, &Silent).expect_err("a clip that cannot be tracked");
         error.to_string()
     };

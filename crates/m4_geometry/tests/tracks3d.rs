@@ -28,20 +28,12 @@ impl FlowSource for TrueFlow<'_> {
     fn both(&self, a: &FlowImage<'_>, b: &FlowImage<'_>) -> Result<(Flow, Flow), FlowError> {
         let index = |p: &FlowImage<'_>| {
             let at = self.images.iter().position(|q| q.data() == p.rgb);
-            at.ok_or_else(|| FlowError::Source {
-                source_name: "true".to_owned(),
-                reason: "an unknown image".into(),
-            })
+            at.ok_or_else(|| FlowError::Source { source_name: "true".to_owned(), reason: "an unknown image".into() })
         };
         let (from, to) = (index(a)?, index(b)?);
         let flow = |from, to| {
             let (u, v) = self.scene.flow(from, to);
-            Flow {
-                width: a.width,
-                height: a.height,
-                u,
-                v,
-            }
+            Flow { width: a.width, height: a.height, u, v }
         };
         Ok((flow(from, to), flow(to, from)))
     }
@@ -147,18 +139,12 @@ fn scene() -> BoxScene {
 }
 
 fn config(fill: bool) -> TrackConfig {
-    TrackConfig {
-        fill,
-        ..TrackConfig::default()
-    }
+    TrackConfig { fill, ..TrackConfig::default() }
 }
 
 fn measured(scene: &BoxScene, fill: bool) -> Result<(TrackedPoints, Score), TrackError> {
     let flow = TrueFlow::new(scene);
-    let tracker = FlowTracker {
-        flow: &flow,
-        config: config(fill),
-    };
+    let tracker = FlowTracker { flow: &flow, config: config(fill) };
     let followed = tracker.follow_grid(&clip(scene), &QueryGrid::default(), &Silent)?;
     let score = score(scene, &followed);
     println!("true flow, hidden points carried on: {fill}: {score}");
@@ -183,13 +169,8 @@ fn occluded_points_move_with_their_object() {
 fn our_own_flow_is_nearly_as_good() {
     let scene = scene();
     let search = InverseSearch;
-    let tracker = FlowTracker {
-        flow: &search,
-        config: config(true),
-    };
-    let followed = tracker
-        .follow_grid(&clip(&scene), &QueryGrid::default(), &Silent)
-        .unwrap();
+    let tracker = FlowTracker { flow: &search, config: config(true) };
+    let followed = tracker.follow_grid(&clip(&scene), &QueryGrid::default(), &Silent).unwrap();
     let score = score(&scene, &followed);
     println!("own flow: {score}");
     assert!(score.seen_percent < 0.8 && score.hidden_percent < 2.5);
@@ -206,9 +187,7 @@ fn the_number_of_threads_does_not_matter() {
     let bits = |f: &TrackedPoints| -> Vec<u32> {
         let places = f.tracks.xyz().as_flattened().iter().map(|v| v.to_bits());
         let trust = (0..f.tracks.frames()).flat_map(|t| (0..f.tracks.count()).map(move |k| (t, k)));
-        places
-            .chain(trust.map(|(t, k)| f.tracks.confidence(t, k).to_bits()))
-            .collect()
+        places.chain(trust.map(|(t, k)| f.tracks.confidence(t, k).to_bits())).collect()
     };
     let (one, three) = (with(1), with(3));
     assert!(one.tracks.count() > 20);
@@ -221,10 +200,7 @@ fn queries_lie_in_the_masks() {
     let scene = BoxScene::new(96, 72, 11);
     let clip = clip(&scene);
     let ask = |grid: QueryGrid| grid.queries("still", &clip, &Silent);
-    let all = QueryGrid {
-        every: 2,
-        ..QueryGrid::default()
-    };
+    let all = QueryGrid { every: 2, ..QueryGrid::default() };
     let queries = ask(all).unwrap();
     assert!(queries.len() > 20);
     for q in &queries {
@@ -252,10 +228,7 @@ impl Progress for Stop {
 fn untrackable_input_is_reported_and_static_scene_is_not_an_error() {
     let scene = BoxScene::new(64, 48, 4);
     let flow = TrueFlow::new(&scene);
-    let tracker = FlowTracker {
-        flow: &flow,
-        config: config(true),
-    };
+    let tracker = FlowTracker { flow: &flow, config: config(true) };
     let grid = QueryGrid::default();
     let mut clip = clip(&scene);
     let stopped = tracker.follow_grid(&clip, &grid, &Stop);

@@ -25,14 +25,10 @@ impl AtomicFile {
     ///
     /// The failure of the file system; also when `target` names no file (`/`, `..`) or is a folder.
     pub fn create(target: &Path) -> io::Result<Self> {
-        let name = target
-            .file_name()
-            .ok_or_else(|| io::Error::new(io::ErrorKind::InvalidInput, "the path names no file"))?;
+        let name =
+            target.file_name().ok_or_else(|| io::Error::new(io::ErrorKind::InvalidInput, "the path names no file"))?;
         if target.is_dir() {
-            return Err(io::Error::new(
-                io::ErrorKind::IsADirectory,
-                "the path is a folder that exists",
-            ));
+            return Err(io::Error::new(io::ErrorKind::IsADirectory, "the path is a folder that exists"));
         }
         let folder = match target.parent() {
             Some(folder) if !folder.as_os_str().is_empty() => folder.to_path_buf(),
@@ -44,11 +40,7 @@ impl AtomicFile {
         hidden.push(format!(".tmp-{}", std::process::id()));
         let temporary = folder.join(hidden);
         let file = File::create(&temporary)?;
-        Ok(Self {
-            target: target.to_path_buf(),
-            temporary,
-            writer: Some(BufWriter::new(file)),
-        })
+        Ok(Self { target: target.to_path_buf(), temporary, writer: Some(BufWriter::new(file)) })
     }
 
     /// Where the bytes are until [`AtomicFile::commit`]: for checking them before they are published.
@@ -84,9 +76,7 @@ impl AtomicFile {
     }
 
     fn open(&mut self) -> io::Result<&mut BufWriter<File>> {
-        self.writer
-            .as_mut()
-            .ok_or_else(|| io::Error::other("the file was closed already"))
+        self.writer.as_mut().ok_or_else(|| io::Error::other("the file was closed already"))
     }
 }
 
@@ -119,9 +109,7 @@ impl Drop for AtomicFile {
 /// Whether a file of this name is what a process that was killed left of one to be called `of`.
 #[must_use]
 pub fn is_temporary_of(name: &str, of: &str) -> bool {
-    let process = name
-        .strip_prefix('.')
-        .and_then(|name| name.strip_prefix(of)?.strip_prefix(".tmp-"));
+    let process = name.strip_prefix('.').and_then(|name| name.strip_prefix(of)?.strip_prefix(".tmp-"));
     process.is_some_and(|digits| !digits.is_empty() && digits.bytes().all(|b| b.is_ascii_digit()))
 }
 

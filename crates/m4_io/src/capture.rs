@@ -97,10 +97,7 @@ pub struct CaptureOptions {
 
 impl Default for CaptureOptions {
     fn default() -> Self {
-        Self {
-            max_memory_bytes: 4 << 30,
-            reach: Reach::Inside,
-        }
+        Self { max_memory_bytes: 4 << 30, reach: Reach::Inside }
     }
 }
 
@@ -123,11 +120,8 @@ pub fn read(
         let what = "it does not exist; a capture is a folder with transforms_train.json, or such a file";
         return Err(Fault::Io(io::Error::new(io::ErrorKind::NotFound, what)).at(&file));
     }
-    let options = ImportOptions {
-        max_memory_bytes: options.max_memory_bytes,
-        reach: options.reach,
-        ..ImportOptions::default()
-    };
+    let options =
+        ImportOptions { max_memory_bytes: options.max_memory_bytes, reach: options.reach, ..ImportOptions::default() };
     let listing = list_capture(&file, split, &options, progress)?;
     Ok(load_of(&file, listing, BYTES_PER_8_PIXELS, &options, progress)?.train)
 }
@@ -139,11 +133,7 @@ fn list_of_frames(path: &Path, split: Split) -> PathBuf {
     }
     let named = path.join(split.file_name());
     let lone = path.join("transforms.json");
-    if split == Split::Train && !named.exists() && lone.exists() {
-        lone
-    } else {
-        named
-    }
+    if split == Split::Train && !named.exists() && lone.exists() { lone } else { named }
 }
 
 /// Steps that the nearest percent of all depths should have at least: rounding then costs at most
@@ -182,9 +172,8 @@ pub fn write(folder: &Path, capture: &Capture, split: Split, progress: &dyn Prog
     }
     let pairs: Vec<(&CaptureFrame, &Frame)> = capture.frames.iter().zip(&frames).collect();
     let stopped = || WriteError::cancelled(&list);
-    let clipped = in_parallel("write frames", &pairs, progress, stopped, |_, (frame, entry)| {
-        images(folder, frame, entry, unit)
-    })?;
+    let clipped =
+        in_parallel("write frames", &pairs, progress, stopped, |_, (frame, entry)| images(folder, frame, entry, unit))?;
     let clipped: usize = clipped.into_iter().sum();
     if clipped > 0 {
         progress.warn(&format!(
@@ -200,10 +189,7 @@ pub fn write(folder: &Path, capture: &Capture, split: Split, progress: &dyn Prog
     }
 
     let transforms = Transforms {
-        lens: LensKeys {
-            camera_model: Some("OPENCV".to_owned()),
-            ..LensKeys::default()
-        },
+        lens: LensKeys { camera_model: Some("OPENCV".to_owned()), ..LensKeys::default() },
         depth_unit_scale_factor: Some(unit),
         axes: Some(Axes::OpenGl),
         metric: Some(capture.metric),
@@ -234,17 +220,11 @@ fn entry(
     let k = &frame.camera.intrinsics;
     let numbers = [k.fx, k.fy, k.cx, k.cy];
     if !frame.camera.c2w.matrix().iter().chain(&numbers).all(|v| v.is_finite()) {
-        return Err(bad(format!(
-            "its camera holds a NaN or infinite value: {:?}",
-            frame.camera
-        )));
+        return Err(bad(format!("its camera holds a NaN or infinite value: {:?}", frame.camera)));
     }
     if frame.rgb.size() != (k.width, k.height) {
         let (w, h) = frame.rgb.size();
-        return Err(bad(format!(
-            "its image is {w} x {h} but its camera {} x {}",
-            k.width, k.height
-        )));
+        return Err(bad(format!("its image is {w} x {h} but its camera {} x {}", k.width, k.height)));
     }
     let [image, depth, mask, motion, instances] = split.folders().map(|folder| format!("{folder}/{index:05}.png"));
     Ok(Frame {
@@ -303,10 +283,6 @@ pub(crate) fn depth_unit(capture: &Capture) -> f64 {
 
 /// The largest known depth of all frames; 0 where none is.
 pub(crate) fn farthest(capture: &Capture) -> f32 {
-    let depths = capture
-        .frames
-        .iter()
-        .filter_map(|f| f.depth.as_ref())
-        .flat_map(|d| d.every(1));
+    let depths = capture.frames.iter().filter_map(|f| f.depth.as_ref()).flat_map(|d| d.every(1));
     depths.filter(|z| z.is_finite()).fold(0.0, f32::max)
 }

@@ -180,11 +180,7 @@ impl Fault {
         match self {
             // it is named already
             Self::File(error) if error.path == path => *error,
-            fault => ReadError {
-                path: path.to_path_buf(),
-                place: None,
-                fault,
-            },
+            fault => ReadError { path: path.to_path_buf(), place: None, fault },
         }
     }
 

@@ -46,9 +46,7 @@ pub(crate) fn of_rows<R: AsRef<[f64]>>(name: &str, rows: &[R]) -> Result<Se3<f64
     let width = rows.iter().map(|r| r.as_ref().len()).find(|&n| n != 4).unwrap_or(4);
     let height = rows.len();
     if !(3..=4).contains(&height) || width != 4 {
-        return bad(format!(
-            "has {height} rows of {width} numbers where 4 rows of 4 were expected"
-        ));
+        return bad(format!("has {height} rows of {width} numbers where 4 rows of 4 were expected"));
     }
     let at = |i: usize, j: usize| rows[i].as_ref()[j];
     if let Some(k) = (0..4 * height).find(|k| !at(k / 4, k % 4).is_finite()) {
@@ -59,9 +57,7 @@ pub(crate) fn of_rows<R: AsRef<[f64]>>(name: &str, rows: &[R]) -> Result<Se3<f64
         let last = [at(3, 0), at(3, 1), at(3, 2), at(3, 3)];
         let off = [last[0], last[1], last[2], last[3] - 1.0];
         if off.iter().any(|v| v.abs() > EXACT_WITHIN) {
-            return bad(format!(
-                "ends with the row {last:?} where [0, 0, 0, 1] was expected (is it transposed?)"
-            ));
+            return bad(format!("ends with the row {last:?} where [0, 0, 0, 1] was expected (is it transposed?)"));
         }
     }
     let rotation = Matrix3::from_fn(at);
@@ -74,11 +70,7 @@ pub(crate) fn of_rows<R: AsRef<[f64]>>(name: &str, rows: &[R]) -> Result<Se3<f64
         ));
     }
     Ok(Se3 {
-        rotation: if off > EXACT_WITHIN {
-            nearest_rotation(&rotation)
-        } else {
-            rotation
-        },
+        rotation: if off > EXACT_WITHIN { nearest_rotation(&rotation) } else { rotation },
         translation: Vector3::new(at(0, 3), at(1, 3), at(2, 3)),
     })
 }
@@ -140,10 +132,8 @@ mod tests {
     fn printed_rotations_are_repaired_and_exact_ones_kept() {
         let pose = Se3::<f64>::identity().retract(&Vector6::new(1.0, 2.0, 3.0, 0.4, -0.8, 0.3));
         assert_eq!(of_rows("", &rows(&pose)).unwrap(), pose);
-        let printed: Vec<Vec<f64>> = rows(&pose)
-            .iter()
-            .map(|r| r.iter().map(|v| (v * 1e3).round() / 1e3).collect())
-            .collect();
+        let printed: Vec<Vec<f64>> =
+            rows(&pose).iter().map(|r| r.iter().map(|v| (v * 1e3).round() / 1e3).collect()).collect();
         let got = of_rows("", &printed).unwrap();
         assert!((got.rotation.transpose() * got.rotation - Matrix3::identity()).amax() < 1e-12);
         assert!((got.rotation - pose.rotation).amax() < 2e-3);

@@ -45,11 +45,7 @@ impl Bounds {
     #[must_use]
     pub fn new<'a>(reach: Reach, folder: &'a Path, others: impl IntoIterator<Item = &'a Path>) -> Self {
         // The parent of a bare file name.
-        let folder = if folder.as_os_str().is_empty() {
-            Path::new(".")
-        } else {
-            folder
-        };
+        let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
         let all = std::iter::once(folder).chain(others);
         Self {
             reach,
@@ -74,11 +70,7 @@ impl Bounds {
         if self.real.iter().any(|folder| real.starts_with(folder)) {
             return Ok(());
         }
-        Err(Box::new(OutsideError {
-            path: file.to_path_buf(),
-            real,
-            folder: self.folder.clone(),
-        }))
+        Err(Box::new(OutsideError { path: file.to_path_buf(), real, folder: self.folder.clone() }))
     }
 }
 
@@ -115,19 +107,11 @@ mod tests {
         ] {
             inside.check(&at(good)).unwrap();
         }
-        let outside = [
-            "private.png",
-            "set/../private.png",
-            "set/link.png",
-            "set/folder/private.png",
-            "set-2/private.png",
-        ];
+        let outside =
+            ["private.png", "set/../private.png", "set/link.png", "set/folder/private.png", "set-2/private.png"];
         for bad in outside {
             let message = inside.check(&at(bad)).unwrap_err().to_string();
-            assert!(
-                message.contains(bad) && message.contains("--allow-outside"),
-                "{message}"
-            );
+            assert!(message.contains(bad) && message.contains("--allow-outside"), "{message}");
         }
         // what a link points to is reported
         let message = inside.check(&at("set/folder/private.png")).unwrap_err().to_string();
@@ -146,10 +130,6 @@ mod tests {
         assert!(message.len() < 3000, "{}", message.len());
         let nowhere = Bounds::new(Reach::Inside, &at("nowhere"), []);
         assert!(nowhere.check(&at("private.png")).is_err());
-        assert!(
-            Bounds::new(Reach::Inside, Path::new(""), [])
-                .check(Path::new("Cargo.toml"))
-                .is_ok()
-        );
+        assert!(Bounds::new(Reach::Inside, Path::new(""), []).check(Path::new("Cargo.toml")).is_ok());
     }
 }

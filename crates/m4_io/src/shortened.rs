@@ -70,15 +70,9 @@ mod tests {
         }
         let long = format!("start{}end; do this", "9ü".repeat(1_000_000));
         let message = shortened(&long);
-        assert!(
-            message.starts_with("start9ü9ü") && message.ends_with("9üend; do this"),
-            "{message}"
-        );
+        assert!(message.starts_with("start9ü9ü") && message.ends_with("9üend; do this"), "{message}");
         assert_eq!(message.chars().count(), 405);
         // in pieces, as a formatter hands it over
-        assert_eq!(
-            shortened(format_args!("{}{}{}", &long[..8], &long[8..899], &long[899..])),
-            message
-        );
+        assert_eq!(shortened(format_args!("{}{}{}", &long[..8], &long[8..899], &long[899..])), message);
     }
 }

@@ -38,10 +38,7 @@ fn inner(path: &Path, frames: usize, limit_bytes: u64) -> Result<Tracks, Fault> 
         _ => return Err(unfit("coords", &coords, &format!("({frames} frames, tracks, 3)"))),
     };
     if coords.number != Number::F32 {
-        return Err(Fault::bad(
-            "the array `coords` holds other numbers than float32",
-            "save it as <f4",
-        ));
+        return Err(Fault::bad("the array `coords` holds other numbers than float32", "save it as <f4"));
     }
     let xyz = coords.numbers()?.values;
     let xyz: Vec<[f32; 3]> = xyz.as_chunks::<3>().0.iter().map(|p| p.map(|v| v as f32)).collect();
@@ -52,31 +49,13 @@ fn inner(path: &Path, frames: usize, limit_bytes: u64) -> Result<Tracks, Fault> 
     }
     let a_frame = format!("({frames} frames, {tracks} tracks)");
     let bytes = [Number::Bool, Number::U8, Number::I8];
-    let visible = of_bytes(
-        npz.need("visibs", limit_bytes)?,
-        "visibs",
-        &bytes,
-        &[frames, tracks],
-        &a_frame,
-    )?;
+    let visible = of_bytes(npz.need("visibs", limit_bytes)?, "visibs", &bytes, &[frames, tracks], &a_frame)?;
     let colours = match npz.array("colors", limit_bytes)? {
-        Some(array) => Some(of_bytes(
-            array,
-            "colors",
-            &[Number::U8],
-            &[tracks, 3],
-            &format!("({tracks} tracks, 3)"),
-        )?),
+        Some(array) => Some(of_bytes(array, "colors", &[Number::U8], &[tracks, 3], &format!("({tracks} tracks, 3)"))?),
         None => None,
     };
     let confidence = match npz.array("confidence", limit_bytes)? {
-        Some(array) => Some(of_bytes(
-            array,
-            "confidence",
-            &[Number::U8],
-            &[frames, tracks],
-            &a_frame,
-        )?),
+        Some(array) => Some(of_bytes(array, "confidence", &[Number::U8], &[frames, tracks], &a_frame)?),
         None => None,
     };
 
@@ -93,10 +72,7 @@ fn inner(path: &Path, frames: usize, limit_bytes: u64) -> Result<Tracks, Fault> 
 }
 
 fn unfit(name: &str, array: &Array<'_>, expected: &str) -> Fault {
-    let what = format!(
-        "its array `{name}` has shape {:?} where {expected} was expected",
-        array.shape
-    );
+    let what = format!("its array `{name}` has shape {:?} where {expected} was expected", array.shape);
     Fault::bad(what, HINT)
 }
 

@@ -21,10 +21,7 @@ fn good() -> (TempDir, Value) {
         json!({"file_path": format!("{i}.png"), "time": i,
                "transform_matrix": [[1, 0, 0, i], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]})
     };
-    (
-        dir,
-        json!({"fl_x": 30.0, "w": 20, "h": 10, "frames": [frame(0), frame(1)]}),
-    )
+    (dir, json!({"fl_x": 30.0, "w": 20, "h": 10, "frames": [frame(0), frame(1)]}))
 }
 
 type Spoil = fn(&mut Value);
@@ -38,77 +35,33 @@ fn faults_of_frames_and_keys_are_named() {
             BadData,
             &["frame 1", "1.png", "transform_matrix is missing"],
         ),
-        (
-            |j| j["frames"][1]["transform_matrix"][0][0] = json!(-1),
-            BadData,
-            &["frame 1", "determinant -1.0"],
-        ),
-        (
-            |j| j["frames"][0]["transform_matrix"][0][0] = json!(1.5),
-            BadData,
-            &["frame 0", "determinant 1.5"],
-        ),
+        (|j| j["frames"][1]["transform_matrix"][0][0] = json!(-1), BadData, &["frame 1", "determinant -1.0"]),
+        (|j| j["frames"][0]["transform_matrix"][0][0] = json!(1.5), BadData, &["frame 0", "determinant 1.5"]),
         (
             |j| drop(j["frames"][0]["transform_matrix"].as_array_mut().unwrap().drain(1..)),
             BadData,
             &["frame 0", "1 rows of 4", "4 rows of 4"],
         ),
-        (
-            |j| j["frames"][1]["transform_matrix"][2][1] = json!(null),
-            BadData,
-            &["frame 1", "null"],
-        ),
+        (|j| j["frames"][1]["transform_matrix"][2][1] = json!(null), BadData, &["frame 1", "null"]),
         (
             |j| j["frames"][1]["transform_matrix"][3] = json!([4, 5, 6, 1]),
             BadData,
             &["frame 1", "[4.0, 5.0, 6.0, 1.0]", "transposed"],
         ),
         (|j| j["fl_x"] = json!(-5.0), BadData, &["frame 0", "-5", "above 0"]),
-        (
-            |j| drop(j.as_object_mut().unwrap().remove("fl_x")),
-            BadData,
-            &["frame 0", "fl_x", "missing"],
-        ),
+        (|j| drop(j.as_object_mut().unwrap().remove("fl_x")), BadData, &["frame 0", "fl_x", "missing"]),
         (|j| j["cx"] = json!(900.0), BadData, &["(900, 5)", "20 x 10"]),
         (|j| j["camera_model"] = json!("FOV"), Unsupported, &["FOV"]),
-        (
-            |j| j["depth_unit_scale_factor"] = json!(0),
-            BadData,
-            &["depth_unit_scale_factor", "it is 0"],
-        ),
+        (|j| j["depth_unit_scale_factor"] = json!(0), BadData, &["depth_unit_scale_factor", "it is 0"]),
         (|j| j["duration_s"] = json!(-1), BadData, &["duration_s", "it is -1"]),
         (|j| j["frames"] = json!([]), BadData, &["no frames"]),
-        (
-            |j| j["frames"][1]["time"] = json!(1.5),
-            BadData,
-            &["frame 1", "time = 1.5", "0 (first"],
-        ),
-        (
-            |j| j["frames"][1]["time"] = json!("soon"),
-            BadData,
-            &["frame 1", "soon"],
-        ),
-        (
-            |j| drop(j["frames"][1].as_object_mut().unwrap().remove("time")),
-            BadData,
-            &["1 of 2 frames have a time"],
-        ),
-        (
-            |j| j["frames"][0]["file_path"] = json!("gone.png"),
-            NotFound,
-            &["frame 0", "gone.png"],
-        ),
+        (|j| j["frames"][1]["time"] = json!(1.5), BadData, &["frame 1", "time = 1.5", "0 (first"]),
+        (|j| j["frames"][1]["time"] = json!("soon"), BadData, &["frame 1", "soon"]),
+        (|j| drop(j["frames"][1].as_object_mut().unwrap().remove("time")), BadData, &["1 of 2 frames have a time"]),
+        (|j| j["frames"][0]["file_path"] = json!("gone.png"), NotFound, &["frame 0", "gone.png"]),
         (|j| j["w"] = json!(40), BadData, &["0.png", "w = 40", "has 20"]),
-        (
-            |j| j["frames"][1]["depth_file_path"] = json!("0.png"),
-            BadData,
-            &["frame 1", "0.png", "16 bits"],
-        ),
-        (
-            |j| j["frames"][1]["mask_path"] = json!("mask/1.png"),
-            NotFound,
-            &["frame 1", "1.png"],
-        ),
+        (|j| j["frames"][1]["depth_file_path"] = json!("0.png"), BadData, &["frame 1", "0.png", "16 bits"]),
+        (|j| j["frames"][1]["mask_path"] = json!("mask/1.png"), NotFound, &["frame 1", "1.png"]),
     ];
     let (dir, json) = good();
     assert_eq!(read(dir.path(), &json, Reach::Inside).unwrap().frames.len(), 2);
@@ -141,20 +94,14 @@ fn test_views_without_a_training_split() {
     let (dir, json) = good();
     fs::write(dir.path().join("transforms_test.json"), json.to_string()).unwrap();
     let error = capture::read(dir.path(), Split::Test, &CaptureOptions::default(), &Silent).unwrap_err();
-    says(
-        &error,
-        &["transforms_test.json", "transforms_train.json", "time_frames"],
-    );
+    says(&error, &["transforms_test.json", "transforms_train.json", "time_frames"]);
 }
 
 #[test]
 fn a_capture_that_does_not_fit_in_memory() {
     let (dir, json) = good();
     fs::write(dir.path().join("transforms_train.json"), json.to_string()).unwrap();
-    let small = CaptureOptions {
-        max_memory_bytes: 1000,
-        ..CaptureOptions::default()
-    };
+    let small = CaptureOptions { max_memory_bytes: 1000, ..CaptureOptions::default() };
     let error = capture::read(dir.path(), Split::Train, &small, &Silent).unwrap_err();
     assert_eq!(error.kind(), ErrorKind::Unsupported);
     says(&error, &["2 frames", "max_memory_bytes"]);
@@ -162,10 +109,7 @@ fn a_capture_that_does_not_fit_in_memory() {
 
 fn read(folder: &Path, json: &Value, reach: Reach) -> Result<Capture, ReadError> {
     fs::write(folder.join("transforms_train.json"), json.to_string()).unwrap();
-    let options = CaptureOptions {
-        reach,
-        ..CaptureOptions::default()
-    };
+    let options = CaptureOptions { reach, ..CaptureOptions::default() };
     capture::read(folder, Split::Train, &options, &Silent)
 }
 
@@ -173,10 +117,7 @@ fn read(folder: &Path, json: &Value, reach: Reach) -> Result<Capture, ReadError>
 fn refused(folder: &Path, json: &Value, words: &[&str]) {
     let error = read(folder, json, Reach::Inside).unwrap_err();
     assert_eq!(error.kind(), ErrorKind::BadData, "{error}");
-    says(
-        &error,
-        &[&["transforms_train.json", "outside of", "--allow-outside"], words].concat(),
-    );
+    says(&error, &[&["transforms_train.json", "outside of", "--allow-outside"], words].concat());
 }
 
 #[test]
@@ -193,12 +134,7 @@ fn files_outside_the_capture_are_not_read() {
     read(&folder, &json, Reach::Inside).unwrap();
 
     let original = private.display().to_string();
-    for name in [
-        "../private.png",
-        "../private",
-        "../set/../private.png",
-        original.as_str(),
-    ] {
+    for name in ["../private.png", "../private", "../set/../private.png", original.as_str()] {
         let mut json = json.clone();
         json["frames"][1]["file_path"] = json!(name);
         refused(&folder, &json, &["frame 1", "private.png"]);
@@ -235,10 +171,7 @@ fn links_out_of_the_folder_are_not_followed() {
 
 #[test]
 fn permission_to_read_outside_is_not_serialised() {
-    let anywhere = CaptureOptions {
-        reach: Reach::Anywhere,
-        ..CaptureOptions::default()
-    };
+    let anywhere = CaptureOptions { reach: Reach::Anywhere, ..CaptureOptions::default() };
     let text = serde_json::to_string(&anywhere).unwrap();
     assert!(!text.contains("reach"), "{text}");
     let again: CaptureOptions = serde_json::from_str(&text).unwrap();

@@ -11,11 +11,7 @@ use std::path::{Path, PathBuf};
 use tempfile::TempDir;
 
 fn options() -> VideoOptions {
-    VideoOptions {
-        size: Some(64),
-        ffmpeg: PathBuf::from("/nonexistent/ffmpeg"),
-        ..VideoOptions::default()
-    }
+    VideoOptions { size: Some(64), ffmpeg: PathBuf::from("/nonexistent/ffmpeg"), ..VideoOptions::default() }
 }
 
 /// The clip cannot be read; the message names the file and has these words.
@@ -71,11 +67,7 @@ fn damaged_and_foreign_files_are_refused_as_clips() {
     png.extend(b"\x89PNG\r\n\x1a\n and so on");
     let cases: [(&[u8], ErrorKind, &[&str]); 17] = [
         (b"", BadData, &["0 bytes", "copy it again"]),
-        (
-            b"this is no video\n",
-            Unavailable,
-            &["of no kind that is known", "install ffmpeg"],
-        ),
+        (b"this is no video\n", Unavailable, &["of no kind that is known", "install ffmpeg"]),
         (&[0; 5000], BadData, &["zeros"]),
         (&png, BadData, &["single image", "folder"]),
         (&matroska, Unavailable, &["Matroska", "install ffmpeg", "libx264"]),
@@ -105,14 +97,8 @@ fn a_clip_whose_end_is_missing_is_read_as_far_as_it_goes() {
     let (_dir, path) = file(&bytes[..bytes.len() * 2 / 3]);
     let got = video::read(&path, &options(), &Silent).unwrap();
     assert!((50..90).contains(&got.frames.len()), "{}", got.frames.len());
-    says(
-        &got.warnings.join("; "),
-        &["of 96 frames are damaged or missing", "the first at"],
-    );
-    let strict = VideoOptions {
-        strict: true,
-        ..options()
-    };
+    says(&got.warnings.join("; "), &["of 96 frames are damaged or missing", "the first at"]);
+    let strict = VideoOptions { strict: true, ..options() };
     refused(&path, &strict, ErrorKind::BadData, &["of 96 frames", "strict"]);
 }
 
@@ -123,25 +109,13 @@ fn impossible_options_are_refused() {
     let cases: [(Set, ErrorKind, &[&str]); 6] = [
         (|o| o.max_frames = Some(0), BadOption, &["max_frames", "at least 1"]),
         (|o| o.size = Some(3), BadOption, &["size is 3", "16"]),
-        (
-            |o| (o.start_s, o.end_s) = (Some(2.0), Some(1.0)),
-            BadOption,
-            &["start_s", "before the end"],
-        ),
+        (|o| (o.start_s, o.end_s) = (Some(2.0), Some(1.0)), BadOption, &["start_s", "before the end"]),
         (|o| o.end_s = Some(f64::NAN), BadOption, &["end_s is NaN"]),
         (|o| o.start_s = Some(60.0), BadData, &["lasts 3.96 s", "60.00 s"]),
         (
             |o| (o.size, o.max_memory_bytes) = (None, 10 << 20),
             Unsupported,
-            &[
-                "96 frames",
-                "480 x 360",
-                "47 MiB",
-                "10 MiB",
-                "max_frames",
-                "size",
-                "max_memory_bytes",
-            ],
+            &["96 frames", "480 x 360", "47 MiB", "10 MiB", "max_frames", "size", "max_memory_bytes"],
         ),
     ];
     for (set, kind, words) in cases {
@@ -149,12 +123,7 @@ fn impossible_options_are_refused() {
         set(&mut options);
         refused(&pinwheel(), &options, kind, words);
     }
-    let fits = VideoOptions {
-        size: None,
-        max_memory_bytes: 10 << 20,
-        max_frames: Some(8),
-        ..options()
-    };
+    let fits = VideoOptions { size: None, max_memory_bytes: 10 << 20, max_frames: Some(8), ..options() };
     assert!(video::read(&pinwheel(), &fits, &Silent).is_ok());
 }
 
@@ -167,11 +136,7 @@ fn reading_can_be_cancelled() {
 /// Any bytes give a clip or an error, never a panic.
 fn survives(bytes: &[u8], what: &str) -> bool {
     let (_dir, path) = file(bytes);
-    let options = VideoOptions {
-        max_frames: Some(2),
-        end_s: Some(0.4),
-        ..options()
-    };
+    let options = VideoOptions { max_frames: Some(2), end_s: Some(0.4), ..options() };
     let result = std::panic::catch_unwind(|| video::read(&path, &options, &Silent).is_ok());
     result.unwrap_or_else(|_| panic!("panicked: {what}"))
 }
@@ -186,11 +151,7 @@ fn flipped_and_missing_bytes_never_panic() {
     // Every third byte of the index, set to extremes; then random places of the frames.
     for at in (0..mdat).step_by(7) {
         let mut bytes = original.clone();
-        bytes[at] = if at % 2 == 0 {
-            0xff
-        } else {
-            bytes[at] ^ (1 << rng.below(8))
-        };
+        bytes[at] = if at % 2 == 0 { 0xff } else { bytes[at] ^ (1 << rng.below(8)) };
         note(survives(&bytes, &format!("byte {at}")));
     }
     for i in 0..60 {
@@ -202,10 +163,7 @@ fn flipped_and_missing_bytes_never_panic() {
         note(survives(&bytes, &format!("{i} bytes of the frames")));
     }
     for i in 0..40 {
-        note(survives(
-            &original[..mdat * i / 20],
-            &format!("cut at {}", mdat * i / 20),
-        ));
+        note(survives(&original[..mdat * i / 20], &format!("cut at {}", mdat * i / 20)));
     }
     eprintln!("{read} read, {refused} refused");
     assert!(read > 100 && refused > 100, "{read} read, {refused} refused");
@@ -223,12 +181,7 @@ fn folders_without_images_or_of_several_sizes_are_refused() {
     for (i, (w, h)) in [(20, 10), (20, 10), (10, 20)].into_iter().enumerate() {
         write_rgb(&folder.join(format!("{i}.png")), &Plane::filled(w, h, [9; 3])).unwrap();
     }
-    refused(
-        &folder,
-        &options(),
-        ErrorKind::BadData,
-        &["2.png", "10 x 20", "20 x 10"],
-    );
+    refused(&folder, &options(), ErrorKind::BadData, &["2.png", "10 x 20", "20 x 10"]);
     std::fs::write(folder.join("2.png"), b"\x89PNG\r\n\x1a\nbroken").unwrap();
     refused(&folder, &options(), ErrorKind::BadData, &["2.png", "damaged"]);
 }
@@ -283,14 +236,8 @@ fn malformed_scene_files_are_refused() {
     };
     text(b"", &["not a scene file", "0 bytes"]);
     text(b"ply\nformat binary", &["scene.safetensors", "does not start like"]);
-    text(
-        b"\xff\xff\xff\xff\xff\xff\xff\x7f{}",
-        &["damaged", "header says 9223372036854775807 bytes"],
-    );
-    text(
-        b"\x02\0\0\0\0\0\0\0{}",
-        &["minute4d_scene", "scene.safetensors of a run"],
-    );
+    text(b"\xff\xff\xff\xff\xff\xff\xff\x7f{}", &["damaged", "header says 9223372036854775807 bytes"]);
+    text(b"\x02\0\0\0\0\0\0\0{}", &["minute4d_scene", "scene.safetensors of a run"]);
     let json = br#"{"a":{"dtype":"F32","shape":[4000000000],"data_offsets":[0,16000000000]}}"#;
     let mut bytes = (json.len() as u64).to_le_bytes().to_vec();
     bytes.extend(json);

@@ -20,14 +20,7 @@ fn made(frames: usize) -> Capture {
     let frame = |i: usize| CaptureFrame {
         name: format!("frame {i}"),
         camera: Camera {
-            intrinsics: Intrinsics {
-                width: 24,
-                height: 18,
-                fx: 31.25 + i as f64 / 3.0,
-                fy: 30.1,
-                cx: 11.7,
-                cy: 9.3,
-            },
+            intrinsics: Intrinsics { width: 24, height: 18, fx: 31.25 + i as f64 / 3.0, fy: 30.1, cx: 11.7, cy: 9.3 },
             c2w: pose(i),
         },
         t: i as f64,
@@ -75,13 +68,7 @@ fn captures_round_trip() {
     // Again over the same folder, with fewer frames.
     write(dir.path(), &made(3), Split::Train, &Silent).unwrap();
     let file = dir.path().join("transforms_train.json");
-    assert_eq!(
-        read(&file, Split::Train, &CaptureOptions::default(), &Silent)
-            .unwrap()
-            .frames
-            .len(),
-        3
-    );
+    assert_eq!(read(&file, Split::Train, &CaptureOptions::default(), &Silent).unwrap().frames.len(), 3);
 }
 
 #[test]
@@ -97,10 +84,7 @@ fn test_views_are_timed_by_the_training_split() {
     let got = read(dir.path(), Split::Test, &CaptureOptions::default(), &Silent).unwrap();
     assert_eq!(got.time_frames, 5);
     assert_eq!(got.frames.iter().map(|f| f.t).collect::<Vec<_>>(), [0.0, 2.5]);
-    assert_eq!(
-        got.frames.iter().map(|f| f.camera_index).collect::<Vec<_>>(),
-        [Some(0), Some(1)]
-    );
+    assert_eq!(got.frames.iter().map(|f| f.camera_index).collect::<Vec<_>>(), [Some(0), Some(1)]);
 }
 
 #[test]
@@ -128,20 +112,10 @@ fn a_nerfstudio_file_without_times_or_centre_is_read_with_a_warning() {
     let got = read(dir.path(), Split::Train, &CaptureOptions::default(), &heard).unwrap();
     assert_eq!(got.frames.iter().map(|f| f.t).collect::<Vec<_>>(), [0.0, 1.0, 2.0]);
     let k = got.frames[0].camera.intrinsics;
-    assert_eq!(
-        (k.fx, k.fy, k.cx, k.cy, k.width, k.height),
-        (50.0, 50.0, 20.0, 15.0, 40, 30)
-    );
+    assert_eq!((k.fx, k.fy, k.cx, k.cy, k.width, k.height), (50.0, 50.0, 20.0, 15.0, 40, 30));
     // OpenGL looks along -z.
-    assert_eq!(
-        got.frames[0].camera.unproject(19.5, 14.5, 2.0).as_slice(),
-        [0.0, 0.0, -2.0]
-    );
-    assert!(
-        heard.all().contains("3 frames of") && !heard.all().contains('\n'),
-        "{}",
-        heard.all()
-    );
+    assert_eq!(got.frames[0].camera.unproject(19.5, 14.5, 2.0).as_slice(), [0.0, 0.0, -2.0]);
+    assert!(heard.all().contains("3 frames of") && !heard.all().contains('\n'), "{}", heard.all());
 }
 
 #[test]
@@ -172,10 +146,6 @@ fn depth_of_the_bench_scenes_agrees_between_frames() {
 
     let test = read(&folder, Split::Test, &CaptureOptions::default(), &Silent).unwrap();
     assert_eq!(test.time_frames, 96);
-    assert!(
-        test.frames
-            .iter()
-            .all(|f| f.camera_index.is_some_and(|c| c < 2) && f.depth.is_none())
-    );
+    assert!(test.frames.iter().all(|f| f.camera_index.is_some_and(|c| c < 2) && f.depth.is_none()));
     assert!(test.frames.iter().all(|f| (0.0..=95.0).contains(&f.t)));
 }

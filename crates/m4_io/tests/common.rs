@@ -14,10 +14,7 @@ pub fn pinwheel() -> PathBuf {
 /// True when ffmpeg can be started; else the test is listed as skipped.
 #[track_caller]
 pub fn have_ffmpeg() -> bool {
-    let there = Command::new("ffmpeg")
-        .arg("-version")
-        .output()
-        .is_ok_and(|o| o.status.success());
+    let there = Command::new("ffmpeg").arg("-version").output().is_ok_and(|o| o.status.success());
     if !there {
         skip(Need::Ffmpeg, "ffmpeg is not on the PATH");
     }
@@ -84,15 +81,8 @@ pub fn script(dir: &Path, name: &str, body: &str) -> PathBuf {
     let path = dir.join(name);
     // Written under another name by a shell of its own: a file that some thread has open for writing while another
     // one forks cannot be started.
-    let write = format!(
-        "cat > '{0}.new' && chmod 755 '{0}.new' && mv '{0}.new' '{0}'",
-        path.display()
-    );
-    let mut shell = Command::new("sh")
-        .args(["-c", &write])
-        .stdin(std::process::Stdio::piped())
-        .spawn()
-        .unwrap();
+    let write = format!("cat > '{0}.new' && chmod 755 '{0}.new' && mv '{0}.new' '{0}'", path.display());
+    let mut shell = Command::new("sh").args(["-c", &write]).stdin(std::process::Stdio::piped()).spawn().unwrap();
     let text = format!("#!/bin/sh\n{body}\n");
     std::io::Write::write_all(&mut shell.stdin.take().unwrap(), text.as_bytes()).unwrap();
     assert!(shell.wait().unwrap().success());

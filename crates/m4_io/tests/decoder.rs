@@ -56,12 +56,7 @@ fn child_process_decodes_identical_frames() {
     let there = read_with(Some(&program()), &pinwheel(), &options, &Silent).unwrap();
     assert_eq!((here.frames.len(), &here.warnings), (96, &there.warnings));
     assert!(same(&here, &there));
-    let part = VideoOptions {
-        max_frames: Some(7),
-        start_s: Some(1.0),
-        size: Some(200),
-        ..options
-    };
+    let part = VideoOptions { max_frames: Some(7), start_s: Some(1.0), size: Some(200), ..options };
     let here = read_with(None, &pinwheel(), &part, &Silent).unwrap();
     let there = read_with(Some(&program()), &pinwheel(), &part, &Silent).unwrap();
     assert!(same(&here, &there) && here.frames.len() == 7);
@@ -90,11 +85,7 @@ fn damaged_clips_never_crash_the_parent() {
     let mdat = original.windows(4).position(|w| w == b"mdat").unwrap();
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("clip.mp4");
-    let part = VideoOptions {
-        end_s: Some(0.7),
-        size: Some(64),
-        ..options(DecoderLimits::default())
-    };
+    let part = VideoOptions { end_s: Some(0.7), size: Some(64), ..options(DecoderLimits::default()) };
     let (mut whole_clips, mut with_warnings, mut refused) = (0, 0, 0);
     for case in 0..160 {
         std::fs::write(&path, damaged(case, &original, mdat)).unwrap();
@@ -105,10 +96,7 @@ fn damaged_clips_never_crash_the_parent() {
             // A crash of OpenH264 would be one of these.
             Err(error) => {
                 assert!(
-                    matches!(
-                        error.kind(),
-                        ErrorKind::BadData | ErrorKind::Unsupported | ErrorKind::Unavailable
-                    ),
+                    matches!(error.kind(), ErrorKind::BadData | ErrorKind::Unsupported | ErrorKind::Unavailable),
                     "case {case}: {error}"
                 );
                 refused += 1;
@@ -151,13 +139,7 @@ fn a_decoder_without_memory() {
     );
     assert_eq!(how, DecoderEnd::Memory { limit_mb: 64 });
     let enough = options(DecoderLimits::default());
-    assert_eq!(
-        read_with(Some(&program()), &path, &enough, &Silent)
-            .unwrap()
-            .frames
-            .len(),
-        2
-    );
+    assert_eq!(read_with(Some(&program()), &path, &enough, &Silent).unwrap().frames.len(), 2);
 }
 
 #[test]
@@ -173,11 +155,7 @@ fn a_decoder_that_is_not_there() {
 fn the_decoder_started_by_hand_says_what_it_is() {
     let run = |arguments: &[&str]| {
         let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_m4_decode_h264"));
-        command
-            .args(arguments)
-            .stdin(std::process::Stdio::null())
-            .output()
-            .unwrap()
+        command.args(arguments).stdin(std::process::Stdio::null()).output().unwrap()
     };
     for arguments in [&["decode"][..], &["decode", "x", "y"], &["decode", "1000000000", "10"]] {
         let output = run(arguments);
@@ -307,10 +285,7 @@ fn with_fake_ffmpeg(
     let clip = dir.path().join("clip.mkv");
     std::fs::write(&clip, [0x1a, 0x45, 0xdf, 0xa3, 0, 0, 0, 0]).unwrap();
     script(dir.path(), "ffprobe", probe);
-    let options = VideoOptions {
-        ffmpeg: script(dir.path(), "ffmpeg", decode),
-        ..options(limits)
-    };
+    let options = VideoOptions { ffmpeg: script(dir.path(), "ffmpeg", decode), ..options(limits) };
     read_with(launcher, &clip, &options, &Silent)
 }
 
@@ -394,17 +369,10 @@ fn the_real_ffmpeg_obeys_limits() {
     }
     let dir = tempfile::tempdir().unwrap();
     let clip = dir.path().join("clip.mkv");
-    if !ffmpeg(
-        "-f lavfi -i testsrc2=size=3840x2160:rate=24 -frames:v 12 -c:v ffv1",
-        &clip,
-    ) {
+    if !ffmpeg("-f lavfi -i testsrc2=size=3840x2160:rate=24 -frames:v 12 -c:v ffv1", &clip) {
         return;
     }
-    let with = |limits| VideoOptions {
-        size: Some(64),
-        decoder: limits,
-        ..VideoOptions::default()
-    };
+    let with = |limits| VideoOptions { size: Some(64), decoder: limits, ..VideoOptions::default() };
     let usual = with(DecoderLimits::default());
     let few = with(limits(|l| l.memory_mb = 64));
     for launcher in [None, Some(program())] {
@@ -422,25 +390,13 @@ fn a_clip_cannot_name_other_files() {
     }
     let dir = tempfile::tempdir().unwrap();
     let other = dir.path().join("secret.ts");
-    assert!(ffmpeg(
-        &format!("-i {} -c copy -frames:v 8", pinwheel().display()),
-        &other
-    ));
-    let options = VideoOptions {
-        size: Some(64),
-        ..VideoOptions::default()
-    };
+    assert!(ffmpeg(&format!("-i {} -c copy -frames:v 8", pinwheel().display()), &other));
+    let options = VideoOptions { size: Some(64), ..VideoOptions::default() };
     assert_eq!(read(&other, &options, &Silent).unwrap().frames.len(), 8);
     let lists = [
         ("concat.txt", "ffconcat version 1.0\nfile secret.ts\n"),
-        (
-            "list.m3u8",
-            "#EXTM3U\n#EXT-X-TARGETDURATION:4\n#EXTINF:4,\nsecret.ts\n#EXT-X-ENDLIST\n",
-        ),
-        (
-            "clip.mp4",
-            "#EXTM3U\n#EXT-X-TARGETDURATION:4\n#EXTINF:4,\nsecret.ts\n#EXT-X-ENDLIST\n",
-        ),
+        ("list.m3u8", "#EXTM3U\n#EXT-X-TARGETDURATION:4\n#EXTINF:4,\nsecret.ts\n#EXT-X-ENDLIST\n"),
+        ("clip.mp4", "#EXTM3U\n#EXT-X-TARGETDURATION:4\n#EXTINF:4,\nsecret.ts\n#EXT-X-ENDLIST\n"),
         (
             "remote.sdp",
             "v=0\no=- 0 0 IN IP4 127.0.0.1\ns=x\nc=IN IP4 127.0.0.1\nt=0 0\nm=video 5004 RTP/AVP 96\na=rtpmap:96 H264/90000\n",
@@ -451,9 +407,6 @@ fn a_clip_cannot_name_other_files() {
         std::fs::write(&list, text).unwrap();
         let error = read(&list, &options, &Silent).unwrap_err();
         let text = error.to_string();
-        assert!(
-            error.kind() == ErrorKind::BadData && text.contains("not a video"),
-            "{name}: {text}"
-        );
+        assert!(error.kind() == ErrorKind::BadData && text.contains("not a video"), "{name}: {text}");
     }
 }

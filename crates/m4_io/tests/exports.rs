@@ -18,11 +18,7 @@ use std::io::Read;
 ///
 /// 9 frames in 2 seconds; the camera of frame i stands at (i, 0, 0) and looks along z.
 fn asymmetric_scene(sh_degree: usize) -> Scene {
-    let layout = SplatLayout {
-        isotropic: false,
-        sh_degree,
-        time_degree: 0,
-    };
+    let layout = SplatLayout { isotropic: false, sh_degree, time_degree: 0 };
     let mut splats = Splats::zeros(layout, 1, 1);
     let mut put = |column, offset, values: [f32; 2]| splats.column_mut(column, offset).copy_from_slice(&values);
     for (k, values) in [[1.0, -1.0], [2.0, 0.5], [6.0, 3.0]].into_iter().enumerate() {
@@ -33,10 +29,7 @@ fn asymmetric_scene(sh_degree: usize) -> Scene {
     }
     let h = std::f32::consts::FRAC_1_SQRT_2;
     // y a little more than w, so that which is the largest does not hang on rounding
-    for (k, values) in [[h, 1.0], [0.0, 0.0], [h * 1.0001, 0.0], [0.0, 0.0]]
-        .into_iter()
-        .enumerate()
-    {
+    for (k, values) in [[h, 1.0], [0.0, 0.0], [h * 1.0001, 0.0], [0.0, 0.0]].into_iter().enumerate() {
         put(Column::Quat, k, values);
     }
     put(Column::Opacity, 0, [4f32.ln(), 0.0]);
@@ -50,48 +43,21 @@ fn asymmetric_scene(sh_degree: usize) -> Scene {
     let source = (0..9)
         .map(|i| SourceFrame {
             camera: Camera {
-                intrinsics: Intrinsics {
-                    width: 64,
-                    height: 48,
-                    fx: 80.0,
-                    fy: 75.0,
-                    cx: 30.0,
-                    cy: 25.0,
-                },
-                c2w: Se3 {
-                    rotation: Matrix3::identity(),
-                    translation: Vector3::new(f64::from(i), 0.0, 0.0),
-                },
+                intrinsics: Intrinsics { width: 64, height: 48, fx: 80.0, fy: 75.0, cx: 30.0, cy: 25.0 },
+                c2w: Se3 { rotation: Matrix3::identity(), translation: Vector3::new(f64::from(i), 0.0, 0.0) },
             },
             t: f64::from(i),
             exposure: Exposure::IDENTITY,
         })
         .collect();
-    Scene {
-        splats,
-        background: [0.0; 3],
-        time_frames: 9,
-        duration_s: Some(2.0),
-        mip: true,
-        near: 0.25,
-        source,
-    }
+    Scene { splats, background: [0.0; 3], time_frames: 9, duration_s: Some(2.0), mip: true, near: 0.25, source }
 }
 
 /// Any numbers, the same on every run; 16 frames, and colours that no format clips.
 fn random_scene(sh_degree: usize, n_static: usize, n_dynamic: usize) -> Scene {
-    let layout = SplatLayout {
-        isotropic: false,
-        sh_degree,
-        time_degree: 0,
-    };
-    let mut scene = m4_testkit::random_scene(&SceneSpec {
-        layout,
-        n_static,
-        n_dynamic,
-        time_frames: 16,
-        ..SceneSpec::default()
-    });
+    let layout = SplatLayout { isotropic: false, sh_degree, time_degree: 0 };
+    let mut scene =
+        m4_testkit::random_scene(&SceneSpec { layout, n_static, n_dynamic, time_frames: 16, ..SceneSpec::default() });
     let colours = layout.range(Column::Colour);
     for column in scene.splats.columns_mut().skip(colours.start).take(colours.len()) {
         column.iter_mut().for_each(|v| *v = v.clamp(-0.9, 0.9));
@@ -122,10 +88,7 @@ fn assert_rotations(got: &Splats, expected: &Splats, tolerance: f64) {
 /// The JSON and the binary chunk.
 fn parts(bytes: &[u8]) -> (Value, &[u8]) {
     let len = u32::from_le_bytes(bytes[12..16].try_into().unwrap()) as usize;
-    (
-        serde_json::from_slice(&bytes[20..20 + len]).unwrap(),
-        &bytes[28 + len..],
-    )
+    (serde_json::from_slice(&bytes[20..20 + len]).unwrap(), &bytes[28 + len..])
 }
 
 /// An attribute by what the JSON says of it, `width` numbers per splat.
@@ -137,9 +100,7 @@ fn attribute(json: &Value, bin: &[u8], name: &str, width: usize) -> Vec<Vec<f32>
     let start = view["byteOffset"].as_u64().unwrap() as usize;
     let rows = accessor["count"].as_u64().unwrap() as usize;
     let number = |i: usize| f32::from_le_bytes(bin[start + 4 * i..][..4].try_into().unwrap());
-    (0..rows)
-        .map(|r| (0..width).map(|k| number(width * r + k)).collect())
-        .collect()
+    (0..rows).map(|r| (0..width).map(|k| number(width * r + k)).collect()).collect()
 }
 
 #[test]
@@ -166,18 +127,9 @@ fn the_numbers_of_two_splats() {
     // a quarter of a turn about y becomes one about -y: (x, y, z, w) = (0, -1, 0, 1)/sqrt(2)
     let h = std::f32::consts::FRAC_1_SQRT_2;
     let rotation = &of("ROTATION", 4)[0];
-    assert!(
-        [0.0, -h, 0.0, h].iter().zip(rotation).all(|(a, b)| close(*a, *b)),
-        "{rotation:?}"
-    );
+    assert!([0.0, -h, 0.0, h].iter().zip(rotation).all(|(a, b)| close(*a, *b)), "{rotation:?}");
     let scale = &of("SCALE", 3)[0];
-    assert!(
-        [0.36788, 0.13534, 0.04979]
-            .iter()
-            .zip(scale)
-            .all(|(a, b)| close(*a, *b)),
-        "{scale:?}"
-    );
+    assert!([0.36788, 0.13534, 0.04979].iter().zip(scale).all(|(a, b)| close(*a, *b)), "{scale:?}");
     let opacity = of("OPACITY", 1);
     assert!(close(opacity[0][0], 0.8) && close(opacity[1][0], 0.5 * (-0.5f32).exp()));
     assert_eq!(of("SH_DEGREE_0_COEF_0", 3), [[1.0, 0.0, -1.0], [0.0, 2.0, 0.5]]);
@@ -237,23 +189,15 @@ fn gltf_refuses_instants_without_splats() {
     let path = dir.path().join("nothing.glb");
     let mut scene = asymmetric_scene(0);
     scene.splats = scene.splats.gather(&[1]).unwrap();
-    says(
-        &gltf::write(&path, &scene, 900.0).unwrap_err(),
-        &["no splat is seen at frame 900"],
-    );
+    says(&gltf::write(&path, &scene, 900.0).unwrap_err(), &["no splat is seen at frame 900"]);
     scene.splats.column_mut(Column::Velocity, 1)[0] = f32::INFINITY;
-    says(
-        &gltf::write(&path, &scene, 4.0).unwrap_err(),
-        &["splat 0 holds a NaN or infinite value"],
-    );
+    says(&gltf::write(&path, &scene, 4.0).unwrap_err(), &["splat 0 holds a NaN or infinite value"]);
     assert!(!path.exists());
 }
 
 fn unpacked(path: &std::path::Path) -> Vec<u8> {
     let mut bytes = Vec::new();
-    flate2::read::GzDecoder::new(std::fs::File::open(path).unwrap())
-        .read_to_end(&mut bytes)
-        .unwrap();
+    flate2::read::GzDecoder::new(std::fs::File::open(path).unwrap()).read_to_end(&mut bytes).unwrap();
     bytes
 }
 
@@ -295,11 +239,7 @@ fn taken_apart(path: &std::path::Path) -> Splats {
     let bytes = unpacked(path);
     let n = u32::from_le_bytes(bytes[8..12].try_into().unwrap()) as usize;
     let unit = (-f64::from(bytes[13])).exp2();
-    let layout = SplatLayout {
-        isotropic: false,
-        sh_degree: 3,
-        time_degree: 0,
-    };
+    let layout = SplatLayout { isotropic: false, sh_degree: 3, time_degree: 0 };
     let mut rest = &bytes[16..];
     let [positions, alphas, colours, scales, rotations, harmonics] = [9, 1, 3, 3, 4, 45].map(|width| {
         let (block, after) = rest.split_at(n * width);
@@ -348,9 +288,7 @@ fn spz_round_trips_within_half_a_quantisation_step() {
     let expected = m4_io::scene::instant(&scene.splats, 7.5, scene.time_frames as f64);
     let got = taken_apart(&path);
     assert_eq!((got.n(), written.splats), (expected.n(), expected.n()));
-    let far = (0..3)
-        .flat_map(|k| expected.column(Column::Mean, k))
-        .fold(0f32, |a, v| a.max(v.abs()));
+    let far = (0..3).flat_map(|k| expected.column(Column::Mean, k)).fold(0f32, |a, v| a.max(v.abs()));
     assert_columns(&got, &expected, Column::Mean, far / 8_388_607.0);
     assert_columns(&got, &expected, Column::LogScale, 0.5 / 16.0 + 1e-6);
     let sigmoid = |v: f32| 1.0 / (1.0 + (-v).exp());

@@ -28,11 +28,7 @@ struct Facts {
 impl Facts {
     fn read(folder: &Path) -> Self {
         let text = |name: &str| fs::read_to_string(folder.join(name)).unwrap();
-        Self {
-            environ: fs::read(folder.join("environ")).unwrap(),
-            status: text("status"),
-            limits: text("limits"),
-        }
+        Self { environ: fs::read(folder.join("environ")).unwrap(), status: text("status"), limits: text("limits") }
     }
 
     fn limit(&self, name: &str) -> Option<u64> {
@@ -45,9 +41,8 @@ impl Facts {
     /// `privileged` is whether it may start set-uid programs as their owners.
     fn check(&self, files: u64, privileged: bool) {
         let variables = self.environ.split(|&b| b == 0).filter(|v| !v.is_empty());
-        let names: Vec<String> = variables
-            .map(|v| String::from_utf8_lossy(v).split('=').next().unwrap().to_owned())
-            .collect();
+        let names: Vec<String> =
+            variables.map(|v| String::from_utf8_lossy(v).split('=').next().unwrap().to_owned()).collect();
         assert!(names.contains(&"PATH".to_owned()));
         assert!(names.iter().all(|name| TOLD.contains(&name.as_str())), "{names:?}");
         let may_not = self.status.lines().any(|line| line == "NoNewPrivs:\t1");
@@ -130,20 +125,10 @@ fn our_own_decoder_gets_no_secret_no_privilege_and_no_file() {
     let dir = tempfile::tempdir().unwrap();
     let file = dir.path().canonicalize().unwrap().join("decoder");
     // By another process: one that has a file open for writing while another is started keeps it from being executed.
-    let copied = std::process::Command::new("cp")
-        .arg(DECODER)
-        .arg(&file)
-        .status()
-        .unwrap();
+    let copied = std::process::Command::new("cp").arg(DECODER).arg(&file).status().unwrap();
     assert!(copied.success());
-    let watch = Watch {
-        file: &file,
-        found: Mutex::new(None),
-    };
-    let options = VideoOptions {
-        size: Some(64),
-        ..VideoOptions::default()
-    };
+    let watch = Watch { file: &file, found: Mutex::new(None) };
+    let options = VideoOptions { size: Some(64), ..VideoOptions::default() };
     let program = DecoderProgram::new(&file, "decode");
     let video = read_with(Some(&program), &pinwheel(), &options, &watch).unwrap();
     assert_eq!((video.frames.len(), video.warnings.len()), (96, 0));
@@ -165,13 +150,7 @@ fn ffmpeg_start_failures_do_not_blame_the_clip() {
         assert!(spoiled.success());
         for launcher in [Some(program()), None] {
             let error = read_with(launcher.as_ref(), &clip, &options, &Silent).unwrap_err();
-            let needed = matches!(
-                error.fault,
-                Fault::Content {
-                    kind: ErrorKind::Unavailable,
-                    ..
-                }
-            );
+            let needed = matches!(error.fault, Fault::Content { kind: ErrorKind::Unavailable, .. });
             assert!(needed && error.to_string().contains("ffprobe"), "{spoil}: {error}");
         }
     }

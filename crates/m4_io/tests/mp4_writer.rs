@@ -8,18 +8,11 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 fn options() -> VideoOptions {
-    VideoOptions {
-        size: None,
-        ffmpeg: PathBuf::from("/nonexistent/ffmpeg"),
-        ..VideoOptions::default()
-    }
+    VideoOptions { size: None, ffmpeg: PathBuf::from("/nonexistent/ffmpeg"), ..VideoOptions::default() }
 }
 
 fn example(frames: usize) -> Video {
-    let options = VideoOptions {
-        end_s: Some((frames - 1) as f64 / 24.0),
-        ..options()
-    };
+    let options = VideoOptions { end_s: Some((frames - 1) as f64 / 24.0), ..options() };
     read(&pinwheel(), &options, &Silent).unwrap()
 }
 
@@ -52,15 +45,7 @@ fn a_written_clip_reads_back_and_plays_in_ffmpeg() {
         return;
     }
     let entries = "stream=codec_name,profile,pix_fmt,color_space,color_range,avg_frame_rate,nb_read_frames";
-    let arguments = [
-        "-v",
-        "error",
-        "-count_frames",
-        "-show_entries",
-        entries,
-        "-of",
-        "default=nw=1",
-    ];
+    let arguments = ["-v", "error", "-count_frames", "-show_entries", entries, "-of", "default=nw=1"];
     let output = Command::new("ffprobe").args(arguments).arg(&path).output().unwrap();
     let message = String::from_utf8_lossy(&output.stdout).into_owned();
     assert!(output.stderr.is_empty(), "{}", String::from_utf8_lossy(&output.stderr));
@@ -76,17 +61,8 @@ fn a_written_clip_reads_back_and_plays_in_ffmpeg() {
         assert!(message.contains(line), "{line} is not in:\n{message}");
     }
     let strict = ["-v", "error", "-xerror", "-err_detect", "explode", "-i"];
-    let output = Command::new("ffmpeg")
-        .args(strict)
-        .arg(&path)
-        .args(["-f", "null", "-"])
-        .output()
-        .unwrap();
-    assert!(
-        output.status.success() && output.stderr.is_empty(),
-        "{}",
-        String::from_utf8_lossy(&output.stderr)
-    );
+    let output = Command::new("ffmpeg").args(strict).arg(&path).args(["-f", "null", "-"]).output().unwrap();
+    assert!(output.status.success() && output.stderr.is_empty(), "{}", String::from_utf8_lossy(&output.stderr));
 }
 
 #[test]
@@ -108,16 +84,9 @@ fn mp4_pads_odd_sides_and_accepts_one_frame() {
     writer.push(&image).unwrap();
     writer.finish().unwrap();
     let back = read(&path, &options(), &Silent).unwrap();
-    assert_eq!(
-        (back.frames.len(), back.frames[0].rgb.size(), times(&back)[0]),
-        (1, (102, 78), 0.0)
-    );
+    assert_eq!((back.frames.len(), back.frames[0].rgb.size(), times(&back)[0]), (1, (102, 78), 0.0));
     for (x, y) in [(10, 10), (50, 40), (100, 76)] {
-        let off = back.frames[0].rgb[(x, y)]
-            .iter()
-            .zip(image[(x, y)])
-            .map(|(a, b)| a.abs_diff(b))
-            .max();
+        let off = back.frames[0].rgb[(x, y)].iter().zip(image[(x, y)]).map(|(a, b)| a.abs_diff(b)).max();
         assert!(off <= Some(8), "({x}, {y})");
     }
 }
@@ -133,21 +102,12 @@ fn invalid_mp4_frames_are_refused_and_leave_no_file() {
         (64, 64, f64::NAN, "frames per second"),
     ] {
         let error = Mp4Writer::create(&path, w, h, fps).unwrap_err();
-        assert!(
-            error.to_string().contains(says) && error.kind() == ErrorKind::Unsupported,
-            "{error}"
-        );
+        assert!(error.to_string().contains(says) && error.kind() == ErrorKind::Unsupported, "{error}");
     }
-    says(
-        &Mp4Writer::create(&path, 64, 48, 24.0).unwrap().finish().unwrap_err(),
-        &["no frames"],
-    );
+    says(&Mp4Writer::create(&path, 64, 48, 24.0).unwrap().finish().unwrap_err(), &["no frames"]);
     let mut writer = Mp4Writer::create(&path, 64, 48, 24.0).unwrap();
     let error = writer.push(&Plane::filled(48, 64, [0; 3])).unwrap_err();
-    assert!(
-        error.to_string().contains("48 x 64") && error.to_string().contains("64 x 48"),
-        "{error}"
-    );
+    assert!(error.to_string().contains("48 x 64") && error.to_string().contains("64 x 48"), "{error}");
     drop(writer);
     assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 0);
     let error = Mp4Writer::create(dir.path(), 64, 48, 24.0).unwrap_err();

@@ -33,10 +33,6 @@ fn bytes_are_those_of_pillow() {
     let file = include_bytes!("../../../fixtures/ops/resize.safetensors");
     let cubic = read_image(file, "image_u8");
     for size in ["down", "half", "up"] {
-        assert_same(
-            &cubic,
-            &read_image(file, &format!("pil_bicubic_u8_{size}")),
-            ResizeFilter::Cubic,
-        );
+        assert_same(&cubic, &read_image(file, &format!("pil_bicubic_u8_{size}")), ResizeFilter::Cubic);
     }
 }

@@ -50,26 +50,13 @@ fn scene(layout: SplatLayout, n_static: usize, n_dynamic: usize) -> Scene {
 fn layouts() -> impl Iterator<Item = SplatLayout> {
     [(false, 0, 0), (true, 0, 0), (false, 3, 2), (true, 1, 1), (false, 2, 0)]
         .into_iter()
-        .map(|(isotropic, sh_degree, time_degree)| SplatLayout {
-            isotropic,
-            sh_degree,
-            time_degree,
-        })
+        .map(|(isotropic, sh_degree, time_degree)| SplatLayout { isotropic, sh_degree, time_degree })
 }
 
 fn state() -> TrainState<'static> {
     BTreeMap::from([
-        (
-            "adam.m".to_owned(),
-            StateTensor::f32(vec![1.0, f32::NAN, -0.0, f32::INFINITY]),
-        ),
-        (
-            "adam.v".to_owned(),
-            StateTensor::F32 {
-                shape: vec![2, 3],
-                data: vec![0.5; 6].into(),
-            },
-        ),
+        ("adam.m".to_owned(), StateTensor::f32(vec![1.0, f32::NAN, -0.0, f32::INFINITY])),
+        ("adam.v".to_owned(), StateTensor::F32 { shape: vec![2, 3], data: vec![0.5; 6].into() }),
         ("rng".to_owned(), StateTensor::u32(vec![u32::MAX, 7])),
         ("losses".to_owned(), StateTensor::f64(vec![0.1, 1e-300])),
         ("config".to_owned(), StateTensor::u8(b"iterations = 5\n".to_vec())),
@@ -98,10 +85,7 @@ fn every_layout_round_trips_exactly() {
     assert!(plain.state.is_none() && plain.metadata.is_empty());
     let first = std::fs::read(&path).unwrap();
     write(&path, &plain.scene, None, &BTreeMap::new()).unwrap();
-    assert!(
-        std::fs::read(&path).unwrap() == first,
-        "the same scene gave other bytes"
-    );
+    assert!(std::fs::read(&path).unwrap() == first, "the same scene gave other bytes");
     assert_eq!(std::fs::read_dir(path.parent().unwrap()).unwrap().count(), 1);
 }
 
@@ -147,11 +131,7 @@ fn damaged_scene_files_are_refused() {
             Err(error) => error,
             // Spaces that pad the header mean nothing, nor does the order of keys.
             Ok(file) => {
-                assert!(
-                    original[at] == b' ' || file.scene == scene(layout, 20, 10),
-                    "byte {at} of {}",
-                    original.len()
-                );
+                assert!(original[at] == b' ' || file.scene == scene(layout, 20, 10), "byte {at} of {}", original.len());
                 continue;
             }
         };
@@ -180,9 +160,6 @@ fn newer_versions_are_refused() {
     std::fs::write(&path, bytes).unwrap();
     let error = read(&path).unwrap_err();
     let text = error.to_string();
-    assert!(
-        text.contains("version 7") && text.contains("up to 1") && text.contains("update minute4d"),
-        "{text}"
-    );
+    assert!(text.contains("version 7") && text.contains("up to 1") && text.contains("update minute4d"), "{text}");
     assert_eq!(error.kind(), ErrorKind::Unsupported);
 }

@@ -16,21 +16,11 @@ const LIMIT: u64 = 1 << 20;
 fn made(frames: usize, count: usize) -> Tracks {
     let place = |i: usize| {
         let (t, k) = (i / count, i % count);
-        if (t + k).is_multiple_of(3) {
-            [f32::NAN; 3]
-        } else {
-            [k as f32, t as f32, 2.0]
-        }
+        if (t + k).is_multiple_of(3) { [f32::NAN; 3] } else { [k as f32, t as f32, 2.0] }
     };
     let visible = |i: usize| i / count != 1;
     let n = frames * count;
-    Tracks::new(
-        frames,
-        count,
-        (0..n).map(place).collect(),
-        (0..n).map(visible).collect(),
-    )
-    .unwrap()
+    Tracks::new(frames, count, (0..n).map(place).collect(), (0..n).map(visible).collect()).unwrap()
 }
 
 fn same(a: &Tracks, b: &Tracks) {
@@ -108,10 +98,7 @@ fn damaged_files_are_refused_with_a_reason() {
     let visibs = || ("visibs.npy", npy("|b1", "(2, 1)", &[1; 2]));
     let dir = tempfile::tempdir().unwrap();
     let good = dir.path().join("good.npz");
-    File::create(&good)
-        .unwrap()
-        .write_all(&archive(&[coords(), visibs()]))
-        .unwrap();
+    File::create(&good).unwrap().write_all(&archive(&[coords(), visibs()])).unwrap();
     assert_eq!(read(&good, 2, LIMIT).unwrap().count(), 1);
 
     let coords_as =
@@ -122,43 +109,24 @@ fn damaged_files_are_refused_with_a_reason() {
         (b"not a zip".to_vec(), "not an npz archive"),
         (archive(&[visibs()]), "`coords` is missing"),
         (archive(&[coords()]), "`visibs` is missing"),
-        (
-            archive(&[("coords.npy", b"PNG".to_vec()), visibs()]),
-            "ends in its header",
-        ),
+        (archive(&[("coords.npy", b"PNG".to_vec()), visibs()]), "ends in its header"),
         (coords_as("<f8", "(2, 1, 3)", &[0; 48]), "save it as <f4"),
         (coords_as("<f4", "(3, 1, 3)", &[0; 36]), "(2 frames, tracks, 3)"),
         (coords_as("<f4", "(2, 3)", &[0; 24]), "(2 frames, tracks, 3)"),
-        (
-            coords_as("<f4", "(2, 1, 3)", &[0; 20]),
-            "ends before all of its numbers",
-        ),
-        (
-            coords_as("<f4", "(2, 1, 3)", &[0; 25]),
-            "continues after all of its numbers",
-        ),
+        (coords_as("<f4", "(2, 1, 3)", &[0; 20]), "ends before all of its numbers"),
+        (coords_as("<f4", "(2, 1, 3)", &[0; 25]), "continues after all of its numbers"),
         (coords_as("<f4", huge, &[0; 24]), "more than the file can hold"),
         (coords_as("<f4", "(2, 100000, 3)", &[0; 2_400_000]), "above the limit"),
         (coords_as("<f4", "(2, x, 3)", &[0; 24]), "not understood"),
         (coords_as("<f4", "(2, 1, 3)", &infinite), "infinite position in frame 0"),
-        (
-            archive(&[coords(), ("visibs.npy", npy("|b1", "(2, 2)", &[1; 4]))]),
-            "(2 frames, 1 tracks)",
-        ),
-        (
-            archive(&[coords(), visibs(), ("colors.npy", npy("|u1", "(2, 3)", &[1; 6]))]),
-            "(1 tracks, 3)",
-        ),
+        (archive(&[coords(), ("visibs.npy", npy("|b1", "(2, 2)", &[1; 4]))]), "(2 frames, 1 tracks)"),
+        (archive(&[coords(), visibs(), ("colors.npy", npy("|u1", "(2, 3)", &[1; 6]))]), "(1 tracks, 3)"),
     ];
     for (bytes, reason) in cases {
         let error = refused(&bytes);
         says(&error, &[reason]);
         let large = reason == "above the limit";
-        let kind = if large {
-            ErrorKind::Unsupported
-        } else {
-            ErrorKind::BadData
-        };
+        let kind = if large { ErrorKind::Unsupported } else { ErrorKind::BadData };
         assert_eq!(error.kind(), kind, "{error}");
     }
     let missing = read(Path::new("/nowhere/tracks.npz"), 2, LIMIT).unwrap_err();
@@ -188,10 +156,7 @@ fn no_damage_makes_it_panic() {
 fn capture_with(tracks: Option<Tracks>) -> Capture {
     let frame = |i: usize| CaptureFrame {
         name: format!("{i}"),
-        camera: Camera {
-            intrinsics: Intrinsics::centred(8, 6, 9.0),
-            c2w: Se3::identity(),
-        },
+        camera: Camera { intrinsics: Intrinsics::centred(8, 6, 9.0), c2w: Se3::identity() },
         t: i as f64,
         rgb: Plane::filled(8, 6, [i as u8; 3]),
         depth: None,
@@ -200,13 +165,7 @@ fn capture_with(tracks: Option<Tracks>) -> Capture {
         instances: None,
         camera_index: None,
     };
-    Capture {
-        frames: (0..4).map(frame).collect(),
-        time_frames: 4,
-        duration_s: None,
-        metric: true,
-        tracks,
-    }
+    Capture { frames: (0..4).map(frame).collect(), time_frames: 4, duration_s: None, metric: true, tracks }
 }
 
 #[test]

@@ -69,10 +69,7 @@ pub struct Wanted {
 
 impl Wanted {
     /// Everything there is.
-    pub const ALL: Self = Self {
-        camera: true,
-        means2d: true,
-    };
+    pub const ALL: Self = Self { camera: true, means2d: true };
 }
 
 /// The gradient of a loss with respect to splats and camera.

@@ -62,10 +62,7 @@ fn sigmoid<T: Real>(x: T) -> T {
 /// One splat in the frame, or `None` where the contracts leave it out.
 fn draw<T: Real>(row: usize, splat: &Splat<T>, setup: &Setup<T>) -> Option<(Drawn<T>, Ellipse<T>)> {
     let (sliced, dt) = match &splat.geometry {
-        Geometry::Gaussian(g) => (
-            slice(g, setup.t),
-            g.life.map_or(T::zero(), |life| setup.t - life.time_mean),
-        ),
+        Geometry::Gaussian(g) => (slice(g, setup.t), g.life.map_or(T::zero(), |life| setup.t - life.time_mean)),
         Geometry::Rotor(g) => (slice_rotor(g, setup.t), setup.t - g.time_mean),
     };
     if sliced.marginal <= T::of(MARGINAL_MIN) {
@@ -78,12 +75,8 @@ fn draw<T: Real>(row: usize, splat: &Splat<T>, setup: &Setup<T>) -> Option<(Draw
     if numbers.any(|v| !v.is_finite()) || opacity < T::of(ALPHA_MIN) {
         return None;
     }
-    let sight = Sight {
-        offset: sliced.mean - setup.camera.centre(),
-        dt,
-        period: setup.period,
-        sh_terms: splat.sh_terms,
-    };
+    let sight =
+        Sight { offset: sliced.mean - setup.camera.centre(), dt, period: setup.period, sh_terms: splat.sh_terms };
     let [r, g, b] = shade(&splat.coefficients, &sight);
     let ellipse = Ellipse {
         centre: projected.centre,
@@ -91,22 +84,13 @@ fn draw<T: Real>(row: usize, splat: &Splat<T>, setup: &Setup<T>) -> Option<(Draw
         opacity,
         channels: [r, g, b, projected.depth, T::one()],
     };
-    let drawn = Drawn {
-        row,
-        sliced,
-        projected,
-        sight,
-    };
+    let drawn = Drawn { row, sliced, projected, sight };
     Some((drawn, ellipse))
 }
 
 /// The splats in the frame, near to far.
 fn draw_all<T: Real>(splats: &[Splat<T>], setup: &Setup<T>) -> (Vec<Drawn<T>>, Vec<Ellipse<T>>) {
-    let all: Vec<_> = splats
-        .iter()
-        .enumerate()
-        .filter_map(|(row, splat)| draw(row, splat, setup))
-        .collect();
+    let all: Vec<_> = splats.iter().enumerate().filter_map(|(row, splat)| draw(row, splat, setup)).collect();
     let depths: Vec<T> = all.iter().map(|(drawn, _)| drawn.projected.depth).collect();
     depth_order(&depths).into_iter().map(|i| all[i].clone()).unzip()
 }
@@ -120,12 +104,7 @@ pub(crate) fn ellipses<T: Real>(splats: &[Splat<T>], setup: &Setup<T>) -> Vec<El
 pub fn render<T: Real, C: Cutoff>(splats: &[Splat<T>], setup: &Setup<T>) -> Rendered<T> {
     let (drawn, ellipses) = draw_all(splats, setup);
     let image = blend::<T, C>(&ellipses, setup.width, setup.height, &setup.background);
-    Rendered {
-        image,
-        rows: drawn.iter().map(|d| d.row).collect(),
-        ellipses,
-        drawn,
-    }
+    Rendered { image, rows: drawn.iter().map(|d| d.row).collect(), ellipses, drawn }
 }
 
 /// Gradient of a loss with respect to splats, camera and background, given `g`, `[height * width]`,
@@ -137,10 +116,7 @@ pub fn backward<T: Real, C: Cutoff>(
     g: &[[T; CHANNELS]],
     form: BackwardForm,
 ) -> SceneGradient<T> {
-    let BlendGradient {
-        splats: ellipses,
-        background,
-    } = match form {
+    let BlendGradient { splats: ellipses, background } = match form {
         BackwardForm::BackToFront => {
             blend_vjp::<T, C>(&rendered.ellipses, setup.width, setup.height, &setup.background, g)
         }
@@ -159,17 +135,8 @@ pub fn backward<T: Real, C: Cutoff>(
         let [r, green, b, depth, _] = d.channels;
         let shade = shade_vjp(&splat.coefficients, &drawn.sight, &[r, green, b]);
 
-        let (peak, p, rho) = (
-            sigmoid(splat.opacity),
-            drawn.sliced.marginal,
-            drawn.projected.compensation,
-        );
-        let d_projected = Projected {
-            centre: d.centre,
-            conic: d.conic,
-            depth,
-            compensation: d.opacity * peak * p,
-        };
+        let (peak, p, rho) = (sigmoid(splat.opacity), drawn.sliced.marginal, drawn.projected.compensation);
+        let d_projected = Projected { centre: d.centre, conic: d.conic, depth, compensation: d.opacity * peak * p };
         let (mean, covariance) = (&drawn.sliced.mean, &drawn.sliced.covariance);
         let d_project = project_vjp(mean, covariance, &setup.camera, setup.mip, &d_projected);
         let d_sliced = Sliced {

@@ -110,8 +110,7 @@ impl Renderer {
         Chunk::plan(&mut self.chunks, splats.n_static(), splats.n_dynamic(), bands);
 
         let (level, eye, columns) = (self.level.level(), &self.eye, Columns::new(splats));
-        self.rows
-            .resize(self.chunks.iter().map(Chunk::room).sum(), Row::default());
+        self.rows.resize(self.chunks.iter().map(Chunk::room).sum(), Row::default());
         let mut rest = self.rows.as_mut_slice();
         let mut tasks: Vec<(&mut Chunk, &mut [Row])> = Vec::with_capacity(self.chunks.len());
         for chunk in &mut self.chunks {
@@ -143,12 +142,7 @@ impl Renderer {
         }
         let (level, background, eye) = (self.level.level(), self.background, &self.eye);
         let size = BAND_ROWS * eye.width;
-        let Frame {
-            rgb: [red, green, blue],
-            transmittance,
-            depth,
-            ..
-        } = &mut self.frame;
+        let Frame { rgb: [red, green, blue], transmittance, depth, .. } = &mut self.frame;
         // without depth the bands get empty slices
         let depth_bands: Vec<&mut [f32]> = depth.chunks_mut(size).collect();
         let mut depth_bands = depth_bands.into_iter();
@@ -229,11 +223,7 @@ impl Renderer {
             let place = place(eye, index);
             let part = |plane: &'_ [f32]| -> std::ops::Range<usize> {
                 let at = place.top * place.width;
-                if plane.is_empty() {
-                    0..0
-                } else {
-                    at..at + place.rows * place.width
-                }
+                if plane.is_empty() { 0..0 } else { at..at + place.rows * place.width }
             };
             let rgb = |planes: &'_ [Vec<f32>; 3]| planes.each_ref().map(|p| part(p));
             let (c, d) = (rgb(&frame.rgb), rgb(&gradient.rgb));
@@ -262,11 +252,8 @@ impl Renderer {
             .enumerate()
             .with_max_len(1)
             .map(|(index, (chunk, part))| {
-                let mut sums: Vec<&[Sums]> = self
-                    .bands
-                    .iter()
-                    .map(|work| &work.sums[work.band.chunk_start[index]..])
-                    .collect();
+                let mut sums: Vec<&[Sums]> =
+                    self.bands.iter().map(|work| &work.sums[work.band.chunk_start[index]..]).collect();
                 dispatch!(level, s => chunk.backward(s, &columns, eye, &mut sums, with_camera, part))
             })
             .collect();
@@ -294,30 +281,20 @@ impl Renderer {
     /// If `weight` or `out` has another length than that.
     pub fn score(&mut self, weight: &[f32], out: &mut [f32]) {
         self.check(out.len());
-        assert_eq!(
-            weight.len(),
-            self.frame.transmittance.len(),
-            "score: one weight a pixel"
-        );
+        assert_eq!(weight.len(), self.frame.transmittance.len(), "score: one weight a pixel");
         let (level, eye, rows) = (self.level.level(), &self.eye, self.rows.as_slice());
-        self.bands
-            .par_iter_mut()
-            .enumerate()
-            .with_max_len(1)
-            .for_each(|(index, work)| {
-                let place = place(eye, index);
-                let weight = &weight[place.top * place.width..][..place.rows * place.width];
-                let (band, used, scores) = (&work.band, &work.used, &mut work.scores);
-                dispatch!(level, s => blend::score(s, band, rows, place, used, weight, scores));
-            });
+        self.bands.par_iter_mut().enumerate().with_max_len(1).for_each(|(index, work)| {
+            let place = place(eye, index);
+            let weight = &weight[place.top * place.width..][..place.rows * place.width];
+            let (band, used, scores) = (&work.band, &work.used, &mut work.scores);
+            dispatch!(level, s => blend::score(s, band, rows, place, used, weight, scores));
+        });
         let (bands, mut rest) = (&self.bands, out);
         for (index, chunk) in self.chunks.iter().enumerate() {
             let (rows, after) = rest.split_at_mut(chunk.rows.len());
             rest = after;
-            let mut scores: Vec<&[f32]> = bands
-                .iter()
-                .map(|work| &work.scores[work.band.chunk_start[index]..])
-                .collect();
+            let mut scores: Vec<&[f32]> =
+                bands.iter().map(|work| &work.scores[work.band.chunk_start[index]..]).collect();
             chunk.score(&mut scores, rows);
         }
     }
@@ -350,11 +327,7 @@ fn heaviest_first<T: Send>(mut tasks: Vec<(usize, T)>, run: impl Fn(T) + Send + 
 /// Where band `index` lies.
 fn place(eye: &Eye, index: usize) -> BandPlace {
     let top = index * BAND_ROWS;
-    BandPlace {
-        top,
-        rows: (eye.height - top).min(BAND_ROWS),
-        width: eye.width,
-    }
+    BandPlace { top, rows: (eye.height - top).min(BAND_ROWS), width: eye.width }
 }
 
 /// Cuts the gradients into the rows of each chunk.

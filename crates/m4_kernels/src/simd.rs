@@ -315,22 +315,11 @@ mod tests {
                     1.0 / (1.0 + (-d).exp()),
                     (-d.abs()).exp_m1(),
                 ];
-                let scale = [
-                    want[0],
-                    1.0 + want[1].abs(),
-                    1.0 + d.abs(),
-                    1.0 + d.abs(),
-                    want[4],
-                    want[5].abs().max(1e-30),
-                ];
+                let scale =
+                    [want[0], 1.0 + want[1].abs(), 1.0 + d.abs(), 1.0 + d.abs(), want[4], want[5].abs().max(1e-30)];
                 for i in 0..6 {
                     let error = (f64::from(got[i]) - want[i]).abs() / scale[i];
-                    assert!(
-                        error < 2e-6,
-                        "{level}: function {i} of {x}: {} where {} was expected",
-                        got[i],
-                        want[i]
-                    );
+                    assert!(error < 2e-6, "{level}: function {i} of {x}: {} where {} was expected", got[i], want[i]);
                 }
             }
         }

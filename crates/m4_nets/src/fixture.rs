@@ -39,24 +39,14 @@ impl Fixture {
     pub fn doubles(&self, name: &str) -> Vec<f64> {
         let (bytes, dtype, _) = self.tensor(name);
         assert_eq!(dtype, Dtype::F64, "{name}");
-        bytes
-            .as_chunks::<8>()
-            .0
-            .iter()
-            .map(|&b| f64::from_le_bytes(b))
-            .collect()
+        bytes.as_chunks::<8>().0.iter().map(|&b| f64::from_le_bytes(b)).collect()
     }
 
     /// A tensor of whole numbers of 32 bits.
     pub fn whole(&self, name: &str) -> Vec<i32> {
         let (bytes, dtype, _) = self.tensor(name);
         assert_eq!(dtype, Dtype::I32, "{name}");
-        bytes
-            .as_chunks::<4>()
-            .0
-            .iter()
-            .map(|&b| i32::from_le_bytes(b))
-            .collect()
+        bytes.as_chunks::<4>().0.iter().map(|&b| i32::from_le_bytes(b)).collect()
     }
 
     /// A tensor of bytes.
@@ -89,10 +79,7 @@ impl Fixture {
 pub fn relative_error(got: &[f32], want: &[f32]) -> f64 {
     assert_eq!(got.len(), want.len(), "numbers");
     let largest = |values: &mut dyn Iterator<Item = f64>| values.fold(0.0, f64::max);
-    assert!(
-        got.iter().chain(want).all(|x| x.is_finite()),
-        "a number that is not finite"
-    );
+    assert!(got.iter().chain(want).all(|x| x.is_finite()), "a number that is not finite");
     let scale = largest(&mut want.iter().map(|&x| f64::from(x).abs()));
     assert!(scale > 0.0, "nothing but zeros is wanted");
     largest(&mut got.iter().zip(want).map(|(&a, &b)| (f64::from(a) - f64::from(b)).abs())) / scale
@@ -149,18 +136,9 @@ pub fn assert_same_tensors<M: ModuleSnapshot>(
     let ours: Shapes = tensors.iter().map(|t| (t.name.clone(), t.shape.to_vec())).collect();
     let mut theirs = renamed(keys, renames);
     theirs.retain(|name, _| !unneeded(name));
-    let missing: Vec<_> = theirs
-        .iter()
-        .filter(|(name, shape)| ours.get(*name) != Some(shape))
-        .collect();
-    let surplus: Vec<_> = ours
-        .iter()
-        .filter(|(name, shape)| theirs.get(*name) != Some(shape))
-        .collect();
-    assert!(
-        missing.is_empty() && surplus.is_empty(),
-        "missing {missing:?}, too many {surplus:?}"
-    );
+    let missing: Vec<_> = theirs.iter().filter(|(name, shape)| ours.get(*name) != Some(shape)).collect();
+    let surplus: Vec<_> = ours.iter().filter(|(name, shape)| theirs.get(*name) != Some(shape)).collect();
+    assert!(missing.is_empty() && surplus.is_empty(), "missing {missing:?}, too many {surplus:?}");
 }
 
 /// The shapes of `keys` (lines of a name and a shape) by their names after `renames`.
@@ -169,9 +147,7 @@ pub fn renamed(keys: &str, renames: &[(&str, &str)]) -> Shapes {
     let line = |line: &str| {
         let mut words = line.split_whitespace();
         let name = words.next().unwrap().to_owned();
-        let name = patterns.iter().fold(name, |name, (from, to)| {
-            from.replace_all(&name, to.as_str()).into_owned()
-        });
+        let name = patterns.iter().fold(name, |name, (from, to)| from.replace_all(&name, to.as_str()).into_owned());
         (name, words.map(|w| w.parse().unwrap()).collect())
     };
     keys.lines().map(line).collect()

@@ -50,15 +50,11 @@ fn differences(missing: &[String], unused: &[String], wrong: &[String]) -> Strin
         let more = if names.len() > 3 { ", ..." } else { "" };
         (!names.is_empty()).then(|| format!("{} {what} ({first}{more})", names.len()))
     };
-    [
-        named("tensors are missing", missing),
-        named("tensors are not known", unused),
-        named("tensors do not fit", wrong),
-    ]
-    .into_iter()
-    .flatten()
-    .collect::<Vec<_>>()
-    .join(", ")
+    [named("tensors are missing", missing), named("tensors are not known", unused), named("tensors do not fit", wrong)]
+        .into_iter()
+        .flatten()
+        .collect::<Vec<_>>()
+        .join(", ")
 }
 
 /// A checkpoint that was opened.
@@ -115,11 +111,7 @@ fn is_safetensors([length @ .., brace]: [u8; 9]) -> bool {
 }
 
 fn unreadable(network: &'static str, path: &Path, reason: String) -> LoadError {
-    LoadError::Unreadable {
-        path: path.to_owned(),
-        network,
-        reason,
-    }
+    LoadError::Unreadable { path: path.to_owned(), network, reason }
 }
 
 /// Shapes by name.

@@ -26,11 +26,7 @@ impl Padding {
             return Err(FlowError::Empty);
         }
         let up = |side: usize| side.next_multiple_of(multiple).max(least);
-        Ok(Self {
-            width,
-            height,
-            padded: (up(width), up(height)),
-        })
+        Ok(Self { width, height, padded: (up(width), up(height)) })
     }
 
     /// Columns left of the image and rows above it.
@@ -76,9 +72,7 @@ impl Padding {
 /// [`FlowError::Device`] if the device fails.
 pub fn read(flow: Tensor<3>) -> Result<Flow, FlowError> {
     let [height, width, _] = flow.dims();
-    let values: Vec<f32> = flow
-        .try_into_vec_as()
-        .map_err(|error| FlowError::Device(error.to_string()))?;
+    let values: Vec<f32> = flow.try_into_vec_as().map_err(|error| FlowError::Device(error.to_string()))?;
     Ok(Flow {
         width,
         height,

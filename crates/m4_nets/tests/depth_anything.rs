@@ -51,15 +51,8 @@ fn disparity_has_the_size_of_the_image_and_is_independent_of_threads() {
     assert_eq!(one.size(), (301, 43));
     assert!(one.data().iter().all(|&d| d >= 0.0 && d.is_finite()));
     let positive = one.data().iter().filter(|&&d| d > 0.0).count();
-    assert!(
-        positive > one.data().len() / 2,
-        "{positive} of {} above 0",
-        one.data().len()
-    );
-    let (least, most) = one
-        .data()
-        .iter()
-        .fold((f32::MAX, 0.0f32), |(a, b), &d| (a.min(d), b.max(d)));
+    assert!(positive > one.data().len() / 2, "{positive} of {} above 0", one.data().len());
+    let (least, most) = one.data().iter().fold((f32::MAX, 0.0f32), |(a, b), &d| (a.min(d), b.max(d)));
     assert!(most > 1.2 * least, "hardly anything but a constant: {least} to {most}");
     assert_eq!(one, with(2));
     assert_eq!(one, with(5));
@@ -97,10 +90,7 @@ fn a_checkpoint_is_read_strictly() {
         kept.map(|line| format!("{line}\n")).collect()
     };
     let error = load(&without("blocks.11.norm2.bias"));
-    assert!(
-        error.contains("1 tensors are missing (pretrained.blocks.11.norm2."),
-        "{error}"
-    );
+    assert!(error.contains("1 tensors are missing (pretrained.blocks.11.norm2."), "{error}");
     let error = load(&without("cls_token"));
     assert!(error.contains("pretrained.cls_token"), "{error}");
     let error = load(&format!("{KEYS}pretrained.register_tokens 1 4 384\n"));
@@ -113,8 +103,5 @@ fn a_checkpoint_is_read_strictly() {
     let text = folder.path().join("text.pth");
     fs::write(&text, "no checkpoint at all").unwrap();
     assert!(matches!(refused(&text), LoadError::Unreadable { .. }));
-    assert!(matches!(
-        refused(&folder.path().join("none.pth")),
-        LoadError::Missing { .. }
-    ));
+    assert!(matches!(refused(&folder.path().join("none.pth")), LoadError::Missing { .. }));
 }

@@ -37,11 +37,7 @@ fn test_image(w: usize, h: usize, moved: f32) -> RgbImage {
 }
 
 fn memory(net: DroidNet) -> DroidMemory<'static> {
-    let options = MemoryOptions {
-        budget_bytes: 1 << 30,
-        storage: Storage::F16,
-        scratch: std::env::temp_dir(),
-    };
+    let options = MemoryOptions { budget_bytes: 1 << 30, storage: Storage::F16, scratch: std::env::temp_dir() };
     let images = |frame: usize| Ok(test_image(136, 128, frame as f32));
     DroidMemory::new(Arc::new(net), options, Box::new(images))
 }
@@ -115,10 +111,7 @@ fn images_of_wrong_size_are_refused() {
     let mut memory = memory(load(folder.path(), KEYS).unwrap());
     for (w, h) in [(0, 0), (120, 200), (200, 120), (132, 128), (128, 129)] {
         let error = memory.add_frame(0, &test_image(w, h, 0.0)).unwrap_err();
-        assert!(
-            matches!(error, DroidError::Size { width, height } if (width, height) == (w, h)),
-            "{error}"
-        );
+        assert!(matches!(error, DroidError::Size { width, height } if (width, height) == (w, h)), "{error}");
     }
     assert_eq!(memory.grid(), None);
     memory.add_frame(0, &test_image(136, 128, 0.0)).unwrap();
@@ -133,10 +126,7 @@ fn takes_the_published_file() {
     let folder = std::env::var_os("MINUTE4D_WEIGHTS").map(std::path::PathBuf::from);
     let path = folder.map(|folder| folder.join("megasam/megasam_final.pth"));
     let Some(path) = path.filter(|path| path.is_file()) else {
-        skip(
-            Need::Weights,
-            "MINUTE4D_WEIGHTS names no folder with megasam/megasam_final.pth",
-        );
+        skip(Need::Weights, "MINUTE4D_WEIGHTS names no folder with megasam/megasam_final.pth");
         return;
     };
     let net = DroidNet::load(&path, cpu()).unwrap();

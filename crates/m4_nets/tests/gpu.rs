@@ -123,22 +123,12 @@ fn raft_in_half_precision_is_near() {
 /// What an update says, on a device.
 fn droid(path: &std::path::Path, on: impl Into<Compute>) -> (f64, Vec<Vec<f32>>) {
     let net = Arc::new(DroidNet::load(path, on).unwrap());
-    let options = MemoryOptions {
-        budget_bytes: 1 << 28,
-        storage: Storage::F32,
-        scratch: std::env::temp_dir(),
-    };
-    let mut memory = DroidMemory::new(
-        net,
-        options,
-        Box::new(|frame| Ok(pattern(128, 128, 3.0 * frame as f32))),
-    );
+    let options = MemoryOptions { budget_bytes: 1 << 28, storage: Storage::F32, scratch: std::env::temp_dir() };
+    let mut memory = DroidMemory::new(net, options, Box::new(|frame| Ok(pattern(128, 128, 3.0 * frame as f32))));
     let motion = memory.motion_px(0, 1).unwrap();
     let n = 16 * 16;
-    let at: [Vec<f32>; 2] = [
-        (0..n).map(|i| (i % 16) as f32 + 0.3).collect(),
-        (0..n).map(|i| (i / 16) as f32 - 0.2).collect(),
-    ];
+    let at: [Vec<f32>; 2] =
+        [(0..n).map(|i| (i % 16) as f32 + 0.3).collect(), (0..n).map(|i| (i / 16) as f32 - 0.2).collect()];
     let mut out = Vec::new();
     for id in 0..2 {
         memory.enter(id, 0, 1 + id as usize);
@@ -151,13 +141,7 @@ fn droid(path: &std::path::Path, on: impl Into<Compute>) -> (f64, Vec<Vec<f32>>)
         for (id, ((target_px, weight), static_confidence)) in
             (0..).zip(targets.iter_mut().zip(&mut weights).zip(&mut still))
         {
-            edges.push(EdgeUpdate {
-                id,
-                projected_px: [&at[0], &at[1]],
-                target_px,
-                weight,
-                static_confidence,
-            });
+            edges.push(EdgeUpdate { id, projected_px: [&at[0], &at[1]], target_px, weight, static_confidence });
         }
         let update = memory.revise_source(0, &mut edges).unwrap();
         out = [targets.concat(), weights.concat(), still.to_vec(), vec![update.eta]].concat();
@@ -208,28 +192,14 @@ fn networks_of_depth_say_the_same_as_on_the_processor() {
         .with("mask_head.output_blocks.4.bias", &[0.3])
         .scaled("points_head.output_blocks.4.weight", 0.3);
     weights.write(&path);
-    let options = MoGeOptions {
-        tokens: Some(24),
-        known_focal_px: Some(70.0),
-    };
+    let options = MoGeOptions { tokens: Some(24), known_focal_px: Some(70.0) };
     let map = |on: &Device| MoGe::load(&path, on).unwrap().infer(&image, &options).unwrap();
     let (there, here) = (map(&gpu), map(&cpu()));
-    let differ = there
-        .mask
-        .data()
-        .iter()
-        .zip(here.mask.data())
-        .filter(|(a, b)| a != b)
-        .count();
+    let differ = there.mask.data().iter().zip(here.mask.data()).filter(|(a, b)| a != b).count();
     assert!(differ * 500 < there.mask.data().len(), "{differ} pixels of the mask");
     let known = |z: &Plane<f32>| -> Vec<f32> {
         let both = there.mask.data().iter().zip(here.mask.data());
-        z.data()
-            .iter()
-            .zip(both)
-            .filter(|(_, (a, b))| **a && **b)
-            .map(|(z, _)| *z)
-            .collect()
+        z.data().iter().zip(both).filter(|(_, (a, b))| **a && **b).map(|(z, _)| *z).collect()
     };
     assert_near("MoGe-2", &known(&there.depth_m), &known(&here.depth_m), 1e-3);
 }
@@ -254,14 +224,8 @@ fn mobile_sam_matches_the_cpu() {
     };
     let (_folder, path) = checkpoint(include_str!("../../../fixtures/mobile_sam/keys.txt"));
     let image = pattern(96, 64, 0.0);
-    let prompt = Prompt {
-        points: vec![PointPrompt {
-            at_px: [40.0, 30.0],
-            on_object: true,
-        }],
-        box_px: None,
-        mask_logits: None,
-    };
+    let prompt =
+        Prompt { points: vec![PointPrompt { at_px: [40.0, 30.0], on_object: true }], box_px: None, mask_logits: None };
     let logits = |on: &Device| {
         let net = MobileSam::load(&path, on).unwrap();
         let embedding = net.encode(&image).unwrap();
@@ -275,19 +239,12 @@ fn mobile_sam_matches_the_cpu() {
 fn sam2(path: &std::path::Path, on: impl Into<Compute>) -> (Vec<f32>, Vec<Vec<f32>>) {
     let net = Arc::new(Sam2::load(path, on).unwrap().with_side(128).unwrap());
     let point = |at_px: [f32; 2], on_object| PointPrompt { at_px, on_object };
-    let prompt = |points| Prompt {
-        points,
-        ..Prompt::default()
-    };
+    let prompt = |points| Prompt { points, ..Prompt::default() };
     let features = net.encode(&pattern(128, 96, 0.0)).unwrap();
     let one = prompt(vec![point([40.0, 30.0], true), point([20.0, 70.0], false)]);
     let masks = net.masks(&features, &one).unwrap();
     let masks: Vec<f32> = masks.iter().flat_map(|mask| mask.logits.data().to_vec()).collect();
-    let clip = Clip {
-        frames: 2,
-        width: 128,
-        height: 96,
-    };
+    let clip = Clip { frames: 2, width: 128, height: 96 };
     let images = Box::new(|i: usize| Ok(pattern(128, 96, 2.0 * i as f32)));
     let mut predictor = VideoPredictor::new(net, clip, images, VideoOptions::default()).unwrap();
     predictor.show(0, 1, &one).unwrap();
@@ -347,10 +304,7 @@ impl PosedClip for Wall {
     }
 
     fn camera(&self, _frame: usize) -> Result<Camera, ClipError> {
-        Ok(Camera {
-            intrinsics: Intrinsics::centred(256, 128, 240.0),
-            c2w: m4_core::Se3::identity(),
-        })
+        Ok(Camera { intrinsics: Intrinsics::centred(256, 128, 240.0), c2w: m4_core::Se3::identity() })
     }
 }
 
@@ -374,17 +328,9 @@ fn points_are_followed_as_on_the_processor() {
         weights = weights.scaled_by(&name, |j| j.checked_sub(3).map_or(1.0, |j| damped(j % 48 / 3)));
     }
     weights.write_with(Some(("config", config)), &path);
-    let queries: Vec<PointQuery> = (0..3)
-        .map(|i| PointQuery {
-            frame: i,
-            world: [0.5 * i as f64 - 0.6, 0.1 * i as f64 - 0.2, 3.1],
-        })
-        .collect();
-    let options = Tapip3dOptions {
-        iterations: 1,
-        support_grid: 1,
-        ..Tapip3dOptions::at((256, 128))
-    };
+    let queries: Vec<PointQuery> =
+        (0..3).map(|i| PointQuery { frame: i, world: [0.5 * i as f64 - 0.6, 0.1 * i as f64 - 0.2, 3.1] }).collect();
+    let options = Tapip3dOptions { iterations: 1, support_grid: 1, ..Tapip3dOptions::at((256, 128)) };
     let steps = |on: Compute| -> [Vec<f32>; 2] {
         let net = Tapip3d::load(&path, on).unwrap();
         let tracks = net.track(&Wall, &queries, &options, &Silent).unwrap();

@@ -27,16 +27,9 @@ struct Array {
 fn arrays_by_formula(net: LpipsNet) -> Vec<Array> {
     // side of the kernel, channels; whether the layer is compared
     let (module, layers): (_, Vec<(usize, usize, bool)>) = match net {
-        LpipsNet::Alex => (
-            "AlexNet_0",
-            vec![
-                (11, 64, true),
-                (5, 192, true),
-                (3, 384, true),
-                (3, 256, true),
-                (3, 256, true),
-            ],
-        ),
+        LpipsNet::Alex => {
+            ("AlexNet_0", vec![(11, 64, true), (5, 192, true), (3, 384, true), (3, 256, true), (3, 256, true)])
+        }
         LpipsNet::Vgg => {
             let widths = [64, 64, 128, 128, 256, 256, 256, 512, 512, 512, 512, 512, 512];
             let compared = [1, 3, 6, 9, 12];
@@ -152,12 +145,7 @@ fn case() -> Case {
         let tensors = SafeTensors::deserialize(&file).unwrap();
         Mask::from_vec(w, h, tensors.tensor("mask").unwrap().data().to_vec()).unwrap()
     };
-    Case {
-        file,
-        image,
-        reference,
-        mask,
-    }
+    Case { file, image, reference, mask }
 }
 
 #[expect(clippy::print_stdout, reason = "figures for docs/networks.md")]
@@ -176,10 +164,7 @@ fn close_map(what: &str, got: &Plane<f32>, step: usize, want: &[f32], limit: f32
     let ends = |values: &[f32]| values.iter().fold((f32::MAX, 0f32), |(a, b), &v| (a.min(v), b.max(v)));
     let (least, most) = ends(want);
     println!("{what}: worst {worst:.2e} of {least:.3} to {most:.3}");
-    assert!(
-        most > 1.5 * least && most > 0.1,
-        "{what} hardly differs from a constant"
-    );
+    assert!(most > 1.5 * least && most > 0.1, "{what} hardly differs from a constant");
     assert!(worst < limit && got.iter().all(|v| v.is_finite()), "{what}: {worst}");
 }
 
@@ -194,12 +179,7 @@ fn agrees_with_pytorch_by_formula() {
         let map = floats(&case.file, &format!("{name}/map"));
         close_map(&format!("{name} map"), &score.map, 1, &map, 2e-5);
         let inside = lpips.compare_inside(&case.image, &case.reference, &case.mask);
-        close(
-            &format!("{name} masked"),
-            inside.unwrap().unwrap(),
-            want("masked"),
-            2e-6,
-        );
+        close(&format!("{name} masked"), inside.unwrap().unwrap(), want("masked"), 2e-6);
         let all = score.mean_inside(&case.mask.map(|_| 1)).unwrap().unwrap();
         let mean = map.iter().map(|&v| f64::from(v)).sum::<f64>() / map.len() as f64;
         close(&format!("{name} mean of the map"), all, mean, 2e-6);
@@ -232,12 +212,7 @@ fn agrees_with_the_published_distances() {
             let what = format!("{name}/{other}");
             let score = lpips.compare(&read(other), &reference).unwrap();
             close(&what, score.distance, printed, 1e-3);
-            close(
-                &what,
-                score.distance,
-                doubles(&file, &format!("{what}/distance"))[0],
-                5e-6,
-            );
+            close(&what, score.distance, doubles(&file, &format!("{what}/distance"))[0], 5e-6);
             let map = floats(&file, &format!("{what}/map"));
             close_map(&what, &score.map, STEP, &map, 1e-4);
         }
@@ -276,9 +251,7 @@ fn images_of_different_or_too_small_size_are_refused() {
         assert!(matches!(small, Err(LpipsError::TooSmall { .. })), "{small:?}");
         let small = lpips.compare(&flat(0, 0, 0.5), &flat(0, 0, 0.4));
         assert!(matches!(small, Err(LpipsError::TooSmall { .. })));
-        let score = lpips
-            .compare(&flat(least, least, 0.5), &flat(least, least, 0.4))
-            .unwrap();
+        let score = lpips.compare(&flat(least, least, 0.5), &flat(least, least, 0.4)).unwrap();
         assert!(score.distance.is_finite() && score.map.size() == (least, least));
         let sizes = lpips.compare(&flat(64, 64, 0.5), &flat(64, 65, 0.4));
         assert!(matches!(sizes, Err(LpipsError::Size { what: "the image", .. })));
@@ -289,24 +262,9 @@ fn images_of_different_or_too_small_size_are_refused() {
     }
     let (good, short, bad) = ([0.5f32; 6], [0.5f32; 5], [0.1, 0.2, f32::NAN, 0.0, 0.0, 0.0]);
     let length = LpipsImage::from_planes(3, 2, [&good, &short, &good]);
-    assert!(matches!(
-        length,
-        Err(LpipsError::Length {
-            channel: 1,
-            found: 5,
-            ..
-        })
-    ));
+    assert!(matches!(length, Err(LpipsError::Length { channel: 1, found: 5, .. })));
     let nan = LpipsImage::from_planes(3, 2, [&good, &good, &bad]);
-    assert!(matches!(
-        nan,
-        Err(LpipsError::NotFinite {
-            x: 2,
-            y: 0,
-            channel: 2,
-            ..
-        })
-    ));
+    assert!(matches!(nan, Err(LpipsError::NotFinite { x: 2, y: 0, channel: 2, .. })));
 }
 
 #[test]
@@ -319,28 +277,15 @@ fn a_checkpoint_is_read_strictly() {
     };
     let all = arrays_by_formula(LpipsNet::Alex);
     assert!(load(&all).is_none());
-    let Some(LoadError::OtherNetwork {
-        missing, unused, wrong, ..
-    }) = load(&all[1..])
-    else {
+    let Some(LoadError::OtherNetwork { missing, unused, wrong, .. }) = load(&all[1..]) else {
         panic!("an array is missing");
     };
-    assert_eq!(
-        (missing, unused, wrong),
-        (vec!["convs.0.weight".to_owned()], vec![], vec![])
-    );
+    assert_eq!((missing, unused, wrong), (vec!["convs.0.weight".to_owned()], vec![], vec![]));
     let mut more = all.clone();
-    more.push(Array {
-        name: "NetLinLayer_5/Conv_0/kernel".to_owned(),
-        ..all[all.len() - 1].clone()
-    });
+    more.push(Array { name: "NetLinLayer_5/Conv_0/kernel".to_owned(), ..all[all.len() - 1].clone() });
     let error = load(&more).unwrap().to_string();
     assert!(error.contains("lins.5.weight"), "{error}");
-    for name in [
-        "AlexNet_0/Conv_00/kernel",
-        "AlexNet_0/Conv_0/scale",
-        "VGG16_0/Conv_0/kernel",
-    ] {
+    for name in ["AlexNet_0/Conv_00/kernel", "AlexNet_0/Conv_0/scale", "VGG16_0/Conv_0/kernel"] {
         let mut other = all.clone();
         other[0].name = name.to_owned();
         let Some(LoadError::OtherNetwork { missing, unused, .. }) = load(&other) else {

@@ -61,17 +61,10 @@ fn prompts(width: usize, height: usize) -> [(&'static str, Prompt); 4] {
         let pixel = |part: f64, side: usize| (part * side as f64).round_ties_even() as f32 + 0.5;
         [pixel(x, width), pixel(y, height)]
     };
-    let point = |x, y, on_object| PointPrompt {
-        at_px: at(x, y),
-        on_object,
-    };
+    let point = |x, y, on_object| PointPrompt { at_px: at(x, y), on_object };
     let [[x0, y0], [x1, y1]] = [at(0.1, 0.2), at(0.55, 0.9)];
     let box_px = Some([x0, y0, x1, y1]);
-    let prompt = |points, box_px| Prompt {
-        points,
-        box_px,
-        mask_logits: None,
-    };
+    let prompt = |points, box_px| Prompt { points, box_px, mask_logits: None };
     let on = point(0.3, 0.55, true);
     [
         ("point", prompt(vec![on], None)),
@@ -88,16 +81,11 @@ fn compare(net: &MobileSam, image: &RgbImage, file: &[u8], limits: &Limits) {
         println!("{name}: worst {worst:.2e} at a standard deviation of {spread:.2e}");
         assert!(spread > 1e-2, "{name} hardly differs from a constant: {spread}");
         let scale = if name.ends_with("iou") { 1.0 } else { spread };
-        assert!(
-            worst < limit * scale,
-            "{name}: {worst} at a standard deviation of {spread}"
-        );
+        assert!(worst < limit * scale, "{name}: {worst} at a standard deviation of {spread}");
     };
     let embedding = net.encode(image).unwrap();
     let numbers = embedding.to_vec().unwrap();
-    let kept: Vec<f32> = (0..256 * 8 * 8)
-        .map(|i| numbers[(i / 64 * 64 + i / 8 % 8 * 8) * 64 + i % 8 * 8])
-        .collect();
+    let kept: Vec<f32> = (0..256 * 8 * 8).map(|i| numbers[(i / 64 * 64 + i / 8 % 8 * 8) * 64 + i % 8 * 8]).collect();
     close("embedding", &kept, limits.embedding);
     let mut earlier = None;
     for (name, mut prompt) in prompts(image.width(), image.height()) {
@@ -130,11 +118,7 @@ fn agrees_with_the_module_by_formula() {
     let net = network();
     assert_eq!(net.parameters(), NUMBERS);
     let (file, image) = synthetic_image();
-    let limits = Limits {
-        embedding: 1e-4,
-        masks: 2e-4,
-        iou: 1e-5,
-    };
+    let limits = Limits { embedding: 1e-4, masks: 2e-4, iou: 1e-5 };
     compare(&net, &image, &file, &limits);
 }
 
@@ -146,11 +130,7 @@ fn agrees_with_the_module_on_real_weights() {
     let net = MobileSam::load(&path, cpu()).unwrap();
     assert_eq!(net.parameters(), NUMBERS);
     let file = fs::read(fixtures().join("mobile_sam/tennis.safetensors")).unwrap();
-    let limits = Limits {
-        embedding: 1e-4,
-        masks: 1e-3,
-        iou: 1e-4,
-    };
+    let limits = Limits { embedding: 1e-4, masks: 1e-3, iou: 1e-4 };
     compare(&net, &png("tennis/tennis_0.png"), &file, &limits);
 }
 
@@ -176,31 +156,12 @@ fn invalid_images_and_prompts_are_refused() {
     let embedding = net.encode(&Plane::filled(1, 2048, [9, 9, 9])).unwrap();
     let ask = |prompt: &Prompt| net.masks(&embedding, prompt);
     assert!(matches!(ask(&Prompt::default()), Err(SamError::NothingAsked)));
-    let at = |x| Prompt {
-        points: vec![PointPrompt {
-            at_px: [x, 0.5],
-            on_object: true,
-        }],
-        ..Prompt::default()
-    };
+    let at = |x| Prompt { points: vec![PointPrompt { at_px: [x, 0.5], on_object: true }], ..Prompt::default() };
     for x in [-0.1, 1.1, f32::NAN, f32::INFINITY] {
         let error = ask(&at(x)).unwrap_err();
-        assert!(
-            matches!(
-                error,
-                SamError::Outside {
-                    width: 1,
-                    height: 2048,
-                    ..
-                }
-            ),
-            "{error}"
-        );
+        assert!(matches!(error, SamError::Outside { width: 1, height: 2048, .. }), "{error}");
     }
-    let boxed = |y0, y1| Prompt {
-        box_px: Some([0.5, y0, 0.5, y1]),
-        ..Prompt::default()
-    };
+    let boxed = |y0, y1| Prompt { box_px: Some([0.5, y0, 0.5, y1]), ..Prompt::default() };
     assert!(matches!(ask(&boxed(9.5, 8.5)), Err(SamError::Reversed(_))));
     assert!(matches!(ask(&boxed(9.5, 2048.5)), Err(SamError::Outside { .. })));
     assert_eq!(ask(&boxed(8.5, 9.5)).unwrap().len(), 4);
@@ -210,16 +171,7 @@ fn invalid_images_and_prompts_are_refused() {
     let mut mask = at(0.5);
     mask.mask_logits = Some(Plane::filled(256, 255, 0.0));
     let error = ask(&mask).unwrap_err();
-    assert!(
-        matches!(
-            error,
-            SamError::MaskSize {
-                width: 256,
-                height: 255
-            }
-        ),
-        "{error}"
-    );
+    assert!(matches!(error, SamError::MaskSize { width: 256, height: 255 }), "{error}");
     mask.mask_logits = Some(Plane::filled(256, 256, f32::INFINITY));
     assert!(matches!(ask(&mask), Err(SamError::NotFinite)));
 }
@@ -234,16 +186,10 @@ fn a_checkpoint_is_read_strictly() {
     };
     let line = "prompt_encoder.no_mask_embed.weight 1 256\n";
     assert!(KEYS.contains(line));
-    let Some(LoadError::OtherNetwork {
-        missing, unused, wrong, ..
-    }) = load(&KEYS.replace(line, ""))
-    else {
+    let Some(LoadError::OtherNetwork { missing, unused, wrong, .. }) = load(&KEYS.replace(line, "")) else {
         panic!("a tensor is missing");
     };
-    assert_eq!(
-        (missing, unused, wrong),
-        (vec!["prompt_encoder.no_mask_embed.weight".to_owned()], vec![], vec![])
-    );
+    assert_eq!((missing, unused, wrong), (vec!["prompt_encoder.no_mask_embed.weight".to_owned()], vec![], vec![]));
     let error = load(&format!("{KEYS}image_encoder.head2.weight 2 2\n")).unwrap();
     assert!(error.to_string().contains("head2.weight"), "{error}");
     let error = load(&KEYS.replace("mask_decoder.mask_tokens.weight 4", "mask_decoder.mask_tokens.weight 5")).unwrap();

@@ -77,18 +77,8 @@ fn a_warm_start_uses_the_given_flow() {
     let (a, b) = (net.encode(&a).unwrap(), net.encode(&b).unwrap());
     let values = floats(&file, "flow_init");
     let (u, v) = values.split_at(16 * 20);
-    let start = LowFlow(Flow {
-        width: 20,
-        height: 16,
-        u: u.to_vec(),
-        v: v.to_vec(),
-    });
-    let none = LowFlow(Flow {
-        width: 20,
-        height: 16,
-        u: vec![0.0; 320],
-        v: vec![0.0; 320],
-    });
+    let start = LowFlow(Flow { width: 20, height: 16, u: u.to_vec(), v: v.to_vec() });
+    let none = LowFlow(Flow { width: 20, height: 16, u: vec![0.0; 320], v: vec![0.0; 320] });
     let [warm, cold] = net.flow_both(&a, &b, 2, Some([&start, &none])).unwrap();
     assert_flow("warm2", &warm.low.0, &floats(&file, "flow_low_warm2"));
     let [_, want] = net.flow_both(&a, &b, 2, None).unwrap();
@@ -119,10 +109,7 @@ fn real_weights_match_another_network() {
     let mut errors: Vec<f32> = (0..at.len()).map(off).collect();
     errors.sort_by(f32::total_cmp);
     let (median, most) = (errors[errors.len() / 2], errors[errors.len() * 9 / 10]);
-    assert!(
-        median < 0.5 && most < 3.0,
-        "median {median} px, nine of ten within {most} px"
-    );
+    assert!(median < 0.5 && most < 3.0, "median {median} px, nine of ten within {most} px");
 }
 
 /// An image with an edge repeated by hand gets the flow of the one that is padded inside.
@@ -141,9 +128,7 @@ fn odd_sizes_are_padded_and_cropped() {
             })
         };
         let flow = |a: &RgbImage, b: &RgbImage| -> RaftFlow {
-            let [flow, _] = net
-                .flow_both(&net.encode(a).unwrap(), &net.encode(b).unwrap(), 2, None)
-                .unwrap();
+            let [flow, _] = net.flow_both(&net.encode(a).unwrap(), &net.encode(b).unwrap(), 2, None).unwrap();
             flow
         };
         let got = flow(&crop(&a), &crop(&b));
@@ -189,10 +174,7 @@ fn zero_iterations_and_mismatched_sizes_are_refused() {
     let other = net.encode(&Plane::filled(2, 1, [9, 9, 9])).unwrap();
     let error = net.flow_both(&small, &other, 1, None).unwrap_err();
     assert!(matches!(error, FlowError::Sizes { a: (1, 1), b: (2, 1) }), "{error}");
-    assert!(matches!(
-        net.encode(&Plane::filled(0, 4, [9; 3])),
-        Err(FlowError::Empty)
-    ));
+    assert!(matches!(net.encode(&Plane::filled(0, 4, [9; 3])), Err(FlowError::Empty)));
 
     let start = |width, height, numbers| {
         let (u, v) = (vec![0.0; 256], vec![0.0; numbers]);
@@ -214,20 +196,10 @@ fn a_checkpoint_is_read_strictly() {
     };
     let published: String = KEYS.lines().map(|line| format!("module.{line}\n")).collect();
     load(&published).unwrap();
-    for name in [
-        "cnet.norm1.running_var",
-        "cnet.layer2.0.downsample.1.weight",
-        "update_block.gru.convq2.bias",
-    ] {
-        let without: String = KEYS
-            .lines()
-            .filter(|line| !line.starts_with(name))
-            .map(|line| format!("{line}\n"))
-            .collect();
-        let Err(LoadError::OtherNetwork {
-            missing, unused, wrong, ..
-        }) = load(&without)
-        else {
+    for name in ["cnet.norm1.running_var", "cnet.layer2.0.downsample.1.weight", "update_block.gru.convq2.bias"] {
+        let without: String =
+            KEYS.lines().filter(|line| !line.starts_with(name)).map(|line| format!("{line}\n")).collect();
+        let Err(LoadError::OtherNetwork { missing, unused, wrong, .. }) = load(&without) else {
             panic!("{name} is missing");
         };
         assert_eq!((missing.len(), unused, wrong), (1, vec![], vec![]), "{name}");

@@ -51,10 +51,7 @@ fn takes_exactly_the_published_keys() {
     assert_eq!(net.parameters(), ALL - UNUSED);
     assert_eq!((net.size(), net.mask_side()), (Sam2Size::Tiny, 256));
     drop(net);
-    let line = TINY
-        .lines()
-        .find(|line| line.starts_with("obj_ptr_tpos_proj.bias"))
-        .unwrap();
+    let line = TINY.lines().find(|line| line.starts_with("obj_ptr_tpos_proj.bias")).unwrap();
     let Err(LoadError::OtherNetwork { missing, .. }) = load(folder.path(), &TINY.replace(&format!("{line}\n"), ""))
     else {
         panic!("{line} is missing and nothing was said");
@@ -68,10 +65,7 @@ fn takes_exactly_the_published_keys() {
     let published: String = TINY.lines().map(|line| format!("model.{line}\n")).collect();
     assert_eq!(load(folder.path(), &published).unwrap().parameters(), ALL - UNUSED);
     let small = load(folder.path(), SMALL).unwrap();
-    assert_eq!(
-        (small.size(), small.parameters()),
-        (Sam2Size::Small, 46_060_610 - UNUSED)
-    );
+    assert_eq!((small.size(), small.parameters()), (Sam2Size::Small, 46_060_610 - UNUSED));
     let Err(error) = load(folder.path(), include_str!("../../../fixtures/droid/keys.txt")) else {
         panic!("another network");
     };
@@ -102,27 +96,17 @@ fn frames(file: &[u8]) -> Vec<RgbImage> {
 
 /// Upstream counts pixels from 0.
 fn point(at: &[f32], on_object: bool) -> PointPrompt {
-    PointPrompt {
-        at_px: [at[0] + 0.5, at[1] + 0.5],
-        on_object,
-    }
+    PointPrompt { at_px: [at[0] + 0.5, at[1] + 0.5], on_object }
 }
 
 fn points(points: Vec<PointPrompt>) -> Prompt {
-    Prompt {
-        points,
-        ..Prompt::default()
-    }
+    Prompt { points, ..Prompt::default() }
 }
 
 /// Passages A to C of the fixture in whole runs: masks of all frames in the clip's size, every 16th row and column.
 fn passages(net: Arc<Sam2>, file: &[u8], options: VideoOptions) -> [Vec<f32>; 3] {
     let frames = frames(file);
-    let clip = Clip {
-        frames: 6,
-        width: 320,
-        height: 192,
-    };
+    let clip = Clip { frames: 6, width: 320, height: 192 };
     let images = Box::new(move |i: usize| Ok(frames[i].clone()));
     let mut predictor = VideoPredictor::new(net, clip, images, options).unwrap();
     let three = floats(file, "prompt_obj2");
@@ -178,11 +162,7 @@ fn a_clip_meets_its_fixture_on_any_number_of_threads() {
     }
     assert_eq!(got, with(3));
     // nothing else is left out where more is remembered
-    let more = VideoOptions {
-        history_frames: 100,
-        together: 1,
-        ..VideoOptions::default()
-    };
+    let more = VideoOptions { history_frames: 100, together: 1, ..VideoOptions::default() };
     for (a, b) in passages(net, &file, more).iter().flatten().zip(got.iter().flatten()) {
         assert!((a - b).abs() < 1e-4 * (1.0 + b.abs()), "{a} {b}");
     }
@@ -199,11 +179,7 @@ fn moving(w: usize, h: usize, frame: usize) -> RgbImage {
     })
 }
 
-const CLIP: Clip = Clip {
-    frames: 60,
-    width: 90,
-    height: 50,
-};
+const CLIP: Clip = Clip { frames: 60, width: 90, height: 50 };
 
 fn clip(options: VideoOptions) -> VideoPredictor<'static> {
     let images = Box::new(|frame: usize| Ok(moving(90, 50, frame)));
@@ -217,10 +193,7 @@ fn here() -> Prompt {
 #[test]
 fn memories_older_than_the_history_are_dropped() {
     for (history_frames, kept) in [(0, 15), (20, 20)] {
-        let mut predictor = clip(VideoOptions {
-            history_frames,
-            ..VideoOptions::default()
-        });
+        let mut predictor = clip(VideoOptions { history_frames, ..VideoOptions::default() });
         predictor.show(0, 7, &here()).unwrap();
         let mut seen = Vec::new();
         let keep = |frame, masks: &BTreeMap<u32, ObjectMask>| {
@@ -236,9 +209,7 @@ fn memories_older_than_the_history_are_dropped() {
         }
         // what is forgotten can be corrected anyway
         predictor.show(30, 7, &here()).unwrap();
-        predictor
-            .follow(25..=30, Direction::Backward, &Silent, |_, _| ())
-            .unwrap();
+        predictor.follow(25..=30, Direction::Backward, &Silent, |_, _| ()).unwrap();
     }
 }
 
@@ -288,10 +259,7 @@ fn a_mask_is_taken_as_it_is() {
 #[test]
 fn several_shown_frames_all_count() {
     let run = |shown: &[usize], most_conditioning| {
-        let mut predictor = clip(VideoOptions {
-            most_conditioning,
-            ..VideoOptions::default()
-        });
+        let mut predictor = clip(VideoOptions { most_conditioning, ..VideoOptions::default() });
         for &frame in shown {
             predictor.show(frame, 1, &here()).unwrap();
         }
@@ -310,16 +278,11 @@ fn several_shown_frames_all_count() {
 #[test]
 fn corrections_may_count_as_shown_first() {
     for corrections_condition in [false, true] {
-        let mut predictor = clip(VideoOptions {
-            corrections_condition,
-            ..VideoOptions::default()
-        });
+        let mut predictor = clip(VideoOptions { corrections_condition, ..VideoOptions::default() });
         predictor.show(0, 1, &here()).unwrap();
         predictor.follow(0..=3, Direction::Forward, &Silent, |_, _| ()).unwrap();
         let before = predictor.mask(2, 1).unwrap().unwrap();
-        let corrected = predictor
-            .show(2, 1, &points(vec![point(&[13.0, 25.0], false)]))
-            .unwrap();
+        let corrected = predictor.show(2, 1, &points(vec![point(&[13.0, 25.0], false)])).unwrap();
         assert_ne!(before.logits, corrected.logits);
         let mut seen = Vec::new();
         let keep = |_, masks: &BTreeMap<u32, ObjectMask>| seen.push(masks[&1].clone());
@@ -331,10 +294,7 @@ fn corrections_may_count_as_shown_first() {
 #[test]
 fn holes_are_filled_where_asked() {
     let run = |fill_holes_px| {
-        let mut predictor = clip(VideoOptions {
-            fill_holes_px,
-            ..VideoOptions::default()
-        });
+        let mut predictor = clip(VideoOptions { fill_holes_px, ..VideoOptions::default() });
         predictor.show(0, 1, &here()).unwrap().logits
     };
     let (open, filled) = (run(0), run(256));
@@ -363,9 +323,7 @@ fn the_user_can_stop() {
     let mut predictor = clip(VideoOptions::default());
     predictor.show(0, 1, &here()).unwrap();
     let mut seen = 0;
-    let stopped = predictor.follow(0..=59, Direction::Forward, &Stops(AtomicUsize::new(3)), |_, _| {
-        seen += 1
-    });
+    let stopped = predictor.follow(0..=59, Direction::Forward, &Stops(AtomicUsize::new(3)), |_, _| seen += 1);
     assert!(matches!(stopped, Err(Sam2Error::Cancelled)));
     assert_eq!(seen, 3);
 }
@@ -375,11 +333,7 @@ fn invalid_clips_and_prompts_are_refused() {
     let images = |size: (usize, usize)| Box::new(move |_: usize| Ok(moving(size.0, size.1, 0)));
     let clip_of = |frames, width, height| Clip { frames, width, height };
     let options = VideoOptions::default;
-    let no = |clip| {
-        VideoPredictor::new(smallest(), clip, images((9, 9)), options())
-            .map(drop)
-            .unwrap_err()
-    };
+    let no = |clip| VideoPredictor::new(smallest(), clip, images((9, 9)), options()).map(drop).unwrap_err();
     assert!(matches!(no(clip_of(0, 9, 9)), Sam2Error::NoFrames));
     assert!(matches!(no(clip_of(4, 0, 9)), Sam2Error::NoPixels { .. }));
 
@@ -388,10 +342,7 @@ fn invalid_clips_and_prompts_are_refused() {
     let broken = Box::new(|_: usize| Err("no such file".into()));
     let mut broken = VideoPredictor::new(smallest(), CLIP, broken, options()).unwrap();
     let error = broken.show(3, 1, &here()).unwrap_err();
-    assert!(
-        error.to_string().contains("frame 3") && error.to_string().contains("no such file"),
-        "{error}"
-    );
+    assert!(error.to_string().contains("frame 3") && error.to_string().contains("no such file"), "{error}");
 
     let mut predictor = clip(options());
     let follow =
@@ -408,18 +359,12 @@ fn invalid_clips_and_prompts_are_refused() {
         ([90.0, 50.0], false),
         ([0.0, 0.0], false),
     ] {
-        let prompt = points(vec![PointPrompt {
-            at_px: at,
-            on_object: true,
-        }]);
+        let prompt = points(vec![PointPrompt { at_px: at, on_object: true }]);
         let said = predictor.show(0, 1, &prompt);
         assert_eq!(matches!(said, Err(Sam2Error::Outside { .. })), expected, "{at:?}");
         assert_eq!(said.is_err(), expected, "{at:?}");
     }
-    let with_box = |corners| Prompt {
-        box_px: Some(corners),
-        ..Prompt::default()
-    };
+    let with_box = |corners| Prompt { box_px: Some(corners), ..Prompt::default() };
     let refused = |predictor: &mut VideoPredictor<'_>, prompt: &Prompt| predictor.show(0, 1, prompt).unwrap_err();
     let reversed = refused(&mut predictor, &with_box([9.0, 9.0, 3.0, 12.0]));
     assert!(matches!(reversed, Sam2Error::Reversed(_)), "{reversed}");
@@ -427,31 +372,19 @@ fn invalid_clips_and_prompts_are_refused() {
     assert!(matches!(outside, Sam2Error::Outside { .. }), "{outside}");
     let nothing = refused(&mut predictor, &Prompt::default());
     assert!(matches!(nothing, Sam2Error::NothingAsked), "{nothing}");
-    let with_mask = |mask| Prompt {
-        mask_logits: Some(mask),
-        ..here()
-    };
+    let with_mask = |mask| Prompt { mask_logits: Some(mask), ..here() };
     let size = refused(&mut predictor, &with_mask(Plane::filled(16, 9, 0.0)));
     assert!(matches!(size, Sam2Error::MaskSize { expected: 16, .. }), "{size}");
     let wild = refused(&mut predictor, &with_mask(Plane::filled(16, 16, f32::NAN)));
     assert!(matches!(wild, Sam2Error::NotFinite), "{wild}");
     predictor.show(0, 1, &with_mask(Plane::filled(16, 16, 1e30))).unwrap();
     let mask = Plane::filled(0, 9, true);
-    assert!(matches!(
-        predictor.show_mask(0, 1, &mask),
-        Err(Sam2Error::NoPixels { .. })
-    ));
+    assert!(matches!(predictor.show_mask(0, 1, &mask), Err(Sam2Error::NoPixels { .. })));
 
     let far = predictor.show(60, 1, &here());
     assert!(matches!(far, Err(Sam2Error::NoSuchFrame { frame: 60, frames: 60 })));
-    assert!(matches!(
-        follow(&mut predictor, 50..=60),
-        Err(Sam2Error::NoSuchFrame { .. })
-    ));
-    assert!(matches!(
-        predictor.mask(usize::MAX, 1),
-        Err(Sam2Error::NoSuchFrame { .. })
-    ));
+    assert!(matches!(follow(&mut predictor, 50..=60), Err(Sam2Error::NoSuchFrame { .. })));
+    assert!(matches!(predictor.mask(usize::MAX, 1), Err(Sam2Error::NoSuchFrame { .. })));
     #[expect(clippy::reversed_empty_ranges, reason = "what is tested")]
     let backward = 5..=3;
     follow(&mut predictor, backward).unwrap();
@@ -464,23 +397,13 @@ fn invalid_clips_and_prompts_are_refused() {
 #[test]
 fn a_clip_of_one_frame_can_be_corrected() {
     let images = Box::new(|_: usize| Ok(moving(64, 64, 0)));
-    let clip = Clip {
-        frames: 1,
-        width: 64,
-        height: 64,
-    };
+    let clip = Clip { frames: 1, width: 64, height: 64 };
     let mut predictor = VideoPredictor::new(smallest(), clip, images, VideoOptions::default()).unwrap();
     predictor.show(0, 1, &points(vec![point(&[12.0, 30.0], true)])).unwrap();
     predictor.follow(0..=0, Direction::Forward, &Silent, |_, _| ()).unwrap();
-    let corrected = predictor
-        .show(0, 1, &points(vec![point(&[40.0, 30.0], false)]))
-        .unwrap();
+    let corrected = predictor.show(0, 1, &points(vec![point(&[40.0, 30.0], false)])).unwrap();
     assert!(corrected.logits.data().iter().all(|x| x.is_finite()));
-    predictor
-        .follow(0..=0, Direction::Backward, &Silent, |_, masks| {
-            assert_eq!(masks[&1], corrected)
-        })
-        .unwrap();
+    predictor.follow(0..=0, Direction::Backward, &Silent, |_, masks| assert_eq!(masks[&1], corrected)).unwrap();
 }
 
 #[test]
@@ -498,10 +421,7 @@ fn an_image_has_three_masks_or_one() {
     for mask in three.iter().chain(&one) {
         assert!((0.0..=1.0).contains(&mask.iou) && mask.score.is_finite());
     }
-    let again = Prompt {
-        mask_logits: Some(three[1].logits.clone()),
-        ..points(vec![at(10.0)])
-    };
+    let again = Prompt { mask_logits: Some(three[1].logits.clone()), ..points(vec![at(10.0)]) };
     assert_ne!(net.masks(&features, &again).unwrap(), three);
     let outside = net.masks(&features, &points(vec![at(301.0)]));
     assert!(matches!(outside, Err(Sam2Error::Outside { .. })));

@@ -40,11 +40,7 @@ struct Wall {
 
 impl Wall {
     fn of(frames: usize) -> Self {
-        Self {
-            frames,
-            hole: 2.0,
-            blind: usize::MAX,
-        }
+        Self { frames, hole: 2.0, blind: usize::MAX }
     }
 }
 
@@ -73,10 +69,7 @@ impl PosedClip for Wall {
     fn camera(&self, frame: usize) -> Result<Camera, ClipError> {
         Ok(Camera {
             intrinsics: Intrinsics::centred(144, 64, 120.0),
-            c2w: Se3 {
-                translation: Vector3::new(0.03 * frame as f64, 0.0, 0.0),
-                ..Se3::identity()
-            },
+            c2w: Se3 { translation: Vector3::new(0.03 * frame as f64, 0.0, 0.0), ..Se3::identity() },
         })
     }
 }
@@ -90,11 +83,7 @@ fn queries(frames: &[usize]) -> Vec<PointQuery> {
 }
 
 fn options() -> Tapip3dOptions {
-    Tapip3dOptions {
-        iterations: 1,
-        support_grid: 2,
-        ..Tapip3dOptions::at(SIZE)
-    }
+    Tapip3dOptions { iterations: 1, support_grid: 2, ..Tapip3dOptions::at(SIZE) }
 }
 
 fn bits(tracks: &PointTracks) -> Vec<u32> {
@@ -108,16 +97,8 @@ fn takes_exactly_the_published_keys() {
     let net = load();
     assert_eq!((KEYS.lines().count(), net.parameters()), (352, ALL));
     assert_eq!((net.training_size(), net.published_size()), ((224, 160), (316, 226)));
-    for line in [
-        "encoder.backbone.conv3.bias",
-        "point_updater.flow_head.bias",
-        "time_emb",
-    ] {
-        let without: String = KEYS
-            .lines()
-            .filter(|l| !l.starts_with(line))
-            .map(|l| format!("{l}\n"))
-            .collect();
+    for line in ["encoder.backbone.conv3.bias", "point_updater.flow_head.bias", "time_emb"] {
+        let without: String = KEYS.lines().filter(|l| !l.starts_with(line)).map(|l| format!("{l}\n")).collect();
         let error = Tapip3d::load(&write(folder.path(), &without, Some(CONFIG)), cpu()).unwrap_err();
         assert!(error.to_string().contains(line.rsplit('.').next().unwrap()), "{error}");
     }
@@ -181,15 +162,8 @@ fn groups_are_tracked_independently() {
     let net = load();
     let frames: Vec<usize> = (0..65).map(|i| i % 5).collect();
     let queries = queries(&frames);
-    let little = Tapip3dOptions {
-        memory_bytes: 0,
-        backward: false,
-        ..options()
-    };
-    let much = Tapip3dOptions {
-        memory_bytes: 1 << 40,
-        ..little.clone()
-    };
+    let little = Tapip3dOptions { memory_bytes: 0, backward: false, ..options() };
+    let much = Tapip3dOptions { memory_bytes: 1 << 40, ..little.clone() };
     let clip = Wall::of(5);
     // 65 queries are one more than go together at least: two groups, dealt out one by one
     let both = net.track(&clip, &queries, &little, &Silent).unwrap();
@@ -208,10 +182,7 @@ fn groups_are_tracked_independently() {
 fn frames_before_a_query_are_tracked_in_the_backward_pass() {
     let net = load();
     let queries = queries(&[6]);
-    let only_forward = Tapip3dOptions {
-        backward: false,
-        ..options()
-    };
+    let only_forward = Tapip3dOptions { backward: false, ..options() };
     let clip = Wall::of(10);
     let forward = net.track(&clip, &queries, &only_forward, &Silent).unwrap();
     let both = net.track(&clip, &queries, &options(), &Silent).unwrap();
@@ -234,26 +205,17 @@ fn clips_that_do_not_fit() {
     assert!(matches!(error, Tapip3dError::NoFrames), "{error}");
     let error = track(&Wall::of(3), &queries(&[0, 3]), &options()).unwrap_err();
     assert!(matches!(error, Tapip3dError::Query { index: 1, .. }), "{error}");
-    let nowhere = [PointQuery {
-        frame: 0,
-        world: [0.0, f64::NAN, 1.0],
-    }];
+    let nowhere = [PointQuery { frame: 0, world: [0.0, f64::NAN, 1.0] }];
     let error = track(&Wall::of(3), &nowhere, &options()).unwrap_err();
     assert!(matches!(error, Tapip3dError::Query { index: 0, .. }), "{error}");
     for size in [(0, 0), (128, 128), (1 << 20, 1 << 20)] {
         let error = track(&Wall::of(3), &some, &Tapip3dOptions::at(size)).unwrap_err();
         assert!(matches!(error, Tapip3dError::Size { .. }), "{error}");
     }
-    let dark = Wall {
-        blind: 0,
-        ..Wall::of(3)
-    };
+    let dark = Wall { blind: 0, ..Wall::of(3) };
     let error = track(&dark, &some, &options()).unwrap_err();
     assert!(matches!(error, Tapip3dError::NoDepth { first: 0, last: 2 }), "{error}");
-    let later = Wall {
-        blind: 8,
-        ..Wall::of(24)
-    };
+    let later = Wall { blind: 8, ..Wall::of(24) };
     let error = track(&later, &some, &options()).unwrap_err();
     assert!(matches!(error, Tapip3dError::NoDepth { first: 8, last: 23 }), "{error}");
     // none asked for
@@ -265,21 +227,9 @@ fn clips_that_do_not_fit() {
 #[test]
 fn unusual_clips_are_tracked_or_rejected() {
     let net = load();
-    for (frames, hole) in [
-        (1, 2.0),
-        (2, f32::NAN),
-        (2, f32::NEG_INFINITY),
-        (2, f32::INFINITY),
-        (2, -1.0),
-        (2, 1e30),
-    ] {
-        let clip = Wall {
-            hole,
-            ..Wall::of(frames)
-        };
-        let tracks = net
-            .track(&clip, &queries(&[0, frames - 1]), &options(), &Silent)
-            .unwrap();
+    for (frames, hole) in [(1, 2.0), (2, f32::NAN), (2, f32::NEG_INFINITY), (2, f32::INFINITY), (2, -1.0), (2, 1e30)] {
+        let clip = Wall { hole, ..Wall::of(frames) };
+        let tracks = net.track(&clip, &queries(&[0, frames - 1]), &options(), &Silent).unwrap();
         assert_eq!(tracks.world().len(), 2 * frames);
         let numbers = tracks.world().as_flattened().iter().chain(tracks.visibility());
         assert!(numbers.into_iter().all(|x| x.is_finite()), "{hole}");
@@ -305,10 +255,7 @@ fn tracking_stops_on_request() {
     }
     let net = load();
     let run = |most: usize| {
-        let impatient = Impatient {
-            reports: AtomicUsize::new(0),
-            most,
-        };
+        let impatient = Impatient { reports: AtomicUsize::new(0), most };
         let result = net.track(&Wall::of(17), &queries(&[0]), &options(), &impatient);
         (result, impatient.reports.into_inner())
     };

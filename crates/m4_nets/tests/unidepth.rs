@@ -87,10 +87,7 @@ fn images_of_any_size_are_accepted_and_empty_ones_refused() {
     }
     assert!(matches!(depth(0, 4, 9), Err(UniDepthError::Empty)));
     let error = depth(100, 1, 9).unwrap_err();
-    assert!(
-        matches!(error, UniDepthError::Narrow { width: 100, height: 1 }),
-        "{error}"
-    );
+    assert!(matches!(error, UniDepthError::Narrow { width: 100, height: 1 }), "{error}");
 }
 
 #[test]
@@ -124,10 +121,7 @@ fn a_checkpoint_is_read_strictly() {
         panic!("a tensor is left over");
     };
     assert!(error.to_string().contains("head.weight"), "{error}");
-    for (from, to) in [
-        ("level_embeds 4 128", "level_embeds 4 100"),
-        ("to_depth.bias 1\n", "to_depth.bias 2\n"),
-    ] {
+    for (from, to) in [("level_embeds 4 128", "level_embeds 4 100"), ("to_depth.bias 1\n", "to_depth.bias 2\n")] {
         let Err(LoadError::OtherNetwork { wrong, .. }) = load(&KEYS.replace(from, to)) else {
             panic!("a tensor has another shape");
         };

@@ -44,10 +44,7 @@ impl BoxScene {
                 },
             }
         };
-        let mut out = Self {
-            cameras: (0..frames).map(camera).collect(),
-            hits: Vec::new(),
-        };
+        let mut out = Self { cameras: (0..frames).map(camera).collect(), hits: Vec::new() };
         out.hits = (0..frames)
             .map(|t| {
                 let pixel = |i: usize| out.cast(t, (i % width) as f64, (i / width) as f64);
@@ -74,16 +71,10 @@ impl BoxScene {
         let (axis, centre) = match body {
             0 => ([0.0; 3], [0.0, 0.0, 6.1]),
             1 => ([0.0; 3], [0.05, 0.0, 2.2]),
-            2 => (
-                [0.0, 0.2 + 0.6 * u, 0.1 * u],
-                [-0.75 + 1.5 * u, 0.15, 3.2 + 0.15 * (3.0 * u).sin()],
-            ),
+            2 => ([0.0, 0.2 + 0.6 * u, 0.1 * u], [-0.75 + 1.5 * u, 0.15, 3.2 + 0.15 * (3.0 * u).sin()]),
             _ => ([0.1 + 0.2 * u, 0.0, 0.5 * u], [0.65 + 1.5 * u, -0.6, 2.8]),
         };
-        Se3 {
-            rotation: *Rotation3::from_scaled_axis(Vector3::from(axis)).matrix(),
-            translation: Vector3::from(centre),
-        }
+        Se3 { rotation: *Rotation3::from_scaled_axis(Vector3::from(axis)).matrix(), translation: Vector3::from(centre) }
     }
 
     /// Casts a ray from the camera of frame `t` through pixel coordinates `(u, v)` (centre of the first pixel: 0, 0).
@@ -103,11 +94,7 @@ impl BoxScene {
             }
             let depth = enter;
             if depth > 0.0 && enter < leave && nearest.is_none_or(|n| depth < n.depth) {
-                nearest = Some(Hit {
-                    body,
-                    local: o + depth * d,
-                    depth,
-                });
+                nearest = Some(Hit { body, local: o + depth * d, depth });
             }
         }
         nearest.expect("the wall fills the view")
@@ -218,20 +205,12 @@ mod tests {
     #[test]
     fn one_box_is_hidden_in_part_and_the_other_leaves() {
         let scene = BoxScene::new(96, 72, 12);
-        let count = |t: usize, body: usize| {
-            (0..96 * 72)
-                .filter(|i| scene.hit(t, i % 96, i / 96).body == body)
-                .count()
-        };
+        let count = |t: usize, body: usize| (0..96 * 72).filter(|i| scene.hit(t, i % 96, i / 96).body == body).count();
         assert!(count(0, 3) > 50 && count(11, 3) == 0);
         assert!((0..12).all(|t| count(t, 2) > 100));
         assert!(count(6, 2) * 5 < count(0, 2) * 4, "{} {}", count(6, 2), count(0, 2));
         // a point of the front face goes behind the pillar and comes back
-        let hit = (0..96 * 72)
-            .map(|i| scene.hit(0, i % 96, i / 96))
-            .filter(|h| h.body == 2)
-            .nth(150)
-            .unwrap();
+        let hit = (0..96 * 72).map(|i| scene.hit(0, i % 96, i / 96)).filter(|h| h.body == 2).nth(150).unwrap();
         let seen: Vec<bool> = (0..12).map(|t| scene.sees(2, &hit.local, t)).collect();
         assert!(seen[0] && seen[11] && seen.contains(&false), "{seen:?}");
         let place = scene.place(2, &hit.local, 5);

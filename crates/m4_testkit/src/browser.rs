@@ -50,10 +50,7 @@ pub fn find_chromium() -> Option<PathBuf> {
         .flat_map(|folder| NAMES.map(|name| folder.join(name)))
         .find(|path| path.is_file());
     if found.is_none() {
-        skip(
-            Need::Chromium,
-            &format!("no Chromium is on the PATH, and {VARIABLE} is not set"),
-        );
+        skip(Need::Chromium, &format!("no Chromium is on the PATH, and {VARIABLE} is not set"));
     }
     found
 }
@@ -94,13 +91,7 @@ impl Chromium {
         let stream = TcpStream::connect(host).unwrap();
         stream.set_read_timeout(Some(PATIENCE)).unwrap();
         let (socket, _) = tungstenite::client(address.as_str(), stream).unwrap();
-        let mut page = Self {
-            process,
-            socket,
-            session: String::new(),
-            next: 0,
-            _profile: profile,
-        };
+        let mut page = Self { process, socket, session: String::new(), next: 0, _profile: profile };
         let target = page.call("Target.createTarget", json!({"url": "about:blank"}));
         let attach = json!({"targetId": target["targetId"], "flatten": true});
         let session = page.call("Target.attachToTarget", attach)["sessionId"].take();
@@ -142,20 +133,14 @@ impl Chromium {
 
     /// Waits until a JavaScript expression is true.
     pub fn wait_for(&mut self, condition: &str) {
-        self.eval(&format!(
-            "(async () => {{ while (!({condition})) await new Promise(r => setTimeout(r, 50)); }})()"
-        ));
+        self.eval(&format!("(async () => {{ while (!({condition})) await new Promise(r => setTimeout(r, 50)); }})()"));
     }
 
     /// The value of a JavaScript expression, awaited where it is a promise; panics with what it threw.
     pub fn eval(&mut self, expression: &str) -> Value {
         let params = json!({"expression": expression, "awaitPromise": true, "returnByValue": true});
         let mut answer = self.call("Runtime.evaluate", params);
-        assert!(
-            answer["exceptionDetails"].is_null(),
-            "{expression}\n{}",
-            answer["exceptionDetails"]
-        );
+        assert!(answer["exceptionDetails"].is_null(), "{expression}\n{}", answer["exceptionDetails"]);
         answer["result"]["value"].take()
     }
 }

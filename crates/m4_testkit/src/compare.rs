@@ -37,12 +37,7 @@ impl Agreement {
             dot += g * w;
         }
         if got_square == 0.0 && want_square == 0.0 {
-            return Self {
-                largest: 0.0,
-                relative_l2: 0.0,
-                cosine: 1.0,
-                at,
-            };
+            return Self { largest: 0.0, relative_l2: 0.0, cosine: 1.0, at };
         }
         let cosine = dot / (got_square * want_square).sqrt();
         Self {
@@ -130,21 +125,13 @@ mod tests {
     #[test]
     #[should_panic(expected = "value 0")]
     fn a_nan_pixel_is_found() {
-        let bounds = Flips {
-            tolerance: 1.0,
-            step: 1.0,
-            share: 1.0,
-        };
+        let bounds = Flips { tolerance: 1.0, step: 1.0, share: 1.0 };
         assert_image("test", &[f32::NAN], &[0.0], bounds);
     }
 
     #[test]
     fn a_few_flips_are_let_through() {
-        let bounds = Flips {
-            tolerance: 1e-6,
-            step: 0.01,
-            share: 0.25,
-        };
+        let bounds = Flips { tolerance: 1e-6, step: 0.01, share: 0.25 };
         assert_image("test", &[0.0, 0.0, 0.005, 0.0], &[0.0; 4], bounds);
     }
 }

@@ -39,10 +39,7 @@ impl Differences {
 /// shrinks eightfold, three times at most.
 pub fn central_differences<S: Into<Side>>(x: &[f64], step: f64, mut f: impl FnMut(&[f64]) -> S) -> Differences {
     let mut at = x.to_vec();
-    let mut out = Differences {
-        gradient: vec![0.0; x.len()],
-        jumps: Vec::new(),
-    };
+    let mut out = Differences { gradient: vec![0.0; x.len()], jumps: Vec::new() };
     for i in 0..x.len() {
         let mut h = step;
         for attempt in 0..4 {

@@ -125,10 +125,7 @@ pub struct GradientFixtures {
 /// If the file is missing or broken: it is part of the repository.
 #[must_use]
 pub fn gradient_fixtures() -> GradientFixtures {
-    let path = PathBuf::from(concat!(
-        env!("CARGO_MANIFEST_DIR"),
-        "/../../fixtures/gradients/4dgs_gradients.json"
-    ));
+    let path = PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../../fixtures/gradients/4dgs_gradients.json"));
     let text = fs::read_to_string(&path).unwrap_or_else(|e| panic!("cannot read {}: {e}", path.display()));
     serde_json::from_str(&text).unwrap_or_else(|e| panic!("{} is broken: {e}", path.display()))
 }
@@ -142,10 +139,7 @@ mod tests {
         let fixtures = gradient_fixtures();
         assert_eq!(fixtures.cases.len(), 6);
         for case in &fixtures.cases {
-            assert_eq!(
-                (case.splats.len(), case.grad_splats.len(), case.grad_means2d.len()),
-                (9, 9, 9)
-            );
+            assert_eq!((case.splats.len(), case.grad_splats.len(), case.grad_means2d.len()), (9, 9, 9));
             assert_eq!((case.gt.len(), case.gt[0].len()), (18, 22));
             assert!(case.splats.iter().all(|s| s.sh.len() == 48));
         }

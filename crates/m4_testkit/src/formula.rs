@@ -58,9 +58,7 @@ impl FormulaWeights {
             let values = (!name.ends_with(".num_batches_tracked")).then(|| fill(&name, &shape));
             FormulaTensor { name, shape, values }
         };
-        Self {
-            tensors: list.lines().map(tensor).collect(),
-        }
+        Self { tensors: list.lines().map(tensor).collect() }
     }
 
     fn at(&mut self, name: &str) -> &mut Vec<f32> {
@@ -200,10 +198,6 @@ mod tests {
         let norm = fill("pretrained.blocks.0.norm1.weight", &[384]);
         assert!(near(&norm[..2], [0.909_698_5, 1.038_620_7]), "{:?}", &norm[..2]);
         let position = fill("pretrained.pos_embed", &[1, 1370, 384]);
-        assert!(
-            near(&position[..2], [0.292_686_97, -0.041_432_94]),
-            "{:?}",
-            &position[..2]
-        );
+        assert!(near(&position[..2], [0.292_686_97, -0.041_432_94]), "{:?}", &position[..2]);
     }
 }

@@ -14,10 +14,7 @@ impl StopAtPoll {
     /// Answers no this many times.
     #[must_use]
     pub fn after(polls: usize) -> Self {
-        Self {
-            at: polls,
-            asked: AtomicUsize::new(0),
-        }
+        Self { at: polls, asked: AtomicUsize::new(0) }
     }
 
     /// Number of polls.

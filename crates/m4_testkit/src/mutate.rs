@@ -33,18 +33,8 @@ pub fn mutate(bytes: &mut Vec<u8>, rng: &mut CounterRng) -> &'static str {
         3 | 4 => {
             // a count that is far too large, of either byte order
             let (at, width) = (place(rng), [1, 2, 4, 8][rng.below(4)]);
-            let value: u64 = [
-                u64::MAX,
-                1 << 31,
-                0x7fff_ffff,
-                1 << 20,
-                60_000,
-                1 << 40,
-                0,
-                1,
-                0x8000,
-                255,
-            ][rng.below(10)];
+            let value: u64 =
+                [u64::MAX, 1 << 31, 0x7fff_ffff, 1 << 20, 60_000, 1 << 40, 0, 1, 0x8000, 255][rng.below(10)];
             let value = if rng.below(2) == 0 {
                 value.to_le_bytes()
             } else {
@@ -58,14 +48,7 @@ pub fn mutate(bytes: &mut Vec<u8>, rng: &mut CounterRng) -> &'static str {
             let digits: Vec<usize> = (0..n.min(4096)).filter(|&i| bytes[i].is_ascii_digit()).collect();
             if !digits.is_empty() {
                 let at = digits[rng.below(digits.len())];
-                let more = [
-                    &b"9999999999"[..],
-                    b"99",
-                    b"e300",
-                    b"-",
-                    b"0.5",
-                    b"99999999999999999999",
-                ][rng.below(6)];
+                let more = [&b"9999999999"[..], b"99", b"e300", b"-", b"0.5", b"99999999999999999999"][rng.below(6)];
                 bytes.splice(at..at, more.iter().copied());
             }
             "more digits"
@@ -90,16 +73,8 @@ pub fn mutate(bytes: &mut Vec<u8>, rng: &mut CounterRng) -> &'static str {
         }
         9 => {
             let at = place(rng);
-            let text = [
-                &b"1e308"[..],
-                b"-",
-                b"NaN",
-                b"null",
-                b"99999999999999999999",
-                b"[[[[",
-                b"\xff\xfe",
-                b"\n",
-            ][rng.below(8)];
+            let text = [&b"1e308"[..], b"-", b"NaN", b"null", b"99999999999999999999", b"[[[[", b"\xff\xfe", b"\n"]
+                [rng.below(8)];
             bytes.splice(at..(at + text.len()).min(n), text.iter().copied());
             "other text"
         }

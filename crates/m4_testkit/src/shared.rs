@@ -18,9 +18,6 @@ pub fn shared(name: &str) -> Option<PathBuf> {
     if path.exists() {
         return Some(path);
     }
-    skip(
-        Need::Shared,
-        &format!("there is no shared/{name} beside the repository"),
-    );
+    skip(Need::Shared, &format!("there is no shared/{name} beside the repository"));
     None
 }

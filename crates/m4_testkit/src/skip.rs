@@ -112,13 +112,7 @@ mod tests {
     fn a_skipped_test_is_one_line_of_five_fields() {
         let line = line(Need::Ffmpeg, "video::plays", "tests/video.rs:7", "not\tfound\nanywhere");
         let fields: Vec<&str> = line.trim_end_matches('\n').split('\t').collect();
-        let expected = [
-            "ffmpeg",
-            Need::Ffmpeg.hint(),
-            "video::plays",
-            "tests/video.rs:7",
-            "not found anywhere",
-        ];
+        let expected = ["ffmpeg", Need::Ffmpeg.hint(), "video::plays", "tests/video.rs:7", "not found anywhere"];
         assert_eq!(fields, expected);
     }
 }

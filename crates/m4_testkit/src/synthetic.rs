@@ -26,11 +26,7 @@ impl Default for SceneSpec {
     /// 40 static and 40 dynamic splats of 1 to 6 pixels, one colour each, faint to nearly opaque.
     fn default() -> Self {
         Self {
-            layout: SplatLayout {
-                isotropic: false,
-                sh_degree: 0,
-                time_degree: 0,
-            },
+            layout: SplatLayout { isotropic: false, sh_degree: 0, time_degree: 0 },
             n_static: 40,
             n_dynamic: 40,
             time_frames: 10,
@@ -48,13 +44,7 @@ pub fn camera_looking_at(intrinsics: Intrinsics, centre: [f64; 3], target: [f64;
     let down = if z.y.abs() > 0.99 { Vector3::z() } else { Vector3::y() };
     let x = down.cross(&z).normalize();
     let y = z.cross(&x);
-    Camera {
-        intrinsics,
-        c2w: Se3 {
-            rotation: Matrix3::from_columns(&[x, y, z]),
-            translation: centre,
-        },
-    }
+    Camera { intrinsics, c2w: Se3 { rotation: Matrix3::from_columns(&[x, y, z]), translation: centre } }
 }
 
 /// A camera at a random pose within a unit of the origin, with unequal focal lengths and a principal
@@ -74,10 +64,7 @@ pub fn random_camera(seed: u64, width: usize, height: usize) -> Camera {
         cy: height as f64 * between(0.4, 0.6),
     };
     let twist = Vector6::from_fn(|_, _| between(-1.0, 1.0));
-    Camera {
-        intrinsics,
-        c2w: Se3::identity().retract(&twist),
-    }
+    Camera { intrinsics, c2w: Se3::identity().retract(&twist) }
 }
 
 /// Splats in front of `camera`, 2 to 6 units away, some past the edges of the image.
@@ -107,11 +94,7 @@ pub fn random_splats(seed: u64, camera: &Camera, spec: &SceneSpec) -> Splats {
             }
         };
         set(Column::Mean, mean.as_slice(), row);
-        set(
-            Column::LogScale,
-            &log_scale[..spec.layout.range(Column::LogScale).len()],
-            row,
-        );
+        set(Column::LogScale, &log_scale[..spec.layout.range(Column::LogScale).len()], row);
         set(Column::Quat, &quat[..spec.layout.range(Column::Quat).len()], row);
         set(Column::Opacity, &[logit], row);
         let colour: Vec<f64> = (0..spec.layout.range(Column::Colour).len())
@@ -132,11 +115,7 @@ pub fn random_splats(seed: u64, camera: &Camera, spec: &SceneSpec) -> Splats {
 #[must_use]
 pub fn random_scene(spec: &SceneSpec) -> Scene {
     let frame = |i: usize| SourceFrame {
-        camera: camera_looking_at(
-            Intrinsics::centred(64, 48, 50.0),
-            [0.1 * i as f64, -0.2, -3.0],
-            [0.0, 0.1, 1.0],
-        ),
+        camera: camera_looking_at(Intrinsics::centred(64, 48, 50.0), [0.1 * i as f64, -0.2, -3.0], [0.0, 0.1, 1.0]),
         t: i as f64,
         exposure: Exposure::IDENTITY,
     };
@@ -172,11 +151,7 @@ pub struct MovingScene {
 pub fn moving_scene(intrinsics: Intrinsics, frames: usize) -> MovingScene {
     const WALL: usize = 24;
     const BALL: usize = 60;
-    let layout = SplatLayout {
-        isotropic: true,
-        sh_degree: 0,
-        time_degree: 0,
-    };
+    let layout = SplatLayout { isotropic: true, sh_degree: 0, time_degree: 0 };
     let last = frames.saturating_sub(1).max(1) as f32;
     let (start, velocity, radius) = ([-0.6, 0.1, 2.5], [1.2 / last, 0.0, 0.0], 0.4f32);
     let mut splats = Splats::zeros(layout, WALL * WALL, BALL);
@@ -192,11 +167,7 @@ pub fn moving_scene(intrinsics: Intrinsics, frames: usize) -> MovingScene {
     for row in 0..WALL * WALL {
         let (i, j) = ((row % WALL) as f32, (row / WALL) as f32);
         let mean = [(i + 0.5) * spacing - 3.0, (j + 0.5) * spacing - 3.0, 4.0];
-        let rgb = [
-            0.5 + 0.4 * (1.3 * i).sin(),
-            0.5 + 0.4 * (0.9 * j + 1.0).sin(),
-            0.5 + 0.4 * (0.7 * (i + j)).cos(),
-        ];
+        let rgb = [0.5 + 0.4 * (1.3 * i).sin(), 0.5 + 0.4 * (0.9 * j + 1.0).sin(), 0.5 + 0.4 * (0.7 * (i + j)).cos()];
         put(row, mean, 0.7 * spacing, 3.0, rgb);
     }
     for k in 0..BALL {
@@ -220,13 +191,7 @@ pub fn moving_scene(intrinsics: Intrinsics, frames: usize) -> MovingScene {
             camera_looking_at(intrinsics, [x, 0.0, 0.0], [0.0, 0.0, 3.5])
         })
         .collect();
-    MovingScene {
-        splats,
-        cameras,
-        velocity,
-        start,
-        radius,
-    }
+    MovingScene { splats, cameras, velocity, start, radius }
 }
 
 #[cfg(test)]

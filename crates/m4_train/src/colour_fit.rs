@@ -55,11 +55,7 @@ pub(crate) fn correct(splats: &mut Splats, residual: &[Vec<f32>; 3], weight: &[V
             }
             let missing = residual / (weight + Y00 * DAMPING_PX);
             let moved = *c - missing / Y00;
-            let floor = if constant {
-                (DARKEST - 0.5) / Y00
-            } else {
-                f32::NEG_INFINITY
-            };
+            let floor = if constant { (DARKEST - 0.5) / Y00 } else { f32::NEG_INFINITY };
             *c = moved.max(floor.min(*c));
         }
     }
@@ -78,11 +74,7 @@ mod tests {
 
     #[test]
     fn a_colour_moves_by_the_weighted_mean_of_what_is_missing() {
-        let layout = SplatLayout {
-            isotropic: true,
-            sh_degree: 0,
-            time_degree: 0,
-        };
+        let layout = SplatLayout { isotropic: true, sh_degree: 0, time_degree: 0 };
         let mut splats = Splats::zeros(layout, 3, 0);
         let zero = || [0, 1, 2].map(|_| vec![0.0; 3]);
         let (mut residual, mut weight) = (zero(), zero());
@@ -90,25 +82,14 @@ mod tests {
         // weights 0.5 and 0.25 on two pixels that lack 0.2 and 0.4; the second splat is seen nowhere
         let weights = [0.75 * Y00, nan, 2.0 * Y00];
         let residuals = [-(0.5 * 0.2 + 0.25 * 0.4) * Y00, nan, 4.0 * Y00];
-        add_seen(
-            &mut weight,
-            &[weights.to_vec(), weights.to_vec(), weights.to_vec()],
-            &[1, 0, 1],
-        );
-        add_seen(
-            &mut residual,
-            &[residuals.to_vec(), vec![0.0; 3], vec![0.0; 3]],
-            &[1, 0, 1],
-        );
+        add_seen(&mut weight, &[weights.to_vec(), weights.to_vec(), weights.to_vec()], &[1, 0, 1]);
+        add_seen(&mut residual, &[residuals.to_vec(), vec![0.0; 3], vec![0.0; 3]], &[1, 0, 1]);
         correct(&mut splats, &residual, &weight);
         let red = splats.column(Column::Colour, 0);
         let want = 0.2 / (0.75 + DAMPING_PX);
         assert!((red[0] * Y00 - want).abs() < 1e-6, "{}", red[0] * Y00);
         assert_eq!(red[1], 0.0);
-        assert!(
-            (0.5 + red[2] * Y00 - DARKEST).abs() < 1e-6,
-            "a colour keeps its gradient"
-        );
+        assert!((0.5 + red[2] * Y00 - DARKEST).abs() < 1e-6, "a colour keeps its gradient");
         assert_eq!(splats.column(Column::Colour, 1), [0.0; 3]);
     }
 }

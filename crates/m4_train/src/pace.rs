@@ -44,11 +44,7 @@ pub fn affordable_iterations(
     }
     let mut trial_splats = grown(splats, &apparent_sizes(capture, splats), config)?;
     let mut step_s = trial(capture, &trial_splats, config, level, backend)?;
-    let rotating = if config.arcs {
-        arcs::rotating(&trial_splats)
-    } else {
-        Vec::new()
-    };
+    let rotating = if config.arcs { arcs::rotating(&trial_splats) } else { Vec::new() };
     if !rotating.is_empty() {
         let mut state = AdamState::new(&trial_splats);
         arcs::split(&mut trial_splats, &mut state, &rotating)?;
@@ -79,9 +75,7 @@ fn grown(splats: &Splats, size: &[f32], config: &TrainConfig) -> Result<Splats, 
     } else {
         let evenly = |first: usize, of: usize, count: usize| (0..count).map(move |i| (first + i * of / count) as u32);
         let statics = (n_static as f64 * growth) as usize;
-        rows = evenly(0, n_static, statics)
-            .chain(evenly(n_static, n - n_static, wanted - statics))
-            .collect();
+        rows = evenly(0, n_static, statics).chain(evenly(n_static, n - n_static, wanted - statics)).collect();
     }
     Ok(splats.gather(&rows)?)
 }
@@ -90,9 +84,8 @@ fn grown(splats: &Splats, size: &[f32], config: &TrainConfig) -> Result<Splats, 
 fn apparent_sizes(capture: &Capture, splats: &Splats) -> Vec<f32> {
     let scale = SceneScale::of(capture);
     let mean = [0, 1, 2].map(|k| splats.column(Column::Mean, k));
-    let scales: Vec<&[f32]> = (0..splats.layout().range(Column::LogScale).len())
-        .map(|k| splats.column(Column::LogScale, k))
-        .collect();
+    let scales: Vec<&[f32]> =
+        (0..splats.layout().range(Column::LogScale).len()).map(|k| splats.column(Column::LogScale, k)).collect();
     let one = |i: usize| {
         let largest = scales.iter().map(|c| c[i]).fold(f32::NEG_INFINITY, f32::max);
         largest.exp() / scale.nearest_camera(mean.map(|c| c[i]))
@@ -111,25 +104,16 @@ fn trial(
     let config = TrainConfig {
         // never the last: that one does more
         iterations: STEPS + 1,
-        density: DensityConfig {
-            enabled: false,
-            ..config.density.clone()
-        },
+        density: DensityConfig { enabled: false, ..config.density.clone() },
         arcs: false,
         colour_fit_rounds: 0,
-        refine: RefineConfig {
-            from: 0,
-            ..config.refine.clone()
-        },
+        refine: RefineConfig { from: 0, ..config.refine.clone() },
         ..config.clone()
     };
     let mut trainer = Trainer::new(capture, splats.clone(), config, level)?;
     if let Some(make) = backend {
-        let backend = make().map_err(|BackendError(why)| TrainError::Device {
-            why,
-            iteration: 0,
-            good_iteration: 0,
-        })?;
+        let backend =
+            make().map_err(|BackendError(why)| TrainError::Device { why, iteration: 0, good_iteration: 0 })?;
         trainer.use_backend(backend)?;
     }
     let counted = STEPS - WARM_UP;
@@ -160,11 +144,7 @@ mod tests {
 
     #[test]
     fn trial_steps_have_as_many_splats_as_the_run_will() {
-        let layout = SplatLayout {
-            isotropic: false,
-            sh_degree: 0,
-            time_degree: 0,
-        };
+        let layout = SplatLayout { isotropic: false, sh_degree: 0, time_degree: 0 };
         let mut splats = Splats::zeros(layout, 100, 400);
         let size: Vec<f32> = (0..100).map(|i| (i % 10) as f32).collect();
         splats.column_mut(Column::Mean, 0)[..100].copy_from_slice(&size);
@@ -174,11 +154,7 @@ mod tests {
         let more = grown(&splats, &config);
         assert_eq!((more.n_static(), more.n_dynamic()), (150, 400));
         let sum: f32 = more.column(Column::Mean, 0)[..150].iter().sum();
-        assert_eq!(
-            sum,
-            450.0 + 10.0 * (9.0 + 8.0 + 7.0 + 6.0 + 5.0),
-            "the largest are there twice"
-        );
+        assert_eq!(sum, 450.0 + 10.0 * (9.0 + 8.0 + 7.0 + 6.0 + 5.0), "the largest are there twice");
         config.density.max_growth = 3.0;
         let more = grown(&splats, &config);
         assert_eq!((more.n_static(), more.n_dynamic()), (300, 1200), "every row thrice");

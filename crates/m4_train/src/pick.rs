@@ -21,12 +21,7 @@ pub(crate) struct Picker {
 
 impl Picker {
     pub fn new(seed: u64, frames: usize) -> Self {
-        Self {
-            seed,
-            frames,
-            order: Vec::new(),
-            epoch: None,
-        }
+        Self { seed, frames, order: Vec::new(), epoch: None }
     }
 
     /// The frame of `iteration`.

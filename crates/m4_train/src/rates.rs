@@ -23,11 +23,7 @@ pub(crate) fn rates(
     let unit = scale.extent;
     let fall = log_linear(config.position, config.position_end, x);
     let other = log_linear(1.0, config.other_end, x);
-    let velocity = if config.position > 0.0 {
-        config.velocity * fall / config.position
-    } else {
-        config.velocity
-    };
+    let velocity = if config.position > 0.0 { config.velocity * fall / config.position } else { config.velocity };
     let time_mean = if config.time_mean_reference > 0.0 {
         let last = basis.time_frames.max(2) - 1;
         config.position * unit * last as f32 / config.time_mean_reference
@@ -57,22 +53,10 @@ mod tests {
 
     #[test]
     fn columns_get_their_rates() {
-        let layout = SplatLayout {
-            isotropic: false,
-            sh_degree: 1,
-            time_degree: 0,
-        };
-        let scale = SceneScale {
-            one_centre: false,
-            extent: 2.0,
-            median_depth: 5.0,
-            focal_px: 100.0,
-            centres: vec![[0.0; 3]],
-        };
-        let basis = RateBasis {
-            time_sd: 2.0,
-            time_frames: 31,
-        };
+        let layout = SplatLayout { isotropic: false, sh_degree: 1, time_degree: 0 };
+        let scale =
+            SceneScale { one_centre: false, extent: 2.0, median_depth: 5.0, focal_px: 100.0, centres: vec![[0.0; 3]] };
+        let basis = RateBasis { time_sd: 2.0, time_frames: 31 };
         let at = |config: &RateConfig, x, column| rates(config, layout, &scale, basis, x)[layout.column(column)];
         let fast = RateConfig::default();
         assert!((at(&fast, 0.0, Column::Mean) - 6e-4).abs() < 1e-8);

@@ -17,11 +17,7 @@ pub(crate) struct SmallAdam<const N: usize> {
 
 impl<const N: usize> Default for SmallAdam<N> {
     fn default() -> Self {
-        Self {
-            m: [0.0; N],
-            v: [0.0; N],
-            step: 0,
-        }
+        Self { m: [0.0; N], v: [0.0; N], step: 0 }
     }
 }
 
@@ -94,10 +90,7 @@ impl Refinement {
         median_depth: f64,
     ) {
         if config.poses && frame > 0 {
-            let (t, r) = (
-                f64::from(config.translation_lr) * median_depth,
-                f64::from(config.rotation_lr),
-            );
+            let (t, r) = (f64::from(config.translation_lr) * median_depth, f64::from(config.rotation_lr));
             let [a, b, c] = gradient.tau;
             let [d, e, f] = gradient.omega;
             let fit = &mut self.frames[frame];
@@ -178,22 +171,11 @@ mod tests {
 
     #[test]
     fn exposure_finds_a_colour_cast() {
-        let camera = Camera {
-            intrinsics: Intrinsics::centred(8, 8, 8.0),
-            c2w: Se3::identity(),
-        };
+        let camera = Camera { intrinsics: Intrinsics::centred(8, 8, 8.0), c2w: Se3::identity() };
         let mut fit = Refinement::new(std::iter::once(camera));
-        let config = RefineConfig {
-            exposure: true,
-            exposure_lr: 5e-3,
-            exposure_pull: 0.0,
-            ..RefineConfig::default()
-        };
+        let config = RefineConfig { exposure: true, exposure_lr: 5e-3, exposure_pull: 0.0, ..RefineConfig::default() };
         let rgb: [Vec<f32>; 3] = std::array::from_fn(|c| (0..64).map(|i| ((i * (c + 3)) % 17) as f32 / 17.0).collect());
-        let cast = Exposure {
-            matrix: [[0.8, 0.1, 0.0], [0.0, 1.1, 0.0], [0.0, 0.0, 0.9]],
-            offset: [0.02, 0.0, 0.05],
-        };
+        let cast = Exposure { matrix: [[0.8, 0.1, 0.0], [0.0, 1.1, 0.0], [0.0, 0.0, 0.9]], offset: [0.02, 0.0, 0.05] };
         let (mut want, mut got) = (rgb.clone(), rgb.clone());
         expose(&cast, &rgb, &mut want);
         let mut error = 0.0;
@@ -209,28 +191,16 @@ mod tests {
 
     #[test]
     fn the_pose_of_the_first_frame_stays_fixed() {
-        let camera = Camera {
-            intrinsics: Intrinsics::centred(8, 8, 8.0),
-            c2w: Se3::identity(),
-        };
+        let camera = Camera { intrinsics: Intrinsics::centred(8, 8, 8.0), c2w: Se3::identity() };
         let mut fit = Refinement::new([camera, camera].into_iter());
-        let config = RefineConfig {
-            poses: true,
-            ..RefineConfig::default()
-        };
-        let gradient = m4_kernels::CameraGradient {
-            tau: [1.0, 0.0, 0.0],
-            omega: [0.0, -2.0, 0.0],
-            intrinsics: [0.0; 4],
-        };
+        let config = RefineConfig { poses: true, ..RefineConfig::default() };
+        let gradient =
+            m4_kernels::CameraGradient { tau: [1.0, 0.0, 0.0], omega: [0.0, -2.0, 0.0], intrinsics: [0.0; 4] };
         for frame in 0..2 {
             fit.step(&config, frame, &camera, &gradient, 2.0);
         }
         assert_eq!(fit.frames[0].camera, camera);
         let w2c = fit.frames[1].camera.w2c();
-        assert!(
-            (w2c.translation.x + 1e-4).abs() < 1e-9,
-            "against the gradient, one step"
-        );
+        assert!((w2c.translation.x + 1e-4).abs() < 1e-9, "against the gradient, one step");
     }
 }

@@ -35,21 +35,13 @@ impl SceneScale {
         } else {
             f64::from(*depths.select_nth_unstable_by(middle, f32::total_cmp).1)
         };
-        let focal: f64 = capture
-            .frames
-            .iter()
-            .map(|f| 0.5 * (f.camera.intrinsics.fx + f.camera.intrinsics.fy))
-            .sum();
+        let focal: f64 = capture.frames.iter().map(|f| 0.5 * (f.camera.intrinsics.fx + f.camera.intrinsics.fy)).sum();
         Self {
             extent: cameras.max(0.1 * median_depth) as f32,
             median_depth: median_depth as f32,
             focal_px: (focal / n as f64) as f32,
             one_centre: centres.windows(2).all(|pair| pair[0] == pair[1]),
-            centres: centres
-                .iter()
-                .step_by(n.div_ceil(32))
-                .map(|c| [c.x as f32, c.y as f32, c.z as f32])
-                .collect(),
+            centres: centres.iter().step_by(n.div_ceil(32)).map(|c| [c.x as f32, c.y as f32, c.z as f32]).collect(),
         }
     }
 

@@ -4,11 +4,7 @@
 /// linear when one of them is 0.
 pub(crate) fn log_linear(a: f32, b: f32, x: f32) -> f32 {
     let x = x.clamp(0.0, 1.0);
-    if a > 0.0 && b > 0.0 {
-        ((1.0 - x) * a.ln() + x * b.ln()).exp()
-    } else {
-        (1.0 - x) * a + x * b
-    }
+    if a > 0.0 && b > 0.0 { ((1.0 - x) * a.ln() + x * b.ln()).exp() } else { (1.0 - x) * a + x * b }
 }
 
 /// How far iteration `i` of `n` is, 0..1.

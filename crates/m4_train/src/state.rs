@@ -48,11 +48,9 @@ impl Reader<'_> {
 
 fn wrong(name: &str, expected: usize, found: Option<&StateTensor<'_>>) -> TrainError {
     match found {
-        Some(tensor) if tensor.len() != expected => TrainError::Shape(ShapeError {
-            what: "tensor of the training state",
-            expected,
-            found: tensor.len(),
-        }),
+        Some(tensor) if tensor.len() != expected => {
+            TrainError::Shape(ShapeError { what: "tensor of the training state", expected, found: tensor.len() })
+        }
         _ => TrainError::BadState { name: name.to_owned() },
     }
 }
@@ -74,18 +72,9 @@ pub(crate) fn read_adam(reader: &Reader<'_>, splats: &Splats) -> Result<AdamStat
             .enumerate()
             .map(|(c, column)| Ok(reader.f32(&format!("adam/{kind}/{c:02}"), column.len())?.to_vec()))
             .collect();
-        Ok(Splats::from_columns(
-            splats.layout(),
-            splats.n_static(),
-            splats.n_dynamic(),
-            columns?,
-        )?)
+        Ok(Splats::from_columns(splats.layout(), splats.n_static(), splats.n_dynamic(), columns?)?)
     };
-    Ok(AdamState {
-        m: moments("m")?,
-        v: moments("v")?,
-        step: reader.u32("adam/step", splats.n())?.to_vec(),
-    })
+    Ok(AdamState { m: moments("m")?, v: moments("v")?, step: reader.u32("adam/step", splats.n())?.to_vec() })
 }
 
 pub(crate) fn write_refinement(state: &mut TrainState<'_>, fit: &Refinement) {
@@ -101,10 +90,7 @@ pub(crate) fn write_refinement(state: &mut TrainState<'_>, fit: &Refinement) {
         colour.extend(f.colour.m.iter().chain(&f.colour.v));
         steps.extend([f.pose.step, f.colour.step]);
     }
-    let f64s = |data: Vec<f64>, width| StateTensor::F64 {
-        shape: vec![n, width],
-        data: data.into(),
-    };
+    let f64s = |data: Vec<f64>, width| StateTensor::F64 { shape: vec![n, width], data: data.into() };
     let (shape, data) = (vec![n, 12], exposure.into());
     state.insert("refine/exposure".to_owned(), StateTensor::F32 { shape, data });
     let (shape, data) = (vec![n, 2], steps.into());

@@ -16,10 +16,7 @@ const TURN: f64 = 0.2;
 const FRAMES: usize = 15;
 
 fn camera() -> Camera {
-    Camera {
-        intrinsics: Intrinsics::centred(SIZE.0, SIZE.1, 100.0),
-        c2w: Se3::identity(),
-    }
+    Camera { intrinsics: Intrinsics::centred(SIZE.0, SIZE.1, 100.0), c2w: Se3::identity() }
 }
 
 /// True where a pixel sees the disc.
@@ -38,11 +35,7 @@ fn image(t: f64) -> Plane<[u8; 3]> {
         let p = camera().unproject(x as f64, y as f64, DISC);
         let angle = p.y.atan2(p.x) - TURN * t;
         let tone = |shift: f64| (127.5 + 110.0 * (3.0 * angle + shift).sin()) as u8;
-        [
-            tone(0.0),
-            tone(2.0),
-            (127.5 + 110.0 * (angle + 20.0 * p.x.hypot(p.y)).sin()) as u8,
-        ]
+        [tone(0.0), tone(2.0), (127.5 + 110.0 * (angle + 20.0 * p.x.hypot(p.y)).sin()) as u8]
     })
 }
 
@@ -68,11 +61,7 @@ fn capture() -> Capture {
 }
 
 fn config(arcs: bool) -> TrainConfig {
-    TrainConfig {
-        iterations: 240,
-        arcs,
-        ..TrainConfig::fast()
-    }
+    TrainConfig { iterations: 240, arcs, ..TrainConfig::fast() }
 }
 
 fn start(capture: &Capture, config: TrainConfig) -> Trainer<'_> {
@@ -122,11 +111,7 @@ fn arcs_are_better_between_the_frames_and_no_worse_at_them() {
         trainer.run(&Silent, &mut |_| {}).unwrap();
         let splats = trainer.splats();
         let mean = |times: [usize; 4]| times.map(|t| psnr(splats, t as f64)).iter().sum::<f64>() / 4.0;
-        (
-            splats.n() as f64 / before as f64,
-            mean([3, 5, 9, 11]),
-            mean([2, 4, 8, 10]),
-        )
+        (splats.n() as f64 / before as f64, mean([3, 5, 9, 11]), mean([2, 4, 8, 10]))
     });
     let [(straight_n, straight, straight_at), (arcs_n, arcs, arcs_at)] = scores;
     assert!(straight_n < 1.1 && arcs_n > 1.3, "{scores:?}");
@@ -137,10 +122,7 @@ fn arcs_are_better_between_the_frames_and_no_worse_at_them() {
 #[test]
 fn a_run_resumed_before_or_after_the_split_ends_with_the_same_bits() {
     let capture = capture();
-    let config = || TrainConfig {
-        iterations: 40,
-        ..config(true)
-    };
+    let config = || TrainConfig { iterations: 40, ..config(true) };
     let mut whole = start(&capture, config());
     whole.run(&Silent, &mut |_| {}).unwrap();
     for at in [19, 20, 21] {

@@ -13,12 +13,7 @@ fn config() -> TrainConfig {
     let mut config = TrainConfig::fast();
     config.iterations = 100;
     config.seed = 5;
-    config.density = DensityConfig {
-        from: 20,
-        every: 20,
-        prune_every: 40,
-        ..DensityConfig::fast()
-    };
+    config.density = DensityConfig { from: 20, every: 20, prune_every: 40, ..DensityConfig::fast() };
     config.reorder_every = 30;
     config.guard_every = 25;
     config.keep_every_s = 0.0;
@@ -31,15 +26,8 @@ fn asynchronous_steps_and_density_control_of_the_trainer_give_the_same_bits() {
     let mut cameras = config();
     let refine = &mut cameras.refine;
     (refine.poses, refine.focal, refine.exposure, refine.from) = (true, true, true, 20);
-    let faithful = TrainConfig {
-        iterations: 60,
-        keep_every_s: 1e9,
-        ..TrainConfig::faithful()
-    };
-    let drawn = DensityConfig {
-        split_placement: SplitPlacement::Sample,
-        ..config().density
-    };
+    let faithful = TrainConfig { iterations: 60, keep_every_s: 1e9, ..TrainConfig::faithful() };
+    let drawn = DensityConfig { split_placement: SplitPlacement::Sample, ..config().density };
     let literal = DensityConfig {
         split_placement: SplitPlacement::LongestAxis,
         final_opacity: 0.1,
@@ -53,50 +41,29 @@ fn asynchronous_steps_and_density_control_of_the_trainer_give_the_same_bits() {
         (cameras, 4),
         (TrainConfig { batch: 3, ..config() }, 4),
         (faithful, 0),
-        (
-            TrainConfig {
-                density: drawn,
-                ..config()
-            },
-            4,
-        ),
-        (
-            TrainConfig {
-                density: literal,
-                keep_every_s: 1e9,
-                ..config()
-            },
-            6,
-        ),
+        (TrainConfig { density: drawn, ..config() }, 4),
+        (TrainConfig { density: literal, keep_every_s: 1e9, ..config() }, 6),
     ] {
         let run = |watched: Option<Option<&Arc<AtomicUsize>>>| {
             let splats = disturbed(&scene, 2);
             let mut trainer = Trainer::new(&capture, splats, config.clone(), SimdLevel::best()).unwrap();
             if let Some(rounds) = watched {
                 let cpu = CpuBackend::new(&capture, 0, SimdLevel::best());
-                trainer
-                    .use_backend(Box::new(Watched::new(Box::new(cpu), rounds)))
-                    .unwrap();
+                trainer.use_backend(Box::new(Watched::new(Box::new(cpu), rounds))).unwrap();
             }
             let mut events = Vec::new();
             // stopped and asked in between, as checkpoints do
             trainer.run_until(37, &Silent, &mut |e| events.push(*e)).unwrap();
             let middle = trainer.scene();
             trainer.run(&Silent, &mut |e| events.push(*e)).unwrap();
-            let counts: Vec<_> = events
-                .iter()
-                .map(|e| (e.iteration, e.splats_static, e.splats_dynamic))
-                .collect();
+            let counts: Vec<_> = events.iter().map(|e| (e.iteration, e.splats_static, e.splats_dynamic)).collect();
             let losses: Vec<f64> = events.iter().map(|e| e.loss).collect();
             let state = format!("{:?}", trainer.state());
             (middle, trainer.scene(), state, counts, losses)
         };
         let rounds = Arc::new(AtomicUsize::new(0));
         let here = run(None);
-        for (there, decider) in [
-            (run(Some(Some(&rounds))), "the backend"),
-            (run(Some(None)), "the trainer"),
-        ] {
+        for (there, decider) in [(run(Some(Some(&rounds))), "the backend"), (run(Some(None)), "the trainer")] {
             assert!(here.0 == there.0, "after 37 steps, {decider} decides");
             assert!(here.1 == there.1, "at the end, {decider} decides");
             assert!(here.2 == there.2, "the optimiser's state, {decider} decides");
@@ -130,34 +97,19 @@ fn a_backend_that_fails_leaves_the_last_good_splats() {
     };
     let run = |fails_at, iterations| run_with(failing(fails_at, None), config(), iterations);
     let (end, kept, at) = run(31, 100);
-    let Err(TrainError::Device {
-        why,
-        iteration,
-        good_iteration,
-    }) = end
-    else {
+    let Err(TrainError::Device { why, iteration, good_iteration }) = end else {
         panic!("{end:?}");
     };
-    assert_eq!(
-        (why.as_str(), iteration, good_iteration, at),
-        ("the backend broke", 30, 25, 25)
-    );
+    assert_eq!((why.as_str(), iteration, good_iteration, at), ("the backend broke", 30, 25, 25));
     let (end, there, _) = run(0, 25);
     end.unwrap();
     assert!(kept == there);
 
     // splats are not copied more often than the settings say
-    let rarely = TrainConfig {
-        keep_every_s: 1e9,
-        arcs: false,
-        ..config()
-    };
+    let rarely = TrainConfig { keep_every_s: 1e9, arcs: false, ..config() };
     let rounds = Arc::new(AtomicUsize::new(0));
     let (end, kept, at) = run_with(failing(71, Some(&rounds)), rarely, 100);
-    assert!(
-        matches!(end, Err(TrainError::Device { good_iteration: 0, .. })),
-        "{end:?}"
-    );
+    assert!(matches!(end, Err(TrainError::Device { good_iteration: 0, .. })), "{end:?}");
     assert_eq!((at, rounds.load(Ordering::Relaxed)), (0, 3));
     let (_, there, _) = run(0, 0);
     assert!(kept == there);
@@ -166,18 +118,10 @@ fn a_backend_that_fails_leaves_the_last_good_splats() {
     let mut broken = watched(Some(&rounds));
     broken.breaks_at = 41;
     let (end, kept, at) = run_with(broken, config(), 100);
-    let Err(TrainError::Diverged {
-        what,
-        iteration,
-        good_iteration,
-    }) = end
-    else {
+    let Err(TrainError::Diverged { what, iteration, good_iteration }) = end else {
         panic!("{end:?}");
     };
-    assert_eq!(
-        (what, iteration, good_iteration, at),
-        ("a parameter of a splat", 50, 25, 25)
-    );
+    assert_eq!((what, iteration, good_iteration, at), ("a parameter of a splat", 50, 25, 25));
     let (_, there, _) = run(0, 25);
     assert!(kept == there);
 }

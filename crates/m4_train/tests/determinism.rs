@@ -16,12 +16,7 @@ fn config(iterations: usize) -> TrainConfig {
     let mut config = TrainConfig::fast();
     config.iterations = iterations;
     config.seed = 11;
-    config.density = DensityConfig {
-        from: 20,
-        every: 20,
-        prune_every: 40,
-        ..DensityConfig::fast()
-    };
+    config.density = DensityConfig { from: 20, every: 20, prune_every: 40, ..DensityConfig::fast() };
     config.refine.poses = true;
     config.refine.focal = true;
     config.refine.exposure = true;
@@ -89,12 +84,7 @@ fn a_state_that_does_not_fit_is_refused() {
     let resume = |splats: &Splats, state| Trainer::resume(&capture, splats.clone(), state, config(20), level);
     let mut missing = state.clone();
     missing.remove("adam/step");
-    assert_eq!(
-        resume(&saved, &missing).unwrap_err(),
-        TrainError::BadState {
-            name: "adam/step".to_owned()
-        }
-    );
+    assert_eq!(resume(&saved, &missing).unwrap_err(), TrainError::BadState { name: "adam/step".to_owned() });
     let mut wrong = state.clone();
     wrong.insert("train/iteration".to_owned(), StateTensor::f32(vec![5.0]));
     assert!(matches!(resume(&saved, &wrong), Err(TrainError::BadState { .. })));

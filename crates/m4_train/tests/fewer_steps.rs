@@ -49,10 +49,7 @@ fn the_gradient_of_a_batch_is_the_sum_of_those_of_its_frames() {
     config.adam.beta1 = 0.5;
     config.adam.sparse = false;
     let after = |batch: usize, steps: usize| {
-        let config = TrainConfig {
-            batch,
-            ..config.clone()
-        };
+        let config = TrainConfig { batch, ..config.clone() };
         let mut trainer = start(&capture, splats.clone(), config);
         trainer.run_until(steps, &Silent, &mut |_| {}).unwrap();
         moments(&trainer.state(), columns)
@@ -81,15 +78,10 @@ fn the_gradient_of_a_batch_is_the_sum_of_those_of_its_frames() {
 fn a_batch_looks_at_the_frames_that_as_many_steps_would() {
     let (scene, capture) = video();
     let loss = |batch: usize| {
-        let config = TrainConfig {
-            batch,
-            ..frozen(FRAMES)
-        };
+        let config = TrainConfig { batch, ..frozen(FRAMES) };
         let mut events: Vec<MetricsEvent> = Vec::new();
         let mut trainer = start(&capture, disturbed(&scene, 7), config);
-        trainer
-            .run_until(FRAMES / batch, &Silent, &mut |e| events.push(*e))
-            .unwrap();
+        trainer.run_until(FRAMES / batch, &Silent, &mut |e| events.push(*e)).unwrap();
         events.last().unwrap().l1
     };
     // one epoch of splats that do not move: the mean over all frames
@@ -106,12 +98,7 @@ fn everything(iterations: usize) -> TrainConfig {
     config.iterations = iterations;
     config.batch = 2;
     config.colour_fit_rounds = 2;
-    config.density = DensityConfig {
-        from: 10,
-        every: 10,
-        prune_every: 20,
-        ..DensityConfig::fast()
-    };
+    config.density = DensityConfig { from: 10, every: 10, prune_every: 20, ..DensityConfig::fast() };
     config.refine.poses = true;
     config.refine.exposure = true;
     config.refine.from = 5;

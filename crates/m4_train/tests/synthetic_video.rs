@@ -58,29 +58,17 @@ fn perturbed_splats_recover_image_and_velocity() {
     let v = mean_velocity(trainer.splats());
     let speed = scene.velocity[0];
     assert!((v[0] - speed).abs() < 0.1 * speed, "{v:?} where {speed} was expected");
-    assert!(
-        v[1].abs() < 0.1 * speed && v[2].abs() < 0.3 * speed,
-        "{v:?} where nothing moves"
-    );
+    assert!(v[1].abs() < 0.1 * speed && v[2].abs() < 0.3 * speed, "{v:?} where nothing moves");
 }
 
 #[test]
 fn training_from_depth_exceeds_30_db() {
     let (_, capture) = video();
-    let init = InitConfig {
-        max_static: 3000,
-        max_dynamic: 1500,
-        ..InitConfig::fast()
-    };
+    let init = InitConfig { max_static: 3000, max_dynamic: 1500, ..InitConfig::fast() };
     let splats = initialise(&capture, &init, &Silent).unwrap();
     assert!(splats.n_static() > 1000 && splats.n_dynamic() > 300);
     let mut config = config(240);
-    config.density = DensityConfig {
-        from: 60,
-        every: 40,
-        prune_every: 80,
-        ..DensityConfig::fast()
-    };
+    config.density = DensityConfig { from: 60, every: 40, prune_every: 80, ..DensityConfig::fast() };
     let first = splats.n();
     let mut trainer = Trainer::new(&capture, splats, config, SimdLevel::best()).unwrap();
     let mut last = None;
@@ -101,12 +89,7 @@ fn pose_refinement_recovers_a_perturbed_pose() {
     // Turning and shifting look alike: what counts is where points land, at the depth of wall and ball.
     let off_px = |t: &Trainer<'_>| {
         let fit = t.scene().source[3].camera;
-        let corners = [
-            [10.0, 10.0, 4.0],
-            [80.0, 60.0, 4.0],
-            [48.0, 36.0, 2.5],
-            [48.0, 36.0, 4.0],
-        ];
+        let corners = [[10.0, 10.0, 4.0], [80.0, 60.0, 4.0], [48.0, 36.0, 2.5], [48.0, 36.0, 4.0]];
         let miss = corners.map(|[u, v, z]| {
             let ([a, b], _) = fit.project(&truth.unproject(u, v, z));
             (a - u).hypot(b - v)
@@ -124,11 +107,7 @@ fn pose_refinement_recovers_a_perturbed_pose() {
     let mut trainer = Trainer::new(&capture, scene.splats.clone(), config, SimdLevel::best()).unwrap();
     let before = off_px(&trainer);
     trainer.run(&Silent, &mut |_| {}).unwrap();
-    assert!(
-        off_px(&trainer) < 0.3 * before,
-        "{} px of {before} are left",
-        off_px(&trainer)
-    );
+    assert!(off_px(&trainer) < 0.3 * before, "{} px of {before} are left", off_px(&trainer));
     assert_eq!(trainer.scene().source[0].camera, capture.frames[0].camera);
 }
 
@@ -174,19 +153,10 @@ fn bad_starts_are_refused() {
     let level = SimdLevel::best();
     let mut broken = scene.splats.clone();
     broken.column_mut(Column::Mean, 0)[0] = f32::NAN;
-    assert_eq!(
-        Trainer::new(&capture, broken, config(1), level).unwrap_err(),
-        TrainError::BadSplats
-    );
+    assert_eq!(Trainer::new(&capture, broken, config(1), level).unwrap_err(), TrainError::BadSplats);
     let none = scene.splats.gather(&[]).unwrap();
-    assert_eq!(
-        Trainer::new(&capture, none, config(1), level).unwrap_err(),
-        TrainError::NoSplats
-    );
+    assert_eq!(Trainer::new(&capture, none, config(1), level).unwrap_err(), TrainError::NoSplats);
     let mut empty = capture;
     empty.frames.clear();
-    assert_eq!(
-        Trainer::new(&empty, scene.splats.clone(), config(1), level).unwrap_err(),
-        TrainError::NoFrames
-    );
+    assert_eq!(Trainer::new(&empty, scene.splats.clone(), config(1), level).unwrap_err(), TrainError::NoFrames);
 }

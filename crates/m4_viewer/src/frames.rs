@@ -19,10 +19,7 @@ pub struct FrameLimits {
 
 impl Default for FrameLimits {
     fn default() -> Self {
-        Self {
-            side_px: 480,
-            bytes: 6_000_000,
-        }
+        Self { side_px: 480, bytes: 6_000_000 }
     }
 }
 
@@ -109,11 +106,7 @@ pub fn encode_frames(images: &[&RgbImage], limits: &FrameLimits) -> Result<Optio
         append(&mut bytes, images, index, size, quality)?;
         offsets.push(bytes.len());
     }
-    let index = FrameIndex {
-        width: size.0,
-        height: size.1,
-        offsets,
-    };
+    let index = FrameIndex { width: size.0, height: size.1, offsets };
     Ok(Some(Frames { index, bytes }))
 }
 
@@ -131,10 +124,7 @@ fn append(
     (width, height): (usize, usize),
     quality: u8,
 ) -> Result<(), FramesError> {
-    let failed = |reason: &dyn std::fmt::Display| FramesError::Encode {
-        index,
-        reason: reason.to_string(),
-    };
+    let failed = |reason: &dyn std::fmt::Display| FramesError::Encode { index, reason: reason.to_string() };
     let image = images[index];
     let small = if image.size() == (width, height) {
         Cow::Borrowed(image)
@@ -146,12 +136,7 @@ fn append(
     };
     let side = |n: usize| u32::try_from(n).map_err(|e| failed(&e));
     JpegEncoder::new_with_quality(out, quality)
-        .write_image(
-            small.data().as_flattened(),
-            side(width)?,
-            side(height)?,
-            ExtendedColorType::Rgb8,
-        )
+        .write_image(small.data().as_flattened(), side(width)?, side(height)?, ExtendedColorType::Rgb8)
         .map_err(|e| failed(&e))
 }
 
@@ -169,9 +154,7 @@ mod tests {
     fn frames_come_back_at_their_offsets() {
         let grey = |v: u8| Plane::filled(200, 100, [v; 3]);
         let images: Vec<RgbImage> = [10, 120, 250].map(grey).into();
-        let frames = encode_frames(&images.iter().collect::<Vec<_>>(), &FrameLimits::default())
-            .unwrap()
-            .unwrap();
+        let frames = encode_frames(&images.iter().collect::<Vec<_>>(), &FrameLimits::default()).unwrap().unwrap();
         assert_eq!((frames.index.width, frames.index.height), (200, 100));
         assert_eq!(frames.index.offsets.len(), 4);
         assert_eq!(frames.index.offsets[3], frames.bytes.len());
@@ -189,16 +172,9 @@ mod tests {
         let images: Vec<&RgbImage> = images.iter().collect();
         let whole = encode_frames(&images, &FrameLimits::default()).unwrap().unwrap();
         assert_eq!((whole.index.width, whole.index.height), (480, 270));
-        let limits = FrameLimits {
-            bytes: whole.bytes.len() / 6,
-            ..FrameLimits::default()
-        };
+        let limits = FrameLimits { bytes: whole.bytes.len() / 6, ..FrameLimits::default() };
         let tight = encode_frames(&images, &limits).unwrap().unwrap();
-        assert!(
-            tight.bytes.len() < limits.bytes * 11 / 10,
-            "{} bytes",
-            tight.bytes.len()
-        );
+        assert!(tight.bytes.len() < limits.bytes * 11 / 10, "{} bytes", tight.bytes.len());
         assert!(tight.index.width < 480);
     }
 

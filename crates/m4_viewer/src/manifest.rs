@@ -188,14 +188,7 @@ impl Manifest {
         Self {
             version: MANIFEST_VERSION,
             title: title.to_owned(),
-            splats: SplatFacts {
-                r#static: 0,
-                dynamic: 0,
-                sh_degree: 0,
-                time_degree: 0,
-                isotropic: false,
-                bytes: 0,
-            },
+            splats: SplatFacts { r#static: 0, dynamic: 0, sh_degree: 0, time_degree: 0, isotropic: false, bytes: 0 },
             background: [0.0; 3],
             time_frames: 1,
             duration_s: None,
@@ -213,11 +206,7 @@ impl Manifest {
 }
 
 pub(crate) fn usable_depth(median_depth: f64) -> f64 {
-    if median_depth.is_finite() && median_depth > 0.0 {
-        median_depth
-    } else {
-        1.0
-    }
+    if median_depth.is_finite() && median_depth > 0.0 { median_depth } else { 1.0 }
 }
 
 /// Share of the extent of the camera's path within which a scene is shown without a fade: what lies behind an edge was seen
@@ -242,8 +231,6 @@ impl SafeOrbit {
         }
         let extent = (0..3).map(|k| (high[k] - low[k]).max(0.0).powi(2)).sum::<f64>().sqrt();
         let radius = (PATH_SHARE * extent).max(LEAST_SHARE * median_depth);
-        Self {
-            radius: radius.min(MOST_SHARE * median_depth),
-        }
+        Self { radius: radius.min(MOST_SHARE * median_depth) }
     }
 }

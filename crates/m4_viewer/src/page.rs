@@ -191,19 +191,13 @@ pub fn read(html: &str) -> Result<Contents, PageError> {
         Some(text) => {
             let mut payload = Vec::new();
             let gzip = bytes(SPLATS.1, text)?;
-            GzDecoder::new(gzip.as_slice())
-                .take(MOST_BYTES)
-                .read_to_end(&mut payload)?;
+            GzDecoder::new(gzip.as_slice()).take(MOST_BYTES).read_to_end(&mut payload)?;
             Some(payload)
         }
         None => None,
     };
     let frames = frames_of(html, &manifest)?;
-    Ok(Contents {
-        manifest,
-        payload,
-        frames,
-    })
+    Ok(Contents { manifest, payload, frames })
 }
 
 /// The frames of a page, without its splats.

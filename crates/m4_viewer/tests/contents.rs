@@ -19,25 +19,16 @@ fn a_scene_comes_back_out_of_the_page() {
     let payload = encode(&scene, 4.0);
     let mut manifest = manifest_of(&scene, &payload);
     manifest.title = "</script><script>alert(1)</script> \"ä\"".to_owned();
-    let images: Vec<RgbImage> = (0..scene.source.len())
-        .map(|i| Plane::filled(60, 40, [20 * i as u8; 3]))
-        .collect();
+    let images: Vec<RgbImage> = (0..scene.source.len()).map(|i| Plane::filled(60, 40, [20 * i as u8; 3])).collect();
     let frames = encode_frames(&images.iter().collect::<Vec<_>>(), &FrameLimits::default()).unwrap();
     manifest.frames = frames.as_ref().map(|f| f.index.clone());
-    let parts = Parts {
-        manifest: &manifest,
-        payload: Some(&payload.bytes),
-        frames: frames.as_ref(),
-    };
+    let parts = Parts { manifest: &manifest, payload: Some(&payload.bytes), frames: frames.as_ref() };
     for effort in [Effort::Quick, Effort::Small] {
         let html = String::from_utf8(compose(TEMPLATE, &parts, effort).unwrap()).unwrap();
         assert!(!html.contains(MARKER) && !html.contains("</script><script>alert"));
         // what is seen first comes before what takes long to read
         let first = frames.as_ref().map(|f| &f.bytes[..f.index.offsets[1]]).unwrap();
-        let poster = format!(
-            "style=\"--aspect:1.500000\" src=\"data:image/jpeg;base64,{}\">",
-            STANDARD.encode(first)
-        );
+        let poster = format!("style=\"--aspect:1.500000\" src=\"data:image/jpeg;base64,{}\">", STANDARD.encode(first));
         assert!(html.find(&poster).unwrap() < html.find("<script").unwrap());
         let back = page::read(&html).unwrap();
         assert_eq!(back.manifest, manifest);
@@ -65,11 +56,7 @@ fn titles_are_escaped() {
     let mut manifest = manifest_of(&scene, &payload);
     for title in HOSTILE {
         manifest.title = title.to_owned();
-        let parts = Parts {
-            manifest: &manifest,
-            payload: Some(&payload.bytes),
-            frames: None,
-        };
+        let parts = Parts { manifest: &manifest, payload: Some(&payload.bytes), frames: None };
         let html = String::from_utf8(compose(MARKER, &parts, Effort::Quick).unwrap()).unwrap();
         // the tags of two elements
         assert_eq!(html.matches('<').count(), 4, "{title}: {html}");
@@ -84,34 +71,20 @@ fn pages_that_browsers_cannot_parse_are_refused() {
     let payload = encode(&scene, 4.0);
     let mut manifest = manifest_of(&scene, &payload);
     manifest.title = "a clip".to_owned();
-    let parts = Parts {
-        manifest: &manifest,
-        payload: Some(&payload.bytes),
-        frames: None,
-    };
+    let parts = Parts { manifest: &manifest, payload: Some(&payload.bytes), frames: None };
     let html = String::from_utf8(compose(MARKER, &parts, Effort::Quick).unwrap()).unwrap();
     for title in ["<!--", "<!--<script>", "a <!-- b -->"] {
         let read = page::read(&html.replace("a clip", title));
         assert!(matches!(read, Err(PageError::Comment { .. })), "{title}");
     }
     // what earlier versions wrote, and every browser reads
-    assert_eq!(
-        page::read(&html.replace("a clip", "a <\\/b> clip"))
-            .unwrap()
-            .manifest
-            .title,
-        "a </b> clip"
-    );
+    assert_eq!(page::read(&html.replace("a clip", "a <\\/b> clip")).unwrap().manifest.title, "a </b> clip");
 }
 
 #[test]
 fn a_page_that_waits_has_no_splats() {
     let manifest = m4_viewer::Manifest::waiting("later");
-    let parts = Parts {
-        manifest: &manifest,
-        payload: None,
-        frames: None,
-    };
+    let parts = Parts { manifest: &manifest, payload: None, frames: None };
     let html = String::from_utf8(compose(TEMPLATE, &parts, Effort::Small).unwrap()).unwrap();
     assert!(!html.contains("<img"));
     let back = page::read(&html).unwrap();
@@ -123,16 +96,9 @@ fn damaged_pages_are_errors() {
     let scene = scene(4, 3);
     let payload = encode(&scene, 4.0);
     let manifest = manifest_of(&scene, &payload);
-    let parts = Parts {
-        manifest: &manifest,
-        payload: Some(&payload.bytes),
-        frames: None,
-    };
+    let parts = Parts { manifest: &manifest, payload: Some(&payload.bytes), frames: None };
     for template in ["<html></html>".to_owned(), MARKER.repeat(2)] {
-        assert!(matches!(
-            compose(&template, &parts, Effort::Quick),
-            Err(PageError::Marker { .. })
-        ));
+        assert!(matches!(compose(&template, &parts, Effort::Quick), Err(PageError::Marker { .. })));
     }
     let html = String::from_utf8(compose(MARKER, &parts, Effort::Quick).unwrap()).unwrap();
     assert!(matches!(page::read("<html></html>"), Err(PageError::Missing { .. })));
@@ -142,25 +108,12 @@ fn damaged_pages_are_errors() {
         html.replace_range(at..at + text.len(), text);
         html
     };
-    assert!(matches!(
-        page::read(&with(start + 20, "!")),
-        Err(PageError::Base64 { .. })
-    ));
+    assert!(matches!(page::read(&with(start + 20, "!")), Err(PageError::Base64 { .. })));
     // half of the bytes turned around: gzip has a checksum
-    assert!(matches!(
-        page::read(&with(start + 40, "AAAAAAAAAAAA")),
-        Err(PageError::Gzip { .. })
-    ));
+    assert!(matches!(page::read(&with(start + 40, "AAAAAAAAAAAA")), Err(PageError::Gzip { .. })));
     let mut told = manifest.clone();
-    told.frames = Some(m4_viewer::FrameIndex {
-        width: 4,
-        height: 4,
-        offsets: vec![0, 9],
-    });
-    let lies = Parts {
-        manifest: &told,
-        ..parts
-    };
+    told.frames = Some(m4_viewer::FrameIndex { width: 4, height: 4, offsets: vec![0, 9] });
+    let lies = Parts { manifest: &told, ..parts };
     let html = String::from_utf8(compose(MARKER, &lies, Effort::Quick).unwrap()).unwrap();
     assert!(matches!(page::read(&html), Err(PageError::Missing { .. })));
 }
@@ -177,15 +130,9 @@ fn the_safe_radius_is_between_shares_of_the_depth() {
     for (i, source) in scene.source.iter_mut().enumerate() {
         source.camera.c2w.translation.x += 2.4 * i as f64 / (n - 1) as f64;
     }
-    assert!(
-        (manifest_of(&scene, &payload).safe.radius - 1.2).abs() < 1e-9,
-        "half of the path"
-    );
+    assert!((manifest_of(&scene, &payload).safe.radius - 1.2).abs() < 1e-9, "half of the path");
     for source in &mut scene.source {
         source.camera.c2w.translation.x *= 100.0;
     }
-    assert!(
-        (manifest_of(&scene, &payload).safe.radius - 2.0).abs() < 1e-12,
-        "half of the depth"
-    );
+    assert!((manifest_of(&scene, &payload).safe.radius - 2.0).abs() < 1e-12, "half of the depth");
 }

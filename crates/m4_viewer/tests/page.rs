@@ -27,11 +27,7 @@ fn scene() -> Scene {
     let intrinsics = Intrinsics::centred(320, 200, 300.0);
     let look = |x: f64| camera_looking_at(intrinsics, [x, 0.0, 0.0], [0.0, 0.0, DISTANCE]);
     let spec = SceneSpec {
-        layout: SplatLayout {
-            isotropic: false,
-            sh_degree: 1,
-            time_degree: 0,
-        },
+        layout: SplatLayout { isotropic: false, sh_degree: 1, time_degree: 0 },
         n_static: 3000,
         n_dynamic: 2000,
         time_frames: FRAMES,
@@ -46,11 +42,7 @@ fn scene() -> Scene {
         mip: true,
         near: 0.2,
         source: (0..FRAMES)
-            .map(|i| SourceFrame {
-                camera: look(0.05 * i as f64 - 0.2),
-                t: i as f64,
-                exposure: Exposure::IDENTITY,
-            })
+            .map(|i| SourceFrame { camera: look(0.05 * i as f64 - 0.2), t: i as f64, exposure: Exposure::IDENTITY })
             .collect(),
     }
 }
@@ -83,11 +75,7 @@ fn psnr_db(a: &RgbImage, b: &RgbImage) -> f64 {
 /// The metadata of a scene for the page, and its splats.
 fn told(scene: &Scene) -> (Manifest, Vec<u8>) {
     let payload = encode(scene, DISTANCE);
-    let about = About {
-        title: "five thousand splats",
-        median_depth: DISTANCE,
-        fps: 9.0,
-    };
+    let about = About { title: "five thousand splats", median_depth: DISTANCE, fps: 9.0 };
     (Manifest::new(scene, &payload, &about), payload.bytes)
 }
 
@@ -98,11 +86,7 @@ fn written(scene: &Scene, folder: &Path) -> String {
     let images: Vec<&RgbImage> = images.iter().collect();
     let frames = encode_frames(&images, &FrameLimits::default()).unwrap();
     manifest.frames = frames.as_ref().map(|f| f.index.clone());
-    let parts = Parts {
-        manifest: &manifest,
-        payload: Some(&payload),
-        frames: frames.as_ref(),
-    };
+    let parts = Parts { manifest: &manifest, payload: Some(&payload), frames: frames.as_ref() };
     let path = folder.join("viewer.html");
     std::fs::write(&path, page::compose(TEMPLATE, &parts, Effort::Small).unwrap()).unwrap();
     format!("file://{}", path.display())
@@ -125,10 +109,7 @@ fn stand(page: &mut Chromium, camera: &Camera, t: f64) {
     let (k, m) = (&camera.intrinsics, camera.c2w.matrix());
     let c2w: Vec<f64> = (0..16).map(|i| m[(i / 4, i % 4)]).collect();
     let (fx, fy, cx, cy) = (k.fx, k.fy, k.cx, k.cy);
-    page.eval(&format!(
-        "(minute4d.setCamera({}, {fx}, {fy}, {cx}, {cy}), minute4d.setTime({t}))",
-        json!(c2w)
-    ));
+    page.eval(&format!("(minute4d.setCamera({}, {fx}, {fy}, {cx}, {cy}), minute4d.setTime({t}))", json!(c2w)));
 }
 
 /// A camera for the window of the page, rolled, and with a principal point off the middle: nothing may
@@ -172,27 +153,18 @@ fn page_matches_the_renderer_from_file_and_server() {
         })
     };
     let first = look(&mut page);
-    assert!(
-        first == look(&mut page),
-        "the settled image of a time is the same, bit for bit"
-    );
+    assert!(first == look(&mut page), "the settled image of a time is the same, bit for bit");
     let images: Vec<RgbImage> = first.iter().map(|png| decoded(png)).collect();
     for i in 0..3 {
         let db = psnr_db(&images[i], &images[(i + 1) % 3]);
         assert!(db < 30.0, "times {i} and {} look alike: {db:.1} dB", (i + 1) % 3);
     }
-    let given = Scene {
-        splats: decode(&told(&scene).1).unwrap(),
-        ..scene.clone()
-    };
+    let given = Scene { splats: decode(&told(&scene).1).unwrap(), ..scene.clone() };
     for (image, t) in images.iter().zip(TIMES) {
         let same = psnr_db(image, &drawn(&given, &camera, t));
         let quantised = psnr_db(image, &drawn(&scene, &camera, t));
         eprintln!("t = {t}: {same:.2} dB from our renderer, {quantised:.2} dB with the quantisation of the page");
-        assert!(
-            same > SAME_SPLATS_DB && quantised > QUANTISED_DB,
-            "t = {t}: {same:.2} and {quantised:.2} dB"
-        );
+        assert!(same > SAME_SPLATS_DB && quantised > QUANTISED_DB, "t = {t}: {same:.2} and {quantised:.2} dB");
     }
     let others = "performance.getEntriesByType('resource').map(e => e.name).filter(n => !/^(data|blob|file):/.test(n))";
     assert_eq!(page.eval(others), json!([]), "the page sends no request");
@@ -213,10 +185,7 @@ fn page_matches_the_renderer_from_file_and_server() {
     assert_eq!(page.eval("minute4d.state().splats"), json!(100));
     show(&scene);
     page.wait_for("minute4d.state().splats !== 100");
-    assert!(
-        first == look(&mut page),
-        "the server's page draws other images than the file"
-    );
+    assert!(first == look(&mut page), "the server's page draws other images than the file");
 }
 
 /// Names of clips that end an element of a page, or begin what a browser does not end there.
@@ -231,11 +200,7 @@ fn a_clip_may_have_any_name() {
     let folder = tempfile::tempdir().unwrap();
     for title in HOSTILE {
         manifest.title = title.to_owned();
-        let parts = Parts {
-            manifest: &manifest,
-            payload: Some(&payload),
-            frames: None,
-        };
+        let parts = Parts { manifest: &manifest, payload: Some(&payload), frames: None };
         let path = folder.path().join("viewer.html");
         std::fs::write(&path, page::compose(TEMPLATE, &parts, Effort::Small).unwrap()).unwrap();
         let mut page = Chromium::open(program.clone(), &format!("file://{}", path.display()));

@@ -14,13 +14,7 @@ const MEDIAN_DEPTH: f64 = 4.0;
 
 fn scene(layout: SplatLayout) -> Scene {
     let camera = camera_looking_at(Intrinsics::centred(160, 120, 140.0), [0.3, 0.1, -0.5], [0.0, 0.0, 4.0]);
-    let spec = SceneSpec {
-        layout,
-        n_static: 7,
-        n_dynamic: 5,
-        time_frames: FRAMES,
-        ..SceneSpec::default()
-    };
+    let spec = SceneSpec { layout, n_static: 7, n_dynamic: 5, time_frames: FRAMES, ..SceneSpec::default() };
     Scene {
         splats: random_splats(21, &camera, &spec),
         background: [0.0; 3],
@@ -28,25 +22,13 @@ fn scene(layout: SplatLayout) -> Scene {
         duration_s: None,
         mip: true,
         near: 0.05,
-        source: vec![SourceFrame {
-            camera,
-            t: 0.0,
-            exposure: Exposure::IDENTITY,
-        }],
+        source: vec![SourceFrame { camera, t: 0.0, exposure: Exposure::IDENTITY }],
     }
 }
 
 fn layouts() -> [(&'static str, SplatLayout); 3] {
-    let layout = |isotropic, sh_degree, time_degree| SplatLayout {
-        isotropic,
-        sh_degree,
-        time_degree,
-    };
-    [
-        ("plain", layout(false, 0, 0)),
-        ("isotropic", layout(true, 0, 0)),
-        ("harmonics", layout(false, 2, 1)),
-    ]
+    let layout = |isotropic, sh_degree, time_degree| SplatLayout { isotropic, sh_degree, time_degree };
+    [("plain", layout(false, 0, 0)), ("isotropic", layout(true, 0, 0)), ("harmonics", layout(false, 2, 1))]
 }
 
 fn path(name: &str) -> PathBuf {
@@ -55,14 +37,9 @@ fn path(name: &str) -> PathBuf {
 
 /// Columns of one parameter, splat by splat, after a map.
 fn values(splats: &Splats, column: Column, map: impl Fn(f64) -> f64) -> Vec<f64> {
-    let columns: Vec<&[f32]> = (0..splats.layout().range(column).len())
-        .map(|k| splats.column(column, k))
-        .collect();
+    let columns: Vec<&[f32]> = (0..splats.layout().range(column).len()).map(|k| splats.column(column, k)).collect();
     let rows = columns.first().map_or(0, |c| c.len());
-    (0..rows)
-        .flat_map(|row| columns.iter().map(move |c| f64::from(c[row])))
-        .map(map)
-        .collect()
+    (0..rows).flat_map(|row| columns.iter().map(move |c| f64::from(c[row]))).map(map).collect()
 }
 
 /// The splats in the page's units.
@@ -121,10 +98,7 @@ fn payload_fixtures_match_the_writer() {
         let kept: Value = serde_json::from_slice(&std::fs::read(path(name)).unwrap()).unwrap();
         let bytes = STANDARD.decode(kept["payload"].as_str().unwrap()).unwrap();
         let written = encode(&scene(layout), MEDIAN_DEPTH);
-        assert_eq!(
-            bytes, written.bytes,
-            "{name}: write the fixtures again if the layout was changed"
-        );
+        assert_eq!(bytes, written.bytes, "{name}: write the fixtures again if the layout was changed");
         let back = words(&decode(&bytes).unwrap());
         // what half a step makes of each, see the tests of the payload
         let within = [
@@ -142,10 +116,7 @@ fn payload_fixtures_match_the_writer() {
             assert!(a.len() == b.len() && !a.is_empty(), "{name}: {column}");
             for (a, b) in a.iter().zip(&b) {
                 let (a, b) = (a.as_f64().unwrap(), b.as_f64().unwrap());
-                assert!(
-                    (a - b).abs() <= absolute + relative * a.abs(),
-                    "{name}: {column} {a} {b}"
-                );
+                assert!((a - b).abs() <= absolute + relative * a.abs(), "{name}: {column} {a} {b}");
             }
         }
     }

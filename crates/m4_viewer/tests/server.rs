@@ -29,10 +29,7 @@ impl Place {
     fn of(server: &Server) -> Self {
         let rest = server.url().strip_prefix("http://127.0.0.1:").unwrap();
         let (port, token) = rest.split_once("/?token=").unwrap();
-        Self {
-            port: port.parse().unwrap(),
-            token: token.to_owned(),
-        }
+        Self { port: port.parse().unwrap(), token: token.to_owned() }
     }
 
     fn host(&self) -> String {
@@ -42,11 +39,7 @@ impl Place {
     fn send(&self, method: &str, target: &str, host: &str) -> TcpStream {
         let mut stream = TcpStream::connect((Ipv4Addr::LOCALHOST, self.port)).unwrap();
         stream.set_read_timeout(Some(Duration::from_secs(20))).unwrap();
-        write!(
-            stream,
-            "{method} {target} HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\n\r\n"
-        )
-        .unwrap();
+        write!(stream, "{method} {target} HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\n\r\n").unwrap();
         stream
     }
 
@@ -98,14 +91,7 @@ fn only_the_right_token_and_host_get_in() {
     let (hub, _server, place) = serve();
     let (manifest, payload) = shown(20);
     hub.show(manifest, payload);
-    for path in [
-        "/",
-        "/scene",
-        "/events",
-        "/etc/passwd",
-        "/../Cargo.toml",
-        "/%2e%2e/Cargo.toml",
-    ] {
+    for path in ["/", "/scene", "/events", "/etc/passwd", "/../Cargo.toml", "/%2e%2e/Cargo.toml"] {
         assert_eq!(place.status(path), 403, "{path}");
         let wrong = "0".repeat(place.token.len());
         assert_eq!(place.status(&format!("{path}?token={wrong}")), 403, "{path}");
@@ -124,15 +110,7 @@ fn server_serves_only_page_and_scene() {
     let (hub, _server, place) = serve();
     let (manifest, payload) = shown(20);
     hub.show(manifest, payload);
-    let nowhere = [
-        "/etc/passwd",
-        "/../Cargo.toml",
-        "/%2e%2e/Cargo.toml",
-        "//",
-        "/scene/",
-        "/index.html",
-        "/..",
-    ];
+    let nowhere = ["/etc/passwd", "/../Cargo.toml", "/%2e%2e/Cargo.toml", "//", "/scene/", "/index.html", "/.."];
     for path in nowhere {
         assert_eq!(place.status(&place.with_token(path)), 404, "{path}");
     }
@@ -153,14 +131,7 @@ fn served_page_holds_the_newest_scene_and_the_event_address() {
     hub.show(manifest.clone(), payload.clone());
     let (status, head, html) = place.ask("GET", &place.with_token("/"), &place.host());
     assert_eq!(status, 200);
-    for words in [
-        "text/html",
-        "no-store",
-        "nosniff",
-        "default-src 'none'",
-        "no-referrer",
-        "frame-ancestors 'none'",
-    ] {
+    for words in ["text/html", "no-store", "nosniff", "default-src 'none'", "no-referrer", "frame-ancestors 'none'"] {
         assert!(head.contains(words), "{words} is not in {head}");
     }
     let back = page::read(std::str::from_utf8(&html).unwrap()).unwrap();
@@ -175,22 +146,13 @@ fn served_page_holds_the_newest_scene_and_the_event_address() {
     assert_eq!(told.splats, manifest.splats);
     assert_eq!(decode(&answer[end..]).unwrap().n(), 23);
     drop(server);
-    assert!(
-        TcpStream::connect((Ipv4Addr::LOCALHOST, place.port)).is_err(),
-        "the server has ended"
-    );
+    assert!(TcpStream::connect((Ipv4Addr::LOCALHOST, place.port)).is_err(), "the server has ended");
 }
 
 #[test]
 fn pages_hear_of_scenes_metrics_and_the_end() {
     let (hub, _server, place) = serve();
-    let metrics = |iteration| Metrics {
-        iteration,
-        iterations: 100,
-        loss: 0.25,
-        psnr: f64::NAN,
-        splats: 7,
-    };
+    let metrics = |iteration| Metrics { iteration, iterations: 100, loss: 0.25, psnr: f64::NAN, splats: 7 };
     hub.metrics(&metrics(50));
     let mut early = place.listen(0);
     assert_eq!(next_event(&mut early)["iteration"], 50, "earlier state is sent");
@@ -199,10 +161,7 @@ fn pages_hear_of_scenes_metrics_and_the_end() {
         let (manifest, payload) = shown(splats);
         hub.show(manifest, payload);
         let event = next_event(&mut early);
-        assert_eq!(
-            (&event["event"], &event["version"]),
-            (&"scene".into(), &(splats - 4).into())
-        );
+        assert_eq!((&event["event"], &event["version"]), (&"scene".into(), &(splats - 4).into()));
     }
     hub.metrics(&metrics(100));
     hub.end(true);

@@ -35,22 +35,11 @@ impl<'a> CaptureFolder<'a> {
         let filled = folder::make(path)?;
         let lock = Lock::take(path)?;
         let earlier = if filled { take_over(path, existing)? } else { None };
-        let own = [
-            GEOMETRY_FILE,
-            Split::Train.file_name(),
-            TRACKS_FILE,
-            enhance::REPORT_FILE,
-        ];
+        let own = [GEOMETRY_FILE, Split::Train.file_name(), TRACKS_FILE, enhance::REPORT_FILE];
         for torn in folder::half_written(path, &own)? {
             folder::remove_file(&torn)?;
         }
-        Ok(Self {
-            path: path.to_path_buf(),
-            record,
-            earlier,
-            observer,
-            _lock: lock,
-        })
+        Ok(Self { path: path.to_path_buf(), record, earlier, observer, _lock: lock })
     }
 
     /// Returns the record of an earlier run whose result is complete and has the same key.
@@ -83,11 +72,7 @@ impl<'a> CaptureFolder<'a> {
             clear_results(&folder.path)?;
             let steps = Steps::open(&folder.path, &folder.record.key, recorder);
             let outcome = work(folder, &steps);
-            if outcome
-                .as_ref()
-                .err()
-                .is_none_or(|error| !error.is_stop() && !error.may_pass())
-            {
+            if outcome.as_ref().err().is_none_or(|error| !error.is_stop() && !error.may_pass()) {
                 steps.remove();
             }
             outcome
@@ -135,16 +120,10 @@ fn take_over(capture: &Path, existing: Existing) -> Result<Option<GeometryRecord
         (_, Existing::Force) => Ok(None),
         // A failed attempt left nothing worth keeping.
         (Some(record), Existing::Refuse) if record.status == Status::Failed => Ok(None),
-        (Some(_), Existing::Refuse) => Err(OutputError::Exists {
-            path: capture.to_path_buf(),
-            what: "a capture",
+        (Some(_), Existing::Refuse) => {
+            Err(OutputError::Exists { path: capture.to_path_buf(), what: "a capture" }.into())
         }
-        .into()),
-        (None, _) => Err(OutputError::NotOurs {
-            path: capture.to_path_buf(),
-            missing: GEOMETRY_FILE,
-        }
-        .into()),
+        (None, _) => Err(OutputError::NotOurs { path: capture.to_path_buf(), missing: GEOMETRY_FILE }.into()),
     }
 }
 

@@ -19,10 +19,7 @@ impl Clock {
     pub fn start(settings: &Settings) -> Self {
         let seconds = settings.limit.time_s;
         let limit = Duration::try_from_secs_f64(seconds).ok().filter(|_| seconds > 0.0);
-        Self {
-            started: Instant::now(),
-            limit,
-        }
+        Self { started: Instant::now(), limit }
     }
 
     /// Returns the end of the time limit.
@@ -45,10 +42,9 @@ impl Clock {
     /// Returns the same failure, or "time is up" if only the clock asked to stop.
     pub fn blame(&self, error: Error, stage: &'static str, asked_to_stop: bool) -> Error {
         match self.limit {
-            Some(limit) if error.is_stop() && !asked_to_stop && self.is_over() => Error::TimeLimit {
-                stage,
-                seconds: limit.as_secs_f64(),
-            },
+            Some(limit) if error.is_stop() && !asked_to_stop && self.is_over() => {
+                Error::TimeLimit { stage, seconds: limit.as_secs_f64() }
+            }
             _ => error,
         }
     }
@@ -83,16 +79,10 @@ mod tests {
 
     #[test]
     fn stop_without_a_request_is_the_time_limit() {
-        let stop = || Error::Stopped {
-            stage: "geometry",
-            saved: true,
-        };
+        let stop = || Error::Stopped { stage: "geometry", saved: true };
         let over = clock(1e-9);
         assert_eq!(over.blame(stop(), "geometry", false).category(), Category::TryAgain);
         assert_eq!(over.blame(stop(), "geometry", true).category(), Category::Stopped);
-        assert_eq!(
-            clock(1000.0).blame(stop(), "geometry", false).category(),
-            Category::Stopped
-        );
+        assert_eq!(clock(1000.0).blame(stop(), "geometry", false).category(), Category::Stopped);
     }
 }

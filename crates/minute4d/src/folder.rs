@@ -46,10 +46,7 @@ pub(crate) fn open(folder: &Path, existing: Existing) -> Result<(Lock, Option<Ru
     let lock = Lock::take(folder)?;
     let earlier = if filled { take_over(folder, existing)? } else { None };
     // No other process writes these while the folder is locked.
-    for path in half_written(folder, &OWN_FILES)?
-        .into_iter()
-        .chain(half_written_checkpoints(folder)?)
-    {
+    for path in half_written(folder, &OWN_FILES)?.into_iter().chain(half_written_checkpoints(folder)?) {
         remove_file(&path)?;
     }
     Ok((lock, earlier))
@@ -62,11 +59,7 @@ const OWN_FILES: [&str; 5] = [RUN_FILE, SCENE_FILE, METRICS_FILE, PREVIEW_FILE, 
 pub(crate) fn half_written(folder: &Path, names: &[&str]) -> Result<Vec<PathBuf>, Error> {
     let found = hidden(folder)?;
     let ours = |name: &str| names.iter().any(|own| m4_io::atomic::is_temporary_of(name, own));
-    Ok(found
-        .into_iter()
-        .filter(|(name, _)| ours(name))
-        .map(|(_, path)| path)
-        .collect())
+    Ok(found.into_iter().filter(|(name, _)| ours(name)).map(|(_, path)| path).collect())
 }
 
 fn half_written_checkpoints(folder: &Path) -> Result<Vec<PathBuf>, Error> {
@@ -76,10 +69,7 @@ fn half_written_checkpoints(folder: &Path) -> Result<Vec<PathBuf>, Error> {
 
 /// Returns the hidden files of a folder; empty if the folder is missing.
 fn hidden(folder: &Path) -> Result<Vec<(String, PathBuf)>, Error> {
-    let failed = |source| Error::Read {
-        path: folder.to_path_buf(),
-        source,
-    };
+    let failed = |source| Error::Read { path: folder.to_path_buf(), source };
     let entries = match fs::read_dir(folder) {
         Err(error) if error.kind() == ErrorKind::NotFound => return Ok(Vec::new()),
         entries => entries.map_err(failed)?,
@@ -116,11 +106,7 @@ fn take_over(folder: &Path, existing: Existing) -> Result<Option<RunRecord>, Err
             clear(folder)?;
             Ok(None)
         }
-        (None, _) => Err(OutputError::NotOurs {
-            path: folder.to_path_buf(),
-            missing: RUN_FILE,
-        }
-        .into()),
+        (None, _) => Err(OutputError::NotOurs { path: folder.to_path_buf(), missing: RUN_FILE }.into()),
     }
 }
 
@@ -142,10 +128,7 @@ impl Lock {
             return Ok(Self { _folder: None });
         };
         match handle.try_lock() {
-            Err(TryLockError::WouldBlock) => Err(OutputError::Busy {
-                path: folder.to_path_buf(),
-            }
-            .into()),
+            Err(TryLockError::WouldBlock) => Err(OutputError::Busy { path: folder.to_path_buf() }.into()),
             _ => Ok(Self { _folder: Some(handle) }),
         }
     }
@@ -153,15 +136,9 @@ impl Lock {
 
 /// Creates the folder if it is missing; returns true if it is not empty, ignoring a half-written first record.
 pub(crate) fn make(folder: &Path) -> Result<bool, Error> {
-    let write = |source| Error::Write {
-        path: folder.to_path_buf(),
-        source,
-    };
+    let write = |source| Error::Write { path: folder.to_path_buf(), source };
     match fs::metadata(folder) {
-        Ok(kind) if !kind.is_dir() => Err(OutputError::InTheWay {
-            path: folder.to_path_buf(),
-        }
-        .into()),
+        Ok(kind) if !kind.is_dir() => Err(OutputError::InTheWay { path: folder.to_path_buf() }.into()),
         Ok(_) => {
             let torn = half_written(folder, &[RUN_FILE, GEOMETRY_FILE])?;
             Ok(fs::read_dir(folder).map_err(write)?.count() > torn.len())
@@ -190,10 +167,7 @@ fn clear(folder: &Path) -> Result<(), Error> {
 /// Removes a file that may be missing.
 pub(crate) fn remove_file(path: &Path) -> Result<(), Error> {
     match fs::remove_file(path) {
-        Err(source) if source.kind() != ErrorKind::NotFound => Err(Error::Write {
-            path: path.to_path_buf(),
-            source,
-        }),
+        Err(source) if source.kind() != ErrorKind::NotFound => Err(Error::Write { path: path.to_path_buf(), source }),
         _ => Ok(()),
     }
 }
@@ -201,19 +175,14 @@ pub(crate) fn remove_file(path: &Path) -> Result<(), Error> {
 /// Removes a folder with what is in it, which may be missing.
 pub(crate) fn remove_folder(path: &Path) -> Result<(), Error> {
     match fs::remove_dir_all(path) {
-        Err(source) if source.kind() != ErrorKind::NotFound => Err(Error::Write {
-            path: path.to_path_buf(),
-            source,
-        }),
+        Err(source) if source.kind() != ErrorKind::NotFound => Err(Error::Write { path: path.to_path_buf(), source }),
         _ => Ok(()),
     }
 }
 
 /// Returns the file of the checkpoint after this many iterations.
 pub(crate) fn checkpoint_file(folder: &Path, iteration: usize) -> PathBuf {
-    folder
-        .join(CHECKPOINT_FOLDER)
-        .join(format!("{iteration:07}.safetensors"))
+    folder.join(CHECKPOINT_FOLDER).join(format!("{iteration:07}.safetensors"))
 }
 
 /// Returns the checkpoints of a run and their iterations, oldest first.

@@ -58,11 +58,7 @@ pub fn of_capture(capture: &Capture) -> String {
         }
         let pose = &frame.camera.c2w;
         let numbers = [k.fx, k.fy, k.cx, k.cy, frame.t];
-        for x in numbers
-            .iter()
-            .chain(pose.rotation.iter())
-            .chain(pose.translation.iter())
-        {
+        for x in numbers.iter().chain(pose.rotation.iter()).chain(pose.translation.iter()) {
             hasher.update(&x.to_le_bytes());
         }
         size_into(frame.rgb.size(), &mut hasher);
@@ -95,10 +91,7 @@ fn size_into((width, height): (usize, usize), hasher: &mut blake3::Hasher) {
 }
 
 fn read_into(path: &Path, hasher: &mut blake3::Hasher) -> Result<(), Error> {
-    let failed = |source| Error::Read {
-        path: path.to_path_buf(),
-        source,
-    };
+    let failed = |source| Error::Read { path: path.to_path_buf(), source };
     let file = File::open(path).map_err(failed)?;
     hasher.update_reader(file).map_err(failed)?;
     Ok(())
@@ -106,10 +99,7 @@ fn read_into(path: &Path, hasher: &mut blake3::Hasher) -> Result<(), Error> {
 
 fn list(root: &Path, folder: &Path, files: &mut Vec<PathBuf>) -> Result<(), Error> {
     let full = root.join(folder);
-    let failed = |source| Error::Read {
-        path: full.clone(),
-        source,
-    };
+    let failed = |source| Error::Read { path: full.clone(), source };
     for entry in fs::read_dir(&full).map_err(failed)? {
         let entry = entry.map_err(failed)?;
         let name = entry.file_name();
@@ -144,11 +134,7 @@ mod tests {
         let first = of_path(dir.path()).unwrap();
         write(".hidden", "3");
         write("geometry.json", "{}");
-        assert_eq!(
-            of_path(dir.path()).unwrap(),
-            first,
-            "records and hidden files do not count"
-        );
+        assert_eq!(of_path(dir.path()).unwrap(), first, "records and hidden files do not count");
         write("in/b", "22");
         let changed = of_path(dir.path()).unwrap();
         assert_ne!(changed, first);

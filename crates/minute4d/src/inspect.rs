@@ -115,10 +115,7 @@ pub struct RunFacts {
 /// [`Error`] naming what is wrong with it.
 pub fn inspect(path: &Path, reach: Reach, observer: &dyn Observer) -> Result<Inspection, Error> {
     if !path.exists() {
-        return Err(Error::Missing {
-            what: "file or folder",
-            path: path.to_path_buf(),
-        });
+        return Err(Error::Missing { what: "file or folder", path: path.to_path_buf() });
     }
     if path.join(RUN_FILE).is_file()
         && let Some(record) = RunRecord::read(path)?
@@ -126,10 +123,7 @@ pub fn inspect(path: &Path, reach: Reach, observer: &dyn Observer) -> Result<Ins
         return run_facts(path, record);
     }
     if is_capture(path) {
-        let options = CaptureOptions {
-            reach,
-            ..Settings::fast().capture
-        };
+        let options = CaptureOptions { reach, ..Settings::fast().capture };
         let capture = m4_io::capture::read(path, Split::Train, &options, observer)?;
         return Ok(Inspection::Capture(capture_facts(path, &capture)));
     }
@@ -148,11 +142,7 @@ fn run_facts(path: &Path, record: RunRecord) -> Result<Inspection, Error> {
         }
     }
     let scene = path.join(SCENE_FILE);
-    let scene = if scene.is_file() {
-        Some(scene_facts(&scene)?)
-    } else {
-        None
-    };
+    let scene = if scene.is_file() { Some(scene_facts(&scene)?) } else { None };
     Ok(Inspection::Run(Box::new(RunFacts { record, damaged, scene })))
 }
 
@@ -205,16 +195,9 @@ fn test_views(path: &Path) -> Option<usize> {
 
 fn video_facts(path: &Path, observer: &dyn Observer) -> Result<Inspection, Error> {
     // All frames, but small, so that a long clip fits the memory; then two at their own size.
-    let small = VideoOptions {
-        size: Some(64),
-        ..VideoOptions::default()
-    };
+    let small = VideoOptions { size: Some(64), ..VideoOptions::default() };
     let video = m4_io::video::read(path, &small, observer)?;
-    let full = VideoOptions {
-        size: None,
-        max_frames: Some(2),
-        ..VideoOptions::default()
-    };
+    let full = VideoOptions { size: None, max_frames: Some(2), ..VideoOptions::default() };
     let ends = m4_io::video::read(path, &full, observer)?;
     let times: Vec<f64> = video.frames.iter().map(|f| f.time_s).collect();
     let mut gaps: Vec<f64> = times.windows(2).map(|w| w[1] - w[0]).collect();
@@ -252,19 +235,12 @@ fn seconds(duration_s: Option<f64>) -> String {
 impl fmt::Display for VideoFacts {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let [w, h] = self.size;
-        write!(
-            f,
-            "video: {} frames of {w} x {h} pixels, {:.2} s",
-            self.frames, self.duration_s
-        )?;
+        write!(f, "video: {} frames of {w} x {h} pixels, {:.2} s", self.frames, self.duration_s)?;
         if let Some(fps) = self.fps {
             write!(f, ", {fps:.2} frames per second")?;
         }
         if let Some(gap) = self.longest_gap.filter(|&g| g > 1.5) {
-            write!(
-                f,
-                "\nuneven clock: the longest gap between frames is {gap:.1} times the usual one"
-            )?;
+            write!(f, "\nuneven clock: the longest gap between frames is {gap:.1} times the usual one")?;
         }
         if let Some(focal) = self.focal_px {
             write!(f, "\nfocal length stated in the file: {focal:.1} px")?;
@@ -285,11 +261,7 @@ impl fmt::Display for CaptureFacts {
         )?;
         let unit = if self.metric { "m" } else { "units (scale unknown)" };
         write!(f, "camera path: {:.3} {unit}", self.path_length)?;
-        write!(
-            f,
-            "\ndepth: {} frames\nmasks: {} frames",
-            self.with_depth, self.with_mask
-        )?;
+        write!(f, "\ndepth: {} frames\nmasks: {} frames", self.with_depth, self.with_mask)?;
         if let Some(share) = self.moving_share {
             write!(f, ", {:.1} % of the pixels move", 100.0 * share)?;
         }
@@ -308,21 +280,11 @@ impl fmt::Display for SceneFacts {
             "scene: {} static and {} dynamic splats, {shape}, colour degree {} in space and {} in time",
             self.splats_static, self.splats_dynamic, self.sh_degree, self.time_degree
         )?;
-        write!(
-            f,
-            "time: {} frames{}, {} cameras",
-            self.time_frames,
-            seconds(self.duration_s),
-            self.cameras
-        )?;
+        write!(f, "time: {} frames{}, {} cameras", self.time_frames, seconds(self.duration_s), self.cameras)?;
         if !self.finite {
             write!(f, "\ndamaged: some numbers are not finite")?;
         }
-        let optimiser = if self.with_optimiser {
-            "included"
-        } else {
-            "not included"
-        };
+        let optimiser = if self.with_optimiser { "included" } else { "not included" };
         write!(f, "\nstate of the optimiser: {optimiser}")
     }
 }
@@ -336,11 +298,7 @@ impl fmt::Display for RunFacts {
             Status::Failed => "failed",
             Status::Finished => "finished",
         };
-        writeln!(
-            f,
-            "run: {status}, profile {}, seed {}, minute4d {}",
-            record.profile, record.seed, record.minute4d
-        )?;
+        writeln!(f, "run: {status}, profile {}, seed {}, minute4d {}", record.profile, record.seed, record.minute4d)?;
         writeln!(f, "input: {}", record.input.path)?;
         for (name, stage) in &record.stages {
             let state = if stage.done { "done" } else { "not done" };

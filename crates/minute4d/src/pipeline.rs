@@ -28,17 +28,11 @@ pub fn run(input: &Path, out: &Path, job: &Job<'_>) -> Result<RunRecord, Error> 
         return train::make(input, out, job);
     }
     if !input.exists() {
-        return Err(Error::Missing {
-            what: "video, folder of images or capture",
-            path: input.to_path_buf(),
-        });
+        return Err(Error::Missing { what: "video, folder of images or capture", path: input.to_path_buf() });
     }
     job.check()?;
     let clock = Clock::start(&job.settings);
-    let source = Input {
-        path: input.display().to_string(),
-        blake3: hash::of_path(input)?,
-    };
+    let source = Input { path: input.display().to_string(), blake3: hash::of_path(input)? };
     Workspace::open(out, source, job, clock)?.finish(|run| {
         let folder = run.path(CAPTURE_FOLDER);
         let keeper = RecordingObserver::new(job.observer).until(clock.end());
@@ -102,9 +96,7 @@ pub fn with_threads<R: Send>(threads: Option<usize>, f: impl FnOnce() -> R + Sen
     let pool = rayon::ThreadPoolBuilder::new()
         .num_threads(threads)
         .build()
-        .map_err(|e| Error::Internal {
-            what: format!("cannot start {threads} threads: {e}"),
-        })?;
+        .map_err(|e| Error::Internal { what: format!("cannot start {threads} threads: {e}") })?;
     Ok(pool.install(f))
 }
 

@@ -348,10 +348,7 @@ pub fn pretty_json(value: &impl Serialize) -> Result<String, Error> {
 /// Writes `value` as indented JSON, atomically.
 pub(crate) fn write_json(path: &Path, value: &impl Serialize) -> Result<(), Error> {
     let text = pretty_json(value)?;
-    atomic::write(path, text.as_bytes()).map_err(|source| Error::Write {
-        path: path.to_path_buf(),
-        source,
-    })
+    atomic::write(path, text.as_bytes()).map_err(|source| Error::Write { path: path.to_path_buf(), source })
 }
 
 /// Reads JSON; `None` if there is no file or it has other contents.
@@ -359,10 +356,7 @@ fn read_json<T: DeserializeOwned>(path: &Path) -> Result<Option<T>, Error> {
     match fs::read(path) {
         Ok(bytes) => Ok(serde_json::from_slice(&bytes).ok()),
         Err(error) if matches!(error.kind(), ErrorKind::NotFound | ErrorKind::NotADirectory) => Ok(None),
-        Err(source) => Err(Error::Read {
-            path: path.to_path_buf(),
-            source,
-        }),
+        Err(source) => Err(Error::Read { path: path.to_path_buf(), source }),
     }
 }
 

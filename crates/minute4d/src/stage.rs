@@ -133,11 +133,7 @@ impl<'a> RecordingObserver<'a> {
     /// Creates one that forwards to `observer`.
     #[must_use]
     pub fn new(observer: &'a dyn Observer) -> Self {
-        Self {
-            observer,
-            warnings: Mutex::new(Vec::new()),
-            until: None,
-        }
+        Self { observer, warnings: Mutex::new(Vec::new()), until: None }
     }
 
     /// Like [`new`](Self::new), but asks to stop after `end`.

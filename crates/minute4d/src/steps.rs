@@ -35,12 +35,7 @@ pub(crate) struct Steps<'a> {
 impl<'a> Steps<'a> {
     /// Opens the steps of the stage with this key whose result goes to `folder`; steps of another key are removed.
     pub fn open(folder: &Path, key: &str, observer: &'a dyn Observer) -> Self {
-        let steps = Self {
-            folder: folder.join(FOLDER),
-            key: key.to_owned(),
-            observer,
-            usable: AtomicBool::new(true),
-        };
+        let steps = Self { folder: folder.join(FOLDER), key: key.to_owned(), observer, usable: AtomicBool::new(true) };
         let of_key = fs::read(steps.folder.join(KEY_FILE)).is_ok_and(|found| found == key.as_bytes());
         if !of_key {
             steps.remove();
@@ -203,10 +198,7 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let heard = Heard::default();
         let nan = f64::from_bits(0x7ff8_0000_dead_beef);
-        assert_eq!(
-            step(&Steps::open(dir.path(), "k", &heard), nan).to_bits(),
-            nan.to_bits()
-        );
+        assert_eq!(step(&Steps::open(dir.path(), "k", &heard), nan).to_bits(), nan.to_bits());
         let again = Steps::open(dir.path(), "k", &heard);
         assert_eq!(step(&again, 1.0).to_bits(), nan.to_bits(), "from disk, bit by bit");
         assert_eq!(*heard.0.lock().unwrap(), ["blurred", "blurred"]);
@@ -250,10 +242,6 @@ mod tests {
         assert_eq!(step(&steps, 3.0), 3.0);
         steps.put("more", b"1");
         let said = heard.0.lock().unwrap();
-        assert_eq!(
-            said.iter().filter(|s| s.contains("cannot be kept")).count(),
-            1,
-            "{said:?}"
-        );
+        assert_eq!(said.iter().filter(|s| s.contains("cannot be kept")).count(), 1, "{said:?}");
     }
 }

@@ -61,10 +61,7 @@ pub(crate) enum Task {
     /// Nothing: an earlier result is complete and has the same input and settings.
     Reuse,
     /// The whole stage, or the rest of an interrupted one, after this many earlier seconds.
-    Work {
-        because: Option<&'static str>,
-        seconds_before: f64,
-    },
+    Work { because: Option<&'static str>, seconds_before: f64 },
 }
 
 impl<'a> Workspace<'a> {
@@ -73,11 +70,7 @@ impl<'a> Workspace<'a> {
         let level = job.check()?;
         let gpu = job.device.choice.open()?;
         let (lock, earlier) = folder::open(path, job.existing)?;
-        let mut record = RunRecord::begin(
-            input,
-            &job.settings,
-            Device::here(level, gpu.as_ref().map(OpenGpu::name)),
-        )?;
+        let mut record = RunRecord::begin(input, &job.settings, Device::here(level, gpu.as_ref().map(OpenGpu::name)))?;
         if let Some(earlier) = &earlier {
             record.stages = earlier.stages.clone();
             record.files = earlier.files.clone();
@@ -86,18 +79,7 @@ impl<'a> Workspace<'a> {
         }
         record.write(path)?;
         let room = Room::keep(path);
-        Ok(Self {
-            folder: path.to_path_buf(),
-            job,
-            level,
-            gpu,
-            record,
-            earlier,
-            clock,
-            until: None,
-            room,
-            _lock: lock,
-        })
+        Ok(Self { folder: path.to_path_buf(), job, level, gpu, record, earlier, clock, until: None, room, _lock: lock })
     }
 
     /// Runs the work and records its end.
@@ -106,11 +88,7 @@ impl<'a> Workspace<'a> {
         match &outcome {
             Ok(()) => self.record.status = Status::Finished,
             Err(error) => {
-                self.record.status = if error.is_stop() {
-                    Status::Stopped
-                } else {
-                    Status::Failed
-                };
+                self.record.status = if error.is_stop() { Status::Stopped } else { Status::Failed };
                 self.record.error = Some(error.to_string());
             }
         }
@@ -128,17 +106,13 @@ impl<'a> Workspace<'a> {
         stage: impl FnOnce(&mut Self) -> Result<(), Error>,
     ) -> Result<(), Error> {
         self.until = self.clock.end();
-        let outcome = if self.clock.is_over() {
-            Err(Error::Stopped { stage: "", saved: true })
-        } else {
-            stage(self)
-        };
+        let outcome = if self.clock.is_over() { Err(Error::Stopped { stage: "", saved: true }) } else { stage(self) };
         self.until = None;
         match outcome {
             Err(error) if error.is_stop() && self.clock.is_over() && !self.job.observer.cancelled() => {
-                self.job.observer.warn(&format!(
-                    "the time limit left none for {what}; the same command with --resume makes it"
-                ));
+                self.job
+                    .observer
+                    .warn(&format!("the time limit left none for {what}; the same command with --resume makes it"));
                 Ok(())
             }
             other => other,
@@ -153,10 +127,7 @@ impl<'a> Workspace<'a> {
     /// Returns whether a stage with this key is done and its files are unchanged.
     pub fn task(&self, stage: &str, key: &str, files: &[&str]) -> Result<Task, Error> {
         let Some(earlier) = self.record.stages.get(stage) else {
-            return Ok(Task::Work {
-                because: None,
-                seconds_before: 0.0,
-            });
+            return Ok(Task::Work { because: None, seconds_before: 0.0 });
         };
         let because = if earlier.key != key {
             Some(self.why_again())
@@ -167,10 +138,7 @@ impl<'a> Workspace<'a> {
         } else {
             return Ok(Task::Reuse);
         };
-        Ok(Task::Work {
-            because,
-            seconds_before: if because.is_none() { earlier.seconds } else { 0.0 },
-        })
+        Ok(Task::Work { because, seconds_before: if because.is_none() { earlier.seconds } else { 0.0 } })
     }
 
     fn why_again(&self) -> &'static str {
@@ -213,22 +181,14 @@ impl<'a> Workspace<'a> {
         files: &[&str],
         work: impl FnOnce(&mut Self, &RecordingObserver<'_>) -> Result<R, Error>,
     ) -> Result<R, Error> {
-        let begun = StageRecord {
-            key,
-            done: false,
-            seconds,
-            peak_memory_bytes: None,
-            warnings: Vec::new(),
-        };
+        let begun = StageRecord { key, done: false, seconds, peak_memory_bytes: None, warnings: Vec::new() };
         self.record.stages.insert(name.to_owned(), begun);
         stage::run(self, name, because, |run, recorder| {
             let result = work(run, recorder)?;
             for &file in files {
                 let path = run.path(file);
                 let blake3 = hash::of_path(&path)?;
-                let bytes = fs::metadata(&path)
-                    .map_err(|source| Error::Read { path, source })?
-                    .len();
+                let bytes = fs::metadata(&path).map_err(|source| Error::Read { path, source })?.len();
                 run.record.files.insert(file.to_owned(), FileRecord { bytes, blake3 });
             }
             Ok(result)

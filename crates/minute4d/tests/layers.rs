@@ -38,10 +38,7 @@ fn own_frames_of_a_run() {
     for run in runs.split(':').map(PathBuf::from) {
         let scene = safetensors::read(&run.join("scene.safetensors")).unwrap().scene;
         let capture = capture::read(&run.join("capture"), Split::Train, &CaptureOptions::default(), &Silent).unwrap();
-        let dynamic = Scene {
-            splats: dynamic(&scene.splats),
-            ..scene.clone()
-        };
+        let dynamic = Scene { splats: dynamic(&scene.splats), ..scene.clone() };
         let level = SimdLevel::best();
         let (mut all, mut alone) = (Painter::new(&scene, level), Painter::new(&dynamic, level));
         let (mut whole, mut inside, mut opacity, mut interior) =
@@ -50,9 +47,8 @@ fn own_frames_of_a_run() {
             let (w, h) = frame.rgb.size();
             let image = all.image(&source.camera, source.t, &source.exposure);
             let behind = alone.frame(&source.camera, source.t, false).transmittance.clone();
-            let masked: Vec<bool> = (0..w * h)
-                .map(|p| frame.mask.as_ref().is_some_and(|m| m.at(p % w, p / w)))
-                .collect();
+            let masked: Vec<bool> =
+                (0..w * h).map(|p| frame.mask.as_ref().is_some_and(|m| m.at(p % w, p / w))).collect();
             let square = |p: usize| {
                 let pairs = image.data()[p].into_iter().zip(frame.rgb.data()[p]);
                 pairs.map(|(a, b)| (f64::from(a) - f64::from(b)).powi(2)).sum::<f64>() / 3.0
@@ -66,10 +62,8 @@ fn own_frames_of_a_run() {
             if count > 0 {
                 inside.add(psnr(&|p| masked[p]));
                 let mean = |of: &dyn Fn(usize) -> bool| {
-                    let opacities: Vec<f64> = (0..w * h)
-                        .filter(|&p| of(p))
-                        .map(|p| 1.0 - f64::from(behind[p]))
-                        .collect();
+                    let opacities: Vec<f64> =
+                        (0..w * h).filter(|&p| of(p)).map(|p| 1.0 - f64::from(behind[p])).collect();
                     opacities.iter().sum::<f64>() / opacities.len() as f64
                 };
                 opacity.add(mean(&|p| masked[p]));

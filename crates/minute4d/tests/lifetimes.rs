@@ -13,10 +13,7 @@ const SQUARE: f64 = 2.0;
 const SPEED: f64 = 0.03;
 
 fn camera() -> Camera {
-    Camera {
-        intrinsics: Intrinsics::centred(SIZE.0, SIZE.1, 100.0),
-        c2w: Se3::identity(),
-    }
+    Camera { intrinsics: Intrinsics::centred(SIZE.0, SIZE.1, 100.0), c2w: Se3::identity() }
 }
 
 /// Whether the square covers a pixel at time `t`, frames, but for a rim of `rim` world units.
@@ -84,15 +81,7 @@ fn opacities(times: &[f64]) -> Vec<f64> {
     let at = |t: f64| {
         let frame = renderer.render(
             &splats,
-            &View {
-                camera: camera(),
-                t,
-                background: [0.0; 3],
-                near: 0.1,
-                mip: true,
-                period: 10.0,
-                with_depth: false,
-            },
+            &View { camera: camera(), t, background: [0.0; 3], near: 0.1, mip: true, period: 10.0, with_depth: false },
         );
         let inside = (0..SIZE.0 * SIZE.1).filter(|i| covers(i % SIZE.0, i / SIZE.0, t, 0.06));
         let seen: Vec<f64> = inside.map(|i| 1.0 - f64::from(frame.transmittance[i])).collect();
@@ -106,17 +95,9 @@ fn opacity_is_constant_between_frames() {
     let every: Vec<f64> = (0..11).map(f64::from).collect();
     let without = |missing: &[f64]| -> Vec<f64> { every.iter().copied().filter(|t| !missing.contains(t)).collect() };
     // where frames are missing, first velocities are less sure, and splats spread over more than the surface
-    for (times, most) in [
-        (every.clone(), 0.03),
-        (without(&[4.0]), 0.1),
-        (without(&[7.0, 8.0]), 0.1),
-    ] {
+    for (times, most) in [(every.clone(), 0.03), (without(&[4.0]), 0.1), (without(&[7.0, 8.0]), 0.1)] {
         let seen = opacities(&times);
         let (low, high) = seen.iter().fold((1.0f64, 0.0f64), |(l, h), &v| (l.min(v), h.max(v)));
-        assert!(
-            low > 0.89 && high - low < most,
-            "{} frames: {low:.4} to {high:.4}: {seen:.3?}",
-            times.len()
-        );
+        assert!(low > 0.89 && high - low < most, "{} frames: {low:.4} to {high:.4}: {seen:.3?}", times.len());
     }
 }

@@ -24,11 +24,7 @@ fn synthetic(layout: SplatLayout) -> Scene {
         sd_px: [0.5, 5.0],
         logit: [-3.0, 4.0],
     };
-    let source = (0..FRAMES).map(|i| SourceFrame {
-        camera: camera(i),
-        t: i as f64,
-        exposure: Exposure::IDENTITY,
-    });
+    let source = (0..FRAMES).map(|i| SourceFrame { camera: camera(i), t: i as f64, exposure: Exposure::IDENTITY });
     Scene {
         splats: random_splats(11, &camera(FRAMES / 2), &spec),
         background: [0.2, 0.2, 0.2],
@@ -44,15 +40,10 @@ fn synthetic(layout: SplatLayout) -> Scene {
 fn losses(scene: &Scene, stride: usize) -> Vec<f64> {
     let level = SimdLevel::detect().unwrap();
     let middle = scene.source[scene.source.len() / 2];
-    let depth = Painter::new(scene, level)
-        .median_depth(&middle.camera, middle.t)
-        .unwrap();
+    let depth = Painter::new(scene, level).median_depth(&middle.camera, middle.t).unwrap();
     let payload = encode(scene, depth);
     let (of_static, of_dynamic) = bytes_per_splat(payload.layout);
-    let again = Scene {
-        splats: decode(&payload.bytes).unwrap(),
-        ..scene.clone()
-    };
+    let again = Scene { splats: decode(&payload.bytes).unwrap(), ..scene.clone() };
     println!(
         "{} + {} of {} + {} splats, {of_static} and {of_dynamic} bytes each",
         payload.n_static,
@@ -81,11 +72,7 @@ fn least(values: &[f64]) -> f64 {
 fn the_quantised_page_renders_like_the_scene() {
     let layouts = [(false, 0, 0), (true, 0, 0), (false, 2, 1)];
     for (isotropic, sh_degree, time_degree) in layouts {
-        let layout = SplatLayout {
-            isotropic,
-            sh_degree,
-            time_degree,
-        };
+        let layout = SplatLayout { isotropic, sh_degree, time_degree };
         let (of_static, of_dynamic) = bytes_per_splat(layout);
         if sh_degree == 0 {
             assert!(of_static <= 24 && of_dynamic <= 34, "{of_static} {of_dynamic}");

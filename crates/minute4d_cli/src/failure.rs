@@ -14,19 +14,13 @@ pub struct Failure {
 impl Failure {
     /// Returns the failure for arguments that contradict each other.
     pub fn usage(reason: &str) -> Self {
-        Self {
-            code: 2,
-            reason: reason.to_owned(),
-        }
+        Self { code: 2, reason: reason.to_owned() }
     }
 }
 
 impl From<minute4d::Error> for Failure {
     fn from(error: minute4d::Error) -> Self {
-        Self {
-            code: error.category().exit_code(),
-            reason: chain(&error),
-        }
+        Self { code: error.category().exit_code(), reason: chain(&error) }
     }
 }
 

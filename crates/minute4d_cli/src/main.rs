@@ -46,10 +46,7 @@ fn main() -> ExitCode {
 
 /// Returns the error without the usage that follows it.
 fn first_paragraph(text: &str) -> String {
-    let words = text
-        .lines()
-        .take_while(|line| !line.trim().is_empty())
-        .flat_map(str::split_whitespace);
+    let words = text.lines().take_while(|line| !line.trim().is_empty()).flat_map(str::split_whitespace);
     let joined = words.collect::<Vec<_>>().join(" ");
     joined.strip_prefix("error: ").unwrap_or(&joined).to_owned()
 }

@@ -9,9 +9,7 @@ static LAST: Mutex<Option<String>> = Mutex::new(None);
 pub fn report_instead_of_abort() {
     std::panic::set_hook(Box::new(|info| {
         let message = info.payload_as_str().unwrap_or("no message");
-        let place = info
-            .location()
-            .map_or_else(|| "an unknown place".to_owned(), ToString::to_string);
+        let place = info.location().map_or_else(|| "an unknown place".to_owned(), ToString::to_string);
         let report = format!(
             "internal error: {message} (at {place}, minute4d {}); this is a bug in minute4d, please report it with the \
              command line and run.json",
@@ -30,8 +28,7 @@ pub fn report_instead_of_abort() {
 /// Returns the report of the first panic.
 pub fn last_report() -> String {
     let last = LAST.lock().unwrap_or_else(PoisonError::into_inner);
-    last.clone()
-        .unwrap_or_else(|| "internal error without a report".to_owned())
+    last.clone().unwrap_or_else(|| "internal error without a report".to_owned())
 }
 
 #[cfg(test)]
@@ -45,10 +42,7 @@ mod tests {
         });
         assert!(caught.is_err());
         let report = super::last_report();
-        assert!(
-            report.contains("the promise is broken") && report.contains("panics.rs"),
-            "{report}"
-        );
+        assert!(report.contains("the promise is broken") && report.contains("panics.rs"), "{report}");
         assert!(report.contains("please report"), "{report}");
     }
 }

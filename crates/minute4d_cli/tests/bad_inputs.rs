@@ -120,21 +120,9 @@ fn unknown_and_invalid_settings_are_rejected() {
         dir.refused(&format!("train --print-config --set {given}"), 78, words);
     }
     for (file, toml, words) in [
-        (
-            "syntax.toml",
-            "[train\niterations = 5",
-            &["not valid TOML", "line 1"][..],
-        ),
-        (
-            "key.toml",
-            "[train]\nloss = { lambda = 0.3 }",
-            &["train.loss.lambda", "lambda_ssim"],
-        ),
-        (
-            "type.toml",
-            "[train.refine]\nposes = 3",
-            &["train.refine.poses = 3", "boolean"],
-        ),
+        ("syntax.toml", "[train\niterations = 5", &["not valid TOML", "line 1"][..]),
+        ("key.toml", "[train]\nloss = { lambda = 0.3 }", &["train.loss.lambda", "lambda_ssim"]),
+        ("type.toml", "[train.refine]\nposes = 3", &["train.refine.poses = 3", "boolean"]),
     ] {
         dir.write(file, toml);
         let words = [&[file][..], words].concat();
@@ -150,10 +138,7 @@ fn unknown_and_invalid_settings_are_rejected() {
     ] {
         dir.refused(&format!("train capture -o never --set {given}"), 78, &words);
     }
-    assert!(
-        !dir.path("never").exists(),
-        "nothing is made before the settings are checked"
-    );
+    assert!(!dir.path("never").exists(), "nothing is made before the settings are checked");
     let level = [("MINUTE4D_SIMD", "quantum")];
     dir.refused_with("train capture -o never", &level, 69, &["quantum", "choose one of"]);
 }
@@ -205,31 +190,18 @@ fn inconsistent_captures_are_rejected() {
         write_capture(&dir.path("capture"), false);
         edit_transforms(&dir.path("capture"), |list| edit(list, &dir.path("capture")));
         dir.refused("train capture -o never --iterations 5", code, words);
-        assert!(
-            !dir.path("never/scene.safetensors").exists(),
-            "nothing is made of a bad capture"
-        );
+        assert!(!dir.path("never/scene.safetensors").exists(), "nothing is made of a bad capture");
     };
-    spoil(65, &["frame 2", "transform_matrix"], &|list, _| {
-        list["frames"][2]["transform_matrix"] = Value::Null
-    });
+    spoil(65, &["frame 2", "transform_matrix"], &|list, _| list["frames"][2]["transform_matrix"] = Value::Null);
     spoil(65, &["frame 1", "transform_matrix"], &|list, _| {
         list["frames"][1]["transform_matrix"] = json!([[1, 0], [0, 1]]);
     });
-    spoil(65, &["frame 0", "transform_matrix"], &|list, _| {
-        list["frames"][0]["transform_matrix"][0][0] = json!(7.5)
-    });
-    spoil(66, &["frame 3", "gone.png"], &|list, _| {
-        list["frames"][3]["file_path"] = json!("train/gone.png")
-    });
-    spoil(65, &["frame 4", "w = 600", "has 64"], &|list, _| {
-        list["frames"][4]["w"] = json!(600)
-    });
+    spoil(65, &["frame 0", "transform_matrix"], &|list, _| list["frames"][0]["transform_matrix"][0][0] = json!(7.5));
+    spoil(66, &["frame 3", "gone.png"], &|list, _| list["frames"][3]["file_path"] = json!("train/gone.png"));
+    spoil(65, &["frame 4", "w = 600", "has 64"], &|list, _| list["frames"][4]["w"] = json!(600));
     spoil(65, &["k4 = 0.2"], &|list, _| list["k4"] = json!(0.2));
     spoil(65, &["lists no frames"], &|list, _| list["frames"] = json!([]));
-    spoil(65, &["frame 1", "time"], &|list, _| {
-        list["frames"][1]["time"] = json!(7)
-    });
+    spoil(65, &["frame 1", "time"], &|list, _| list["frames"][1]["time"] = json!(7));
     spoil(65, &["fl_x"], &|list, _| {
         for frame in list["frames"].as_array_mut().unwrap() {
             frame["fl_x"] = json!(-60);
@@ -260,10 +232,7 @@ fn folders_that_are_not_captures_are_rejected() {
     write_capture(&dir.path("capture"), false);
     let list = "capture/transforms_train.json";
     let good = String::from_utf8(dir.read(list)).unwrap();
-    for (text, word) in [
-        (&*good.replacen("64.0", "NaN", 1), "NaN"),
-        (&good[..good.len() / 2], "EOF"),
-    ] {
+    for (text, word) in [(&*good.replacen("64.0", "NaN", 1), "NaN"), (&good[..good.len() / 2], "EOF")] {
         dir.write(list, text);
         dir.refused("train capture -o never", 65, &["transforms_train.json", word]);
     }
@@ -294,10 +263,7 @@ fn damaged_scenes_are_rejected() {
 fn impossible_views_are_rejected() {
     let dir = Scratch::new();
     dir.write("empty.json", "{\"frames\": []}");
-    dir.write(
-        "broken.json",
-        "{\"frames\": [{\"transform_matrix\": [[1]]}], \"fl_x\": 60, \"w\": 64, \"h\": 48}",
-    );
+    dir.write("broken.json", "{\"frames\": [{\"transform_matrix\": [[1]]}], \"fl_x\": 60, \"w\": 64, \"h\": 48}");
     dir.write("there.mp4", "mine");
     for (options, code, words) in [
         ("-o never --time later", 2, &["\"later\"", "freeze@T"][..]),
@@ -327,11 +293,7 @@ fn eval_without_ground_truth_is_rejected() {
     for (line, code, words) in [
         ("eval no-run --data capture", 66, &["scene.safetensors"][..]),
         ("eval-geometry capture --truth missing", 66, &["missing"]),
-        (
-            "eval-geometry capture --truth poses.json",
-            65,
-            &["poses.json", "pose 0"],
-        ),
+        ("eval-geometry capture --truth poses.json", 65, &["poses.json", "pose 0"]),
         ("inspect missing", 66, &["missing"]),
     ] {
         dir.refused(line, code, words);

@@ -44,10 +44,7 @@ fn status(dir: &Scratch, more: &str) -> Value {
 
 fn clip<'a>(report: &'a Value, id: &str) -> &'a Value {
     let clips = report["clips"].as_array().unwrap();
-    clips
-        .iter()
-        .find(|c| c["id"] == id)
-        .unwrap_or_else(|| panic!("no {id} in {report}"))
+    clips.iter().find(|c| c["id"] == id).unwrap_or_else(|| panic!("no {id} in {report}"))
 }
 
 fn start(mut command: Command) -> Running {
@@ -65,10 +62,7 @@ fn start_until_saved(command: Command, work: &Path, n: usize) -> Running {
     let before = checkpoints(work);
     let mut running = start(command);
     while checkpoints(work).iter().filter(|name| !before.contains(name)).count() < n {
-        assert!(
-            running.0.try_wait().unwrap().is_none(),
-            "the job ended before it could be stopped"
-        );
+        assert!(running.0.try_wait().unwrap().is_none(), "the job ended before it could be stopped");
         sleep(Duration::from_millis(2));
     }
     running
@@ -99,12 +93,7 @@ fn corrupt_clip_fails_permanently_and_others_finish() {
     by_scheduler.env("SLURM_ARRAY_TASK_ID", "1");
     assert_eq!(ended(by_scheduler).code, 0);
     let good = ended(job(&dir, "--index 2"));
-    assert_eq!(
-        (good.code, &good.result()["outcome"]),
-        (0, &"done".into()),
-        "{}",
-        good.stderr
-    );
+    assert_eq!((good.code, &good.result()["outcome"]), (0, &"done".into()), "{}", good.stderr);
 
     let report = status(&dir, "--html sheet.html");
     let counts = report["counts"].as_object().unwrap();
@@ -118,52 +107,28 @@ fn corrupt_clip_fails_permanently_and_others_finish() {
     let psnr = good["psnr_db"].as_f64().unwrap();
     assert!(psnr > trivial + 3.0, "{psnr} dB, the mean image {trivial} dB: {good}");
     assert!(good["splats"].as_u64().unwrap() > 0, "{good}");
-    assert!(
-        good["seconds"].as_f64().unwrap() > 0.0 && good["host"].is_string(),
-        "{good}"
-    );
+    assert!(good["seconds"].as_f64().unwrap() > 0.0 && good["host"].is_string(), "{good}");
     let bad = clip(&report, "bad");
-    assert!(
-        bad["code"] == 65 && bad["reason"].as_str().unwrap().contains("bad.mp4"),
-        "{bad}"
-    );
+    assert!(bad["code"] == 65 && bad["reason"].as_str().unwrap().contains("bad.mp4"), "{bad}");
     let page = fs::read_to_string(dir.path("sheet.html")).unwrap();
     assert_eq!(page.matches("data:image/jpeg;base64,").count(), 2);
     assert!(page.contains("bad.mp4") && !page.contains("http"));
-    for file in [
-        "run.json",
-        "scene.safetensors",
-        "preview.mp4",
-        "poster.jpg",
-        "batch.json",
-    ] {
+    for file in ["run.json", "scene.safetensors", "preview.mp4", "poster.jpg", "batch.json"] {
         assert!(dir.path("results/clip2").join(file).is_file(), "{file}");
     }
     assert!(!dir.path("results/bad").exists(), "nothing is published of it");
 
     // What has ended is not run again.
-    let made = |id: &str| {
-        fs::metadata(dir.path("results").join(id).join("scene.safetensors"))
-            .unwrap()
-            .modified()
-            .unwrap()
-    };
+    let made =
+        |id: &str| fs::metadata(dir.path("results").join(id).join("scene.safetensors")).unwrap().modified().unwrap();
     let log_length = || fs::read_to_string(dir.path("results/.log/bad.txt")).unwrap().len();
     let (before, log) = ((made("clip1"), made("clip2")), log_length());
     assert_eq!([0, 1, 2, 3].map(|index| code(&dir, index)), [65, 0, 0, 66]);
-    assert_eq!(
-        (before, log),
-        ((made("clip1"), made("clip2")), log_length()),
-        "nothing was touched"
-    );
+    assert_eq!((before, log), ((made("clip1"), made("clip2")), log_length()), "nothing was touched");
     assert_eq!(ended(job(&dir, "--retry-failed --index 0")).code, 65);
     assert!(log_length() > log, "it was run again because that was asked for");
     let which = ended(job(&dir, ""));
-    assert!(
-        which.code == 2 && which.stderr.contains("--index from 0 to 2"),
-        "{}",
-        which.stderr
-    );
+    assert!(which.code == 2 && which.stderr.contains("--index from 0 to 2"), "{}", which.stderr);
 
     // Other settings: all is made again, and takes the place of what was there.
     plan(&dir, "--iterations 21 --force");
@@ -188,9 +153,7 @@ fn concurrent_processes_of_one_job_make_one_result() {
         assert_eq!(ended.code, 0, "{}", ended.stderr);
     }
     let log = fs::read_to_string(dir.path("results/.log/clip1.txt")).unwrap();
-    let trained = log
-        .lines()
-        .filter(|l| l.contains("\"stage\":\"train\"") && l.contains("\"started\""));
+    let trained = log.lines().filter(|l| l.contains("\"stage\":\"train\"") && l.contains("\"started\""));
     assert_eq!(trained.count(), 1, "{log}");
     assert_eq!(status(&dir, "")["counts"]["done"], 1);
 }
@@ -262,10 +225,7 @@ fn machine_failures_are_not_counted_against_the_clip() {
         ("exec /bin/sleep 600", "nothing came from it"),
         ("echo 'Cannot allocate memory' >&2; exit 1", "more memory"),
         ("echo 'clip1.mkv: Input/output error' >&2; exit 1", "Input/output error"),
-        (
-            "echo 'error while loading shared libraries: x.so' >&2; exit 127",
-            "shared libraries",
-        ),
+        ("echo 'error while loading shared libraries: x.so' >&2; exit 127", "shared libraries"),
     ] {
         dir.install("ffprobe", body);
         run(words, 75);
@@ -278,10 +238,7 @@ fn machine_failures_are_not_counted_against_the_clip() {
         fs::rename(dir.path("away"), dir.path(name)).unwrap();
     }
     // The same clip, decoded: only now its own bytes speak against it.
-    dir.install(
-        "ffprobe",
-        "echo 'clip1.mkv: Invalid data found when processing input' >&2; exit 1",
-    );
+    dir.install("ffprobe", "echo 'clip1.mkv: Invalid data found when processing input' >&2; exit 1");
     run("Invalid data", 65);
     dir.install("ffprobe", "kill -KILL $$");
     run("not run again without --retry-failed", 65);
@@ -294,10 +251,7 @@ fn out_of_memory_job_can_be_rerun() {
     write_clips(&dir, 1);
     plan(&dir, "--iterations 3000 --set checkpoint.every_s=0.02");
     let mut running = start_until_saved(job(&dir, "--index 0"), &dir.path("results/.work/clip1"), 1);
-    let found = Command::new("pgrep")
-        .args(["-P", &running.0.id().to_string()])
-        .output()
-        .unwrap();
+    let found = Command::new("pgrep").args(["-P", &running.0.id().to_string()]).output().unwrap();
     for pid in String::from_utf8(found.stdout).unwrap().split_whitespace() {
         let sent = Command::new("kill").args(["-KILL", pid]).status().unwrap();
         assert!(sent.success());
@@ -305,10 +259,7 @@ fn out_of_memory_job_can_be_rerun() {
     assert_eq!(running.0.wait().unwrap().code(), Some(75));
     let report = status(&dir, "--failed");
     let killed = clip(&report, "clip1");
-    assert!(
-        killed["state"] == "retryable" && killed["reason"].as_str().unwrap().contains("out of memory"),
-        "{report}"
-    );
+    assert!(killed["state"] == "retryable" && killed["reason"].as_str().unwrap().contains("out of memory"), "{report}");
 }
 
 #[test]

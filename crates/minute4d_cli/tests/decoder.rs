@@ -36,11 +36,7 @@ fn decoder_over_its_limits_is_killed_and_reported() {
     let words = ["large.mp4", "decoder failed", "video.decoder.memory_mb"];
     dir.refused("geometry large.mp4 -o out --set video.decoder.memory_mb=64", 69, &words);
     let words = ["decoder.idle_seconds"];
-    dir.refused(
-        "geometry large.mp4 -o out --set video.decoder.idle_seconds=0",
-        78,
-        &words,
-    );
+    dir.refused("geometry large.mp4 -o out --set video.decoder.idle_seconds=0", 78, &words);
 }
 
 #[test]

@@ -19,10 +19,7 @@ fn points_are_tracked_without_weights() {
     write_capture(&dir.path("capture"), false);
     let line = "enhance capture -o better --segmenter none";
     let report = dir.succeed(&format!("{line} --tracker flow --json")).result()["record"].clone();
-    assert_eq!(
-        (&report["segmenter"], &report["tracker"]),
-        (&"none".into(), &"flow".into())
-    );
+    assert_eq!((&report["segmenter"], &report["tracker"]), (&"none".into(), &"flow".into()));
     let (before, after) = (read(&dir.path("capture")), read(&dir.path("better")));
     assert_eq!(before.frames.len(), after.frames.len());
     let count = after.tracks.as_ref().map_or(0, |tracks| tracks.count());
@@ -46,14 +43,8 @@ fn impossible_enhancements_are_rejected_with_a_reason() {
     };
     let line = "enhance capture -o out --segmenter none --tracker none";
     dir.refused(line, 2, &["nothing to do"]);
-    of_networks(
-        "enhance capture -o out --segmenter sam2",
-        &["weights add sam2.1-large", "--segmenter none"],
-    );
-    of_networks(
-        "enhance capture -o out --tracker tapip3d",
-        &["weights add tapip3d", "--tracker flow"],
-    );
+    of_networks("enhance capture -o out --segmenter sam2", &["weights add sam2.1-large", "--segmenter none"]);
+    of_networks("enhance capture -o out --tracker tapip3d", &["weights add tapip3d", "--tracker flow"]);
     dir.refused("enhance nowhere -o out", 66, &["nowhere"]);
     assert!(!dir.path("out").exists());
 }
@@ -75,22 +66,12 @@ fn ablate_writes_a_table_of_every_row() {
             continue;
         }
         let psnr = row["psnr_db"].as_f64().unwrap();
-        assert!(
-            psnr > trivial + 3.0 && row["ssim"].is_number(),
-            "{psnr} dB, the mean image {trivial} dB: {row}"
-        );
-        assert_eq!(
-            (&row["iterations"], row["train_s"].is_number()),
-            (&40.into(), true),
-            "{row}"
-        );
+        assert!(psnr > trivial + 3.0 && row["ssim"].is_number(), "{psnr} dB, the mean image {trivial} dB: {row}");
+        assert_eq!((&row["iterations"], row["train_s"].is_number()), (&40.into(), true), "{row}");
         assert!(row["geometry_s"].is_null(), "{row}");
     }
     let table = fs::read_to_string(dir.path("table/ablation.md")).unwrap();
-    assert!(
-        table.contains("without density control") && table.contains("not made"),
-        "{table}"
-    );
+    assert!(table.contains("without density control") && table.contains("not made"), "{table}");
     assert_eq!(dir.json("table/ablation.json"), report);
     // what is finished is taken as it is
     let scene = dir.path("table/full/scene.safetensors");
@@ -126,25 +107,13 @@ fn networks_enhance_a_capture() {
     let ended = Ended::of(command.env("MINUTE4D_WEIGHTS", &store).output().unwrap());
     assert_eq!(ended.code, 0, "{}", ended.stderr);
     let report = ended.result()["record"].clone();
-    assert_eq!(
-        (&report["segmenter"], &report["tracker"]),
-        (&"sam2".into(), &"tapip3d".into())
-    );
-    let networks: Vec<&str> = report["networks"]
-        .as_array()
-        .unwrap()
-        .iter()
-        .map(|n| n["weights"].as_str().unwrap())
-        .collect();
+    assert_eq!((&report["segmenter"], &report["tracker"]), (&"sam2".into(), &"tapip3d".into()));
+    let networks: Vec<&str> =
+        report["networks"].as_array().unwrap().iter().map(|n| n["weights"].as_str().unwrap()).collect();
     assert_eq!(networks, ["sam2.1-tiny", "tapip3d"]);
     assert_eq!(report["networks"][1]["commercial"], false);
     assert!(report["tracks"].as_u64().unwrap() > 0, "{report}");
     assert_eq!(dir.json("better/instances.json")["segmenter"], "sam2.1-tiny");
     let better = read(&dir.path("better"));
-    assert!(
-        better
-            .frames
-            .iter()
-            .all(|frame| frame.instances.is_some() && frame.mask.is_some())
-    );
+    assert!(better.frames.iter().all(|frame| frame.instances.is_some() && frame.mask.is_some()));
 }

@@ -25,10 +25,7 @@ fn with_walk() -> Scratch {
 
 fn same_result(a: &Path, b: &Path) {
     for name in ["scene.safetensors", "capture/transforms_train.json"] {
-        assert!(
-            fs::read(a.join(name)).unwrap() == fs::read(b.join(name)).unwrap(),
-            "{name} differs"
-        );
+        assert!(fs::read(a.join(name)).unwrap() == fs::read(b.join(name)).unwrap(), "{name} differs");
     }
 }
 
@@ -68,12 +65,7 @@ fn killed_geometry_resumes_after_its_last_step() {
     let bytes = fs::read(&torn).unwrap();
     fs::write(&torn, &bytes[..bytes.len() / 2]).unwrap();
     let events = dir.succeed(&format!("{RUN} -o killed --resume")).events();
-    assert!(
-        events
-            .iter()
-            .any(|e| e.to_string().contains("its finished steps are used")),
-        "{events:?}"
-    );
+    assert!(events.iter().any(|e| e.to_string().contains("its finished steps are used")), "{events:?}");
     assert!(!dir.path("killed/capture/.steps").exists());
     same_result(&dir.path("calm"), &dir.path("killed"));
 }
@@ -88,10 +80,8 @@ fn partial_files_of_a_killed_process_do_not_block_the_next_run() {
     dir.succeed("train capture -o out --iterations 20");
     assert!(!torn.exists());
     let hidden = fs::read_dir(dir.path("out")).unwrap();
-    let hidden: Vec<_> = hidden
-        .map(|entry| entry.unwrap().file_name())
-        .filter(|name| name.to_string_lossy().starts_with('.'))
-        .collect();
+    let hidden: Vec<_> =
+        hidden.map(|entry| entry.unwrap().file_name()).filter(|name| name.to_string_lossy().starts_with('.')).collect();
     assert!(hidden.is_empty(), "{hidden:?}");
 }
 
@@ -144,10 +134,7 @@ fn full_disk_is_reported_and_the_run_resumes_when_there_is_space() {
         let end = ended.end();
         assert_eq!(ended.code, 73, "{kilobytes} kB: {} {}", ended.stdout, ended.stderr);
         let reason = end["reason"].as_str().unwrap();
-        assert!(
-            reason.contains("cannot write") && reason.contains("free space"),
-            "{reason}"
-        );
+        assert!(reason.contains("cannot write") && reason.contains("free space"), "{reason}");
         let record = dir.json("full/run.json");
         assert_eq!(record["status"], "failed", "{kilobytes} kB");
         assert_eq!(record["error"].as_str().unwrap(), reason);

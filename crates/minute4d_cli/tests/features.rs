@@ -37,11 +37,7 @@ fn networks_without_the_feature_name_the_build_command() {
     for line in ["weights list", "weights fetch mobile-sam --accept-license"] {
         let ended = dir.call(line);
         assert_eq!(ended.code, 69, "{line}: {}", ended.stderr);
-        assert!(
-            ended.stderr.contains("without networks") && ended.stderr.contains(BUILD_FULL),
-            "{}",
-            ended.stderr
-        );
+        assert!(ended.stderr.contains("without networks") && ended.stderr.contains(BUILD_FULL), "{}", ended.stderr);
     }
 }
 
@@ -66,9 +62,7 @@ fn gpu_bench_reports_the_same_columns() {
     if !is_there(&dir) {
         return;
     }
-    let report = dir
-        .succeed(&format!("{SMALL} --scene static --json --save runs"))
-        .result();
+    let report = dir.succeed(&format!("{SMALL} --scene static --json --save runs")).result();
     assert!(!report["machine"]["gpu"]["name"].as_str().unwrap().is_empty());
     let case = &report["cases"][0];
     assert_eq!(case["kernels"].as_array().unwrap().len(), 7);
@@ -80,10 +74,7 @@ fn gpu_bench_reports_the_same_columns() {
     let bytes = |name: &str| case["gpu"][name].as_f64().unwrap();
     assert!(bytes("reserved_bytes") >= bytes("in_use_bytes"), "{case}");
     // the rest is what density control would take
-    assert!(
-        (0.7..1.1).contains(&(bytes("in_use_bytes") / bytes("planned_bytes"))),
-        "{case}"
-    );
+    assert!((0.7..1.1).contains(&(bytes("in_use_bytes") / bytes("planned_bytes"))), "{case}");
     assert_eq!(dir.count("runs"), 2);
 }
 

@@ -52,10 +52,7 @@ fn turning_camera_is_reported() {
     let turns = (0..20).map(|i| frame_image(&camera(0.0, 0.02 * f64::from(i) - 0.2, FOCAL_PX)));
     let (found, warnings) = found(turns.collect());
     assert_eq!(found["camera_motion"], "rotation_only", "{found}");
-    contains(
-        &warnings,
-        &["the camera rotates", "rotations only", "geometry is poor", "sideways"],
-    );
+    contains(&warnings, &["the camera rotates", "rotations only", "geometry is poor", "sideways"]);
     assert_eq!(found["confidence"]["grade"], "poor");
 }
 
@@ -84,10 +81,7 @@ fn zoom_without_translation_is_reported() {
     let record = geometry(&dir, zoom.collect()).result()["record"].clone();
     assert_eq!(record["found"]["camera_motion"], "rotation_only", "{record}");
     assert_eq!(record["found"]["confidence"]["grade"], "poor", "{record}");
-    contains(
-        &record["warnings"].to_string(),
-        &["the lens zooms", "without zoom", "geometry is poor"],
-    );
+    contains(&record["warnings"].to_string(), &["the lens zooms", "without zoom", "geometry is poor"]);
     // Every frame has its own lens.
     let capture = dir.json("out/transforms_train.json");
     let focal = |i: usize| capture["frames"][i]["fl_x"].as_f64().unwrap();
@@ -142,10 +136,7 @@ fn fifteen_hundred_frames() {
         bytes
     };
     let (Some(few), Some(many)) = (peak(300), peak(1500)) else {
-        skip(
-            Need::PeakMemory,
-            "this system does not tell how much memory a process held",
-        );
+        skip(Need::PeakMemory, "this system does not tell how much memory a process held");
         return;
     };
     // docs/geometry.md has the memory per frame.

@@ -48,13 +48,8 @@ fn known() -> (Scratch, Vec<Camera>) {
         instances: None,
         camera_index: None,
     });
-    let truth = Capture {
-        frames: frames.collect(),
-        time_frames: FRAMES,
-        duration_s: Some(1.1),
-        metric: true,
-        tracks: None,
-    };
+    let truth =
+        Capture { frames: frames.collect(), time_frames: FRAMES, duration_s: Some(1.1), metric: true, tracks: None };
     capture::write(&dir.path("truth"), &truth, Split::Train, &Silent).unwrap();
     fs::copy(dir.path("truth/transforms_train.json"), dir.path("poses.json")).unwrap();
     (dir, cameras)
@@ -75,11 +70,7 @@ fn depth_error(made: &Capture, cameras: &[Camera]) -> f64 {
     let mut sum = 0.0;
     for (frame, camera) in made.frames.iter().zip(cameras) {
         let (found, truth) = (frame.depth.as_ref().unwrap().to_map(), depth(camera));
-        let errors = found
-            .data()
-            .iter()
-            .zip(truth.data())
-            .map(|(a, b)| f64::from((a - b).abs() / b));
+        let errors = found.data().iter().zip(truth.data()).map(|(a, b)| f64::from((a - b).abs() / b));
         sum += errors.sum::<f64>() / truth.data().len() as f64;
     }
     sum / made.frames.len() as f64
@@ -87,8 +78,7 @@ fn depth_error(made: &Capture, cameras: &[Camera]) -> f64 {
 
 fn poses_differ(made: &Capture, cameras: &[Camera]) -> f64 {
     let both = made.frames.iter().zip(cameras);
-    both.map(|(f, c)| (f.camera.c2w.matrix() - c.c2w.matrix()).norm())
-        .fold(0.0, f64::max)
+    both.map(|(f, c)| (f.camera.c2w.matrix() - c.c2w.matrix()).norm()).fold(0.0, f64::max)
 }
 
 #[test]

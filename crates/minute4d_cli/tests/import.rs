@@ -46,11 +46,7 @@ fn source_formats_are_detected_and_imported() {
     dir.succeed(&format!("import '{recording}' -o dycheck --force --no-check"));
     assert!(!dir.path("dycheck").join(Split::Test.file_name()).exists());
     let trained = dir.call("train colmap -o out --iterations 5");
-    assert!(
-        trained.code == 0 || trained.stderr.contains("depth"),
-        "{}",
-        trained.stderr
-    );
+    assert!(trained.code == 0 || trained.stderr.contains("depth"), "{}", trained.stderr);
 }
 
 #[test]
@@ -112,30 +108,17 @@ fn exported_captures_import_to_the_same_capture() {
     dir.succeed(&format!("import '{}' -o own --no-check", fixture("dycheck")));
     let read = |name: &str, split| capture::read(&dir.path(name), split, &CaptureOptions::default(), &Silent).unwrap();
     let (train, test) = (read("own", Split::Train), read("own", Split::Test));
-    let moves = |c: &Capture| {
-        c.frames
-            .iter()
-            .filter_map(|f| f.mask.as_ref())
-            .map(|m| m.count())
-            .sum::<usize>()
-    };
+    let moves = |c: &Capture| c.frames.iter().filter_map(|f| f.mask.as_ref()).map(|m| m.count()).sum::<usize>();
     for (format, views) in [("nerfstudio", true), ("colmap", false)] {
         let line = format!("export own --format {format} -o {format}");
         let report = dir.succeed(&format!("{line} --json")).result();
         assert!(report["bytes"].as_u64().unwrap() > 1000, "{report}");
-        assert_eq!(
-            report["losses"]["dropped"].to_string().contains("held-out views"),
-            !views,
-            "{report}"
-        );
+        assert_eq!(report["losses"]["dropped"].to_string().contains("held-out views"), !views, "{report}");
         dir.succeed(&format!("import {format} -o again-{format} --no-check"));
         let back = read(&format!("again-{format}"), Split::Train);
         assert_eq!(back.frames.len(), train.frames.len(), "{format}");
         for (a, b) in back.frames.iter().zip(&train.frames) {
-            assert!(
-                (a.camera.c2w.matrix() - b.camera.c2w.matrix()).amax() < 1e-6,
-                "{format}"
-            );
+            assert!((a.camera.c2w.matrix() - b.camera.c2w.matrix()).amax() < 1e-6, "{format}");
             assert!((a.camera.intrinsics.fx - b.camera.intrinsics.fx).abs() < 1e-9);
             assert_eq!(a.rgb, b.rgb, "{format}");
             if views {
@@ -147,10 +130,7 @@ fn exported_captures_import_to_the_same_capture() {
         }
         assert_eq!(moves(&back), moves(&train), "{format}");
         if views {
-            assert_eq!(
-                read(&format!("again-{format}"), Split::Test).frames.len(),
-                test.frames.len()
-            );
+            assert_eq!(read(&format!("again-{format}"), Split::Test).frames.len(), test.frames.len());
         }
         dir.refused(&line, 73, &["already exists", "--force"]);
     }
@@ -213,10 +193,7 @@ fn every_layout_is_imported_and_trained() {
         assert_eq!((back.metric, back.time_frames), (false, 3));
         assert!((back.duration_s.unwrap() - 0.2).abs() < 1e-9);
         let record = dir.json(&format!("{name}/geometry.json"));
-        assert_eq!(
-            (&record["status"], &record["settings"]["format"]),
-            (&"finished".into(), &"megasam".into())
-        );
+        assert_eq!((&record["status"], &record["settings"]["format"]), (&"finished".into(), &"megasam".into()));
         let facts = dir.succeed(&format!("inspect {name} --json")).result();
         assert_eq!((&facts["kind"], &facts["with_depth"]), (&"capture".into(), &3.into()));
         dir.succeed(&format!("train {name} -o {name}-out --iterations 5"));
@@ -255,17 +232,9 @@ fn invalid_megasam_requests_are_rejected_with_a_hint() {
         ("export capture --format megasam", 2, "choose one of 4dgs"),
         ("import bad_droid.npz -o out", 65, "not an npz archive"),
         ("import empty -o out", 65, "is a folder"),
-        (
-            "import empty -o out --format megasam",
-            65,
-            "the array `images` is missing",
-        ),
+        ("import empty -o out --format megasam", 65, "the array `images` is missing"),
         ("import a.ply -o out --fps 3", 2, "--fps has no meaning for ply"),
-        (
-            &*format!("import '{droid}' -o out --motion-prob /nowhere/m.npy"),
-            66,
-            "/nowhere/m.npy",
-        ),
+        (&*format!("import '{droid}' -o out --motion-prob /nowhere/m.npy"), 66, "/nowhere/m.npy"),
     ] {
         dir.refused(line, code, &[says]);
     }

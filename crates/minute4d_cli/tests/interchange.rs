@@ -19,11 +19,7 @@ fn write_scene(dir: &Scratch, mip: bool) {
         let sizes = made.splats.column_mut(Column::LogScale, 0);
         sizes.iter_mut().for_each(|size| *size -= 3.0);
     }
-    let frame = |(i, camera)| SourceFrame {
-        camera,
-        t: i as f64,
-        exposure: Exposure::IDENTITY,
-    };
+    let frame = |(i, camera)| SourceFrame { camera, t: i as f64, exposure: Exposure::IDENTITY };
     let scene = Scene {
         splats: made.splats,
         background: [0.2, 0.3, 0.4],
@@ -70,16 +66,10 @@ fn every_format_renders_like_its_source_scene() {
         dir.refused(&format!("export out --format {format}"), 73, &["--force"]);
     }
     for format in ["colmap", "nerfstudio"] {
-        dir.refused(
-            &format!("export out --format {format}"),
-            65,
-            &[format, "stores captures"],
-        );
+        dir.refused(&format!("export out --format {format}"), 65, &[format, "stores captures"]);
     }
     // 17 numbers per splat, besides the header
-    let still = dir
-        .succeed("export out --format ply --force --no-compare --json")
-        .result();
+    let still = dir.succeed("export out --format ply --force --no-compare --json").result();
     assert!((68.0..69.5).contains(&number(&still["bytes_per_splat"])), "{still}");
     assert_eq!(dir.count("out/ply"), FRAMES);
     let half = dir.succeed("export out --format ply-sequence --fps 11 --force --no-compare --json");
@@ -89,11 +79,7 @@ fn every_format_renders_like_its_source_scene() {
     assert!(half["comparison"].is_null());
 
     let ended = dir.succeed("export out -o clip.mp4");
-    assert_eq!(
-        ended.stdout.trim_end(),
-        "clip.mp4",
-        "the result is the path and nothing else"
-    );
+    assert_eq!(ended.stdout.trim_end(), "clip.mp4", "the result is the path and nothing else");
     let clip = dir.succeed("inspect clip.mp4 --json").result();
     assert_eq!(clip["frames"], FRAMES);
 }
@@ -110,18 +96,10 @@ fn mip_filter_is_baked_or_reported_as_a_loss() {
     let (kept, [baked, dropped]) = report("--keep-mip");
     let plain_db = number(&kept["without_mip_psnr_db"]);
     assert!(plain_db < number(&kept["psnr_db"]));
-    assert!(
-        dropped.contains("Mip filter") && !baked.contains("Mip filter"),
-        "{dropped}"
-    );
-    for (format, is_read) in [
-        ("4dgs", true),
-        ("splatv", false),
-        ("ply", true),
-        ("ply-sequence", true),
-        ("spz", false),
-        ("gltf", false),
-    ] {
+    assert!(dropped.contains("Mip filter") && !baked.contains("Mip filter"), "{dropped}");
+    for (format, is_read) in
+        [("4dgs", true), ("splatv", false), ("ply", true), ("ply-sequence", true), ("spz", false), ("gltf", false)]
+    {
         let (compared, [baked, dropped]) = report(&format!("--format {format}"));
         if is_read {
             let db = number(&compared["psnr_db"]);
@@ -130,10 +108,7 @@ fn mip_filter_is_baked_or_reported_as_a_loss() {
             assert!(compared["without_mip_psnr_db"].is_null(), "the file asks for no filter");
         }
         assert!(baked.contains("Mip filter"), "{format}: {baked}");
-        assert!(
-            !dropped.contains("Mip") && !dropped.contains("opacity-compensated"),
-            "{format}: {dropped}"
-        );
+        assert!(!dropped.contains("Mip") && !dropped.contains("opacity-compensated"), "{format}: {dropped}");
     }
 }
 
@@ -143,19 +118,10 @@ fn exports_round_trip_through_import() {
     write_scene(&dir, false);
     dir.succeed("export out --no-compare");
     let report = dir.succeed("import out/scene.4dgs -o back --json").result();
-    assert_eq!(
-        (&report["cameras"], &report["time_frames"]),
-        (&FRAMES.into(), &FRAMES.into())
-    );
-    assert_eq!(
-        (&report["splats_static"], &report["splats_dynamic"]),
-        (&576.into(), &60.into())
-    );
+    assert_eq!((&report["cameras"], &report["time_frames"]), (&FRAMES.into(), &FRAMES.into()));
+    assert_eq!((&report["splats_static"], &report["splats_dynamic"]), (&576.into(), &60.into()));
     let facts = dir.succeed("inspect back --json").result();
-    assert_eq!(
-        (&facts["kind"], &facts["record"]["status"]),
-        (&"run".into(), &"finished".into())
-    );
+    assert_eq!((&facts["kind"], &facts["record"]["status"]), (&"run".into(), &"finished".into()));
     assert_eq!(facts["scene"]["cameras"], FRAMES);
     dir.succeed("render back -o png");
     assert_eq!(dir.count("png"), FRAMES);
@@ -170,11 +136,7 @@ fn exports_round_trip_through_import() {
 fn static_ply_of_another_program_gets_cameras() {
     let dir = Scratch::new();
     let spec = SceneSpec {
-        layout: SplatLayout {
-            isotropic: false,
-            sh_degree: 2,
-            time_degree: 0,
-        },
+        layout: SplatLayout { isotropic: false, sh_degree: 2, time_degree: 0 },
         n_static: 200,
         n_dynamic: 0,
         ..SceneSpec::default()
@@ -190,19 +152,14 @@ fn static_ply_of_another_program_gets_cameras() {
     };
     safetensors::write(&dir.path("a.safetensors"), &scene, None, &BTreeMap::new()).unwrap();
     // without cameras there is nothing to compare from, and no clip
-    let report = dir
-        .succeed("export a.safetensors --format ply -o a.ply --json")
-        .result();
+    let report = dir.succeed("export a.safetensors --format ply -o a.ply --json").result();
     assert!(report["comparison"].is_null() && report["bytes_per_s"].is_null());
     dir.refused("export a.safetensors -o a.mp4", 65, &["no cameras"]);
 
     let ended = dir.succeed("import a.ply -o in");
     assert!(ended.stderr.contains("no cameras"), "{}", ended.stderr);
     let facts = dir.succeed("inspect in --json").result();
-    assert_eq!(
-        (&facts["scene"]["cameras"], &facts["scene"]["sh_degree"]),
-        (&60.into(), &2.into())
-    );
+    assert_eq!((&facts["scene"]["cameras"], &facts["scene"]["sh_degree"]), (&60.into(), &2.into()));
     dir.succeed("render in -o png");
     let middle = dir.read("png/00000.png").len();
     assert!(middle > 20_000, "the splats are in the image: {middle} bytes");
@@ -213,10 +170,7 @@ fn invalid_requests_are_rejected_with_a_hint() {
     let dir = Scratch::new();
     write_scene(&dir, false);
     dir.write("a.obj", "v 0 0 0\n");
-    dir.write(
-        "a.ply",
-        "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nend_header\n1\n",
-    );
+    dir.write("a.ply", "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nend_header\n1\n");
     dir.write("a.spz", "\x1f");
     for (line, code, says) in [
         ("export out --time 3", 2, "--time has no meaning for 4dgs"),
@@ -235,8 +189,5 @@ fn invalid_requests_are_rejected_with_a_hint() {
     ] {
         dir.refused(line, code, &[says]);
     }
-    assert!(
-        !dir.path("in").exists(),
-        "a file that cannot be used leaves nothing behind"
-    );
+    assert!(!dir.path("in").exists(), "a file that cannot be used leaves nothing behind");
 }

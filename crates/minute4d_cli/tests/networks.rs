@@ -36,10 +36,7 @@ fn write_clip(folder: &Path) {
 fn write_weights(store: &Path) {
     let droid = include_str!("../../../fixtures/droid/keys.txt");
     let raft = include_str!("../../../fixtures/raft/keys.txt");
-    for (name, file, keys) in [
-        ("megasam", "megasam_final.pth", droid),
-        ("raft-things", "raft-things.pth", raft),
-    ] {
+    for (name, file, keys) in [("megasam", "megasam_final.pth", droid), ("raft-things", "raft-things.pth", raft)] {
         fs::create_dir_all(store.join(name)).unwrap();
         write_formula_weights(keys, &store.join(name).join(file));
     }
@@ -84,10 +81,7 @@ fn library_caller_makes_a_capture() {
     settings.geometry.frontend = env::var(FRONTEND).unwrap().parse().unwrap();
     let job = Job {
         settings,
-        device: DeviceRequest {
-            choice: DeviceChoice::Cpu,
-            max_vram_mb: None,
-        },
+        device: DeviceRequest { choice: DeviceChoice::Cpu, max_vram_mb: None },
         existing: Existing::Refuse,
         observer: &Silent,
     };
@@ -100,12 +94,7 @@ fn library_caller_makes_a_capture() {
 fn made(clip: &Path, out: &Path, store: &Path, frontend: &str, threads: Option<usize>) -> Capture {
     let mut command = Command::new(env::current_exe().unwrap());
     command
-        .args([
-            "--exact",
-            "networks::library_caller_makes_a_capture",
-            "--ignored",
-            "--nocapture",
-        ])
+        .args(["--exact", "networks::library_caller_makes_a_capture", "--ignored", "--nocapture"])
         .env("MINUTE4D_WEIGHTS", store)
         .env("HF_HOME", store)
         .env(CLIP, clip)
@@ -134,26 +123,15 @@ fn megasam_front_end_makes_a_capture_and_records_its_networks() {
     let record: Value = serde_json::from_str(&fs::read_to_string(first.join("geometry.json")).unwrap()).unwrap();
     // The choice, and the lack of a depth network, is reported.
     let warnings = record["warnings"].to_string();
-    assert!(
-        warnings.contains("raft") && warnings.contains("no depth from one image"),
-        "{warnings}"
-    );
+    assert!(warnings.contains("raft") && warnings.contains("no depth from one image"), "{warnings}");
     let found = &record["found"];
-    assert_eq!(
-        (&found["frontend"], &found["frames"]),
-        (&Value::from("megasam+raft"), &Value::from(FRAMES))
-    );
+    assert_eq!((&found["frontend"], &found["frames"]), (&Value::from("megasam+raft"), &Value::from(FRAMES)));
     let networks = found["networks"].as_array().unwrap();
     let licences: Vec<&str> = networks.iter().map(|n| n["licence"].as_str().unwrap()).collect();
     assert_eq!(licences, ["CC-BY 4.0", "BSD-3-Clause"]);
     assert!(found["keyframes"].as_array().unwrap().len() > 2, "{found}");
     assert_eq!((capture.frames.len(), capture.metric), (FRAMES, false));
-    assert!(
-        capture
-            .frames
-            .iter()
-            .all(|f| f.motion.is_some() && f.mask.is_some() && f.depth.is_some())
-    );
+    assert!(capture.frames.iter().all(|f| f.motion.is_some() && f.mask.is_some() && f.depth.is_some()));
 
     // Another time, on another number of threads: the same bits.
     let second = dir.path("second");
@@ -172,19 +150,11 @@ fn incompatible_or_missing_front_end_parts_are_rejected() {
     write_weights(&store);
     let env = ["MINUTE4D_WEIGHTS", "HF_HOME"].map(|name| (name, text(&store)));
     for (options, code, words) in [
-        (
-            "megasam+moge",
-            66,
-            &["moge", "minute4d weights add", "--frontend classical"][..],
-        ),
+        ("megasam+moge", 66, &["moge", "minute4d weights add", "--frontend classical"][..]),
         ("classical+raft", 2, &["classical", "raft", "flow"]),
         ("gmflow", 2, &["gmflow", "raft"]),
         ("megasan", 2, &["megasan", "moge"]),
-        (
-            "megasam --segmenter mobilesam",
-            66,
-            &["minute4d weights fetch mobile-sam"],
-        ),
+        ("megasam --segmenter mobilesam", 66, &["minute4d weights fetch mobile-sam"]),
     ] {
         dir.refused_with(&format!("geometry clip -o out --frontend {options}"), &env, code, words);
     }

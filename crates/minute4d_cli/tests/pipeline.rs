@@ -21,11 +21,7 @@ fn with_capture(with_test: bool) -> Scratch {
 fn train_render_eval_inspect() {
     let dir = with_capture(true);
     let ended = dir.succeed("train capture -o out --iterations 120 --seed 3");
-    assert_eq!(
-        ended.stdout.trim_end(),
-        "out",
-        "the result is the path and nothing else"
-    );
+    assert_eq!(ended.stdout.trim_end(), "out", "the result is the path and nothing else");
 
     let record = dir.json("out/run.json");
     assert_eq!(record["status"], "finished");
@@ -35,10 +31,8 @@ fn train_render_eval_inspect() {
     assert!(record["splats"]["static"].as_u64().unwrap() > 0 && record["splats"]["dynamic"].as_u64().unwrap() > 0);
     assert!(dir.read("out/preview.mp4").len() > 1000);
     let metrics = fs::read_to_string(dir.path("out/metrics.jsonl")).unwrap();
-    let losses: Vec<f64> = metrics
-        .lines()
-        .map(|l| serde_json::from_str::<Value>(l).unwrap()["loss"].as_f64().unwrap())
-        .collect();
+    let losses: Vec<f64> =
+        metrics.lines().map(|l| serde_json::from_str::<Value>(l).unwrap()["loss"].as_f64().unwrap()).collect();
     assert!(losses.len() >= 2 && losses.last() < losses.first(), "{losses:?}");
     assert!(!dir.path("out/checkpoints").exists(), "nothing is left over");
 
@@ -86,14 +80,8 @@ fn held_out_views_are_aligned_to_an_own_world() {
     };
     let (same, quiet) = score("capture", "same");
     let (moved, warned) = score("own", "moved");
-    assert!(
-        same["alignment"].is_null() && !quiet.contains("world of its own"),
-        "{quiet}"
-    );
-    assert!(
-        (moved["alignment"]["scale"].as_f64().unwrap() - 2.5).abs() < 1e-3,
-        "{moved}"
-    );
+    assert!(same["alignment"].is_null() && !quiet.contains("world of its own"), "{quiet}");
+    assert!((moved["alignment"]["scale"].as_f64().unwrap() - 2.5).abs() < 1e-3, "{moved}");
     assert!(warned.contains("world of its own"), "{warned}");
     let psnr = |report: &Value| report["mean"]["psnr_db"].as_f64().unwrap();
     let (same, moved) = (psnr(&same), psnr(&moved));
@@ -123,10 +111,7 @@ fn start(dir: &Scratch, line: &str) -> (Running, BufReader<ChildStdout>) {
     let mut line = String::new();
     loop {
         line.clear();
-        assert!(
-            events.read_line(&mut line).unwrap() > 0,
-            "the program ended before it trained"
-        );
+        assert!(events.read_line(&mut line).unwrap() > 0, "the program ended before it trained");
         let event: Value = serde_json::from_str(&line).unwrap();
         if event["phase"] == "train" && event["done"].as_u64().unwrap() > 0 {
             return (running, events);
@@ -136,10 +121,7 @@ fn start(dir: &Scratch, line: &str) -> (Running, BufReader<ChildStdout>) {
 
 #[cfg(unix)]
 fn signal(running: &Running, name: &str) {
-    let status = Command::new("kill")
-        .args([name, &running.0.id().to_string()])
-        .status()
-        .unwrap();
+    let status = Command::new("kill").args([name, &running.0.id().to_string()]).status().unwrap();
     assert!(status.success());
 }
 
@@ -158,17 +140,11 @@ fn signal_saves_and_resume_gives_identical_bits() {
         assert_eq!((&end["ok"], &end["code"]), (&false.into(), &code.into()));
         assert!(end["reason"].as_str().unwrap().contains("--resume"), "{end}");
         assert!(dir.count("parts/checkpoints") > 0);
-        assert!(
-            !dir.path("parts/scene.safetensors").exists(),
-            "an unfinished run has no result"
-        );
+        assert!(!dir.path("parts/scene.safetensors").exists(), "an unfinished run has no result");
         assert_eq!(dir.json("parts/run.json")["status"], "stopped");
     }
     let events = dir.succeed(&format!("{train} --resume --json")).events();
-    let resumed = events
-        .iter()
-        .find(|e| e["status"] == "resumed")
-        .expect("training started anew");
+    let resumed = events.iter().find(|e| e["status"] == "resumed").expect("training started anew");
     assert!(resumed["done"].as_u64().unwrap() > 0, "{resumed}");
     assert!(
         dir.read("whole/scene.safetensors") == dir.read("parts/scene.safetensors"),
@@ -185,10 +161,7 @@ fn killed_run_resumes_from_its_last_checkpoint() {
     let (mut running, _rest) = start(&dir, &format!("{train} --set checkpoint.every_s=0.02"));
     let saved = dir.path("parts/checkpoints");
     while fs::read_dir(&saved).map_or(0, Iterator::count) < 2 {
-        assert!(
-            running.0.try_wait().unwrap().is_none(),
-            "it ended before it could be killed"
-        );
+        assert!(running.0.try_wait().unwrap().is_none(), "it ended before it could be killed");
         std::thread::sleep(std::time::Duration::from_millis(2));
     }
     let second = dir.call(&format!("{train} --resume"));
@@ -196,14 +169,10 @@ fn killed_run_resumes_from_its_last_checkpoint() {
     assert!(second.stderr.contains("another minute4d is using"));
     signal(&running, "-KILL");
     running.0.wait().unwrap();
-    let left = fs::read_dir(&saved).unwrap().filter(|e| {
-        e.as_ref()
-            .is_ok_and(|e| e.path().extension().is_some_and(|x| x == "safetensors"))
-    });
-    assert!(
-        (1..=3).contains(&left.count()),
-        "the last two are kept, a third while it replaces the first"
-    );
+    let left = fs::read_dir(&saved)
+        .unwrap()
+        .filter(|e| e.as_ref().is_ok_and(|e| e.path().extension().is_some_and(|x| x == "safetensors")));
+    assert!((1..=3).contains(&left.count()), "the last two are kept, a third while it replaces the first");
     assert_eq!(dir.json("parts/run.json")["status"], "running");
 
     dir.refused(train, 73, &["an unfinished run", "--resume"]);
@@ -220,12 +189,8 @@ fn finished_stages_are_reused_unless_inputs_or_settings_change() {
     let dir = with_capture(false);
     let stages = |line: &str| -> Vec<String> {
         let events = dir.succeed(line).events();
-        let stages = events
-            .iter()
-            .filter(|e| e["event"] == "stage" && e["status"] != "finished");
-        stages
-            .map(|e| format!("{} {} {}", e["stage"], e["status"], e["because"]).replace('"', ""))
-            .collect()
+        let stages = events.iter().filter(|e| e["event"] == "stage" && e["status"] != "finished");
+        stages.map(|e| format!("{} {} {}", e["stage"], e["status"], e["because"]).replace('"', "")).collect()
     };
     assert_eq!(
         stages("train capture -o out --iterations 20 --json"),
@@ -244,10 +209,7 @@ fn finished_stages_are_reused_unless_inputs_or_settings_change() {
     assert_eq!(stages(more)[0], "train started because the input changed");
 
     dir.write("out/metrics.jsonl", "gone");
-    assert_eq!(
-        stages(more)[0],
-        "train started because its files are missing or were changed"
-    );
+    assert_eq!(stages(more)[0], "train started because its files are missing or were changed");
 }
 
 #[test]
@@ -267,9 +229,7 @@ fn force_replaces_a_run_and_leaves_other_files() {
 fn printed_settings_are_a_settings_file() {
     let dir = Scratch::new();
     for (profile, other) in [("fast", "faithful"), ("faithful", "fast")] {
-        let printed = dir.succeed(&format!(
-            "train --print-config --profile {profile} --set init.keyframe_gaps=0.25"
-        ));
+        let printed = dir.succeed(&format!("train --print-config --profile {profile} --set init.keyframe_gaps=0.25"));
         assert!(printed.stdout.contains("keyframe_gaps = 0.25"), "{}", printed.stdout);
         dir.write("settings.toml", &printed.stdout);
         let again = dir.succeed("run --print-config --config settings.toml").stdout;
@@ -278,10 +238,7 @@ fn printed_settings_are_a_settings_file() {
         dir.refused(&both, 78, &["profile", "fast", "faithful"]);
     }
     let layers = dir.succeed("train --print-config --set train.iterations=5 --iterations 6");
-    assert!(
-        layers.stdout.contains("iterations = 6"),
-        "an option with its own name is the last word"
-    );
+    assert!(layers.stdout.contains("iterations = 6"), "an option with its own name is the last word");
 }
 
 #[test]
@@ -328,17 +285,8 @@ fn static_camera_gives_a_scene() {
     for stage in ["geometry", "train", "preview", "viewer"] {
         assert_eq!(record["stages"][stage]["done"], true, "{record}");
     }
-    assert!(
-        !record["warnings"].as_array().unwrap().is_empty(),
-        "placeholder depth is reported"
-    );
-    for file in [
-        "scene.safetensors",
-        "preview.mp4",
-        "viewer.html",
-        "metrics.jsonl",
-        "capture/transforms_train.json",
-    ] {
+    assert!(!record["warnings"].as_array().unwrap().is_empty(), "placeholder depth is reported");
+    for file in ["scene.safetensors", "preview.mp4", "viewer.html", "metrics.jsonl", "capture/transforms_train.json"] {
         assert!(dir.path("out").join(file).is_file(), "{file}");
     }
     let events = dir.succeed(&format!("{line} --resume")).events();
@@ -354,10 +302,7 @@ fn timed_run_is_reproduced_by_its_iterations() {
     let n = dir.json("timed/run.json")["iterations"].as_u64().unwrap();
     assert!(n >= 50);
     dir.succeed(&format!("train capture -o counted --iterations {n}"));
-    assert!(
-        dir.read("timed/scene.safetensors") == dir.read("counted/scene.safetensors"),
-        "{n} iterations differ"
-    );
+    assert!(dir.read("timed/scene.safetensors") == dir.read("counted/scene.safetensors"), "{n} iterations differ");
 }
 
 #[test]

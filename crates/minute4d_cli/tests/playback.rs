@@ -42,31 +42,17 @@ fn shot(page: &mut Chromium) -> Shot {
     let size = |name: &str| number(&state[name]) as usize;
     let (width, height) = (size("width"), size("height"));
     let camera = Camera {
-        intrinsics: Intrinsics {
-            fx: k("fx"),
-            fy: k("fy"),
-            cx: k("cx"),
-            cy: k("cy"),
-            width,
-            height,
-        },
+        intrinsics: Intrinsics { fx: k("fx"), fy: k("fy"), cx: k("cx"), cy: k("cy"), width, height },
         c2w: Se3 {
             rotation: Matrix3::from_fn(|row, column| c2w[4 * row + column]),
             translation: Vector3::new(c2w[3], c2w[7], c2w[11]),
         },
     };
-    let rgba: Vec<u8> = state["rgba"]
-        .as_array()
-        .unwrap()
-        .iter()
-        .map(|v| v.as_u64().unwrap() as u8)
-        .collect();
+    let rgba: Vec<u8> = state["rgba"].as_array().unwrap().iter().map(|v| v.as_u64().unwrap() as u8).collect();
     Shot {
         t: number(&state["time"]),
         camera,
-        image: RgbImage::from_fn(width, height, |x, y| {
-            std::array::from_fn(|c| rgba[4 * (y * width + x) + c])
-        }),
+        image: RgbImage::from_fn(width, height, |x, y| std::array::from_fn(|c| rgba[4 * (y * width + x) + c])),
     }
 }
 
@@ -88,20 +74,14 @@ fn agreement(shot: &Shot, all: &mut Painter<'_>, still: &mut Painter<'_>) -> (f6
             }
         }
     }
-    assert!(
-        counts[1] > counts[0] / 50,
-        "the object covers a fiftieth of the image at least"
-    );
+    assert!(counts[1] > counts[0] / 50, "the object covers a fiftieth of the image at least");
     let db = |k: usize| 10.0 * (255.0f64.powi(2) * counts[k] as f64 / sums[k].max(1e-9)).log10();
     (db(0), db(1))
 }
 
 /// How the page is driven while images of it are taken.
 const SCRIPTS: [(&str, &str); 3] = [
-    (
-        "playing at 1x",
-        "minute4d.state().playing || document.querySelector('[data-control=play]').click()",
-    ),
+    ("playing at 1x", "minute4d.state().playing || document.querySelector('[data-control=play]').click()"),
     (
         "playing at 2x",
         "(() => { const speed = document.querySelector('[data-control=speed]'); speed.value = '2'; speed.dispatchEvent(new Event('input')); })()",
@@ -124,10 +104,7 @@ fn playback_images_match_their_time() {
     dir.succeed("train capture -o out --iterations 300");
     let scene = safetensors::read(&dir.path("out/scene.safetensors")).unwrap().scene;
     let kept: Vec<u32> = (0..scene.splats.n_static() as u32).collect();
-    let without = Scene {
-        splats: scene.splats.gather(&kept).unwrap(),
-        ..scene.clone()
-    };
+    let without = Scene { splats: scene.splats.gather(&kept).unwrap(), ..scene.clone() };
     let level = SimdLevel::detect().unwrap();
     let (mut all, mut still) = (Painter::new(&scene, level), Painter::new(&without, level));
 
@@ -143,10 +120,7 @@ fn playback_images_match_their_time() {
             page.eval("new Promise((done) => setTimeout(done, 300))");
             let shot = shot(&mut page);
             let (whole, dynamic) = agreement(&shot, &mut all, &mut still);
-            eprintln!(
-                "{what}, frame {:.2}: {whole:.1} dB, {dynamic:.1} dB where it is dynamic",
-                shot.t
-            );
+            eprintln!("{what}, frame {:.2}: {whole:.1} dB, {dynamic:.1} dB where it is dynamic", shot.t);
             worst = (worst.0.min(whole), worst.1.min(dynamic));
             times.push(shot.t);
         }
@@ -154,8 +128,5 @@ fn playback_images_match_their_time() {
         times.dedup();
         assert!(times.len() >= 5, "{what}: {times:?}");
     }
-    assert!(
-        worst.0 >= WHOLE_DB && worst.1 >= DYNAMIC_DB,
-        "{worst:?} dB at the worst"
-    );
+    assert!(worst.0 >= WHOLE_DB && worst.1 >= DYNAMIC_DB, "{worst:?} dB at the worst");
 }

@@ -74,10 +74,7 @@ fn single_image_equals_the_video_frame() {
     assert_eq!(dir.count("all"), 6);
     let one = dir.path("one.png");
     assert!(difference(&one, &dir.path("all/00003.png")) < 0.01);
-    assert!(
-        difference(&one, &dir.path("all/00000.png")) > 1.0,
-        "another moment looks different"
-    );
+    assert!(difference(&one, &dir.path("all/00000.png")) > 1.0, "another moment looks different");
     // Twice the size of a crop of the middle is the same view.
     dir.succeed(&line("--path source --at 3 --size 48x48 -o cropped.png"));
     let (small, whole) = (read_rgb(&dir.path("cropped.png")).unwrap(), read_rgb(&one).unwrap());
@@ -116,17 +113,10 @@ fn camera_and_keyframe_files_are_rendered() {
 #[test]
 fn impossible_renders_are_rejected_before_writing() {
     let dir = Scratch::new();
-    dir.write(
-        "broken.json",
-        r#"{"format": "minute4d-path", "version": 1, "keyframes": [{"time_s": 0}]}"#,
-    );
+    dir.write("broken.json", r#"{"format": "minute4d-path", "version": 1, "keyframes": [{"time_s": 0}]}"#);
     dir.write("there.png", "mine");
     for (options, code, words) in [
-        (
-            "-o never --path swing --hold-s 3",
-            2,
-            &["--hold-s", "swing", "--degrees"][..],
-        ),
+        ("-o never --path swing --hold-s 3", 2, &["--hold-s", "swing", "--degrees"][..]),
         ("-o never --path train --seconds 3", 2, &["--seconds", "--at"]),
         ("-o never --path bullet --hold-s 1000", 2, &["--hold-s", "0.1 to 600"]),
         ("-o never --path swing --amount nan", 2, &["--amount"]),
@@ -136,11 +126,7 @@ fn impossible_renders_are_rejected_before_writing() {
         ("-o never --path bullet --at 9s", 2, &["9s", "outside"]),
         ("-o never --path bullet --at soon", 2, &["\"soon\"", "not a time"]),
         ("-o never --path spiral", 2, &["spiral", "bullet"]),
-        (
-            "-o never --path broken.json",
-            65,
-            &["broken.json", "camera 0", "look_at"],
-        ),
+        ("-o never --path broken.json", 65, &["broken.json", "camera 0", "look_at"]),
         ("-o never --size 99999x9", 2, &["each side 1 to 16384"]),
         ("-o a.mov --path swing", 2, &["a.mov", ".mp4"]),
         ("-o a.png --path swing", 2, &["a.png", "one image"]),

@@ -18,61 +18,34 @@ fn eval_by_protocol_reports_every_choice() {
     dir.succeed("train part -o run --iterations 60");
     let report = dir.succeed("eval run --data part --protocol rodygs --json").result();
     let c = &report["choices"];
-    assert_eq!(
-        (&c["protocol"], &c["task"]),
-        (&json!("rodygs"), &json!("held_out_frames"))
-    );
+    assert_eq!((&c["protocol"], &c["task"]), (&json!("rodygs"), &json!("held_out_frames")));
     assert_eq!(c["frames"]["rule"], json!({"rule": "every", "every": 8, "offset": 4}));
-    assert_eq!(
-        (&c["frames"]["indices"], &c["frames"]["of_frames"]),
-        (&json!([4, 12, 20]), &json!(24))
-    );
+    assert_eq!((&c["frames"]["indices"], &c["frames"]["of_frames"]), (&json!([4, 12, 20]), &json!(24)));
     assert_eq!(c["frames"]["scored"].as_array().unwrap().len(), 3);
     assert_eq!(c["frames"]["also_training"], json!([]));
-    assert_eq!(
-        c["resolution"],
-        json!({"scored_px": [64, 48], "protocol_px": [360, 480]})
-    );
+    assert_eq!(c["resolution"], json!({"scored_px": [64, 48], "protocol_px": [360, 480]}));
     assert_eq!(c["mask"]["source"], "none");
     assert!(c["render"].as_str().unwrap().contains("not rounded"));
-    for metric in [
-        "psnr_db",
-        "ssim",
-        "psnr_per_channel",
-        "psnr_per_channel_unclamped",
-        "ssim_gaussian_zero_padded",
-    ] {
+    for metric in ["psnr_db", "ssim", "psnr_per_channel", "psnr_per_channel_unclamped", "ssim_gaussian_zero_padded"] {
         assert!(c["metrics"][metric].is_string(), "{metric}: {c}");
     }
     assert!(c["metrics"]["ssim"].as_str().unwrap().contains("11 px"), "{c}");
     // no weights here: said, with the command that gets them
     let lpips = c["lpips"].as_array().unwrap();
-    assert_eq!(
-        (lpips.len(), &lpips[0]["net"], &lpips[1]["net"]),
-        (2, &json!("alex"), &json!("vgg"))
-    );
+    assert_eq!((lpips.len(), &lpips[0]["net"], &lpips[1]["net"]), (2, &json!("alex"), &json!("vgg")));
     assert!(
-        lpips[0]["absent"]
-            .as_str()
-            .unwrap()
-            .contains(if cfg!(feature = "nets") {
-                "minute4d weights fetch lpips-alex"
-            } else {
-                minute4d::BUILD_FULL
-            }),
+        lpips[0]["absent"].as_str().unwrap().contains(if cfg!(feature = "nets") {
+            "minute4d weights fetch lpips-alex"
+        } else {
+            minute4d::BUILD_FULL
+        }),
         "{c}"
     );
     assert!(lpips[0]["definition"].as_str().unwrap().contains("2 x - 1") && lpips[0]["score"].is_null());
     let poses = &c["poses"];
-    assert_eq!(
-        (&poses["treatment"], &poses["geometry_saw_held_out"]),
-        (&json!("given"), &json!(true))
-    );
+    assert_eq!((&poses["treatment"], &poses["geometry_saw_held_out"]), (&json!("given"), &json!(true)));
     assert_eq!(poses["refinement_of_protocol"]["steps"], 1000);
-    assert!(
-        poses["words"].as_str().unwrap().contains("was not done here"),
-        "{poses}"
-    );
+    assert!(poses["words"].as_str().unwrap().contains("was not done here"), "{poses}");
     assert_eq!(c["headline"]["name"], "psnr_db");
     let number = |v: &Value| v.as_f64().unwrap();
     assert_eq!(number(&c["headline"]["mean"]), number(&report["mean"]["psnr_db"]));
@@ -89,22 +62,9 @@ fn eval_by_protocol_reports_every_choice() {
     let refined = dir.succeed("eval run --data part --protocol rodygs --refine-poses --json");
     let refined = refined.result();
     let poses = &refined["choices"]["poses"];
-    assert_eq!(
-        (&poses["treatment"], poses["moved"].as_array().unwrap().len()),
-        (&json!("refined"), 3)
-    );
-    assert_eq!(
-        number(&poses["mean_unrefined"]["psnr_db"]),
-        number(&report["mean"]["psnr_db"])
-    );
-    assert!(
-        poses["moved"]
-            .as_array()
-            .unwrap()
-            .iter()
-            .all(|m| number(&m["mse"][1]) < number(&m["mse"][0])),
-        "{poses}"
-    );
+    assert_eq!((&poses["treatment"], poses["moved"].as_array().unwrap().len()), (&json!("refined"), 3));
+    assert_eq!(number(&poses["mean_unrefined"]["psnr_db"]), number(&report["mean"]["psnr_db"]));
+    assert!(poses["moved"].as_array().unwrap().iter().all(|m| number(&m["mse"][1]) < number(&m["mse"][0])), "{poses}");
 
     // without a protocol everything is as before
     let plain = dir.succeed("eval run --data part --json").result();
@@ -112,17 +72,9 @@ fn eval_by_protocol_reports_every_choice() {
 
     write_capture(&dir.path("views"), true);
     for (line, code, words) in [
-        (
-            "eval run --data part --protocol instant4d",
-            65,
-            &["rodygs", "minute4d split"][..],
-        ),
+        ("eval run --data part --protocol instant4d", 65, &["rodygs", "minute4d split"][..]),
         ("eval run --data part --protocol dycheck", 65, &["rodygs"]),
-        (
-            "eval run --data part --protocol holdout --refine-poses",
-            2,
-            &["does not refine"],
-        ),
+        ("eval run --data part --protocol holdout --refine-poses", 2, &["does not refine"]),
         ("eval run --data views --protocol davis", 65, &["no split.json"]),
         ("split views --protocol nvidia -o x", 2, &["nothing to split"]),
         ("split views --protocol rodygs -o views", 2, &["into itself"]),
@@ -142,24 +94,12 @@ fn dycheck_layout_is_reproduced() {
     let tables = report["tables"].as_array().unwrap();
     assert_eq!(tables.len(), 2);
     let [held_out, novel] = [&tables[0], &tables[1]];
-    assert_eq!(
-        (&held_out["protocol"], &novel["protocol"]),
-        (&json!("instant4d"), &json!("dycheck"))
-    );
-    assert_eq!(
-        (&held_out["task"], &novel["task"]),
-        (&json!("held_out_frames"), &json!("novel_views"))
-    );
-    assert_eq!(
-        (&held_out["scenes_of_published"], &novel["scenes_of_published"]),
-        (&json!([2, 5]), &json!([2, 7]))
-    );
+    assert_eq!((&held_out["protocol"], &novel["protocol"]), (&json!("instant4d"), &json!("dycheck")));
+    assert_eq!((&held_out["task"], &novel["task"]), (&json!("held_out_frames"), &json!("novel_views")));
+    assert_eq!((&held_out["scenes_of_published"], &novel["scenes_of_published"]), (&json!([2, 5]), &json!([2, 7])));
     assert_eq!(report["missing"].as_array().unwrap().len(), 5);
     // 14 frames: int(0.85 * 14) = 11 train; camera 1 at moments 1, 5, 9 and 13
-    assert_eq!(
-        (&held_out["rows"][0]["views"], &novel["rows"][0]["views"]),
-        (&json!(3), &json!(4))
-    );
+    assert_eq!((&held_out["rows"][0]["views"], &novel["rows"][0]["views"]), (&json!(3), &json!(4)));
     let number = |v: &Value| v.as_f64().unwrap();
     let (frames, views) = (capture(14, false).frames, capture(14, true).frames);
     // held out are frames 4, 8 and 12
@@ -187,23 +127,11 @@ fn dycheck_layout_is_reproduced() {
         assert_eq!(row["mask"], "published co-visibility masks,");
     }
     let eval = dir.json("out/dycheck/apple/run/eval.json");
-    assert!(
-        (number(&eval["choices"]["mask"]["share"]) - 56.0 / 64.0).abs() < 1e-9,
-        "{}",
-        eval["choices"]["mask"]
-    );
+    assert!((number(&eval["choices"]["mask"]["share"]) - 56.0 / 64.0).abs() < 1e-9, "{}", eval["choices"]["mask"]);
 
     let table = fs::read_to_string(dir.path("out/reproduce.md")).unwrap();
-    for words in [
-        "apple",
-        "teddy",
-        "25.77",
-        "29 s",
-        "MoSca",
-        "mPSNR",
-        "space-out: is not there",
-        "do not compare yet",
-    ] {
+    for words in ["apple", "teddy", "25.77", "29 s", "MoSca", "mPSNR", "space-out: is not there", "do not compare yet"]
+    {
         assert!(table.contains(words), "{words} is not in {table}");
     }
     // each task in a part of its own
@@ -217,10 +145,7 @@ fn dycheck_layout_is_reproduced() {
 
     // nothing is made again
     let made = |scene: &str| {
-        fs::metadata(dir.path(&format!("out/instant4d/{scene}/run/eval.json")))
-            .unwrap()
-            .modified()
-            .unwrap()
+        fs::metadata(dir.path(&format!("out/instant4d/{scene}/run/eval.json"))).unwrap().modified().unwrap()
     };
     let (apple, teddy) = (made("apple"), made("teddy"));
     let again = dir.succeed(line);
@@ -257,10 +182,7 @@ fn nvidia_layout_is_reproduced() {
     assert_eq!(frames["also_training"].as_array().unwrap().len(), 1, "{frames}");
     assert_eq!(frames["mean_without"]["frames"], 11);
     let table = fs::read_to_string(dir.path("out/reproduce.md")).unwrap();
-    assert!(
-        table.contains("1218") && table.contains("24.73") && !table.contains("25.77"),
-        "{table}"
-    );
+    assert!(table.contains("1218") && table.contains("24.73") && !table.contains("25.77"), "{table}");
 
     let words = ["breakdance-flare", "davischallenge.org"];
     dir.refused("reproduce davis --data data -o out", 66, &words);
@@ -299,9 +221,7 @@ fn room(cameras: &[Camera]) -> Capture {
 #[test]
 fn reproduce_runs_ablations_and_estimated_geometry() {
     let dir = Scratch::new();
-    let views: Vec<Camera> = (0..24)
-        .map(|i| clips::camera(0.02 * f64::from(i), 0.1, clips::FOCAL_PX))
-        .collect();
+    let views: Vec<Camera> = (0..24).map(|i| clips::camera(0.02 * f64::from(i), 0.1, clips::FOCAL_PX)).collect();
     let captures = [room(&clips::walk(24)), room(&views)];
     write_dycheck_of(&dir.path("data/spin"), captures, true);
     let with = |more: &str| {
@@ -309,9 +229,7 @@ fn reproduce_runs_ablations_and_estimated_geometry() {
         dir.succeed(&format!("{line} {more}")).result()
     };
     let report = with("--protocols instant4d --ablations");
-    let rows = report["tables"][0]["ablations"][0]["report"]["rows"]
-        .as_array()
-        .unwrap();
+    let rows = report["tables"][0]["ablations"][0]["report"]["rows"].as_array().unwrap();
     assert_eq!(rows.len(), 4, "{report}");
     for row in rows {
         // depth without a map of motion: there is nothing that segmentation could have made of it
@@ -334,10 +252,7 @@ fn reproduce_runs_ablations_and_estimated_geometry() {
     }
     let row = &novel["rows"][0];
     assert_eq!(row["poses"], "own, aligned", "{row}");
-    assert!(
-        row["geometry_s"].as_f64().unwrap() > 0.0 && row["psnr_db"].is_number(),
-        "{row}"
-    );
+    assert!(row["geometry_s"].as_f64().unwrap() > 0.0 && row["psnr_db"].is_number(), "{row}");
     assert!(dir.path("out/captures-own/spin/geometry.json").is_file());
 }
 

@@ -21,12 +21,7 @@ fn with_capture() -> Scratch {
 }
 
 fn start(dir: &Scratch, line: &str) -> (Running, BufReader<ChildStdout>) {
-    let mut child = dir
-        .command(line)
-        .stdout(Stdio::piped())
-        .stderr(Stdio::null())
-        .spawn()
-        .unwrap();
+    let mut child = dir.command(line).stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
     let stdout = BufReader::new(child.stdout.take().unwrap());
     (Running(child), stdout)
 }
@@ -53,29 +48,19 @@ impl Place {
     fn of(url: &str) -> Self {
         let rest = url.trim().strip_prefix("http://127.0.0.1:").unwrap();
         let (port, token) = rest.split_once("/?token=").unwrap();
-        Self {
-            port: port.parse().unwrap(),
-            token: token.to_owned(),
-        }
+        Self { port: port.parse().unwrap(), token: token.to_owned() }
     }
 
     fn send(&self, target: &str, host: &str) -> TcpStream {
         let mut stream = TcpStream::connect((Ipv4Addr::LOCALHOST, self.port)).unwrap();
         stream.set_read_timeout(Some(Duration::from_secs(60))).unwrap();
-        write!(
-            stream,
-            "GET {target} HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\n\r\n"
-        )
-        .unwrap();
+        write!(stream, "GET {target} HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\n\r\n").unwrap();
         stream
     }
 
     /// Status and body of an answer to a request with the token.
     fn ask(&self, path: &str) -> (u16, Vec<u8>) {
-        self.ask_as(
-            &format!("{path}?token={}", self.token),
-            &format!("127.0.0.1:{}", self.port),
-        )
+        self.ask_as(&format!("{path}?token={}", self.token), &format!("127.0.0.1:{}", self.port))
     }
 
     fn ask_as(&self, target: &str, host: &str) -> (u16, Vec<u8>) {
@@ -83,10 +68,7 @@ impl Place {
         self.send(target, host).read_to_end(&mut all).unwrap();
         let end = all.windows(4).position(|w| w == b"\r\n\r\n").unwrap();
         let head = String::from_utf8(all[..end].to_vec()).unwrap();
-        (
-            head.split(' ').nth(1).unwrap().parse().unwrap(),
-            all[end + 4..].to_vec(),
-        )
+        (head.split(' ').nth(1).unwrap().parse().unwrap(), all[end + 4..].to_vec())
     }
 
     fn page(&self) -> page::Contents {
@@ -137,18 +119,12 @@ fn run_writes_a_page_with_its_scene() {
     assert!(dir.json("out/run.json")["files"]["viewer.html"].is_null());
     let again = dir.succeed("train capture -o out --iterations 30 --resume");
     assert!(file.exists(), "asked for later, it is made of the scene that is there");
-    assert!(
-        again.stderr.contains("train: already done") && again.stderr.contains("viewer.html"),
-        "{}",
-        again.stderr
-    );
+    assert!(again.stderr.contains("train: already done") && again.stderr.contains("viewer.html"), "{}", again.stderr);
 }
 
 #[cfg(unix)]
 fn interrupt(running: &Running) {
-    let status = Command::new("kill")
-        .args(["-INT", &running.0.id().to_string()])
-        .status();
+    let status = Command::new("kill").args(["-INT", &running.0.id().to_string()]).status();
     assert!(status.unwrap().success());
 }
 
@@ -170,33 +146,17 @@ fn view_shows_the_scene_and_its_replacement() {
     assert_eq!(place.ask_as(&wrong, &format!("127.0.0.1:{}", place.port)).0, 403);
     let right = format!("/?token={}", place.token);
     assert_eq!(place.ask_as(&right, "example.com").0, 403);
-    for path in [
-        "/run.json",
-        "/scene.safetensors",
-        "/../run.json",
-        "/..%2frun.json",
-        "/etc/passwd",
-    ] {
+    for path in ["/run.json", "/scene.safetensors", "/../run.json", "/..%2frun.json", "/etc/passwd"] {
         assert_eq!(place.ask(path).0, 404, "{path}");
     }
-    assert!(
-        TcpStream::connect(("127.0.0.2", place.port)).is_err(),
-        "127.0.0.1 alone"
-    );
+    assert!(TcpStream::connect(("127.0.0.2", place.port)).is_err(), "127.0.0.1 alone");
 
     let first = place.page();
     let live = first.manifest.live.clone().unwrap();
-    assert_eq!(
-        first.frames.unwrap().index.offsets.len(),
-        7,
-        "the frames of the capture it was made of"
-    );
+    assert_eq!(first.frames.unwrap().index.offsets.len(), 7, "the frames of the capture it was made of");
     let mut events = place.listen(&live.events);
     let heard: Vec<Value> = (0..2).map(|_| next_event(&mut events).unwrap()).collect();
-    assert_eq!(
-        (&heard[0]["event"], &heard[0]["iteration"]),
-        (&"metrics".into(), &30.into())
-    );
+    assert_eq!((&heard[0]["event"], &heard[0]["iteration"]), (&"metrics".into(), &30.into()));
     assert_eq!((&heard[1]["event"], &heard[1]["ok"]), (&"end".into(), &true.into()));
 
     // a broken file is not shown, a whole one is
@@ -229,11 +189,7 @@ fn browser_shows_the_served_scene_and_the_next_checkpoint() {
     dir.succeed("train capture -o other --iterations 60 --no-viewer");
     // a folder in which training continues: no scene yet, a checkpoint
     fs::create_dir(dir.path("out/checkpoints")).unwrap();
-    fs::rename(
-        dir.path("out/scene.safetensors"),
-        dir.path("out/checkpoints/0000030.safetensors"),
-    )
-    .unwrap();
+    fs::rename(dir.path("out/scene.safetensors"), dir.path("out/checkpoints/0000030.safetensors")).unwrap();
 
     let (_running, mut stdout) = start(&dir, "view out --no-open");
     let mut url = String::new();
@@ -247,23 +203,13 @@ fn browser_shows_the_served_scene_and_the_next_checkpoint() {
         image
     };
     let first = [0.0, 2.0, 5.0].map(|t| image(&mut page, t));
-    assert!(
-        first[0] != first[1] && first[1] != first[2] && first[2] != first[0],
-        "three instants look alike"
-    );
-    assert!(
-        first[1] == image(&mut page, 2.0),
-        "an instant is drawn as before, bit for bit"
-    );
+    assert!(first[0] != first[1] && first[1] != first[2] && first[2] != first[0], "three instants look alike");
+    assert!(first[1] == image(&mut page, 2.0), "an instant is drawn as before, bit for bit");
 
     // the page stays the same document, its scene does not
     page.eval("window.stayed = true");
     fs::copy(dir.path("other/scene.safetensors"), dir.path("out/checkpoints/new")).unwrap();
-    fs::rename(
-        dir.path("out/checkpoints/new"),
-        dir.path("out/checkpoints/0000060.safetensors"),
-    )
-    .unwrap();
+    fs::rename(dir.path("out/checkpoints/new"), dir.path("out/checkpoints/0000060.safetensors")).unwrap();
     let deadline = Instant::now() + Duration::from_secs(60);
     while image(&mut page, 2.0) == first[1] {
         assert!(Instant::now() < deadline, "the page still shows the checkpoint before");
@@ -298,11 +244,7 @@ fn training_with_a_live_page_gives_identical_bits() {
     let place = Place::of(&url);
     let mut events = place.listen(&place.page().manifest.live.unwrap().events);
     let heard: Vec<Value> = std::iter::from_fn(|| next_event(&mut events)).collect();
-    assert_eq!(
-        running.0.wait().unwrap().code(),
-        Some(0),
-        "without a terminal it ends by itself"
-    );
+    assert_eq!(running.0.wait().unwrap().code(), Some(0), "without a terminal it ends by itself");
     let last: Value = serde_json::from_str(reader.join().unwrap().last().unwrap()).unwrap();
     assert_eq!((&last["event"], &last["ok"]), (&"end".into(), &true.into()));
 
@@ -311,14 +253,8 @@ fn training_with_a_live_page_gives_identical_bits() {
     assert!(first_scene + 2 < names.len(), "a scene while it trained: {names:?}");
     assert_eq!(&names[names.len() - 2..], ["scene", "end"], "the result, then the end");
     let metrics = heard.iter().rfind(|e| e["event"] == "metrics").unwrap();
-    assert_eq!(
-        (&metrics["iteration"], &metrics["iterations"]),
-        (&1500.into(), &1500.into())
-    );
-    assert!(
-        dir.read("alone/scene.safetensors") == dir.read("seen/scene.safetensors"),
-        "the scenes differ"
-    );
+    assert_eq!((&metrics["iteration"], &metrics["iterations"]), (&1500.into(), &1500.into()));
+    assert!(dir.read("alone/scene.safetensors") == dir.read("seen/scene.safetensors"), "the scenes differ");
     let mut pages = ["alone", "seen"].map(|run| {
         let html = String::from_utf8(dir.read(&format!("{run}/viewer.html"))).unwrap();
         page::read(&html).unwrap()

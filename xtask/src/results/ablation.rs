@@ -19,33 +19,14 @@ struct Row {
 }
 
 const fn row(name: &'static str, what: &'static str, sets: &'static [&'static str]) -> Row {
-    Row {
-        name,
-        what,
-        sets,
-        batch: 1,
-    }
+    Row { name, what, sets, batch: 1 }
 }
 
 const ROWS: &[Row] = &[
     row("default", "default", &[]),
-    Row {
-        name: "batch-2",
-        what: "two frames per step, half the steps",
-        sets: &["train.batch=2"],
-        batch: 2,
-    },
-    Row {
-        name: "batch-4",
-        what: "four frames per step, a quarter of the steps",
-        sets: &["train.batch=4"],
-        batch: 4,
-    },
-    row(
-        "no-colour-fit",
-        "no colours by least squares last",
-        &["train.colour_fit.rounds=0"],
-    ),
+    Row { name: "batch-2", what: "two frames per step, half the steps", sets: &["train.batch=2"], batch: 2 },
+    Row { name: "batch-4", what: "four frames per step, a quarter of the steps", sets: &["train.batch=4"], batch: 4 },
+    row("no-colour-fit", "no colours by least squares last", &["train.colour_fit.rounds=0"]),
     row("colour-fit-3", "3 rounds of it last", &["train.colour_fit.rounds=3"]),
     row("short-lives", "lives of 0.5 frames", &["init.keyframe_gaps=0.5"]),
     row("long-lives", "lives of 1.5 frames", &["init.keyframe_gaps=1.5"]),
@@ -65,27 +46,17 @@ struct Ask<'a> {
 
 impl<'a> Ask<'a> {
     fn parse(words: &[&'a str]) -> Result<Self> {
-        let mut ask = Self {
-            iterations: ITERATIONS,
-            rows: Vec::new(),
-            reuse: false,
-            scenes: Vec::new(),
-        };
+        let mut ask = Self { iterations: ITERATIONS, rows: Vec::new(), reuse: false, scenes: Vec::new() };
         let mut words = words.iter();
         while let Some(&word) = words.next() {
             match word {
                 "--iterations" => {
                     let value = words.next().context("--iterations: expected a number")?;
-                    ask.iterations = value
-                        .parse()
-                        .with_context(|| format!("--iterations {value}: expected a number"))?;
+                    ask.iterations =
+                        value.parse().with_context(|| format!("--iterations {value}: expected a number"))?;
                 }
                 "--rows" => {
-                    ask.rows = words
-                        .next()
-                        .context("--rows: expected names, NAME,NAME")?
-                        .split(',')
-                        .collect();
+                    ask.rows = words.next().context("--rows: expected names, NAME,NAME")?.split(',').collect();
                 }
                 "--reuse" => ask.reuse = true,
                 other if other.starts_with("--") => {
@@ -117,10 +88,7 @@ impl<'a> Ask<'a> {
 impl Row {
     /// Every setting of a training of as many frames as `iterations` steps of the default look at.
     fn settings(&self, iterations: usize) -> Vec<String> {
-        let mut out = vec![
-            format!("train.iterations={}", iterations / self.batch),
-            "train.budget_s=0".to_owned(),
-        ];
+        let mut out = vec![format!("train.iterations={}", iterations / self.batch), "train.budget_s=0".to_owned()];
         if self.batch > 1 {
             for (key, steps) in [("from", 500), ("every", 100), ("prune_every", 500)] {
                 out.push(format!("train.density.{key}={}", steps / self.batch));
@@ -155,10 +123,8 @@ pub fn ablation(root: &Path, words: &[&str], work: &Path) -> Result<String> {
     for row in ask.rows() {
         let settings = row.settings(ask.iterations);
         let sets = settings.iter().flat_map(|set| ["--set", set]);
-        let words: Vec<&str> = ["train", ask.scenes[0], "-o", "unused", "--print-config"]
-            .into_iter()
-            .chain(sets)
-            .collect();
+        let words: Vec<&str> =
+            ["train", ask.scenes[0], "-o", "unused", "--print-config"].into_iter().chain(sets).collect();
         run(&program, &words).with_context(|| format!("row {}", row.name))?;
     }
     let mut table = format!(
@@ -183,10 +149,7 @@ fn measure(program: &Path, scene: &str, row: &Row, ask: &Ask<'_>, out: &Path) ->
     let existing = if ask.reuse { "--resume" } else { "--force" };
     let settings = row.settings(ask.iterations);
     let sets = settings.iter().flat_map(|set| ["--set", set]);
-    let train: Vec<&str> = ["train", scene, "-o", &out_text, existing, "--quiet"]
-        .into_iter()
-        .chain(sets)
-        .collect();
+    let train: Vec<&str> = ["train", scene, "-o", &out_text, existing, "--quiet"].into_iter().chain(sets).collect();
     run(program, &train)?;
     run(program, &["eval", &out_text, "--data", scene, "--quiet"])?;
     let eval = json(&out.join("eval.json"))?;
@@ -227,25 +190,13 @@ mod tests {
     #[test]
     fn words_choose_rows_and_steps() {
         let ask = Ask::parse(&["--rows", "batch-2,no-density", "a", "--iterations", "400", "b"]).unwrap();
-        assert_eq!(
-            (ask.iterations, ask.reuse, ask.scenes.as_slice()),
-            (400, false, ["a", "b"].as_slice())
-        );
+        assert_eq!((ask.iterations, ask.reuse, ask.scenes.as_slice()), (400, false, ["a", "b"].as_slice()));
         let names: Vec<&str> = ask.rows().map(|r| r.name).collect();
-        assert_eq!(
-            names,
-            ["default", "batch-2", "no-density"],
-            "the default is always there to compare with"
-        );
+        assert_eq!(names, ["default", "batch-2", "no-density"], "the default is always there to compare with");
         let all = Ask::parse(&["a", "--reuse"]).unwrap();
         assert!(all.reuse && all.iterations == ITERATIONS);
         assert_eq!(all.rows().count(), ROWS.len());
-        for wrong in [
-            &["--rows", "cubes", "a"][..],
-            &["--iterations", "many", "a"],
-            &["--fast", "a"],
-            &[],
-        ] {
+        for wrong in [&["--rows", "cubes", "a"][..], &["--iterations", "many", "a"], &["--fast", "a"], &[]] {
             assert!(Ask::parse(wrong).is_err(), "{wrong:?}");
         }
     }
@@ -265,18 +216,8 @@ mod tests {
 
     #[test]
     fn ablation_differences_are_printed_with_a_sign() {
-        let default = Figures {
-            psnr: 31.0,
-            moving: 23.5,
-            ssim: 0.95,
-            seconds: 20.0,
-            splats: 7,
-        };
-        let other = Figures {
-            psnr: 30.5,
-            seconds: 22.04,
-            ..default
-        };
+        let default = Figures { psnr: 31.0, moving: 23.5, ssim: 0.95, seconds: 20.0, splats: 7 };
+        let other = Figures { psnr: 30.5, seconds: 22.04, ..default };
         assert_eq!(
             line("mill-1", "no density control", other, Some(default)),
             "| mill-1 | no density control | 30.50 (-0.50) | 23.50 (+0.00) | 0.950 (+0.000) | 22.0 (+2.0) | 7 |\n"

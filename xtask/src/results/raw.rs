@@ -26,10 +26,7 @@ pub fn raw(root: &Path, args: &[&str], work: &Path) -> Result<String> {
         run(&program, &[&all, options].concat())?;
         let seconds = number(&json(&Path::new(&capture).join("geometry.json"))?["seconds"]);
         let score = |input: &str, out: &str| -> Result<[f64; 2]> {
-            run(
-                &program,
-                &["train", input, "-o", out, "--force", "--quiet", "--no-viewer"],
-            )?;
+            run(&program, &["train", input, "-o", out, "--force", "--quiet", "--no-viewer"])?;
             run(&program, &["eval", out, "--data", scene, "--quiet"])?;
             let mean = json(&Path::new(out).join("eval.json"))?["mean"].take();
             Ok([number(&mean["psnr_db"]), number(&mean["masked_psnr_db"])])

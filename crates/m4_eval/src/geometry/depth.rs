@@ -18,13 +18,8 @@ struct Sum {
 impl Sum {
     fn score(&self) -> Option<(f64, f64, f64)> {
         let share = |part: usize, whole: usize| part as f64 / whole as f64;
-        (self.count > 0).then(|| {
-            (
-                self.abs_rel / self.count as f64,
-                share(self.within, self.count),
-                share(self.count, self.truth),
-            )
-        })
+        (self.count > 0)
+            .then(|| (self.abs_rel / self.count as f64, share(self.within, self.count), share(self.count, self.truth)))
     }
 }
 
@@ -64,10 +59,8 @@ fn visit(estimate: &CompactDepth, truth: &CompactDepth, mask: Option<&CompactMas
 
 /// `None` if no pair of frames has depth on both sides.
 pub(super) fn depth_error(pairs: &[(&CaptureFrame, &CaptureFrame)]) -> Option<DepthError> {
-    let maps: Vec<_> = pairs
-        .iter()
-        .filter_map(|(e, t)| Some((e.depth.as_ref()?, t.depth.as_ref()?, t.mask.as_ref())))
-        .collect();
+    let maps: Vec<_> =
+        pairs.iter().filter_map(|(e, t)| Some((e.depth.as_ref()?, t.depth.as_ref()?, t.mask.as_ref()))).collect();
     let mut ratios: Vec<f64> = Vec::new();
     let mut any = Vec::new();
     for &(e, t, mask) in &maps {

@@ -120,11 +120,7 @@ mod tests {
 
     #[test]
     fn names_win_over_order() {
-        let got = pair(
-            &named(&["b.png", "a.png"]),
-            &named(&["train/a.jpg", "train/b.jpg", "train/c.jpg"]),
-        )
-        .unwrap();
+        let got = pair(&named(&["b.png", "a.png"]), &named(&["train/a.jpg", "train/b.jpg", "train/c.jpg"])).unwrap();
         assert_eq!(got, (Matching::Name, vec![(0, 1), (1, 0)]));
     }
 
@@ -144,20 +140,7 @@ mod tests {
     #[test]
     fn other_counts_are_an_error_that_names_both() {
         let error = pair(&named(&["x", "y", "z", "w"]), &named(&["0", "1", "2", "3", "4"])).unwrap_err();
-        assert!(
-            matches!(
-                error,
-                GeometryError::Unmatched {
-                    estimate: 4,
-                    truth: 5,
-                    ..
-                }
-            ),
-            "{error}"
-        );
-        assert!(matches!(
-            pair(&named(&[]), &named(&["a"])),
-            Err(GeometryError::Empty { which: "estimate" })
-        ));
+        assert!(matches!(error, GeometryError::Unmatched { estimate: 4, truth: 5, .. }), "{error}");
+        assert!(matches!(pair(&named(&[]), &named(&["a"])), Err(GeometryError::Empty { which: "estimate" })));
     }
 }

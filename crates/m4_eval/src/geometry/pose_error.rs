@@ -99,12 +99,7 @@ pub fn absolute_error(
     let (aligned, scale) = aligned(estimate, truth, alignment)?;
     let apart = aligned.iter().zip(truth).map(|(e, t)| t.inverse().compose(e));
     let apart: Vec<Se3<f64>> = apart.collect();
-    Ok(AbsoluteError {
-        alignment,
-        scale,
-        translation: lengths(&apart),
-        rotation_deg: angles(&apart),
-    })
+    Ok(AbsoluteError { alignment, scale, translation: lengths(&apart), rotation_deg: angles(&apart) })
 }
 
 /// The relative error of `estimate`, whose poses are of the same frames as those of `truth`, over pairs that lie `delta_frames` apart
@@ -123,21 +118,12 @@ pub fn relative_error(
     let delta = delta_frames.max(1);
     let pairs = (truth.len() - 1) / delta;
     if pairs == 0 || delta_frames == 0 {
-        return Err(GeometryError::NoPairs {
-            poses: truth.len(),
-            delta_frames,
-        });
+        return Err(GeometryError::NoPairs { poses: truth.len(), delta_frames });
     }
     let motion = |path: &[Se3<f64>], i: usize| path[i * delta].inverse().compose(&path[(i + 1) * delta]);
     let apart = (0..pairs).map(|i| motion(truth, i).inverse().compose(&motion(&aligned, i)));
     let apart: Vec<Se3<f64>> = apart.collect();
-    Ok(RelativeError {
-        alignment,
-        delta_frames,
-        pairs,
-        translation: lengths(&apart),
-        rotation_deg: angles(&apart),
-    })
+    Ok(RelativeError { alignment, delta_frames, pairs, translation: lengths(&apart), rotation_deg: angles(&apart) })
 }
 
 fn lengths(motions: &[Se3<f64>]) -> ErrorStatistics {
@@ -161,18 +147,11 @@ fn aligned(
         }
         let finite = |p: &Se3<f64>| p.rotation.iter().chain(p.translation.iter()).all(|v| v.is_finite());
         if let Some(i) = path.iter().position(|p| !finite(p)) {
-            return Err(GeometryError::NotFinite {
-                which,
-                name: format!("number {i}"),
-                what: "the pose",
-            });
+            return Err(GeometryError::NotFinite { which, name: format!("number {i}"), what: "the pose" });
         }
     }
     if estimate.len() != truth.len() {
-        return Err(GeometryError::Lengths {
-            estimate: estimate.len(),
-            truth: truth.len(),
-        });
+        return Err(GeometryError::Lengths { estimate: estimate.len(), truth: truth.len() });
     }
     let centres = |path: &[Se3<f64>]| path.iter().map(|p| p.translation).collect::<Vec<Vector3<f64>>>();
     let fit = || {
@@ -188,17 +167,10 @@ fn aligned(
             // the best rotation does not depend on the scale
             let (sim, from, to) = fit()?;
             let mean = |points: &[Vector3<f64>]| points.iter().sum::<Vector3<f64>>() / points.len() as f64;
-            Sim3 {
-                scale: 1.0,
-                translation: mean(&to) - sim.rotation * mean(&from),
-                ..sim
-            }
+            Sim3 { scale: 1.0, translation: mean(&to) - sim.rotation * mean(&from), ..sim }
         }
     };
-    let moved = |p: &Se3<f64>| Se3 {
-        rotation: sim.rotation * p.rotation,
-        translation: sim.transform(&p.translation),
-    };
+    let moved = |p: &Se3<f64>| Se3 { rotation: sim.rotation * p.rotation, translation: sim.transform(&p.translation) };
     Ok((estimate.iter().map(moved).collect(), sim.scale))
 }
 
@@ -238,14 +210,8 @@ mod tests {
         assert_eq!(absolute(&still, PathAlignment::Sim3), Err(GeometryError::NoExtent));
         assert_eq!(absolute(&still, PathAlignment::Se3), Err(GeometryError::NoExtent));
         assert!(absolute(&still, PathAlignment::None).unwrap().translation.max > 0.1);
-        assert_eq!(
-            absolute(&truth[1..], PathAlignment::None),
-            Err(GeometryError::Lengths { estimate: 4, truth: 5 })
-        );
-        assert_eq!(
-            absolute(&[], PathAlignment::None),
-            Err(GeometryError::Empty { which: "estimate" })
-        );
+        assert_eq!(absolute(&truth[1..], PathAlignment::None), Err(GeometryError::Lengths { estimate: 4, truth: 5 }));
+        assert_eq!(absolute(&[], PathAlignment::None), Err(GeometryError::Empty { which: "estimate" }));
         let mut bad = truth.clone();
         bad[3].rotation[(1, 1)] = f64::NAN;
         let error = absolute(&bad, PathAlignment::None).unwrap_err();

@@ -87,10 +87,8 @@ pub fn evaluate(estimate: &Capture, truth: &Capture) -> Result<GeometryReport, G
     check_finite("estimate", &estimate)?;
     check_finite("truth", &truth)?;
     let (matching, index) = pair(&estimate, &truth)?;
-    let pairs: Vec<(&CaptureFrame, &CaptureFrame)> = index
-        .iter()
-        .map(|&(e, t)| (estimate.frames[e], truth.frames[t]))
-        .collect();
+    let pairs: Vec<(&CaptureFrame, &CaptureFrame)> =
+        index.iter().map(|&(e, t)| (estimate.frames[e], truth.frames[t])).collect();
     let cameras: (Vec<Camera>, Vec<Camera>) = pairs.iter().map(|(e, t)| (e.camera, t.camera)).unzip();
     let poses = |cameras: &[Camera]| cameras.iter().map(|c| c.c2w).collect::<Vec<_>>();
     let (estimated, true_poses) = (poses(&cameras.0), poses(&cameras.1));
@@ -121,21 +119,12 @@ fn with_notes(mut report: GeometryReport, estimate: &Side<'_>, truth: &Side<'_>)
         }
     };
     let no_path = report.trajectory.is_none();
-    note(
-        no_path,
-        "trajectory: one of the paths has no extent, so there is nothing to align",
-    );
+    note(no_path, "trajectory: one of the paths has no extent, so there is nothing to align");
     let no_depth = report.depth.is_none();
     note(no_depth, "depth: no pair of frames has depth on both sides");
-    note(
-        report.mask.is_none(),
-        "masks: no pair of frames has a mask on both sides",
-    );
+    note(report.mask.is_none(), "masks: no pair of frames has a mask on both sides");
     let unknown = report.depth.is_some() && truth.frames.iter().all(|f| f.mask.is_none());
-    note(
-        unknown,
-        "depth: the ground truth has no masks, so every pixel counts as static",
-    );
+    note(unknown, "depth: the ground truth has no masks, so every pixel counts as static");
     // a part of a clip is numbered again: its 00001 need not be the whole clip's
     let (part, whole) = (estimate.frames.len(), truth.frames.len());
     if report.matching == Matching::Name && part != whole {
@@ -159,11 +148,7 @@ fn check_finite(which: &'static str, side: &Side<'_>) -> Result<(), GeometryErro
     for frame in &side.frames {
         let k = &frame.camera.intrinsics;
         let pose = &frame.camera.c2w;
-        let finite_pose = pose
-            .rotation
-            .iter()
-            .chain(pose.translation.iter())
-            .all(|v| v.is_finite());
+        let finite_pose = pose.rotation.iter().chain(pose.translation.iter()).all(|v| v.is_finite());
         let what = if !finite_pose {
             "the pose"
         } else if !(k.fx.is_finite() && k.fx > 0.0 && k.width > 0) {
@@ -171,11 +156,7 @@ fn check_finite(which: &'static str, side: &Side<'_>) -> Result<(), GeometryErro
         } else {
             continue;
         };
-        return Err(GeometryError::NotFinite {
-            which,
-            name: frame.name.clone(),
-            what,
-        });
+        return Err(GeometryError::NotFinite { which, name: frame.name.clone(), what });
     }
     Ok(())
 }
@@ -214,13 +195,7 @@ pub(super) mod tests {
                 camera_index: None,
             }
         };
-        Capture {
-            frames: (0..n).map(frame).collect(),
-            time_frames: n,
-            duration_s: None,
-            metric: true,
-            tracks: None,
-        }
+        Capture { frames: (0..n).map(frame).collect(), time_frames: n, duration_s: None, metric: true, tracks: None }
     }
 
     #[test]
@@ -278,16 +253,10 @@ pub(super) mod tests {
             (frame.depth, frame.mask) = (None, None);
         }
         let report = evaluate(&capture(3), &truth).unwrap();
-        assert!(
-            report.depth.is_none() && report.mask.is_none() && report.notes.len() == 2,
-            "{report:?}"
-        );
+        assert!(report.depth.is_none() && report.mask.is_none() && report.notes.len() == 2, "{report:?}");
         let text = serde_json::to_string(&report).unwrap();
         let back = serde_json::from_str::<GeometryReport>(&text).unwrap();
-        assert_eq!(
-            (back.depth, back.mask, back.notes),
-            (report.depth, report.mask, report.notes)
-        );
+        assert_eq!((back.depth, back.mask, back.notes), (report.depth, report.mask, report.notes));
         assert!((back.trajectory.unwrap().scale - 1.0).abs() < 1e-9);
     }
 
@@ -306,10 +275,7 @@ pub(super) mod tests {
         truth.frames[3].camera_index = Some(0);
         assert_eq!(evaluate(&capture(3), &truth).unwrap().frames, 3);
         truth.frames[1].camera.c2w.translation.x = f64::NAN;
-        assert!(matches!(
-            evaluate(&capture(3), &truth),
-            Err(GeometryError::NotFinite { which: "truth", .. })
-        ));
+        assert!(matches!(evaluate(&capture(3), &truth), Err(GeometryError::NotFinite { which: "truth", .. })));
     }
 }
 

@@ -63,11 +63,7 @@ fn common_rotation(estimate: &[Camera], truth: &[Camera]) -> Option<Matrix3<f64>
     if estimate.is_empty() || estimate.len() != truth.len() {
         return None;
     }
-    let sum: Matrix3<f64> = estimate
-        .iter()
-        .zip(truth)
-        .map(|(e, t)| t.c2w.rotation * e.c2w.rotation.transpose())
-        .sum();
+    let sum: Matrix3<f64> = estimate.iter().zip(truth).map(|(e, t)| t.c2w.rotation * e.c2w.rotation.transpose()).sum();
     let svd = sum.svd(true, true);
     let (u, v_t) = (svd.u?, svd.v_t?);
     let sign = if (u * v_t).determinant() < 0.0 { -1.0 } else { 1.0 };
@@ -93,11 +89,7 @@ pub(super) fn trajectory_error(estimate: &[Camera], truth: &[Camera]) -> Option<
         return None;
     }
     let sim = Sim3::umeyama(&estimate, &truth)?;
-    let distances: Vec<f64> = estimate
-        .iter()
-        .zip(&truth)
-        .map(|(e, t)| (sim.transform(e) - t).norm())
-        .collect();
+    let distances: Vec<f64> = estimate.iter().zip(&truth).map(|(e, t)| (sim.transform(e) - t).norm()).collect();
     let rmse = (distances.iter().map(|d| d * d).sum::<f64>() / distances.len() as f64).sqrt();
     Some(TrajectoryError {
         rmse,
@@ -113,11 +105,7 @@ pub(super) fn rotation_error(estimate: &[Camera], truth: &[Camera]) -> Option<Ro
     let mut angles: Vec<f64> = estimate
         .iter()
         .zip(truth)
-        .map(|(e, t)| {
-            log_so3(&((common * e.c2w.rotation).transpose() * t.c2w.rotation))
-                .norm()
-                .to_degrees()
-        })
+        .map(|(e, t)| log_so3(&((common * e.c2w.rotation).transpose() * t.c2w.rotation)).norm().to_degrees())
         .collect();
     angles.sort_by(f64::total_cmp);
     Some(RotationError {
@@ -140,10 +128,7 @@ mod tests {
             .map(|i| {
                 let a = i as f64 * 0.7;
                 let twist = Vector6::new(a.sin(), 0.5 * a.cos(), 0.2 * a, 0.1 * a, -0.2 * a.sin(), 0.05 * a);
-                Camera {
-                    intrinsics: Intrinsics::centred(64, 48, 60.0),
-                    c2w: Se3::identity().retract(&twist),
-                }
+                Camera { intrinsics: Intrinsics::centred(64, 48, 60.0), c2w: Se3::identity().retract(&twist) }
             })
             .collect()
     }
@@ -152,10 +137,7 @@ mod tests {
         cameras
             .iter()
             .map(|c| Camera {
-                c2w: Se3 {
-                    rotation: sim.rotation * c.c2w.rotation,
-                    translation: sim.transform(&c.c2w.translation),
-                },
+                c2w: Se3 { rotation: sim.rotation * c.c2w.rotation, translation: sim.transform(&c.c2w.translation) },
                 ..*c
             })
             .collect()
@@ -186,17 +168,10 @@ mod tests {
         let h = 0.1;
         let at = |x: f64, y: f64| Camera {
             intrinsics: Intrinsics::centred(64, 48, 60.0),
-            c2w: Se3 {
-                translation: Vector3::new(x, y, 0.0),
-                ..Se3::identity()
-            },
+            c2w: Se3 { translation: Vector3::new(x, y, 0.0), ..Se3::identity() },
         };
         let truth: Vec<Camera> = (0..4).map(|i| at(f64::from(i), 0.0)).collect();
-        let estimate: Vec<Camera> = [h, -h, -h, h]
-            .iter()
-            .enumerate()
-            .map(|(i, &y)| at(i as f64, y))
-            .collect();
+        let estimate: Vec<Camera> = [h, -h, -h, h].iter().enumerate().map(|(i, &y)| at(i as f64, y)).collect();
         let got = trajectory_error(&estimate, &truth).unwrap();
         let want = (h * h * 1.25 / (1.25 + h * h)).sqrt();
         assert!((got.rmse - want).abs() < 1e-9, "{} where {want} was expected", got.rmse);
@@ -212,10 +187,7 @@ mod tests {
         estimate[0].c2w.rotation = turn(3.0) * truth[0].c2w.rotation;
         estimate[1].c2w.rotation = turn(-3.0) * truth[1].c2w.rotation;
         let got = rotation_error(&estimate, &truth).unwrap();
-        assert!(
-            (got.mean_deg - 3.0).abs() < 1e-6 && (got.median_deg - 3.0).abs() < 1e-6,
-            "{got:?}"
-        );
+        assert!((got.mean_deg - 3.0).abs() < 1e-6 && (got.median_deg - 3.0).abs() < 1e-6, "{got:?}");
     }
 
     #[test]

@@ -227,11 +227,7 @@ mod tests {
         let db = |kind| psnr_db_of(kind, &a, &b, None).unwrap().unwrap();
         // squared errors 0.01, 0.0001 and 0.01
         assert!((db(PsnrKind::Joint) + 10.0 * (0.0201f64 / 3.0).log10()).abs() < 1e-4);
-        assert!(
-            (db(PsnrKind::PerChannel) - 80.0 / 3.0).abs() < 1e-4,
-            "{}",
-            db(PsnrKind::PerChannel)
-        );
+        assert!((db(PsnrKind::PerChannel) - 80.0 / 3.0).abs() < 1e-4, "{}", db(PsnrKind::PerChannel));
         // 25.5 is 26 of 255, 1.01 is white
         let want = -10.0 * (2.0 * (26.0f64 / 255.0).powi(2) / 3.0).log10();
         assert!((db(PsnrKind::EightBit) - want).abs() < 1e-9);

@@ -58,11 +58,7 @@ pub enum ImageError {
 }
 
 pub(super) fn same_size(what: &'static str, expected: (usize, usize), found: (usize, usize)) -> Result<(), ImageError> {
-    if expected == found {
-        Ok(())
-    } else {
-        Err(ImageError::Size { what, expected, found })
-    }
+    if expected == found { Ok(()) } else { Err(ImageError::Size { what, expected, found }) }
 }
 
 /// A colour image in three planes, `[height][width]` each, sRGB values in `[0, 1]`, or beyond where a protocol does not clamp.
@@ -97,21 +93,10 @@ impl PlanarImage {
         for (channel, plane) in planes.iter().enumerate() {
             if ShapeError::check("plane", width * height, plane.len()).is_err() {
                 let (expected, found) = (width * height, plane.len());
-                return Err(ImageError::Length {
-                    width,
-                    height,
-                    channel,
-                    expected,
-                    found,
-                });
+                return Err(ImageError::Length { width, height, channel, expected, found });
             }
             if let Some(i) = plane.iter().position(|v| !v.is_finite()) {
-                return Err(ImageError::NotFinite {
-                    x: i % width,
-                    y: i / width,
-                    channel,
-                    value: plane[i],
-                });
+                return Err(ImageError::NotFinite { x: i % width, y: i / width, channel, value: plane[i] });
             }
         }
         let planes = planes.map(<[f32]>::to_vec);
@@ -146,11 +131,7 @@ impl PlanarImage {
 impl From<&RgbImage> for PlanarImage {
     fn from(image: &RgbImage) -> Self {
         let plane = |c: usize| image.data().iter().map(|rgb| f32::from(rgb[c]) / 255.0).collect();
-        Self {
-            width: image.width(),
-            height: image.height(),
-            planes: [plane(0), plane(1), plane(2)],
-        }
+        Self { width: image.width(), height: image.height(), planes: [plane(0), plane(1), plane(2)] }
     }
 }
 

@@ -105,10 +105,7 @@ impl ImageReport {
             mean: "mean over frames".to_owned(),
             others: BTreeMap::new(),
         };
-        Self {
-            protocol,
-            frames: Vec::new(),
-        }
+        Self { protocol, frames: Vec::new() }
     }
 
     /// Scores one image; `mask` (not yet grown) is where its dynamic regions are.
@@ -127,11 +124,7 @@ impl ImageReport {
         mask: Option<&Mask>,
     ) -> Result<&FrameScore, ImageError> {
         if !self.frames.is_empty() {
-            same_size(
-                "this view",
-                (self.protocol.width, self.protocol.height),
-                reference.size(),
-            )?;
+            same_size("this view", (self.protocol.width, self.protocol.height), reference.size())?;
         }
         let map = ssim_map(image, reference)?;
         let whole = psnr_db(image, reference, None)?.unwrap_or(f64::NAN);
@@ -222,31 +215,15 @@ impl ImageReport {
             let (m_psnr, m_ssim) = (cell(m_psnr, 2), cell(m_ssim, 4));
             format!("{name:<28} {t:>7} {psnr:>8.2} {ssim:>7.4} {m_psnr:>9} {m_ssim:>9}\n")
         };
-        let mut out = format!(
-            "{:<28} {:>7} {:>8} {:>7} {:>9} {:>9}\n",
-            "view", "t", "PSNR dB", "SSIM", "mask PSNR", "mask SSIM"
-        );
+        let mut out =
+            format!("{:<28} {:>7} {:>8} {:>7} {:>9} {:>9}\n", "view", "t", "PSNR dB", "SSIM", "mask PSNR", "mask SSIM");
         for f in &self.frames {
             let m = f.masked;
             let t = format!("{:.1}", f.t);
-            out += &row(
-                &f.name,
-                t,
-                f.psnr_db,
-                f.ssim,
-                m.map(|m| m.psnr_db),
-                m.and_then(|m| m.ssim),
-            );
+            out += &row(&f.name, t, f.psnr_db, f.ssim, m.map(|m| m.psnr_db), m.and_then(|m| m.ssim));
         }
         if let Some(m) = self.mean() {
-            out += &row(
-                "mean",
-                String::new(),
-                m.psnr_db,
-                m.ssim,
-                m.masked_psnr_db,
-                m.masked_ssim,
-            );
+            out += &row("mean", String::new(), m.psnr_db, m.ssim, m.masked_psnr_db, m.masked_ssim);
         }
         let p = &self.protocol;
         for (name, (mean, views)) in self.mean_others() {
@@ -275,12 +252,8 @@ mod tests {
         let mask = Plane::from_fn(16, 16, |x, y| if (x, y) == (8, 8) { 255 } else { 0 });
         let none = Plane::filled(16, 16, 0u8);
         let reference = flat(16, 16, 0.5);
-        report
-            .add("a", 0.0, None, &flat(16, 16, 0.6), &reference, Some(&mask))
-            .unwrap();
-        report
-            .add("b", 1.0, Some(1), &flat(16, 16, 0.51), &reference, Some(&none))
-            .unwrap();
+        report.add("a", 0.0, None, &flat(16, 16, 0.6), &reference, Some(&mask)).unwrap();
+        report.add("b", 1.0, Some(1), &flat(16, 16, 0.51), &reference, Some(&none)).unwrap();
         let mean = report.mean().unwrap();
         assert!((mean.psnr_db - 30.0).abs() < 1e-3, "{mean:?}");
         assert_eq!((mean.frames, mean.masked_frames), (2, 1));
@@ -294,9 +267,7 @@ mod tests {
     #[test]
     fn a_view_of_another_size_is_refused_and_leaves_no_trace() {
         let mut report = ImageReport::new("unit", 0);
-        report
-            .add("a", 0.0, None, &flat(16, 16, 0.6), &flat(16, 16, 0.5), None)
-            .unwrap();
+        report.add("a", 0.0, None, &flat(16, 16, 0.6), &flat(16, 16, 0.5), None).unwrap();
         let other = report.add("b", 0.0, None, &flat(20, 16, 0.6), &flat(20, 16, 0.5), None);
         assert!(matches!(other, Err(ImageError::Size { expected: (16, 16), .. })));
         assert_eq!(report.frames.len(), 1);
@@ -332,9 +303,7 @@ mod tests {
     #[test]
     fn a_report_survives_json() {
         let mut report = ImageReport::new("unit", 2);
-        report
-            .add("a", 0.5, Some(0), &flat(16, 16, 0.6), &flat(16, 16, 0.5), None)
-            .unwrap();
+        report.add("a", 0.5, Some(0), &flat(16, 16, 0.6), &flat(16, 16, 0.5), None).unwrap();
         let text = serde_json::to_string(&report).unwrap();
         assert_eq!(serde_json::from_str::<ImageReport>(&text).unwrap(), report);
         assert!(!text.contains("others"), "{text}");

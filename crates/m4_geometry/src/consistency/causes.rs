@@ -38,17 +38,8 @@ pub(super) fn masks_turned(cameras: &[Camera], samples: &Samples) -> bool {
 /// The likeliest reading, and what of it differs from the one given.
 pub(super) fn likeliest(cameras: &[Camera], pairs: &[Pair]) -> (Reading, Vec<Cause>) {
     let error = |reading: &Reading| median(&mut errors(reading, cameras, pairs)).unwrap_or(f64::INFINITY);
-    let scaled = |reading: Reading| Reading {
-        scale: depth_scale(&reading, cameras, pairs).unwrap_or(1.0),
-        ..reading
-    };
-    let with = |inverted, flipped| {
-        scaled(Reading {
-            inverted,
-            flipped,
-            ..Reading::GIVEN
-        })
-    };
+    let scaled = |reading: Reading| Reading { scale: depth_scale(&reading, cameras, pairs).unwrap_or(1.0), ..reading };
+    let with = |inverted, flipped| scaled(Reading { inverted, flipped, ..Reading::GIVEN });
     let given = with(false, false);
     let mut best = (given, error(&given));
     for other in [with(false, true), with(true, false), with(true, true)] {
@@ -77,9 +68,7 @@ pub(super) fn likeliest(cameras: &[Camera], pairs: &[Pair]) -> (Reading, Vec<Cau
     if let Some(found) = fit(&reading, cameras, pairs) {
         let sure = |k: usize, least: f64| found.by[k].abs() > least.max(SURE * found.sigma[k]);
         if sure(1, FOCAL.ln_1p()) {
-            causes.push(Cause::Focal {
-                factor: found.reading.focal,
-            });
+            causes.push(Cause::Focal { factor: found.reading.focal });
             reading.focal = found.reading.focal;
         } else if let [dx, dy] = found.reading.shift_px
             && [dx, dy].iter().all(|d| (HALF_PX[0]..HALF_PX[1]).contains(&d.abs()))
@@ -141,11 +130,7 @@ pub(super) fn fit(start: &Reading, cameras: &[Camera], pairs: &[Pair]) -> Option
         by += step;
     }
     let sigma = last?;
-    Some(Fit {
-        reading: moved(start, &by),
-        by: by.into(),
-        sigma: sigma.into(),
-    })
+    Some(Fit { reading: moved(start, &by), by: by.into(), sigma: sigma.into() })
 }
 
 /// The normal matrix, and the gradient of each pair.

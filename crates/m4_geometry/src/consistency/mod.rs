@@ -82,10 +82,7 @@ impl fmt::Display for Cause {
                 f.write_str("the cameras' axes look turned (OpenGL's y up, z back for OpenCV's y down, z forward)")
             }
             Self::DepthUnit { factor } => {
-                write!(
-                    f,
-                    "depth looks to be in another unit than the poses (times {factor:.4})"
-                )
+                write!(f, "depth looks to be in another unit than the poses (times {factor:.4})")
             }
             Self::Focal { factor } => write!(f, "the focal length looks wrong (times {factor:.4})"),
             Self::PixelCentre { shift_px: [x, y] } => write!(
@@ -179,10 +176,7 @@ fn of_pairs(capture: &Capture, cameras: &[Camera], pairs: &[Pair]) -> Consistenc
         .map(|s| (s.to_px[0] - s.from_px[0]).hypot(s.to_px[1] - s.from_px[1]))
         .collect();
     let flow_px = median(&mut lengths).unwrap_or(0.0);
-    let width = capture
-        .frames
-        .first()
-        .map_or(640, |f| f.rgb.width().max(f.rgb.height()));
+    let width = capture.frames.first().map_or(640, |f| f.rgb.width().max(f.rgb.height()));
     let unit = width as f64 / 640.0;
     let (error, depth) = figures(&Reading::GIVEN, cameras, pairs);
     let mut report = Consistency {

@@ -26,13 +26,7 @@ pub(super) struct Reading {
 }
 
 impl Reading {
-    pub const GIVEN: Self = Self {
-        inverted: false,
-        flipped: false,
-        scale: 1.0,
-        focal: 1.0,
-        shift_px: [0.0; 2],
-    };
+    pub const GIVEN: Self = Self { inverted: false, flipped: false, scale: 1.0, focal: 1.0, shift_px: [0.0; 2] };
 
     pub fn c2w(&self, given: &Se3<f64>) -> Se3<f64> {
         let mut c2w = if self.inverted { given.inverse() } else { *given };
@@ -62,17 +56,7 @@ impl Reading {
             Matrix3::new(k.fx, 0.0, k.cx, 0.0, k.fy, k.cy, 0.0, 0.0, 1.0)
         };
         let ka = &a.intrinsics;
-        let back = Matrix3::new(
-            1.0 / ka.fx,
-            0.0,
-            -ka.cx / ka.fx,
-            0.0,
-            1.0 / ka.fy,
-            -ka.cy / ka.fy,
-            0.0,
-            0.0,
-            1.0,
-        );
+        let back = Matrix3::new(1.0 / ka.fx, 0.0, -ka.cx / ka.fx, 0.0, 1.0 / ka.fy, -ka.cy / ka.fy, 0.0, 0.0, 1.0);
         Between {
             far: k(&b) * motion.rotation * back,
             near: k(&b) * motion.translation,
@@ -149,10 +133,7 @@ pub(super) fn depth_scale(reading: &Reading, cameras: &[Camera], pairs: &[Pair])
             }
         }
     }
-    (logs.len() >= LEAST_SAMPLES)
-        .then(|| median(&mut logs))
-        .flatten()
-        .map(f64::exp)
+    (logs.len() >= LEAST_SAMPLES).then(|| median(&mut logs)).flatten().map(f64::exp)
 }
 
 /// Lengths of all errors, pixels; infinite for points behind a camera.
@@ -160,11 +141,7 @@ pub(super) fn errors(reading: &Reading, cameras: &[Camera], pairs: &[Pair]) -> V
     let mut out = Vec::new();
     for pair in pairs {
         let between = reading.between(cameras, pair);
-        let length = |s| {
-            between
-                .error(s, reading.scale)
-                .map_or(f64::INFINITY, |[x, y]| x.hypot(y))
-        };
+        let length = |s| between.error(s, reading.scale).map_or(f64::INFINITY, |[x, y]| x.hypot(y));
         out.extend(pair.samples.iter().map(length));
     }
     out
@@ -190,31 +167,16 @@ pub(super) fn depth_errors(reading: &Reading, cameras: &[Camera], pairs: &[Pair]
 pub fn fixed(mut capture: Capture, causes: &[Cause]) -> Capture {
     let reading = causes.iter().fold(Reading::GIVEN, |reading, cause| match *cause {
         Cause::Masks => reading,
-        Cause::Inverted => Reading {
-            inverted: true,
-            ..reading
-        },
-        Cause::Axes => Reading {
-            flipped: true,
-            ..reading
-        },
-        Cause::DepthUnit { factor } => Reading {
-            scale: factor,
-            ..reading
-        },
-        Cause::Focal { factor } => Reading {
-            focal: factor,
-            ..reading
-        },
+        Cause::Inverted => Reading { inverted: true, ..reading },
+        Cause::Axes => Reading { flipped: true, ..reading },
+        Cause::DepthUnit { factor } => Reading { scale: factor, ..reading },
+        Cause::Focal { factor } => Reading { focal: factor, ..reading },
         Cause::PixelCentre { shift_px } => Reading { shift_px, ..reading },
     });
     let turned = causes.contains(&Cause::Masks);
     for frame in &mut capture.frames {
         if turned {
-            frame.mask = frame
-                .mask
-                .take()
-                .map(|mask| CompactMask::from(&mask.to_mask().map(|m| 255 - m)));
+            frame.mask = frame.mask.take().map(|mask| CompactMask::from(&mask.to_mask().map(|m| 255 - m)));
             frame.motion = frame.motion.take().map(|motion| motion.map(|m| 255 - m));
         }
         frame.camera = reading.camera(&frame.camera);

@@ -104,12 +104,8 @@ fn between(capture: &Capture, frames: [usize; 2], flow: &dyn FlowSource) -> Resu
     let (w, h) = a.rgb.size();
     let (fw, fh) = working_size(w, h, SIDE_PX);
     let [first, second] = [a, b].map(|f| ScaledFrame::new(&f.rgb, (fw, fh)));
-    let pair = FlowPair::between(&first.flow_image(), &second.flow_image(), flow).map_err(|source| {
-        ConsistencyError::Flow {
-            between: (frames[0], frames[1]),
-            source,
-        }
-    })?;
+    let pair = FlowPair::between(&first.flow_image(), &second.flow_image(), flow)
+        .map_err(|source| ConsistencyError::Flow { between: (frames[0], frames[1]), source })?;
     let (sx, sy) = (w as f64 / fw as f64, h as f64 / fh as f64);
     let stride = STRIDE_PX;
     let (mut resting, mut moving) = (Vec::new(), Vec::new());
@@ -120,10 +116,7 @@ fn between(capture: &Capture, frames: [usize; 2], flow: &dyn FlowSource) -> Resu
                 continue;
             }
             let from_px = [(x as f64 + 0.5) * sx, (y as f64 + 0.5) * sy];
-            let to = [
-                x as f64 + 0.5 + f64::from(pair.forward.u[i]),
-                y as f64 + 0.5 + f64::from(pair.forward.v[i]),
-            ];
+            let to = [x as f64 + 0.5 + f64::from(pair.forward.u[i]), y as f64 + 0.5 + f64::from(pair.forward.v[i])];
             let to_px = [to[0] * sx, to[1] * sy];
             let inside = to_px[0] > 0.0 && to_px[0] < w as f64 && to_px[1] > 0.0 && to_px[1] < h as f64;
             let moves = [moves(a, from_px), moves(b, to_px)];
@@ -157,13 +150,9 @@ fn depth_at(frame: &CaptureFrame, at_px: [f64; 2]) -> f64 {
         let (w, h) = depth.size();
         let (x, y) = pixel(frame, at_px, (w, h));
         let z = depth.at(x, y);
-        let mut around = [
-            (x.saturating_sub(1), y),
-            ((x + 1).min(w - 1), y),
-            (x, y.saturating_sub(1)),
-            (x, (y + 1).min(h - 1)),
-        ]
-        .into_iter();
+        let mut around =
+            [(x.saturating_sub(1), y), ((x + 1).min(w - 1), y), (x, y.saturating_sub(1)), (x, (y + 1).min(h - 1))]
+                .into_iter();
         let smooth = around.all(|(x, y)| (depth.at(x, y) - z).abs() <= EDGE * z);
         if z > 0.0 && smooth { f64::from(z) } else { 0.0 }
     };

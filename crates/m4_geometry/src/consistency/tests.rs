@@ -63,11 +63,7 @@ fn room() -> Capture {
         let rgb = Plane::from_fn(w, h, |x, y| {
             let (_, p, is_ball) = met[(x, y)];
             // its texture flies with it
-            colour(if is_ball {
-                p - ball + Vector3::new(7.0, 5.0, 3.0)
-            } else {
-                p
-            })
+            colour(if is_ball { p - ball + Vector3::new(7.0, 5.0, 3.0) } else { p })
         });
         CaptureFrame {
             name: format!("{i}.png"),
@@ -81,13 +77,7 @@ fn room() -> Capture {
             camera_index: None,
         }
     });
-    Capture {
-        frames: frames.collect(),
-        time_frames: FRAMES,
-        duration_s: None,
-        metric: true,
-        tracks: None,
-    }
+    Capture { frames: frames.collect(), time_frames: FRAMES, duration_s: None, metric: true, tracks: None }
 }
 
 /// The clips to judge, by name.
@@ -131,18 +121,12 @@ fn tell_all(truth: Capture) {
         c.c2w.rotation.column_mut(2).neg_mut();
     });
     let report = said(&turned);
-    assert_eq!(
-        (report.verdict, report.causes.as_slice()),
-        (Verdict::Bad, &[Cause::Axes][..])
-    );
+    assert_eq!((report.verdict, report.causes.as_slice()), (Verdict::Bad, &[Cause::Axes][..]));
     assert!(said(&fixed(turned, &report.causes)).verdict == Verdict::Good);
 
     let inverted = misread(truth.clone(), &|c| c.c2w = c.c2w.inverse());
     let report = said(&inverted);
-    assert_eq!(
-        (report.verdict, report.causes.as_slice()),
-        (Verdict::Bad, &[Cause::Inverted][..])
-    );
+    assert_eq!((report.verdict, report.causes.as_slice()), (Verdict::Bad, &[Cause::Inverted][..]));
     assert!(said(&fixed(inverted, &report.causes)).verdict == Verdict::Good);
 
     let both = misread(truth.clone(), &|c| {
@@ -168,10 +152,7 @@ fn tell_all(truth: Capture) {
         frame.mask = Some(CompactMask::from(&mask.map(|m| 255 - m)));
     }
     let report = said(&masked);
-    assert_eq!(
-        (report.verdict, report.causes.as_slice()),
-        (Verdict::Bad, &[Cause::Masks][..])
-    );
+    assert_eq!((report.verdict, report.causes.as_slice()), (Verdict::Bad, &[Cause::Masks][..]));
     assert!(said(&fixed(masked, &report.causes)).verdict == Verdict::Good);
 
     for half in [-0.5, 0.5] {
@@ -180,12 +161,7 @@ fn tell_all(truth: Capture) {
             c.intrinsics.cy += half;
         });
         let report = said(&shifted);
-        assert_eq!(
-            report.causes,
-            [Cause::PixelCentre {
-                shift_px: [-half, -half]
-            }]
-        );
+        assert_eq!(report.causes, [Cause::PixelCentre { shift_px: [-half, -half] }]);
         assert!(said(&fixed(shifted, &report.causes)).causes.is_empty());
     }
 }

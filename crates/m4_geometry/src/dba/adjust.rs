@@ -16,12 +16,7 @@ const SOURCES_AT_ONCE: usize = 64;
 
 /// The edges by source frame, ascending; within a source in the order given.
 pub(super) fn by_source<'a>(edges: &[&'a Factor<f32>], frames: usize) -> Vec<Source<'a>> {
-    let mut all: Vec<Source<'a>> = (0..frames)
-        .map(|frame| Source {
-            frame,
-            edges: Vec::new(),
-        })
-        .collect();
+    let mut all: Vec<Source<'a>> = (0..frames).map(|frame| Source { frame, edges: Vec::new() }).collect();
     for &edge in edges {
         all[edge.source].edges.push(edge);
     }
@@ -58,13 +53,8 @@ pub(super) fn adjust_on(
     let mut report = DbaReport::default();
     for _ in 0..options.iterations {
         report.iterations += 1;
-        let context = Context {
-            geometry,
-            eta: problem.eta,
-            rays: Rays::new(geometry.grid, &geometry.lens),
-            options,
-            level,
-        };
+        let context =
+            Context { geometry, eta: problem.eta, rays: Rays::new(geometry.grid, &geometry.lens), options, level };
         let mut system = System::new(window.clone(), options.free.focal());
         for group in sources.chunks(SOURCES_AT_ONCE) {
             let parts: Vec<_> = group.par_iter().map(|s| s.reduce(&context)).collect();
@@ -79,9 +69,7 @@ pub(super) fn adjust_on(
         };
         let disparity: Vec<(usize, Vec<f32>)> = if options.free.depth() {
             let steps = sources.par_iter();
-            steps
-                .map(|s| (s.frame, s.substitute(&context, &step.twists, step.focal)))
-                .collect()
+            steps.map(|s| (s.frame, s.substitute(&context, &step.twists, step.focal))).collect()
         } else {
             Vec::new()
         };
@@ -171,20 +159,13 @@ impl System {
 
     /// Root mean square of the weighted residuals, pixels.
     pub(super) fn rms_px(&self) -> f64 {
-        if self.squares.1 > 0.0 {
-            (self.squares.0 / self.squares.1).sqrt()
-        } else {
-            0.0
-        }
+        if self.squares.1 > 0.0 { (self.squares.0 / self.squares.1).sqrt() } else { 0.0 }
     }
 
     /// Damps and solves; `None` where the matrix is not positive definite.
     pub(super) fn solve(mut self, frames: usize, options: &DbaOptions) -> Option<Step> {
         let n = self.size();
-        let mut step = Step {
-            twists: vec![Vector6::zeros(); frames],
-            focal: 0.0,
-        };
+        let mut step = Step { twists: vec![Vector6::zeros(); frames], focal: 0.0 };
         if n == 0 {
             return Some(step);
         }

@@ -32,10 +32,7 @@ pub(super) struct Rays {
 impl Rays {
     pub(super) fn new(grid: Grid, lens: &Pinhole<f64>) -> Self {
         let padded = grid.len().next_multiple_of(BLOCK);
-        let mut rays = Self {
-            x: vec![0.0; padded],
-            y: vec![0.0; padded],
-        };
+        let mut rays = Self { x: vec![0.0; padded], y: vec![0.0; padded] };
         for n in 0..grid.len() {
             rays.x[n] = (((n % grid.width) as f64 - lens.cx) / lens.fx) as f32;
             rays.y[n] = (((n / grid.width) as f64 - lens.cy) / lens.fy) as f32;
@@ -76,10 +73,7 @@ impl EdgeConstants {
             fy: lens.fy as f32,
             cx: lens.cx as f32,
             cy: lens.cy as f32,
-            bend: [
-                (-2.0 * lens.cx / lens.fx) as f32,
-                (-2.0 * lens.cx * rate / lens.fy) as f32,
-            ],
+            bend: [(-2.0 * lens.cx / lens.fx) as f32, (-2.0 * lens.cx * rate / lens.fy) as f32],
             focal: [(2.0 * lens.cx) as f32, (2.0 * lens.cx * rate) as f32],
             min_depth: options.min_depth as f32,
             robust_inverse: inverse as f32,
@@ -90,11 +84,7 @@ impl EdgeConstants {
 
     /// The same with weights that count in full, whatever the residual.
     pub(super) fn unscaled(self) -> Self {
-        Self {
-            robust_inverse: 0.0,
-            scale: 1.0,
-            ..self
-        }
+        Self { robust_inverse: 0.0, scale: 1.0, ..self }
     }
 }
 
@@ -114,13 +104,7 @@ pub(super) struct EdgeBlock {
 
 impl EdgeBlock {
     pub(super) fn new() -> Box<Self> {
-        Box::new(Self {
-            j: [[0.0; PAIR]; 6],
-            jz: [0.0; PAIR],
-            jf: [0.0; PAIR],
-            r: [0.0; PAIR],
-            w: [0.0; PAIR],
-        })
+        Box::new(Self { j: [[0.0; PAIR]; 6], jz: [0.0; PAIR], jf: [0.0; PAIR], r: [0.0; PAIR], w: [0.0; PAIR] })
     }
 }
 

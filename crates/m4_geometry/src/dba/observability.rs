@@ -70,10 +70,7 @@ pub fn observability(
     let parts: Vec<(Vec<f32>, f64)> = sources.par_iter().map(|s| s.information(&context)).collect();
     let focal = parts.iter().map(|p| p.1).sum::<f64>() / (4.0 * geometry.lens.cx * geometry.lens.cx);
     let mut depth: Vec<f32> = parts.into_iter().flat_map(|p| p.0).collect();
-    Ok(Observability {
-        depth: f64::from(lower_median(&mut depth)),
-        focal,
-    })
+    Ok(Observability { depth: f64::from(lower_median(&mut depth)), focal })
 }
 
 /// The same from the reference projection, in f64.
@@ -100,10 +97,7 @@ pub fn observability_reference(
         }
     }
     let mut depth: Vec<f64> = depth.into_iter().flatten().flatten().collect();
-    Observability {
-        depth: lower_median(&mut depth),
-        focal: focal / (4.0 * geometry.lens.cx * geometry.lens.cx),
-    }
+    Observability { depth: lower_median(&mut depth), focal: focal / (4.0 * geometry.lens.cx * geometry.lens.cx) }
 }
 
 /// The middle value, of an even count the smaller of the two; 0 of nothing.
@@ -128,18 +122,9 @@ mod tests {
 
     #[test]
     fn a_turning_camera_keeps_its_prior_and_its_focal_length() {
-        let turning = Observability {
-            depth: 0.0,
-            focal: 49.0,
-        };
-        assert_eq!(
-            (turning.focal_is_seen(), turning.prior_alpha(1e-5)),
-            (false, Some(1e-5))
-        );
-        let walking = Observability {
-            depth: 25.0,
-            focal: 50.0,
-        };
+        let turning = Observability { depth: 0.0, focal: 49.0 };
+        assert_eq!((turning.focal_is_seen(), turning.prior_alpha(1e-5)), (false, Some(1e-5)));
+        let walking = Observability { depth: 25.0, focal: 50.0 };
         assert_eq!((walking.focal_is_seen(), walking.prior_alpha(1e-5)), (true, None));
     }
 }

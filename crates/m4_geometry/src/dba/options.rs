@@ -73,11 +73,7 @@ impl DbaOptions {
     #[must_use]
     pub fn backend(free_focal: bool, prior_alpha: Option<f64>) -> Self {
         Self {
-            free: if free_focal {
-                Free::PosesDepthAndFocal
-            } else {
-                Free::PosesAndDepth
-            },
+            free: if free_focal { Free::PosesDepthAndFocal } else { Free::PosesAndDepth },
             iterations: if free_focal { 4 } else { 2 },
             lm: 1e-5,
             ep: 1e-2,
@@ -112,11 +108,7 @@ pub fn stepped_disparity<T: Real>(d: T, step: T) -> T {
     let d = d + step;
     let kept = if d > T::of(MAX_DISPARITY) { T::zero() } else { d };
     // written so that a NaN becomes the least disparity
-    if kept > T::of(MIN_DISPARITY) {
-        kept
-    } else {
-        T::of(MIN_DISPARITY)
-    }
+    if kept > T::of(MIN_DISPARITY) { kept } else { T::of(MIN_DISPARITY) }
 }
 
 /// How an adjustment went.

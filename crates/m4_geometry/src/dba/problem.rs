@@ -51,34 +51,20 @@ impl Pinhole<f64> {
     /// the integer pixel coordinates of the image by `block`, as the tracker does.
     #[must_use]
     pub fn of_image(fx_px: f64, fy_px: f64, cx_px: f64, cy_px: f64, block: f64) -> Self {
-        Self {
-            fx: fx_px / block,
-            fy: fy_px / block,
-            cx: (cx_px - 0.5) / block,
-            cy: (cy_px - 0.5) / block,
-        }
+        Self { fx: fx_px / block, fy: fy_px / block, cx: (cx_px - 0.5) / block, cy: (cy_px - 0.5) / block }
     }
 
     /// With another scalar.
     #[must_use]
     pub fn cast<T: Real>(&self) -> Pinhole<T> {
-        Pinhole {
-            fx: T::of(self.fx),
-            fy: T::of(self.fy),
-            cx: T::of(self.cx),
-            cy: T::of(self.cy),
-        }
+        Pinhole { fx: T::of(self.fx), fy: T::of(self.fy), cx: T::of(self.cx), cy: T::of(self.cy) }
     }
 
     /// After a step `df` of the focal parameter, which is `fx / (2 cx)`; `fy` keeps its ratio to `fx`.
     #[must_use]
     pub fn with_focal_step(&self, df: f64) -> Self {
         let fx = self.fx + df * 2.0 * self.cx;
-        Self {
-            fx,
-            fy: self.fy * fx / self.fx,
-            ..*self
-        }
+        Self { fx, fy: self.fy * fx / self.fx, ..*self }
     }
 }
 

@@ -135,11 +135,8 @@ fn solve(
     let focal = options.free.focal();
     let n = 6 * window.len();
     let size = n + usize::from(focal);
-    let systems: Vec<(&Factor<f64>, EdgeSystem)> = problem
-        .edges
-        .iter()
-        .map(|&f| (f, edge_system(geometry, f, options)))
-        .collect();
+    let systems: Vec<(&Factor<f64>, EdgeSystem)> =
+        problem.edges.iter().map(|&f| (f, edge_system(geometry, f, options))).collect();
     let sources: Vec<usize> = {
         let mut all: Vec<usize> = problem.edges.iter().map(|f| f.source).collect();
         all.sort_unstable();
@@ -199,11 +196,7 @@ fn solve(
     }
     if !options.free.depth() {
         let poses = Cholesky::new(h)?.solve(&v);
-        return Some(Step {
-            poses,
-            focal: 0.0,
-            disparity: BTreeMap::new(),
-        });
+        return Some(Step { poses, focal: 0.0, disparity: BTreeMap::new() });
     }
     for (k, &frame) in sources.iter().enumerate() {
         for p in 0..len {
@@ -229,14 +222,7 @@ fn solve(
     for (z, c) in dz.iter_mut().zip(&c) {
         *z /= c;
     }
-    let disparity = sources
-        .iter()
-        .enumerate()
-        .map(|(k, &frame)| (frame, dz.as_slice()[k * len..(k + 1) * len].to_vec()))
-        .collect();
-    Some(Step {
-        focal: if focal { dx[n] } else { 0.0 },
-        poses: dx.rows(0, n).into_owned(),
-        disparity,
-    })
+    let disparity =
+        sources.iter().enumerate().map(|(k, &frame)| (frame, dz.as_slice()[k * len..(k + 1) * len].to_vec())).collect();
+    Some(Step { focal: if focal { dx[n] } else { 0.0 }, poses: dx.rows(0, n).into_owned(), disparity })
 }

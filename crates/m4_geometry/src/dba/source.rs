@@ -119,10 +119,7 @@ pub(super) struct Curvature {
 }
 
 impl Curvature {
-    pub(super) const ZERO: Self = Self {
-        c: [0.0; BLOCK],
-        b: [0.0; BLOCK],
-    };
+    pub(super) const ZERO: Self = Self { c: [0.0; BLOCK], b: [0.0; BLOCK] };
 
     #[inline(always)]
     pub(super) fn add(&mut self, block: &EdgeBlock) {
@@ -136,10 +133,7 @@ impl Curvature {
     /// Adds the prior; the curvature becomes its inverse, 0 for pixels that pad the block.
     #[inline(always)]
     pub(super) fn invert(&mut self, context: &Context<'_>, frame: usize, start: usize, disparity: &Lane) {
-        let (eta, sensor) = (
-            load(&context.eta[frame], start),
-            load(&context.geometry.sensor[frame], start),
-        );
+        let (eta, sensor) = (load(&context.eta[frame], start), load(&context.geometry.sensor[frame], start));
         let alpha = context.options.prior_alpha.map(|a| a as f32);
         let count = (context.geometry.grid.len() - start).min(BLOCK);
         for l in 0..BLOCK {
@@ -154,9 +148,7 @@ impl Source<'_> {
     pub(super) fn constants(&self, context: &Context<'_>) -> Vec<EdgeConstants> {
         let g = context.geometry;
         let edges = self.edges.iter();
-        edges
-            .map(|f| EdgeConstants::new(g, f.source, f.target, context.options))
-            .collect()
+        edges.map(|f| EdgeConstants::new(g, f.source, f.target, context.options)).collect()
     }
 
     /// This source's share of the reduced system.
@@ -166,11 +158,7 @@ impl Source<'_> {
         // The focal row has two empty ones below it, since products are formed three rows at a time.
         let rows = 6 * count + if free.focal() { 3 } else { 0 };
         let mut sums = vec![EdgeSums::zero(); count];
-        let mut products = if free.depth() {
-            DMatrix::zeros(rows, rows)
-        } else {
-            DMatrix::zeros(0, 0)
-        };
+        let mut products = if free.depth() { DMatrix::zeros(rows, rows) } else { DMatrix::zeros(0, 0) };
         let mut shift = DVector::zeros(if free.depth() { rows } else { 0 });
         dispatch!(context.level, s => self.sweep(s, context, &mut sums, &mut products, &mut shift));
         self.assemble(context, &sums, &products, &shift)
@@ -198,15 +186,7 @@ impl Source<'_> {
                 f[focal_row] = [0.0; BLOCK];
             }
             for (e, edge) in self.edges.iter().enumerate() {
-                linearise(
-                    &constants[e],
-                    &edge.target_px,
-                    &edge.weight,
-                    &context.rays,
-                    &disparity,
-                    start,
-                    &mut block,
-                );
+                linearise(&constants[e], &edge.target_px, &edge.weight, &context.rays, &disparity, start, &mut block);
                 sums[e].add(s, &block, free.focal());
                 if !free.depth() {
                     continue;
@@ -314,12 +294,6 @@ impl Source<'_> {
             part -= shift;
         }
         let targets = self.edges.iter().map(|f| f.target);
-        Part {
-            frames: std::iter::once(self.frame).chain(targets).collect(),
-            matrix: h,
-            rhs: v,
-            diagonal,
-            squares,
-        }
+        Part { frames: std::iter::once(self.frame).chain(targets).collect(), matrix: h, rhs: v, diagonal, squares }
     }
 }

@@ -34,15 +34,7 @@ impl Source<'_> {
             let disparity = load(&context.geometry.disparity[self.frame], start);
             let mut curvature = Curvature::ZERO;
             for (e, edge) in self.edges.iter().enumerate() {
-                linearise(
-                    &constants[e],
-                    &edge.target_px,
-                    &edge.weight,
-                    &context.rays,
-                    &disparity,
-                    start,
-                    &mut block,
-                );
+                linearise(&constants[e], &edge.target_px, &edge.weight, &context.rays, &disparity, start, &mut block);
                 let y = changes[e];
                 // What the poses take away of the residual.
                 for l in 0..PAIR {
@@ -80,15 +72,7 @@ impl Source<'_> {
             let mut curvature = Curvature::ZERO;
             for (e, edge) in self.edges.iter().enumerate() {
                 let constants = constants[e].unscaled();
-                linearise(
-                    &constants,
-                    &edge.target_px,
-                    &ones,
-                    &context.rays,
-                    &disparity,
-                    start,
-                    &mut block,
-                );
+                linearise(&constants, &edge.target_px, &ones, &context.rays, &disparity, start, &mut block);
                 curvature.add(&block);
                 for l in 0..PAIR {
                     block.w[l] *= block.jf[l];

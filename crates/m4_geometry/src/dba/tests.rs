@@ -12,12 +12,7 @@ fn geometry() -> Geometry<f64> {
     let plane = |rng: &mut CounterRng| (0..grid.len()).map(|_| 0.2 + 0.6 * rng.uniform()).collect::<Vec<f64>>();
     Geometry {
         grid,
-        lens: Pinhole {
-            fx: 19.0,
-            fy: 18.2,
-            cx: 10.3,
-            cy: 8.1,
-        },
+        lens: Pinhole { fx: 19.0, fy: 18.2, cx: 10.3, cy: 8.1 },
         poses: (0..7)
             .map(|k| {
                 let wobble = Vector6::from_fn(|_, _| 0.03 * rng.normal());
@@ -26,35 +21,21 @@ fn geometry() -> Geometry<f64> {
             })
             .collect(),
         disparity: (0..7).map(|_| plane(&mut rng)).collect(),
-        sensor: (0..7)
-            .map(|_| {
-                plane(&mut rng)
-                    .into_iter()
-                    .map(|d| if d < 0.4 { 0.0 } else { d })
-                    .collect()
-            })
-            .collect(),
+        sensor: (0..7).map(|_| plane(&mut rng).into_iter().map(|d| if d < 0.4 { 0.0 } else { d }).collect()).collect(),
     }
 }
 
 /// Edges over up to three frames, one pair twice; targets a few pixels off, a tenth of them far off.
 fn factors(geometry: &Geometry<f64>) -> Vec<Factor<f64>> {
     let mut rng = CounterRng::new(3, 2, 0);
-    let mut pairs: Vec<(usize, usize)> = (0..7_usize)
-        .flat_map(|i| (0..7).map(move |j| (i, j)))
-        .filter(|&(i, j)| i != j && i.abs_diff(j) < 4)
-        .collect();
+    let mut pairs: Vec<(usize, usize)> =
+        (0..7_usize).flat_map(|i| (0..7).map(move |j| (i, j))).filter(|&(i, j)| i != j && i.abs_diff(j) < 4).collect();
     pairs.push((2, 3));
     pairs
         .into_iter()
         .map(|(source, target)| {
             let g = geometry.relative(source, target);
-            let mut out = Factor {
-                source,
-                target,
-                target_px: Default::default(),
-                weight: Default::default(),
-            };
+            let mut out = Factor { source, target, target_px: Default::default(), weight: Default::default() };
             for (n, &d) in geometry.disparity[source].iter().enumerate() {
                 let (u, v) = ((n % 21) as f64, (n / 21) as f64);
                 let p = project(&g, &geometry.lens, 1.0, u, v, d).pixel;
@@ -87,42 +68,19 @@ pub(crate) fn narrow_factors(factors: &[Factor<f64>]) -> Vec<Factor<f32>> {
     let pair = |p: &[Vec<f64>; 2]| p.clone().map(|p| p.into_iter().map(|x| x as f32).collect());
     factors
         .iter()
-        .map(|f| Factor {
-            source: f.source,
-            target: f.target,
-            target_px: pair(&f.target_px),
-            weight: pair(&f.weight),
-        })
+        .map(|f| Factor { source: f.source, target: f.target, target_px: pair(&f.target_px), weight: pair(&f.weight) })
         .collect()
 }
 
 fn options() -> Vec<DbaOptions> {
-    let one = DbaOptions {
-        iterations: 1,
-        ..DbaOptions::default()
-    };
-    let focal = DbaOptions {
-        free: Free::PosesDepthAndFocal,
-        ..one
-    };
+    let one = DbaOptions { iterations: 1, ..DbaOptions::default() };
+    let focal = DbaOptions { free: Free::PosesDepthAndFocal, ..one };
     vec![
         one,
         focal,
-        DbaOptions {
-            free: Free::Poses,
-            robust: Robust::Cauchy { scale_px: 0.7 },
-            ..one
-        },
-        DbaOptions {
-            robust: Robust::GemanMcClure { scale_px: 1.0 },
-            prior_alpha: None,
-            ..focal
-        },
-        DbaOptions {
-            iterations: 2,
-            python_twin: true,
-            ..focal
-        },
+        DbaOptions { free: Free::Poses, robust: Robust::Cauchy { scale_px: 0.7 }, ..one },
+        DbaOptions { robust: Robust::GemanMcClure { scale_px: 1.0 }, prior_alpha: None, ..focal },
+        DbaOptions { iterations: 2, python_twin: true, ..focal },
     ]
 }
 
@@ -131,10 +89,7 @@ fn fast(level: Level, window: std::ops::Range<usize>, options: &DbaOptions) -> G
     let start = geometry();
     let factors = narrow_factors(&factors(&start));
     let edges: Vec<&Factor<f32>> = factors.iter().collect();
-    let problem = Problem {
-        edges: &edges,
-        eta: &vec![vec![0.01; start.grid.len()]; 7],
-    };
+    let problem = Problem { edges: &edges, eta: &vec![vec![0.01; start.grid.len()]; 7] };
     let mut got = narrow_geometry(&start);
     let report = adjust_on(level, &mut got, &problem, window, options).expect("a sound problem");
     assert_eq!(report.failed, 0);
@@ -165,10 +120,7 @@ fn the_fast_path_agrees_with_the_reference_on_every_level() {
     let factors = factors(&start);
     let edges: Vec<&Factor<f64>> = factors.iter().collect();
     let eta = vec![vec![0.01; start.grid.len()]; 7];
-    let problem = Problem {
-        edges: &edges,
-        eta: &eta,
-    };
+    let problem = Problem { edges: &edges, eta: &eta };
     for (case, options) in options().into_iter().enumerate() {
         for window in [1..7, 2..5] {
             let mut want = start.clone();
@@ -210,10 +162,7 @@ fn the_fast_path_agrees_with_the_reference_on_every_level() {
 fn the_number_of_threads_does_not_change_a_bit() {
     let options = options()[1];
     let run = |threads: usize| {
-        let pool = rayon::ThreadPoolBuilder::new()
-            .num_threads(threads)
-            .build()
-            .expect("a pool");
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a pool");
         pool.install(|| fast(Level::new(), 1..7, &options))
     };
     let one = run(1);
@@ -251,14 +200,8 @@ fn indefinite_system_changes_nothing_and_is_reported() {
     let start = narrow_geometry(&geometry());
     let factors = narrow_factors(&factors(&geometry()));
     let edges: Vec<&Factor<f32>> = factors.iter().collect();
-    let problem = Problem {
-        edges: &edges,
-        eta: &vec![vec![0.01; start.grid.len()]; 7],
-    };
-    let options = DbaOptions {
-        ep: -1e9,
-        ..DbaOptions::default()
-    };
+    let problem = Problem { edges: &edges, eta: &vec![vec![0.01; start.grid.len()]; 7] };
+    let options = DbaOptions { ep: -1e9, ..DbaOptions::default() };
     let mut got = start.clone();
     let report = adjust(&mut got, &problem, 1..7, &options).expect("a sound problem");
     assert_eq!((report.failed, report.iterations), (2, 2));
@@ -272,10 +215,7 @@ fn mismatched_input_is_rejected() {
     let eta = vec![vec![0.01; start.grid.len()]; 7];
     factors[3].target = 7;
     let edges: Vec<&Factor<f32>> = factors.iter().collect();
-    let problem = Problem {
-        edges: &edges,
-        eta: &eta,
-    };
+    let problem = Problem { edges: &edges, eta: &eta };
     let refused = |start: &mut Geometry<f32>, problem: &Problem<'_, f32>, window| {
         let error = adjust(start, problem, window, &DbaOptions::default()).expect_err("input that does not fit");
         error.to_string()

@@ -52,9 +52,7 @@ impl Coarse<'_> {
         let found = self.frames();
         let refused = |what: String| Err(InstanceError::Input(what));
         if found != frames {
-            return refused(format!(
-                "{found} coarse masks were given for {frames} frames; give one per frame"
-            ));
+            return refused(format!("{found} coarse masks were given for {frames} frames; give one per frame"));
         }
         match (0..frames).find(|&i| self.size(i).0 == 0 || self.size(i).1 == 0) {
             Some(frame) => refused(format!("the coarse mask of frame {frame} has no pixels")),
@@ -93,11 +91,7 @@ impl CoarseMasks<'_> {
             Coarse::Masks(masks) => {
                 let share = masks[frame].to_mask().map(|&m| f32::from(m) / 255.0);
                 let share = resize_bilinear(&share, w, h);
-                share
-                    .data()
-                    .iter()
-                    .map(|&p| (if p >= 0.5 { 255 } else { 0 }, p < 0.5))
-                    .unzip()
+                share.data().iter().map(|&p| (if p >= 0.5 { 255 } else { 0 }, p < 0.5)).unzip()
             }
         };
         let radius_px = OPEN_SHARE * w.max(h) as f32;
@@ -157,9 +151,7 @@ mod tests {
     fn opening_removes_thin_parts_only() {
         let square = |x: usize, y: usize| (5..25).contains(&x) && (5..20).contains(&y);
         let thread = |x: usize, y: usize| y == 25 && x > 3 || x == 30;
-        let mask: Vec<u8> = (0..W * H)
-            .map(|p| u8::from(square(p % W, p / W) || thread(p % W, p / W)))
-            .collect();
+        let mask: Vec<u8> = (0..W * H).map(|p| u8::from(square(p % W, p / W) || thread(p % W, p / W))).collect();
         let found = opened(W, H, &mask, 2.0);
         for p in 0..W * H {
             let (x, y) = (p % W, p / W);

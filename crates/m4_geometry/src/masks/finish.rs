@@ -71,10 +71,8 @@ pub(super) fn finish(
             if progress.cancelled() {
                 return Err(InstanceError::Cancelled { phase: PHASE });
             }
-            let shown: Vec<(u16, &Outline)> = kept
-                .iter()
-                .filter_map(|(id, thing, _)| Some((*id, thing.masks.get(&frame)?)))
-                .collect();
+            let shown: Vec<(u16, &Outline)> =
+                kept.iter().filter_map(|(id, thing, _)| Some((*id, thing.masks.get(&frame)?))).collect();
             let out = paint_frame(rough, frame, frames, &shown);
             progress.update(PHASE, done.fetch_add(1, Ordering::Relaxed) + 1, frames, "");
             Ok(out)
@@ -98,10 +96,7 @@ pub(super) fn finish(
         instances: kept.iter().filter_map(record).collect(),
         rejected: refused.iter().map(|r| r.to_report(pixels, &ids)).collect(),
     };
-    Ok(Refined {
-        frames: painted.into_iter().map(|p| p.frame).collect(),
-        report,
-    })
+    Ok(Refined { frames: painted.into_iter().map(|p| p.frame).collect(), report })
 }
 
 /// Things that are one, made one, in the order in which they were found; and what became of those that were taken in.
@@ -275,9 +270,7 @@ pub(super) fn fill_holes(ids: &mut Plane<u16>, most_px: usize) {
             }
         }
         // Of equally many the lowest number.
-        let most = rim
-            .into_iter()
-            .max_by_key(|&(id, count)| (count, std::cmp::Reverse(id)));
+        let most = rim.into_iter().max_by_key(|&(id, count)| (count, std::cmp::Reverse(id)));
         if let (Some((id, _)), false) = (most, open) {
             for p in hole {
                 ids.data_mut()[p as usize] = id;
@@ -306,11 +299,7 @@ mod tests {
         coarse.resize(12, nothing);
         let coarse = Coarse::Masks(coarse.iter().collect());
         let settings = RefineSettings::default();
-        let rough = CoarseMasks {
-            coarse: &coarse,
-            size,
-            settings: &settings,
-        };
+        let rough = CoarseMasks { coarse: &coarse, size, settings: &settings };
         // as it is; as it is; grown along a wall; then it sticks to that wall
         let mut masks = vec![block(10, 20), block(20, 30), block(30, 55)];
         masks.resize(12, block(45, 55));
@@ -334,10 +323,7 @@ mod tests {
         assert_eq!((held[&0].area(), held[&1].area()), (200, 200));
         let columns: Vec<usize> = held[&2].pixels().map(|(x, _)| x).collect();
         let right = columns.iter().copied().max().unwrap();
-        assert!(
-            (40..=42).contains(&right) && columns.iter().min() == Some(&30),
-            "{right}"
-        );
+        assert!((40..=42).contains(&right) && columns.iter().min() == Some(&30), "{right}");
     }
 
     const SIZE: (usize, usize) = (30, 20);
@@ -352,10 +338,7 @@ mod tests {
             outline(|x, y| (2..22).contains(&x) && (2..18).contains(&y) && !((5..7).contains(&x) && y == 5) && x != 15);
         let small = outline(|x, y| (10..14).contains(&x) && (8..12).contains(&y));
         let mut found = painted_ids(&[(3, &large), (7, &small)], SIZE);
-        assert_eq!(
-            (found[(3, 3)], found[(11, 9)], found[(5, 5)], found[(15, 9)]),
-            (3, 7, 0, 0)
-        );
+        assert_eq!((found[(3, 3)], found[(11, 9)], found[(5, 5)], found[(15, 9)]), (3, 7, 0, 0));
         fill_holes(&mut found, 4);
         assert_eq!((found[(5, 5)], found[(15, 9)], found[(0, 0)]), (3, 0, 0));
         fill_holes(&mut found, 10_000);

@@ -35,11 +35,7 @@ impl TrackedObject {
         let Some(outline) = Outline::of(&found.mask) else {
             return;
         };
-        let near = if later {
-            self.masks.range(..frame).next_back()
-        } else {
-            self.masks.range(frame + 1..).next()
-        };
+        let near = if later { self.masks.range(..frame).next_back() } else { self.masks.range(frame + 1..).next() };
         let before = near.map_or(usize::MAX, |(_, mask)| mask.area());
         if outline.area() > most_px && outline.area() / LEAP > before {
             self.overgrown += 1;
@@ -50,10 +46,7 @@ impl TrackedObject {
 
     /// Half of the frames that both are seen in, they overlap by more than `least`.
     pub fn is_also(&self, other: &Self, least: f32) -> bool {
-        let common = self
-            .masks
-            .iter()
-            .filter_map(|(frame, a)| Some((a, other.masks.get(frame)?)));
+        let common = self.masks.iter().filter_map(|(frame, a)| Some((a, other.masks.get(frame)?)));
         let (mut same, mut all) = (0usize, 0usize);
         for (a, b) in common {
             all += 1;
@@ -130,12 +123,7 @@ impl Outline {
         }
         let [left, top, right, bottom] = ends?;
         let bits = CompactMask::from_fn(right + 1 - left, bottom + 1 - top, |x, y| mask.at(left + x, top + y));
-        Some(Self {
-            left,
-            top,
-            area: bits.count(),
-            bits,
-        })
+        Some(Self { left, top, area: bits.count(), bits })
     }
 
     /// Pixels.
@@ -169,11 +157,7 @@ impl Outline {
 
     /// Pixels that both have.
     pub fn common(&self, other: &Self) -> usize {
-        let (small, large) = if self.area <= other.area {
-            (self, other)
-        } else {
-            (other, self)
-        };
+        let (small, large) = if self.area <= other.area { (self, other) } else { (other, self) };
         small.pixels().filter(|&(x, y)| large.at(x, y)).count()
     }
 
@@ -198,16 +182,12 @@ mod tests {
     #[test]
     fn an_outline_is_its_mask() {
         let (w, h) = (40, 30);
-        let one = CompactMask::from_fn(w, h, |x, y| {
-            (10..20).contains(&x) && (5..15).contains(&y) && (x + y) % 7 > 0
-        });
+        let one = CompactMask::from_fn(w, h, |x, y| (10..20).contains(&x) && (5..15).contains(&y) && (x + y) % 7 > 0);
         let two = CompactMask::from_fn(w, h, |x, y| (15..30).contains(&x) && (0..12).contains(&y));
         let (a, b) = (Outline::of(&one).unwrap(), Outline::of(&two).unwrap());
         assert_eq!((a.area(), b.area()), (one.count(), 180));
         assert!((0..w * h).all(|i| a.at(i % w, i / w) == one.at(i % w, i / w)));
-        let both = (0..w * h)
-            .filter(|i| one.at(i % w, i / w) && two.at(i % w, i / w))
-            .count();
+        let both = (0..w * h).filter(|i| one.at(i % w, i / w) && two.at(i % w, i / w)).count();
         assert_eq!((a.common(&b), b.common(&a)), (both, both));
         assert_eq!(a.overlap(&b), both as f32 / (a.area() + 180 - both) as f32);
         assert_eq!(a.with(&b, (w, h)).area(), a.area() + 180 - both);

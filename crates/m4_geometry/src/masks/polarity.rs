@@ -71,11 +71,7 @@ impl PolarityEvidence {
     #[must_use]
     pub fn verdict(&self) -> Polarity {
         let calm = self.residual_px.is_some_and(|[high, low]| high < CALM * low);
-        let witnesses = [
-            self.high_share > MOST_MOVING,
-            self.border_high_share > MOST_MOVING,
-            calm,
-        ];
+        let witnesses = [self.high_share > MOST_MOVING, self.border_high_share > MOST_MOVING, calm];
         match witnesses.iter().filter(|&&w| w).count() {
             0 => Polarity::Moving,
             1 => Polarity::Doubtful,
@@ -111,11 +107,7 @@ impl PolarityEvidence {
             Some(flow) => residuals(maps, clip, flow, tau)?,
             None => None,
         };
-        Ok(Self {
-            high_share: share(above, all),
-            border_high_share: share(border_above, border),
-            residual_px,
-        })
+        Ok(Self { high_share: share(above, all), border_high_share: share(border_above, border), residual_px })
     }
 }
 
@@ -130,17 +122,12 @@ fn residuals(
     let full = clip.size();
     let (w, h) = working_size(full.0, full.1, SIDE_PX);
     let (mut high, mut low) = (Vec::new(), Vec::new());
-    let mut firsts: Vec<usize> = (1..=PAIRS)
-        .map(|k| k * n / (PAIRS + 1))
-        .filter(|&i| i + 1 < n)
-        .collect();
+    let mut firsts: Vec<usize> = (1..=PAIRS).map(|k| k * n / (PAIRS + 1)).filter(|&i| i + 1 < n).collect();
     firsts.dedup();
     for i in firsts {
         let (a, b) = (scaled(clip, i, (w, h))?, scaled(clip, i + 1, (w, h))?);
-        let pair = FlowPair::between(&a.flow_image(), &b.flow_image(), source).map_err(|source| VideoError::Flow {
-            between: (i, i + 1),
-            source,
-        })?;
+        let pair = FlowPair::between(&a.flow_image(), &b.flow_image(), source)
+            .map_err(|source| VideoError::Flow { between: (i, i + 1), source })?;
         let map = crate::resample::resize_bilinear(&maps[i].map(|&m| f32::from(m) / 255.0), w, h);
         let left = off_camera(&pair.forward, &pair.forward_round_trip);
         for (r, m) in left.into_iter().zip(map.data()) {
@@ -156,17 +143,8 @@ fn residuals(
 /// How far flow is from the affine motion that most of the image follows, pixels; NaN where the way there and back does not close.
 fn off_camera(flow: &Flow, round_trip_px: &[f32]) -> Vec<f32> {
     let width = flow.width;
-    let known: Vec<usize> = (0..flow.u.len())
-        .step_by(3)
-        .filter(|&i| round_trip_px[i] < 1.0)
-        .collect();
-    let place = |i: usize| {
-        Vector3::new(
-            (i % width) as f64 / width as f64,
-            (i / width) as f64 / width as f64,
-            1.0,
-        )
-    };
+    let known: Vec<usize> = (0..flow.u.len()).step_by(3).filter(|&i| round_trip_px[i] < 1.0).collect();
+    let place = |i: usize| Vector3::new((i % width) as f64 / width as f64, (i / width) as f64 / width as f64, 1.0);
     let mut fit = [Vector3::zeros(), Vector3::zeros()];
     let left = |fit: &[Vector3<f64>; 2], i: usize| {
         let p = place(i);
@@ -190,11 +168,7 @@ fn off_camera(flow: &Flow, round_trip_px: &[f32]) -> Vec<f32> {
         }
     }
     let of = |i: usize| {
-        if round_trip_px[i] < 1.0 {
-            left(&fit, i) as f32
-        } else {
-            f32::NAN
-        }
+        if round_trip_px[i] < 1.0 { left(&fit, i) as f32 } else { f32::NAN }
     };
     (0..flow.u.len()).map(of).collect()
 }

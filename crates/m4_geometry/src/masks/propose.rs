@@ -39,10 +39,7 @@ impl Around {
     pub fn of(rough: &CoarseMasks<'_>, frame: usize, frames: usize) -> Self {
         let first = frame.saturating_sub(1).min(frames.saturating_sub(3));
         let others = (first..(first + 3).min(frames)).filter(|&i| i != frame);
-        Self {
-            here: rough.at(frame),
-            others: others.map(|i| rough.at(i)).collect(),
-        }
+        Self { here: rough.at(frame), others: others.map(|i| rough.at(i)).collect() }
     }
 }
 
@@ -58,16 +55,8 @@ pub(super) fn proposals(rough: &CoarseMasks<'_>, around: &Around, covered: &[u8]
             *m = 0;
         }
     }
-    let left = if covered.contains(&255) {
-        opened(w, h, &left, 0.5 * reach_px)
-    } else {
-        left
-    };
-    let others: Vec<Vec<u8>> = around
-        .others
-        .iter()
-        .map(|o| dilated(w, h, &o.moving, reach_px))
-        .collect();
+    let left = if covered.contains(&255) { opened(w, h, &left, 0.5 * reach_px) } else { left };
+    let others: Vec<Vec<u8>> = around.others.iter().map(|o| dilated(w, h, &o.moving, reach_px)).collect();
     let least = rough.least_px();
     let mut out: Vec<Proposal> = Vec::new();
     for pixels in Components::of(w, h, &left).pixels {
@@ -113,24 +102,16 @@ pub(super) fn prompt(object: ObjectId, part: &Outline, here: &CoarseFrame, (w, h
 fn points_off(part: &Outline, here: &CoarseFrame, outer: &[f32], (w, h): (usize, usize)) -> Vec<[f32; 2]> {
     let gap_px = (0.15 * (part.area() as f32).sqrt()).max(4.0);
     let clear = to_outside(w, h, |p| here.still[p] && here.raw[p] == 0);
-    let good: Vec<usize> = (0..w * h)
-        .filter(|&p| clear[p] >= 0.5 * gap_px && outer[p] >= gap_px && outer[p] <= 4.0 * gap_px)
-        .collect();
+    let good: Vec<usize> =
+        (0..w * h).filter(|&p| clear[p] >= 0.5 * gap_px && outer[p] >= gap_px && outer[p] <= 4.0 * gap_px).collect();
     let mut out: Vec<[f32; 2]> = Vec::new();
     for _ in 0..POINTS_OFF {
         let score = |p: usize| {
             let (x, y) = ((p % w) as f32 + 0.5, (p / w) as f32 + 0.5);
-            let nearest = out
-                .iter()
-                .map(|o| (o[0] - x).hypot(o[1] - y))
-                .fold(f32::INFINITY, f32::min);
+            let nearest = out.iter().map(|o| (o[0] - x).hypot(o[1] - y)).fold(f32::INFINITY, f32::min);
             let depth = clear[p].min(gap_px) / gap_px;
             // Before there is any, near is good; afterwards, far from those that are there.
-            let place = if out.is_empty() {
-                -0.1 * outer[p] / gap_px
-            } else {
-                0.5 * nearest / gap_px
-            };
+            let place = if out.is_empty() { -0.1 * outer[p] / gap_px } else { 0.5 * nearest / gap_px };
             (nearest >= gap_px).then_some(depth + place)
         };
         let best = good.iter().filter_map(|&p| Some((p, score(p)?)));

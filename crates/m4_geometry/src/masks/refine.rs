@@ -79,11 +79,7 @@ pub fn refine(
     let polarity = polarity(input, settings, progress)?;
     let size = working_size(full.0, full.1, settings.side_px);
     let mut search = Search {
-        rough: CoarseMasks {
-            coarse: input.coarse,
-            size,
-            settings,
-        },
+        rough: CoarseMasks { coarse: input.coarse, size, settings },
         frames,
         session: segmenter.open(input.clip, size)?,
         segmenter: segmenter.name(),
@@ -94,22 +90,9 @@ pub fn refine(
     };
     search.forwards()?;
     search.backwards()?;
-    let Search {
-        rough,
-        things,
-        rejected,
-        ..
-    } = search;
+    let Search { rough, things, rejected, .. } = search;
     let bound = (!segmenter.remembers()).then_some(CARRIED_BOUND);
-    finish(
-        &rough,
-        frames,
-        (segmenter.name(), bound),
-        things,
-        rejected,
-        polarity,
-        progress,
-    )
+    finish(&rough, frames, (segmenter.name(), bound), things, rejected, polarity, progress)
 }
 
 /// Checks the reading of maps of motion.
@@ -144,9 +127,9 @@ pub(super) struct Refusal {
 impl Refusal {
     pub fn to_report(&self, pixels: usize, ids: &BTreeMap<ObjectId, u16>) -> Rejected {
         let reason = match self.reason {
-            Rejection::Duplicate { .. } => Rejection::Duplicate {
-                of: self.of.and_then(|object| ids.get(&object).copied()),
-            },
+            Rejection::Duplicate { .. } => {
+                Rejection::Duplicate { of: self.of.and_then(|object| ids.get(&object).copied()) }
+            }
             other => other,
         };
         Rejected {
@@ -206,11 +189,7 @@ impl Search<'_> {
         }
         let later = to > from;
         let known = |thing: &&TrackedObject| {
-            let there = if later {
-                thing.prompted <= from
-            } else {
-                thing.prompted >= from
-            };
+            let there = if later { thing.prompted <= from } else { thing.prompted >= from };
             there && !thing.lost[usize::from(!later)]
         };
         let objects: Vec<ObjectId> = self.things.values().filter(known).map(|t| t.object).collect();
@@ -219,19 +198,10 @@ impl Search<'_> {
         }
         let (w, h) = self.rough.size;
         let most_px = (MOST_SHARE * (w * h) as f32) as usize;
-        let (things, size, frames, progress, name) = (
-            &mut self.things,
-            self.rough.size,
-            self.frames,
-            self.progress,
-            self.segmenter,
-        );
+        let (things, size, frames, progress, name) =
+            (&mut self.things, self.rough.size, self.frames, self.progress, self.segmenter);
         let mut wrong: Option<VideoError> = None;
-        let way = if later {
-            "tracking objects"
-        } else {
-            "tracking objects backwards"
-        };
+        let way = if later { "tracking objects" } else { "tracking objects backwards" };
         let mut sink = |frame: usize, found: Vec<ObjectMask>| {
             let fits = found.iter().map(|f| f.object).eq(objects.iter().copied());
             if !fits {
@@ -244,11 +214,8 @@ impl Search<'_> {
             }
             for found in &found {
                 if found.mask.size() != size {
-                    wrong = Some(VideoError::MaskSize {
-                        object: found.object,
-                        found: found.mask.size(),
-                        expected: size,
-                    });
+                    wrong =
+                        Some(VideoError::MaskSize { object: found.object, found: found.mask.size(), expected: size });
                     return ControlFlow::Break(());
                 }
                 if let Some(thing) = things.get_mut(&found.object) {
@@ -288,10 +255,8 @@ impl Search<'_> {
         if asked.is_empty() {
             return Ok(());
         }
-        let prompts: Vec<_> = asked
-            .iter()
-            .map(|(object, part)| prompt(*object, &part.outline, &around.here, (w, h)))
-            .collect();
+        let prompts: Vec<_> =
+            asked.iter().map(|(object, part)| prompt(*object, &part.outline, &around.here, (w, h))).collect();
         let found = self.session.prompt(frame, &prompts)?;
         if !found.iter().map(|f| f.object).eq(prompts.iter().map(|p| p.object)) {
             return Err(VideoError::Objects {
@@ -317,12 +282,7 @@ impl Search<'_> {
     ) -> Result<(), InstanceError> {
         let (w, h) = self.rough.size;
         if found.mask.size() != (w, h) {
-            return Err(VideoError::MaskSize {
-                object,
-                found: found.mask.size(),
-                expected: (w, h),
-            }
-            .into());
+            return Err(VideoError::MaskSize { object, found: found.mask.size(), expected: (w, h) }.into());
         }
         let outline = match Outline::of(&found.mask) {
             Some(outline) => outline,
@@ -343,10 +303,7 @@ impl Search<'_> {
         };
         let coarse_outline = overlap < least;
         let outline = if coarse_outline { part.outline.clone() } else { outline };
-        let there = self
-            .things
-            .values()
-            .filter_map(|thing| Some((thing.object, thing.masks.get(&frame)?)));
+        let there = self.things.values().filter_map(|thing| Some((thing.object, thing.masks.get(&frame)?)));
         let same = there.filter(|(_, mask)| mask.overlap(&outline) > MERGE_OVERLAP);
         let same = same.map(|(object, _)| object).next();
         if same.is_some() {

@@ -20,11 +20,7 @@ pub struct RefineSettings {
 
 impl Default for RefineSettings {
     fn default() -> Self {
-        Self {
-            side_px: 960,
-            tau: 0.7,
-            every_frames: 10,
-        }
+        Self { side_px: 960, tau: 0.7, every_frames: 10 }
     }
 }
 
@@ -36,27 +32,13 @@ impl RefineSettings {
     /// [`InstanceError::Setting`].
     pub fn check(&self) -> Result<(), InstanceError> {
         let need = |ok: bool, name, value: f64, range| {
-            if ok {
-                Ok(())
-            } else {
-                Err(InstanceError::Setting { name, value, range })
-            }
+            if ok { Ok(()) } else { Err(InstanceError::Setting { name, value, range }) }
         };
         let side = self.side_px;
         need((64..=4096).contains(&side), "side_px", side as f64, "64 to 4096")?;
         let every = self.every_frames;
-        need(
-            (1..=1_000_000).contains(&every),
-            "every_frames",
-            every as f64,
-            "1 to 1000000",
-        )?;
-        need(
-            (TAU_STILL..=1.0).contains(&self.tau),
-            "tau",
-            self.tau.into(),
-            "0.3 to 1",
-        )
+        need((1..=1_000_000).contains(&every), "every_frames", every as f64, "1 to 1000000")?;
+        need((TAU_STILL..=1.0).contains(&self.tau), "tau", self.tau.into(), "0.3 to 1")
     }
 }
 
@@ -100,9 +82,7 @@ pub enum InstanceError {
 impl From<VideoError> for InstanceError {
     fn from(error: VideoError) -> Self {
         match error {
-            VideoError::Cancelled { .. } => Self::Cancelled {
-                phase: "tracking objects",
-            },
+            VideoError::Cancelled { .. } => Self::Cancelled { phase: "tracking objects" },
             other => Self::Video(other),
         }
     }

@@ -54,12 +54,7 @@ impl ObjectMask {
     /// A thing that is not to be seen, of a session of `size`.
     #[must_use]
     pub fn unseen(object: ObjectId, size: (usize, usize), visibility: Visibility) -> Self {
-        Self {
-            object,
-            mask: CompactMask::from_fn(size.0, size.1, |_, _| false),
-            quality: None,
-            visibility,
-        }
+        Self { object, mask: CompactMask::from_fn(size.0, size.1, |_, _| false), quality: None, visibility }
     }
 }
 
@@ -279,15 +274,9 @@ pub(super) fn read(clip: &dyn FrameSource, frame: usize) -> Result<Cow<'_, RgbIm
     if frame >= frames {
         return Err(VideoError::Frame { frame, frames });
     }
-    let image = clip
-        .image(frame)
-        .map_err(|reason| VideoError::Image { frame, reason })?;
+    let image = clip.image(frame).map_err(|reason| VideoError::Image { frame, reason })?;
     if image.size() != clip.size() {
-        return Err(VideoError::ImageSize {
-            frame,
-            found: image.size(),
-            expected: clip.size(),
-        });
+        return Err(VideoError::ImageSize { frame, found: image.size(), expected: clip.size() });
     }
     Ok(image)
 }

@@ -41,11 +41,8 @@ impl PairFlow for SourceFlow<'_> {
 
     fn both(&mut self, pair: FramePair, a: &RgbImage, b: &RgbImage) -> Result<[Flow; 2], PairFlowError> {
         let [from, to] = [a, b].map(|image| ScaledFrame::new(image, image.size()));
-        let failed = |error| PairFlowError {
-            source_frame: pair.source,
-            target_frame: pair.target,
-            reason: Box::new(error),
-        };
+        let failed =
+            |error| PairFlowError { source_frame: pair.source, target_frame: pair.target, reason: Box::new(error) };
         let there = self.0.both(&from.flow_image(), &to.flow_image());
         let (there, back) = there.map_err(failed)?;
         Ok([there, back])

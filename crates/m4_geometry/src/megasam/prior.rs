@@ -96,36 +96,21 @@ impl DepthPrior {
     fn of_disparity(kind: PriorKind, disparity: &[Plane<f32>], size: &TrackingSize) -> Result<Self, MegasamError> {
         pixels(disparity)?;
         let known = |d: &&f32| d.is_finite() && **d > 0.0;
-        let mut all: Vec<f64> = disparity
-            .iter()
-            .flat_map(|plane| plane.data())
-            .filter(known)
-            .map(|&d| f64::from(d))
-            .collect();
-        let norm = if all.is_empty() {
-            0.0
-        } else {
-            percentile(&mut all, 0.98) / 2.0
-        };
+        let mut all: Vec<f64> =
+            disparity.iter().flat_map(|plane| plane.data()).filter(known).map(|&d| f64::from(d)).collect();
+        let norm = if all.is_empty() { 0.0 } else { percentile(&mut all, 0.98) / 2.0 };
         if !(norm > 0.0 && norm.is_finite()) {
             return Err(MonoError::no_scale(norm).into());
         }
         let scaled = |d: &f32| {
             let d = (f64::from(*d) / norm) as f32;
             let near = d > 1.0 / LEAST_DEPTH;
-            if !d.is_finite() || d <= 0.0 || near {
-                0.0
-            } else {
-                d.max(LEAST_DISPARITY)
-            }
+            if !d.is_finite() || d <= 0.0 || near { 0.0 } else { d.max(LEAST_DISPARITY) }
         };
         Ok(Self {
             kind,
             norm,
-            disparity: disparity
-                .iter()
-                .map(|plane| at_tracking(&plane.map(scaled), size))
-                .collect(),
+            disparity: disparity.iter().map(|plane| at_tracking(&plane.map(scaled), size)).collect(),
         })
     }
 
@@ -178,9 +163,7 @@ fn at_tracking(plane: &Plane<f32>, size: &TrackingSize) -> Plane<f32> {
 }
 
 fn no_pixels(frame: usize) -> MegasamError {
-    MegasamError::Input(format!(
-        "the depth of image {frame} has no pixels; give a map of the shape of the image"
-    ))
+    MegasamError::Input(format!("the depth of image {frame} has no pixels; give a map of the shape of the image"))
 }
 
 fn pixels(planes: &[Plane<f32>]) -> Result<(), MegasamError> {
@@ -202,9 +185,8 @@ mod tests {
 
     #[test]
     fn metres_become_disparities_of_two_where_things_are_near() {
-        let depth: Vec<_> = (0..3)
-            .map(|_| Plane::from_fn(32, 24, |x, _| if x == 0 { 0.0 } else { 1.0 + x as f32 }))
-            .collect();
+        let depth: Vec<_> =
+            (0..3).map(|_| Plane::from_fn(32, 24, |x, _| if x == 0 { 0.0 } else { 1.0 + x as f32 })).collect();
         let prior = DepthPrior::metric(&depth, &size()).unwrap();
         assert_eq!((prior.kind, prior.frames()), (PriorKind::Metric, 3));
         let plane = prior.disparity(1);
@@ -221,18 +203,12 @@ mod tests {
         assert_eq!(grid.len(), 8 * 6);
         // Cell 3 is pixel 24, the left of the two pixels of column 12: around it are columns 10 to 13.
         let want = (11.0 + 12.0 + 13.0 + 14.0) / 4.0 * prior.norm;
-        assert!(
-            (1.0 / f64::from(grid[3]) / want - 1.0).abs() < 1e-5,
-            "{} {want}",
-            1.0 / grid[3]
-        );
+        assert!((1.0 / f64::from(grid[3]) / want - 1.0).abs() < 1e-5, "{} {want}", 1.0 / grid[3]);
     }
 
     #[test]
     fn relative_disparity_takes_scale_and_shift_of_metres() {
-        let metric: Vec<_> = (0..2)
-            .map(|_| Plane::from_fn(32, 24, |x, y| 1.5 + 0.1 * (x + y) as f32))
-            .collect();
+        let metric: Vec<_> = (0..2).map(|_| Plane::from_fn(32, 24, |x, y| 1.5 + 0.1 * (x + y) as f32)).collect();
         let relative: Vec<_> = metric.iter().map(|m| m.map(|z| 5.0 * (1.0 / z - 0.1))).collect();
         let prior = DepthPrior::aligned(&metric, &relative, &size()).unwrap();
         let z = 1.0 / f64::from(prior.disparity(0).row(20)[30]) / prior.norm;

@@ -87,18 +87,9 @@ pub fn track(
         Some(prior) => prior.sensor(frame),
         None => vec![0.0; grid.len()],
     };
-    let inputs: Vec<FrameInput> = (0..frames)
-        .map(|frame| FrameInput {
-            frame,
-            time_s: input.times_s[frame],
-            sensor: sensor(frame),
-        })
-        .collect();
-    let clip = Clip {
-        grid,
-        lens: size.grid_lens(&input.lens),
-        frames: &inputs,
-    };
+    let inputs: Vec<FrameInput> =
+        (0..frames).map(|frame| FrameInput { frame, time_s: input.times_s[frame], sensor: sensor(frame) }).collect();
+    let clip = Clip { grid, lens: size.grid_lens(&input.lens), frames: &inputs };
     let mut tracker = settings.tracker;
     tracker.optimise_focal &= input.focal_is_free;
     Ok(tracker::track(&clip, correspondence, &tracker, progress)?)
@@ -138,10 +129,8 @@ pub fn reconstruct(
         })
         .collect();
     let static_confidence: Vec<Plane<f32>> = tracked.static_confidence.iter().map(on_grid).collect();
-    let uncertainty: Vec<Plane<f32>> = static_confidence
-        .iter()
-        .map(|plane| on_half(plane).map(|&m| uncertainty_of_static(m)))
-        .collect();
+    let uncertainty: Vec<Plane<f32>> =
+        static_confidence.iter().map(|plane| on_half(plane).map(|&m| uncertainty_of_static(m))).collect();
     let c2w = tracked.c2w();
     let consistent = optimise(
         &CvdInput {
@@ -178,9 +167,7 @@ fn finish(
         let cropped = resize_bilinear(half, size.cropped.0, size.cropped.1);
         let z = |d: f32| (1.0 / (f64::from(d) * unit)) as f32;
         let (right, bottom) = (size.cropped.0 - 1, size.cropped.1 - 1);
-        Plane::from_fn(size.scaled.0, size.scaled.1, |x, y| {
-            z(cropped.row(y.min(bottom))[x.min(right)])
-        })
+        Plane::from_fn(size.scaled.0, size.scaled.1, |x, y| z(cropped.row(y.min(bottom))[x.min(right)]))
     });
     MegasamGeometry {
         size,
@@ -212,10 +199,7 @@ fn check(input: &MegasamInput<'_>, settings: &MegasamSettings) -> Result<Trackin
     if let Some(frame) = input.images.iter().position(|p| p.size() != full) {
         return other_size(frame, input.images[frame].size(), full);
     }
-    let lists = [
-        ("instants", input.times_s.len()),
-        ("depth maps", input.prior.map_or(expected, DepthPrior::frames)),
-    ];
+    let lists = [("instants", input.times_s.len()), ("depth maps", input.prior.map_or(expected, DepthPrior::frames))];
     for (what, found) in lists {
         if found != expected {
             return refused(format!(

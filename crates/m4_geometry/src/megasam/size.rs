@@ -42,10 +42,7 @@ impl TrackingSize {
     /// The tracker's grid.
     #[must_use]
     pub fn grid(&self) -> Grid {
-        Grid {
-            width: self.cropped.0 / CELL_PX,
-            height: self.cropped.1 / CELL_PX,
-        }
+        Grid { width: self.cropped.0 / CELL_PX, height: self.cropped.1 / CELL_PX }
     }
 
     /// An image at the size of tracking, by areas.
@@ -75,11 +72,7 @@ impl TrackingSize {
     /// A lens of the full images as one of the cropped ones.
     #[must_use]
     pub fn cropped_lens(&self, full: &Intrinsics) -> Intrinsics {
-        Intrinsics {
-            width: self.cropped.0,
-            height: self.cropped.1,
-            ..full.resized(self.scaled.0, self.scaled.1)
-        }
+        Intrinsics { width: self.cropped.0, height: self.cropped.1, ..full.resized(self.scaled.0, self.scaled.1) }
     }
 }
 

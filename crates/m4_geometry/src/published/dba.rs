@@ -10,11 +10,7 @@ use m4_core::{Se3, nalgebra::Vector6};
 
 /// What the Python twin of the solver does differently from ours by default.
 fn published(options: DbaOptions) -> DbaOptions {
-    DbaOptions {
-        min_depth: 0.2,
-        python_twin: true,
-        ..options
-    }
+    DbaOptions { min_depth: 0.2, python_twin: true, ..options }
 }
 
 #[test]
@@ -43,9 +39,7 @@ fn projection_and_jacobians_are_those_of_the_published_code() {
     for (got, name) in got.iter().zip(["coords", "Ji", "Jj", "Jz", "Jf"]) {
         let mut want = golden.values(name);
         if name == "Jf" {
-            want.iter_mut()
-                .zip(valid.iter().flat_map(|v| [v, v]))
-                .for_each(|(x, v)| *x *= v);
+            want.iter_mut().zip(valid.iter().flat_map(|v| [v, v])).for_each(|(x, v)| *x *= v);
         }
         let scale = want.iter().fold(1.0_f64, |m, x| m.max(x.abs()));
         let off = difference(got, &want);
@@ -66,19 +60,11 @@ fn rigid_motions_are_those_of_the_published_code() {
     let (sources, targets) = (golden.indices("ii"), golden.indices("jj"));
     let pairs = sources.iter().zip(&targets);
     let relative: Vec<Se3<f64>> = pairs.map(|(&i, &j)| poses[j].compose(&poses[i].inverse())).collect();
-    for (name, got) in [
-        ("exp_xi", &exp),
-        ("retr", &moved),
-        ("inverse", &inverse),
-        ("relative", &relative),
-    ] {
+    for (name, got) in [("exp_xi", &exp), ("retr", &moved), ("inverse", &inverse), ("relative", &relative)] {
         let off = pose_difference(got, &golden.poses(name));
         assert!(off < 1e-10, "{name} is off by {off:e}");
     }
-    let adjoint: Vec<f64> = poses
-        .iter()
-        .flat_map(|g| g.adjoint().transpose().as_slice().to_vec())
-        .collect();
+    let adjoint: Vec<f64> = poses.iter().flat_map(|g| g.adjoint().transpose().as_slice().to_vec()).collect();
     let off = difference(&adjoint, &golden.values("adjoint"));
     assert!(off < 1e-10, "adjoint is off by {off:e}");
 }
@@ -112,15 +98,9 @@ fn problem(golden: &Golden, lens: &str) -> (Geometry<f64>, Vec<Factor<f64>>, Vec
 
 /// Every case of the fixture: name, iterations stored, options and window.
 fn cases() -> Vec<(&'static str, Vec<usize>, DbaOptions, std::ops::Range<usize>)> {
-    let plain = DbaOptions {
-        prior_alpha: None,
-        ..DbaOptions::default()
-    };
+    let plain = DbaOptions { prior_alpha: None, ..DbaOptions::default() };
     let mono = DbaOptions::default();
-    let pose_only = DbaOptions {
-        free: Free::Poses,
-        ..plain
-    };
+    let pose_only = DbaOptions { free: Free::Poses, ..plain };
     [
         ("nomono", vec![1, 2], plain, 1..6),
         ("mono", vec![1, 2], mono, 1..6),
@@ -141,11 +121,7 @@ fn assert_follows(
 ) {
     let golden = Golden::load("geometry/bundle_adjustment.safetensors");
     for (name, stored, options, window) in cases() {
-        let lens = if options.free.focal() {
-            "focal_intrinsics_0"
-        } else {
-            "intrinsics"
-        };
+        let lens = if options.free.focal() { "focal_intrinsics_0" } else { "intrinsics" };
         for iterations in stored {
             let (mut geometry, factors, eta) = problem(&golden, lens);
             let options = DbaOptions { iterations, ..options };
@@ -161,13 +137,8 @@ fn assert_follows(
             }
             if options.free.focal() {
                 let want = golden.lens(&format!("{name}_intrinsics_{iterations}"));
-                let off = (geometry.lens.fx - want.fx)
-                    .abs()
-                    .max((geometry.lens.fy - want.fy).abs());
-                assert!(
-                    off < focal_bound,
-                    "{name}: focal length after {iterations} is off by {off:e}"
-                );
+                let off = (geometry.lens.fx - want.fx).abs().max((geometry.lens.fy - want.fy).abs());
+                assert!(off < focal_bound, "{name}: focal length after {iterations} is off by {off:e}");
             }
         }
     }
@@ -189,10 +160,7 @@ fn the_fast_path_follows_the_published_solver() {
         let mut narrowed = narrow_geometry(geometry);
         let factors = narrow_factors(factors);
         let edges: Vec<&Factor<f32>> = factors.iter().collect();
-        let problem = Problem {
-            edges: &edges,
-            eta: &narrow(eta),
-        };
+        let problem = Problem { edges: &edges, eta: &narrow(eta) };
         let report = adjust(&mut narrowed, &problem, window, options).expect("a sound problem");
         assert_eq!((report.failed, report.iterations), (0, options.iterations), "{name}");
         let wide = |plane: &Vec<f32>| plane.iter().map(|&x| f64::from(x)).collect();
@@ -211,14 +179,9 @@ fn the_linear_system_is_that_of_the_published_solver() {
     for (a, b) in [(0, 0), (0, 1), (1, 0), (1, 1)] {
         h.extend(systems.iter().flat_map(|s| s.h[a][b].transpose().as_slice().to_vec()));
     }
-    let v: Vec<f64> = (0..2)
-        .flat_map(|a| systems.iter().flat_map(move |s| s.v[a].as_slice().to_vec()))
-        .collect();
+    let v: Vec<f64> = (0..2).flat_map(|a| systems.iter().flat_map(move |s| s.v[a].as_slice().to_vec())).collect();
     let rows = |a: usize| -> Vec<f64> {
-        systems
-            .iter()
-            .flat_map(|s| (0..6).flat_map(move |k| s.e[a].iter().map(move |e| e[k])))
-            .collect()
+        systems.iter().flat_map(|s| (0..6).flat_map(move |k| s.e[a].iter().map(move |e| e[k]))).collect()
     };
     let flat = |part: &dyn Fn(usize) -> Vec<f64>| -> Vec<f64> { (0..systems.len()).flat_map(part).collect() };
     for (name, got) in [
@@ -249,10 +212,7 @@ fn observability_is_that_of_the_published_code() {
     assert!(difference(&[got.depth, got.focal], &want) < 1e-8, "{got:?}, {want:?}");
     let factors: Vec<Factor<f32>> = narrow_factors(&factors);
     let edges: Vec<&Factor<f32>> = factors.iter().collect();
-    let problem = Problem {
-        edges: &edges,
-        eta: &narrow(&eta),
-    };
+    let problem = Problem { edges: &edges, eta: &narrow(&eta) };
     let got = observability(&narrow_geometry(&geometry), &problem, &options).expect("a sound problem");
     assert!(difference(&[got.depth, got.focal], &want) < 1e-4, "{got:?}, {want:?}");
 }

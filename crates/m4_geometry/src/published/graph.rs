@@ -8,10 +8,7 @@ use crate::megasam::graph::{
 
 fn geometry(golden: &Golden) -> Geometry<f32> {
     let (grid, disparity) = golden.planes("disps");
-    let disparity: Vec<Vec<f32>> = disparity
-        .iter()
-        .map(|p| p.iter().map(|&x| x as f32).collect())
-        .collect();
+    let disparity: Vec<Vec<f32>> = disparity.iter().map(|p| p.iter().map(|&x| x as f32).collect()).collect();
     Geometry {
         grid,
         lens: golden.lens("intrinsics"),
@@ -34,14 +31,8 @@ fn distances_are_those_of_the_published_code() {
                 let slow = frame_distance_reference(&geometry, i, j, beta);
                 let fast = frame_distance(&geometry, i, j, beta);
                 let want = want[i * n + j];
-                assert!(
-                    (slow - want).abs() < 5e-6,
-                    "{name} {i} {j}: {slow} where {want} was expected"
-                );
-                assert!(
-                    (fast - want).abs() < 2e-5,
-                    "{name} {i} {j}: {fast} where {want} was expected"
-                );
+                assert!((slow - want).abs() < 5e-6, "{name} {i} {j}: {slow} where {want} was expected");
+                assert!((fast - want).abs() < 2e-5, "{name} {i} {j}: {fast} where {want} was expected");
             }
         }
     }
@@ -51,12 +42,7 @@ fn distances_are_those_of_the_published_code() {
 fn stored(golden: &Golden, name: &str) -> impl Fn(&[(usize, usize)]) -> Vec<f64> {
     let all = golden.values(name);
     let n = (all.len() as f64).sqrt() as usize;
-    move |pairs| {
-        pairs
-            .iter()
-            .map(|&(i, j)| 0.5 * (all[i * n + j] + all[j * n + i]))
-            .collect()
-    }
+    move |pairs| pairs.iter().map(|&(i, j)| 0.5 * (all[i * n + j] + all[j * n + i])).collect()
 }
 
 #[test]
@@ -73,13 +59,7 @@ fn chosen_edges_are_those_of_the_published_code() {
     };
     let edges = select_proximity(24, &[], &backend, stored(&golden, "dist_directed_b03"));
     assert_eq!(edges, golden.pairs("backend_edges"));
-    let tight = ProximitySettings {
-        radius: 1,
-        suppression: 1,
-        threshold_px: 6.0,
-        beta: 0.25,
-        ..backend
-    };
+    let tight = ProximitySettings { radius: 1, suppression: 1, threshold_px: 6.0, beta: 0.25, ..backend };
     let edges = select_proximity(24, &[], &tight, stored(&golden, "dist_directed_b025"));
     assert_eq!(edges, golden.pairs("tight_edges"));
     let near = neighbourhood(0, 8, 3);
@@ -172,8 +152,5 @@ fn removing_a_keyframe_renumbers_the_rest() {
     assert_eq!(ends(&graph.inactive), [(2, 3)]);
     let changes = graph.take_changes();
     assert_eq!((changes.entered.len(), changes.left.len()), (7, 4));
-    assert_eq!(
-        (changes.entered[3].source_frame, changes.entered[3].target_frame),
-        (6, 4)
-    );
+    assert_eq!((changes.entered[3].source_frame, changes.entered[3].target_frame), (6, 4));
 }

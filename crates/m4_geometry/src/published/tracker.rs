@@ -62,11 +62,7 @@ impl Correspondence for Oracle {
 
 /// The trace was made with the Python twin of the solver.
 fn settings() -> TrackerSettings {
-    TrackerSettings {
-        min_depth: 0.2,
-        python_twin: true,
-        ..TrackerSettings::default()
-    }
+    TrackerSettings { min_depth: 0.2, python_twin: true, ..TrackerSettings::default() }
 }
 
 fn sorted(mut pairs: Vec<(usize, usize)>) -> Vec<(usize, usize)> {
@@ -90,11 +86,7 @@ fn the_front_end_follows_the_published_trace() {
     let mut frontend = Frontend::new(grid, oracle.lens, settings());
     let mut distances = Vec::new();
     for (frame, plane) in sensor.iter().enumerate() {
-        let input = FrameInput {
-            frame,
-            time_s: frame as f64,
-            sensor: plane.iter().map(|&x| x as f32).collect(),
-        };
+        let input = FrameInput { frame, time_s: frame as f64, sensor: plane.iter().map(|&x| x as f32).collect() };
         let done = frontend.submit(&input, false, &mut oracle).expect("a sound trace");
         match done {
             Submitted::Tracked { distance_px, .. } => distances.push(distance_px),
@@ -108,17 +100,9 @@ fn the_front_end_follows_the_published_trace() {
         let at = |name: &str| format!("s{frame:02}_{name}");
         assert_eq!(frontend.keyframes.frame, golden.indices(&at("frame")), "frame {frame}");
         let active = golden.indices(&at("ii")).into_iter().zip(golden.indices(&at("jj")));
-        assert_eq!(
-            ends(&frontend.graph.active),
-            sorted(active.collect()),
-            "active after frame {frame}"
-        );
+        assert_eq!(ends(&frontend.graph.active), sorted(active.collect()), "active after frame {frame}");
         let inactive = golden.pairs(&at("inac"));
-        assert_eq!(
-            ends(&frontend.graph.inactive),
-            sorted(inactive),
-            "inactive after frame {frame}"
-        );
+        assert_eq!(ends(&frontend.graph.inactive), sorted(inactive), "inactive after frame {frame}");
         let ages: Vec<usize> = frontend.graph.active.iter().map(|e| e.age as usize).collect();
         assert_eq!(ages, golden.indices(&at("age")), "ages after frame {frame}");
         let off = pose_difference(&frontend.keyframes.geometry.poses, &golden.poses(&at("poses")));
@@ -130,10 +114,7 @@ fn the_front_end_follows_the_published_trace() {
     // the published times stay behind when a keyframe is dropped; ours go with their frames
     let times: Vec<f64> = frontend.keyframes.frame.iter().map(|&f| f as f64).collect();
     assert_eq!(frontend.keyframes.time_s, times);
-    let off = difference(
-        &numbers(&frontend.keyframes.geometry.disparity),
-        &golden.values("final_disps"),
-    );
+    let off = difference(&numbers(&frontend.keyframes.geometry.disparity), &golden.values("final_disps"));
     assert!(off < 1e-3, "disparities are off by {off:e}");
 }
 
@@ -144,11 +125,8 @@ fn backend_input(golden: &Golden, front: &Golden, lens: Pinhole<f64>) -> Keyfram
     let mut keyframes = Keyframes::new(grid, lens);
     let poses = golden.poses("in_poses");
     for (k, frame) in golden.indices("in_frame").into_iter().enumerate() {
-        let input = FrameInput {
-            frame,
-            time_s: frame as f64,
-            sensor: sensor[frame].iter().map(|&x| x as f32).collect(),
-        };
+        let input =
+            FrameInput { frame, time_s: frame as f64, sensor: sensor[frame].iter().map(|&x| x as f32).collect() };
         keyframes.push(&input, poses[k], None);
         keyframes.geometry.disparity[k] = disparity[k].iter().map(|&x| x as f32).collect();
     }
@@ -164,17 +142,12 @@ fn the_back_end_follows_the_published_trace() {
     let mut keyframes = backend_input(&golden, &front, lens);
     let mut backend = Backend::new(&keyframes, settings());
     assert_eq!(ends(&backend.graph.active), sorted(golden.pairs("edges")));
-    backend
-        .run(&mut keyframes, &mut oracle, 2, false, Some(1e-5), &Silent)
-        .expect("a sound trace");
+    backend.run(&mut keyframes, &mut oracle, 2, false, Some(1e-5), &Silent).expect("a sound trace");
     let off = pose_difference(&keyframes.geometry.poses, &golden.poses("A_poses"));
     assert!(off < 1e-4, "poses are off by {off:e}");
     let off = difference(&numbers(&keyframes.geometry.disparity), &golden.values("A_disps"));
     assert!(off < 1e-3, "disparities are off by {off:e}");
-    let off = difference(
-        &numbers(&backend.static_confidence(&keyframes)),
-        &golden.values("A_motion_prob"),
-    );
+    let off = difference(&numbers(&backend.static_confidence(&keyframes)), &golden.values("A_motion_prob"));
     assert!(off < 1e-5, "static confidence is off by {off:e}");
     let seen = backend.observability(&keyframes).expect("a sound graph");
     let want = golden.values("A_observability");
@@ -185,15 +158,9 @@ fn the_back_end_follows_the_published_trace() {
 
     let mut keyframes = backend_input(&golden, &front, golden.lens("B_intrinsics_in"));
     let mut backend = Backend::new(&keyframes, settings());
-    backend
-        .run(&mut keyframes, &mut oracle, 3, true, None, &Silent)
-        .expect("a sound trace");
+    backend.run(&mut keyframes, &mut oracle, 3, true, None, &Silent).expect("a sound trace");
     let want = golden.lens("B_intrinsics");
-    assert!(
-        (keyframes.geometry.lens.fx - want.fx).abs() < 1e-3,
-        "{:?}, {want:?}",
-        keyframes.geometry.lens
-    );
+    assert!((keyframes.geometry.lens.fx - want.fx).abs() < 1e-3, "{:?}, {want:?}", keyframes.geometry.lens);
     let off = pose_difference(&keyframes.geometry.poses, &golden.poses("B_poses"));
     assert!(off < 1e-4, "poses with a free focal length are off by {off:e}");
     let off = difference(&numbers(&keyframes.geometry.disparity), &golden.values("B_disps"));
@@ -204,11 +171,8 @@ fn the_back_end_follows_the_published_trace() {
 fn interpolated_poses_are_those_of_the_published_code() {
     let golden = Golden::load("ops/pose_interpolation.safetensors");
     let (times, keys) = (golden.values("key_times"), golden.poses("key_poses"));
-    let got: Vec<Se3<f64>> = golden
-        .values("times")
-        .iter()
-        .map(|&t| interpolate_pose(&times, &keys, t, PUBLISHED_TIME_GUARD))
-        .collect();
+    let got: Vec<Se3<f64>> =
+        golden.values("times").iter().map(|&t| interpolate_pose(&times, &keys, t, PUBLISHED_TIME_GUARD)).collect();
     let off = pose_difference(&got, &golden.poses("poses"));
     assert!(off < 1e-9, "poses are off by {off:e}");
     let exact = interpolate_pose(&times, &keys, times[1], 0.0);

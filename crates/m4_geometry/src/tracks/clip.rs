@@ -67,9 +67,7 @@ impl PosedClip for Vec<PosedFrame> {
     }
 
     fn read(&self, index: usize) -> Result<PosedFrame, TrackError> {
-        self.get(index)
-            .cloned()
-            .ok_or_else(|| frame_error(index, "the clip ends before it"))
+        self.get(index).cloned().ok_or_else(|| frame_error(index, "the clip ends before it"))
     }
 }
 
@@ -86,10 +84,7 @@ impl<'a> CaptureClip<'a> {
     #[must_use]
     pub fn new(capture: &'a Capture, side_px: usize) -> Self {
         let (w, h) = capture.frames.first().map_or((0, 0), |f| f.rgb.size());
-        Self {
-            capture,
-            size: crate::classical::dense::working_size(w, h, side_px.max(2)),
-        }
+        Self { capture, size: crate::classical::dense::working_size(w, h, side_px.max(2)) }
     }
 
     /// Width and height of its frames.
@@ -105,11 +100,7 @@ impl PosedClip for CaptureClip<'_> {
     }
 
     fn read(&self, index: usize) -> Result<PosedFrame, TrackError> {
-        let frame = self
-            .capture
-            .frames
-            .get(index)
-            .ok_or_else(|| frame_error(index, "the capture ends before it"))?;
+        let frame = self.capture.frames.get(index).ok_or_else(|| frame_error(index, "the capture ends before it"))?;
         let (w, h) = self.size;
         let nearest =
             |x: usize, y: usize, (fw, fh): (usize, usize)| ((2 * x + 1) * fw / (2 * w), (2 * y + 1) * fh / (2 * h));
@@ -139,10 +130,7 @@ impl PosedClip for CaptureClip<'_> {
 
 /// [`TrackError::Frame`] with a reason in words.
 pub(crate) fn frame_error(frame: usize, reason: impl Into<String>) -> TrackError {
-    TrackError::Frame {
-        frame,
-        reason: reason.into().into(),
-    }
+    TrackError::Frame { frame, reason: reason.into().into() }
 }
 
 /// Frame `index`, checked.
@@ -164,11 +152,7 @@ pub(crate) struct Sparse<T> {
 impl<T: Copy> Sparse<T> {
     /// The pixels that `value(pixel index)` knows.
     pub fn new(width: usize, height: usize, value: impl Fn(usize) -> Option<T>) -> Self {
-        let mut out = Self {
-            rows: vec![0],
-            columns: Vec::new(),
-            values: Vec::new(),
-        };
+        let mut out = Self { rows: vec![0], columns: Vec::new(), values: Vec::new() };
         for y in 0..height {
             for x in 0..width {
                 if let Some(v) = value(y * width + x) {
@@ -210,9 +194,7 @@ pub(crate) struct Strip {
 pub(super) fn moving(frame: &PosedFrame) -> Sparse<f32> {
     let (w, h) = frame.rgb.size();
     let (depth, mask) = (frame.depth.data(), frame.moving.data());
-    Sparse::new(w, h, |i| {
-        (mask[i] > 0 && depth[i].is_finite() && depth[i] > 0.0).then(|| 1.0 / depth[i])
-    })
+    Sparse::new(w, h, |i| (mask[i] > 0 && depth[i].is_finite() && depth[i] > 0.0).then(|| 1.0 / depth[i]))
 }
 
 /// Flow whose round trip misses by more than this is not followed, pixels.
@@ -220,9 +202,7 @@ const ROUND_TRIP_PX: f32 = 1.0;
 
 /// Flow of pixels that `moves` and whose round trip is at most [`ROUND_TRIP_PX`].
 pub(crate) fn sparse_flow(flow: &Flow, trip: &[f32], moves: impl Fn(usize) -> bool) -> Sparse<[f32; 2]> {
-    Sparse::new(flow.width, flow.height, |i| {
-        (moves(i) && trip[i] <= ROUND_TRIP_PX).then(|| [flow.u[i], flow.v[i]])
-    })
+    Sparse::new(flow.width, flow.height, |i| (moves(i) && trip[i] <= ROUND_TRIP_PX).then(|| [flow.u[i], flow.v[i]]))
 }
 
 /// Forward and backward flow between two frames, of the dynamic pixels of each.

@@ -93,19 +93,9 @@ fn sweep(scene: &Scene<'_>, board: &mut Board, forward: bool, progress: &dyn Pro
                 lost[k] = None;
                 continue;
             }
-            let confidence = if outcome.violated {
-                0.0
-            } else {
-                outcome.guess.confidence
-            };
+            let confidence = if outcome.violated { 0.0 } else { outcome.guess.confidence };
             let p = outcome.guess.place;
-            board.set(
-                now,
-                k,
-                [p.x as f32, p.y as f32, p.z as f32],
-                outcome.guess.state,
-                confidence,
-            );
+            board.set(now, k, [p.x as f32, p.y as f32, p.z as f32], outcome.guess.state, confidence);
             if let Some(piece) = outcome.back {
                 board.put(k, &piece);
             }
@@ -129,11 +119,7 @@ fn look(
     let camera = &strip.cameras[now];
     let ([u, v], z) = camera.project(&guess.place);
     let at = [u as f32, v as f32];
-    let mut out = Outcome {
-        guess,
-        violated: false,
-        back: None,
-    };
+    let mut out = Outcome { guess, violated: false, back: None };
     if !(z > 0.0 && is_inside(strip, at)) {
         return out;
     }
@@ -176,16 +162,13 @@ fn again(
         seen.reverse();
     }
     let pieces = lift(strip, &Chain { first, seen }, scene.config);
-    let piece = pieces
-        .into_iter()
-        .find(|p| (p.first..p.first + p.places.len()).contains(&now))?;
+    let piece = pieces.into_iter().find(|p| (p.first..p.first + p.places.len()).contains(&now))?;
     // A little later it must still be where its neighbours say.
     let reach = (piece.places.len() - 1).min(PROOF - 1);
     let then = if forward { now + reach } else { now - reach };
-    if let (Some(want), Some(found)) = (
-        memory.check(board, track, then),
-        then.checked_sub(piece.first).and_then(|i| piece.places.get(i)),
-    ) {
+    if let (Some(want), Some(found)) =
+        (memory.check(board, track, then), then.checked_sub(piece.first).and_then(|i| piece.places.get(i)))
+    {
         let found = Vector3::from(found.map(f64::from));
         let (a, b) = (strip.cameras[then].project(&want), strip.cameras[then].project(&found));
         let off = (a.0[0] - b.0[0]).hypot(a.0[1] - b.0[1]);
@@ -295,23 +278,11 @@ mod tests {
     fn blind_guesses_stay_where_the_track_comes_back() {
         let mut board = Board::new(6, 2);
         for k in 0..2 {
-            board.put(
-                k,
-                &Lifted {
-                    first: 0,
-                    places: vec![[1.0; 3]; 2],
-                },
-            );
+            board.put(k, &Lifted { first: 0, places: vec![[1.0; 3]; 2] });
             board.set(2, k, [2.0; 3], State::Blind, 0.2);
             board.set(3, k, [2.0; 3], State::Blind, 0.2);
         }
-        board.put(
-            1,
-            &Lifted {
-                first: 4,
-                places: vec![[3.0; 3]; 9],
-            },
-        );
+        board.put(1, &Lifted { first: 4, places: vec![[3.0; 3]; 9] });
         board.forget_blind(0..6);
         assert_eq!(board.state[board.at(2, 0)], State::Unknown);
         assert!(board.places[board.at(3, 0)][0].is_nan());

@@ -29,10 +29,7 @@ pub struct TrackConfig {
 
 impl Default for TrackConfig {
     fn default() -> Self {
-        Self {
-            fill: true,
-            smooth_frames: 2.0,
-        }
+        Self { fill: true, smooth_frames: 2.0 }
     }
 }
 
@@ -60,11 +57,7 @@ impl Tracker3d for FlowTracker<'_> {
         let pieces = on_grid(&strip, grid, &self.config);
         let (mut board, queries) = board_of(clip.frames(), &pieces);
         let surface = |i: usize| Ok(read_checked(clip, i)?.depth);
-        let scene = Scene {
-            strip: &strip,
-            surface: &surface,
-            config: &self.config,
-        };
+        let scene = Scene { strip: &strip, surface: &surface, config: &self.config };
         if self.config.fill {
             fill(&scene, &mut board, progress)?;
         }
@@ -84,12 +77,7 @@ pub(crate) fn board_of(frames: usize, pieces: &[Lifted]) -> (Board, Vec<Query>) 
     for (k, piece) in pieces.iter().enumerate() {
         board.put(k, piece);
     }
-    let query = |piece: &Lifted| {
-        Some(Query {
-            frame: piece.first,
-            xyz: *piece.places.first()?,
-        })
-    };
+    let query = |piece: &Lifted| Some(Query { frame: piece.first, xyz: *piece.places.first()? });
     (board, pieces.iter().filter_map(query).collect())
 }
 
@@ -157,17 +145,14 @@ fn strip(clip: &dyn PosedClip, flow: &dyn FlowSource, progress: &dyn Progress) -
             batch.push(frame);
         }
         out.cameras.extend(batch[carried..].iter().map(|f| f.camera));
-        out.moving
-            .extend(batch[carried..].par_iter().map(moving).collect::<Vec<_>>());
+        out.moving.extend(batch[carried..].par_iter().map(moving).collect::<Vec<_>>());
         let first = from - carried;
         let pairs: Vec<_> = batch
             .par_windows(2)
             .enumerate()
             .map(|(i, pair)| {
-                sparse_flow_pair([&pair[0], &pair[1]], flow).map_err(|source| TrackError::Flow {
-                    frame: first + i,
-                    source,
-                })
+                sparse_flow_pair([&pair[0], &pair[1]], flow)
+                    .map_err(|source| TrackError::Flow { frame: first + i, source })
             })
             .collect();
         for pair in pairs {

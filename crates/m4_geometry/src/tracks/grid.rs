@@ -18,11 +18,7 @@ pub struct QueryGrid {
 impl Default for QueryGrid {
     /// Every 10th frame: the paper's choice for DyCheck and DAVIS; for NVIDIA Dynamic it has every frame.
     fn default() -> Self {
-        Self {
-            every: 10,
-            spacing_px: 4,
-            most: 20_000,
-        }
+        Self { every: 10, spacing_px: 4, most: 20_000 }
     }
 }
 
@@ -30,10 +26,7 @@ impl QueryGrid {
     /// For chains of flow: every 4th frame. The specification's queries: every frame to every 10th.
     #[must_use]
     pub fn chains() -> Self {
-        Self {
-            every: 4,
-            ..Self::default()
-        }
+        Self { every: 4, ..Self::default() }
     }
 
     /// Rejects unusable values.
@@ -42,17 +35,9 @@ impl QueryGrid {
     ///
     /// [`TrackError::Setting`] naming the first one.
     pub fn check(&self) -> Result<(), TrackError> {
-        let all = [
-            ("every", self.every),
-            ("spacing_px", self.spacing_px),
-            ("most", self.most),
-        ];
+        let all = [("every", self.every), ("spacing_px", self.spacing_px), ("most", self.most)];
         match all.into_iter().find(|(_, v)| *v == 0) {
-            Some((name, _)) => Err(TrackError::Setting {
-                name,
-                value: 0.0,
-                expected: "at least 1",
-            }),
+            Some((name, _)) => Err(TrackError::Setting { name, value: 0.0, expected: "at least 1" }),
             None => Ok(()),
         }
     }

@@ -50,11 +50,7 @@ pub(super) fn is_inside(strip: &Strip, at: [f32; 2]) -> bool {
 
 /// Bilinear flow of those of the four pixels around that move and lead back; none if the nearest does not.
 fn flow_of_part(strip: &Strip, frame: usize, at: [f32; 2], forward: bool) -> Option<[f32; 2]> {
-    let flow = if forward {
-        strip.forward.get(frame)?
-    } else {
-        strip.backward.get(frame.checked_sub(1)?)?
-    };
+    let flow = if forward { strip.forward.get(frame)? } else { strip.backward.get(frame.checked_sub(1)?)? };
     let (x, y) = nearest(at);
     flow.get(x, y)?;
     let (left, top) = (at[0].floor(), at[1].floor());
@@ -96,10 +92,7 @@ pub(crate) fn lift(strip: &Strip, chain: &Chain, config: &TrackConfig) -> Vec<Li
     let place = |frame: usize, at: &[f32; 2], disparity: f32| {
         strip.cameras[frame].unproject(f64::from(at[0]), f64::from(at[1]), 1.0 / f64::from(disparity))
     };
-    let places: Vec<_> = frames()
-        .zip(&raw)
-        .map(|((frame, at), d)| place(frame, at, *d))
-        .collect();
+    let places: Vec<_> = frames().zip(&raw).map(|((frame, at), d)| place(frame, at, *d)).collect();
     let steps: Vec<f32> = places.windows(2).map(|p| (p[1] - p[0]).norm() as f32).collect();
     let median = quantile(&mut steps.clone(), 0.5).unwrap_or(0.0);
     let jumps = |k: usize| {
@@ -159,11 +152,7 @@ pub(crate) fn smooth(disparity: &[f32], sd: f32) -> Vec<f32> {
                 sty += w * t * logs[j];
             }
             let determinant = s * stt - st * st;
-            let at_0 = if determinant > 1e-12 {
-                (stt * sy - st * sty) / determinant
-            } else {
-                sy / s
-            };
+            let at_0 = if determinant > 1e-12 { (stt * sy - st * sty) / determinant } else { sy / s };
             at_0.exp() as f32
         })
         .collect()

@@ -103,10 +103,7 @@ pub(super) fn lose(board: &Board, camera: &Camera, since: usize, tracks: &[usize
             since,
             near: near.iter().map(|&(_, j)| (j as u32, kin(j))).collect(),
             spacing,
-            normal: normal(
-                close.iter().map(|&(_, i)| vector(places[i])),
-                &(camera.centre() - vector(at)),
-            ),
+            normal: normal(close.iter().map(|&(_, i)| vector(places[i])), &(camera.centre() - vector(at))),
             rotation: Rotation3::identity(),
             blind: 0,
             violations: 0,
@@ -120,10 +117,7 @@ fn spacing(tree: &Tree, places: &[[f32; 3]]) -> f64 {
     if places.len() < 2 {
         return 0.0;
     }
-    let mut squares: Vec<f32> = places
-        .par_iter()
-        .map(|p| nearest(tree, p, 2).get(1).map_or(0.0, |n| n.0))
-        .collect();
+    let mut squares: Vec<f32> = places.par_iter().map(|p| nearest(tree, p, 2).get(1).map_or(0.0, |n| n.0)).collect();
     m4_core::median(&mut squares).map_or(0.0, |square| f64::from(square.sqrt()))
 }
 
@@ -131,9 +125,7 @@ fn spacing(tree: &Tree, places: &[[f32; 3]]) -> f64 {
 fn kinship(board: &Board, frame: usize, a: usize, b: usize, spacing: f64) -> f64 {
     let apart = |t: usize| Some((vector(board.seen(t, a)?) - vector(board.seen(t, b)?)).norm());
     let Some(now) = apart(frame) else { return 0.0 };
-    let others = BACK
-        .iter()
-        .flat_map(|&k| [frame.checked_sub(k), Some(frame + k).filter(|t| *t < board.frames)]);
+    let others = BACK.iter().flat_map(|&k| [frame.checked_sub(k), Some(frame + k).filter(|t| *t < board.frames)]);
     let changes = others.flatten().filter_map(apart).map(|d| (d - now).abs());
     let change = changes.fold(0.0, f64::max) / (0.1 * now + 0.5 * spacing).max(1e-12);
     1.0 / (1.0 + change * change).powi(2)
@@ -169,12 +161,7 @@ impl Step {
         let tracks: Vec<usize> = both.collect();
         let places: Vec<[f32; 3]> = tracks.iter().filter_map(|&k| board.seen(before, k)).collect();
         let tree = tree(&places);
-        Self {
-            before,
-            now,
-            tracks,
-            tree,
-        }
+        Self { before, now, tracks, tree }
     }
 }
 
@@ -204,15 +191,12 @@ impl Lost {
     pub fn check(&self, board: &Board, track: usize, now: usize) -> Option<Vector3<f64>> {
         let anchors = self.anchors_together(board, track, now);
         let enough = anchors.len() >= ENOUGH;
-        enough
-            .then(|| self.together(board, track, now, &anchors))?
-            .map(|g| g.place)
+        enough.then(|| self.together(board, track, now, &anchors))?.map(|g| g.place)
     }
 
     /// False where its surface has turned away from a camera at `centre`.
     pub fn faces(&self, guess: &Guess, centre: &Vector3<f64>) -> bool {
-        self.normal
-            .is_none_or(|n| (guess.rotation * n).dot(&(centre - guess.place)) > 0.0)
+        self.normal.is_none_or(|n| (guess.rotation * n).dot(&(centre - guess.place)) > 0.0)
     }
 
     /// Takes over what a guess found out.
@@ -240,11 +224,7 @@ impl Lost {
         let near = nearest(tree, &at, NEIGHBOURS.min(step.tracks.len()));
         let both = near.into_iter().filter_map(|(_, i)| {
             let k = step.tracks[i];
-            Some((
-                vector(board.seen(step.before, k)?),
-                vector(board.seen(step.now, k)?),
-                1.0,
-            ))
+            Some((vector(board.seen(step.before, k)?), vector(board.seen(step.now, k)?), 1.0))
         });
         self.weighted(&vector(at), both.collect())
     }

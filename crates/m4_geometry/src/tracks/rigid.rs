@@ -41,13 +41,7 @@ pub(super) fn fit(anchors: &[Anchor], prior: &Rotation3<f64>, spacing: f64) -> O
     let mut weights: Vec<f64> = anchors.iter().map(|a| a.weight).collect();
     // The first guess: shifts near the middle one.
     let shifts: Vec<Vector3<f64>> = anchors.iter().map(|a| a.to - prior * a.from).collect();
-    let off = |s: &Vector3<f64>| {
-        shifts
-            .iter()
-            .zip(anchors)
-            .map(|(b, a)| a.weight * (s - b).norm())
-            .sum::<f64>()
-    };
+    let off = |s: &Vector3<f64>| shifts.iter().zip(anchors).map(|(b, a)| a.weight * (s - b).norm()).sum::<f64>();
     let middle = shifts.iter().min_by(|a, b| off(a).total_cmp(&off(b)))?;
     let misses: Vec<f64> = shifts.iter().map(|s| (s - middle).norm()).collect();
     // A turn moves anchors apart as well, so the first guess is a mild one.
@@ -107,12 +101,7 @@ fn least_squares(anchors: &[Anchor], weights: &[f64], prior: &Rotation3<f64>, sp
     } else {
         *prior
     };
-    Some(Fit {
-        rotation,
-        from,
-        to,
-        miss: 0.0,
-    })
+    Some(Fit { rotation, from, to, miss: 0.0 })
 }
 
 #[cfg(test)]
@@ -125,9 +114,7 @@ mod tests {
 
     fn cloud(n: usize) -> Vec<Vector3<f64>> {
         let mut rng = CounterRng::new(3, 1, 4);
-        (0..n)
-            .map(|_| Vector3::from([0, 1, 2].map(|_| rng.uniform() - 0.5)))
-            .collect()
+        (0..n).map(|_| Vector3::from([0, 1, 2].map(|_| rng.uniform() - 0.5))).collect()
     }
 
     #[test]
@@ -137,11 +124,7 @@ mod tests {
         let anchors: Vec<Anchor> = cloud(24)
             .into_iter()
             .enumerate()
-            .map(|(i, p)| Anchor {
-                from: p,
-                to: if i % 3 == 0 { p - shift } else { turn * p + shift },
-                weight: 1.0,
-            })
+            .map(|(i, p)| Anchor { from: p, to: if i % 3 == 0 { p - shift } else { turn * p + shift }, weight: 1.0 })
             .collect();
         let found = fit(&anchors, &Rotation3::identity(), 0.2).unwrap();
         let p = Vector3::new(0.8, -0.3, 0.5);
@@ -153,11 +136,8 @@ mod tests {
     fn unconstrained_directions_stay_unchanged() {
         let prior = Rotation3::from_scaled_axis(Vector3::new(0.3, 0.0, 0.0));
         let shift = Vector3::new(0.0, 1.0, 0.0);
-        let one = Anchor {
-            from: Vector3::new(1.0, 2.0, 3.0),
-            to: prior * Vector3::new(1.0, 2.0, 3.0) + shift,
-            weight: 0.5,
-        };
+        let one =
+            Anchor { from: Vector3::new(1.0, 2.0, 3.0), to: prior * Vector3::new(1.0, 2.0, 3.0) + shift, weight: 0.5 };
         let found = fit(&[one], &prior, 0.1).unwrap();
         assert!((found.rotation.matrix() - prior.matrix()).norm() < 1e-9);
         // a line along x, turned about z: the turn about the line itself stays at the prior
@@ -165,11 +145,7 @@ mod tests {
         let line: Vec<Anchor> = (0..9)
             .map(|i| {
                 let from = Vector3::new(0.1 * f64::from(i), 0.0, 0.0);
-                Anchor {
-                    from,
-                    to: turn * from,
-                    weight: 1.0,
-                }
+                Anchor { from, to: turn * from, weight: 1.0 }
             })
             .collect();
         let found = fit(&line, &prior, 0.1).unwrap();

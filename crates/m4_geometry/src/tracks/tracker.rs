@@ -18,10 +18,7 @@ impl Query {
     #[must_use]
     pub fn at_pixel(frame: usize, camera: &Camera, pixel: [f32; 2], depth: f32) -> Self {
         let p = camera.unproject(pixel[0].into(), pixel[1].into(), depth.into());
-        Self {
-            frame,
-            xyz: [p.x as f32, p.y as f32, p.z as f32],
-        }
+        Self { frame, xyz: [p.x as f32, p.y as f32, p.z as f32] }
     }
 }
 
@@ -66,11 +63,7 @@ impl TrackedPoints {
     ) -> Result<Self, TrackError> {
         let count = queries.len();
         let tracks = Tracks::new(frames, count, xyz, visible).and_then(|t| t.with_confidence(&confidence));
-        let tracks = tracks.map_err(|e| TrackError::Count {
-            found: e.found,
-            frames,
-            queries: count,
-        })?;
+        let tracks = tracks.map_err(|e| TrackError::Count { found: e.found, frames, queries: count })?;
         Ok(Self { queries, tracks })
     }
 }

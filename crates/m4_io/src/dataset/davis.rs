@@ -45,10 +45,7 @@ pub fn detect(path: &Path) -> bool {
 /// [`ReadError`]: another layout, images that cannot be read, or a map that has no palette or another size than its image.
 pub fn read_clip(path: &Path, options: &VideoOptions, progress: &dyn Progress) -> Result<DavisClip, ReadError> {
     let annotations = annotations(path)?;
-    let options = VideoOptions {
-        folder_fps: FPS,
-        ..options.clone()
-    };
+    let options = VideoOptions { folder_fps: FPS, ..options.clone() };
     let files = image_files(path)?;
     let video = read(path, &options, progress)?;
     let mut instances = Vec::with_capacity(video.frames.len());

@@ -24,10 +24,7 @@ pub(super) fn check(out: &Path, capture: &Capture) -> Result<(), WriteError> {
     for (i, frame) in capture.frames.iter().enumerate() {
         let bad = |what: String| Err(WriteError::bad(out, format!("frame {i} ({}): {what}", frame.name)));
         if !(0.0..=last).contains(&frame.t) {
-            return bad(format!(
-                "it was taken at t = {}; 0 to {last} frames were expected",
-                frame.t
-            ));
+            return bad(format!("it was taken at t = {}; 0 to {last} frames were expected", frame.t));
         }
         let depth = frame.depth.as_ref().map(|d| d.size());
         let mask = frame.mask.as_ref().map(|m| m.size());
@@ -35,21 +32,14 @@ pub(super) fn check(out: &Path, capture: &Capture) -> Result<(), WriteError> {
             return bad("its depth map or mask has no pixels".to_owned());
         }
         let camera = frame.camera;
-        let seen = SourceFrame {
-            camera,
-            t: frame.t,
-            exposure: Exposure::IDENTITY,
-        };
+        let seen = SourceFrame { camera, t: frame.t, exposure: Exposure::IDENTITY };
         if !usable(&seen) {
             return bad(format!("its camera is none: {camera:?}"));
         }
         let k = &camera.intrinsics;
         let (w, h) = frame.rgb.size();
         if (w, h) != (k.width, k.height) {
-            return bad(format!(
-                "its image is {w} x {h} pixels and its camera {} x {}",
-                k.width, k.height
-            ));
+            return bad(format!("its image is {w} x {h} pixels and its camera {} x {}", k.width, k.height));
         }
     }
     Ok(())
@@ -107,19 +97,11 @@ pub(super) struct Staging {
 
 impl Staging {
     pub fn new(out: &Path) -> Result<Self, WriteError> {
-        let parent = out
-            .parent()
-            .filter(|p| !p.as_os_str().is_empty())
-            .unwrap_or(Path::new("."));
+        let parent = out.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
         fs::create_dir_all(parent).map_err(|e| WriteError::io(parent, e))?;
-        let folder = tempfile::Builder::new()
-            .prefix(".minute4d-")
-            .tempdir_in(parent)
-            .map_err(|e| WriteError::io(parent, e))?;
-        Ok(Self {
-            folder,
-            out: out.to_path_buf(),
-        })
+        let folder =
+            tempfile::Builder::new().prefix(".minute4d-").tempdir_in(parent).map_err(|e| WriteError::io(parent, e))?;
+        Ok(Self { folder, out: out.to_path_buf() })
     }
 
     pub fn path(&self) -> &Path {
@@ -148,11 +130,7 @@ impl Staging {
 }
 
 fn remove(path: &Path) -> Result<(), WriteError> {
-    let done = if path.is_dir() {
-        fs::remove_dir_all(path)
-    } else {
-        fs::remove_file(path)
-    };
+    let done = if path.is_dir() { fs::remove_dir_all(path) } else { fs::remove_file(path) };
     match done {
         Err(e) if e.kind() != ErrorKind::NotFound => Err(WriteError::io(path, e)),
         _ => Ok(()),
@@ -165,11 +143,7 @@ fn size(folder: &Path) -> Result<u64, WriteError> {
     for entry in fs::read_dir(folder).map_err(failed)? {
         let entry = entry.map_err(failed)?;
         let meta = entry.metadata().map_err(failed)?;
-        bytes += if meta.is_dir() {
-            size(&entry.path())?
-        } else {
-            meta.len()
-        };
+        bytes += if meta.is_dir() { size(&entry.path())? } else { meta.len() };
     }
     Ok(bytes)
 }
@@ -236,11 +210,7 @@ fn write_frame(folder: &Path, frame: &CaptureFrame, paths: &FramePaths, unit: f6
     same(&path, image::read_depth(&path, unit), |back| {
         let close = |(i, &z): (usize, &f32)| {
             // a known depth is a step at least
-            let z = if z > 0.0 {
-                f64::from(z).clamp(unit, MAX_STEPS * unit)
-            } else {
-                0.0
-            };
+            let z = if z > 0.0 { f64::from(z).clamp(unit, MAX_STEPS * unit) } else { 0.0 };
             (f64::from(back.at(i % w, i / w)) - z).abs() <= 0.51 * unit + 1e-6 * z
         };
         back.size() == (w, h) && depth.data().iter().enumerate().all(close)

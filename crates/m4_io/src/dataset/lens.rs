@@ -30,10 +30,7 @@ impl Distortion {
         if [k1, k2, k3, p1, p2] == [0.0; 5] {
             return Self::None;
         }
-        Self::Brown {
-            radial: [k1, k2, k3, 0.0, 0.0, 0.0],
-            tangential: [p1, p2],
-        }
+        Self::Brown { radial: [k1, k2, k3, 0.0, 0.0, 0.0], tangential: [p1, p2] }
     }
 
     /// Where the ray through `(x, y)` of a pinhole arrives behind this lens, normalised coordinates.
@@ -48,10 +45,7 @@ impl Distortion {
                 let up = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3));
                 let down = 1.0 + r2 * (k4 + r2 * (k5 + r2 * k6));
                 let s = up / down;
-                [
-                    x * s + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x),
-                    y * s + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y,
-                ]
+                [x * s + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x), y * s + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y]
             }
             Self::Fisheye { k } => {
                 let r = x.hypot(y);
@@ -90,10 +84,7 @@ impl Lens {
     /// A lens without distortion.
     #[must_use]
     pub fn pinhole(intrinsics: Intrinsics) -> Self {
-        Self {
-            intrinsics,
-            distortion: Distortion::None,
-        }
+        Self { intrinsics, distortion: Distortion::None }
     }
 
     /// Refuses sizes, focal lengths and numbers that cannot be.
@@ -119,10 +110,7 @@ impl Lens {
         if (k.width, k.height) == (width, height) {
             return Ok(());
         }
-        let what = format!(
-            "its image is {width} x {height} but its camera is of {} x {} pixels",
-            k.width, k.height
-        );
+        let what = format!("its image is {width} x {height} but its camera is of {} x {} pixels", k.width, k.height);
         Err(Fault::bad(what, "use the images that the cameras were computed from"))
     }
 }
@@ -150,25 +138,13 @@ impl Undistort {
         if lens.distortion == Distortion::None {
             return Ok(None);
         }
-        let stretched = |s: f64| Intrinsics {
-            fx: lens.intrinsics.fx * s,
-            fy: lens.intrinsics.fy * s,
-            ..lens.intrinsics
-        };
-        let whole = |s: f64| {
-            Self {
-                from: *lens,
-                to: stretched(s),
-            }
-            .covers()
-        };
+        let stretched =
+            |s: f64| Intrinsics { fx: lens.intrinsics.fx * s, fy: lens.intrinsics.fy * s, ..lens.intrinsics };
+        let whole = |s: f64| Self { from: *lens, to: stretched(s) }.covers();
         let (mut low, mut high) = (0.25, MAX_STRETCH);
         if !whole(high) {
             let what = format!("the distortion {:?} bends rays back within the image", lens.distortion);
-            return Err(Fault::unsupported(
-                what,
-                "undistort the images with the tool that made them",
-            ));
+            return Err(Fault::unsupported(what, "undistort the images with the tool that made them"));
         }
         for _ in 0..40 {
             let middle = 0.5 * (low + high);
@@ -178,10 +154,7 @@ impl Undistort {
                 low = middle;
             }
         }
-        Ok(Some(Self {
-            from: *lens,
-            to: stretched(high),
-        }))
+        Ok(Some(Self { from: *lens, to: stretched(high) }))
     }
 
     /// Pixel of the stored image, corner-based, that shows what is at corner-based `(u, v)` of the new one.
@@ -203,10 +176,7 @@ impl Undistort {
                 inside(self.source(u, v))
                     && (1..=16).all(|k| {
                         let part = f64::from(k) / 16.0;
-                        let [x, y] = [
-                            (u - self.to.cx) / self.to.fx * part,
-                            (v - self.to.cy) / self.to.fy * part,
-                        ];
+                        let [x, y] = [(u - self.to.cx) / self.to.fx * part, (v - self.to.cy) / self.to.fy * part];
                         let [x, y] = self.from.distortion.distorted(x, y);
                         let r = x.hypot(y);
                         let grows = r >= last;
@@ -223,10 +193,7 @@ impl Undistort {
         let (w, h) = image.size();
         Plane::from_fn(w, h, |x, y| {
             let [u, v] = self.source(x as f64 + 0.5, y as f64 + 0.5);
-            let (u, v) = (
-                (u - 0.5).clamp(0.0, (w - 1) as f64),
-                (v - 0.5).clamp(0.0, (h - 1) as f64),
-            );
+            let (u, v) = ((u - 0.5).clamp(0.0, (w - 1) as f64), (v - 0.5).clamp(0.0, (h - 1) as f64));
             let (x0, y0) = (u.floor() as usize, v.floor() as usize);
             let (x1, y1) = ((x0 + 1).min(w - 1), (y0 + 1).min(h - 1));
             let (a, b) = (u - x0 as f64, v - y0 as f64);
@@ -259,10 +226,7 @@ mod tests {
     use m4_core::Intrinsics;
 
     fn lens(distortion: Distortion) -> Lens {
-        Lens {
-            intrinsics: Intrinsics::centred(120, 80, 100.0),
-            distortion,
-        }
+        Lens { intrinsics: Intrinsics::centred(120, 80, 100.0), distortion }
     }
 
     #[test]

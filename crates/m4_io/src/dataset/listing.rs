@@ -76,18 +76,7 @@ impl ListedFrame {
     /// A training frame of an image alone.
     #[must_use]
     pub fn new(name: String, lens: Lens, c2w: Se3<f64>, t: f64, rgb: FrameSource<RgbImage>) -> Self {
-        Self {
-            name,
-            lens,
-            c2w,
-            t,
-            rgb,
-            depth: None,
-            mask: None,
-            motion: None,
-            instances: None,
-            camera_index: None,
-        }
+        Self { name, lens, c2w, t, rgb, depth: None, mask: None, motion: None, instances: None, camera_index: None }
     }
 }
 
@@ -112,14 +101,7 @@ impl Listing {
     /// A training video without held-out views and tracks, of `time_frames` moments, in no known unit.
     #[must_use]
     pub fn of_video(train: Vec<ListedFrame>, time_frames: usize, duration_s: Option<f64>) -> Self {
-        Self {
-            train,
-            test: Vec::new(),
-            time_frames,
-            duration_s,
-            metric: false,
-            tracks: None,
-        }
+        Self { train, test: Vec::new(), time_frames, duration_s, metric: false, tracks: None }
     }
 }
 

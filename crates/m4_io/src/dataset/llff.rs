@@ -51,8 +51,7 @@ pub(super) fn read_bounds(path: &Path) -> Result<Vec<Pose>, ReadError> {
         Ok(Pose { camera, near, far })
     };
     let rows = array.values.as_chunks::<WIDTH>().0.iter().enumerate();
-    rows.map(|(i, row)| one(row).map_err(|e| e.within(path, format!("camera {i}"))))
-        .collect()
+    rows.map(|(i, row)| one(row).map_err(|e| e.within(path, format!("camera {i}")))).collect()
 }
 
 #[derive(Deserialize)]
@@ -68,13 +67,7 @@ pub fn detect(path: &Path) -> bool {
         poses: Option<IgnoredAny>,
         frames: Option<IgnoredAny>,
     }
-    matches!(
-        json(path),
-        Ok(Keys {
-            poses: Some(_),
-            frames: None
-        })
-    )
+    matches!(json(path), Ok(Keys { poses: Some(_), frames: None }))
 }
 
 /// Reads the cameras of a JSON file. The frames have no image (0x0), no depth and no mask; they are named `00000`, `00001`, ...
@@ -124,10 +117,7 @@ fn camera(axes: [[f64; 3]; 3], m: &[[f64; 5]; 3]) -> Result<Camera, Fault> {
         let what = format!("the focal length {focal}; pixels, above 0, were expected");
         return Err(Fault::bad(what, HINT));
     }
-    Ok(Camera {
-        intrinsics: Intrinsics::centred(w, h, focal),
-        c2w,
-    })
+    Ok(Camera { intrinsics: Intrinsics::centred(w, h, focal), c2w })
 }
 
 #[cfg(test)]

@@ -33,23 +33,12 @@ pub(crate) fn load_of(
     options: &ImportOptions,
     progress: &dyn Progress,
 ) -> Result<Imported, ReadError> {
-    let Listing {
-        train,
-        test,
-        time_frames,
-        duration_s,
-        metric,
-        tracks,
-    } = listing;
+    let Listing { train, test, time_frames, duration_s, metric, tracks } = listing;
     if train.is_empty() {
         return Err(Fault::missing("every frame of the training video", "give a source with frames").at(path));
     }
     if let Some(tracks) = tracks.as_ref().filter(|t| t.frames() != train.len()) {
-        let what = format!(
-            "tracks of {} frames where {} were expected",
-            tracks.frames(),
-            train.len()
-        );
+        let what = format!("tracks of {} frames where {} were expected", tracks.frames(), train.len());
         return Err(Fault::bad(what, "give tracks of the same clip").at(path));
     }
     check_memory(&train, &test, bytes_per_8_pixels, options).at(path)?;
@@ -70,11 +59,7 @@ pub(crate) fn load_of(
     };
     Ok(Imported {
         train: capture(train, "read frames", tracks)?,
-        test: if test.is_empty() {
-            None
-        } else {
-            Some(capture(test, "read held-out views", None)?)
-        },
+        test: if test.is_empty() { None } else { Some(capture(test, "read held-out views", None)?) },
     })
 }
 
@@ -102,10 +87,7 @@ fn one(frame: &ListedFrame, time_frames: usize) -> Result<CaptureFrame, Fault> {
         return Err(Fault::bad(what, "correct the times in the source"));
     }
     if !frame.c2w.matrix().iter().all(|v| v.is_finite()) {
-        return Err(Fault::bad(
-            "its pose holds a NaN or infinite value",
-            "correct the pose in the source",
-        ));
+        return Err(Fault::bad("its pose holds a NaN or infinite value", "correct the pose in the source"));
     }
     let undistort = Undistort::new(&frame.lens)?;
     let rgb = frame.rgb.get()?;
@@ -123,10 +105,7 @@ fn one(frame: &ListedFrame, time_frames: usize) -> Result<CaptureFrame, Fault> {
     }
     Ok(CaptureFrame {
         name: frame.name.clone(),
-        camera: Camera {
-            intrinsics,
-            c2w: frame.c2w,
-        },
+        camera: Camera { intrinsics, c2w: frame.c2w },
         t: frame.t,
         rgb,
         depth,

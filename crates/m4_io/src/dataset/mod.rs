@@ -74,12 +74,7 @@ const ROWS: &[(SourceFormat, &str, Detect, List)] = &[
     (SourceFormat::Nvidia, "nvidia", nvidia::detect, nvidia::list),
     (SourceFormat::Record3d, "record3d", record3d::detect, record3d::list),
     (SourceFormat::Colmap, "colmap", colmap::detect, colmap::list),
-    (
-        SourceFormat::Nerfstudio,
-        "nerfstudio",
-        nerfstudio::detect,
-        nerfstudio::list,
-    ),
+    (SourceFormat::Nerfstudio, "nerfstudio", nerfstudio::detect, nerfstudio::list),
     (SourceFormat::Vipe, "vipe", vipe::detect, vipe::list),
     (SourceFormat::Megasam, "megasam", megasam::detect, megasam::list),
 ];

@@ -60,15 +60,13 @@ pub(crate) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress
     let train = images.iter().zip(&poses).enumerate().map(|(i, (image, pose))| {
         let mut frame = frame(image, pose, i as f64, None)?;
         if let Some(file) = masks.as_ref().map(|masks| masks[i].clone()) {
-            frame.mask = Some(FrameSource::new(move || {
-                Ok(read_mask(&file, false).map_err(|e| e.of_file(&file))?.mask)
-            }));
+            frame.mask =
+                Some(FrameSource::new(move || Ok(read_mask(&file, false).map_err(|e| e.of_file(&file))?.mask)));
         }
         if let Some(file) = disparity.as_ref().map(|maps| maps[i].clone()) {
             let (near, far) = (pose.near, pose.far);
-            frame.depth = Some(FrameSource::new(move || {
-                depth_of_disparity(&file, near, far).map_err(|e| e.of_file(&file))
-            }));
+            frame.depth =
+                Some(FrameSource::new(move || depth_of_disparity(&file, near, far).map_err(|e| e.of_file(&file))));
         }
         Ok(frame)
     });
@@ -114,10 +112,7 @@ fn as_many(folder: &Path, extensions: &[&str], what: &str, n: usize) -> Result<V
 fn frame(image: &Path, pose: &Pose, t: f64, camera_index: Option<u32>) -> Result<ListedFrame, ReadError> {
     let StoredImage { size, rgb } = of_file(image)?;
     let k = images::resized(&pose.camera.intrinsics, size).at(image)?;
-    Ok(ListedFrame {
-        camera_index,
-        ..ListedFrame::new(stem(image), Lens::pinhole(k), pose.camera.c2w, t, rgb)
-    })
+    Ok(ListedFrame { camera_index, ..ListedFrame::new(stem(image), Lens::pinhole(k), pose.camera.c2w, t, rgb) })
 }
 
 /// Largest map of disparity in memory.
@@ -137,21 +132,14 @@ fn depth_of_disparity(path: &Path, near: f64, far: f64) -> Result<CompactDepth, 
     let differs = high > low;
     if !differs {
         let what = "its disparity is the same everywhere";
-        return Err(Fault::bad(
-            what,
-            "give maps of a network, or leave the folder disp away",
-        ));
+        return Err(Fault::bad(what, "give maps of a network, or leave the folder disp away"));
     }
     let a = (1.0 / near - 1.0 / far) / (high - low);
     let b = 1.0 / far - a * low;
     let least = 1.0 / (FARTHEST * far);
     let map: DepthMap = Plane::from_fn(w, h, |x, y| {
         let disparity = a * array.values[y * w + x] + b;
-        if disparity.is_finite() {
-            known((1.0 / disparity.max(least)) as f32)
-        } else {
-            0.0
-        }
+        if disparity.is_finite() { known((1.0 / disparity.max(least)) as f32) } else { 0.0 }
     });
     Ok(map.into())
 }
@@ -224,9 +212,6 @@ fn checked(view: View, n: usize) -> Result<View, ReadError> {
     if view.camera < n && view.time < n {
         return Ok(view);
     }
-    let what = format!(
-        "camera {} at time {} where there are {n} cameras and moments",
-        view.camera, view.time
-    );
+    let what = format!("camera {} at time {} where there are {n} cameras and moments", view.camera, view.time);
     Err(Fault::bad(what, "give views of the cameras in poses_bounds.npy").at(&view.file))
 }

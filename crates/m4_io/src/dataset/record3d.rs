@@ -84,20 +84,14 @@ pub(crate) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress
         })
     });
     let train = frames.collect::<Result<_, _>>()?;
-    Ok(Listing {
-        metric: true,
-        ..Listing::of_video(train, numbers.len(), taken.duration_s)
-    })
+    Ok(Listing { metric: true, ..Listing::of_video(train, numbers.len(), taken.duration_s) })
 }
 
 /// The numbers of the images, in order.
 fn image_numbers(members: &Members) -> Result<Vec<usize>, Fault> {
     let names = members.names("rgbd")?;
-    let mut numbers: Vec<usize> = names
-        .iter()
-        .filter_map(|n| n.strip_suffix(".jpg"))
-        .filter_map(|n| n.parse().ok())
-        .collect();
+    let mut numbers: Vec<usize> =
+        names.iter().filter_map(|n| n.strip_suffix(".jpg")).filter_map(|n| n.parse().ok()).collect();
     numbers.sort_unstable();
     numbers.dedup();
     Ok(numbers)
@@ -167,10 +161,7 @@ impl Metadata {
         let (dw, dh) = metadata.depth_size();
         let sensed = |v: usize| (1..=MAX_SENSOR_SIDE).contains(&v);
         if !(side(metadata.w) && side(metadata.h) && sensed(dw) && sensed(dh)) {
-            return Err(bad(format!(
-                "images of {} x {} and depth of {dw} x {dh} pixels",
-                metadata.w, metadata.h
-            )));
+            return Err(bad(format!("images of {} x {} and depth of {dw} x {dh} pixels", metadata.w, metadata.h)));
         }
         if (dw > dh) != (metadata.w > metadata.h) {
             return Err(bad(format!(
@@ -226,10 +217,7 @@ impl Metadata {
             return bad("frameTimestamps do not grow from frame to frame".into());
         }
         let (t, span_s) = clock::in_frames(&times);
-        Ok(Clock {
-            t,
-            duration_s: Some(span_s),
-        })
+        Ok(Clock { t, duration_s: Some(span_s) })
     }
 }
 
@@ -262,10 +250,7 @@ fn unpacked(members: &Members, name: &str, expected: usize) -> Result<Option<Vec
     let mut out = Vec::new();
     let mut decoder = LzfseRingDecoder::default();
     // one byte more than there may be
-    let read = decoder
-        .reader_bytes(&packed)
-        .take(expected as u64 + 1)
-        .read_to_end(&mut out);
+    let read = decoder.reader_bytes(&packed).take(expected as u64 + 1).read_to_end(&mut out);
     if let Err(e) = read {
         return Err(Fault::bad(format!("{name} cannot be unpacked ({e})"), HINT));
     }

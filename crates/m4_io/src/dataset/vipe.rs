@@ -54,9 +54,7 @@ fn run_of(file: &Path) -> Option<(PathBuf, String)> {
 /// Names of the clips of a run, in order.
 fn names(run: &Path) -> Vec<String> {
     let entries = std::fs::read_dir(run.join("pose")).into_iter().flatten().flatten();
-    let mut names: Vec<String> = entries
-        .filter_map(|entry| run_of(&entry.path()).map(|(_, name)| name))
-        .collect();
+    let mut names: Vec<String> = entries.filter_map(|entry| run_of(&entry.path()).map(|(_, name)| name)).collect();
     names.sort();
     names
 }
@@ -85,10 +83,7 @@ pub(super) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress
     let (pose_file, poses) = indexed(&part("pose", &format!("{name}.npz")), 16)?;
     let (lens_file, lenses) = indexed(&part("intrinsics", &format!("{name}.npz")), 4)?;
     pinholes(&part("intrinsics", &format!("{name}_camera.txt")))?;
-    let clip = options
-        .images
-        .clone()
-        .unwrap_or_else(|| part("rgb", &format!("{name}.mp4")));
+    let clip = options.images.clone().unwrap_or_else(|| part("rgb", &format!("{name}.mp4")));
     if !clip.exists() {
         let hint = "give the clip or the folder of its images (images)";
         return Err(Fault::missing("the clip", hint).at(&clip));
@@ -133,31 +128,21 @@ pub(super) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress
                 FrameSource::new(move || {
                     let ids = member.ids()?.to_plane();
                     let (w, h) = ids.size();
-                    Ok(CompactMask::from_fn(w, h, |x, y| {
-                        ids[(x, y)] != 0 && !still.contains(&ids[(x, y)])
-                    }))
+                    Ok(CompactMask::from_fn(w, h, |x, y| ids[(x, y)] != 0 && !still.contains(&ids[(x, y)])))
                 })
             }),
             instances: mask.map(|member| FrameSource::new(move || member.ids())),
             ..ListedFrame::new(format!("{i:05}"), Lens::pinhole(k), c2w, i as f64, image.rgb)
         });
     }
-    Ok(Listing {
-        metric: true,
-        ..Listing::of_video(train, time_frames, duration_s)
-    })
+    Ok(Listing { metric: true, ..Listing::of_video(train, time_frames, duration_s) })
 }
 
 /// The arrays `data` and `inds`: the `width` numbers of each frame that has some.
 fn indexed(file: &Path, width: usize) -> Result<(PathBuf, BTreeMap<usize, Vec<f64>>), ReadError> {
     let mut npz = Npz::open(file).at(file)?;
     let mut array = |name: &str| npz.need(name, MAX_SMALL_BYTES).and_then(Array::numbers).at(file);
-    let (
-        Numbers {
-            shape, values: data, ..
-        },
-        inds,
-    ) = (array("data")?, array("inds")?.values);
+    let (Numbers { shape, values: data, .. }, inds) = (array("data")?, array("inds")?.values);
     if inds.is_empty() || data.len() != inds.len() * width {
         let what = format!(
             "data has shape {shape:?} and there are {} inds; {width} numbers for each were expected",
@@ -200,20 +185,14 @@ fn sky(path: &Path) -> Result<HashSet<u16>, ReadError> {
     }
     let mut phrases = HashMap::new();
     for (i, line) in text(path)?.lines().enumerate().filter(|(_, l)| !l.trim().is_empty()) {
-        let parsed = line
-            .split_once(':')
-            .and_then(|(id, phrase)| Some((id.trim().parse().ok()?, phrase)));
+        let parsed = line.split_once(':').and_then(|(id, phrase)| Some((id.trim().parse().ok()?, phrase)));
         let (id, phrase) = parsed.ok_or_else(|| {
             let what = format!("{line:?} is not a number with a phrase, such as `1: person`");
             Fault::bad(what, "give the file that ViPE wrote").within(path, format!("line {}", i + 1))
         })?;
         phrases.insert(id, phrase.trim().to_ascii_lowercase());
     }
-    Ok(phrases
-        .into_iter()
-        .filter(|(_, p)| p == "sky")
-        .map(|(id, _): (u16, _)| id)
-        .collect())
+    Ok(phrases.into_iter().filter(|(_, p)| p == "sky").map(|(id, _): (u16, _)| id).collect())
 }
 
 /// An archive of maps, one per frame.
@@ -224,19 +203,13 @@ struct Zipped {
 
 impl Zipped {
     fn open(path: &Path, inside: &Inside) -> Result<Self, ReadError> {
-        Ok(Self {
-            path: path.to_path_buf(),
-            members: Members::open(path, inside.clone()).at(path)?,
-        })
+        Ok(Self { path: path.to_path_buf(), members: Members::open(path, inside.clone()).at(path)? })
     }
 
     /// The map of that name, if it is there.
     fn member(self: &Arc<Self>, name: String) -> Result<Option<Member>, ReadError> {
         let has = self.members.has(&name).at(&self.path)?;
-        Ok(has.then(|| Member {
-            zip: Arc::clone(self),
-            name,
-        }))
+        Ok(has.then(|| Member { zip: Arc::clone(self), name }))
     }
 }
 

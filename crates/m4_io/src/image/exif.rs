@@ -39,29 +39,19 @@ impl<'a> Tiff<'a> {
 
     fn u16(&self, at: usize) -> Option<u16> {
         let b = *self.bytes.get(at..)?.first_chunk()?;
-        Some(if self.little {
-            u16::from_le_bytes(b)
-        } else {
-            u16::from_be_bytes(b)
-        })
+        Some(if self.little { u16::from_le_bytes(b) } else { u16::from_be_bytes(b) })
     }
 
     fn u32(&self, at: usize) -> Option<u32> {
         let b = *self.bytes.get(at..)?.first_chunk()?;
-        Some(if self.little {
-            u32::from_le_bytes(b)
-        } else {
-            u32::from_be_bytes(b)
-        })
+        Some(if self.little { u32::from_le_bytes(b) } else { u32::from_be_bytes(b) })
     }
 
     /// Where the entry of `tag` is in the directory at `at`.
     fn find_entry(&self, at: u32, tag: u16) -> Option<usize> {
         let at = at as usize;
         let count = usize::from(self.u16(at)?);
-        (0..count)
-            .map(|i| at + 2 + 12 * i)
-            .find(|&entry| self.u16(entry) == Some(tag))
+        (0..count).map(|i| at + 2 + 12 * i).find(|&entry| self.u16(entry) == Some(tag))
     }
 
     /// Where the value of `tag` is in the directory at `at`, for values of up to four bytes.

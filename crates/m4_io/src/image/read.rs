@@ -37,10 +37,7 @@ fn checked<'a, R: BufRead + Seek + 'a>(
     let bits = bits_a_pixel(from.fill_buf()?);
     let reader = ImageReader::new(from).with_guessed_format()?;
     if !matches!(reader.format(), Some(ImageFormat::Png | ImageFormat::Jpeg)) {
-        return Err(Fault::unsupported(
-            "it is not a PNG or JPEG image",
-            "convert it to one of these",
-        ));
+        return Err(Fault::unsupported("it is not a PNG or JPEG image", "convert it to one of these"));
     }
     let decoder = reader.into_decoder().map_err(damaged)?;
     let (width, height) = decoder.dimensions();
@@ -112,10 +109,7 @@ pub fn size(path: &Path) -> Result<(usize, usize), ReadError> {
 /// [`ReadError`] if it is not a complete PNG or JPEG image, or is larger.
 pub fn decode_rgb(bytes: &[u8], name: &Path, most_pixels: u64) -> Result<RgbImage, ReadError> {
     let decoder = checked(Cursor::new(bytes), bytes.len() as u64, most_pixels).at(name)?;
-    DynamicImage::from_decoder(decoder)
-        .map_err(damaged)
-        .and_then(rgb)
-        .at(name)
+    DynamicImage::from_decoder(decoder).map_err(damaged).and_then(rgb).at(name)
 }
 
 /// Reads a colour image; grey becomes colour, 16 bits become 8, transparency becomes black.
@@ -162,9 +156,7 @@ fn rgb(image: DynamicImage) -> Result<RgbImage, Fault> {
     let data: Vec<[u8; 3]> = if image.color().has_alpha() {
         let over_black = |c: u8, a: u8| ((u32::from(c) * u32::from(a) + 127) / 255) as u8;
         let rgba = image.into_rgba8();
-        rgba.pixels()
-            .map(|p| [over_black(p[0], p[3]), over_black(p[1], p[3]), over_black(p[2], p[3])])
-            .collect()
+        rgba.pixels().map(|p| [over_black(p[0], p[3]), over_black(p[1], p[3]), over_black(p[2], p[3])]).collect()
     } else {
         image.into_rgb8().pixels().map(|p| p.0).collect()
     };

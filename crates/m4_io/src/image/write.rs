@@ -15,10 +15,7 @@ fn is_jpeg(path: &Path) -> Result<bool, WriteError> {
     match extension.as_deref() {
         Some("png") => Ok(false),
         Some("jpg" | "jpeg") => Ok(true),
-        _ => Err(WriteError::unsupported(
-            path,
-            "the name must end in .png, .jpg or .jpeg",
-        )),
+        _ => Err(WriteError::unsupported(path, "the name must end in .png, .jpg or .jpeg")),
     }
 }
 
@@ -63,11 +60,7 @@ pub fn write_depth(path: &Path, depth: &DepthMap, unit: f64) -> Result<(), Write
         return Err(WriteError::bad(path, "JPEG cannot store 16-bit depth; use .png"));
     }
     let steps = |z: f32| {
-        if z > 0.0 {
-            (f64::from(z) / unit).round().clamp(1.0, 65535.0) as u16
-        } else {
-            0
-        }
+        if z > 0.0 { (f64::from(z) / unit).round().clamp(1.0, 65535.0) as u16 } else { 0 }
     };
     let bytes: Vec<u8> = depth.data().iter().flat_map(|&z| steps(z).to_ne_bytes()).collect();
     save(path, &bytes, depth.size(), ExtendedColorType::L16)

@@ -181,20 +181,13 @@ impl<'a> Array<'a> {
     pub(crate) fn numbers(mut self) -> Result<Numbers, Fault> {
         let values = self.next_f64(self.shape.iter().product())?;
         self.end()?;
-        Ok(Numbers {
-            whole: !self.number.is_float(),
-            shape: self.shape,
-            values,
-        })
+        Ok(Numbers { whole: !self.number.is_float(), shape: self.shape, values })
     }
 }
 
 /// Numbers whose first index runs fastest as numbers whose last one does.
 fn in_c_order(bytes: &[u8], shape: &[usize], width: usize) -> Vec<u8> {
-    let strides: Vec<usize> = shape
-        .iter()
-        .scan(1, |stride, &n| Some(std::mem::replace(stride, *stride * n)))
-        .collect();
+    let strides: Vec<usize> = shape.iter().scan(1, |stride, &n| Some(std::mem::replace(stride, *stride * n))).collect();
     let mut at = vec![0; shape.len()];
     let mut out = Vec::with_capacity(bytes.len());
     for _ in 0..bytes.len() / width {
@@ -228,9 +221,7 @@ mod tests {
     }
 
     fn values(bytes: &[u8]) -> Result<Vec<f64>, Fault> {
-        Ok(Array::open("the array", bytes, bytes.len() as u64, 1 << 20)?
-            .numbers()?
-            .values)
+        Ok(Array::open("the array", bytes, bytes.len() as u64, 1 << 20)?.numbers()?.values)
     }
 
     #[test]
@@ -260,14 +251,8 @@ mod tests {
             assert_eq!(got, [-2.0, -1.0, 0.0, 1.0, 2.0, 3.0], "{descr}");
         }
         let large = 60_000u16;
-        assert_eq!(
-            values(&npy("<u2", false, "(1,)", &large.to_le_bytes())).unwrap(),
-            [60_000.0]
-        );
-        assert_eq!(
-            values(&npy(">u4", false, "(1,)", &3_000_000_000u32.to_be_bytes())).unwrap(),
-            [3e9]
-        );
+        assert_eq!(values(&npy("<u2", false, "(1,)", &large.to_le_bytes())).unwrap(), [60_000.0]);
+        assert_eq!(values(&npy(">u4", false, "(1,)", &3_000_000_000u32.to_be_bytes())).unwrap(), [3e9]);
         assert_eq!(values(&npy("|b1", false, "(3,)", &[0, 1, 1])).unwrap(), [0.0, 1.0, 1.0]);
         for (descr, bytes) in &cases {
             let got = values(&npy(descr, false, "(2, 3)", bytes)).unwrap();
@@ -287,12 +272,9 @@ mod tests {
             Ok(_) => panic!("it was taken"),
             Err(cause) => cause,
         };
-        for shape in [
-            "(2, 400)",
-            "(18446744073709551615, 2)",
-            "(4000000000, 4000000000)",
-            "(0, 9999999999999999999999)",
-        ] {
+        for shape in
+            ["(2, 400)", "(18446744073709551615, 2)", "(4000000000, 4000000000)", "(0, 9999999999999999999999)"]
+        {
             let cause = refused(&npy("<f8", false, shape, &[0; 24]), u64::MAX);
             assert_eq!(cause.kind(), ErrorKind::BadData, "{shape}");
         }
@@ -313,9 +295,6 @@ mod tests {
         assert_eq!((array.number, array.shape.as_slice()), (Number::U8, &[2, 2][..]));
         assert_eq!(array.next_bytes(3).unwrap(), [1, 2, 3]);
         assert!(array.end().is_err());
-        assert!(
-            array.next_bytes(1).is_err(),
-            "the last was taken by the search for the end"
-        );
+        assert!(array.next_bytes(1).is_err(), "the last was taken by the search for the end");
     }
 }

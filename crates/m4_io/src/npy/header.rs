@@ -72,11 +72,7 @@ impl Header {
 
     /// That of an array in C order.
     pub fn new(descr: &str, shape: Vec<u64>) -> Self {
-        Self {
-            descr: descr.to_owned(),
-            fortran_order: false,
-            shape,
-        }
+        Self { descr: descr.to_owned(), fortran_order: false, shape }
     }
 
     /// Numbers in the array; `None` if they are more than can be counted.
@@ -87,11 +83,7 @@ impl Header {
     /// The bytes of the header of an array in C order.
     pub fn to_bytes(&self) -> Vec<u8> {
         let sizes: Vec<String> = self.shape.iter().map(|n| format!("{n},")).collect();
-        let text = format!(
-            "{{'descr': '{}', 'fortran_order': False, 'shape': ({}), }}",
-            self.descr,
-            sizes.join(" ")
-        );
+        let text = format!("{{'descr': '{}', 'fortran_order': False, 'shape': ({}), }}", self.descr, sizes.join(" "));
         // magic, version, length, text, line feed
         let padded = (10 + text.len() + 1).next_multiple_of(ALIGN);
         let mut out = MAGIC.to_vec();

@@ -65,10 +65,7 @@ impl Npz {
             Ok(member) => member,
             Err(ZipError::FileNotFound) => return Ok(None),
             Err(e) => {
-                return Err(Fault::bad(
-                    format!("{called} cannot be unpacked ({e})"),
-                    "save it again",
-                ));
+                return Err(Fault::bad(format!("{called} cannot be unpacked ({e})"), "save it again"));
             }
         };
         let packed = member.compressed_size().min(self.file_bytes);

@@ -83,14 +83,8 @@ impl Clock {
     pub fn of(scene: &Scene) -> Self {
         let steps = scene.time_frames.saturating_sub(1) as f64;
         match scene.duration_s {
-            Some(s) if s > 0.0 && steps > 0.0 => Self {
-                step_s: s / steps,
-                assumed: false,
-            },
-            _ => Self {
-                step_s: 1.0 / DEFAULT_FPS,
-                assumed: true,
-            },
+            Some(s) if s > 0.0 && steps > 0.0 => Self { step_s: s / steps, assumed: false },
+            _ => Self { step_s: 1.0 / DEFAULT_FPS, assumed: true },
         }
     }
 }
@@ -107,10 +101,7 @@ pub(crate) fn usable(frame: &SourceFrame) -> bool {
     let centre = |px: f64| px.is_finite() && px.abs() < 1e9;
     let rotation = &frame.camera.c2w.rotation;
     let turned = rotation * rotation.transpose();
-    let orthonormal = turned
-        .iter()
-        .enumerate()
-        .all(|(i, &v)| (v - f64::from(u8::from(i % 4 == 0))).abs() < 1e-3);
+    let orthonormal = turned.iter().enumerate().all(|(i, &v)| (v - f64::from(u8::from(i % 4 == 0))).abs() < 1e-3);
     side(k.width)
         && side(k.height)
         && focal(k.fx)
@@ -147,11 +138,7 @@ pub(crate) struct VerifiedFile {
 
 impl VerifiedFile {
     pub fn create(path: &Path) -> io::Result<Self> {
-        Ok(Self {
-            file: AtomicFile::create(path)?,
-            hash: blake3::Hasher::new(),
-            bytes: 0,
-        })
+        Ok(Self { file: AtomicFile::create(path)?, hash: blake3::Hasher::new(), bytes: 0 })
     }
 
     /// Puts everything on the disk and compares it with what was written.
@@ -167,9 +154,7 @@ impl VerifiedFile {
             };
         }
         if read.finalize() != self.hash.finalize() {
-            return Err(io::Error::other(
-                "the bytes on the disk are not those that were written",
-            ));
+            return Err(io::Error::other("the bytes on the disk are not those that were written"));
         }
         Ok(())
     }

@@ -58,9 +58,7 @@ pub fn write(path: &Path, scene: &Scene, t: f64) -> Result<Written, WriteError> 
     turn_splats(&mut splats);
     let count = splats.n();
     if count == 0 {
-        return bad(format!(
-            "no splat is seen at frame {t}, and glTF has no empty arrays; choose another instant"
-        ));
+        return bad(format!("no splat is seen at frame {t}, and glTF has no empty arrays; choose another instant"));
     }
     if let Some(column) = splats.columns().iter().find(|c| !c.iter().all(|v| v.is_finite())) {
         let splat = column.iter().position(|v| !v.is_finite()).unwrap_or(0);
@@ -71,9 +69,7 @@ pub fn write(path: &Path, scene: &Scene, t: f64) -> Result<Written, WriteError> 
     let mut json = serde_json::to_vec(&document(scene, t, &splats, &sections)).map_err(|e| io(e.into()))?;
     json.resize(json.len().next_multiple_of(4), b' ');
     let Ok(total) = u32::try_from(12 + 8 + json.len() as u64 + 8 + bin) else {
-        return bad(format!(
-            "{count} splats take {bin} bytes, and binary glTF ends at 4 GiB"
-        ));
+        return bad(format!("{count} splats take {bin} bytes, and binary glTF ends at 4 GiB"));
     };
 
     let mut file = VerifiedFile::create(path).map_err(io)?;
@@ -93,12 +89,7 @@ pub fn write(path: &Path, scene: &Scene, t: f64) -> Result<Written, WriteError> 
         Loss::Dropped("motion, the background and the colour corrections of the frames".into()),
     ];
     losses.extend(Loss::of_mip(scene));
-    Ok(Written {
-        path: path.to_path_buf(),
-        bytes: file.publish(path)?,
-        splats: count,
-        losses,
-    })
+    Ok(Written { path: path.to_path_buf(), bytes: file.publish(path)?, splats: count, losses })
 }
 
 /// The JSON chunk.
@@ -121,9 +112,7 @@ fn document(scene: &Scene, t: f64, splats: &Splats, sections: &[Section]) -> Val
         if section.name == "POSITION" {
             let bound = |pick: fn(f32, f32) -> f32| -> Vec<f64> {
                 let column = |k| splats.column(Column::Mean, k).iter().copied();
-                (0..3)
-                    .map(|k| f64::from(column(k).reduce(pick).unwrap_or(0.0)))
-                    .collect()
+                (0..3).map(|k| f64::from(column(k).reduce(pick).unwrap_or(0.0))).collect()
             };
             accessor["min"] = json!(bound(f32::min));
             accessor["max"] = json!(bound(f32::max));
@@ -182,10 +171,7 @@ struct Section {
 impl Section {
     /// Those of splats of a degree.
     fn all(sh_degree: usize) -> Vec<Self> {
-        let named = |name: &str, content| Self {
-            name: name.to_owned(),
-            content,
-        };
+        let named = |name: &str, content| Self { name: name.to_owned(), content };
         let own = |name: &str, content| named(&format!("{EXTENSION}:{name}"), content);
         let mut sections = vec![
             named("POSITION", Content::Position),

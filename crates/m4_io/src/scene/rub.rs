@@ -52,11 +52,7 @@ mod tests {
 
     #[test]
     fn rotating_splats_rotates_covariance() {
-        let layout = SplatLayout {
-            isotropic: false,
-            sh_degree: 3,
-            time_degree: 0,
-        };
+        let layout = SplatLayout { isotropic: false, sh_degree: 3, time_degree: 0 };
         let mut splats = Splats::zeros(layout, 1, 0);
         for (k, v) in [0.9, -0.3, 0.2, 0.4].into_iter().enumerate() {
             splats.column_mut(Column::Quat, k)[0] = v;

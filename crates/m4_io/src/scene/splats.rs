@@ -38,11 +38,7 @@ impl Row {
         Self {
             mean: std::array::from_fn(|k| at(Column::Mean, k)),
             log_scale: std::array::from_fn(|k| at(Column::LogScale, if isotropic { 0 } else { k })),
-            quat: if isotropic {
-                [1.0, 0.0, 0.0, 0.0]
-            } else {
-                unit(std::array::from_fn(|k| at(Column::Quat, k)))
-            },
+            quat: if isotropic { [1.0, 0.0, 0.0, 0.0] } else { unit(std::array::from_fn(|k| at(Column::Quat, k))) },
             opacity: at(Column::Opacity, 0),
         }
     }
@@ -63,11 +59,7 @@ impl Life {
 /// The quaternion with length 1; no rotation where it has no direction.
 pub(crate) fn unit(q: [f32; 4]) -> [f32; 4] {
     let norm = q.iter().map(|&v| f64::from(v) * f64::from(v)).sum::<f64>().sqrt();
-    if norm > 0.0 && norm.is_finite() {
-        q.map(|v| (f64::from(v) / norm) as f32)
-    } else {
-        [1.0, 0.0, 0.0, 0.0]
-    }
+    if norm > 0.0 && norm.is_finite() { q.map(|v| (f64::from(v) / norm) as f32) } else { [1.0, 0.0, 0.0, 0.0] }
 }
 
 /// Opacity of a logit.
@@ -89,11 +81,7 @@ pub(crate) fn collect(
     rows: &[(Row, Option<Life>)],
     mut colour: impl FnMut(usize, &mut [f32]),
 ) -> Splats {
-    let layout = SplatLayout {
-        isotropic: false,
-        sh_degree,
-        time_degree: 0,
-    };
+    let layout = SplatLayout { isotropic: false, sh_degree, time_degree: 0 };
     let n_static = rows.iter().filter(|(_, life)| life.is_none()).count();
     let mut splats = Splats::zeros(layout, n_static, rows.len() - n_static);
     let mut next = [0, n_static];
@@ -135,11 +123,7 @@ const LEAST_MARGINAL: f64 = 0.05;
 #[must_use]
 pub fn instant(splats: &Splats, t: f64, period_frames: f64) -> Splats {
     let from = splats.layout();
-    let layout = SplatLayout {
-        isotropic: false,
-        sh_degree: from.sh_degree,
-        time_degree: 0,
-    };
+    let layout = SplatLayout { isotropic: false, sh_degree: from.sh_degree, time_degree: 0 };
     let n_static = splats.n_static();
     let value = |column, offset, row: usize| splats.column(column, offset)[row];
     let moments: Vec<Moment> = (0..splats.n())
@@ -157,11 +141,7 @@ pub fn instant(splats: &Splats, t: f64, period_frames: f64) -> Splats {
             let seen = marginal / (1.0 + (-f64::from(opacity)).exp());
             // a logit of exactly 1 would be infinite
             let seen = seen.min(1.0 - f64::from(f32::EPSILON)) as f32;
-            (seen >= LEAST_OPACITY).then(|| Moment {
-                row,
-                dt,
-                opacity: (seen / (1.0 - seen)).ln(),
-            })
+            (seen >= LEAST_OPACITY).then(|| Moment { row, dt, opacity: (seen / (1.0 - seen)).ln() })
         })
         .collect();
 
@@ -181,11 +161,7 @@ pub fn instant(splats: &Splats, t: f64, period_frames: f64) -> Splats {
         }
         for k in 0..4 {
             let unit = if k == 0 { 1.0 } else { 0.0 };
-            out.column_mut(Column::Quat, k)[i] = if from.isotropic {
-                unit
-            } else {
-                value(Column::Quat, k, row)
-            };
+            out.column_mut(Column::Quat, k)[i] = if from.isotropic { unit } else { value(Column::Quat, k, row) };
         }
         out.column_mut(Column::Opacity, 0)[i] = moment.opacity;
         for c in 0..3 * terms {
@@ -252,28 +228,16 @@ mod tests {
 
     #[test]
     fn instants_evaluate_motion_and_temporal_weight() {
-        let layout = SplatLayout {
-            isotropic: true,
-            sh_degree: 0,
-            time_degree: 1,
-        };
+        let layout = SplatLayout { isotropic: true, sh_degree: 0, time_degree: 1 };
         let mut splats = Splats::zeros(layout, 1, 2);
         splats.column_mut(Column::TimeMean, 0).copy_from_slice(&[10.0, 90.0]);
-        splats
-            .column_mut(Column::LogTimeSd, 0)
-            .copy_from_slice(&[2f32.ln(), 0.0]);
+        splats.column_mut(Column::LogTimeSd, 0).copy_from_slice(&[2f32.ln(), 0.0]);
         splats.column_mut(Column::Velocity, 1).copy_from_slice(&[0.5, 0.0]);
-        splats
-            .column_mut(Column::LogScale, 0)
-            .copy_from_slice(&[-1.0, -2.0, -3.0]);
+        splats.column_mut(Column::LogScale, 0).copy_from_slice(&[-1.0, -2.0, -3.0]);
         splats.column_mut(Column::Colour, 0).copy_from_slice(&[0.1, 0.2, 0.3]);
         splats.column_mut(Column::Colour, 3).copy_from_slice(&[0.0, 1.0, 0.0]);
         let seen = instant(&splats, 12.0, 8.0);
-        assert_eq!(
-            (seen.n_static(), seen.n_dynamic()),
-            (2, 0),
-            "the third is long before its life"
-        );
+        assert_eq!((seen.n_static(), seen.n_dynamic()), (2, 0), "the third is long before its life");
         assert_eq!(seen.column(Column::Mean, 1), &[0.0, 1.0]);
         assert_eq!(seen.column(Column::LogScale, 2), &[-1.0, -2.0]);
         assert_eq!(seen.column(Column::Quat, 0), &[1.0, 1.0]);
@@ -285,11 +249,7 @@ mod tests {
 
     #[test]
     fn harmonics_of_time_are_summed_up() {
-        let layout = SplatLayout {
-            isotropic: true,
-            sh_degree: 1,
-            time_degree: 2,
-        };
+        let layout = SplatLayout { isotropic: true, sh_degree: 1, time_degree: 2 };
         let mut splats = Splats::zeros(layout, 1, 1);
         // red of the second spatial term
         for (n, value) in [0.5, 0.25, 2.0].into_iter().enumerate() {

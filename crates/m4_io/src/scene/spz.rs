@@ -55,12 +55,7 @@ pub fn write(path: &Path, scene: &Scene, t: f64) -> Result<Written, WriteError> 
     stream.write_all(&encoded.bytes).map_err(io)?;
     stream.finish().map_err(io)?;
     let bytes = file.publish(path)?;
-    Ok(Written {
-        path: path.to_path_buf(),
-        bytes,
-        splats: count,
-        losses: losses(scene, t, &encoded),
-    })
+    Ok(Written { path: path.to_path_buf(), bytes, splats: count, losses: losses(scene, t, &encoded) })
 }
 
 fn losses(scene: &Scene, t: f64, encoded: &Encoded) -> Vec<Loss> {
@@ -71,18 +66,12 @@ fn losses(scene: &Scene, t: f64, encoded: &Encoded) -> Vec<Loss> {
     let mut losses = vec![
         Loss::Baked(format!("everything, at frame {t}")),
         Loss::Dropped("motion, the background and the colour corrections of the frames".into()),
-        Loss::Quantised(format!(
-            "positions to steps of 2^-{} units",
-            encoded.header.fractional_bits
-        )),
+        Loss::Quantised(format!("positions to steps of 2^-{} units", encoded.header.fractional_bits)),
         Loss::Quantised(format!(
             "scales to steps of 6.4 %{}, opacities to 1/255, rotations to 0.0014",
             clipped(encoded.clipped_scales, "e^-10 to e^5.94")
         )),
-        Loss::Quantised(format!(
-            "colours to steps of 1/136{}",
-            clipped(encoded.clipped_colours, "-0.44 to 1.44")
-        )),
+        Loss::Quantised(format!("colours to steps of 1/136{}", clipped(encoded.clipped_colours, "-0.44 to 1.44"))),
     ];
     if scene.splats.layout().sh_degree > 0 {
         losses.push(Loss::Quantised(format!(
@@ -142,8 +131,7 @@ fn encode(splats: &Splats, mip: bool) -> Result<Encoded, String> {
             out.bytes.extend_from_slice(&steps.to_le_bytes()[..3]);
         }
     }
-    out.bytes
-        .extend(opacity.iter().map(|&o| (255.0 * sigmoid(o)).round() as u8));
+    out.bytes.extend(opacity.iter().map(|&o| (255.0 * sigmoid(o)).round() as u8));
     let colour = columns(Column::Colour, 3);
     for i in 0..n {
         for column in &colour {

@@ -193,10 +193,7 @@ impl Key {
 /// Three finite numbers.
 fn vector(key: &str, values: &[f64]) -> Result<Vector3<f64>, String> {
     let &[x, y, z] = values else {
-        return Err(format!(
-            "{key} has {} numbers where x, y and z were expected",
-            values.len()
-        ));
+        return Err(format!("{key} has {} numbers where x, y and z were expected", values.len()));
     };
     let fits = [x, y, z].iter().all(|v| v.is_finite() && v.abs() <= MAX_COORDINATE);
     fits.then(|| Vector3::new(x, y, z))
@@ -217,10 +214,7 @@ fn check_order(keyframes: &[Keyframe]) -> Result<(), (usize, String)> {
     let mut earlier = f64::NEG_INFINITY;
     for (i, key) in keyframes.iter().enumerate() {
         if key.time_s <= earlier {
-            let what = format!(
-                "its time, {} s, is not behind that of the one before, {earlier} s",
-                key.time_s
-            );
+            let what = format!("its time, {} s, is not behind that of the one before, {earlier} s", key.time_s);
             return Err((i, what));
         }
         earlier = key.time_s;

@@ -127,15 +127,12 @@ fn listed(file: Transforms, last_frame: f64) -> Result<Vec<(Camera, f64)>, BadPa
         }
         let rows = frame.transform_matrix.as_ref().ok_or("transform_matrix is missing")?;
         let pose = pose::of_rows("transform_matrix", rows).map_err(|e| e.to_string())?;
-        let camera = Camera {
-            intrinsics: intrinsics(frame, &file.lens)?,
-            c2w: file.axes.unwrap_or_default().to_opencv(&pose),
-        };
+        let camera =
+            Camera { intrinsics: intrinsics(frame, &file.lens)?, c2w: file.axes.unwrap_or_default().to_opencv(&pose) };
         Ok((camera, time * last_frame))
     };
     let all = frames.iter().enumerate();
-    all.map(|(i, frame)| camera((i, frame)).map_err(|what| (i, what).into()))
-        .collect()
+    all.map(|(i, frame)| camera((i, frame)).map_err(|what| (i, what).into())).collect()
 }
 
 fn intrinsics(frame: &Frame, all: &LensKeys) -> Result<Intrinsics, String> {

@@ -20,18 +20,10 @@ impl Orientation {
         // Rounding of turned matrices leaves a few units where 0 is meant (65536 = 1).
         let small = |v: i32| v.unsigned_abs() < 1024;
         if small(b) && small(c) && !small(a) && !small(d) {
-            Some(Self {
-                transpose: false,
-                flip_x: a < 0,
-                flip_y: d < 0,
-            })
+            Some(Self { transpose: false, flip_x: a < 0, flip_y: d < 0 })
         } else if small(a) && small(d) && !small(b) && !small(c) {
             // x' follows y with the sign of c, y' follows x with the sign of b.
-            Some(Self {
-                transpose: true,
-                flip_x: c < 0,
-                flip_y: b < 0,
-            })
+            Some(Self { transpose: true, flip_x: c < 0, flip_y: b < 0 })
         } else {
             None
         }
@@ -44,13 +36,7 @@ impl Orientation {
 
     /// The image as it is displayed.
     pub fn apply(self, image: RgbImage) -> RgbImage {
-        if self
-            == (Self {
-                transpose: false,
-                flip_x: false,
-                flip_y: false,
-            })
-        {
+        if self == (Self { transpose: false, flip_x: false, flip_y: false }) {
             return image;
         }
         let (w, h) = image.size();
@@ -69,10 +55,7 @@ mod tests {
 
     #[test]
     fn other_display_matrices_have_no_orientation() {
-        assert_eq!(
-            Orientation::from_matrix([46341, 46341, 0, -46341, 46341, 0, 0, 0, 1 << 30]),
-            None
-        );
+        assert_eq!(Orientation::from_matrix([46341, 46341, 0, -46341, 46341, 0, 0, 0, 1 << 30]), None);
         assert_eq!(Orientation::from_matrix([0; 9]), None);
     }
 }

@@ -28,11 +28,7 @@ pub fn check_options(options: &VideoOptions) -> Result<(), Fault> {
     if let (Some(start), Some(end)) = (options.start_s, options.end_s)
         && start > end
     {
-        return Err(bad(
-            "start_s",
-            start.to_string(),
-            "the start must come before the end (end_s)",
-        ));
+        return Err(bad("start_s", start.to_string(), "the start must come before the end (end_s)"));
     }
     if !(options.folder_fps.is_finite() && options.folder_fps > 0.0) {
         let expected = "frames per second, above 0, were expected";
@@ -62,10 +58,7 @@ pub fn select(times_s: &[f64], options: &VideoOptions) -> Result<Vec<usize>, Fau
     if inside.is_empty() {
         return Err(nothing_in_range(times_s.last().copied().unwrap_or(0.0), options));
     }
-    Ok(evenly(inside.len(), options.max_frames)
-        .into_iter()
-        .map(|i| inside[i])
-        .collect())
+    Ok(evenly(inside.len(), options.max_frames).into_iter().map(|i| inside[i]).collect())
 }
 
 /// The error of a range that holds no frame.
@@ -77,10 +70,7 @@ pub fn nothing_in_range(duration_s: f64, options: &VideoOptions) -> Fault {
 
 /// The fault of a clip whose frames change their size.
 pub fn size_changes(from: (usize, usize), to: (usize, usize), time_s: f64) -> Fault {
-    let what = format!(
-        "its size changes from {} x {} to {} x {} at {time_s:.2} s",
-        from.0, from.1, to.0, to.1
-    );
+    let what = format!("its size changes from {} x {} to {} x {} at {time_s:.2} s", from.0, from.1, to.0, to.1);
     Fault::unsupported(what, "split it there")
 }
 
@@ -97,9 +87,7 @@ pub fn target_size(width: f64, height: f64, options: &VideoOptions) -> (usize, u
 
 /// Refuses before anything is decoded.
 pub fn check_memory(frames: usize, size: (usize, usize), options: &VideoOptions) -> Result<(), Fault> {
-    let needed_bytes = [size.0, size.1, 3]
-        .iter()
-        .fold(frames as u64, |n, &side| n.saturating_mul(side as u64));
+    let needed_bytes = [size.0, size.1, 3].iter().fold(frames as u64, |n, &side| n.saturating_mul(side as u64));
     if needed_bytes <= options.max_memory_bytes {
         return Ok(());
     }
@@ -123,11 +111,7 @@ pub struct Collector {
 
 impl Collector {
     pub fn new(size: (usize, usize)) -> Self {
-        Self {
-            size,
-            frames: Vec::new(),
-            warnings: Vec::new(),
-        }
+        Self { size, frames: Vec::new(), warnings: Vec::new() }
     }
 
     pub fn len(&self) -> usize {
@@ -150,11 +134,7 @@ impl Collector {
     /// The clip, in order of time; `None` without frames.
     pub fn finish(mut self, focal_px: Option<f64>) -> Option<Video> {
         self.frames.sort_by(|a, b| a.time_s.total_cmp(&b.time_s));
-        (!self.frames.is_empty()).then_some(Video {
-            frames: self.frames,
-            warnings: self.warnings,
-            focal_px,
-        })
+        (!self.frames.is_empty()).then_some(Video { frames: self.frames, warnings: self.warnings, focal_px })
     }
 }
 
@@ -222,27 +202,17 @@ mod tests {
             let picked = evenly(50, Some(k));
             assert_eq!((picked.len(), picked[0], picked[k - 1]), (k, 0, 49));
             let steps: Vec<usize> = picked.windows(2).map(|w| w[1] - w[0]).collect();
-            assert!(
-                steps.iter().max().unwrap() - steps.iter().min().unwrap() <= 1,
-                "{k}: {steps:?}"
-            );
+            assert!(steps.iter().max().unwrap() - steps.iter().min().unwrap() <= 1, "{k}: {steps:?}");
         }
     }
 
     #[test]
     fn time_range_is_applied_before_thinning() {
         let times: Vec<f64> = (0..100).map(|i| f64::from(i) / 25.0).collect();
-        let options = VideoOptions {
-            start_s: Some(1.0),
-            end_s: Some(2.0),
-            max_frames: Some(3),
-            ..VideoOptions::default()
-        };
+        let options =
+            VideoOptions { start_s: Some(1.0), end_s: Some(2.0), max_frames: Some(3), ..VideoOptions::default() };
         assert_eq!(select(&times, &options).unwrap(), [25, 38, 50]);
-        let late = VideoOptions {
-            start_s: Some(9.0),
-            ..options.clone()
-        };
+        let late = VideoOptions { start_s: Some(9.0), ..options.clone() };
         let late = VideoOptions { end_s: None, ..late };
         let error = select(&times, &late).unwrap_err().to_string();
         assert!(error.contains("lasts 3.96 s"), "{error}");

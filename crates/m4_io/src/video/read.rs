@@ -71,15 +71,7 @@ fn clip(
         Ok(what) => ffmpeg::read(path, what, options, decoder, progress),
         Err(reason) => match ffmpeg::read(path, "of no kind that is known", options, decoder, progress) {
             // Without ffmpeg what is known of its first bytes must do.
-            Err(e)
-                if matches!(
-                    e,
-                    Fault::Content {
-                        kind: ErrorKind::Unavailable,
-                        ..
-                    }
-                ) && reason != UNKNOWN =>
-            {
+            Err(e) if matches!(e, Fault::Content { kind: ErrorKind::Unavailable, .. }) && reason != UNKNOWN => {
                 Err(not_video(reason))
             }
             Err(Fault::Content { what, hint, .. }) if what == NOT_VIDEO => {

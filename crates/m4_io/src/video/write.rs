@@ -41,13 +41,7 @@ pub struct Mp4Writer {
 
 impl std::fmt::Debug for Mp4Writer {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let Self {
-            path,
-            size,
-            fps,
-            frames,
-            ..
-        } = self;
+        let Self { path, size, fps, frames, .. } = self;
         write!(f, "Mp4Writer({path:?}, {size:?}, {fps} fps, {frames} frames)")
     }
 }
@@ -70,9 +64,7 @@ impl Mp4Writer {
             )));
         }
         if !(fps.is_finite() && (0.1..=1000.0).contains(&fps)) {
-            return Err(unsupported(format!(
-                "{fps} frames per second; 0.1 to 1000 were expected"
-            )));
+            return Err(unsupported(format!("{fps} frames per second; 0.1 to 1000 were expected")));
         }
         let encode = |reason: String| WriteError::encode(path, reason);
         let config = EncoderConfig::new()
@@ -98,15 +90,7 @@ impl Mp4Writer {
             .with_fast_start(true)
             .build()
             .map_err(|e| encode(e.to_string()))?;
-        Ok(Self {
-            path: path.to_path_buf(),
-            size: (width, height),
-            fps,
-            frames: 0,
-            encoder,
-            matrix,
-            muxer,
-        })
+        Ok(Self { path: path.to_path_buf(), size: (width, height), fps, frames: 0, encoder, matrix, muxer })
     }
 
     /// Adds a frame.
@@ -117,21 +101,14 @@ impl Mp4Writer {
     pub fn push(&mut self, image: &RgbImage) -> Result<(), WriteError> {
         if image.size() != self.size {
             let ((w, h), (width, height)) = (image.size(), self.size);
-            let what = format!(
-                "frame {} is {w} x {h} pixels where {width} x {height} were expected",
-                self.frames
-            );
+            let what = format!("frame {} is {w} x {h} pixels where {width} x {height} were expected", self.frames);
             return Err(WriteError::bad(&self.path, what));
         }
         let encode = |reason: String| WriteError::encode(&self.path, reason);
         let planes = Planes420::new(image, &self.matrix);
         let [cb, cr] = &planes.chroma;
         let half = planes.width / 2;
-        let source = YUVSlices::new(
-            (&planes.luma, cb, cr),
-            (planes.width, planes.height),
-            (planes.width, half, half),
-        );
+        let source = YUVSlices::new((&planes.luma, cb, cr), (planes.width, planes.height), (planes.width, half, half));
         let coded = self.encoder.encode(&source).map_err(|e| encode(e.to_string()))?;
         let key = matches!(coded.frame_type(), FrameType::IDR | FrameType::I);
         let bytes = coded.to_vec();
@@ -139,9 +116,7 @@ impl Mp4Writer {
             return Err(encode(format!("the encoder left out frame {}", self.frames)));
         }
         let time_s = self.frames as f64 / self.fps;
-        self.muxer
-            .write_video(time_s, &bytes, key)
-            .map_err(|e| encode(e.to_string()))?;
+        self.muxer.write_video(time_s, &bytes, key).map_err(|e| encode(e.to_string()))?;
         self.frames += 1;
         Ok(())
     }
@@ -153,13 +128,7 @@ impl Mp4Writer {
     /// [`WriteError`] if there were no frames, the file system refuses, or the file does not hold
     /// as many decodable frames as were pushed.
     pub fn finish(self) -> Result<(), WriteError> {
-        let Self {
-            path,
-            size,
-            frames,
-            mut muxer,
-            ..
-        } = self;
+        let Self { path, size, frames, mut muxer, .. } = self;
         if frames == 0 {
             return Err(WriteError::bad(&path, "there are no frames"));
         }
@@ -184,9 +153,7 @@ fn verify(path: &Path, size: (usize, usize), frames: usize) -> Result<(), String
     let (found_size, found) = h264::count(&mut file, track)?;
     let expected = (size.0.next_multiple_of(2), size.1.next_multiple_of(2));
     if found_size != expected || found != frames {
-        return Err(format!(
-            "{found} frames of {found_size:?} where {frames} of {expected:?} were written"
-        ));
+        return Err(format!("{found} frames of {found_size:?} where {frames} of {expected:?} were written"));
     }
     Ok(())
 }

@@ -19,13 +19,7 @@ fn davis_frames_are_read_with_their_instance_masks() {
     assert!((clip.video.frames[4].time_s - 4.0 / 24.0).abs() < 1e-12);
     for (i, frame) in clip.video.frames.iter().enumerate() {
         let want = &rgb[i * W * H * 3..(i + 1) * W * H * 3];
-        let off = frame
-            .rgb
-            .data()
-            .iter()
-            .flatten()
-            .zip(want)
-            .map(|(&g, w)| (f64::from(g) - w).abs());
+        let off = frame.rgb.data().iter().flatten().zip(want).map(|(&g, w)| (f64::from(g) - w).abs());
         assert!(off.sum::<f64>() / want.len() as f64 <= 1.5);
     }
     for i in 0..4 {
@@ -40,10 +34,7 @@ fn davis_frames_are_read_with_their_instance_masks() {
 
 #[test]
 fn thinned_davis_frames_keep_their_own_masks() {
-    let options = VideoOptions {
-        max_frames: Some(2),
-        ..VideoOptions::default()
-    };
+    let options = VideoOptions { max_frames: Some(2), ..VideoOptions::default() };
     let clip = read_clip(&fixture("import/davis/JPEGImages/480p/ball"), &options, &Silent).unwrap();
     assert_eq!(clip.instances.len(), 2);
     assert!(clip.instances[0].is_some() && clip.instances[1].is_none());
@@ -51,10 +42,7 @@ fn thinned_davis_frames_keep_their_own_masks() {
 
 #[test]
 fn malformed_davis_is_rejected_with_file_and_reason() {
-    says(
-        &read_clip(&fixture("import/davis"), &VideoOptions::default(), &Silent).unwrap_err(),
-        &["JPEGImages"],
-    );
+    says(&read_clip(&fixture("import/davis"), &VideoOptions::default(), &Silent).unwrap_err(), &["JPEGImages"]);
     let (_dir, path) = copied("import/davis");
     let map = path.join("Annotations/480p/ball/00001.png");
     std::fs::copy(fixture("import/nvidia/motion_masks/001.png"), &map).unwrap();
@@ -71,13 +59,7 @@ fn own(name: &str) -> Vec<f64> {
 #[test]
 fn nvidia_matches_the_clip_it_was_written_from() {
     let heard = Heard::default();
-    let clip = read(
-        &fixture("import/nvidia"),
-        SourceFormat::Nvidia,
-        &ImportOptions::default(),
-        &heard,
-    )
-    .unwrap();
+    let clip = read(&fixture("import/nvidia"), SourceFormat::Nvidia, &ImportOptions::default(), &heard).unwrap();
     assert!(heard.all().contains("disp"), "{}", heard.all());
     let train = &clip.train;
     assert_poses(train, "c2w");
@@ -87,11 +69,7 @@ fn nvidia_matches_the_clip_it_was_written_from() {
         assert_lens(frame, [50.0, 50.0, 24.0, 18.0]);
         let count = frame.mask.as_ref().unwrap().count();
         // of a lens a little shorter than that of the mask
-        assert!(
-            count > 50 && count.abs_diff(mask[i]) < mask[i] / 8,
-            "{count} {}",
-            mask[i]
-        );
+        assert!(count > 50 && count.abs_diff(mask[i]) < mask[i] / 8, "{count} {}", mask[i]);
     }
     // scale and shift of the disparity are found by the bounds
     let depth = own("depth");
@@ -105,19 +83,13 @@ fn nvidia_matches_the_clip_it_was_written_from() {
     assert_images(&test, &own("gt"), 0.0, 0.0);
     assert_near(&times(&test), &[0.0, 1.0, 2.0, 3.0, 4.0], 0.0);
     let first = train.frames[0].camera;
-    assert!(
-        test.frames
-            .iter()
-            .all(|f| f.camera == first && f.camera_index == Some(0))
-    );
+    assert!(test.frames.iter().all(|f| f.camera == first && f.camera_index == Some(0)));
 }
 
 /// Pixels that move, a frame.
 fn truth_mask() -> Vec<usize> {
     let mask = truth("mask");
-    mask.chunks_exact(W * H)
-        .map(|m| m.iter().filter(|&&v| v > 0.0).count())
-        .collect()
+    mask.chunks_exact(W * H).map(|m| m.iter().filter(|&&v| v > 0.0).count()).collect()
 }
 
 #[test]
@@ -137,21 +109,13 @@ fn nvidia_holds_out_views_of_other_cameras() {
         assert_eq!(frame.camera, *camera);
     }
     std::fs::remove_dir_all(path.join("mv_images")).unwrap();
-    assert!(
-        import(&path, SourceFormat::Nvidia, &ImportOptions::default())
-            .unwrap()
-            .test
-            .is_none()
-    );
+    assert!(import(&path, SourceFormat::Nvidia, &ImportOptions::default()).unwrap().test.is_none());
 }
 
 #[test]
 fn malformed_nvidia_is_rejected_with_file_and_reason() {
     let (_dir, path) = copied("import/nvidia");
-    let original = ImportOptions {
-        factor: Some(1),
-        ..ImportOptions::default()
-    };
+    let original = ImportOptions { factor: Some(1), ..ImportOptions::default() };
     says(&refused(&path, SourceFormat::Nvidia, &original), &["images is missing"]);
     std::fs::rename(path.join("gt/v000_t004.png"), path.join("gt/v000_t005.png")).unwrap();
     refuses(&path, SourceFormat::Nvidia, &["v000_t005.png", "time 5"]);
@@ -176,9 +140,7 @@ fn dycheck_matches_the_clip_it_was_written_from() {
     assert_images(train, &truth("rgb"), 0.0, 0.0);
     let depth = truth("depth");
     for i in 0..5 {
-        assert_depth(train, i, &depth[i * W * H..(i + 1) * W * H], 1e-6, |x, y| {
-            y > 0 || x >= 4
-        });
+        assert_depth(train, i, &depth[i * W * H..(i + 1) * W * H], 1e-6, |x, y| y > 0 || x >= 4);
     }
     assert_near(&times(train), &[0.0, 1.0, 2.0, 3.0, 4.0], 0.0);
     assert_eq!((train.time_frames, train.metric), (5, true));
@@ -227,23 +189,13 @@ fn depth_unit_fits_the_scene() {
     let depth = |path: &std::path::Path, options: &ImportOptions| {
         let clip = import(path, SourceFormat::Dycheck, options).unwrap();
         let depth = clip.train.frames[1].depth.clone().unwrap();
-        (
-            f64::from(depth.at(20, 20)) / truth("depth")[W * H + 20 * W + 20],
-            clip.train.metric,
-        )
+        (f64::from(depth.at(20, 20)) / truth("depth")[W * H + 20 * W + 20], clip.train.metric)
     };
     let (_dir, path) = copied("import/dycheck");
-    let given = ImportOptions {
-        depth_unit: Some(0.002),
-        ..ImportOptions::default()
-    };
+    let given = ImportOptions { depth_unit: Some(0.002), ..ImportOptions::default() };
     assert!((depth(&path, &given).0 - 2.0).abs() < 1e-5);
     // a scene whose places are millimetres too
-    edit(
-        &path.join("scene.json"),
-        r#""near": 0.3, "far": 1.125"#,
-        r#""near": 300.0, "far": 1125.0"#,
-    );
+    edit(&path.join("scene.json"), r#""near": 0.3, "far": 1.125"#, r#""near": 300.0, "far": 1125.0"#);
     let (ratio, metric) = depth(&path, &ImportOptions::default());
     assert!((ratio - 1000.0).abs() < 1e-2 && !metric);
     std::fs::remove_file(path.join("scene.json")).unwrap();
@@ -255,11 +207,7 @@ fn nerfstudio_lens_keys_are_parsed_or_refused() {
     let (_dir, path) = copied("import/dycheck");
     for i in 0..5 {
         let file = path.join(format!("camera/0_{i:05}.json"));
-        edit(
-            &file,
-            r#""radial_distortion": [0, 0, 0]"#,
-            r#""radial_distortion": [-0.2, 0.05, 0]"#,
-        );
+        edit(&file, r#""radial_distortion": [0, 0, 0]"#, r#""radial_distortion": [-0.2, 0.05, 0]"#);
     }
     let clip = import(&path, SourceFormat::Dycheck, &ImportOptions::default()).unwrap();
     // a barrel lens saw more than a pinhole of its focal length: the pinhole that shows all of it is shorter
@@ -273,61 +221,20 @@ fn nerfstudio_lens_keys_are_parsed_or_refused() {
 
 #[test]
 fn malformed_dycheck_is_rejected_with_file_and_reason() {
-    let factor = ImportOptions {
-        factor: Some(4),
-        ..ImportOptions::default()
-    };
-    says(
-        &refused(&fixture("import/dycheck"), SourceFormat::Dycheck, &factor),
-        &["rgb/4x is missing", "factor"],
-    );
+    let factor = ImportOptions { factor: Some(4), ..ImportOptions::default() };
+    says(&refused(&fixture("import/dycheck"), SourceFormat::Dycheck, &factor), &["rgb/4x is missing", "factor"]);
     let broken = |file: &str, from: &str, to: &str, says: &[&str]| {
         let (_dir, path) = copied("import/dycheck");
         edit(&path.join(file), from, to);
         refuses(&path, SourceFormat::Dycheck, says);
     };
-    broken(
-        "camera/0_00001.json",
-        "[[",
-        "[[9",
-        &["0_00001.json", "orientation", "not a rotation"],
-    );
-    broken(
-        "camera/0_00001.json",
-        r#""focal_length": 100.0"#,
-        r#""focal_length": -1"#,
-        &["focal lengths -1"],
-    );
-    broken(
-        "camera/0_00001.json",
-        "[96, 72]",
-        "[72, 96]",
-        &["0_00001.png", "rotated"],
-    );
-    broken(
-        "splits/train.json",
-        r#""time_ids": [4, "#,
-        r#""time_ids": ["#,
-        &["train.json", "4 time_ids"],
-    );
-    broken(
-        "splits/train.json",
-        r#""time_ids": [4, "#,
-        r#""time_ids": [3, "#,
-        &["of one moment"],
-    );
+    broken("camera/0_00001.json", "[[", "[[9", &["0_00001.json", "orientation", "not a rotation"]);
+    broken("camera/0_00001.json", r#""focal_length": 100.0"#, r#""focal_length": -1"#, &["focal lengths -1"]);
+    broken("camera/0_00001.json", "[96, 72]", "[72, 96]", &["0_00001.png", "rotated"]);
+    broken("splits/train.json", r#""time_ids": [4, "#, r#""time_ids": ["#, &["train.json", "4 time_ids"]);
+    broken("splits/train.json", r#""time_ids": [4, "#, r#""time_ids": [3, "#, &["of one moment"]);
     broken("splits/val.json", "1_00001", "../../x", &["not the name of a frame"]);
     broken("splits/val.json", "1_00001", "0_00001", &["both splits"]);
-    broken(
-        "scene.json",
-        r#""scale": 0.25"#,
-        r#""scale": 0"#,
-        &["scene.json", "scale 0"],
-    );
-    broken(
-        "extra.json",
-        r#""fps": 10.0"#,
-        r#""fps": 0.0"#,
-        &["extra.json", "fps is 0"],
-    );
+    broken("scene.json", r#""scale": 0.25"#, r#""scale": 0"#, &["scene.json", "scale 0"]);
+    broken("extra.json", r#""fps": 10.0"#, r#""fps": 0.0"#, &["extra.json", "fps is 0"]);
 }

@@ -41,15 +41,7 @@ fn source_formats_are_detected_by_their_files() {
 #[test]
 fn names_are_those_of_the_command_line() {
     let names: Vec<&str> = SourceFormat::all().map(SourceFormat::name).collect();
-    let want = [
-        "dycheck",
-        "nvidia",
-        "record3d",
-        "colmap",
-        "nerfstudio",
-        "vipe",
-        "megasam",
-    ];
+    let want = ["dycheck", "nvidia", "record3d", "colmap", "nerfstudio", "vipe", "megasam"];
     assert_eq!(names, want);
     for format in SourceFormat::all() {
         let written = serde_json::to_string(&format).unwrap();

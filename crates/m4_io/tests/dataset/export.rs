@@ -26,13 +26,8 @@ fn capture_of(n: usize) -> (BoxScene, Capture) {
         }
     });
     let tracks = Tracks::new(n, 2, vec![[0.5, 0.25, 3.0]; 2 * n], vec![true; 2 * n]).unwrap();
-    let capture = Capture {
-        frames: frames.collect(),
-        time_frames: n,
-        duration_s: Some(1.0),
-        metric: true,
-        tracks: Some(tracks),
-    };
+    let capture =
+        Capture { frames: frames.collect(), time_frames: n, duration_s: Some(1.0), metric: true, tracks: Some(tracks) };
     (world, capture)
 }
 
@@ -56,10 +51,7 @@ fn colmap_export_has_cameras_and_static_points() {
         let w2c = capture.frames[i].camera.w2c();
         assert!((rotation.matrix() - w2c.rotation).amax() < 1e-9);
         assert_eq!(Vector3::from(image.translation), w2c.translation);
-        assert_eq!(
-            read_rgb(&out.join("images").join(&image.name)).unwrap(),
-            capture.frames[i].rgb
-        );
+        assert_eq!(read_rgb(&out.join("images").join(&image.name)).unwrap(), capture.frames[i].rgb);
         let mask = read_mask(&out.join(format!("masks/{}.png", image.name))).unwrap();
         let own = capture.frames[i].mask.as_ref().unwrap();
         assert!(own.count() > 20, "something moves in frame {i}");
@@ -75,9 +67,8 @@ fn colmap_export_has_cameras_and_static_points() {
     assert_eq!(size("points3D.bin"), 8 + points.len() * (8 + 24 + 3 + 8 + 8));
     for p in &points {
         // the wall and the pillar
-        let off = (0..2)
-            .map(|body| world.surface_distance(body, &p.position.into(), 0).abs())
-            .fold(f64::INFINITY, f64::min);
+        let off =
+            (0..2).map(|body| world.surface_distance(body, &p.position.into(), 0).abs()).fold(f64::INFINITY, f64::min);
         assert!(off < 1e-5, "{p:?} lies {off} from the static surfaces");
     }
 }
@@ -112,15 +103,7 @@ fn nerfstudio_export_has_opengl_axes_millimetres_and_static_masks() {
     assert!(!mask.at(x, y) && mask.count() + own.count() == SIZE[0] * SIZE[1]);
     let ply = std::fs::read(out.join("points.ply")).unwrap();
     let header = String::from_utf8_lossy(&ply[..ply.len().min(300)]).into_owned();
-    let count: usize = header
-        .split("element vertex ")
-        .nth(1)
-        .unwrap()
-        .lines()
-        .next()
-        .unwrap()
-        .parse()
-        .unwrap();
+    let count: usize = header.split("element vertex ").nth(1).unwrap().lines().next().unwrap().parse().unwrap();
     let start = header.find("end_header\n").unwrap() + "end_header\n".len();
     assert_eq!(ply.len() - start, 15 * count);
 }
@@ -133,10 +116,7 @@ fn captures_without_depth_have_no_points() {
     let out = dir.path().join("ns");
     nerfstudio::write(&out, &capture, None, &Silent).unwrap();
     let list = std::fs::read_to_string(out.join("transforms.json")).unwrap();
-    assert!(
-        !list.contains("ply_file_path") && !list.contains("depth_file_path"),
-        "{list}"
-    );
+    assert!(!list.contains("ply_file_path") && !list.contains("depth_file_path"), "{list}");
     assert!(list.contains("mask_path") && !out.join("points.ply").exists());
 }
 
@@ -145,32 +125,18 @@ fn cancelled_or_failed_exports_leave_no_files() {
     let (_, capture) = capture_of(3);
     let dir = tempfile::tempdir().unwrap();
     let out = dir.path().join("out");
-    assert!(
-        nerfstudio::write(&out, &capture, None, &Stop)
-            .unwrap_err()
-            .to_string()
-            .contains("stopped")
-    );
+    assert!(nerfstudio::write(&out, &capture, None, &Stop).unwrap_err().to_string().contains("stopped"));
     assert!(colmap::write(&out, &capture, &Stop).is_err());
     let mut broken = capture.clone();
     broken.frames[1].camera.c2w.rotation[(0, 0)] = f64::NAN;
-    says(
-        &nerfstudio::write(&out, &broken, None, &Silent).unwrap_err(),
-        &["frame 1"],
-    );
+    says(&nerfstudio::write(&out, &broken, None, &Silent).unwrap_err(), &["frame 1"]);
     let mut late = capture.clone();
     late.frames[2].t = 9.0;
-    says(
-        &nerfstudio::write(&out, &late, None, &Silent).unwrap_err(),
-        &["frame 2", "t = 9"],
-    );
+    says(&nerfstudio::write(&out, &late, None, &Silent).unwrap_err(), &["frame 2", "t = 9"]);
     let mut hollow = capture.clone();
     hollow.frames[0].mask = Some(CompactMask::from_fn(0, 0, |_, _| true));
     says(&colmap::write(&out, &hollow, &Silent).unwrap_err(), &["no pixels"]);
-    let empty = Capture {
-        frames: Vec::new(),
-        ..capture
-    };
+    let empty = Capture { frames: Vec::new(), ..capture };
     let message = colmap::write(&out, &empty, &Silent).unwrap_err();
     assert!(message.to_string().contains("no frames"));
     assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 0);

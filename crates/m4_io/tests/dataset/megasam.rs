@@ -23,22 +23,12 @@ fn read_ok(path: &Path) -> Capture {
 
 /// What `oracles/megasam_files.py` says of the three fixtures.
 fn check_fixture(capture: &Capture, depth_within: f32, farthest: f32) {
-    assert_eq!(
-        (capture.frames.len(), capture.time_frames, capture.metric),
-        (3, 3, false)
-    );
+    assert_eq!((capture.frames.len(), capture.time_frames, capture.metric), (3, 3, false));
     assert_eq!(capture.duration_s, Some(2.0 / 30.0));
     for (i, frame) in capture.frames.iter().enumerate() {
         let t = i as f64;
         assert_eq!((frame.t, frame.rgb.size()), (t, (24, 16)));
-        let k = Intrinsics {
-            width: 24,
-            height: 16,
-            fx: 20.0,
-            fy: 21.0,
-            cx: 12.0,
-            cy: 8.5,
-        };
+        let k = Intrinsics { width: 24, height: 16, fx: 20.0, fy: 21.0, cx: 12.0, cy: 8.5 };
         assert_eq!(frame.camera.intrinsics, k);
         let c2w = Se3 {
             rotation: exp_so3(&Vector3::new(0.0, 0.1 * t, 0.0)),
@@ -49,20 +39,14 @@ fn check_fixture(capture: &Capture, depth_within: f32, farthest: f32) {
         let mask = frame.mask.as_ref().unwrap();
         for y in 0..16 {
             for x in 0..24 {
-                assert_eq!(
-                    frame.rgb[(x, y)],
-                    [(9 * x) as u8, (13 * y) as u8, (x + y + 40 * i) as u8]
-                );
+                assert_eq!(frame.rgb[(x, y)], [(9 * x) as u8, (13 * y) as u8, (x + y + 40 * i) as u8]);
                 let expected = match (i, x, y) {
                     (_, 0..5, 0) => 0.0,
                     (1, 3, 3) => farthest,
                     _ => 0.4 + 0.01 * x as f32 + 0.02 * y as f32 + 0.05 * i as f32,
                 };
                 let z = map.at(x, y);
-                assert!(
-                    (z - expected).abs() <= depth_within * expected,
-                    "frame {i} ({x}, {y}): {z}, {expected}"
-                );
+                assert!((z - expected).abs() <= depth_within * expected, "frame {i} ({x}, {y}): {z}, {expected}");
             }
         }
         // the middle of the dynamic block, and of the one above it
@@ -83,19 +67,11 @@ fn files_of_numpy_are_read() {
 fn options_say_what_the_files_do_not() {
     let path = fixture("outputs/dog_droid.npz");
     let heard = Heard::default();
-    let options = ImportOptions {
-        fps: Some(10.0),
-        tau_motion: 0.5,
-        ..ImportOptions::default()
-    };
+    let options = ImportOptions { fps: Some(10.0), tau_motion: 0.5, ..ImportOptions::default() };
     let capture = read(&path, &options, &heard).unwrap();
     assert_eq!(capture.duration_s, Some(0.2));
     let wide: usize = capture.frames.iter().map(|f| f.mask.as_ref().unwrap().count()).sum();
-    let narrow = read_ok(&path)
-        .frames
-        .iter()
-        .map(|f| f.mask.as_ref().unwrap().count())
-        .sum();
+    let narrow = read_ok(&path).frames.iter().map(|f| f.mask.as_ref().unwrap().count()).sum();
     assert!(wide > narrow);
     assert_eq!(heard.all(), "", "nothing was assumed");
 
@@ -104,41 +80,11 @@ fn options_say_what_the_files_do_not() {
     assert!(heard.all().contains("30 frames per second are assumed"));
 
     for (options, says) in [
-        (
-            ImportOptions {
-                fps: Some(0.0),
-                ..options.clone()
-            },
-            "fps is 0",
-        ),
-        (
-            ImportOptions {
-                fps: Some(f64::NAN),
-                ..options.clone()
-            },
-            "fps is NaN",
-        ),
-        (
-            ImportOptions {
-                tau_motion: 1.5,
-                ..options.clone()
-            },
-            "tau_motion is 1.5",
-        ),
-        (
-            ImportOptions {
-                max_memory_bytes: 4000,
-                ..options.clone()
-            },
-            "max_memory_bytes",
-        ),
-        (
-            ImportOptions {
-                motion: Some("/nowhere/motion_prob.npy".into()),
-                ..options
-            },
-            "/nowhere/motion_prob.npy",
-        ),
+        (ImportOptions { fps: Some(0.0), ..options.clone() }, "fps is 0"),
+        (ImportOptions { fps: Some(f64::NAN), ..options.clone() }, "fps is NaN"),
+        (ImportOptions { tau_motion: 1.5, ..options.clone() }, "tau_motion is 1.5"),
+        (ImportOptions { max_memory_bytes: 4000, ..options.clone() }, "max_memory_bytes"),
+        (ImportOptions { motion: Some("/nowhere/motion_prob.npy".into()), ..options }, "/nowhere/motion_prob.npy"),
     ] {
         let error = read(&path, &options, &Silent).unwrap_err().to_string();
         assert!(error.contains(says), "{error}");
@@ -168,10 +114,7 @@ fn the_motion_map_is_found_and_checked() {
     let beside = dir.path().join("motion_prob.npy");
     motion(&beside, 3, 1.0);
     let all_static = read_ok(&path);
-    assert!(
-        all_static.frames.iter().all(|f| f.mask.as_ref().unwrap().count() == 0),
-        "1 is static"
-    );
+    assert!(all_static.frames.iter().all(|f| f.mask.as_ref().unwrap().count() == 0), "1 is static");
 
     // one by the name of the clip comes first; everything dynamic is improbable
     let named = dir.path().join("reconstructions/dog");
@@ -179,16 +122,9 @@ fn the_motion_map_is_found_and_checked() {
     motion(&named.join("motion_prob.npy"), 3, 0.1);
     let heard = Heard::default();
     read(&path, &ImportOptions::default(), &heard).unwrap();
-    says(
-        &heard.all(),
-        &["100 % of the pixels count as dynamic", "1 - motion_prob"],
-    );
+    says(&heard.all(), &["100 % of the pixels count as dynamic", "1 - motion_prob"]);
 
-    for (frames, value, says) in [
-        (4, 1.0, "another clip"),
-        (3, 7.0, "holds 7"),
-        (3, f32::NAN, "holds NaN"),
-    ] {
+    for (frames, value, says) in [(4, 1.0, "another clip"), (3, 7.0, "holds 7"), (3, f32::NAN, "holds NaN")] {
         motion(&named.join("motion_prob.npy"), frames, value);
         let error = read(&path, &ImportOptions::default(), &Silent).unwrap_err().to_string();
         assert!(error.contains(says) && error.contains("motion_prob"), "{error}");

@@ -9,10 +9,7 @@ use std::fs;
 use std::path::Path;
 
 fn anywhere() -> ImportOptions {
-    ImportOptions {
-        reach: Reach::Anywhere,
-        ..ImportOptions::default()
-    }
+    ImportOptions { reach: Reach::Anywhere, ..ImportOptions::default() }
 }
 
 #[test]
@@ -31,11 +28,7 @@ fn a_list_that_names_private_files_is_refused() {
             let quoted = format!("\"{from}\"");
             assert!(text.contains(&quoted));
             fs::write(&file, text.replace(&quoted, &format!("{name:?}"))).unwrap();
-            refuses(
-                &here,
-                Nerfstudio,
-                &["transforms.json", "frame ", private, "outside of", "--allow-outside"],
-            );
+            refuses(&here, Nerfstudio, &["transforms.json", "frame ", private, "outside of", "--allow-outside"]);
             read(&here, Nerfstudio, &anywhere(), &Silent).unwrap();
         }
     }
@@ -44,11 +37,7 @@ fn a_list_that_names_private_files_is_refused() {
     refuses(&here, Nerfstudio, &["private.jpg", "--allow-outside"]);
     let tracks = "{\"tracks_path\": \"../private.jpg\", ";
     fs::write(&file, text.replacen('{', tracks, 1)).unwrap();
-    refuses(
-        &here,
-        Nerfstudio,
-        &["transforms.json", "tracks_path", "private.jpg", "--allow-outside"],
-    );
+    refuses(&here, Nerfstudio, &["transforms.json", "tracks_path", "private.jpg", "--allow-outside"]);
 }
 
 #[test]
@@ -57,11 +46,7 @@ fn paths_within_the_folder_may_be_written_in_any_way() {
     let file = here.join("transforms.json");
     let text = fs::read_to_string(&file).unwrap();
     let original = here.join("images/frame_3.jpg").display().to_string();
-    for name in [
-        "./images/frame_3.jpg",
-        "images/../images/frame_3.jpg",
-        original.as_str(),
-    ] {
+    for name in ["./images/frame_3.jpg", "images/../images/frame_3.jpg", original.as_str()] {
         fs::write(&file, text.replace("images/frame_3.jpg", name)).unwrap();
         read(&here, Nerfstudio, &ImportOptions::default(), &Silent).unwrap();
     }
@@ -69,16 +54,9 @@ fn paths_within_the_folder_may_be_written_in_any_way() {
 
 #[test]
 fn folders_that_the_options_name_may_be_read() {
-    let options = ImportOptions {
-        images: Some(fixture("import/clip")),
-        ..ImportOptions::default()
-    };
+    let options = ImportOptions { images: Some(fixture("import/clip")), ..ImportOptions::default() };
     read(&fixture("import/blender"), Nerfstudio, &options, &Silent).unwrap();
-    refuses(
-        &fixture("import/blender"),
-        Nerfstudio,
-        &["transforms_train.json", "clip/images", "--allow-outside"],
-    );
+    refuses(&fixture("import/blender"), Nerfstudio, &["transforms_train.json", "clip/images", "--allow-outside"]);
 }
 
 #[cfg(unix)]
@@ -87,36 +65,15 @@ fn links_out_of_a_source_are_not_followed() {
     use SourceFormat::{Colmap, Dycheck, Nvidia, Vipe};
     for (name, format, files) in [
         ("colmap_opencv", Colmap, &["images/00000.png", "images"][..]),
-        (
-            "dycheck",
-            Dycheck,
-            &["rgb/2x/0_00001.png", "depth/2x/0_00002.npy", "rgb"],
-        ),
-        (
-            "nvidia",
-            Nvidia,
-            &[
-                "images_2/002.png",
-                "disp/003.npy",
-                "motion_masks/000.png",
-                "gt/v000_t001.png",
-            ],
-        ),
-        (
-            "nerfstudio",
-            Nerfstudio,
-            &["images/frame_2.jpg", "depth/3.png", "masks/2.png"],
-        ),
+        ("dycheck", Dycheck, &["rgb/2x/0_00001.png", "depth/2x/0_00002.npy", "rgb"]),
+        ("nvidia", Nvidia, &["images_2/002.png", "disp/003.npy", "motion_masks/000.png", "gt/v000_t001.png"]),
+        ("nerfstudio", Nerfstudio, &["images/frame_2.jpg", "depth/3.png", "masks/2.png"]),
         ("vipe", Vipe, &["rgb/dog.mp4", "depth/dog.zip", "mask/dog.zip"]),
     ] {
         for file in files {
             let (dir, here) = copied(&format!("import/{name}"));
             link(&here.join(file), dir.path());
-            refuses(
-                &here,
-                format,
-                &[file.rsplit('/').next().unwrap(), "private", "--allow-outside"],
-            );
+            refuses(&here, format, &[file.rsplit('/').next().unwrap(), "private", "--allow-outside"]);
             if let Err(e) = read(&here, format, &anywhere(), &Silent) {
                 panic!("{name}, {file}: {e}");
             }

@@ -8,11 +8,7 @@ use m4_io::dataset::SourceFormat::{Colmap, Nerfstudio, Vipe};
 #[test]
 fn colmap_text_and_binary_models_agree() {
     let truth = Truth::read();
-    for name in [
-        "import/colmap_text",
-        "import/colmap_binary",
-        "import/colmap_binary/sparse/0",
-    ] {
+    for name in ["import/colmap_text", "import/colmap_binary", "import/colmap_binary/sparse/0"] {
         let got = read(name, Colmap, &with_images()).unwrap();
         truth.same_cameras(&got.train, (0, 0.0));
         assert!(got.test.is_none() && !got.train.metric);
@@ -33,9 +29,7 @@ fn images_without_a_pose_leave_a_gap_in_time() {
     let at = lines.iter().position(|line| line.ends_with("00002.png")).unwrap();
     lines.drain(at..at + 2);
     std::fs::write(&path, lines.join("\n") + "\n").unwrap();
-    let got = m4_io::dataset::read(&here, Colmap, &with_images(), &m4_core::Silent)
-        .unwrap()
-        .train;
+    let got = m4_io::dataset::read(&here, Colmap, &with_images(), &m4_core::Silent).unwrap().train;
     let times: Vec<f64> = got.frames.iter().map(|f| f.t).collect();
     assert_eq!((times, got.time_frames), (vec![0.0, 1.0, 3.0, 4.0], 5));
 }
@@ -48,14 +42,9 @@ fn colmap_names_may_include_the_images_folder() {
     let path = dir.path().join("images.txt");
     let text = std::fs::read_to_string(&path).unwrap();
     std::fs::write(&path, text.replace(" 7 0000", " 7 images/0000")).unwrap();
-    let got = m4_io::dataset::read(dir.path(), Colmap, &ImportOptions::default(), &m4_core::Silent)
-        .unwrap()
-        .train;
+    let got = m4_io::dataset::read(dir.path(), Colmap, &ImportOptions::default(), &m4_core::Silent).unwrap().train;
     Truth::read().same_cameras(&got, (0, 0.0));
-    assert_eq!(
-        (got.frames[4].name.as_str(), got.frames[4].t),
-        ("images/00004.png", 4.0)
-    );
+    assert_eq!((got.frames[4].name.as_str(), got.frames[4].t), ("images/00004.png", 4.0));
 }
 
 #[test]
@@ -72,21 +61,12 @@ fn missing_and_unsupported_colmap_files_are_named() {
         std::fs::write(&path, text).unwrap();
         message
     };
-    says(
-        &change("cameras.txt", "PINHOLE", "FOV"),
-        &["FOV", "undistort", "camera 7"],
-    );
-    says(
-        &change("cameras.txt", "7 PINHOLE", "8 PINHOLE"),
-        &["camera 7", "image 20"],
-    );
+    says(&change("cameras.txt", "PINHOLE", "FOV"), &["FOV", "undistort", "camera 7"]);
+    says(&change("cameras.txt", "7 PINHOLE", "8 PINHOLE"), &["camera 7", "image 20"]);
     says(&change("images.txt", "00002.png", "../00002.png"), &["not below"]);
     says(&change("images.txt", "00002.png", "00009.png"), &["00009.png"]);
     says(&change("cameras.txt", "48 36", "48 37"), &["48 x 36", "48 x 37"]);
-    let small = ImportOptions {
-        max_memory_bytes: 48 * 36 * 8 * 5 - 1,
-        ..with_images()
-    };
+    let small = ImportOptions { max_memory_bytes: 48 * 36 * 8 * 5 - 1, ..with_images() };
     assert!(refused(&here, Colmap, &small).contains("max_memory_bytes"));
 }
 
@@ -108,10 +88,7 @@ fn images_through_lenses_are_as_a_pinhole_sees_them() {
             assert_eq!([k.cx, k.cy], [truth.intrinsics[2], truth.intrinsics[3]]);
             // a barrel sees further to the sides: the lens that shows all of it, and nothing beyond, is shorter
             let shorter = k.fx / truth.intrinsics[0];
-            assert!(
-                (0.9..0.995).contains(&shorter) && (k.fx / k.fy - 50.0 / 52.0).abs() < 1e-12,
-                "{k:?}"
-            );
+            assert!((0.9..0.995).contains(&shorter) && (k.fx / k.fy - 50.0 / 52.0).abs() < 1e-12, "{k:?}");
             let mut off = Vec::new();
             for p in 0..SIZE.0 * SIZE.1 {
                 let (u, v) = (p % SIZE.0, p / SIZE.0);
@@ -164,8 +141,6 @@ fn missing_and_unsupported_vipe_files_are_named() {
     // depth and masks may be missing
     std::fs::remove_dir_all(here.join("depth")).unwrap();
     std::fs::remove_dir_all(here.join("mask")).unwrap();
-    let got = m4_io::dataset::read(&here.join("pose/dog.npz"), Vipe, &plain, &m4_core::Silent)
-        .unwrap()
-        .train;
+    let got = m4_io::dataset::read(&here.join("pose/dog.npz"), Vipe, &plain, &m4_core::Silent).unwrap().train;
     assert!(got.frames.len() == 5 && got.frames.iter().all(|f| f.depth.is_none() && f.mask.is_none()));
 }

@@ -39,21 +39,11 @@ fn record3d_matches_the_clip_it_was_written_from() {
 
 #[test]
 fn large_record3d_depth_maps_are_read() {
-    let clip = import(
-        &fixture("import/record3d/large.r3d"),
-        SourceFormat::Record3d,
-        &ImportOptions::default(),
-    )
-    .unwrap()
-    .train;
-    assert_eq!(
-        (clip.frames.len(), clip.time_frames, clip.duration_s),
-        (1, 1, Some(0.0))
-    );
+    let clip =
+        import(&fixture("import/record3d/large.r3d"), SourceFormat::Record3d, &ImportOptions::default()).unwrap().train;
+    assert_eq!((clip.frames.len(), clip.time_frames, clip.duration_s), (1, 1, Some(0.0)));
     let depth = truth("depth");
-    let twice: Vec<f64> = (0..4 * W * H)
-        .map(|i| depth[i / (2 * W) / 2 * W + i % (2 * W) / 2])
-        .collect();
+    let twice: Vec<f64> = (0..4 * W * H).map(|i| depth[i / (2 * W) / 2 * W + i % (2 * W) / 2]).collect();
     assert_depth(&clip, 0, &twice, 1e-6, |_, _| true);
 }
 
@@ -67,22 +57,14 @@ fn record3d_without_timestamps_is_evenly_spaced() {
     let (_dir, path) = unpacked();
     edit(&path.join("metadata"), "frameTimestamps", "other");
     edit(&path.join("metadata"), "perFrameIntrinsicCoeffs", "another");
-    let clip = import(&path, SourceFormat::Record3d, &ImportOptions::default())
-        .unwrap()
-        .train;
+    let clip = import(&path, SourceFormat::Record3d, &ImportOptions::default()).unwrap().train;
     assert_true_lens(&clip);
     assert_near(&times(&clip), &[0.0, 1.0, 2.0, 3.0, 4.0], 0.0);
     assert!((clip.duration_s.unwrap() - 4.0 / 60.0).abs() < 1e-12);
     // frames that come unevenly
     let (_dir, path) = unpacked();
-    edit(
-        &path.join("metadata"),
-        "[7.0, 7.1, 7.2, 7.3, 7.4]",
-        "[7.0, 7.1, 7.3, 7.7, 7.8]",
-    );
-    let clip = import(&path, SourceFormat::Record3d, &ImportOptions::default())
-        .unwrap()
-        .train;
+    edit(&path.join("metadata"), "[7.0, 7.1, 7.2, 7.3, 7.4]", "[7.0, 7.1, 7.3, 7.7, 7.8]");
+    let clip = import(&path, SourceFormat::Record3d, &ImportOptions::default()).unwrap().train;
     assert_near(&times(&clip), &[0.0, 0.5, 1.5, 3.5, 4.0], 1e-9);
 }
 
@@ -93,21 +75,9 @@ fn malformed_record3d_is_rejected_with_file_and_reason() {
         edit(&path.join("metadata"), from, to);
         refuses(&path, SourceFormat::Record3d, says);
     };
-    broken(
-        r#""dw": 24, "dh": 18"#,
-        r#""dw": 18, "dh": 24"#,
-        &["metadata", "rotated"],
-    );
-    broken(
-        r#""dw": 24, "dh": 18"#,
-        r#""dw": 25, "dh": 18"#,
-        &["frame 0", "rgbd/0.depth", "1800 bytes"],
-    );
-    broken(
-        r#""dw": 24, "dh": 18"#,
-        r#""dw": 24000, "dh": 18000"#,
-        &["metadata", "24000 x 18000"],
-    );
+    broken(r#""dw": 24, "dh": 18"#, r#""dw": 18, "dh": 24"#, &["metadata", "rotated"]);
+    broken(r#""dw": 24, "dh": 18"#, r#""dw": 25, "dh": 18"#, &["frame 0", "rgbd/0.depth", "1800 bytes"]);
+    broken(r#""dw": 24, "dh": 18"#, r#""dw": 24000, "dh": 18000"#, &["metadata", "24000 x 18000"]);
     broken(r#""w": 96, "h": 72"#, r#""w": 96, "h": 54"#, &["48 x 36", "96 x 54"]);
     broken("7.2, 7.3", "7.3, 7.2", &["frameTimestamps"]);
     broken(r#""fps": 60"#, r#""fps": 0"#, &["fps is 0"]);
@@ -196,12 +166,9 @@ fn every_mask_format_matches_its_source() {
 #[test]
 fn every_track_format_matches_its_source() {
     let (places, seen) = (truth("places"), truth("seen"));
-    for (name, depth) in [
-        ("world.npz", false),
-        ("tapip3d.npz", false),
-        ("spatracker.npz", false),
-        ("cotracker.npz", true),
-    ] {
+    for (name, depth) in
+        [("world.npz", false), ("tapip3d.npz", false), ("spatracker.npz", false), ("cotracker.npz", true)]
+    {
         let clip = with(|o| {
             o.tracks = side(name);
             o.depth = side("depth.npz").filter(|_| depth);
@@ -210,43 +177,23 @@ fn every_track_format_matches_its_source() {
         assert_eq!((tracks.frames(), tracks.count()), (5, 7));
         for (i, want) in places.as_chunks::<3>().0.iter().enumerate() {
             let got = tracks.place(i / 7, i % 7).unwrap();
-            let off = got
-                .iter()
-                .zip(want)
-                .map(|(g, w)| (f64::from(*g) - w).abs())
-                .fold(0.0, f64::max);
+            let off = got.iter().zip(want).map(|(g, w)| (f64::from(*g) - w).abs()).fold(0.0, f64::max);
             assert!(off < 2e-5, "{name} {i}: {got:?} {want:?}");
             assert_eq!(tracks.visible()[i], seen[i] > 0.0, "{name} {i}");
         }
         assert!(seen.contains(&0.0) && seen.contains(&1.0));
-        assert_eq!(
-            tracks.colours().map(|c| c[6]),
-            (name == "world.npz").then_some([216, 228, 240])
-        );
+        assert_eq!(tracks.colours().map(|c| c[6]), (name == "world.npz").then_some([216, 228, 240]));
     }
     let heard = Heard::default();
-    let options = ImportOptions {
-        tracks: side("tapip3d.npz"),
-        ..ImportOptions::default()
-    };
-    read(
-        &fixture("import/record3d/clip.r3d"),
-        SourceFormat::Record3d,
-        &options,
-        &heard,
-    )
-    .unwrap();
+    let options = ImportOptions { tracks: side("tapip3d.npz"), ..ImportOptions::default() };
+    read(&fixture("import/record3d/clip.r3d"), SourceFormat::Record3d, &options, &heard).unwrap();
     assert!(heard.all().contains("2.0000 times as far"), "{}", heard.all());
 }
 
 #[test]
 fn tracks_without_depth_are_nan() {
     // the sensor's own depth has holes
-    let tracks = with(|o| o.tracks = side("cotracker.npz"))
-        .unwrap()
-        .train
-        .tracks
-        .unwrap();
+    let tracks = with(|o| o.tracks = side("cotracker.npz")).unwrap().train.tracks.unwrap();
     let placed = (0..35).filter(|&i| tracks.place(i / 7, i % 7).is_some()).count();
     assert!((20..35).contains(&placed), "{placed}");
     let hidden = (0..35).filter(|&i| tracks.visible()[i] && tracks.place(i / 7, i % 7).is_none());
@@ -264,38 +211,19 @@ fn malformed_side_files_are_rejected_with_file_and_reason() {
         std::fs::write(dir.path().join(format!("{i}.exr")), b"v/1\x01").unwrap();
     }
     let folder = Some(dir.path().to_path_buf());
-    refused(
-        &|o| o.depth = folder.clone(),
-        &["4 depth maps (0.exr to 3.exr) for 5 training frames"],
-    );
+    refused(&|o| o.depth = folder.clone(), &["4 depth maps (0.exr to 3.exr) for 5 training frames"]);
     refused(&|o| o.masks = folder.clone(), &["0 masks", "5 training frames"]);
     std::fs::write(dir.path().join("4.exr"), b"x").unwrap();
     refused(&|o| o.depth = folder.clone(), &["frame 0", "0.exr", "EXR"]);
     std::fs::copy(fixture("import/side/depth_pfm/frame8.pfm"), dir.path().join("0.exr")).unwrap();
     for i in 1..4 {
-        std::fs::copy(
-            fixture("import/side/depth_pfm/frame8.pfm"),
-            dir.path().join(format!("{i}.exr")),
-        )
-        .unwrap();
+        std::fs::copy(fixture("import/side/depth_pfm/frame8.pfm"), dir.path().join(format!("{i}.exr"))).unwrap();
     }
-    refused(
-        &|o| o.depth = folder.clone(),
-        &["frame 4", "4.exr", "not supported for depth maps"],
-    );
-    refused(
-        &|o| o.depth = side("masks.npz"),
-        &["masks.npz", "depths or depth", "there are: masks"],
-    );
+    refused(&|o| o.depth = folder.clone(), &["frame 4", "4.exr", "not supported for depth maps"]);
+    refused(&|o| o.depth = side("masks.npz"), &["masks.npz", "depths or depth", "there are: masks"]);
     refused(&|o| o.masks = side("depth.npz"), &["depth.npz", "masks or mask"]);
-    refused(
-        &|o| o.tracks = side("masks.npz"),
-        &["masks.npz", "coords, tracks or pred_tracks"],
-    );
-    refused(
-        &|o| o.tracks = side("depth_png/frame8.png"),
-        &["frame8.png", "not an npz archive"],
-    );
+    refused(&|o| o.tracks = side("masks.npz"), &["masks.npz", "coords, tracks or pred_tracks"]);
+    refused(&|o| o.tracks = side("depth_png/frame8.png"), &["frame8.png", "not an npz archive"]);
     refused(&|o| o.depth = side("nothing.npz"), &["nothing.npz"]);
     let unit = |o: &mut ImportOptions| {
         o.depth = side("depth_png");
@@ -320,10 +248,7 @@ fn large_static_one_bit_mask_is_accepted() {
         bits[w as usize / 8 + 1] = u8::from(moves) << 6;
         encoder.write_header().unwrap().write_image_data(&bits).unwrap();
         let mask = read_mask(&path, false).unwrap().mask;
-        assert_eq!(
-            (mask.size(), mask.count()),
-            ((w as usize, h as usize), usize::from(moves))
-        );
+        assert_eq!((mask.size(), mask.count()), ((w as usize, h as usize), usize::from(moves)));
         assert_eq!(mask.at(9, 1), moves);
     }
 }

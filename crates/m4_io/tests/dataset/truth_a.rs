@@ -29,18 +29,12 @@ pub struct Truth {
 
 /// Options with the images of the clip.
 pub fn with_images() -> ImportOptions {
-    ImportOptions {
-        images: Some(fixture("import/clip/images")),
-        ..ImportOptions::default()
-    }
+    ImportOptions { images: Some(fixture("import/clip/images")), ..ImportOptions::default() }
 }
 
 /// Options for lists whose images are those of the clip beside them.
 pub fn beside() -> ImportOptions {
-    ImportOptions {
-        reach: Reach::Anywhere,
-        ..ImportOptions::default()
-    }
+    ImportOptions { reach: Reach::Anywhere, ..ImportOptions::default() }
 }
 
 pub fn read(name: &str, format: SourceFormat, options: &ImportOptions) -> Result<Imported, ReadError> {
@@ -65,10 +59,7 @@ impl Truth {
             intrinsics: clip.intrinsics,
             c2w: clip.c2w.iter().map(matrix).collect(),
             depth: npy("import/clip/depth.npy"),
-            moving: npy("import/clip/moving.npy")
-                .iter()
-                .map(|m| m.iter().map(|v| *v != 0.0).collect())
-                .collect(),
+            moving: npy("import/clip/moving.npy").iter().map(|m| m.iter().map(|v| *v != 0.0).collect()).collect(),
             images: (0..FRAMES).map(image).collect(),
         }
     }
@@ -85,10 +76,7 @@ impl Truth {
     pub fn same_camera(&self, i: usize, frame: &CaptureFrame) {
         let k = frame.camera.intrinsics;
         assert_eq!((k.width, k.height), SIZE);
-        let off = [k.fx, k.fy, k.cx, k.cy]
-            .into_iter()
-            .zip(self.intrinsics)
-            .map(|(a, b)| (a - b).abs());
+        let off = [k.fx, k.fy, k.cx, k.cy].into_iter().zip(self.intrinsics).map(|(a, b)| (a - b).abs());
         assert!(off.fold(0.0, f64::max) < 1e-6, "frame {i}: {k:?}");
         self.same_pose(i, frame);
     }
@@ -100,11 +88,7 @@ impl Truth {
 
     pub fn same_image(&self, i: usize, image: &RgbImage, (largest, mean): (u8, f64)) {
         assert_eq!(image.size(), SIZE);
-        let pairs = image
-            .data()
-            .iter()
-            .flatten()
-            .zip(self.images[i].data().iter().flatten());
+        let pairs = image.data().iter().flatten().zip(self.images[i].data().iter().flatten());
         let off: Vec<u8> = pairs.map(|(a, b)| a.abs_diff(*b)).collect();
         let worst = off.iter().copied().max().unwrap();
         let average = off.iter().map(|v| f64::from(*v)).sum::<f64>() / off.len() as f64;
@@ -119,10 +103,7 @@ impl Truth {
             for (z, want) in depth.every(1).zip(&self.depth[i]) {
                 let z = f64::from(z);
                 assert_eq!(z == 0.0, *want == 0.0);
-                assert!(
-                    (z - want).abs() <= (within * want).max(least),
-                    "frame {i}: {z} and {want}"
-                );
+                assert!((z - want).abs() <= (within * want).max(least), "frame {i}: {z} and {want}");
             }
         }
     }

@@ -61,14 +61,8 @@ pub fn assert_true_lens(capture: &Capture) {
 pub fn assert_images(capture: &Capture, want: &[f64], most: f64, mean: f64) {
     assert_eq!(capture.frames.len() * W * H * 3, want.len());
     for (frame, want) in capture.frames.iter().zip(want.chunks_exact(W * H * 3)) {
-        let off: Vec<f64> = frame
-            .rgb
-            .data()
-            .iter()
-            .flatten()
-            .zip(want)
-            .map(|(&got, want)| (f64::from(got) - want).abs())
-            .collect();
+        let off: Vec<f64> =
+            frame.rgb.data().iter().flatten().zip(want).map(|(&got, want)| (f64::from(got) - want).abs()).collect();
         let worst = off.iter().copied().fold(0.0, f64::max);
         let average = off.iter().sum::<f64>() / off.len() as f64;
         assert!(worst <= most && average <= mean, "{}: {worst} {average}", frame.name);

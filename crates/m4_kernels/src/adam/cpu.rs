@@ -30,13 +30,7 @@ pub struct AdamConfig {
 impl Default for AdamConfig {
     fn default() -> Self {
         let params = AdamParams::default();
-        Self {
-            beta1: params.beta1,
-            beta2: params.beta2,
-            beta2_dynamic: 0.99,
-            eps: params.epsilon,
-            sparse: true,
-        }
+        Self { beta1: params.beta1, beta2: params.beta2, beta2_dynamic: 0.99, eps: params.epsilon, sparse: true }
     }
 }
 
@@ -56,11 +50,7 @@ impl AdamState {
     #[must_use]
     pub fn new(splats: &Splats) -> Self {
         let zero = Splats::zeros(splats.layout(), splats.n_static(), splats.n_dynamic());
-        Self {
-            m: zero.clone(),
-            v: zero,
-            step: vec![0; splats.n()],
-        }
+        Self { m: zero.clone(), v: zero, step: vec![0; splats.n()] }
     }
 
     /// Sets the moments and the count of one splat back to nothing.
@@ -114,11 +104,7 @@ pub fn step(
     let (mut touched, mut counts) = (gradients.touched.as_slice(), state.step.as_mut_slice());
     let mut chunks = Vec::new();
     for (rows, dynamic) in [(n_static, false), (n - n_static, true)] {
-        let present = if dynamic {
-            columns.len()
-        } else {
-            layout.shared_columns()
-        };
+        let present = if dynamic { columns.len() } else { layout.shared_columns() };
         for start in (0..rows).step_by(CHUNK_ROWS) {
             let len = CHUNK_ROWS.min(rows - start);
             let here = touched.split_off(..len).unwrap_or_default();
@@ -128,12 +114,7 @@ pub fn step(
             if config.sparse && here.iter().all(|&t| t == 0) {
                 parts.for_each(drop);
             } else {
-                chunks.push(Chunk {
-                    dynamic,
-                    touched: here,
-                    counts: count,
-                    columns: parts.collect(),
-                });
+                chunks.push(Chunk { dynamic, touched: here, counts: count, columns: parts.collect() });
             }
         }
     }
@@ -230,11 +211,7 @@ impl Bias {
 
 #[simd]
 fn update<S: Simd>(s: S, mut chunk: Chunk<'_>, config: &AdamConfig, bias: &mut Bias) {
-    let beta2 = if chunk.dynamic {
-        config.beta2_dynamic
-    } else {
-        config.beta2
-    };
+    let beta2 = if chunk.dynamic { config.beta2_dynamic } else { config.beta2 };
     bias.fill(s, &mut chunk, config, beta2);
     for column in chunk.columns {
         let rule = Rule::new(s, config, beta2, column.lr);
@@ -302,11 +279,7 @@ impl<S: Simd> Rule<S> {
         let live = f32x16::from_slice(s, live).simd_gt(zero);
         let second = f32x16::from_slice(s, second);
         let gradient = f32x16::from_slice(s, g);
-        let old = [
-            f32x16::from_slice(s, x),
-            f32x16::from_slice(s, m),
-            f32x16::from_slice(s, v),
-        ];
+        let old = [f32x16::from_slice(s, x), f32x16::from_slice(s, m), f32x16::from_slice(s, v)];
         // neighbours are mostly seen together; loads and stores under a mask cost
         let new = if live.all_true() {
             self.next(&old, gradient, first, second)

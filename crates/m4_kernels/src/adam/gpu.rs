@@ -30,15 +30,7 @@ pub fn step(
 ) {
     let client = &gpu.client;
     let (n, n_static) = (splats.n, splats.n_static);
-    count_steps::launch(
-        client,
-        cubes(n, 256),
-        units(),
-        touched.arg(),
-        state.steps.arg(),
-        n as u32,
-        config.sparse,
-    );
+    count_steps::launch(client, cubes(n, 256), units(), touched.arg(), state.steps.arg(), n as u32, config.sparse);
     let buffers = [splats, gradients, &state.m, &state.v].map(DeviceSplats::buffers);
     for (k, columns) in parts(splats.layout).into_iter().enumerate() {
         let [x, g, m, v] = buffers.map(|buffers| buffers[k]);

@@ -29,10 +29,6 @@ pub struct AdamParams {
 
 impl Default for AdamParams {
     fn default() -> Self {
-        Self {
-            beta1: 0.9,
-            beta2: 0.999,
-            epsilon: 1e-15,
-        }
+        Self { beta1: 0.9, beta2: 0.999, epsilon: 1e-15 }
     }
 }

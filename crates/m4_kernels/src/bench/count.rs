@@ -21,11 +21,7 @@ pub(super) fn alive(splats: &Splats, t: f64) -> usize {
         let x = (t - f64::from(mean)) * f64::from(-log_sd).exp();
         (-0.5 * x * x).exp()
     };
-    means
-        .iter()
-        .zip(log_sds)
-        .filter(|&s| marginal(s) > MARGINAL_MIN)
-        .count()
+    means.iter().zip(log_sds).filter(|&s| marginal(s) > MARGINAL_MIN).count()
 }
 
 /// Pairs of a pixel and a splat that is composited on it, by the definition of compositing
@@ -70,17 +66,11 @@ fn tile_box(e: &Ellipse<f32>, columns: usize, rows: usize) -> Option<([usize; 2]
     if !(reach >= 0.0 && det > 0.0) {
         return None;
     }
-    let half = [
-        (reach * e.conic[(1, 1)] / det).sqrt(),
-        (reach * e.conic[(0, 0)] / det).sqrt(),
-    ];
+    let half = [(reach * e.conic[(1, 1)] / det).sqrt(), (reach * e.conic[(0, 0)] / det).sqrt()];
     let mut out = ([0; 2], [0; 2]);
     for (axis, tiles) in [columns, rows].into_iter().enumerate() {
         let tile = |v: f32| (v / TILE as f32).floor();
-        let (first, last) = (
-            tile(e.centre[axis] - half[axis] - 1.0),
-            tile(e.centre[axis] + half[axis] + 1.0),
-        );
+        let (first, last) = (tile(e.centre[axis] - half[axis] - 1.0), tile(e.centre[axis] + half[axis] + 1.0));
         if !(last >= 0.0 && first < tiles as f32) {
             return None;
         }
@@ -101,13 +91,8 @@ mod tests {
 
     #[test]
     fn tiles_lose_no_pixel() {
-        let config = SceneConfig {
-            splats: 400,
-            width: 61,
-            height: 43,
-            kind: SceneKind::FourD,
-            ..SceneConfig::default()
-        };
+        let config =
+            SceneConfig { splats: 400, width: 61, height: 43, kind: SceneKind::FourD, ..SceneConfig::default() };
         let scene = BenchScene::new(&config).unwrap();
         let view = &scene.views[3];
         let all = ellipses(&splats_of::<f32>(&scene.splats), &Setup::new(view));

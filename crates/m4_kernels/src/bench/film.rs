@@ -26,13 +26,7 @@ pub fn film(frames: usize, width: usize, height: usize) -> Capture {
             frame(camera, i, share * FRAMES as f64)
         })
         .collect();
-    Capture {
-        time_frames: frames.len(),
-        frames,
-        duration_s: Some(last / 24.0),
-        metric: true,
-        tracks: None,
-    }
+    Capture { time_frames: frames.len(), frames, duration_s: Some(last / 24.0), metric: true, tracks: None }
 }
 
 /// Frame `i`, with the balls where they are at the instant `t`.
@@ -55,9 +49,7 @@ fn frame(camera: Camera, i: usize, t: f64) -> CaptureFrame {
         name: format!("{i:05}"),
         camera,
         t: i as f64,
-        rgb: Plane::from_fn(width, height, |x, y| {
-            at(x, y).1.map(|c| (255.0 * c.clamp(0.0, 1.0)).round() as u8)
-        }),
+        rgb: Plane::from_fn(width, height, |x, y| at(x, y).1.map(|c| (255.0 * c.clamp(0.0, 1.0)).round() as u8)),
         depth: Some(Plane::from_fn(width, height, |x, y| at(x, y).0 as f32).into()),
         mask: Some(CompactMask::from_fn(width, height, |x, y| at(x, y).2)),
         motion: None,

@@ -25,21 +25,9 @@ pub struct PeakEvaluations {
 /// hand-written intrinsics forward; SSE2: portable vectors. They are constants, not scaled to the
 /// machine: on another one they are a yardstick, not a bound. Other instruction sets have none yet.
 pub const PEAK_EVALUATIONS: [PeakEvaluations; 3] = [
-    PeakEvaluations {
-        level: "sse2",
-        forward: 0.96e9,
-        backward: 0.61e9,
-    },
-    PeakEvaluations {
-        level: "avx2",
-        forward: 2.5e9,
-        backward: 1.13e9,
-    },
-    PeakEvaluations {
-        level: "avx512",
-        forward: 6.7e9,
-        backward: 2.55e9,
-    },
+    PeakEvaluations { level: "sse2", forward: 0.96e9, backward: 0.61e9 },
+    PeakEvaluations { level: "avx2", forward: 2.5e9, backward: 1.13e9 },
+    PeakEvaluations { level: "avx512", forward: 6.7e9, backward: 2.55e9 },
 ];
 
 /// How long a probe runs on each thread.
@@ -62,10 +50,7 @@ impl Probe {
         let threads = rayon::current_num_threads();
         let len = (bytes / (2 * size_of::<f32>() * threads)).max(1024);
         let rates = rayon::broadcast(|_| (stream(level, len), multiply(level)));
-        Self {
-            bytes_per_s: rates.iter().map(|r| r.0).sum(),
-            operations_per_s: rates.iter().map(|r| r.1).sum(),
-        }
+        Self { bytes_per_s: rates.iter().map(|r| r.0).sum(), operations_per_s: rates.iter().map(|r| r.1).sum() }
     }
 }
 

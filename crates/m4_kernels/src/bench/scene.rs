@@ -119,10 +119,7 @@ pub(super) fn colour(p: &Vector3<f64>, id: usize) -> [f64; 3] {
 /// The first camera: 60 degrees wide.
 pub(super) fn camera(width: usize, height: usize) -> Camera {
     let focal_px = 0.5 * width as f64 / 30f64.to_radians().tan();
-    Camera {
-        intrinsics: Intrinsics::centred(width, height, focal_px),
-        c2w: m4_core::Se3::identity(),
-    }
+    Camera { intrinsics: Intrinsics::centred(width, height, focal_px), c2w: m4_core::Se3::identity() }
 }
 
 /// What is drawn: one instant of a static scene, several of a clip.
@@ -181,11 +178,7 @@ fn share_of_balls(k: &Intrinsics) -> f64 {
 
 /// `n` flat discs on the surfaces, in no order.
 pub(super) fn splats(n: usize, (width, height): (usize, usize), kind: SceneKind, sh_degree: usize) -> Splats {
-    let layout = SplatLayout {
-        isotropic: false,
-        sh_degree,
-        time_degree: 0,
-    };
+    let layout = SplatLayout { isotropic: false, sh_degree, time_degree: 0 };
     let k = camera(width, height).intrinsics;
     let n_static = match kind {
         SceneKind::Static => n,
@@ -219,11 +212,7 @@ pub(super) fn splats(n: usize, (width, height): (usize, usize), kind: SceneKind,
         let spacing_px = if dynamic { spacing_dynamic } else { spacing_static };
         let size = spacing_px * p.z.abs() / k.fx;
         let (a, b) = (size * (0.4 * rng.normal()).exp(), size * (0.4 * rng.normal()).exp());
-        let up = if normal.y.abs() < 0.9 {
-            Vector3::y()
-        } else {
-            Vector3::x()
-        };
+        let up = if normal.y.abs() < 0.9 { Vector3::y() } else { Vector3::x() };
         let x = up.cross(&normal).normalize();
         let turn = Rotation3::from_scaled_axis(normal * (std::f64::consts::TAU * rng.uniform()));
         let x = turn * x;
@@ -249,11 +238,7 @@ pub(super) fn splats(n: usize, (width, height): (usize, usize), kind: SceneKind,
             let ball = is_ball(id);
             set(Column::TimeMean, &[time + 0.1 * rng.normal()], row);
             set(Column::LogTimeSd, &[TIME_SD.ln() + 0.2 * rng.normal()], row);
-            set(
-                Column::Velocity,
-                ball.map_or(Vector3::zeros(), velocity).as_slice(),
-                row,
-            );
+            set(Column::Velocity, ball.map_or(Vector3::zeros(), velocity).as_slice(), row);
         }
     }
     out

@@ -88,15 +88,8 @@ const SUMS: f64 = 64.0;
 
 impl Kernel {
     /// In the order in which a step runs them.
-    pub const ALL: [Self; 7] = [
-        Self::Project,
-        Self::Bin,
-        Self::Blend,
-        Self::Photo,
-        Self::BlendBackward,
-        Self::ProjectBackward,
-        Self::Adam,
-    ];
+    pub const ALL: [Self; 7] =
+        [Self::Project, Self::Bin, Self::Blend, Self::Photo, Self::BlendBackward, Self::ProjectBackward, Self::Adam];
 
     /// As reports call it.
     #[must_use]

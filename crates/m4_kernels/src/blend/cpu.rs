@@ -75,10 +75,7 @@ impl Used {
     }
 
     fn replay(&self) -> Replay<'_> {
-        Replay {
-            len: self.len.iter(),
-            places: &self.places,
-        }
+        Replay { len: self.len.iter(), places: &self.places }
     }
 }
 
@@ -137,10 +134,7 @@ static SPREAD: [u64; 1 << BLOCK_TILES] = {
 
 impl Shares {
     fn new() -> Self {
-        Self {
-            places: [[0; 256]; BLOCK_TILES],
-            len: 0,
-        }
+        Self { places: [[0; 256]; BLOCK_TILES], len: 0 }
     }
 
     /// Shares out a chunk: every tile is offered every entry, and moves on if the entry is its own.
@@ -178,10 +172,7 @@ impl<S: Simd> Pixels<S> {
     #[inline(always)]
     fn new(s: S, place: BandPlace, block: usize, tile: usize) -> Self {
         let (x, y) = place.corner(block, tile);
-        Self {
-            x: f32x16::from_slice(s, &COLUMN) + all(s, x as f32),
-            y: f32x16::from_slice(s, &ROW) + all(s, y as f32),
-        }
+        Self { x: f32x16::from_slice(s, &COLUMN) + all(s, x as f32), y: f32x16::from_slice(s, &ROW) + all(s, y as f32) }
     }
 }
 
@@ -235,11 +226,7 @@ struct Step<S: Simd> {
 fn step<S: Simd>(s: S, alpha: f32x16<S>, t: f32x16<S>) -> Step<S> {
     let next = (-alpha).mul_add(t, t);
     let pass = next.simd_ge(all(s, T_MIN as f32));
-    Step {
-        weight: pass.select(alpha * t, all(s, 0.0)),
-        t: next,
-        pass,
-    }
+    Step { weight: pass.select(alpha * t, all(s, 0.0)), t: next, pass }
 }
 
 #[cfg(test)]

@@ -125,11 +125,7 @@ impl BandPlace {
             offset: y * self.width + x,
             columns: self.width.saturating_sub(x).min(TILE),
             // none where no column is: what lies there need not be in the planes
-            rows: if x < self.width {
-                self.rows.saturating_sub(y).min(TILE)
-            } else {
-                0
-            },
+            rows: if x < self.width { self.rows.saturating_sub(y).min(TILE) } else { 0 },
             width: self.width,
         }
     }

@@ -92,12 +92,7 @@ impl<T: Real> Ellipse<T> {
     /// All 0: where a gradient starts.
     #[must_use]
     pub fn zero() -> Self {
-        Self {
-            centre: Vector2::zeros(),
-            conic: Matrix2::zeros(),
-            opacity: T::zero(),
-            channels: [T::zero(); CHANNELS],
-        }
+        Self { centre: Vector2::zeros(), conic: Matrix2::zeros(), opacity: T::zero(), channels: [T::zero(); CHANNELS] }
     }
 }
 
@@ -169,14 +164,7 @@ pub fn walk<T: Real, C: Cutoff>(
         if behind < C::t_min() {
             break;
         }
-        visit(Contribution {
-            index,
-            d,
-            falloff,
-            alpha,
-            slope,
-            transmittance,
-        });
+        visit(Contribution { index, d, falloff, alpha, slope, transmittance });
         transmittance = behind;
     }
     transmittance
@@ -244,10 +232,7 @@ pub fn blend_vjp<T: Real, C: Cutoff>(
     background: &[T; 3],
     g: &[[T; CHANNELS]],
 ) -> BlendGradient<T> {
-    let mut out = BlendGradient {
-        splats: vec![Ellipse::zero(); splats.len()],
-        background: [T::zero(); 3],
-    };
+    let mut out = BlendGradient { splats: vec![Ellipse::zero(); splats.len()], background: [T::zero(); 3] };
     let background = behind_all(background);
     for (pixel, g) in g.iter().enumerate().take(width * height) {
         let mut seen = Vec::new();
@@ -274,10 +259,7 @@ pub fn blend_vjp_replay<T: Real, C: Cutoff>(
     image: &Image<T>,
     g: &[[T; CHANNELS]],
 ) -> BlendGradient<T> {
-    let mut out = BlendGradient {
-        splats: vec![Ellipse::zero(); splats.len()],
-        background: [T::zero(); 3],
-    };
+    let mut out = BlendGradient { splats: vec![Ellipse::zero(); splats.len()], background: [T::zero(); 3] };
     for (pixel, (g, value)) in g.iter().zip(&image.pixels).enumerate() {
         let mut sigma = dot(g, value);
         let BlendGradient { splats: sums, .. } = &mut out;

@@ -41,16 +41,10 @@ mod tests {
     #[test]
     fn opaque_dynamic_splats_that_were_touched_grow() {
         for isotropic in [false, true] {
-            let layout = SplatLayout {
-                isotropic,
-                sh_degree: 0,
-                time_degree: 0,
-            };
+            let layout = SplatLayout { isotropic, sh_degree: 0, time_degree: 0 };
             let mut splats = Splats::zeros(layout, 1, 3);
             // opacities 0.95, 0.05, 0.95
-            splats
-                .column_mut(Column::Opacity, 0)
-                .copy_from_slice(&[3.0, 3.0, -3.0, 3.0]);
+            splats.column_mut(Column::Opacity, 0).copy_from_slice(&[3.0, 3.0, -3.0, 3.0]);
             let mut gradients = Gradients {
                 columns: splats.columns().iter().map(|c| vec![0.5; c.len()]).collect(),
                 touched: vec![1, 1, 1, 0],

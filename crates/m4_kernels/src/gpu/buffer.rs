@@ -17,10 +17,7 @@ impl Buffer {
     #[must_use]
     pub fn empty(client: &Client, len: usize) -> Self {
         let len = len.max(1);
-        Self {
-            handle: client.empty(4 * len),
-            len,
-        }
+        Self { handle: client.empty(4 * len), len }
     }
 
     /// A copy of `values`.
@@ -29,10 +26,7 @@ impl Buffer {
         if values.is_empty() {
             return Self::empty(client, 1);
         }
-        Self {
-            handle: client.create_from_slice(f32::as_bytes(values)),
-            len: values.len(),
-        }
+        Self { handle: client.create_from_slice(f32::as_bytes(values)), len: values.len() }
     }
 
     /// `len` zeros.
@@ -54,10 +48,7 @@ impl Buffer {
         if values.is_empty() {
             return Self::empty(client, 1);
         }
-        Self {
-            handle: client.create_from_slice(u32::as_bytes(values)),
-            len: values.len(),
-        }
+        Self { handle: client.create_from_slice(u32::as_bytes(values)), len: values.len() }
     }
 
     /// Numbers.
@@ -81,9 +72,7 @@ impl Buffer {
     ///
     /// [`GpuError`] if the device failed.
     pub fn read_floats(&self, client: &Client, doing: &'static str) -> Result<Vec<f32>, GpuError> {
-        let bytes = client
-            .read_one(self.handle.clone())
-            .map_err(|error| failed(doing, &error))?;
+        let bytes = client.read_one(self.handle.clone()).map_err(|error| failed(doing, &error))?;
         Ok(f32::from_bytes(&bytes)[..self.len].to_vec())
     }
 
@@ -93,9 +82,7 @@ impl Buffer {
     ///
     /// [`GpuError`] if the device failed.
     pub fn read_words(&self, client: &Client, doing: &'static str) -> Result<Vec<u32>, GpuError> {
-        let bytes = client
-            .read_one(self.handle.clone())
-            .map_err(|error| failed(doing, &error))?;
+        let bytes = client.read_one(self.handle.clone()).map_err(|error| failed(doing, &error))?;
         Ok(u32::from_bytes(&bytes)[..self.len].to_vec())
     }
 }

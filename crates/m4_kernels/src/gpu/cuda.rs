@@ -81,19 +81,13 @@ fn adapter(ordinal: i32, missing: Option<&str>) -> Option<Adapter> {
     Some(Adapter {
         index: 0,
         name: result::device::get_name(device).ok()?,
-        kind: if integrated {
-            AdapterKind::Integrated
-        } else {
-            AdapterKind::Discrete
-        },
+        kind: if integrated { AdapterKind::Integrated } else { AdapterKind::Discrete },
         api: "CUDA".to_owned(),
         driver: version(),
         max_buffer_bytes: (bytes as u64).min(LARGEST),
         max_units,
         max_shared_bytes,
-        unfit: missing
-            .map(str::to_owned)
-            .or_else(|| unfit(max_units, max_shared_bytes)),
+        unfit: missing.map(str::to_owned).or_else(|| unfit(max_units, max_shared_bytes)),
         place: Place::Cuda(usize::try_from(ordinal).ok()?),
     })
 }
@@ -113,10 +107,7 @@ fn version() -> String {
 /// Starts the device of that number; what its driver says if it refuses.
 pub(crate) fn start(ordinal: usize) -> Result<Client, String> {
     // the runtime panics where its driver returns an error
-    catch_unwind(AssertUnwindSafe(|| {
-        cubecl::Device::Cuda(CudaDevice::new(ordinal)).client()
-    }))
-    .map_err(|panic| {
+    catch_unwind(AssertUnwindSafe(|| cubecl::Device::Cuda(CudaDevice::new(ordinal)).client())).map_err(|panic| {
         let text = panic.downcast_ref::<String>().map(String::as_str);
         let text = text.or_else(|| panic.downcast_ref::<&str>().copied());
         text.unwrap_or("its runtime failed without a reason").to_owned()
@@ -132,10 +123,7 @@ mod tests {
         let (missing, found) = (missing(), adapters());
         if !has_driver() {
             assert!(found.is_empty(), "{found:?}");
-            assert!(
-                missing.as_ref().is_some_and(|text| text.contains("libcuda")),
-                "{missing:?}"
-            );
+            assert!(missing.as_ref().is_some_and(|text| text.contains("libcuda")), "{missing:?}");
         }
         for adapter in &found {
             assert_eq!(adapter.api, "CUDA");

@@ -158,10 +158,8 @@ fn adapters_of(backend: wgpu::Backends) -> Vec<Adapter> {
             DeviceType::Cpu => (AdapterKind::Software, 3),
             DeviceType::Other => (AdapterKind::Other, 4),
         };
-        let (max_units, max_shared_bytes) = (
-            limits.max_compute_invocations_per_workgroup,
-            limits.max_compute_workgroup_storage_size,
-        );
+        let (max_units, max_shared_bytes) =
+            (limits.max_compute_invocations_per_workgroup, limits.max_compute_workgroup_storage_size);
         out.push(Adapter {
             index,
             name: info.name.clone(),
@@ -184,9 +182,7 @@ pub(crate) fn unfit(max_units: u32, max_shared_bytes: u32) -> Option<String> {
     if max_units < UNITS {
         Some(format!("{max_units} units a cube, {UNITS} are needed"))
     } else if max_shared_bytes < SHARED_BYTES {
-        Some(format!(
-            "{max_shared_bytes} bytes shared by a cube, {SHARED_BYTES} are needed"
-        ))
+        Some(format!("{max_shared_bytes} bytes shared by a cube, {SHARED_BYTES} are needed"))
     } else {
         None
     }
@@ -243,42 +239,26 @@ impl Gpu {
         let (wanted, adapter) = match choice {
             Choice::Best => ("that is more than software".to_owned(), best(&all)),
             Choice::Index(index) => (index.to_string(), all.get(index)),
-            Choice::Software => (
-                "made of software".to_owned(),
-                all.iter().find(|a| a.kind == AdapterKind::Software),
-            ),
+            Choice::Software => ("made of software".to_owned(), all.iter().find(|a| a.kind == AdapterKind::Software)),
         };
         let Some(adapter) = adapter else {
             let names: Vec<String> = all.iter().map(|a| format!("{}: {}", a.index, a.name)).collect();
-            let found = if names.is_empty() {
-                "none".to_owned()
-            } else {
-                names.join(", ")
-            };
+            let found = if names.is_empty() { "none".to_owned() } else { names.join(", ") };
             return Err(GpuError::NoAdapter { wanted, found });
         };
         Self::start(adapter)
     }
 
     fn start(adapter: &Adapter) -> Result<Self, GpuError> {
-        let refused = |why: String| GpuError::NotStarted {
-            name: adapter.name.clone(),
-            why,
-        };
+        let refused = |why: String| GpuError::NotStarted { name: adapter.name.clone(), why };
         if let Some(why) = &adapter.unfit {
             return Err(refused(why.clone()));
         }
         #[cfg(feature = "cuda")]
         if let Runtime::Cuda(ordinal) = adapter.runtime() {
-            return Ok(Self {
-                client: crate::gpu::cuda::start(ordinal).map_err(refused)?,
-                adapter: adapter.clone(),
-            });
+            return Ok(Self { client: crate::gpu::cuda::start(ordinal).map_err(refused)?, adapter: adapter.clone() });
         }
-        #[cfg_attr(
-            not(feature = "cuda"),
-            expect(irrefutable_let_patterns, reason = "CUDA is the other one")
-        )]
+        #[cfg_attr(not(feature = "cuda"), expect(irrefutable_let_patterns, reason = "CUDA is the other one"))]
         let Runtime::Wgpu(device) = adapter.runtime() else {
             return Err(refused("it belongs to no runtime of this build".to_owned()));
         };
@@ -289,10 +269,7 @@ impl Gpu {
                 .map_err(|error| refused(error.to_string()))?;
             started.push(adapter.place);
         }
-        Ok(Self {
-            client: Device::Wgpu(device).client(),
-            adapter: adapter.clone(),
-        })
+        Ok(Self { client: Device::Wgpu(device).client(), adapter: adapter.clone() })
     }
 
     /// The kind.
@@ -332,10 +309,7 @@ impl Gpu {
 static STARTED: std::sync::Mutex<Vec<Place>> = std::sync::Mutex::new(Vec::new());
 
 pub(crate) fn failed(doing: &'static str, error: &impl std::fmt::Display) -> GpuError {
-    GpuError::Failed {
-        doing,
-        why: error.to_string(),
-    }
+    GpuError::Failed { doing, why: error.to_string() }
 }
 
 /// Waits for a future that needs no runtime.

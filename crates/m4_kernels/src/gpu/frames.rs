@@ -76,11 +76,7 @@ impl Frames {
         frames: impl IntoIterator<Item = T>,
         budget_bytes: usize,
     ) -> Result<Self, GpuError> {
-        let mut out = Self {
-            width: 0,
-            height: 0,
-            list: Vec::new(),
-        };
+        let mut out = Self { width: 0, height: 0, list: Vec::new() };
         let mut left = budget_bytes;
         for (index, frame) in frames.into_iter().enumerate() {
             let frame = frame.borrow();
@@ -89,11 +85,7 @@ impl Frames {
                 (out.width, out.height) = size;
             }
             if size != (out.width, out.height) || size.0 * size.1 == 0 {
-                return Err(GpuError::FrameSize {
-                    index,
-                    size,
-                    first: (out.width, out.height),
-                });
+                return Err(GpuError::FrameSize { index, size, first: (out.width, out.height) });
             }
             let (words, worth, wide) = packed(frame);
             gpu.fits("a frame", 4 * words.len())?;
@@ -120,11 +112,7 @@ impl Frames {
     /// [`GpuError`] if there is no such frame.
     pub fn get(&self, gpu: &Gpu, index: usize) -> Result<DeviceFrame, GpuError> {
         let frame = self.stored(index)?;
-        Ok(DeviceFrame {
-            samples: frame.place.get(gpu),
-            worth: frame.worth,
-            wide: frame.wide,
-        })
+        Ok(DeviceFrame { samples: frame.place.get(gpu), worth: frame.worth, wide: frame.wide })
     }
 
     fn stored(&self, index: usize) -> Result<&Stored, GpuError> {
@@ -139,10 +127,7 @@ fn packed(frame: &Target) -> (Vec<u32>, f32, bool) {
         TargetPlanes::Bytes(planes) => (planes.into_iter().flat_map(four_a_word).collect(), 1.0 / 255.0, false),
         TargetPlanes::Floats(planes) => {
             let words = planes.into_iter().flat_map(|plane| {
-                let samples: Vec<u16> = plane
-                    .iter()
-                    .map(|v| (v.clamp(0.0, 1.0) / FINEST).round() as u16)
-                    .collect();
+                let samples: Vec<u16> = plane.iter().map(|v| (v.clamp(0.0, 1.0) / FINEST).round() as u16).collect();
                 two_a_word(&samples).collect::<Vec<u32>>()
             });
             (words.collect(), FINEST, true)

@@ -12,15 +12,7 @@ pub const NOTHING: u32 = u32::MAX;
 #[must_use]
 pub fn gathered_words(gpu: &Gpu, from: &Buffer, rows: &Buffer, n: usize) -> Buffer {
     let to = Buffer::empty(&gpu.client, n);
-    gather_words::launch(
-        &gpu.client,
-        cubes(n, 256),
-        units(),
-        from.arg(),
-        rows.arg(),
-        to.arg(),
-        n as u32,
-    );
+    gather_words::launch(&gpu.client, cubes(n, 256), units(), from.arg(), rows.arg(), to.arg(), n as u32);
     to
 }
 
@@ -51,14 +43,7 @@ pub fn gathered(gpu: &Gpu, from: &DeviceSplats, rows: &Buffer, (n, n_static): (u
         }
         to
     });
-    DeviceSplats {
-        geometry,
-        colour,
-        time,
-        layout: from.layout,
-        n,
-        n_static,
-    }
+    DeviceSplats { geometry, colour, time, layout: from.layout, n, n_static }
 }
 
 /// `columns` columns of `old` rows, the first of which is splat `old_first`, become columns of `new` rows.

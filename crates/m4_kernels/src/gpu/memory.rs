@@ -20,10 +20,7 @@ impl Gpu {
     #[must_use]
     pub fn memory(&self) -> DeviceMemory {
         let usage = self.client.memory_report(MemoryScope::Device).usage();
-        DeviceMemory {
-            in_use: usage.bytes_in_use,
-            reserved: usage.bytes_reserved,
-        }
+        DeviceMemory { in_use: usage.bytes_in_use, reserved: usage.bytes_reserved }
     }
 
     /// Gives what is in no buffer back to the driver, as far as the runtime does.

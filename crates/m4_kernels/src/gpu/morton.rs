@@ -38,15 +38,7 @@ pub fn morton_order(gpu: &Gpu, splats: &DeviceSplats) -> Buffer {
     for (axis, (buffer, first, rows)) in columns.into_iter().enumerate() {
         let pairs = Pairs::empty(client, n);
         let count = Buffer::words(client, &[rows as u32]);
-        keys_of::launch(
-            client,
-            cubes(n, 256),
-            units(),
-            buffer.arg(),
-            pairs.keys.arg(),
-            first as u32,
-            rows as u32,
-        );
+        keys_of::launch(client, cubes(n, 256), units(), buffer.arg(), pairs.keys.arg(), first as u32, rows as u32);
         let sorted = sort.run(client, &pairs, &count, 32);
         take_limits::launch(
             client,
@@ -75,10 +67,7 @@ pub fn morton_order(gpu: &Gpu, splats: &DeviceSplats) -> Buffer {
         (time * (n - n_static)) as u32,
     );
     let by_place = sort.run(client, &places, &all, PLACE_BITS);
-    let by_slot = Pairs {
-        keys: Buffer::empty(client, n),
-        values: by_place.values.clone(),
-    };
+    let by_slot = Pairs { keys: Buffer::empty(client, n), values: by_place.values.clone() };
     tile_binning::gather::launch(
         client,
         cubes(n, 256),
@@ -88,10 +77,7 @@ pub fn morton_order(gpu: &Gpu, splats: &DeviceSplats) -> Buffer {
         by_slot.keys.arg(),
         n as u32,
     );
-    Sort::new(client, n)
-        .run(client, &by_slot, &all, SLOT_BITS)
-        .values
-        .clone()
+    Sort::new(client, n).run(client, &by_slot, &all, SLOT_BITS).values.clone()
 }
 
 /// Numbers that sort as the floats of a column do.

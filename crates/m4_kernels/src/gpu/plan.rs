@@ -41,11 +41,7 @@ pub struct Plan {
 fn part(what: &'static str, buffers: &[usize]) -> Part {
     // a buffer has at least one number
     let bytes = buffers.iter().map(|&len| 4 * len.max(1) as u64);
-    Part {
-        what,
-        bytes: bytes.clone().sum(),
-        largest: bytes.max().unwrap_or(0),
-    }
+    Part { what, bytes: bytes.clone().sum(), largest: bytes.max().unwrap_or(0) }
 }
 
 impl Plan {
@@ -63,13 +59,7 @@ impl Plan {
     ) -> Self {
         let n = n_static + n_dynamic;
         let (width, height) = size;
-        let size = Size {
-            n,
-            width,
-            height,
-            entries,
-            training: true,
-        };
+        let size = Size { n, width, height, entries, training: true };
         let columns = columns(n_static, n_dynamic, layout);
         let pixels = size.pixels();
         let mut parts = vec![
@@ -107,22 +97,10 @@ impl Plan {
         entries: usize,
     ) -> Self {
         let (width, height) = size;
-        let size = Size {
-            n: n_static + n_dynamic,
-            width,
-            height,
-            entries,
-            training: false,
-        };
+        let size = Size { n: n_static + n_dynamic, width, height, entries, training: false };
         let mut parts = vec![part("splats", &columns(n_static, n_dynamic, layout))];
         parts.extend(work(&size));
-        Self {
-            doing: "drawing",
-            parts,
-            frame_bytes: 0,
-            frames: 0,
-            batch: part("gradients of a batch", &[]),
-        }
+        Self { doing: "drawing", parts, frame_bytes: 0, frames: 0, batch: part("gradients of a batch", &[]) }
     }
 
     /// With the second set of gradients that steps of several frames add theirs up in.
@@ -192,9 +170,7 @@ impl Plan {
     ///
     /// [`GpuError::TooLarge`] with the part whose buffer is not allowed.
     pub fn check_buffers(&self, gpu: &Gpu) -> Result<(), GpuError> {
-        self.parts
-            .iter()
-            .try_for_each(|part| gpu.fits(part.what, part.largest as usize))
+        self.parts.iter().try_for_each(|part| gpu.fits(part.what, part.largest as usize))
     }
 }
 
@@ -223,12 +199,7 @@ fn density_control(columns: &[usize], n: usize, pixels: usize) -> Part {
     decision.extend(Scan::lengths(2 * n));
     let rows = [columns, columns, &[n, 2 * n, 2 * n, n, n, n]].concat();
     let what = "density control";
-    let all = [
-        part(what, &scores),
-        part(what, &decision),
-        part(what, &rows),
-        part(what, &[6 * n]),
-    ];
+    let all = [part(what, &scores), part(what, &decision), part(what, &rows), part(what, &[6 * n])];
     Part {
         what,
         bytes: all.iter().map(|part| part.bytes).max().unwrap_or(0),
@@ -253,18 +224,12 @@ fn work(size: &Size) -> Vec<Part> {
     lists.extend(Sort::lengths(entries));
     lists.extend([2 * tiles, tiles, tiles]);
     lists.extend(Scan::lengths(tiles));
-    let mut parts = vec![
-        part("splats of a frame", &splats),
-        part("tile lists", &lists),
-        part("image", &[5 * pixels, pixels]),
-    ];
+    let mut parts =
+        vec![part("splats of a frame", &splats), part("tile lists", &lists), part("image", &[5 * pixels, pixels])];
     if size.training {
         let buckets = size.buckets();
         parts.push(part("gradients of tile entries", &[RECORD * entries]));
-        parts.push(part(
-            "what gradients start from",
-            &[buckets, CHECKPOINT * TILE * TILE * buckets],
-        ));
+        parts.push(part("what gradients start from", &[buckets, CHECKPOINT * TILE * TILE * buckets]));
         parts.push(part("gradient of the image", &[5 * pixels, 5 * pixels]));
     }
     parts
@@ -276,11 +241,7 @@ mod tests {
     use crate::gpu::GpuError;
     use m4_core::SplatLayout;
 
-    const LAYOUT: SplatLayout = SplatLayout {
-        isotropic: false,
-        sh_degree: 0,
-        time_degree: 0,
-    };
+    const LAYOUT: SplatLayout = SplatLayout { isotropic: false, sh_degree: 0, time_degree: 0 };
 
     fn plan(frames: usize) -> Plan {
         Plan::training(20_000, 80_000, LAYOUT, (480, 360), frames, Plan::first_entries(100_000))

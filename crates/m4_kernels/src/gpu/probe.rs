@@ -67,10 +67,7 @@ pub(crate) fn probe(gpu: &Gpu) -> Result<Probe, GpuError> {
     let operations_per_s = rate(gpu, operations, || {
         multiply::launch(client, cubes(256 * CUBES, 256), units(), out.arg(), 0.5);
     })?;
-    Ok(Probe {
-        bytes_per_s,
-        operations_per_s,
-    })
+    Ok(Probe { bytes_per_s, operations_per_s })
 }
 
 /// Work a second: as many launches behind one another as take long enough.

@@ -22,11 +22,7 @@ impl Renderer {
     ///
     /// [`GpuError::TooLarge`] if they do not fit into its buffers.
     pub fn new(gpu: Gpu, splats: &Splats) -> Result<Self, GpuError> {
-        Ok(Self {
-            splats: DeviceSplats::upload(&gpu, splats)?,
-            gpu,
-            work: None,
-        })
+        Ok(Self { splats: DeviceSplats::upload(&gpu, splats)?, gpu, work: None })
     }
 
     /// The image of `view`.
@@ -67,10 +63,7 @@ impl Renderer {
         let [r, g, b] = &gradient.rgb;
         let mut planes = Vec::with_capacity(5 * pixels);
         for plane in [r, g, b, &gradient.alpha, &gradient.depth] {
-            assert!(
-                plane.is_empty() || plane.len() == pixels,
-                "backward: the gradient has the image's size"
-            );
+            assert!(plane.is_empty() || plane.len() == pixels, "backward: the gradient has the image's size");
             planes.extend_from_slice(plane);
             if plane.is_empty() {
                 planes.resize(planes.len() + pixels, 0.0);
@@ -80,15 +73,7 @@ impl Renderer {
         let result = self.splats.like(&self.gpu);
         let work = self.work.as_mut().ok_or_else(nothing_drawn)?;
         work.gradient = Buffer::floats(&self.gpu.client, &planes);
-        work.backward(
-            &self.gpu,
-            &self.splats,
-            &result,
-            view.mip,
-            !gradient.alpha.is_empty(),
-            with_depth,
-            None,
-        );
+        work.backward(&self.gpu, &self.splats, &result, view.mip, !gradient.alpha.is_empty(), with_depth, None);
         let touched = work.touched.read_words(&self.gpu.client, doing)?;
         let columns = result.download(&self.gpu, doing)?;
         debug_assert_eq!(parts(self.splats.layout)[2].end, columns.columns().len());
@@ -104,13 +89,7 @@ impl Renderer {
     fn draw(&mut self, view: &View, training: bool) -> Result<(), GpuError> {
         let k = &view.camera.intrinsics;
         let n = self.splats.n;
-        let mut size = Size {
-            n,
-            width: k.width,
-            height: k.height,
-            entries: Plan::first_entries(n),
-            training,
-        };
+        let mut size = Size { n, width: k.width, height: k.height, entries: Plan::first_entries(n), training };
         if let Some(work) = &self.work {
             size.entries = work.size.entries;
         }
@@ -131,8 +110,5 @@ impl Renderer {
 }
 
 fn nothing_drawn() -> GpuError {
-    GpuError::Failed {
-        doing: "drawing an image",
-        why: "nothing was drawn".to_owned(),
-    }
+    GpuError::Failed { doing: "drawing an image", why: "nothing was drawn".to_owned() }
 }

@@ -111,11 +111,7 @@ impl Scan {
     pub fn new(client: &Client, n: usize) -> Self {
         let blocks = if n <= IN_ONE { 1 } else { n.div_ceil(BLOCK) };
         let above = (blocks > 1).then(|| (Buffer::empty(client, blocks), Box::new(Self::new(client, blocks))));
-        Self {
-            n,
-            totals: Buffer::empty(client, blocks),
-            above,
-        }
+        Self { n, totals: Buffer::empty(client, blocks), above }
     }
 
     /// The numbers in each of its buffers.
@@ -181,11 +177,7 @@ mod tests {
                 })
                 .collect();
             assert!(output.read_words(client, "scanning").unwrap() == want, "{n} numbers");
-            assert_eq!(
-                scan.total().read_words(client, "scanning").unwrap()[0],
-                sum,
-                "{n} numbers"
-            );
+            assert_eq!(scan.total().read_words(client, "scanning").unwrap()[0], sum, "{n} numbers");
         }
     }
 }

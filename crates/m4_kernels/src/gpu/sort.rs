@@ -113,10 +113,7 @@ impl Pairs {
     /// Room for `len` pairs.
     #[must_use]
     pub fn empty(client: &Client, len: usize) -> Self {
-        Self {
-            keys: Buffer::empty(client, len),
-            values: Buffer::empty(client, len),
-        }
+        Self { keys: Buffer::empty(client, len), values: Buffer::empty(client, len) }
     }
 }
 
@@ -183,11 +180,7 @@ impl Sort {
     /// Where [`run`](Self::run) left what it sorted.
     #[must_use]
     pub fn result<'a>(&'a self, pairs: &'a Pairs, bits: u32) -> &'a Pairs {
-        if bits.div_ceil(4).is_multiple_of(2) {
-            pairs
-        } else {
-            &self.other
-        }
+        if bits.div_ceil(4).is_multiple_of(2) { pairs } else { &self.other }
     }
 }
 
@@ -216,10 +209,7 @@ mod tests {
             let mut rng = CounterRng::new(capacity as u64, 0, 0);
             let keys: Vec<u32> = (0..capacity).map(|_| (rng.uniform() * most) as u32).collect();
             let values: Vec<u32> = (0..capacity as u32).collect();
-            let pairs = Pairs {
-                keys: Buffer::words(client, &keys),
-                values: Buffer::words(client, &values),
-            };
+            let pairs = Pairs { keys: Buffer::words(client, &keys), values: Buffer::words(client, &values) };
             let sort = Sort::new(client, capacity);
             let sorted = sort.run(client, &pairs, &Buffer::words(client, &[count as u32]), bits);
             let end = count.min(capacity);

@@ -45,10 +45,8 @@ impl DeviceSplats {
     /// [`GpuError`] if they do not fit.
     pub fn upload(gpu: &Gpu, splats: &Splats) -> Result<Self, GpuError> {
         let [geometry, colour, time] = parts(splats.layout()).map(|range| splats.columns()[range].concat());
-        for (what, len) in [
-            ("the geometry of the splats", geometry.len()),
-            ("the colours of the splats", colour.len()),
-        ] {
+        for (what, len) in [("the geometry of the splats", geometry.len()), ("the colours of the splats", colour.len())]
+        {
             gpu.fits(what, 4 * len)?;
         }
         Ok(Self {
@@ -65,12 +63,7 @@ impl DeviceSplats {
     #[must_use]
     pub fn like(&self, gpu: &Gpu) -> Self {
         let empty = |buffer: &Buffer| Buffer::empty(&gpu.client, buffer.len());
-        Self {
-            geometry: empty(&self.geometry),
-            colour: empty(&self.colour),
-            time: empty(&self.time),
-            ..self.clone()
-        }
+        Self { geometry: empty(&self.geometry), colour: empty(&self.colour), time: empty(&self.time), ..self.clone() }
     }
 
     /// Waits, and copies them back.

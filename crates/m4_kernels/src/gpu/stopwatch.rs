@@ -71,11 +71,7 @@ impl Stopwatch {
 
 impl Running {
     fn new(gpu: &Gpu) -> Self {
-        let mut running = Self {
-            window: None,
-            laps: Vec::new(),
-            failure: None,
-        };
+        let mut running = Self { window: None, laps: Vec::new(), failure: None };
         running.open(gpu);
         running
     }

@@ -43,10 +43,7 @@ impl Tally {
 
     /// Empty, with room for the losses of `views` views, of `n` splats.
     pub fn new(gpu: &Gpu, views: usize, n: usize) -> Self {
-        Self {
-            buffer: Self::fresh(gpu, views),
-            parts: Buffer::empty(&gpu.client, n.div_ceil(256)),
-        }
+        Self { buffer: Self::fresh(gpu, views), parts: Buffer::empty(&gpu.client, n.div_ceil(256)) }
     }
 
     fn fresh(gpu: &Gpu, views: usize) -> Buffer {
@@ -71,14 +68,7 @@ impl Tally {
 
     /// Counts a step, and the splats among `n` that it touched.
     pub fn step(&self, gpu: &Gpu, touched: &Buffer, n: usize) {
-        count_touched::launch(
-            &gpu.client,
-            cubes(n, 256),
-            units(),
-            touched.arg(),
-            self.parts.arg(),
-            n as u32,
-        );
+        count_touched::launch(&gpu.client, cubes(n, 256), units(), touched.arg(), self.parts.arg(), n as u32);
         add_step::launch(
             &gpu.client,
             cubes(1, 1),
@@ -106,11 +96,7 @@ impl Tally {
             frames,
             l1: if words[BAD_LOSS] == 0 { mean(L1) } else { f64::NAN },
             ssim: mean(SSIM),
-            psnr: if frames == 0 {
-                f64::NAN
-            } else {
-                (-10.0 * float(SQUARES).log10()).min(100.0)
-            },
+            psnr: if frames == 0 { f64::NAN } else { (-10.0 * float(SQUARES).log10()).min(100.0) },
             touched: touched as f64 / steps.max(1) as f64,
             cameras: Vec::new(),
             exposures: Vec::new(),

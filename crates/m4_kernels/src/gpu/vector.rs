@@ -54,9 +54,5 @@ pub(crate) fn times(a: &V3, b: &V3) -> V3 {
 /// `rows^T v`.
 #[cube]
 pub(crate) fn transposed(r0: &V3, r1: &V3, r2: &V3, v: &V3) -> V3 {
-    v3(
-        r0.x * v.x + r1.x * v.y + r2.x * v.z,
-        r0.y * v.x + r1.y * v.y + r2.y * v.z,
-        r0.z * v.x + r1.z * v.y + r2.z * v.z,
-    )
+    v3(r0.x * v.x + r1.x * v.y + r2.x * v.z, r0.y * v.x + r1.y * v.y + r2.y * v.z, r0.z * v.x + r1.z * v.y + r2.z * v.z)
 }

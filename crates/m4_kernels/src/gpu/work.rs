@@ -174,13 +174,7 @@ impl Work {
     ///
     /// [`GpuError`] if a buffer is larger than the device allows.
     pub fn remake(&mut self, gpu: &Gpu, size: Size) -> Result<(), GpuError> {
-        let nothing = Size {
-            n: 0,
-            width: 1,
-            height: 1,
-            entries: 1,
-            training: false,
-        };
+        let nothing = Size { n: 0, width: 1, height: 1, entries: 1, training: false };
         *self = Self::new(gpu, nothing)?;
         *self = Self::new(gpu, size)?;
         Ok(())

@@ -70,25 +70,13 @@ pub fn loss(
         .zip(&mut scratch.buffers)
         .with_max_len(1)
         .map(|((channel, top, out), buffers)| {
-            let segment = Segment {
-                target,
-                x: &rgb[channel],
-                channel,
-                rows: top..top + out.len() / width,
-                factors,
-            };
+            let segment = Segment { target, x: &rgb[channel], channel, rows: top..top + out.len() / width, factors };
             dispatch!(level.level(), s => segment::run(s, &segment, buffers, out))
         })
         .collect();
-    let (l1, ssim) = sums
-        .iter()
-        .fold((0.0, 0.0), |(l1, ssim), part| (l1 + part[0], ssim + part[1]));
+    let (l1, ssim) = sums.iter().fold((0.0, 0.0), |(l1, ssim), part| (l1 + part[0], ssim + part[1]));
     let (l1, ssim) = (l1 / count, ssim / count);
-    LossTerms {
-        l1,
-        ssim,
-        total: (1.0 - lambda) * l1 + lambda * (1.0 - ssim),
-    }
+    LossTerms { l1, ssim, total: (1.0 - lambda) * l1 + lambda * (1.0 - ssim) }
 }
 
 /// The mean over the channels of `|rgb - target|`, `[height][width]` (the error map: Minute4D Eq. 6).

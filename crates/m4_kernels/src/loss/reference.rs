@@ -52,9 +52,7 @@ pub fn ssim<T: Real>(x: &[T], y: &[T], width: usize, height: usize) -> (T, Vec<T
     }
     let count = T::of(n.max(1) as f64);
     let (d_mean, d_square, d_product) = (blur(&d_mean), blur(&d_square), blur(&d_product));
-    let gradient = (0..n)
-        .map(|i| (d_mean[i] + two * x[i] * d_square[i] + y[i] * d_product[i]) / count)
-        .collect();
+    let gradient = (0..n).map(|i| (d_mean[i] + two * x[i] * d_square[i] + y[i] * d_product[i]) / count).collect();
     (sum / count, gradient)
 }
 

@@ -285,9 +285,7 @@ fn read_row<S: Simd>(s: S, f: &Frame<S>, segment: &Segment<'_>, row: usize, buff
         Some(y) => {
             let from = y * f.width;
             let x = &segment.x[from..from + f.width];
-            segment
-                .target
-                .read(s, segment.channel, from, &mut buffers.row[..f.width]);
+            segment.target.read(s, segment.channel, from, &mut buffers.row[..f.width]);
             let y = &buffers.row;
             let whole = f.width / BLOCK;
             for block in 0..whole {

@@ -102,27 +102,18 @@ pub(crate) fn ellipse<S: Simd, const ISO: bool>(s: S, eye: &Eye, place: &Place<S
     let [x, y, z] = place.point;
     let inverse_z = k(1.0) / z;
     let ray = [x * inverse_z, y * inverse_z];
-    let slope = [
-        ray[0].max(k(eye.limits[0])).min(k(eye.limits[1])),
-        ray[1].max(k(eye.limits[2])).min(k(eye.limits[3])),
-    ];
+    let slope =
+        [ray[0].max(k(eye.limits[0])).min(k(eye.limits[1])), ray[1].max(k(eye.limits[2])).min(k(eye.limits[3]))];
     let (jx, jy) = (k(eye.fx) * inverse_z, k(eye.fy) * inverse_z);
     let w: [_; 3] = each!(3, i => all3(s, &eye.rotation[i]));
-    let jw = [
-        each!(3, i => jx * (w[0][i] - slope[0] * w[2][i])),
-        each!(3, i => jy * (w[1][i] - slope[1] * w[2][i])),
-    ];
+    let jw = [each!(3, i => jx * (w[0][i] - slope[0] * w[2][i])), each!(3, i => jy * (w[1][i] - slope[1] * w[2][i]))];
     let factor: [[f32x16<S>; 3]; 2] = if ISO {
         each!(2, r => each!(3, c => jw[r][c] * slice.scale[0]))
     } else {
         let axis: [[f32x16<S>; 3]; 3] = each!(3, c => [slice.axes[0][c], slice.axes[1][c], slice.axes[2][c]]);
         each!(2, r => each!(3, c => dot(&jw[r], &axis[c]) * slice.scale[c]))
     };
-    let sharp = [
-        dot(&factor[0], &factor[0]),
-        dot(&factor[0], &factor[1]),
-        dot(&factor[1], &factor[1]),
-    ];
+    let sharp = [dot(&factor[0], &factor[0]), dot(&factor[0], &factor[1]), dot(&factor[1], &factor[1])];
     let low = k(LOW_PASS as f32);
     let covariance = [sharp[0] + low, sharp[1], sharp[2] + low];
     // (a + l)(c + l) - b^2 with the small terms apart: a long thin ellipse cancels in a c - b^2, and
@@ -141,11 +132,7 @@ pub(crate) fn ellipse<S: Simd, const ISO: bool>(s: S, eye: &Eye, place: &Place<S
         v: (k(eye.fy) * ray[1]) + k(eye.v0),
         covariance,
         det,
-        conic: [
-            covariance[2] * inverse,
-            -(covariance[1] * inverse),
-            covariance[0] * inverse,
-        ],
+        conic: [covariance[2] * inverse, -(covariance[1] * inverse), covariance[0] * inverse],
         compensation,
         sharp,
         sharp_det,
@@ -212,11 +199,8 @@ pub(crate) fn backward<S: Simd, const ISO: bool>(
     // G = A M A / 2
     let [xx, xy, yy] = m.second;
     let p = [[a * xx + b * xy, a * xy + b * yy], [b * xx + c * xy, b * xy + c * yy]];
-    let mut g = [
-        half * (p[0][0] * a + p[0][1] * b),
-        half * (p[0][0] * b + p[0][1] * c),
-        half * (p[1][0] * b + p[1][1] * c),
-    ];
+    let mut g =
+        [half * (p[0][0] * a + p[0][1] * b), half * (p[0][0] * b + p[0][1] * c), half * (p[1][0] * b + p[1][1] * c)];
     if eye.mip {
         let det = e.sharp_det;
         let ok = det.simd_gt(k(f32::MIN_POSITIVE));

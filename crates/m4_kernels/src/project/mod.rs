@@ -44,10 +44,5 @@ pub fn jacobian_limits(k: &Intrinsics) -> [f64; 4] {
     let (width, height) = (k.width as f64, k.height as f64);
     let margin = JACOBIAN_CLAMP - 1.0;
     let (x, y) = (margin * width / (2.0 * k.fx), margin * height / (2.0 * k.fy));
-    [
-        -k.cx / k.fx - x,
-        (width - k.cx) / k.fx + x,
-        -k.cy / k.fy - y,
-        (height - k.cy) / k.fy + y,
-    ]
+    [-k.cx / k.fx - x, (width - k.cx) / k.fx + x, -k.cy / k.fy - y, (height - k.cy) / k.fy + y]
 }

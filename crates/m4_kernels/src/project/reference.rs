@@ -24,10 +24,7 @@ impl<T: Real> Pinhole<T> {
     pub fn new(camera: &Camera) -> Self {
         let (w2c, k) = (camera.w2c(), &camera.intrinsics);
         Self {
-            w2c: Se3 {
-                rotation: w2c.rotation.map(T::of),
-                translation: w2c.translation.map(T::of),
-            },
+            w2c: Se3 { rotation: w2c.rotation.map(T::of), translation: w2c.translation.map(T::of) },
             intrinsics: Vector4::new(k.fx, k.fy, k.cx, k.cy).map(T::of),
             limits: jacobian_limits(k).map(T::of),
         }
@@ -79,11 +76,7 @@ impl<T: Real> PinholeGradient<T> {
     /// No change.
     #[must_use]
     pub fn zero() -> Self {
-        Self {
-            tau: Vector3::zeros(),
-            omega: Vector3::zeros(),
-            intrinsics: Vector4::zeros(),
-        }
+        Self { tau: Vector3::zeros(), omega: Vector3::zeros(), intrinsics: Vector4::zeros() }
     }
 
     /// Adds the share of one more splat.

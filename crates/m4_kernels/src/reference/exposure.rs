@@ -5,10 +5,7 @@ use m4_core::Real;
 
 /// `c' = M c + b` for the colours of every pixel, `[M | b]` row by row (docs/spec/optimiser.md 8.4).
 pub fn expose<T: Real>(pixels: &[[T; CHANNELS]], exposure: &[[T; 4]; 3]) -> Vec<[T; 3]> {
-    pixels
-        .iter()
-        .map(|p| exposure.map(|row| row[0] * p[0] + row[1] * p[1] + row[2] * p[2] + row[3]))
-        .collect()
+    pixels.iter().map(|p| exposure.map(|row| row[0] * p[0] + row[1] * p[1] + row[2] * p[2] + row[3])).collect()
 }
 
 /// Gradients with respect to the colours of every pixel and the exposure, given `g` with respect to

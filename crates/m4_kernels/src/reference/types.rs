@@ -97,16 +97,11 @@ impl<T: Real> Splat<T> {
                 mean: Vector3::zeros(),
                 shape: match g.shape {
                     Shape::Isotropic { .. } => Shape::Isotropic { log_scale: T::zero() },
-                    Shape::Anisotropic { .. } => Shape::Anisotropic {
-                        log_scale: Vector3::zeros(),
-                        quat: Vector4::zeros(),
-                    },
+                    Shape::Anisotropic { .. } => {
+                        Shape::Anisotropic { log_scale: Vector3::zeros(), quat: Vector4::zeros() }
+                    }
                 },
-                life: g.life.map(|_| Life {
-                    time_mean: T::zero(),
-                    log_time_sd: T::zero(),
-                    velocity: Vector3::zeros(),
-                }),
+                life: g.life.map(|_| Life { time_mean: T::zero(), log_time_sd: T::zero(), velocity: Vector3::zeros() }),
             }),
             Geometry::Rotor(_) => Geometry::Rotor(RotorGaussian {
                 mean: Vector3::zeros(),
@@ -153,11 +148,7 @@ impl<T: Real> SceneGradient<T> {
         let mut columns = vec![Vec::new(); layout.columns()];
         for (row, splat) in self.splats.iter().enumerate() {
             let values = splat.parameters();
-            let used = if row < n_static {
-                layout.shared_columns()
-            } else {
-                columns.len()
-            };
+            let used = if row < n_static { layout.shared_columns() } else { columns.len() };
             for (column, value) in columns.iter_mut().zip(values).take(used) {
                 column.push(value);
             }
@@ -176,9 +167,7 @@ pub fn splats_of<T: Real>(splats: &Splats) -> Vec<Splat<T>> {
         geometry: Geometry::Gaussian(Gaussian {
             mean: vector(Column::Mean, row),
             shape: if layout.isotropic {
-                Shape::Isotropic {
-                    log_scale: at(Column::LogScale, 0, row),
-                }
+                Shape::Isotropic { log_scale: at(Column::LogScale, 0, row) }
             } else {
                 Shape::Anisotropic {
                     log_scale: vector(Column::LogScale, row),

@@ -58,22 +58,9 @@ fn harmonic_slope(#[comptime] l: u32, d: &V3) -> V3 {
         8u32 => scaled(&v3(2.0f32 * x, -2.0f32 * y, 0.0f32), Y_XX_YY),
         9u32 => scaled(&v3(6.0f32 * x * y, 3.0f32 * (x * x - y * y), 0.0f32), Y_XXX),
         10u32 => scaled(&v3(y * z, x * z, x * y), Y_XYZ),
-        11u32 => scaled(
-            &v3(-2.0f32 * x * y, 4.0f32 * z * z - x * x - 3.0f32 * y * y, 8.0f32 * y * z),
-            Y_ZZY,
-        ),
-        12u32 => scaled(
-            &v3(
-                -6.0f32 * x * z,
-                -6.0f32 * y * z,
-                6.0f32 * z * z - 3.0f32 * (x * x + y * y),
-            ),
-            Y_ZZZ,
-        ),
-        13u32 => scaled(
-            &v3(4.0f32 * z * z - 3.0f32 * x * x - y * y, -2.0f32 * x * y, 8.0f32 * x * z),
-            Y_ZZY,
-        ),
+        11u32 => scaled(&v3(-2.0f32 * x * y, 4.0f32 * z * z - x * x - 3.0f32 * y * y, 8.0f32 * y * z), Y_ZZY),
+        12u32 => scaled(&v3(-6.0f32 * x * z, -6.0f32 * y * z, 6.0f32 * z * z - 3.0f32 * (x * x + y * y)), Y_ZZZ),
+        13u32 => scaled(&v3(4.0f32 * z * z - 3.0f32 * x * x - y * y, -2.0f32 * x * y, 8.0f32 * x * z), Y_ZZY),
         14u32 => scaled(&v3(2.0f32 * x * z, -2.0f32 * y * z, x * x - y * y), Y_ZXX),
         _ => scaled(&v3(3.0f32 * (x * x - y * y), -6.0f32 * x * y, 0.0f32), Y_XXX),
     }
@@ -182,8 +169,5 @@ pub(crate) fn shade_backward(
     }
     let d = v3(px, py, pz);
     let along = dot(direction, &d);
-    SightGradient {
-        offset: scaled(&add_scaled(&d, -along, direction), inverse_distance),
-        time_mean,
-    }
+    SightGradient { offset: scaled(&add_scaled(&d, -along, direction), inverse_distance), time_mean }
 }

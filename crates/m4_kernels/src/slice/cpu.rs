@@ -105,11 +105,7 @@ fn marginal<S: Simd>(s: S, c: &Columns<'_>, at: usize, t: f32) -> Moment<S> {
     let dt = all(s, t) - load(s, c.time_mean, at, 0.0);
     let log_sd = load(s, c.log_time_sd, at, 0.0);
     let inverse_variance = exp(s, log_sd * all(s, -2.0));
-    Moment {
-        dt,
-        inverse_variance,
-        marginal: exp(s, dt * dt * inverse_variance * all(s, -0.5)),
-    }
+    Moment { dt, inverse_variance, marginal: exp(s, dt * dt * inverse_variance * all(s, -0.5)) }
 }
 
 /// Moves to the instant: mean, marginal (Minute4D Eq. 1). Cheap, so that most dynamic splats go no further.
@@ -130,11 +126,7 @@ pub(crate) fn life<S: Simd, const DYNAMIC: bool>(s: S, c: &Columns<'_>, row: usi
     };
     if DYNAMIC {
         let at = row - c.n_static;
-        let Moment {
-            dt,
-            inverse_variance,
-            marginal,
-        } = marginal(s, c, at, t);
+        let Moment { dt, inverse_variance, marginal } = marginal(s, c, at, t);
         for k in 0..3 {
             let velocity = load(s, c.velocity[k], at, 0.0);
             out.mean[k] = velocity.mul_add(dt, out.mean[k]);
@@ -165,11 +157,8 @@ pub(crate) fn shape<S: Simd, const ISO: bool>(s: S, c: &Columns<'_>, row: usize,
     let (xx, yy, zz) = (sx * x, sy * y, sz * z);
     let (xy, xz, yz) = (sx * y, sx * z, sy * z);
     let (wx, wy, wz) = (sx * w, sy * w, sz * w);
-    out.axes = [
-        [one - (yy + zz), xy - wz, xz + wy],
-        [xy + wz, one - (xx + zz), yz - wx],
-        [xz - wy, yz + wx, one - (xx + yy)],
-    ];
+    out.axes =
+        [[one - (yy + zz), xy - wz, xz + wy], [xy + wz, one - (xx + zz), yz - wx], [xz - wy, yz + wx, one - (xx + yy)]];
     out.quat = q;
     out.quat_scale = scale;
 }

@@ -55,12 +55,7 @@ pub(crate) fn life(geometry: &[f32], time: &[f32], i: u32, n: u32, n_static: u32
         y += time[3 * dynamic + j] * dt;
         z += time[4 * dynamic + j] * dt;
     }
-    Life {
-        mean: v3(x, y, z),
-        dt,
-        inverse_variance,
-        marginal,
-    }
+    Life { mean: v3(x, y, z), dt, inverse_variance, marginal }
 }
 
 /// Scales and axes of splat `i`.
@@ -80,11 +75,7 @@ pub fn shape(geometry: &[f32], i: u32, n: u32, #[comptime] isotropic: bool) -> S
             k: f32::new(2.0f32),
         }
     } else {
-        let scale = v3(
-            geometry[3 * rows + at].exp(),
-            geometry[4 * rows + at].exp(),
-            geometry[5 * rows + at].exp(),
-        );
+        let scale = v3(geometry[3 * rows + at].exp(), geometry[4 * rows + at].exp(), geometry[5 * rows + at].exp());
         let w = geometry[6 * rows + at];
         let x = geometry[7 * rows + at];
         let y = geometry[8 * rows + at];

@@ -92,26 +92,19 @@ pub fn slice<T: Real>(splat: &Gaussian<T>, t: T) -> Sliced<T> {
         Some(life) => {
             let dt = t - life.time_mean;
             let variance = (T::of(2.0) * life.log_time_sd).exp();
-            (
-                splat.mean + life.velocity * dt,
-                (T::of(-0.5) * dt * dt / variance).exp(),
-            )
+            (splat.mean + life.velocity * dt, (T::of(-0.5) * dt * dt / variance).exp())
         }
     };
-    Sliced {
-        mean,
-        covariance,
-        marginal,
-    }
+    Sliced { mean, covariance, marginal }
 }
 
 /// Gradient with respect to the splat, given that with respect to [`slice()`] of it.
 pub fn slice_vjp<T: Real>(splat: &Gaussian<T>, t: T, g: &Sliced<T>) -> Gaussian<T> {
     let two = T::of(2.0);
     let shape = match &splat.shape {
-        Shape::Isotropic { log_scale } => Shape::Isotropic {
-            log_scale: two * (two * *log_scale).exp() * g.covariance.trace(),
-        },
+        Shape::Isotropic { log_scale } => {
+            Shape::Isotropic { log_scale: two * (two * *log_scale).exp() * g.covariance.trace() }
+        }
         Shape::Anisotropic { log_scale, quat } => {
             let axes = scaled_axes(log_scale, quat);
             let d_axes = g.covariance * axes * two;
@@ -132,11 +125,7 @@ pub fn slice_vjp<T: Real>(splat: &Gaussian<T>, t: T, g: &Sliced<T>) -> Gaussian<
             velocity: g.mean * dt,
         }
     });
-    Gaussian {
-        mean: g.mean,
-        shape,
-        life,
-    }
+    Gaussian { mean: g.mean, shape, life }
 }
 
 /// The 4x4 covariance of a rotor-pair splat and its factor `R diag(s)`, storage order `(x, y, z, t)`.
@@ -148,11 +137,7 @@ fn rotor_covariance<T: Real>(splat: &RotorGaussian<T>) -> (Matrix4<T>, Matrix4<T
 
 /// Blocks `U` (3x3), `u` (3) and `w` of `[[U, u], [u^T, w]]`.
 fn blocks<T: Real>(m: &Matrix4<T>) -> (Matrix3<T>, Vector3<T>, T) {
-    (
-        m.fixed_view::<3, 3>(0, 0).into_owned(),
-        m.fixed_view::<3, 1>(0, 3).into_owned(),
-        m[(3, 3)],
-    )
+    (m.fixed_view::<3, 3>(0, 0).into_owned(), m.fixed_view::<3, 1>(0, 3).into_owned(), m[(3, 3)])
 }
 
 /// The 3D splat at time `t`, frames: mean, covariance and marginal with peak 1 (Minute4D Eq. 1).
@@ -180,9 +165,7 @@ pub fn slice_rotor_vjp<T: Real>(splat: &RotorGaussian<T>, t: T, g: &Sliced<T>) -
     let mut d_covariance = Matrix4::zeros();
     d_covariance.fixed_view_mut::<3, 3>(0, 0).copy_from(&g.covariance);
     d_covariance.fixed_view_mut::<3, 1>(0, 3).copy_from(&(d_cross / two));
-    d_covariance
-        .fixed_view_mut::<1, 3>(3, 0)
-        .copy_from(&(d_cross / two).transpose());
+    d_covariance.fixed_view_mut::<1, 3>(3, 0).copy_from(&(d_cross / two).transpose());
     d_covariance[(3, 3)] = d_w;
 
     let d_axes = d_covariance * axes * two;

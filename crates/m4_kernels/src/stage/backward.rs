@@ -25,10 +25,7 @@ pub(super) fn chunk<S: Simd, const DYNAMIC: bool, const ISO: bool>(
     let zero = all(s, 0.0);
     let mut camera = with_camera.then_some([zero; 10]);
     // groups jump between the bands: read in order, their sums come from far memory much faster
-    let lines = sums
-        .iter()
-        .zip(&chunk.bands)
-        .flat_map(|(sums, band)| &sums[..band.splats()]);
+    let lines = sums.iter().zip(&chunk.bands).flat_map(|(sums, band)| &sums[..band.splats()]);
     for line in lines {
         // one after the other: of a sum the compiler makes gathers, which are slower
         std::hint::black_box(line.0[0]);

@@ -59,11 +59,7 @@ pub(super) fn sight<S: Simd>(s: S, c: &Columns<'_>, eye: &Eye, offset: &[f32x16<
         inverse_distance = all(s, 1.0) / dot(offset, offset).sqrt();
         direction = each!(3, k => offset[k] * inverse_distance);
     }
-    Sight {
-        direction,
-        inverse_distance,
-        turns: dt * all(s, eye.inverse_period),
-    }
+    Sight { direction, inverse_distance, turns: dt * all(s, eye.inverse_period) }
 }
 
 #[inline(always)]
@@ -126,11 +122,7 @@ fn group<S: Simd, const DYNAMIC: bool, const ISO: bool>(
     }
     let last: [f32; LANES] = rows[LANES - 1].to_array();
     out[(LANES - 1) * FIELDS..].copy_from_slice(&last[..FIELDS]);
-    chunk.groups.push(Group {
-        at: at as u32,
-        seen,
-        parts_end: chunk.parts.len() as u32,
-    });
+    chunk.groups.push(Group { at: at as u32, seen, parts_end: chunk.parts.len() as u32 });
     if DYNAMIC {
         chunk.marginals.push(splat.marginal.to_array());
     }
@@ -150,10 +142,7 @@ fn emit<S: Simd>(s: S, chunk: &mut Chunk, at: usize, eye: &Eye, ellipse: &Ellips
         let lanes = reach.lanes(s);
         if lanes != 0 {
             chunk.bands[band].push(s, row, lanes, &reach);
-            chunk.parts.push(Part {
-                band: band as u16,
-                lanes,
-            });
+            chunk.parts.push(Part { band: band as u16, lanes });
             seen |= lanes;
         }
     }

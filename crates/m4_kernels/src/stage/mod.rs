@@ -72,9 +72,7 @@ impl Chunk {
     /// Cuts rows into chunks, keeping the memory of those that were there.
     pub(crate) fn plan(chunks: &mut Vec<Self>, n_static: usize, n_dynamic: usize, bands: usize) {
         let cut = |rows: Range<usize>, dynamic: bool| {
-            rows.clone()
-                .step_by(CHUNK_ROWS)
-                .map(move |start| (start..rows.end.min(start + CHUNK_ROWS), dynamic))
+            rows.clone().step_by(CHUNK_ROWS).map(move |start| (start..rows.end.min(start + CHUNK_ROWS), dynamic))
         };
         let plan = cut(0..n_static, false).chain(cut(n_static..n_static + n_dynamic, true));
         let (mut count, mut place) = (0, 0);

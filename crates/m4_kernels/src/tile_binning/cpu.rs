@@ -52,34 +52,14 @@ impl Record {
     #[cfg(test)]
     pub(crate) fn row(&self) -> Row {
         let [red, green, blue] = self.rgb;
-        [
-            self.x,
-            self.y,
-            self.a,
-            self.b,
-            self.c,
-            self.log_opacity,
-            red,
-            green,
-            blue,
-            self.depth,
-        ]
+        [self.x, self.y, self.a, self.b, self.c, self.log_opacity, red, green, blue, self.depth]
     }
 
     /// From what the projection wrote.
     #[inline(always)]
     pub(crate) fn of(row: &Row) -> Self {
         let [x, y, a, b, c, log_opacity, red, green, blue, depth] = *row;
-        Self {
-            x,
-            y,
-            a,
-            b,
-            c,
-            log_opacity,
-            rgb: [red, green, blue],
-            depth,
-        }
+        Self { x, y, a, b, c, log_opacity, rgb: [red, green, blue], depth }
     }
 }
 
@@ -95,10 +75,7 @@ pub(crate) struct Entry(u64);
 
 /// Bits of a row and of a number: the parameters alone of this many splats take 15 GB.
 const INDEX_BITS: u32 = 28;
-const _: () = assert!(
-    2 * INDEX_BITS as usize + BLOCK_TILES == 64,
-    "an entry is a 64-bit number"
-);
+const _: () = assert!(2 * INDEX_BITS as usize + BLOCK_TILES == 64, "an entry is a 64-bit number");
 
 impl Entry {
     #[inline(always)]
@@ -339,10 +316,7 @@ mod tests {
             let mut band = Band::default();
             let splats: Vec<(Record, [u32; BAND_TILES])> = (0..n)
                 .map(|_| {
-                    let record = Record {
-                        depth: 0.5 + (rng.uniform() * 20.0).floor() as f32,
-                        ..Record::default()
-                    };
+                    let record = Record { depth: 0.5 + (rng.uniform() * 20.0).floor() as f32, ..Record::default() };
                     let spans = std::array::from_fn(|_| {
                         let (a, b) = (rng.below(61) as u32, rng.below(61) as u32);
                         if a < b { span(a, b) } else { 0 }

@@ -67,12 +67,7 @@ impl Handover {
         let tiles = each!(2, half => (bits[2 * half] | bits[2 * half + 1] << 16u32).to_array());
         let to = (most + k(1)) >> 1u32;
         let from = (least >> 1u32).min(to);
-        self.parts.push(Part {
-            row,
-            lanes,
-            tiles,
-            range: (from | to << 16u32).to_array(),
-        });
+        self.parts.push(Part { row, lanes, tiles, range: (from | to << 16u32).to_array() });
         self.splats += lanes.count_ones() as usize;
         let far = bits_of((to - from).simd_gt(k(WINDOW_BLOCKS))) & lanes;
         if far != 0 {
@@ -88,11 +83,7 @@ impl Handover {
     fn push_far(&mut self, far: u16, first: &[[u32; LANES]; BAND_TILES], end: &[[u32; LANES]; BAND_TILES]) {
         for lane in lanes_of(far) {
             let span = |r: usize| {
-                if end[r][lane] == 0 {
-                    0
-                } else {
-                    end[r][lane] << 16 | first[r][lane]
-                }
+                if end[r][lane] == 0 { 0 } else { end[r][lane] << 16 | first[r][lane] }
             };
             self.far.push(std::array::from_fn(span));
         }
@@ -110,10 +101,7 @@ impl<S: Simd> Reach<S> {
     /// No tile.
     #[inline(always)]
     pub(super) fn none(s: S) -> Self {
-        Self {
-            first: [u32x16::splat(s, NONE); BAND_TILES],
-            end: [u32x16::splat(s, 0); BAND_TILES],
-        }
+        Self { first: [u32x16::splat(s, NONE); BAND_TILES], end: [u32x16::splat(s, 0); BAND_TILES] }
     }
 
     /// Lanes of `hit` reach the tiles `first..end` of `row`, the others none.

@@ -6,18 +6,11 @@ use m4_core::{Camera, Column, Intrinsics, Se3, SplatLayout, Splats};
 use m4_kernels::gpu::Renderer as GpuRenderer;
 use m4_kernels::{Frame, FrameGradient, Gradients, Renderer, SimdLevel, View, Wanted};
 
-const LAYOUT: SplatLayout = SplatLayout {
-    isotropic: false,
-    sh_degree: 0,
-    time_degree: 0,
-};
+const LAYOUT: SplatLayout = SplatLayout { isotropic: false, sh_degree: 0, time_degree: 0 };
 
 fn view(width: usize, height: usize) -> View {
     View {
-        camera: Camera {
-            intrinsics: Intrinsics::centred(width, height, width as f64),
-            c2w: Se3::identity(),
-        },
+        camera: Camera { intrinsics: Intrinsics::centred(width, height, width as f64), c2w: Se3::identity() },
         t: 0.0,
         background: [0.2, 0.4, 0.6],
         near: 0.01,
@@ -44,10 +37,7 @@ fn splats(means: &[[f32; 3]], log_scale: f32) -> Splats {
 fn close(what: &str, got: &Frame, want: &Frame) {
     let planes = |f: &Frame| [f.rgb.concat(), f.transmittance.clone(), f.depth.clone()].concat();
     for (i, (a, b)) in planes(got).iter().zip(&planes(want)).enumerate() {
-        assert!(
-            (a - b).abs() <= 1e-4 * (1.0 + b.abs()),
-            "{what}: value {i} is {a} for {b}"
-        );
+        assert!((a - b).abs() <= 1e-4 * (1.0 + b.abs()), "{what}: value {i} is {a} for {b}");
     }
 }
 
@@ -69,11 +59,7 @@ fn both(what: &str, splats: &Splats, view: &View) {
     let Intrinsics { width, height, .. } = view.camera.intrinsics;
     let pixels = width * height;
     let plane = |step: usize| -> Vec<f32> { (0..pixels).map(|i| (i * step % 13) as f32 / 6.0 - 1.0).collect() };
-    let g = FrameGradient {
-        rgb: [plane(5), plane(7), plane(8)],
-        alpha: plane(9),
-        depth: plane(11),
-    };
+    let g = FrameGradient { rgb: [plane(5), plane(7), plane(8)], alpha: plane(9), depth: plane(11) };
     let (mut want, mut got) = (Gradients::default(), Gradients::default());
     cpu.backward(splats, &g, Wanted::default(), &mut want);
     twin.backward(view, &g, &mut got).unwrap();
@@ -81,10 +67,7 @@ fn both(what: &str, splats: &Splats, view: &View) {
         let first = splats.n() - column.len();
         let touched = column.iter().zip(&want.touched[first..]).filter(|(_, t)| **t == 1);
         let bad = touched.filter(|(v, _)| !v.is_finite()).count();
-        assert_eq!(
-            bad, 0,
-            "{what}: column {c} of the processor has values that are not finite"
-        );
+        assert_eq!(bad, 0, "{what}: column {c} of the processor has values that are not finite");
     }
     assert_same_gradients(what, &got, &want);
 }
@@ -98,10 +81,7 @@ fn no_splats_show_the_background() {
     let frame = twin.render(&view).unwrap();
     assert!(frame.rgb[1].iter().all(|&v| v == 0.4) && frame.transmittance.iter().all(|&v| v == 1.0));
     let plane = vec![1.0; 33 * 17];
-    let g = FrameGradient {
-        rgb: [plane.clone(), plane.clone(), plane],
-        ..FrameGradient::default()
-    };
+    let g = FrameGradient { rgb: [plane.clone(), plane.clone(), plane], ..FrameGradient::default() };
     let mut out = Gradients::default();
     twin.backward(&view, &g, &mut out).unwrap();
     assert!(out.touched.is_empty() && out.columns.iter().all(Vec::is_empty));
@@ -109,9 +89,8 @@ fn no_splats_show_the_background() {
 
 #[test]
 fn one_pixel_one_tile_and_odd_sizes() {
-    let means: Vec<[f32; 3]> = (0..40)
-        .map(|i| [0.05 * i as f32 - 1.0, 0.02 * i as f32 - 0.4, 2.0 + 0.1 * i as f32])
-        .collect();
+    let means: Vec<[f32; 3]> =
+        (0..40).map(|i| [0.05 * i as f32 - 1.0, 0.02 * i as f32 - 0.4, 2.0 + 0.1 * i as f32]).collect();
     for (w, h) in [(1, 1), (16, 16), (17, 16), (15, 33), (250, 3)] {
         both(&format!("{w}x{h}"), &splats(&means, -2.0), &view(w, h));
     }
@@ -127,11 +106,7 @@ fn splats_behind_the_camera_and_at_its_centre_are_left_out() {
 fn splats_without_extent_with_too_much_of_it_or_without_a_number() {
     let means = [[0.0, 0.0, 2.0], [0.3, 0.1, 3.0]];
     for log_scale in [-60.0, -15.0, 5.0, 40.0] {
-        both(
-            &format!("scale e^{log_scale}"),
-            &splats(&means, log_scale),
-            &view(40, 30),
-        );
+        both(&format!("scale e^{log_scale}"), &splats(&means, log_scale), &view(40, 30));
     }
     let mut flat = splats(&means, -1.0);
     flat.column_mut(Column::LogScale, 2).fill(-50.0);
@@ -145,9 +120,7 @@ fn splats_without_extent_with_too_much_of_it_or_without_a_number() {
 
 #[test]
 fn a_thousand_splats_of_one_depth_keep_their_order() {
-    let means: Vec<[f32; 3]> = (0..1000)
-        .map(|i| [1e-3 * (i % 32) as f32, 1e-3 * (i / 32) as f32, 2.0])
-        .collect();
+    let means: Vec<[f32; 3]> = (0..1000).map(|i| [1e-3 * (i % 32) as f32, 1e-3 * (i / 32) as f32, 2.0]).collect();
     let mut splats = splats(&means, -2.5);
     for k in 0..3 {
         for (i, v) in splats.column_mut(Column::Colour, k).iter_mut().enumerate() {

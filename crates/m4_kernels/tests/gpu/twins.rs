@@ -9,38 +9,18 @@ use m4_testkit::{Flips, SceneSpec, assert_gradient, assert_image, random_camera,
 /// Splats, half of them dynamic, before a random camera.
 fn scene(seed: u64, size: (usize, usize), layout: SplatLayout, n: usize) -> (Splats, View) {
     let camera = random_camera(seed, size.0, size.1);
-    let spec = SceneSpec {
-        layout,
-        n_static: n / 2,
-        n_dynamic: n - n / 2,
-        ..SceneSpec::default()
-    };
-    let view = View {
-        camera,
-        t: 3.0,
-        background: [0.1, 0.5, 0.9],
-        near: 0.01,
-        mip: false,
-        period: 10.0,
-        with_depth: true,
-    };
+    let spec = SceneSpec { layout, n_static: n / 2, n_dynamic: n - n / 2, ..SceneSpec::default() };
+    let view =
+        View { camera, t: 3.0, background: [0.1, 0.5, 0.9], near: 0.01, mip: false, period: 10.0, with_depth: true };
     (random_splats(seed, &camera, &spec), view)
 }
 
 fn layout(isotropic: bool, sh_degree: usize, time_degree: usize) -> SplatLayout {
-    SplatLayout {
-        isotropic,
-        sh_degree,
-        time_degree,
-    }
+    SplatLayout { isotropic, sh_degree, time_degree }
 }
 
 /// A contribution may be there in one and not in the other where alpha is at its threshold.
-const FLIPS: Flips = Flips {
-    tolerance: 2e-5,
-    step: 0.02,
-    share: 0.01,
-};
+const FLIPS: Flips = Flips { tolerance: 2e-5, step: 0.02, share: 0.01 };
 
 /// Fails unless the splats touched and their gradients are those of the processor, `want`.
 pub fn assert_same_gradients(what: &str, got: &Gradients, want: &Gradients) {
@@ -83,20 +63,12 @@ fn images_and_gradients_are_those_of_the_cpu() {
                 assert_image(&what, &got.rgb[k], &wide(&want.rgb[k]), FLIPS);
             }
             assert_image(&what, &got.transmittance, &wide(&want.transmittance), FLIPS);
-            let deep = Flips {
-                tolerance: 1e-4,
-                step: 0.1,
-                ..FLIPS
-            };
+            let deep = Flips { tolerance: 1e-4, step: 0.1, ..FLIPS };
             assert_image(&what, &got.depth, &wide(&want.depth), deep);
 
             let mut rng = CounterRng::new(seed, 5, 5);
             let mut plane = || (0..size.0 * size.1).map(|_| rng.normal() as f32).collect::<Vec<f32>>();
-            let g = FrameGradient {
-                rgb: [plane(), plane(), plane()],
-                alpha: plane(),
-                depth: plane(),
-            };
+            let g = FrameGradient { rgb: [plane(), plane(), plane()], alpha: plane(), depth: plane() };
             let (mut want, mut got) = (Gradients::default(), Gradients::default());
             cpu.backward(&splats, &g, Wanted::default(), &mut want);
             twin.backward(&view, &g, &mut got).unwrap();
@@ -110,10 +82,7 @@ fn the_same_bits_every_time() {
     let Some(gpu) = gpu("the same bits") else { return };
     let (splats, view) = scene(9, (100, 70), layout(false, 0, 0), 800);
     let plane: Vec<f32> = (0..7000).map(|i| (i % 13) as f32 - 6.0).collect();
-    let g = FrameGradient {
-        rgb: [plane.clone(), plane.clone(), plane],
-        ..FrameGradient::default()
-    };
+    let g = FrameGradient { rgb: [plane.clone(), plane.clone(), plane], ..FrameGradient::default() };
     let once = || {
         let mut twin = GpuRenderer::new(gpu.clone(), &splats).unwrap();
         let frame = twin.render(&view).unwrap();
@@ -121,11 +90,7 @@ fn the_same_bits_every_time() {
         twin.backward(&view, &g, &mut out).unwrap();
         let bits = |v: &[f32], rows: &[u8]| -> Vec<u32> {
             let first = rows.len() - v.len();
-            v.iter()
-                .zip(&rows[first..])
-                .filter(|(_, t)| **t == 1)
-                .map(|(v, _)| v.to_bits())
-                .collect()
+            v.iter().zip(&rows[first..]).filter(|(_, t)| **t == 1).map(|(v, _)| v.to_bits()).collect()
         };
         let columns: Vec<Vec<u32>> = out.columns.iter().map(|c| bits(c, &out.touched)).collect();
         (frame, out.touched.clone(), columns)

@@ -16,51 +16,29 @@ use m4_testkit::{
 use std::hash::{DefaultHasher, Hash, Hasher};
 
 fn view(camera: Camera, mip: bool) -> View {
-    View {
-        camera,
-        t: 4.3,
-        background: [0.2, 0.4, 0.1],
-        near: 0.2,
-        mip,
-        period: 9.0,
-        with_depth: true,
-    }
+    View { camera, t: 4.3, background: [0.2, 0.4, 0.1], near: 0.2, mip, period: 9.0, with_depth: true }
 }
 
 fn weights(seed: u64, pixels: usize) -> Vec<[f64; CHANNELS]> {
     let mut rng = CounterRng::new(seed, 2, 0);
-    (0..pixels)
-        .map(|_| std::array::from_fn(|_| 2.0 * rng.uniform() - 1.0))
-        .collect()
+    (0..pixels).map(|_| std::array::from_fn(|_| 2.0 * rng.uniform() - 1.0)).collect()
 }
 
 /// `like` with other numbers, in the order of [`Splat::parameters`].
 fn rebuild(like: &Splat<f64>, values: &[f64]) -> Splat<f64> {
-    let Geometry::Gaussian(old) = &like.geometry else {
-        panic!("only the velocity form has columns")
-    };
+    let Geometry::Gaussian(old) = &like.geometry else { panic!("only the velocity form has columns") };
     let mut values = values.iter().copied();
     let mut next = || values.next().expect("as many numbers as parameters");
     let mut vector = || Vector3::from_fn(|_, _| next());
     let mean = vector();
     let shape = match old.shape {
         Shape::Isotropic { .. } => Shape::Isotropic { log_scale: next() },
-        Shape::Anisotropic { .. } => Shape::Anisotropic {
-            log_scale: vector(),
-            quat: Vector4::from_fn(|_, _| next()),
-        },
+        Shape::Anisotropic { .. } => Shape::Anisotropic { log_scale: vector(), quat: Vector4::from_fn(|_, _| next()) },
     };
     let opacity = next();
-    let coefficients = like
-        .coefficients
-        .iter()
-        .map(|_| std::array::from_fn(|_| next()))
-        .collect();
-    let life = old.life.map(|_| Life {
-        time_mean: next(),
-        log_time_sd: next(),
-        velocity: Vector3::from_fn(|_, _| next()),
-    });
+    let coefficients = like.coefficients.iter().map(|_| std::array::from_fn(|_| next())).collect();
+    let life =
+        old.life.map(|_| Life { time_mean: next(), log_time_sd: next(), velocity: Vector3::from_fn(|_, _| next()) });
     Splat {
         geometry: Geometry::Gaussian(Gaussian { mean, shape, life }),
         opacity,
@@ -78,10 +56,7 @@ fn side<C: Cutoff>(splats: &[Splat<f64>], setup: &Setup<f64>, weights: &[[f64; C
         e.channels.map(|c| c > 0.0).hash(&mut hash);
     }
     let values = rendered.image.pixels.iter().flatten().zip(weights.as_flattened());
-    Side {
-        value: values.map(|(v, w)| v * w).sum(),
-        decisions: hash.finish(),
-    }
+    Side { value: values.map(|(v, w)| v * w).sum(), decisions: hash.finish() }
 }
 
 /// Every gradient of a scene against differences; returns how many splats are in the image.
@@ -133,12 +108,7 @@ fn check_scene(name: &str, splats: &Splats, view: &View) -> usize {
     assert!(want.jumps.is_empty(), "{name}: camera");
     let mut own: Vec<f64> = g.camera.tau.iter().chain(g.camera.omega.iter()).copied().collect();
     own.extend(g.camera.intrinsics.iter().chain(&g.background));
-    for (part, range) in [
-        ("tau", 0..3),
-        ("omega", 3..6),
-        ("intrinsics", 6..10),
-        ("background", 10..13),
-    ] {
+    for (part, range) in [("tau", 0..3), ("omega", 3..6), ("intrinsics", 6..10), ("background", 10..13)] {
         let want = &want.gradient[range.clone()];
         assert_gradient(&format!("{name}: {part}"), &own[range], want, 1e-5);
     }
@@ -146,31 +116,17 @@ fn check_scene(name: &str, splats: &Splats, view: &View) -> usize {
 }
 
 fn layout(isotropic: bool, sh_degree: usize, time_degree: usize) -> SplatLayout {
-    SplatLayout {
-        isotropic,
-        sh_degree,
-        time_degree,
-    }
+    SplatLayout { isotropic, sh_degree, time_degree }
 }
 
 #[test]
 fn fuzzed_cameras_and_layouts() {
     let sizes = [(17, 11), (9, 20), (16, 16), (1, 7)];
-    let layouts = [
-        layout(false, 3, 2),
-        layout(true, 0, 0),
-        layout(false, 1, 1),
-        layout(false, 0, 2),
-    ];
+    let layouts = [layout(false, 3, 2), layout(true, 0, 0), layout(false, 1, 1), layout(false, 0, 2)];
     for (seed, ((width, height), layout)) in sizes.into_iter().zip(layouts).enumerate() {
         for mip in [false, true] {
             let camera = random_camera(seed as u64, width, height);
-            let spec = SceneSpec {
-                layout,
-                n_static: 4,
-                n_dynamic: 6,
-                ..SceneSpec::default()
-            };
+            let spec = SceneSpec { layout, n_static: 4, n_dynamic: 6, ..SceneSpec::default() };
             let splats = random_splats(seed as u64, &camera, &spec);
             let drawn = check_scene(&format!("scene {seed}, mip {mip}"), &splats, &view(camera, mip));
             assert!(drawn >= 5, "scene {seed}: only {drawn} splats in the image");
@@ -204,10 +160,7 @@ fn splats_at_the_near_plane() {
     place(&mut splats, 1, [-0.45, 0.1, 0.3], -2.0, 1.0);
     place(&mut splats, 2, [0.1, 0.5, 0.35], -2.0, 1.0);
     place(&mut splats, 3, [0.0, 0.0, 3.0], -1.5, 0.0);
-    assert_eq!(
-        check_scene("near plane", &splats, &view(front_camera(15, 12), false)),
-        4
-    );
+    assert_eq!(check_scene("near plane", &splats, &view(front_camera(15, 12), false)), 4);
     // not above the near plane: out
     place(&mut splats, 0, [0.02, 0.01, 0.2], -3.0, 0.5);
     let rendered = render::<f64, Hard>(&splats_of(&splats), &Setup::new(&view(front_camera(15, 12), false)));
@@ -221,10 +174,7 @@ fn behind_an_opaque_stack_there_is_exactly_nothing() {
         place(&mut splats, row, [0.0, 0.0, 1.0 + 0.1 * row as f32], 1.5, 8.0);
     }
     place(&mut splats, 6, [0.0, 0.0, 5.0], -1.0, 3.0);
-    let (splats, setup) = (
-        splats_of::<f64>(&splats),
-        Setup::new(&view(front_camera(10, 10), false)),
-    );
+    let (splats, setup) = (splats_of::<f64>(&splats), Setup::new(&view(front_camera(10, 10), false)));
     let rendered = render::<f64, Hard>(&splats, &setup);
     assert!(rendered.rows.contains(&6));
     for form in [BackwardForm::BackToFront, BackwardForm::Replay] {

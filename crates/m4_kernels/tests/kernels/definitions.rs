@@ -26,16 +26,7 @@ fn adam_moves_by_the_rate_under_a_constant_gradient() {
     // with bias correction both moments of a constant gradient are exact from the first step on
     let (mut x, mut m, mut v) = ([1.0f64; 3], [0.0; 3], [0.0; 3]);
     for count in 1..=20 {
-        step(
-            &mut x,
-            &[3e-7, -4.0, 9.0],
-            &mut m,
-            &mut v,
-            &[1, 1, 0],
-            &[count; 3],
-            0.01,
-            &AdamParams::default(),
-        );
+        step(&mut x, &[3e-7, -4.0, 9.0], &mut m, &mut v, &[1, 1, 0], &[count; 3], 0.01, &AdamParams::default());
     }
     assert!((x[0] - 0.8).abs() < 1e-9 && (x[1] - 1.2).abs() < 1e-12, "{x:?}");
     assert_eq!((x[2], m[2], v[2]), (1.0, 0.0, 0.0), "a row that was not touched moved");
@@ -43,11 +34,7 @@ fn adam_moves_by_the_rate_under_a_constant_gradient() {
 
 #[test]
 fn adam_follows_the_published_recursion() {
-    let params = AdamParams {
-        beta1: 0.5,
-        beta2: 0.75,
-        epsilon: 0.0,
-    };
+    let params = AdamParams { beta1: 0.5, beta2: 0.75, epsilon: 0.0 };
     let (mut x, mut m, mut v) = ([0.0], [0.0], [0.0]);
     step(&mut x, &[2.0], &mut m, &mut v, &[1], &[1], 1.0, &params);
     assert_eq!((x[0], m[0], v[0]), (-1.0, 1.0, 1.0));
@@ -76,10 +63,7 @@ fn a_disc_reaches_the_tiles_within_its_radius() {
         }
     }
     assert!(tiles(&disc(-30.0, 12.0, 3.0, 0.5), width, height).is_empty());
-    assert!(
-        tiles(&disc(20.0, 12.0, 3.0, 0.0039), width, height).is_empty(),
-        "fainter than 1/255"
-    );
+    assert!(tiles(&disc(20.0, 12.0, 3.0, 0.0039), width, height).is_empty(), "fainter than 1/255");
 }
 
 #[test]

@@ -24,32 +24,18 @@ fn bits(level: SimdLevel, splats: &Splats, view: &View) -> Vec<u64> {
     all.extend(out.touched.iter().map(|&t| u64::from(t)));
     all.extend(crate::twin::means2d(&out).iter().map(|v| v.to_bits()));
     all.extend(out.background.map(|v| u64::from(v.to_bits())));
-    let camera = out
-        .camera
-        .tau
-        .iter()
-        .chain(&out.camera.omega)
-        .chain(&out.camera.intrinsics);
+    let camera = out.camera.tau.iter().chain(&out.camera.omega).chain(&out.camera.intrinsics);
     all.extend(camera.map(|v| v.to_bits()));
     all
 }
 
 #[test]
 fn any_number_of_threads_gives_the_same_bits() {
-    let layout = SplatLayout {
-        isotropic: false,
-        sh_degree: 1,
-        time_degree: 1,
-    };
+    let layout = SplatLayout { isotropic: false, sh_degree: 1, time_degree: 1 };
     // small enough for one task, and large enough for many
     for (n_static, n_dynamic, width, height) in [(40, 30, 31, 17), (9_000, 5_000, 150, 110)] {
         let camera = random_camera(22, width, height);
-        let spec = SceneSpec {
-            layout,
-            n_static,
-            n_dynamic,
-            ..SceneSpec::default()
-        };
+        let spec = SceneSpec { layout, n_static, n_dynamic, ..SceneSpec::default() };
         let splats = random_splats(22, &camera, &spec);
         every_level(|level| {
             let runs: Vec<Vec<u64>> = [1, 2, 3]
@@ -69,11 +55,7 @@ fn any_number_of_threads_gives_the_same_bits() {
 fn the_order_of_the_rows_only_rounds() {
     // two orders of the same splats are the same image: nothing depends on the place in memory
     let camera = random_camera(23, 60, 40);
-    let spec = SceneSpec {
-        n_static: 300,
-        n_dynamic: 200,
-        ..SceneSpec::default()
-    };
+    let spec = SceneSpec { n_static: 300, n_dynamic: 200, ..SceneSpec::default() };
     let splats = random_splats(23, &camera, &spec);
     let rows: Vec<u32> = (0..300).rev().chain((300..500).rev()).collect();
     let turned = splats.gather(&rows).unwrap();
@@ -87,11 +69,7 @@ fn the_order_of_the_rows_only_rounds() {
 #[test]
 fn splats_of_other_frames_change_nothing_and_are_left_alone() {
     let camera = random_camera(24, 90, 60);
-    let spec = SceneSpec {
-        n_static: 300,
-        n_dynamic: 9_000,
-        ..SceneSpec::default()
-    };
+    let spec = SceneSpec { n_static: 300, n_dynamic: 9_000, ..SceneSpec::default() };
     let mut splats = random_splats(24, &camera, &spec);
     let view = view(camera);
     // some live now, in runs and alone; the others never at this instant, by a little or by far
@@ -100,11 +78,7 @@ fn splats_of_other_frames_change_nothing_and_are_left_alone() {
     for i in 0..spec.n_dynamic {
         let sd = splats.column(Column::LogTimeSd, 0)[i].exp();
         let now = i < 700 || i % 61 == 0;
-        let away = if now {
-            2.4 * rng.uniform()
-        } else {
-            2.5 + 200.0 * rng.uniform().powi(4)
-        };
+        let away = if now { 2.4 * rng.uniform() } else { 2.5 + 200.0 * rng.uniform().powi(4) };
         splats.column_mut(Column::TimeMean, 0)[i] = t + sd * away as f32;
         if now {
             alive.push((spec.n_static + i) as u32);
@@ -122,27 +96,14 @@ fn splats_of_other_frames_change_nothing_and_are_left_alone() {
         renderer.backward(&splats, &frame_gradient(9, &view), Wanted::ALL, &mut gradients);
         let (mut stepped, mut state) = (splats.clone(), AdamState::new(&splats));
         let rates = vec![0.01; splats.columns().len()];
-        step(
-            level,
-            &mut stepped,
-            &gradients,
-            &mut state,
-            &AdamConfig::default(),
-            &rates,
-        );
+        step(level, &mut stepped, &gradients, &mut state, &AdamConfig::default(), &rates);
         let mut moved = 0;
         for row in 0..splats.n() {
             let opacity = |s: &Splats| s.column(Column::Opacity, 0)[row].to_bits();
             let touched = gradients.touched[row] != 0;
-            assert!(
-                !touched || rows.contains(&(row as u32)),
-                "{level}: row {row} is of another frame"
-            );
+            assert!(!touched || rows.contains(&(row as u32)), "{level}: row {row} is of another frame");
             assert_eq!(state.step[row], u32::from(touched), "{level}: row {row}");
-            assert!(
-                touched || opacity(&splats) == opacity(&stepped),
-                "{level}: row {row} moved"
-            );
+            assert!(touched || opacity(&splats) == opacity(&stepped), "{level}: row {row} moved");
             moved += usize::from(touched);
         }
         assert!(moved > 300, "{level}: {moved} rows moved");

@@ -6,11 +6,7 @@ use m4_core::{Camera, Column, Intrinsics, SplatLayout, Splats};
 use m4_kernels::{Gradients, Renderer, SimdLevel, View, Wanted};
 use m4_testkit::{SceneSpec, camera_looking_at, random_camera, random_splats};
 
-const LAYOUT: SplatLayout = SplatLayout {
-    isotropic: false,
-    sh_degree: 1,
-    time_degree: 1,
-};
+const LAYOUT: SplatLayout = SplatLayout { isotropic: false, sh_degree: 1, time_degree: 1 };
 
 fn front(width: usize, height: usize) -> Camera {
     camera_looking_at(Intrinsics::centred(width, height, 30.0), [0.0; 3], [0.0, 0.0, 1.0])
@@ -28,19 +24,12 @@ fn assert_empty(name: &str, level: SimdLevel, splats: &Splats, view: &View) {
     let g = frame_gradient(1, view);
     let mut out = Gradients::default();
     renderer.backward(splats, &g, Wanted::ALL, &mut out);
-    assert_eq!(
-        (out.touched.len(), out.means2d.each_ref().map(Vec::len)),
-        (splats.n(), [splats.n(); 2]),
-        "{name}"
-    );
+    assert_eq!((out.touched.len(), out.means2d.each_ref().map(Vec::len)), (splats.n(), [splats.n(); 2]), "{name}");
     assert!(out.touched.iter().all(|&t| t == 0), "{name}");
     assert_eq!(out.camera, m4_kernels::CameraGradient::default(), "{name}");
     for c in 0..3 {
         let want: f64 = g.rgb[c].iter().map(|&v| f64::from(v)).sum();
-        assert!(
-            (f64::from(out.background[c]) - want).abs() < 1e-3 * (1.0 + want.abs()),
-            "{name}"
-        );
+        assert!((f64::from(out.background[c]) - want).abs() < 1e-3 * (1.0 + want.abs()), "{name}");
     }
     let mut score = vec![0.0; splats.n()];
     renderer.score(&vec![1.0; frame.transmittance.len()], &mut score);
@@ -83,10 +72,7 @@ fn all_behind_the_camera() {
             let at = View { near, ..view(camera) };
             compare(&format!("in front, near plane {near}"), level, &splats, &at, 5e-4);
         }
-        let beyond = View {
-            near: 1e3,
-            ..view(camera)
-        };
+        let beyond = View { near: 1e3, ..view(camera) };
         assert_empty("near plane behind everything", level, &splats, &beyond);
     });
 }
@@ -95,10 +81,7 @@ fn all_behind_the_camera() {
 fn all_long_dead() {
     every_level(|level| {
         let camera = front(24, 18);
-        let spec = SceneSpec {
-            n_static: 0,
-            ..SceneSpec::default()
-        };
+        let spec = SceneSpec { n_static: 0, ..SceneSpec::default() };
         let splats = random_splats(3, &camera, &spec);
         for t in [-1e4, 1e4, 1e30, f64::NAN] {
             let mut view = view(camera);
@@ -110,12 +93,7 @@ fn all_long_dead() {
 
 /// Breaks one parameter of every second splat.
 fn broken(camera: &Camera, column: Column, value: f32) -> Splats {
-    let spec = SceneSpec {
-        layout: LAYOUT,
-        n_static: 20,
-        n_dynamic: 20,
-        ..SceneSpec::default()
-    };
+    let spec = SceneSpec { layout: LAYOUT, n_static: 20, n_dynamic: 20, ..SceneSpec::default() };
     let mut splats = random_splats(4, camera, &spec);
     for k in 0..splats.layout().range(column).len() {
         for v in splats.column_mut(column, k).iter_mut().step_by(2) {
@@ -157,17 +135,9 @@ fn numbers_that_are_none_are_left_out() {
                 renderer.backward(&splats, &g, Wanted::ALL, &mut out);
                 for column in crate::twin::COLUMNS {
                     let values = crate::twin::parameter(&out, &splats, column);
-                    assert!(
-                        values.iter().all(|v| v.is_finite()),
-                        "{name}: {column:?} has no finite gradient"
-                    );
+                    assert!(values.iter().all(|v| v.is_finite()), "{name}: {column:?} has no finite gradient");
                 }
-                let camera = out
-                    .camera
-                    .tau
-                    .iter()
-                    .chain(&out.camera.omega)
-                    .chain(&out.camera.intrinsics);
+                let camera = out.camera.tau.iter().chain(&out.camera.omega).chain(&out.camera.intrinsics);
                 assert!(camera.chain(&[0.0]).all(|v| v.is_finite()), "{name}: camera");
                 // the healthy half is drawn as if the others were not there; f32 overflows before f64
                 // does, so only what is broken in both is compared
@@ -237,21 +207,13 @@ fn flat_and_needle_splats() {
 fn splats_close_to_the_camera_and_far_outside_the_image() {
     let camera = front(40, 30);
     every_level(|level| {
-        let spec = SceneSpec {
-            layout: LAYOUT,
-            n_static: 60,
-            n_dynamic: 0,
-            ..SceneSpec::default()
-        };
+        let spec = SceneSpec { layout: LAYOUT, n_static: 60, n_dynamic: 0, ..SceneSpec::default() };
         let mut splats = random_splats(12, &camera, &spec);
         for row in 0..splats.n() {
             // a fan of splats from straight ahead to 80 degrees off the axis, 0.21 to 3 units deep
             let angle = 1.4 * (row as f32 / 30.0 - 1.0);
             let z = 0.21 + 0.05 * row as f32;
-            for (k, v) in [z * angle.tan(), 0.1 * z * (row as f32).sin(), z]
-                .into_iter()
-                .enumerate()
-            {
+            for (k, v) in [z * angle.tan(), 0.1 * z * (row as f32).sin(), z].into_iter().enumerate() {
                 splats.column_mut(Column::Mean, k)[row] = v;
                 splats.column_mut(Column::LogScale, k)[row] = ((0.15 + 0.1 * k as f32) * z).ln();
             }
@@ -269,25 +231,15 @@ fn a_camera_far_from_the_origin() {
         let splats = random_splats(13, &camera, &SceneSpec::default());
         let expected = Expected::new(&splats, &view(camera));
         let mut renderer = Renderer::new(level);
-        assert_frame(
-            "far from the origin",
-            renderer.render(&splats, &view(camera)),
-            &expected.rendered,
-        );
+        assert_frame("far from the origin", renderer.render(&splats, &view(camera)), &expected.rendered);
     });
 }
 
 #[test]
 fn a_renderer_forgets_the_frame_before() {
     let (small, large) = (random_camera(14, 21, 9), random_camera(15, 70, 55));
-    let spec = SceneSpec {
-        n_static: 300,
-        ..SceneSpec::default()
-    };
-    let (few, many) = (
-        random_splats(14, &small, &SceneSpec::default()),
-        random_splats(15, &large, &spec),
-    );
+    let spec = SceneSpec { n_static: 300, ..SceneSpec::default() };
+    let (few, many) = (random_splats(14, &small, &SceneSpec::default()), random_splats(15, &large, &spec));
     every_level(|level| {
         let run = |renderer: &mut Renderer, splats: &Splats, camera: Camera| {
             let view = view(camera);
@@ -296,25 +248,14 @@ fn a_renderer_forgets_the_frame_before() {
             renderer.backward(splats, &frame_gradient(3, &view), Wanted::ALL, &mut out);
             let mut score = vec![0.0; splats.n()];
             renderer.score(&vec![0.5; frame.transmittance.len()], &mut score);
-            let columns: Vec<_> = crate::twin::COLUMNS
-                .iter()
-                .map(|&c| crate::twin::parameter(&out, splats, c))
-                .collect();
+            let columns: Vec<_> =
+                crate::twin::COLUMNS.iter().map(|&c| crate::twin::parameter(&out, splats, c)).collect();
             (frame, columns, out.touched, out.camera, score)
         };
         let mut used = Renderer::new(level);
-        for (splats, camera) in [
-            (&many, large),
-            (&few, small),
-            (&many, small),
-            (&few, large),
-            (&many, large),
-        ] {
+        for (splats, camera) in [(&many, large), (&few, small), (&many, small), (&few, large), (&many, large)] {
             let fresh = run(&mut Renderer::new(level), splats, camera);
-            assert!(
-                fresh == run(&mut used, splats, camera),
-                "state leaks from frame to frame"
-            );
+            assert!(fresh == run(&mut used, splats, camera), "state leaks from frame to frame");
         }
     });
 }

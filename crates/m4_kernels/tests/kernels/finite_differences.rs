@@ -42,11 +42,7 @@ fn check(what: &str, got: &[f64], x: &[f64], f: impl FnMut(&[f64]) -> f64) {
 
 fn sliced_weights(index: u64) -> Sliced<f64> {
     let w = noise(1, index, 10);
-    Sliced {
-        mean: Vector3::new(w[0], w[1], w[2]),
-        covariance: symmetric(&w[3..9]),
-        marginal: w[9],
-    }
+    Sliced { mean: Vector3::new(w[0], w[1], w[2]), covariance: symmetric(&w[3..9]), marginal: w[9] }
 }
 
 fn weigh(s: &Sliced<f64>, w: &Sliced<f64>) -> f64 {
@@ -57,10 +53,7 @@ fn gaussian(v: &[f64], isotropic: bool, dynamic: bool) -> Gaussian<f64> {
     let shape = if isotropic {
         Shape::Isotropic { log_scale: v[3] }
     } else {
-        Shape::Anisotropic {
-            log_scale: Vector3::new(v[3], v[4], v[5]),
-            quat: Vector4::new(v[6], v[7], v[8], v[9]),
-        }
+        Shape::Anisotropic { log_scale: Vector3::new(v[3], v[4], v[5]), quat: Vector4::new(v[6], v[7], v[8], v[9]) }
     };
     let at = if isotropic { 4 } else { 10 };
     Gaussian {
@@ -94,9 +87,7 @@ fn slice_velocity_form() {
             let n = 3 + if isotropic { 1 } else { 7 } + if dynamic { 5 } else { 0 };
             let (x, w, t) = (noise(2, index, n), sliced_weights(index), 0.7);
             let got = slice_vjp(&gaussian(&x, isotropic, dynamic), t, &w);
-            check("slice", &gaussian_values(&got), &x, |x| {
-                weigh(&slice(&gaussian(x, isotropic, dynamic), t), &w)
-            });
+            check("slice", &gaussian_values(&got), &x, |x| weigh(&slice(&gaussian(x, isotropic, dynamic), t), &w));
         }
     }
 }
@@ -131,13 +122,7 @@ fn project_all_inputs() {
         }
     };
     // inside, and past the clamp on each side
-    let means = [
-        [0.2, -0.3, 2.0],
-        [1.9, 0.1, 2.2],
-        [-1.8, 0.2, 1.5],
-        [0.1, 1.7, 1.8],
-        [1.6, -1.9, 1.6],
-    ];
+    let means = [[0.2, -0.3, 2.0], [1.9, 0.1, 2.2], [-1.8, 0.2, 1.5], [0.1, 1.7, 1.8], [1.6, -1.9, 1.6]];
     for (index, mean) in means.iter().enumerate() {
         for mip in [false, true] {
             let b = symmetric(&noise(4, index as u64, 6));
@@ -254,12 +239,7 @@ fn shade_every_degree() {
 
 #[test]
 fn a_dark_channel_has_no_gradient() {
-    let sight = Sight {
-        offset: Vector3::z(),
-        dt: 0.0,
-        period: 1.0,
-        sh_terms: 1,
-    };
+    let sight = Sight { offset: Vector3::z(), dt: 0.0, period: 1.0, sh_terms: 1 };
     let coefficients = [[-3.0, 0.0, 1.0]];
     assert_eq!(shade(&coefficients, &sight)[0], 0.0);
     let g = shade_vjp(&coefficients, &sight, &[1.0; 3]);
@@ -311,12 +291,7 @@ fn blend_both_forms() {
             let mut got = Vec::new();
             for s in &g.splats {
                 got.extend(s.centre.iter());
-                got.extend([
-                    s.conic[(0, 0)],
-                    s.conic[(0, 1)] + s.conic[(1, 0)],
-                    s.conic[(1, 1)],
-                    s.opacity,
-                ]);
+                got.extend([s.conic[(0, 0)], s.conic[(0, 1)] + s.conic[(1, 0)], s.conic[(1, 1)], s.opacity]);
                 got.extend(s.channels);
             }
             got.extend(g.background);
@@ -335,10 +310,8 @@ fn expose_pixels_and_matrix() {
     let w = noise(11, 0, 3 * n);
     let weights: Vec<[f64; 3]> = w.chunks(3).map(|c| [c[0], c[1], c[2]]).collect();
     let parts = |x: &[f64]| {
-        let pixels: Vec<[f64; CHANNELS]> = x[..n * CHANNELS]
-            .chunks(CHANNELS)
-            .map(|c| std::array::from_fn(|k| c[k]))
-            .collect();
+        let pixels: Vec<[f64; CHANNELS]> =
+            x[..n * CHANNELS].chunks(CHANNELS).map(|c| std::array::from_fn(|k| c[k])).collect();
         let m = &x[n * CHANNELS..];
         let exposure: [[f64; 4]; 3] = std::array::from_fn(|i| std::array::from_fn(|j| m[4 * i + j]));
         (pixels, exposure)
@@ -349,11 +322,6 @@ fn expose_pixels_and_matrix() {
     got.extend(d_exposure.as_flattened());
     check("expose", &got, &x, |x| {
         let (pixels, exposure) = parts(x);
-        expose(&pixels, &exposure)
-            .iter()
-            .flatten()
-            .zip(&w)
-            .map(|(v, w)| v * w)
-            .sum()
+        expose(&pixels, &exposure).iter().flatten().zip(&w).map(|(v, w)| v * w).sum()
     });
 }

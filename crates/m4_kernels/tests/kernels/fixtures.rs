@@ -43,16 +43,8 @@ fn check<T: Real>(case: &GradientCase, run: &Run<T>, tolerance: f64) {
     };
     check("tau", run.gradient.camera.tau.as_slice(), &case.grad_translation);
     check("omega", run.gradient.camera.omega.as_slice(), &case.grad_rotation);
-    check(
-        "intrinsics",
-        run.gradient.camera.intrinsics.as_slice(),
-        &case.grad_intrinsics,
-    );
-    check(
-        "exposure",
-        run.loss.exposure.as_flattened(),
-        case.grad_exposure.as_flattened(),
-    );
+    check("intrinsics", run.gradient.camera.intrinsics.as_slice(), &case.grad_intrinsics);
+    check("exposure", run.loss.exposure.as_flattened(), case.grad_exposure.as_flattened());
     check("background", &run.gradient.background, &case.grad_background);
     let means: Vec<T> = run.gradient.means2d.iter().flat_map(|m| [m.x, m.y]).collect();
     check("means2d", &means, case.grad_means2d.as_flattened());
@@ -67,11 +59,7 @@ fn float64_reference_equals_the_oracle() {
             let off = (run.loss.value / case.loss - 1.0).abs();
             assert!(off < 1e-10, "{}: loss off by {off:e}", case.name());
             check(case, &run, 1e-7);
-            assert!(
-                run.gradient.touched.iter().filter(|&&t| t).count() >= 5,
-                "{}",
-                case.name()
-            );
+            assert!(run.gradient.touched.iter().filter(|&&t| t).count() >= 5, "{}", case.name());
         }
     }
 }
@@ -97,10 +85,7 @@ fn rotor_and_velocity_form_render_the_same_image() {
         let rotor: Vec<_> = case.splats.iter().map(splat::<f64>).collect();
         let velocity: Vec<_> = case.splats.iter().map(|s| splat::<f64>(&converted(s))).collect();
         for t in [0.0, 0.2, 0.55, 0.8, 1.1] {
-            let setup = Setup {
-                t,
-                ..setup::<f64>(case)
-            };
+            let setup = Setup { t, ..setup::<f64>(case) };
             let [a, b] = [&rotor, &velocity].map(|splats| render::<f64, Hard>(splats, &setup));
             assert_eq!(a.rows, b.rows, "{} at {t}", case.name());
             assert!(a.rows.len() > 3, "{} at {t}", case.name());

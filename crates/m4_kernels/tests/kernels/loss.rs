@@ -18,9 +18,7 @@ fn plane(index: u64, n: usize) -> Vec<f64> {
 fn direct_ssim(x: &[f64], y: &[f64], width: usize, height: usize) -> f64 {
     let half = (WINDOW / 2) as isize;
     let raw = |i: isize, j: isize| (-((i * i + j * j) as f64) / (2.0 * WINDOW_SD * WINDOW_SD)).exp();
-    let norm: f64 = (-half..=half)
-        .flat_map(|i| (-half..=half).map(move |j| raw(i, j)))
-        .sum();
+    let norm: f64 = (-half..=half).flat_map(|i| (-half..=half).map(move |j| raw(i, j))).sum();
     let at = |p: &[f64], u: isize, v: isize| {
         if u < 0 || v < 0 || u >= width as isize || v >= height as isize {
             0.0
@@ -56,10 +54,7 @@ fn ssim_is_the_direct_convolution() {
         let (x, y) = (plane(0, width * height), plane(1, width * height));
         let (got, _) = ssim(&x, &y, width, height);
         let want = direct_ssim(&x, &y, width, height);
-        assert!(
-            (got - want).abs() < 1e-13,
-            "{width} x {height}: {got} where {want} was expected"
-        );
+        assert!((got - want).abs() < 1e-13, "{width} x {height}: {got} where {want} was expected");
     }
 }
 

@@ -59,9 +59,7 @@ impl<T: Real> Target<T> {
             height,
             self.lambda,
         );
-        let d_exposed: Vec<[T; 3]> = (0..pixels.len())
-            .map(|i| std::array::from_fn(|c| d_rgb[c][i]))
-            .collect();
+        let d_exposed: Vec<[T; 3]> = (0..pixels.len()).map(|i| std::array::from_fn(|c| d_rgb[c][i])).collect();
         let (d_colour, d_exposure) = expose_vjp(pixels, exposure, &d_exposed);
         let share = self.depth_weight / T::of(pixels.len() as f64);
         let d_pixels = pixels.iter().zip(&d_colour).zip(&self.depth).map(|((p, d), &z)| {
@@ -71,11 +69,7 @@ impl<T: Real> Target<T> {
             [d[0], d[1], d[2], d_depth, -d_depth * z]
         });
         let d_pixels = d_pixels.collect();
-        Loss {
-            value,
-            pixels: d_pixels,
-            exposure: d_exposure,
-        }
+        Loss { value, pixels: d_pixels, exposure: d_exposure }
     }
 }
 
@@ -93,20 +87,15 @@ fn geometry<T: Real>(splat: &FixtureSplat) -> Geometry<T> {
         });
     }
     let shape = match splat.q {
-        Some(q) => Shape::Anisotropic {
-            log_scale: Vector3::new(ls(0), ls(1), ls(2)),
-            quat: Vector4::from(q.map(T::of)),
-        },
+        Some(q) => {
+            Shape::Anisotropic { log_scale: Vector3::new(ls(0), ls(1), ls(2)), quat: Vector4::from(q.map(T::of)) }
+        }
         None => Shape::Isotropic { log_scale: ls(0) },
     };
     Geometry::Gaussian(Gaussian {
         mean,
         shape,
-        life: Some(Life {
-            time_mean,
-            log_time_sd,
-            velocity: Vector3::from(splat.v.unwrap_or_default().map(T::of)),
-        }),
+        life: Some(Life { time_mean, log_time_sd, velocity: Vector3::from(splat.v.unwrap_or_default().map(T::of)) }),
     })
 }
 

@@ -21,9 +21,7 @@ fn image(index: u64, n: usize) -> [Vec<f32>; 3] {
     std::array::from_fn(|c| {
         let mut rng = CounterRng::new(31, index, c as u64);
         // waves with noise: windows with much and with little contrast
-        (0..n)
-            .map(|i| (0.5 + 0.4 * (1.0 + i as f64 * 0.05).sin() * rng.uniform()) as f32)
-            .collect()
+        (0..n).map(|i| (0.5 + 0.4 * (1.0 + i as f64 * 0.05).sin() * rng.uniform()) as f32).collect()
     })
 }
 
@@ -35,18 +33,13 @@ fn exact(planes: &[Vec<f32>; 3]) -> [Vec<f64>; 3] {
 fn a_photograph_is_the_image_of_its_bytes() {
     let (width, height) = (37, 22);
     let bytes: [Vec<u8>; 3] = [0, 1, 2].map(|k| (0..width * height).map(|i| ((i * (k + 3)) % 256) as u8).collect());
-    let floats = bytes
-        .each_ref()
-        .map(|p| p.iter().map(|&v| f32::from(v) / 255.0).collect());
+    let floats = bytes.each_ref().map(|p| p.iter().map(|&v| f32::from(v) / 255.0).collect());
     let photograph = Target::from_bytes(width, height, bytes.clone()).unwrap();
     let floating = Target::new(width, height, floats).unwrap();
     assert_eq!((photograph.bytes(), floating.bytes()), (3 * 37 * 22, 12 * 37 * 22));
     let mut again = Target::default();
     again.replace(width, height, |planes| {
-        planes
-            .into_iter()
-            .zip(&bytes)
-            .for_each(|(to, from)| to.copy_from_slice(from));
+        planes.into_iter().zip(&bytes).for_each(|(to, from)| to.copy_from_slice(from));
     });
     let x = image(90, width * height);
     for target in [&photograph, &again] {
@@ -69,17 +62,7 @@ fn a_photograph_is_the_image_of_its_bytes() {
 
 #[test]
 fn loss_of_every_size() {
-    let sizes = [
-        (1, 1),
-        (3, 2),
-        (5, 40),
-        (40, 5),
-        (11, 11),
-        (16, 16),
-        (17, 33),
-        (64, 48),
-        (101, 23),
-    ];
+    let sizes = [(1, 1), (3, 2), (5, 40), (40, 5), (11, 11), (16, 16), (17, 33), (64, 48), (101, 23)];
     every_level(|level| {
         let (mut scratch, mut got) = (LossScratch::default(), Default::default());
         for (index, (width, height)) in sizes.into_iter().enumerate() {
@@ -89,13 +72,8 @@ fn loss_of_every_size() {
                 let target = Target::new(width, height, y.clone()).unwrap();
                 let parts = loss(level, &target, &x, lambda, &mut scratch, &mut got);
                 let (a, b) = (exact(&x), exact(&y));
-                let (want, gradient) = photometric(
-                    [&a[0], &a[1], &a[2]],
-                    [&b[0], &b[1], &b[2]],
-                    width,
-                    height,
-                    f64::from(lambda),
-                );
+                let (want, gradient) =
+                    photometric([&a[0], &a[1], &a[2]], [&b[0], &b[1], &b[2]], width, height, f64::from(lambda));
                 let name = format!("{width} x {height}, lambda {lambda} on {level}");
                 // SSIM near 1 is known to the last bits of 1
                 let allowed = 2e-6 * want + 2e-7;
@@ -151,11 +129,7 @@ fn error_map_is_the_mean_absolute_difference() {
 fn small_scene(seed: u64) -> (Camera, Splats) {
     let camera = random_camera(seed, 30, 20);
     let spec = SceneSpec {
-        layout: SplatLayout {
-            isotropic: false,
-            sh_degree: 1,
-            time_degree: 1,
-        },
+        layout: SplatLayout { isotropic: false, sh_degree: 1, time_degree: 1 },
         n_static: 37,
         n_dynamic: 21,
         ..SceneSpec::default()
@@ -168,17 +142,11 @@ fn adam_sparse_and_dense() {
     every_level(|level| {
         for sparse in [true, false] {
             let (_, mut splats) = small_scene(3);
-            let config = AdamConfig {
-                sparse,
-                ..AdamConfig::default()
-            };
+            let config = AdamConfig { sparse, ..AdamConfig::default() };
             let mut state = AdamState::new(&splats);
             let rates: Vec<f32> = (0..splats.columns().len()).map(|c| 1e-3 * (1.0 + c as f32)).collect();
-            let mut x: Vec<Vec<f64>> = splats
-                .columns()
-                .iter()
-                .map(|c| c.iter().map(|&v| f64::from(v)).collect())
-                .collect();
+            let mut x: Vec<Vec<f64>> =
+                splats.columns().iter().map(|c| c.iter().map(|&v| f64::from(v)).collect()).collect();
             let (mut m, mut v): (Vec<Vec<f64>>, Vec<Vec<f64>>) =
                 x.iter().map(|c| (vec![0.0; c.len()], vec![0.0; c.len()])).unzip();
             let mut count = vec![0u32; splats.n()];
@@ -188,10 +156,7 @@ fn adam_sparse_and_dense() {
                 let mut rng = CounterRng::new(41, iteration, 0);
                 let mut gradients = Gradients::default();
                 gradients.reset(&splats);
-                gradients
-                    .touched
-                    .iter_mut()
-                    .for_each(|t| *t = u8::from(rng.uniform() < 0.6));
+                gradients.touched.iter_mut().for_each(|t| *t = u8::from(rng.uniform() < 0.6));
                 for column in &mut gradients.columns {
                     // from 1e-9 to 1: epsilon must not be felt; rows that are not touched hold rubbish
                     let size = 10f64.powf(-9.0 * rng.uniform());
@@ -207,18 +172,10 @@ fn adam_sparse_and_dense() {
                         let touched = gradients.touched[row] != 0;
                         let params = AdamParams {
                             beta1: config.beta1,
-                            beta2: if row < n_static {
-                                config.beta2
-                            } else {
-                                config.beta2_dynamic
-                            },
+                            beta2: if row < n_static { config.beta2 } else { config.beta2_dynamic },
                             epsilon: config.eps,
                         };
-                        let g = if touched {
-                            f64::from(gradients.columns[c][k])
-                        } else {
-                            0.0
-                        };
+                        let g = if touched { f64::from(gradients.columns[c][k]) } else { 0.0 };
                         reference::step(
                             &mut x[c][k..=k],
                             &[g],
@@ -258,14 +215,7 @@ fn adam_does_not_move_on_a_gradient_of_0() {
         gradients.touched.fill(1);
         let mut state = AdamState::new(&splats);
         let rates = vec![0.1; splats.columns().len()];
-        step(
-            level,
-            &mut splats,
-            &gradients,
-            &mut state,
-            &AdamConfig::default(),
-            &rates,
-        );
+        step(level, &mut splats, &gradients, &mut state, &AdamConfig::default(), &rates);
         assert_eq!(splats, before);
     });
 }
@@ -278,22 +228,14 @@ fn tile_lists_hold_every_tile_that_a_splat_reaches() {
         let mut renderer = Renderer::new(level);
         for seed in 0..1500 {
             let camera = random_camera(seed, 61, 43);
-            let spec = SceneSpec {
-                n_static: 1,
-                n_dynamic: 0,
-                sd_px: [0.3, 14.0],
-                logit: [-5.0, 6.0],
-                ..SceneSpec::default()
-            };
+            let spec =
+                SceneSpec { n_static: 1, n_dynamic: 0, sd_px: [0.3, 14.0], logit: [-5.0, 6.0], ..SceneSpec::default() };
             let splats = random_splats(seed, &camera, &spec);
             let expected = crate::twin::Expected::new(&splats, &view(camera));
             renderer.render(&splats, &view(camera));
             let got = renderer.stats().pairs;
             let Some(&ellipse) = expected.rendered.ellipses.first() else {
-                assert!(
-                    got <= 1,
-                    "{level}, splat {seed}: fainter than the cut-off, listed {got} times"
-                );
+                assert!(got <= 1, "{level}, splat {seed}: fainter than the cut-off, listed {got} times");
                 continue;
             };
             // a hair above the cut-off, where f32 cannot disagree
@@ -305,9 +247,6 @@ fn tile_lists_hold_every_tile_that_a_splat_reaches() {
             needed += sure;
         }
         // a list may hold tiles that the ellipse enters between two pixels
-        assert!(
-            needed > 10_000 && listed as f64 <= 1.03 * needed as f64,
-            "{level}: {listed} for {needed}"
-        );
+        assert!(needed > 10_000 && listed as f64 <= 1.03 * needed as f64, "{level}: {listed} for {needed}");
     });
 }

@@ -9,11 +9,7 @@ use m4_kernels::{
 use m4_testkit::{Flips, assert_gradient, assert_image};
 
 /// The levels that an x86-64 machine may have; on others the list of the machine is all there is.
-const WANTED: &[&str] = if cfg!(target_arch = "x86_64") {
-    &["sse2", "avx2", "avx512"]
-} else {
-    &[]
-};
+const WANTED: &[&str] = if cfg!(target_arch = "x86_64") { &["sse2", "avx2", "avx512"] } else { &[] };
 
 /// Runs a test on every SIMD level of the machine.
 pub fn every_level(test: impl FnMut(SimdLevel)) {
@@ -34,15 +30,7 @@ pub const COLUMNS: [Column; 8] = [
 
 /// A frame in the middle of a clip of ten.
 pub fn view(camera: Camera) -> View {
-    View {
-        camera,
-        t: 4.3,
-        background: [0.2, 0.4, 0.1],
-        near: 0.2,
-        mip: false,
-        period: 9.0,
-        with_depth: true,
-    }
+    View { camera, t: 4.3, background: [0.2, 0.4, 0.1], near: 0.2, mip: false, period: 9.0, with_depth: true }
 }
 
 /// A random gradient of every plane that `view` has.
@@ -63,15 +51,7 @@ pub fn frame_gradient(seed: u64, view: &View) -> FrameGradient {
 pub fn per_pixel(g: &FrameGradient) -> Vec<[f64; CHANNELS]> {
     let at = |plane: &[f32], i: usize| plane.get(i).map_or(0.0, |&v| f64::from(v));
     (0..g.rgb[0].len())
-        .map(|i| {
-            [
-                at(&g.rgb[0], i),
-                at(&g.rgb[1], i),
-                at(&g.rgb[2], i),
-                at(&g.depth, i),
-                at(&g.alpha, i),
-            ]
-        })
+        .map(|i| [at(&g.rgb[0], i), at(&g.rgb[1], i), at(&g.rgb[2], i), at(&g.depth, i), at(&g.alpha, i)])
         .collect()
 }
 
@@ -86,21 +66,11 @@ impl Expected {
     pub fn new(splats: &Splats, view: &View) -> Self {
         let (splats, setup) = (splats_of::<f64>(splats), Setup::new(view));
         let rendered = render::<f64, Hard>(&splats, &setup);
-        Self {
-            splats,
-            setup,
-            rendered,
-        }
+        Self { splats, setup, rendered }
     }
 
     pub fn gradient(&self, g: &FrameGradient) -> SceneGradient<f64> {
-        backward::<f64, Hard>(
-            &self.splats,
-            &self.setup,
-            &self.rendered,
-            &per_pixel(g),
-            BackwardForm::BackToFront,
-        )
+        backward::<f64, Hard>(&self.splats, &self.setup, &self.rendered, &per_pixel(g), BackwardForm::BackToFront)
     }
 
     pub fn score(&self, weight: &[f32]) -> Vec<f64> {
@@ -112,29 +82,16 @@ impl Expected {
 /// Fails unless the frame is that of the reference, but for pixels where f32 puts one contribution on
 /// the other side of the cut-off.
 pub fn assert_frame(name: &str, got: &Frame, want: &Rendered<f64>) {
-    let bounds = Flips {
-        tolerance: 5e-5,
-        step: 0.02,
-        share: 0.005,
-    };
+    let bounds = Flips { tolerance: 5e-5, step: 0.02, share: 0.005 };
     let channel = |c: usize| -> Vec<f64> { want.image.pixels.iter().map(|p| p[c]).collect() };
     assert_eq!((got.width, got.height), (want.image.width, want.image.height), "{name}");
     for c in 0..3 {
         assert_image(&format!("{name}: colour {c}"), &got.rgb[c], &channel(c), bounds);
     }
-    assert_image(
-        &format!("{name}: transmittance"),
-        &got.transmittance,
-        &want.image.transmittance,
-        bounds,
-    );
+    assert_image(&format!("{name}: transmittance"), &got.transmittance, &want.image.transmittance, bounds);
     if !got.depth.is_empty() {
         let far = want.ellipses.iter().map(|e| e.channels[3]).fold(1.0, f64::max);
-        let bounds = Flips {
-            tolerance: bounds.tolerance * far,
-            step: bounds.step * far,
-            ..bounds
-        };
+        let bounds = Flips { tolerance: bounds.tolerance * far, step: bounds.step * far, ..bounds };
         assert_image(&format!("{name}: depth"), &got.depth, &channel(3), bounds);
     }
 }
@@ -181,9 +138,7 @@ pub fn assert_gradients(name: &str, got: &Gradients, want: &SceneGradient<f64>, 
     check("intrinsics", &got.camera.intrinsics, &camera.intrinsics);
     check("background", &got.background.map(f64::from), &want.background);
     // a splat that grazes one pixel may fall on either side of the cut-off
-    let off = (0..splats.n())
-        .filter(|&i| (got.touched[i] != 0) != want.touched[i])
-        .count();
+    let off = (0..splats.n()).filter(|&i| (got.touched[i] != 0) != want.touched[i]).count();
     assert!(off <= 1 + splats.n() / 100, "{name}: {off} rows of `touched` differ");
 }
 
@@ -213,16 +168,9 @@ fn assert_score(name: &str, got: &[f32], want: &[f64]) {
         let off = (f64::from(got) - want).abs();
         let rounding = 1e-5 * (1.0 + want);
         // written so that a NaN fails
-        assert!(
-            off <= 1.0 + rounding,
-            "{name}: score {i} is {got} where {want} was expected"
-        );
+        assert!(off <= 1.0 + rounding, "{name}: score {i} is {got} where {want} was expected");
         flips += usize::from(off > rounding);
     }
     let allowed = 1 + want.len() / 100;
-    assert!(
-        flips <= allowed,
-        "{name}: {flips} of {} scores differ, {allowed} may",
-        want.len()
-    );
+    assert!(flips <= allowed, "{name}: {flips} of {} scores differ, {allowed} may", want.len());
 }

@@ -17,11 +17,7 @@ const TOLERANCE: f64 = 5e-4;
 
 /// A fixture in columns.
 fn columns(case: &GradientCase) -> Splats {
-    let layout = SplatLayout {
-        isotropic: case.model == "isotropic",
-        sh_degree: 3,
-        time_degree: 2,
-    };
+    let layout = SplatLayout { isotropic: case.model == "isotropic", sh_degree: 3, time_degree: 2 };
     let mut splats = Splats::zeros(layout, 0, case.splats.len());
     for (row, splat) in case.splats.iter().enumerate() {
         let splat = match case.model.as_str() {
@@ -67,28 +63,14 @@ fn check_fixture(fixtures: &GradientFixtures, case: &GradientCase, level: SimdLe
         .map(|i| {
             let at = |plane: &[f32]| f64::from(plane[i]);
             let alpha = 1.0 - at(&frame.transmittance);
-            [
-                at(&frame.rgb[0]),
-                at(&frame.rgb[1]),
-                at(&frame.rgb[2]),
-                at(&frame.depth),
-                alpha,
-            ]
+            [at(&frame.rgb[0]), at(&frame.rgb[1]), at(&frame.rgb[2]), at(&frame.depth), alpha]
         })
         .collect();
     let loss = Target::<f64>::new(fixtures, case).loss(&pixels, case.width, &case.exposure);
-    assert!(
-        (loss.value / case.loss - 1.0).abs() < 1e-5,
-        "{name}: loss {}",
-        loss.value
-    );
+    assert!((loss.value / case.loss - 1.0).abs() < 1e-5, "{name}: loss {}", loss.value);
 
     let plane = |c: usize| loss.pixels.iter().map(|p| p[c] as f32).collect::<Vec<_>>();
-    let gradient = FrameGradient {
-        rgb: [plane(0), plane(1), plane(2)],
-        alpha: plane(4),
-        depth: plane(3),
-    };
+    let gradient = FrameGradient { rgb: [plane(0), plane(1), plane(2)], alpha: plane(4), depth: plane(3) };
     let mut got = Gradients::default();
     renderer.backward(&splats, &gradient, Wanted::ALL, &mut got);
 
@@ -153,11 +135,7 @@ fn fixture_columns_round_trip_to_the_fixture() {
 }
 
 fn layout(isotropic: bool, sh_degree: usize, time_degree: usize) -> SplatLayout {
-    SplatLayout {
-        isotropic,
-        sh_degree,
-        time_degree,
-    }
+    SplatLayout { isotropic, sh_degree, time_degree }
 }
 
 #[test]
@@ -175,12 +153,7 @@ fn random_scenes_of_every_layout_and_odd_sizes() {
     every_level(|level| {
         for (seed, (layout, width, height)) in cases.into_iter().enumerate() {
             let camera = random_camera(seed as u64, width, height);
-            let spec = SceneSpec {
-                layout,
-                n_static: 60 + 7 * seed,
-                n_dynamic: 45 + 5 * seed,
-                ..SceneSpec::default()
-            };
+            let spec = SceneSpec { layout, n_static: 60 + 7 * seed, n_dynamic: 45 + 5 * seed, ..SceneSpec::default() };
             let splats = random_splats(seed as u64, &camera, &spec);
             for mip in [false, true] {
                 let name = format!("scene {seed}, {width} x {height}, mip {mip}");
@@ -195,11 +168,7 @@ fn only_static_or_only_dynamic_splats() {
     every_level(|level| {
         for (n_static, n_dynamic) in [(70, 0), (0, 70), (1, 0), (0, 1), (16, 16), (17, 15)] {
             let camera = random_camera(40, 30, 20);
-            let spec = SceneSpec {
-                n_static,
-                n_dynamic,
-                ..SceneSpec::default()
-            };
+            let spec = SceneSpec { n_static, n_dynamic, ..SceneSpec::default() };
             let splats = random_splats(4, &camera, &spec);
             let name = format!("{n_static} static, {n_dynamic} dynamic");
             compare(&name, level, &splats, &view(camera), TOLERANCE);
@@ -212,10 +181,7 @@ fn splats_of_a_fraction_of_a_pixel_and_of_the_whole_image() {
     every_level(|level| {
         for (seed, sd_px) in [[0.01, 0.3], [20.0, 60.0]].into_iter().enumerate() {
             let camera = random_camera(50 + seed as u64, 45, 35);
-            let spec = SceneSpec {
-                sd_px,
-                ..SceneSpec::default()
-            };
+            let spec = SceneSpec { sd_px, ..SceneSpec::default() };
             let splats = random_splats(seed as u64, &camera, &spec);
             compare(&format!("{sd_px:?} pixels"), level, &splats, &view(camera), TOLERANCE);
         }
@@ -227,13 +193,8 @@ fn a_deep_opaque_stack() {
     // pixels end early: the replay subtracts nearly all of the colour
     every_level(|level| {
         let camera = random_camera(61, 40, 30);
-        let spec = SceneSpec {
-            n_static: 400,
-            n_dynamic: 200,
-            sd_px: [4.0, 12.0],
-            logit: [1.0, 6.0],
-            ..SceneSpec::default()
-        };
+        let spec =
+            SceneSpec { n_static: 400, n_dynamic: 200, sd_px: [4.0, 12.0], logit: [1.0, 6.0], ..SceneSpec::default() };
         let splats = random_splats(6, &camera, &spec);
         compare("stack", level, &splats, &view(camera), TOLERANCE);
     });
@@ -244,10 +205,7 @@ fn without_depth_the_colours_are_the_same() {
     every_level(|level| {
         let camera = random_camera(71, 50, 20);
         let splats = random_splats(7, &camera, &SceneSpec::default());
-        let flat = View {
-            with_depth: false,
-            ..view(camera)
-        };
+        let flat = View { with_depth: false, ..view(camera) };
         compare("no depth", level, &splats, &flat, TOLERANCE);
         let rgb = Renderer::new(level).render(&splats, &view(camera)).rgb.clone();
         let frame = Renderer::new(level).render(&splats, &flat).clone();
@@ -261,10 +219,7 @@ fn a_moving_scene_at_every_frame() {
     let scene = moving_scene(m4_core::Intrinsics::centred(48, 36, 40.0), 6);
     every_level(|level| {
         for (i, &camera) in scene.cameras.iter().enumerate() {
-            let at = View {
-                t: i as f64,
-                ..view(camera)
-            };
+            let at = View { t: i as f64, ..view(camera) };
             compare(&format!("frame {i}"), level, &scene.splats, &at, TOLERANCE);
         }
     });

@@ -34,18 +34,12 @@ impl FeatureMap {
             Ok(values) => values.iter().map(|x| x / DIVISOR).collect(),
             Err(_) => data.iter::<f32>().map(|x| x / DIVISOR).collect(),
         };
-        Self {
-            size,
-            values: Values::Processor(values),
-        }
+        Self { size, values: Values::Processor(values) }
     }
 
     /// As a tensor, wherever that is.
     pub(super) fn on_device(features: Tensor<3>) -> Self {
-        Self {
-            size: features.dims(),
-            values: Values::Device(features.div_scalar(DIVISOR)),
-        }
+        Self { size: features.dims(), values: Values::Device(features.div_scalar(DIVISOR)) }
     }
 
     /// Rows, columns, channels.

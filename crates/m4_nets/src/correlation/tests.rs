@@ -66,12 +66,7 @@ fn both(f: &[f32], g: &[f32], size: [usize; 3], centres: &[f32], radius: usize, 
     let device = cpu();
     let (f, g) = (tensor(f.to_vec(), size, &device), tensor(g.to_vec(), size, &device));
     let centres = tensor(centres.to_vec(), [h, w, 2], &device);
-    let fast = scores(
-        &FeatureMap::new(f.clone()),
-        &Pyramid::new(g.clone(), levels),
-        centres.clone(),
-        radius,
-    );
+    let fast = scores(&FeatureMap::new(f.clone()), &Pyramid::new(g.clone(), levels), centres.clone(), radius);
     let target = Pyramid::of(FeatureMap::on_device(g), levels);
     let plain = volume::scores(f.div_scalar(4.0), &target, centres, radius);
     [fast, plain].map(|scores| {
@@ -92,41 +87,19 @@ fn error(got: &[f32], want: &[f64]) -> f64 {
 #[test]
 fn agree_with_the_definition() {
     // odd sizes, a level of one row, a level without any; widths that are no multiple of the lanes
-    for (size, radius, levels) in [
-        ([17, 24, 128], 3, 4),
-        ([18, 17, 256], 4, 4),
-        ([9, 11, 20], 3, 4),
-        ([5, 40, 16], 1, 4),
-    ] {
+    for (size, radius, levels) in
+        [([17, 24, 128], 3, 4), ([18, 17, 256], 4, 4), ([9, 11, 20], 3, 4), ([5, 40, 16], 1, 4)]
+    {
         let [h, w, c] = size;
         let f = formula_input("f", 0.0, 1.0, h * w * c);
         let g = formula_input("g", 0.1, 1.0, h * w * c);
         let mut centres = formula_input("centres", 10.0, 40.0, h * w * 2);
-        let wild = [
-            0.0,
-            1e30,
-            f32::INFINITY,
-            3.0,
-            f32::NAN,
-            2.0,
-            -1e9,
-            f32::NEG_INFINITY,
-            -0.0,
-            -1.0,
-        ];
+        let wild = [0.0, 1e30, f32::INFINITY, 3.0, f32::NAN, 2.0, -1e9, f32::NEG_INFINITY, -0.0, -1.0];
         centres[..10].copy_from_slice(&wild);
         // exactly on the last pixel, and a whole window beyond
-        centres[10..14].copy_from_slice(&[
-            (w - 1) as f32,
-            (h - 1) as f32,
-            (w + radius) as f32,
-            -(radius as f32) - 1.0,
-        ]);
+        centres[10..14].copy_from_slice(&[(w - 1) as f32, (h - 1) as f32, (w + radius) as f32, -(radius as f32) - 1.0]);
         let want = by_definition(&f, &g, size, &centres, radius, levels);
-        for (name, got) in ["window", "volume"]
-            .iter()
-            .zip(both(&f, &g, size, &centres, radius, levels))
-        {
+        for (name, got) in ["window", "volume"].iter().zip(both(&f, &g, size, &centres, radius, levels)) {
             let error = error(&got, &want);
             assert!(error < 2e-6, "{name} {size:?}: {error:.1e}");
         }
@@ -149,13 +122,9 @@ fn agree_with_the_published_module() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fixtures/droid");
     let read = |name: &str| std::fs::read(folder.join(name)).unwrap();
     let (encoders, lookup) = (read("encoders.safetensors"), read("corr_lookup.safetensors"));
-    let (encoders, lookup) = [&encoders, &lookup]
-        .map(|b| SafeTensors::deserialize(b).unwrap())
-        .into();
-    let maps: Vec<Vec<f32>> = floats(&encoders.tensor("fmap").unwrap())
-        .chunks(128 * 16 * 24)
-        .map(|map| channels_last(map, 128))
-        .collect();
+    let (encoders, lookup) = [&encoders, &lookup].map(|b| SafeTensors::deserialize(b).unwrap()).into();
+    let maps: Vec<Vec<f32>> =
+        floats(&encoders.tensor("fmap").unwrap()).chunks(128 * 16 * 24).map(|map| channels_last(map, 128)).collect();
     let ends = |name: &str| -> Vec<usize> {
         let words = lookup.tensor(name).unwrap();
         let words = words.data().as_chunks::<8>().0;
@@ -163,10 +132,7 @@ fn agree_with_the_published_module() {
     };
     let centres = floats(&lookup.tensor("coords").unwrap());
     let want = floats(&lookup.tensor("corr").unwrap());
-    let far = centres
-        .chunks(2)
-        .filter(|c| c[0] < -4.0 || c[0] > 27.0 || c[1] < -4.0 || c[1] > 19.0)
-        .count();
+    let far = centres.chunks(2).filter(|c| c[0] < -4.0 || c[0] > 27.0 || c[1] < -4.0 || c[1] > 19.0).count();
     assert!(far > 0, "no point is far outside");
     for (edge, (i, j)) in ends("ii").into_iter().zip(ends("jj")).enumerate() {
         let centres = &centres[edge * 16 * 24 * 2..][..16 * 24 * 2];

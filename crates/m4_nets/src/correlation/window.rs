@@ -26,11 +26,9 @@ pub fn window_scores(
         return;
     }
     let rows = out.par_chunks_mut(w * width);
-    rows.zip(features.par_chunks(w * c))
-        .zip(centres.par_chunks(w * 2))
-        .for_each(
-            |((out, features), centres)| dispatch!(level, s => row(s, features, c, target, centres, radius, out)),
-        );
+    rows.zip(features.par_chunks(w * c)).zip(centres.par_chunks(w * 2)).for_each(
+        |((out, features), centres)| dispatch!(level, s => row(s, features, c, target, centres, radius, out)),
+    );
 }
 
 #[inline(always)]
@@ -48,11 +46,7 @@ fn row<S: Simd>(s: S, features: &[f32], c: usize, target: &Pyramid, centres: &[f
             products.fill(0.0);
             if let Values::Processor(values) = map.values() {
                 let columns = overlap(x0, side + 1, w);
-                let rows = if columns.is_empty() {
-                    0..0
-                } else {
-                    overlap(y0, side + 1, h)
-                };
+                let rows = if columns.is_empty() { 0..0 } else { overlap(y0, side + 1, h) };
                 for iy in rows {
                     let y = (y0 + iy as i32) as usize;
                     let x = (x0 + columns.start as i32) as usize;

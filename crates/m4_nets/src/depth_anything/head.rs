@@ -96,10 +96,7 @@ struct Residual {
 impl Residual {
     fn new(width: usize, device: &Device) -> Self {
         let square = || conv([width, width], 3, 1, true, device);
-        Self {
-            conv1: square(),
-            conv2: square(),
-        }
+        Self { conv1: square(), conv2: square() }
     }
 
     fn forward(&self, x: Tensor<4>) -> Tensor<4> {
@@ -130,9 +127,7 @@ impl Fusion {
 
 /// `x` with `size` rows and columns, bilinear, corner on corner.
 fn corner_on_corner(x: Tensor<4>, size: [usize; 2]) -> Tensor<4> {
-    let options = InterpolateOptions::new(InterpolateMode::Bilinear)
-        .with_align_corners(true)
-        .with_output_size(size);
+    let options = InterpolateOptions::new(InterpolateMode::Bilinear).with_align_corners(true).with_output_size(size);
     interpolate(x, options)
 }
 

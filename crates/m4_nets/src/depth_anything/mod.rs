@@ -64,10 +64,7 @@ struct Net {
 impl Net {
     /// Of `size` with `depth` blocks, waiting for its weights.
     fn new(size: BackboneSize, depth: usize, device: &Device) -> Self {
-        Self {
-            pretrained: DinoV2::with_depth(size, depth, device),
-            depth_head: DepthHead::new(size, device),
-        }
+        Self { pretrained: DinoV2::with_depth(size, depth, device), depth_head: DepthHead::new(size, device) }
     }
 
     /// Of images `[b, 3, 14 h, 14 w]`: what the head says, `[b, 1, 14 h, 14 w]`; below 0 it means 0.
@@ -95,11 +92,7 @@ impl DepthAnything {
         let mut net = Net::new(size, size.depth(), device);
         load::fill(&mut net, NAME, path, &head::RENAMES, dinov2::unneeded)?;
         let net = on.fit(net);
-        Ok(Self {
-            net,
-            size,
-            device: device.clone(),
-        })
+        Ok(Self { net, size, device: device.clone() })
     }
 
     /// The backbone that the checkpoint holds.

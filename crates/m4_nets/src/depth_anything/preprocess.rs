@@ -36,11 +36,7 @@ impl Sides {
         let side = |side: usize| {
             let patches = side as f64 * scale / PATCH as f64;
             let near = patches.round_ties_even() as usize;
-            let near = if near * PATCH > LONGEST {
-                patches.floor() as usize
-            } else {
-                near
-            };
+            let near = if near * PATCH > LONGEST { patches.floor() as usize } else { near };
             near.max(1) * PATCH
         };
         (side(self.width), side(self.height))

@@ -29,9 +29,7 @@ fn of_first_blocks(keys: &str, depth: usize) -> String {
 /// Maps `[1, c, h, w]` without all channels but every `step`-th.
 fn every(x: Tensor<4>, step: usize) -> Tensor<4> {
     let [_, c, h, w] = x.dims();
-    x.reshape([c / step, step, h, w])
-        .narrow(1, 0, 1)
-        .reshape([1, c / step, h, w])
+    x.reshape([c / step, step, h, w]).narrow(1, 0, 1).reshape([1, c / step, h, w])
 }
 
 fn check(size: BackboneSize, keys: &str, depth: usize, fixture: &Fixture) {
@@ -67,11 +65,7 @@ fn large_model_with_five_blocks_matches_the_module() {
 /// The names and shapes of the module are those of the official checkpoints, nothing less and nothing more.
 #[test]
 fn each_size_has_exactly_the_tensors_of_its_checkpoint() {
-    for (size, keys) in [
-        (BackboneSize::Small, SMALL),
-        (BackboneSize::Base, BASE),
-        (BackboneSize::Large, LARGE),
-    ] {
+    for (size, keys) in [(BackboneSize::Small, SMALL), (BackboneSize::Base, BASE), (BackboneSize::Large, LARGE)] {
         let net = Net::new(size, size.depth(), &cpu());
         assert_same_tensors(&net, keys, &RENAMES, unneeded);
     }

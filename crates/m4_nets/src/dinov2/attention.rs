@@ -20,21 +20,13 @@ const QUERIES: usize = 128;
 
 impl Attention {
     pub fn new(width: usize, heads: usize, device: &Device) -> Self {
-        Self {
-            qkv: biased(width, 3 * width, device),
-            proj: biased(width, width, device),
-            heads,
-        }
+        Self { qkv: biased(width, 3 * width, device), proj: biased(width, width, device), heads }
     }
 
     /// Of tokens `[b, n, c]`: the same shape.
     pub fn forward(&self, x: Tensor<3>) -> Tensor<3> {
         let [b, n, c] = x.dims();
-        let qkv = self
-            .qkv
-            .forward(x)
-            .reshape([b, n, 3, self.heads, c / self.heads])
-            .permute([2, 0, 3, 1, 4]);
+        let qkv = self.qkv.forward(x).reshape([b, n, 3, self.heads, c / self.heads]).permute([2, 0, 3, 1, 4]);
         let [q, k, v] = [0, 1, 2].map(|i| qkv.clone().narrow(0, i, 1).squeeze_dim::<4>(0));
         let found = answered(q, k, v).swap_dims(1, 2).reshape([b, n, c]);
         self.proj.forward(found)

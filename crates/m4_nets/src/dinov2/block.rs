@@ -27,9 +27,7 @@ struct LayerScale {
 
 impl LayerScale {
     fn new(width: usize, device: &Device) -> Self {
-        Self {
-            gamma: Initializer::Ones.init([width], device),
-        }
+        Self { gamma: Initializer::Ones.init([width], device) }
     }
 
     fn forward(&self, x: Tensor<3>) -> Tensor<3> {
@@ -62,10 +60,7 @@ impl Block {
             attn: Attention::new(width, size.heads(), device),
             ls1: LayerScale::new(width, device),
             norm2: fine_norm(width, device),
-            mlp: Mlp {
-                fc1: biased(width, 4 * width, device),
-                fc2: biased(4 * width, width, device),
-            },
+            mlp: Mlp { fc1: biased(width, 4 * width, device), fc2: biased(4 * width, width, device) },
             ls2: LayerScale::new(width, device),
         }
     }

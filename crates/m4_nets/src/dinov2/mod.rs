@@ -80,9 +80,7 @@ impl DinoV2 {
         Self {
             cls_token: Initializer::Zeros.init([1, 1, width], device),
             pos_embed: Initializer::Zeros.init([1, 1 + GRID * GRID, width], device),
-            patch_embed: PatchEmbed {
-                proj: patches.with_initializer(Initializer::Zeros).init(device),
-            },
+            patch_embed: PatchEmbed { proj: patches.with_initializer(Initializer::Zeros).init(device) },
             blocks: (0..depth).map(|_| Block::new(size, device)).collect(),
             norm: fine_norm(width, device),
             offset: positions::OFFSET,
@@ -111,11 +109,7 @@ impl DinoV2 {
 
     /// The same step by step.
     pub fn run(&self, images: Tensor<4>) -> Run<'_> {
-        Run {
-            net: self,
-            x: self.tokens(images),
-            done: 0,
-        }
+        Run { net: self, x: self.tokens(images), done: 0 }
     }
 
     /// Tokens as the first block takes them.
@@ -152,10 +146,7 @@ impl Run<'_> {
     pub fn tap(&self) -> Tap {
         let [_, tokens, _] = self.x.dims();
         let x = self.net.norm.forward(self.x.clone());
-        Tap {
-            patches: x.clone().narrow(1, 1, tokens - 1),
-            class: x.narrow(1, 0, 1).squeeze_dim(1),
-        }
+        Tap { patches: x.clone().narrow(1, 1, tokens - 1), class: x.narrow(1, 0, 1).squeeze_dim(1) }
     }
 }
 

@@ -64,9 +64,7 @@ fn five_blocks_of_the_large_model_match_the_module() {
 fn position_embeddings_of_the_trained_size_are_unchanged() {
     let net = backbone(BackboneSize::Small, SMALL, 1);
     let learned: Vec<f32> = net.pos_embed.val().try_into_vec_as().unwrap();
-    let same: Vec<f32> = positions::resized(net.pos_embed.val(), 37, 37, positions::OFFSET)
-        .try_into_vec_as()
-        .unwrap();
+    let same: Vec<f32> = positions::resized(net.pos_embed.val(), 37, 37, positions::OFFSET).try_into_vec_as().unwrap();
     assert_eq!(learned, same);
 }
 

@@ -44,9 +44,7 @@ impl Residual {
         Self {
             conv1: conv([from, to], 3, stride, true, device),
             conv2: conv([to, to], 3, 1, true, device),
-            downsample: (stride != 1).then(|| Downsample {
-                conv: conv([from, to], 1, stride, true, device),
-            }),
+            downsample: (stride != 1).then(|| Downsample { conv: conv([from, to], 1, stride, true, device) }),
         }
     }
 
@@ -73,12 +71,7 @@ pub struct Encoder {
 
 impl Encoder {
     pub fn new(width: usize, device: &Device) -> Self {
-        let layer = |from, to, stride| {
-            [
-                Residual::new([from, to], stride, device),
-                Residual::new([to, to], 1, device),
-            ]
-        };
+        let layer = |from, to, stride| [Residual::new([from, to], stride, device), Residual::new([to, to], 1, device)];
         Self {
             conv1: conv([3, 32], 7, 2, true, device),
             layer1: layer(32, 32, 1),

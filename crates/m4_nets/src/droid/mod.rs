@@ -51,23 +51,13 @@ const WIDTH: usize = 128;
 const RENAMES: [(&str, &str); 5] = [
     (r"^module\.", ""),
     (r"\.downsample\.0\.", ".downsample.conv."),
-    (
-        r"\.(corr_encoder|flow_encoder|weight|delta|logits_2)\.0\.",
-        ".${1}.hidden.",
-    ),
-    (
-        r"\.(corr_encoder|flow_encoder|weight|delta|logits_2)\.2\.",
-        ".${1}.out.",
-    ),
+    (r"\.(corr_encoder|flow_encoder|weight|delta|logits_2)\.0\.", ".${1}.hidden."),
+    (r"\.(corr_encoder|flow_encoder|weight|delta|logits_2)\.2\.", ".${1}.out."),
     (r"\.agg\.(eta|upmask)\.0\.", ".agg.${1}."),
 ];
 
 /// Tensors of the checkpoint (by the fields' names) that only training used.
-const UNNEEDED: [&str; 3] = [
-    "update.agg_motion.conv4.",
-    "update.agg_motion.norm_4.",
-    "update.agg_motion.eta.",
-];
+const UNNEEDED: [&str; 3] = ["update.agg_motion.conv4.", "update.agg_motion.norm_4.", "update.agg_motion.eta."];
 
 /// The network with its weights.
 #[derive(Debug)]
@@ -115,20 +105,13 @@ impl DroidNet {
         };
         let net = match with_rows(2) {
             Err(two @ LoadError::OtherNetwork { .. }) => match with_rows(3) {
-                Ok(net) => Net {
-                    update: net.update.without_third_rows(),
-                    ..net
-                },
+                Ok(net) => Net { update: net.update.without_third_rows(), ..net },
                 // of the two, the one that finds less to complain about
                 Err(three) => return Err(if fewer(&three, &two) { three } else { two }),
             },
             other => other?,
         };
-        Ok(Self {
-            gru: net.update.arranged_gru(),
-            net,
-            device: device.clone(),
-        })
+        Ok(Self { gru: net.update.arranged_gru(), net, device: device.clone() })
     }
 
     /// Numbers that the network learned and uses.

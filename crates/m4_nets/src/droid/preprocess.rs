@@ -19,10 +19,7 @@ const SMALLEST: usize = 128;
 ///
 /// [`DroidError::Size`] if a side is too short or no multiple of 8.
 pub fn check((width, height): (usize, usize)) -> Result<(), DroidError> {
-    if [width, height]
-        .iter()
-        .any(|&side| side < SMALLEST || side % MULTIPLE != 0)
-    {
+    if [width, height].iter().any(|&side| side < SMALLEST || side % MULTIPLE != 0) {
         return Err(DroidError::Size { width, height });
     }
     Ok(())
@@ -35,10 +32,7 @@ pub fn check((width, height): (usize, usize)) -> Result<(), DroidError> {
 /// [`DroidError::Size`] if a side is too short or no multiple of 8.
 pub fn normalised(image: &RgbImage, device: &Device) -> Result<Tensor<4>, DroidError> {
     let (width, height) = image.size();
-    if [width, height]
-        .iter()
-        .any(|&side| side < SMALLEST || side % MULTIPLE != 0)
-    {
+    if [width, height].iter().any(|&side| side < SMALLEST || side % MULTIPLE != 0) {
         return Err(DroidError::Size { width, height });
     }
     let mut values = Vec::with_capacity(3 * width * height);

@@ -40,12 +40,7 @@ impl Fixture {
 
     pub fn floats(&self, name: &str) -> Vec<f32> {
         let bytes = self.bytes(name);
-        bytes
-            .as_chunks::<4>()
-            .0
-            .iter()
-            .map(|&b| f32::from_le_bytes(b))
-            .collect()
+        bytes.as_chunks::<4>().0.iter().map(|&b| f32::from_le_bytes(b)).collect()
     }
 
     pub fn indices(&self, name: &str) -> Vec<usize> {
@@ -83,9 +78,7 @@ pub fn agree(what: &str, got: &[f32], want: &[f32], limit: f32) {
 /// `[n][c][h * w]` as `[n][h * w][c]`, as the fixtures have deltas and weights.
 fn components_last(values: &[f32], c: usize) -> Vec<f32> {
     let edges = values.chunks(c * N);
-    edges
-        .flat_map(|edge| (0..c * N).map(move |i| edge[(i % c) * N + i / c]))
-        .collect()
+    edges.flat_map(|edge| (0..c * N).map(move |i| edge[(i % c) * N + i / c])).collect()
 }
 
 #[test]
@@ -103,16 +96,12 @@ fn encoders_agree_with_the_module() {
 
 /// The inputs of the update fixture: hidden, context, correlation, motion.
 fn inputs(edges: usize) -> [Tensor<4>; 4] {
-    [
-        ("hidden", 0.0, 0.9, WIDTH),
-        ("context", 0.5, 0.5, WIDTH),
-        ("corr", 0.0, 4.0, 196),
-        ("motion", 0.0, 6.0, 4),
-    ]
-    .map(|(name, offset, scale, c)| {
-        let values = formula_input(&format!("input/droid/{name}"), offset, scale, edges * c * N);
-        tensor(values, [edges, c, H, W], &cpu())
-    })
+    [("hidden", 0.0, 0.9, WIDTH), ("context", 0.5, 0.5, WIDTH), ("corr", 0.0, 4.0, 196), ("motion", 0.0, 6.0, 4)].map(
+        |(name, offset, scale, c)| {
+            let values = formula_input(&format!("input/droid/{name}"), offset, scale, edges * c * N);
+            tensor(values, [edges, c, H, W], &cpu())
+        },
+    )
 }
 
 #[test]
@@ -165,23 +154,10 @@ fn an_update_agrees_with_the_module() {
 
     // as the motion filter does it
     let after = advanced(None);
-    let c: Vec<f32> = values(after.clone())
-        .chunks(WIDTH * N)
-        .flat_map(|edge| edge.chunks(N).step_by(9).flatten())
-        .copied()
-        .collect();
+    let c: Vec<f32> =
+        values(after.clone()).chunks(WIDTH * N).flat_map(|edge| edge.chunks(N).step_by(9).flatten()).copied().collect();
     agree("alone, hidden", &c, &file.floats("nograph_hidden_out_strided"), 3e-5);
     let last = |x| components_last(&values(x), 2);
-    agree(
-        "alone, delta",
-        &last(update.delta(after.clone())),
-        &file.floats("nograph_delta"),
-        3e-5,
-    );
-    agree(
-        "alone, weight",
-        &last(update.weight(after)),
-        &file.floats("nograph_weight"),
-        3e-5,
-    );
+    agree("alone, delta", &last(update.delta(after.clone())), &file.floats("nograph_delta"), 3e-5);
+    agree("alone, weight", &last(update.weight(after)), &file.floats("nograph_weight"), 3e-5);
 }

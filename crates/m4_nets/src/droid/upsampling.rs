@@ -15,9 +15,5 @@ pub fn convex(values: Tensor<2>, mask: Tensor<4>) -> Tensor<2> {
     let padded = values.pad([(1, 1), (1, 1)], PadMode::Constant(0.0));
     let around = (0..9).map(|k| padded.clone().slice([k / 3..k / 3 + h, k % 3..k % 3 + w]));
     let around = Tensor::stack::<3>(around.collect(), 0).reshape([9, 1, h * w]);
-    (mask * around)
-        .sum_dim(0)
-        .reshape([BLOCK, BLOCK, h, w])
-        .permute([2, 0, 3, 1])
-        .reshape([BLOCK * h, BLOCK * w])
+    (mask * around).sum_dim(0).reshape([BLOCK, BLOCK, h, w]).permute([2, 0, 3, 1]).reshape([BLOCK * h, BLOCK * w])
 }

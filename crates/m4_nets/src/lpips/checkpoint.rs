@@ -24,23 +24,14 @@ pub fn fill(module: &mut Net, net: LpipsNet, path: &Path) -> Result<(), LoadErro
     if !path.is_file() {
         return Err(LoadError::Missing { path: path.to_owned() });
     }
-    let unreadable = |reason: String| LoadError::Unreadable {
-        path: path.to_owned(),
-        network: name,
-        reason,
-    };
+    let unreadable = |reason: String| LoadError::Unreadable { path: path.to_owned(), network: name, reason };
     let bytes = fs::metadata(path).map_err(|error| unreadable(error.to_string()))?.len();
     if bytes > MAX_BYTES {
-        return Err(unreadable(format!(
-            "it has {bytes} bytes, more than any checkpoint of LPIPS"
-        )));
+        return Err(unreadable(format!("it has {bytes} bytes, more than any checkpoint of LPIPS")));
     }
     let file = fs::read(path).map_err(|error| unreadable(error.to_string()))?;
     let arrays = pickle::arrays(&file).map_err(|error| unreadable(error.to_string()))?;
-    let tensors = arrays
-        .into_iter()
-        .map(|(key, array)| tensor(net, &key, &array))
-        .collect();
+    let tensors = arrays.into_iter().map(|(key, array)| tensor(net, &key, &array)).collect();
     load::fill_with(module, name, path, tensors)
 }
 

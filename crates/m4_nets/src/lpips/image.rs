@@ -19,11 +19,7 @@ pub struct LpipsImage {
 }
 
 pub(super) fn same_size(what: &'static str, expected: (usize, usize), found: (usize, usize)) -> Result<(), LpipsError> {
-    if expected == found {
-        Ok(())
-    } else {
-        Err(LpipsError::Size { what, expected, found })
-    }
+    if expected == found { Ok(()) } else { Err(LpipsError::Size { what, expected, found }) }
 }
 
 impl LpipsImage {
@@ -36,12 +32,7 @@ impl LpipsImage {
         for (channel, plane) in planes.iter().enumerate() {
             if width.checked_mul(height) != Some(plane.len()) {
                 let found = plane.len();
-                return Err(LpipsError::Length {
-                    width,
-                    height,
-                    channel,
-                    found,
-                });
+                return Err(LpipsError::Length { width, height, channel, found });
             }
             if let Some(i) = plane.iter().position(|v| !v.is_finite()) {
                 let (x, y, value) = (i % width, i / width, plane[i]);
@@ -62,10 +53,7 @@ impl LpipsImage {
     pub(super) fn inside(&self, mask: &Mask) -> Self {
         let mask = mask.data().iter().cycle();
         let values = self.values.iter().zip(mask);
-        Self {
-            values: values.map(|(&v, &m)| if m == 0 { 0.0 } else { v }).collect(),
-            ..*self
-        }
+        Self { values: values.map(|(&v, &m)| if m == 0 { 0.0 } else { v }).collect(), ..*self }
     }
 
     /// `[1, 3, h, w]` after the scaling layer.
@@ -79,10 +67,6 @@ impl LpipsImage {
 
 impl From<&RgbImage> for LpipsImage {
     fn from(image: &RgbImage) -> Self {
-        Self {
-            width: image.width(),
-            height: image.height(),
-            values: planes(image, [0.0; 3], [1.0; 3]),
-        }
+        Self { width: image.width(), height: image.height(), values: planes(image, [0.0; 3], [1.0; 3]) }
     }
 }

@@ -174,12 +174,7 @@ impl Lpips {
         let least = self.net.min_side_px();
         if width.min(height) < least {
             let net = self.net;
-            return Err(LpipsError::TooSmall {
-                net,
-                least,
-                width,
-                height,
-            });
+            return Err(LpipsError::TooSmall { net, least, width, height });
         }
         let [image, reference] = [image, reference].map(|image| image.tensor(&self.device));
         let layers = self.layers.differences(self.net, image, reference);
@@ -200,7 +195,6 @@ impl Lpips {
     ) -> Result<Option<f64>, LpipsError> {
         image::same_size("the image", reference.size(), image.size())?;
         image::same_size("the mask", reference.size(), mask.size())?;
-        self.compare(&image.inside(mask), &reference.inside(mask))?
-            .mean_inside(mask)
+        self.compare(&image.inside(mask), &reference.inside(mask))?.mean_inside(mask)
     }
 }

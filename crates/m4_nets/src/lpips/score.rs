@@ -22,9 +22,7 @@ impl LpipsScore {
         let mut map = vec![0.0f32; width * height];
         for layer in layers {
             let [_, _, h, w] = layer.dims();
-            let values: Vec<f32> = layer
-                .try_into_vec_as()
-                .map_err(|error| LpipsError::Device(error.to_string()))?;
+            let values: Vec<f32> = layer.try_into_vec_as().map_err(|error| LpipsError::Device(error.to_string()))?;
             distance += values.iter().copied().map(f64::from).sum::<f64>() / values.len() as f64;
             let enlarged = resampled(&values, w, h, &Kernels::linear(w, width), &Kernels::linear(h, height));
             for (sum, value) in map.iter_mut().zip(enlarged) {
@@ -44,9 +42,8 @@ impl LpipsScore {
     pub fn mean_inside(&self, mask: &Mask) -> Result<Option<f64>, LpipsError> {
         same_size("the mask", self.map.size(), mask.size())?;
         let pairs = self.map.data().iter().zip(mask.data());
-        let (sum, count) = pairs
-            .filter(|&(_, &m)| m != 0)
-            .fold((0.0, 0usize), |(sum, n), (&v, _)| (sum + f64::from(v), n + 1));
+        let (sum, count) =
+            pairs.filter(|&(_, &m)| m != 0).fold((0.0, 0usize), |(sum, n), (&v, _)| (sum + f64::from(v), n + 1));
         Ok((count > 0).then(|| sum / count as f64))
     }
 }

@@ -48,10 +48,7 @@ fn numpy_files_are_read() {
 fn other_numbers_and_orders_are_refused() {
     for name in ["doubles.pickle", "by_columns.pickle"] {
         let error = arrays(&fixture(name)).unwrap_err();
-        assert!(
-            error.to_string().contains("32-bit numbers, row by row"),
-            "{name}: {error}"
-        );
+        assert!(error.to_string().contains("32-bit numbers, row by row"), "{name}: {error}");
     }
 }
 
@@ -113,11 +110,7 @@ fn attacks_are_refused() {
     let file = fixture("arrays.pickle");
     let shape = b"K\x02K\x03K\x04K\x05";
     let at = file.windows(shape.len()).position(|w| w == shape).unwrap();
-    for sides in [
-        b"J\xff\xff\xff\x7f".repeat(4),
-        b"J\0\0\0\x40".repeat(4),
-        b"K\x01".repeat(20),
-    ] {
+    for sides in [b"J\xff\xff\xff\x7f".repeat(4), b"J\0\0\0\x40".repeat(4), b"K\x01".repeat(20)] {
         let mut changed = file.clone();
         changed.splice(at..at + shape.len(), sides);
         assert!(!is_sound(&changed));

@@ -51,13 +51,9 @@ impl LpipsNet {
     fn stages(self) -> [Stage; 5] {
         let stage = |pool, convs| Stage { pool, convs };
         match self {
-            Self::Alex => [
-                stage(None, 0..1),
-                stage(Some(3), 1..2),
-                stage(Some(3), 2..3),
-                stage(None, 3..4),
-                stage(None, 4..5),
-            ],
+            Self::Alex => {
+                [stage(None, 0..1), stage(Some(3), 1..2), stage(Some(3), 2..3), stage(None, 3..4), stage(None, 4..5)]
+            }
             Self::Vgg => [
                 stage(None, 0..2),
                 stage(Some(2), 2..4),

@@ -54,11 +54,7 @@ impl Windowed {
         let [n, l, c] = x.dims();
         let [count, _] = self.attention_biases.dims();
         let width = c / count;
-        let qkv = self
-            .qkv
-            .forward(self.norm.forward(x))
-            .reshape([n, l, count, 3 * width])
-            .swap_dims(1, 2);
+        let qkv = self.qkv.forward(self.norm.forward(x)).reshape([n, l, count, 3 * width]).swap_dims(1, 2);
         let [q, k, v] = [0, 1, 2].map(|i| qkv.clone().narrow(3, i * width, width));
         let found = heads(q, k, v, Some(self.biases()));
         self.proj.forward(found.swap_dims(1, 2).reshape([n, l, c]))

@@ -39,9 +39,7 @@ impl ConvBn {
 
     fn grouped([from, to]: [usize; 2], size: usize, stride: usize, groups: usize, device: &Device) -> Self {
         Self {
-            c: Kernel {
-                weight: zeros([to, from / groups, size, size], device),
-            },
+            c: Kernel { weight: zeros([to, from / groups, size, size], device) },
             bn: Statistics::new(to, device),
             stride,
             groups,

@@ -167,9 +167,7 @@ const RENAMES: [(&str, &str); 15] = [
 /// normalisation, which only training reads.
 fn unneeded(name: &str) -> bool {
     const HEAD: [&str; 4] = ["head.weight", "head.bias", "norm_head.weight", "norm_head.bias"];
-    let head = name
-        .strip_prefix("image_encoder.")
-        .is_some_and(|name| HEAD.contains(&name));
+    let head = name.strip_prefix("image_encoder.").is_some_and(|name| HEAD.contains(&name));
     head || name.ends_with(".bn.num_batches_tracked")
 }
 
@@ -188,11 +186,7 @@ impl MobileSam {
             mask_decoder: MaskDecoder::new(device),
         };
         load::fill(&mut net, "MobileSAM", path, &RENAMES, unneeded)?;
-        Ok(Self {
-            grid: prompt::grid(&net.prompt_encoder, device),
-            net,
-            device: device.clone(),
-        })
+        Ok(Self { grid: prompt::grid(&net.prompt_encoder, device), net, device: device.clone() })
     }
 
     /// Numbers of the checkpoint that are used, statistics and waves among them.
@@ -209,10 +203,7 @@ impl MobileSam {
     pub fn encode(&self, image: &RgbImage) -> Result<Embedding, SamError> {
         let scale = Scale::of(image.width(), image.height())?;
         let map = self.net.image_encoder.forward(scale.tensor(image, &self.device)?);
-        Ok(Embedding {
-            scale,
-            map: map.squeeze_dim(0),
-        })
+        Ok(Embedding { scale, map: map.squeeze_dim(0) })
     }
 
     /// Four masks of what `prompt` shows in the image of `embedding`. The first is the one to take where there is no doubt which object is

@@ -71,10 +71,7 @@ impl Scale {
     /// [`SamError::Shape`] if the image has no pixels.
     pub fn tensor(self, image: &RgbImage, device: &Device) -> Result<Tensor<4>, SamError> {
         let (width, height) = self.inside();
-        let shape = SamError::Shape {
-            width: image.width(),
-            height: image.height(),
-        };
+        let shape = SamError::Shape { width: image.width(), height: image.height() };
         let image = resize_rgb(image, width, height, ResizeFilter::Triangle).ok_or(shape)?;
         let mut values = vec![0.0; 3 * INPUT_SIDE * INPUT_SIDE];
         for (channel, plane) in values.chunks_exact_mut(INPUT_SIDE * INPUT_SIDE).enumerate() {

@@ -22,10 +22,9 @@ fn check(prompt: &Prompt, scale: Scale) -> Result<(), SamError> {
         }
     }
     match &prompt.mask_logits {
-        Some(mask) if mask.size() != (MASK_SIDE, MASK_SIDE) => Err(SamError::MaskSize {
-            width: mask.width(),
-            height: mask.height(),
-        }),
+        Some(mask) if mask.size() != (MASK_SIDE, MASK_SIDE) => {
+            Err(SamError::MaskSize { width: mask.width(), height: mask.height() })
+        }
         Some(mask) if !mask.data().iter().all(|x| x.is_finite()) => Err(SamError::NotFinite),
         _ => Ok(()),
     }

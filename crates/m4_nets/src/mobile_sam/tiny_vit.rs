@@ -137,10 +137,7 @@ pub struct Stage<const N: usize> {
 
 impl<const N: usize> Stage<N> {
     fn new(width: usize, window: usize, downsample: Option<Merge>, device: &Device) -> Self {
-        Self {
-            blocks: std::array::from_fn(|_| Block::new(width, window, device)),
-            downsample,
-        }
+        Self { blocks: std::array::from_fn(|_| Block::new(width, window, device)), downsample }
     }
 
     fn forward(&self, x: Tensor<4>) -> Tensor<4> {

@@ -79,9 +79,7 @@ impl Config {
         }
         // a file without that key is a plain list of tensors; one that cannot be read fails when its tensors are
         if let Ok(stored) = PytorchReader::read_pickle_data(path, Some("model_config")) {
-            config
-                .read(&stored)
-                .map_err(|reason| format!("of its model_config, {reason}"))?;
+            config.read(&stored).map_err(|reason| format!("of its model_config, {reason}"))?;
         }
         Ok(config)
     }

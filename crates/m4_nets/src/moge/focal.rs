@@ -59,11 +59,7 @@ pub fn recovered(
         let newton = -here.slope / here.curvature;
         let whole = newton.abs() <= 1.1 * reach;
         let step = if whole { newton } else { reach.copysign(newton) };
-        reach = if reach.is_finite() {
-            reach
-        } else {
-            step.abs().min(FIRST_REACH)
-        };
+        reach = if reach.is_finite() { reach } else { step.abs().min(FIRST_REACH) };
         let expected = -(2.0 * here.slope + here.curvature * step) * step / here.cost;
         // also where nothing is left to gain, or all is infinite
         if expected.is_nan() || expected <= f64::EPSILON {
@@ -84,10 +80,7 @@ pub fn recovered(
             reach = 2.0 * step.abs();
         }
     }
-    let found = FocalShift {
-        focal: here.focal,
-        shift,
-    };
+    let found = FocalShift { focal: here.focal, shift };
     if found.focal.is_finite() && found.focal > 0.0 && here.cost.is_finite() {
         Ok(found)
     } else {
@@ -110,11 +103,7 @@ fn sightings(points: &[[f32; 3]], valid: impl Fn(usize) -> bool, (width, height)
         }
         let [px, py, z] = point.map(f64::from);
         let from_middle = |x: usize, side: usize| (2.0 * x as f64 + 1.0 - side as f64) / diagonal;
-        seen.push(Sighting {
-            xy: [px, py],
-            z,
-            uv: [from_middle(x, width), from_middle(y, height)],
-        });
+        seen.push(Sighting { xy: [px, py], z, uv: [from_middle(x, width), from_middle(y, height)] });
     }
     seen
 }
@@ -162,12 +151,7 @@ impl Problem<'_> {
             slope += dot(r, dr);
             curvature += dot(dr, dr);
         }
-        Cost {
-            focal,
-            cost,
-            slope,
-            curvature,
-        }
+        Cost { focal, cost, slope, curvature }
     }
 }
 
@@ -215,10 +199,7 @@ mod tests {
         for (focal, shift) in [(0.7, -0.9), (1.6, 1.2), (3.0, 0.0)] {
             let points = leaning(focal, shift);
             let FocalShift { focal: f, shift: s } = recovered(&points, |_| true, (90, 60), None).unwrap();
-            assert!(
-                (f / focal - 1.0).abs() < 1e-4 && (s - shift).abs() < 1e-3,
-                "{f}, {s} for {focal}, {shift}"
-            );
+            assert!((f / focal - 1.0).abs() < 1e-4 && (s - shift).abs() < 1e-3, "{f}, {s} for {focal}, {shift}");
             let known = recovered(&points, |_| true, (90, 60), Some(focal)).unwrap();
             assert!((known.shift - shift).abs() < 1e-5, "{known:?} for {shift}");
         }
@@ -231,10 +212,7 @@ mod tests {
             points[i] = [f32::NAN, 1.0, f32::INFINITY];
         }
         let found = recovered(&points, |i| i % 5 != 0, (90, 60), None).unwrap();
-        assert!(
-            (found.focal - 1.2).abs() < 1e-2 && (found.shift - 0.5).abs() < 1e-2,
-            "{found:?}"
-        );
+        assert!((found.focal - 1.2).abs() < 1e-2 && (found.shift - 0.5).abs() < 1e-2, "{found:?}");
         let none = |error| matches!(error, Err(MoGeError::NothingValid));
         assert!(none(recovered(&points, |_| false, (90, 60), None)));
         assert!(none(recovered(&points, |_| false, (90, 60), Some(1.0))));
@@ -247,9 +225,6 @@ mod tests {
         }
         // points that are turned upside down
         let turned: Vec<[f32; 3]> = leaning(1.2, 0.0).iter().map(|&[x, y, z]| [-x, -y, z]).collect();
-        assert!(matches!(
-            recovered(&turned, |_| true, (90, 60), None),
-            Err(MoGeError::NoFocal)
-        ));
+        assert!(matches!(recovered(&turned, |_| true, (90, 60), None), Err(MoGeError::NoFocal)));
     }
 }

@@ -68,9 +68,7 @@ impl StackLayout {
             let Some(width) = width.or_else(|| side(&format!("res_blocks.{i}.0.conv1"), 1)) else {
                 break;
             };
-            let blocks = (0..)
-                .map_while(|j| side(&format!("res_blocks.{i}.{j}.conv1"), 0))
-                .collect();
+            let blocks = (0..).map_while(|j| side(&format!("res_blocks.{i}.{j}.conv1"), 0)).collect();
             let transposed = shape(&format!("resamplers.{i}.transposed")).is_some();
             levels.push(Level {
                 input,
@@ -89,10 +87,7 @@ impl StackLayout {
             let start = format!("{name}.res_blocks.");
             shapes.keys().any(|key| key.starts_with(&start) && key.ends_with(&end))
         };
-        let norms = [
-            any("in_norm").then_some(kinds[0]),
-            any("hidden_norm").then_some(kinds[1]),
-        ];
+        let norms = [any("in_norm").then_some(kinds[0]), any("hidden_norm").then_some(kinds[1])];
         (!levels.is_empty()).then_some(Self { levels, norms })
     }
 
@@ -127,9 +122,7 @@ impl Layout {
     ///
     /// What is missing or does not fit together.
     pub fn in_checkpoint(shapes: &Shapes, kinds: impl Fn(&str) -> [Norm; 2]) -> Result<Self, String> {
-        let wide = shapes
-            .iter()
-            .find(|(_, shape)| shape.iter().any(|&n| n > MOST_CHANNELS));
+        let wide = shapes.iter().find(|(_, shape)| shape.iter().any(|&n| n > MOST_CHANNELS));
         if let Some((name, shape)) = wide {
             return Err(format!("{name} has the shape {shape:?}, which is too large"));
         }
@@ -172,11 +165,7 @@ impl Layout {
     /// Every level takes what it is given.
     fn check(&self) -> Result<(), String> {
         let first = |i: usize| if i == 0 { self.encoder } else { 0 };
-        fits(
-            "neck",
-            &self.neck,
-            (0..self.neck.levels.len()).map(|i| Some(first(i) + 2)),
-        )?;
+        fits("neck", &self.neck, (0..self.neck.levels.len()).map(|i| Some(first(i) + 2)))?;
         let heads = [
             ("points_head", Some(&self.points), 3),
             ("mask_head", Some(&self.mask), 1),
@@ -186,22 +175,13 @@ impl Layout {
             let Some(head) = head else { continue };
             let inputs = self.neck.outputs().zip(&head.levels);
             // without a convolution, the input is added as it is
-            fits(
-                name,
-                head,
-                inputs.map(|(n, level)| (level.input.is_some() || n != level.width).then_some(n)),
-            )?;
+            fits(name, head, inputs.map(|(n, level)| (level.input.is_some() || n != level.width).then_some(n)))?;
             if head.levels.len() != self.neck.levels.len() || head.outputs().last() != Some(channels) {
-                return Err(format!(
-                    "{name} does not end in {channels} channels of the last level of the neck"
-                ));
+                return Err(format!("{name} does not end in {channels} channels of the last level of the neck"));
             }
         }
         if self.scale.len() < 2 || self.scale.last() != Some(&1) {
-            return Err(format!(
-                "scale_head has the layers {:?}, which do not end in a number",
-                self.scale
-            ));
+            return Err(format!("scale_head has the layers {:?}, which do not end in a number", self.scale));
         }
         Ok(())
     }
@@ -211,10 +191,7 @@ impl Layout {
 fn fits(name: &str, stack: &StackLayout, inputs: impl Iterator<Item = Option<usize>>) -> Result<(), String> {
     for (i, (level, input)) in stack.levels.iter().zip(inputs).enumerate() {
         if level.input != input {
-            return Err(format!(
-                "{name}.input_blocks.{i} takes {:?} channels where there are {input:?}",
-                level.input
-            ));
+            return Err(format!("{name}.input_blocks.{i} takes {:?} channels where there are {input:?}", level.input));
         }
     }
     Ok(())

@@ -110,11 +110,7 @@ impl RawOutput {
         let mask = depth_m.map(|&z| z > 0.0);
         let facing = |i: usize, n: [f32; 3]| {
             let length = n.iter().map(|x| x * x).sum::<f32>().sqrt().max(1e-12);
-            if mask.data()[i] {
-                n.map(|x| x / length)
-            } else {
-                [0.0; 3]
-            }
+            if mask.data()[i] { n.map(|x| x / length) } else { [0.0; 3] }
         };
         let normal = self
             .normal
@@ -135,8 +131,5 @@ impl RawOutput {
 /// Planes `[3][n]` as `n` triples, each through `f`.
 fn interleaved(planes: &[f32], f: impl Fn([f32; 3]) -> [f32; 3] + Sync) -> Vec<[f32; 3]> {
     let n = planes.len() / 3;
-    (0..n)
-        .into_par_iter()
-        .map(|i| f([planes[i], planes[n + i], planes[2 * n + i]]))
-        .collect()
+    (0..n).into_par_iter().map(|i| f([planes[i], planes[n + i], planes[2 * n + i]])).collect()
 }

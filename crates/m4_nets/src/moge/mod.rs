@@ -141,9 +141,7 @@ impl Net {
             points_head: Stack::new(&layout.points, device),
             mask_head: Stack::new(&layout.mask, device),
             normal_head: layout.normal.as_ref().map(|head| Stack::new(head, device)),
-            scale_head: Scale {
-                layers: scale.map(|(&from, &to)| linear(from, to, true, device)).collect(),
-            },
+            scale_head: Scale { layers: scale.map(|(&from, &to)| linear(from, to, true, device)).collect() },
         }
     }
 
@@ -199,12 +197,7 @@ impl MoGe {
         let mut net = Net::new(size, &layout, device);
         load::fill(&mut net, NAME, path, &RENAMES, dinov2::unneeded)?;
         let net = on.fit(net);
-        Ok(Self {
-            net,
-            config,
-            size,
-            device: device.clone(),
-        })
+        Ok(Self { net, config, size, device: device.clone() })
     }
 
     /// The backbone that the checkpoint holds.
@@ -244,9 +237,7 @@ impl MoGe {
     fn raw_output(&self, image: &RgbImage, options: &MoGeOptions) -> Result<RawOutput, MoGeError> {
         let tokens = options.tokens.unwrap_or(self.config.tokens.1);
         let grid = Grid::of(image.width(), image.height(), tokens)?;
-        let out = self
-            .net
-            .forward(grid.tensor(image, &self.device), &self.config.taps, grid);
+        let out = self.net.forward(grid.tensor(image, &self.device), &self.config.taps, grid);
         let planes = |x: Tensor<4>| {
             let [_, _, h, w] = x.dims();
             numbers(x).map(|values| grid.to_image(&values, w, h))
@@ -255,14 +246,7 @@ impl MoGe {
         let mask = planes(out.mask)?;
         let normal = out.normal.map(planes).transpose()?;
         let log_scale = numbers(out.log_scale)?.first().copied().unwrap_or(f32::NAN);
-        Ok(RawOutput::of_planes(
-            image.size(),
-            &points,
-            &mask,
-            normal.as_deref(),
-            self.config.remap,
-            log_scale.exp(),
-        ))
+        Ok(RawOutput::of_planes(image.size(), &points, &mask, normal.as_deref(), self.config.remap, log_scale.exp()))
     }
 }
 

@@ -34,12 +34,7 @@ impl Grid {
         }
         let aspect = width as f64 / height as f64;
         let side = |squared: f64| (squared.sqrt().round_ties_even() as usize).clamp(1, tokens);
-        Ok(Self {
-            width,
-            height,
-            across: side(tokens as f64 * aspect),
-            down: side(tokens as f64 / aspect),
-        })
+        Ok(Self { width, height, across: side(tokens as f64 * aspect), down: side(tokens as f64 / aspect) })
     }
 
     /// The image `[1, 3, 14 down, 14 across]` from 0 to 1.
@@ -69,13 +64,7 @@ impl Grid {
 
     /// Planes `[n][h][w]` of a map in the image's size, bilinear.
     pub fn to_image(self, planes: &[f32], w: usize, h: usize) -> Vec<f32> {
-        resampled(
-            planes,
-            w,
-            h,
-            &Kernels::linear(w, self.width),
-            &Kernels::linear(h, self.height),
-        )
+        resampled(planes, w, h, &Kernels::linear(w, self.width), &Kernels::linear(h, self.height))
     }
 }
 

@@ -77,10 +77,7 @@ impl Enlarge {
                 transposed: Some(twice.with_initializer(Initializer::Zeros).init(device)),
                 conv: wide([to, to], device),
             },
-            Up::Bilinear => Self {
-                transposed: None,
-                conv: wide([from, to], device),
-            },
+            Up::Bilinear => Self { transposed: None, conv: wide([from, to], device) },
         }
     }
 
@@ -110,13 +107,8 @@ impl Stack {
         };
         let ups = levels.iter().zip(levels.iter().skip(1));
         Self {
-            input_blocks: levels
-                .iter()
-                .map(|l| l.input.map(|from| single(from, l.width)))
-                .collect(),
-            resamplers: ups
-                .map(|(from, to)| Enlarge::new(from.up, from.width, to.width, device))
-                .collect(),
+            input_blocks: levels.iter().map(|l| l.input.map(|from| single(from, l.width))).collect(),
+            resamplers: ups.map(|(from, to)| Enlarge::new(from.up, from.width, to.width, device)).collect(),
             res_blocks: levels.iter().map(blocks).collect(),
             output_blocks: levels.iter().map(|l| l.output.map(|to| single(l.width, to))).collect(),
         }
@@ -142,9 +134,7 @@ impl Stack {
     /// What the last level gives away, of at least one level.
     pub fn last(&self, inputs: &[Tensor<4>]) -> Tensor<4> {
         let (first, rest) = (inputs[0].clone(), inputs.iter().enumerate().skip(1));
-        let x = rest.fold(self.level(0, None, first), |below, (i, input)| {
-            self.level(i, Some(below), input.clone())
-        });
+        let x = rest.fold(self.level(0, None, first), |below, (i, input)| self.level(i, Some(below), input.clone()));
         through(&self.output_blocks[inputs.len() - 1], x)
     }
 

@@ -35,19 +35,14 @@ fn network() -> MoGe {
 /// Maps `[1, c, h, w]` without all channels but every `step`-th.
 fn every(x: Tensor<4>, step: usize) -> Tensor<4> {
     let [_, c, h, w] = x.dims();
-    x.reshape([c / step, step, h, w])
-        .narrow(1, 0, 1)
-        .reshape([1, c / step, h, w])
+    x.reshape([c / step, step, h, w]).narrow(1, 0, 1).reshape([1, c / step, h, w])
 }
 
 #[test]
 fn small_model_matches_the_module() {
     let fixture = Fixture::open("moge2/vits_assumed.safetensors");
     let net = network();
-    assert_eq!(
-        (net.size(), net.tokens(), net.has_normals()),
-        (BackboneSize::Small, (1200, 3600), true)
-    );
+    assert_eq!((net.size(), net.tokens(), net.has_normals()), (BackboneSize::Small, (1200, 3600), true));
     assert_eq!(net.parameters(), 36_948_526 - 384);
     let image = fixture.image("image");
     let grid = Grid::of(180, 140, 80).unwrap();
@@ -65,10 +60,7 @@ fn small_model_matches_the_module() {
     for (i, (level, step)) in levels.into_iter().zip([96, 32, 16, 16, 16]).enumerate() {
         assert_near(every(level, step), &fixture, &format!("neck{i}_strided"), LIMIT);
     }
-    let options = MoGeOptions {
-        tokens: Some(80),
-        known_focal_px: None,
-    };
+    let options = MoGeOptions { tokens: Some(80), known_focal_px: None };
     let raw = net.raw_output(&image, &options).unwrap();
     let near = |got: &[f32], name: &str, limit: f64| {
         let error = relative_error(got, &fixture.floats(name).0);
@@ -91,15 +83,8 @@ fn small_model_matches_the_module() {
 
     let map = net.infer(&image, &options).unwrap();
     let intrinsics = fixture.floats("infer_intrinsics").0;
-    assert!(
-        (map.focal_px / 180.0 / f64::from(intrinsics[0]) - 1.0).abs() < 1e-2,
-        "{}",
-        map.focal_px
-    );
-    let (depth, points) = (
-        fixture.floats("infer_depth_strided").0,
-        fixture.floats("infer_points_strided").0,
-    );
+    assert!((map.focal_px / 180.0 / f64::from(intrinsics[0]) - 1.0).abs() < 1e-2, "{}", map.focal_px);
+    let (depth, points) = (fixture.floats("infer_depth_strided").0, fixture.floats("infer_points_strided").0);
     let (mut checked, ours) = (0, map.points_m());
     for (i, &want) in depth.iter().enumerate() {
         let (x, y) = (i % 90, i / 90);
@@ -111,18 +96,11 @@ fn small_model_matches_the_module() {
         assert!((map.depth_m[(2 * x, 2 * y)] / want - 1.0).abs() < 1e-4, "{x}, {y}");
         if x % 2 == 0 && y % 2 == 0 {
             let at = 3 * (y / 2 * 45 + x / 2);
-            let apart = ours[(2 * x, 2 * y)]
-                .iter()
-                .zip(&points[at..at + 3])
-                .map(|(a, b)| (a - b).abs());
+            let apart = ours[(2 * x, 2 * y)].iter().zip(&points[at..at + 3]).map(|(a, b)| (a - b).abs());
             assert!(apart.fold(0.0, f32::max) < 1e-4 * want, "{x}, {y}");
         }
     }
-    assert!(
-        checked > depth.len() / 4 && checked < depth.len(),
-        "{checked} of {}",
-        depth.len()
-    );
+    assert!(checked > depth.len() / 4 && checked < depth.len(), "{checked} of {}", depth.len());
 }
 
 /// The names and shapes of the module are those of the checkpoints, nothing less and nothing more.
@@ -166,23 +144,11 @@ fn an_unknown_setting_is_an_error() {
     let dict = |key: &str, value: PickleValue| PickleValue::Dict([(key.to_owned(), value)].into());
     for (said, word) in [
         (dict("remap_output", text("tanh")), "tanh"),
-        (
-            dict("num_tokens_range", PickleValue::List(vec![PickleValue::Int(5)])),
-            "num_tokens_range",
-        ),
+        (dict("num_tokens_range", PickleValue::List(vec![PickleValue::Int(5)])), "num_tokens_range"),
         (dict("neck", dict("activation", text("silu"))), "silu"),
-        (
-            dict("mask_head", dict("resamplers", text("pixel_shuffle"))),
-            "pixel_shuffle",
-        ),
-        (
-            dict("neck", dict("res_block_in_norm", text("instance_norm"))),
-            "instance_norm",
-        ),
-        (
-            dict("encoder", dict("intermediate_layers", PickleValue::Int(4))),
-            "intermediate_layers",
-        ),
+        (dict("mask_head", dict("resamplers", text("pixel_shuffle"))), "pixel_shuffle"),
+        (dict("neck", dict("res_block_in_norm", text("instance_norm"))), "instance_norm"),
+        (dict("encoder", dict("intermediate_layers", PickleValue::Int(4))), "intermediate_layers"),
     ] {
         let error = Config::published(BackboneSize::Small).read(&said).unwrap_err();
         assert!(error.contains(word), "{error}");
@@ -202,28 +168,12 @@ fn layouts_that_do_not_fit_are_refused() {
         let error = Layout::in_checkpoint(&shapes, |stack| config.norms(stack)).unwrap_err();
         assert!(error.contains(word), "{error}");
     };
-    check(
-        "points_head.output_blocks.4.weight",
-        Some(vec![4, 32, 1, 1]),
-        "points_head does not end in 3",
-    );
+    check("points_head.output_blocks.4.weight", Some(vec![4, 32, 1, 1]), "points_head does not end in 3");
     check("mask_head.output_blocks.4.weight", None, "mask_head does not end in 1");
-    check(
-        "neck.input_blocks.2.weight",
-        Some(vec![128, 3, 1, 1]),
-        "neck.input_blocks.2",
-    );
-    check(
-        "mask_head.input_blocks.1.weight",
-        Some(vec![256, 7, 1, 1]),
-        "mask_head.input_blocks.1",
-    );
+    check("neck.input_blocks.2.weight", Some(vec![128, 3, 1, 1]), "neck.input_blocks.2");
+    check("mask_head.input_blocks.1.weight", Some(vec![256, 7, 1, 1]), "mask_head.input_blocks.1");
     check("normal_head.resamplers.2.conv.weight", None, "normal_head");
     check("scale_head.layers.2.weight", None, "scale_head");
     check("encoder.output_projections.0.weight", None, "output_projections");
-    check(
-        "neck.resamplers.0.conv.weight",
-        Some(vec![1 << 20, 256, 3, 3]),
-        "too large",
-    );
+    check("neck.resamplers.0.conv.weight", Some(vec![1 << 20, 256, 3, 3]), "too large");
 }

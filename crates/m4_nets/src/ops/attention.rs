@@ -36,10 +36,7 @@ mod tests {
             };
             let q = input("q", [b, heads, n, c]);
             let (k, v) = (input("k", [b, heads, m, c]), input("v", [b, heads, m, d]));
-            let scores = q
-                .clone()
-                .matmul(k.clone().swap_dims(2, 3))
-                .div_scalar((c as f32).sqrt());
+            let scores = q.clone().matmul(k.clone().swap_dims(2, 3)).div_scalar((c as f32).sqrt());
             let want: Vec<f32> = softmax(scores, 3).matmul(v.clone()).try_into_vec_as().unwrap();
             let got: Vec<f32> = attend_heads(q, k, v).try_into_vec_as().unwrap();
             assert_eq!(got.len(), b * heads * n * d);

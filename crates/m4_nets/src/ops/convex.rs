@@ -8,9 +8,7 @@ use burn_core::tensor::ops::PadMode;
 fn neighbours(x: Tensor<3>) -> Tensor<4> {
     let [h, w, _] = x.dims();
     let x = x.pad([(1, 1), (1, 1), (0, 0)], PadMode::Constant(0.0));
-    let shifted = (0..9)
-        .map(|i| x.clone().narrow(0, i / 3, h).narrow(1, i % 3, w))
-        .collect();
+    let shifted = (0..9).map(|i| x.clone().narrow(0, i / 3, h).narrow(1, i % 3, w)).collect();
     Tensor::stack(shifted, 2)
 }
 

@@ -83,14 +83,9 @@ mod tests {
     #[test]
     fn agree_with_their_definitions() {
         let n = 50_003;
-        let xs: Vec<f32> = (0..n)
-            .map(|i| (i as f32 / n as f32 - 0.5) * 40.0)
-            .chain((0..40).map(|k| 0.7_f32.powi(k)))
-            .collect();
-        let pairs = [
-            (of(sigmoid, &xs), (|x| 1.0 / (1.0 + (-x).exp())) as fn(f64) -> f64),
-            (of(tanh, &xs), f64::tanh),
-        ];
+        let xs: Vec<f32> =
+            (0..n).map(|i| (i as f32 / n as f32 - 0.5) * 40.0).chain((0..40).map(|k| 0.7_f32.powi(k))).collect();
+        let pairs = [(of(sigmoid, &xs), (|x| 1.0 / (1.0 + (-x).exp())) as fn(f64) -> f64), (of(tanh, &xs), f64::tanh)];
         for (got, want) in pairs {
             for (&x, got) in xs.iter().zip(got) {
                 let want = want(f64::from(x));

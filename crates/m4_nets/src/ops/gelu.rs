@@ -9,23 +9,10 @@ use burn_core::tensor::{Tensor, activation};
 use fearless_simd::{Simd, f32x16, prelude::*};
 
 /// `P`, the highest power first.
-const P: [f32; 7] = [
-    -2.726_142_3e-10,
-    2.770_681_4e-8,
-    -2.101_024e-6,
-    -5.692_506_5e-5,
-    -7.349_906_5e-4,
-    -2.954_6e-3,
-    -1.609_603_3e-2,
-];
+const P: [f32; 7] =
+    [-2.726_142_3e-10, 2.770_681_4e-8, -2.101_024e-6, -5.692_506_5e-5, -7.349_906_5e-4, -2.954_6e-3, -1.609_603_3e-2];
 /// `Q`, the highest power first.
-const Q: [f32; 5] = [
-    -1.456_607_2e-5,
-    -2.133_740_6e-4,
-    -1.682_827e-3,
-    -7.373_329e-3,
-    -1.426_474e-2,
-];
+const Q: [f32; 5] = [-1.456_607_2e-5, -2.133_740_6e-4, -1.682_827e-3, -7.373_329e-3, -1.426_474e-2];
 /// `x Phi(x)` of every number, where `Phi` is the normal distribution; within 1e-6 of its definition, relative to
 /// `1 + |x|`.
 pub fn gelu<const D: usize>(x: Tensor<D>) -> Tensor<D> {
@@ -106,10 +93,7 @@ mod tests {
                 z => z.signum(),
             };
             let want = 0.5 * x * (1.0 + phi);
-            assert!(
-                (f64::from(got) - want).abs() < 1e-6 * (1.0 + x.abs()),
-                "{x}: {got} where {want} was expected"
-            );
+            assert!((f64::from(got) - want).abs() < 1e-6 * (1.0 + x.abs()), "{x}: {got} where {want} was expected");
         }
     }
 
@@ -117,23 +101,15 @@ mod tests {
     fn by_tanh_agrees_with_its_definition() {
         let n = 70_003;
         let xs: Vec<f32> = (0..n).map(|i| (i as f32 / n as f32 - 0.5) * 14.0).collect();
-        let got: Vec<f32> = gelu_by_tanh(tensor(xs.clone(), [1, n], &cpu()))
-            .try_into_vec_as()
-            .unwrap();
+        let got: Vec<f32> = gelu_by_tanh(tensor(xs.clone(), [1, n], &cpu())).try_into_vec_as().unwrap();
         for (x, got) in xs.iter().map(|&x| f64::from(x)).zip(got) {
             let want = 0.5 * x * (1.0 + ((2.0 / std::f64::consts::PI).sqrt() * (x + 0.044_715 * x * x * x)).tanh());
-            assert!(
-                (f64::from(got) - want).abs() < 2e-6 * (1.0 + x.abs()),
-                "{x}: {got} where {want} was expected"
-            );
+            assert!((f64::from(got) - want).abs() < 2e-6 * (1.0 + x.abs()), "{x}: {got} where {want} was expected");
         }
         let wild: Vec<f32> = gelu_by_tanh(tensor(vec![0.0, f32::INFINITY, 1e30, -1e30, f32::NAN], [5], &cpu()))
             .try_into_vec_as()
             .unwrap();
-        assert!(
-            wild[0] == 0.0 && wild[1] == f32::INFINITY && wild[2] == 1e30,
-            "{wild:?}"
-        );
+        assert!(wild[0] == 0.0 && wild[1] == f32::INFINITY && wild[2] == 1e30, "{wild:?}");
         assert!(wild[3].abs() < 1.0 && wild[4].is_nan(), "{wild:?}");
     }
 

@@ -35,9 +35,7 @@ pub fn apply<F: Function, const D: usize>(x: Tensor<D>, otherwise: impl Fn(Tenso
 
 fn on_processor<F: Function>(values: &mut [f32]) {
     let level = Level::new();
-    values
-        .par_chunks_mut(CHUNK)
-        .for_each(|chunk| dispatch!(level, s => each::<_, F>(s, chunk)));
+    values.par_chunks_mut(CHUNK).for_each(|chunk| dispatch!(level, s => each::<_, F>(s, chunk)));
 }
 
 #[inline(always)]

@@ -53,19 +53,12 @@ pub fn conv(channels: [usize; 2], kernel: usize, stride: usize, bias: bool, devi
 
 /// `conv` with other weights `[out, in, h, w]` of its kernel's size.
 pub fn with_weights(conv: Conv2d, weight: Tensor<4>, bias: Option<Tensor<1>>) -> Conv2d {
-    Conv2d {
-        weight: Param::from_tensor(weight),
-        bias: bias.map(Param::from_tensor),
-        ..conv
-    }
+    Conv2d { weight: Param::from_tensor(weight), bias: bias.map(Param::from_tensor), ..conv }
 }
 
 /// A linear layer that waits for its weights.
 pub fn linear(from: usize, to: usize, bias: bool, device: &Device) -> Linear {
-    LinearConfig::new(from, to)
-        .with_bias(bias)
-        .with_initializer(Initializer::Zeros)
-        .init(device)
+    LinearConfig::new(from, to).with_bias(bias).with_initializer(Initializer::Zeros).init(device)
 }
 
 /// A layer normalisation over `width` channels that waits for its weights.
@@ -91,10 +84,6 @@ const QUERY_ROWS: usize = 1024;
 pub fn attend(q: Tensor<2>, k: Tensor<2>, v: Tensor<2>) -> Tensor<2> {
     let [_, c] = q.dims();
     let k = k.mul_scalar(1.0 / (c as f32).sqrt()).transpose();
-    let rows = q
-        .split(QUERY_ROWS, 0)
-        .into_iter()
-        .map(|q| softmax(q.matmul(k.clone()), 1).matmul(v.clone()))
-        .collect();
+    let rows = q.split(QUERY_ROWS, 0).into_iter().map(|q| softmax(q.matmul(k.clone()), 1).matmul(v.clone())).collect();
     Tensor::cat(rows, 0)
 }

@@ -14,11 +14,7 @@ pub fn sine_positions(map: [usize; 2], tile: [usize; 2], channels: usize, device
     let wave = |at: usize, side: usize, channel: usize| {
         let angle = (at % side + 1) as f32 / (side as f32 + 1e-6) * TAU;
         let angle = angle / 10_000f32.powf((channel / 2 * 2) as f32 / half as f32);
-        if channel.is_multiple_of(2) {
-            angle.sin()
-        } else {
-            angle.cos()
-        }
+        if channel.is_multiple_of(2) { angle.sin() } else { angle.cos() }
     };
     let table = |n: usize, side: usize| -> Vec<f32> { (0..n * half).map(|i| wave(i / half, side, i % half)).collect() };
     let rows: Tensor<4> = tensor(table(height, h), [1, height, 1, half], device);

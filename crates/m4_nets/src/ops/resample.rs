@@ -84,20 +84,13 @@ fn neighbours(first: i64, weights: &[f64], from: usize) -> Kernel {
     for (j, weight) in (first..).zip(weights) {
         gathered[(at(j) - start) as usize] += weight;
     }
-    Kernel {
-        first: start as usize,
-        weights: gathered.iter().map(|&w| w as f32).collect(),
-    }
+    Kernel { first: start as usize, weights: gathered.iter().map(|&w| w as f32).collect() }
 }
 
 /// The cubic of Keys with a = -0.75 at the distance `x` from 0 to 2.
 fn cubic(x: f64) -> f64 {
     const A: f64 = -0.75;
-    if x <= 1.0 {
-        ((A + 2.0) * x - (A + 3.0)) * x * x + 1.0
-    } else {
-        ((A * x - 5.0 * A) * x + 8.0 * A) * x - 4.0 * A
-    }
+    if x <= 1.0 { ((A + 2.0) * x - (A + 3.0)) * x * x + 1.0 } else { ((A * x - 5.0 * A) * x + 8.0 * A) * x - 4.0 * A }
 }
 
 /// Planes `[n][height][width]` (`width` numbers per row) with columns and rows of other numbers: along rows, then along columns.
@@ -108,15 +101,12 @@ pub fn resampled(planes: &[f32], width: usize, height: usize, columns: &Kernels,
     if narrow.is_empty() || to_height == 0 {
         return Vec::new();
     }
-    narrow
-        .par_chunks_mut(to_width)
-        .zip(planes.par_chunks(width))
-        .for_each(|(out, row)| {
-            for (out, kernel) in out.iter_mut().zip(&columns.0) {
-                let near = row[kernel.first..].iter().zip(&kernel.weights);
-                *out = near.map(|(x, w)| x * w).sum();
-            }
-        });
+    narrow.par_chunks_mut(to_width).zip(planes.par_chunks(width)).for_each(|(out, row)| {
+        for (out, kernel) in out.iter_mut().zip(&columns.0) {
+            let near = row[kernel.first..].iter().zip(&kernel.weights);
+            *out = near.map(|(x, w)| x * w).sum();
+        }
+    });
     let mut out = vec![0.0f32; planes_count * to_height * to_width];
     out.par_chunks_mut(to_width).enumerate().for_each(|(i, out)| {
         let (plane, y) = (i / to_height, i % to_height);
@@ -182,9 +172,7 @@ mod tests {
         let (across, down) = (columns.matrix(w), rows.matrix(h));
         for (i, got) in both[..18].iter().enumerate() {
             let (x, y) = (i % 9, i / 9);
-            let want: f32 = (0..20)
-                .map(|j| plane[j] * across[x * w + j % w] * down[y * h + j / w])
-                .sum();
+            let want: f32 = (0..20).map(|j| plane[j] * across[x * w + j % w] * down[y * h + j / w]).sum();
             assert!((got - want).abs() < 1e-4, "{x}, {y}: {got} for {want}");
         }
         assert!(resampled(&[], 0, 0, &columns, &rows).is_empty());

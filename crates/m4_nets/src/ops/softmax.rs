@@ -34,9 +34,7 @@ pub fn softmax_rows<const D: usize>(x: Tensor<D>) -> Tensor<D> {
 
 fn on_processor(values: &mut [f32], n: usize) {
     let level = Level::new();
-    values
-        .par_chunks_mut((CHUNK / n).max(1) * n)
-        .for_each(|rows| dispatch!(level, s => each(s, rows, n)));
+    values.par_chunks_mut((CHUNK / n).max(1) * n).for_each(|rows| dispatch!(level, s => each(s, rows, n)));
 }
 
 #[inline(always)]

@@ -58,10 +58,8 @@ impl Residual {
             conv2: conv([to, to], 3, 1, true, device),
             norm1: norm.of(to, device),
             norm2: norm.of(to, device),
-            downsample: (stride != 1).then(|| Downsample {
-                conv: conv([from, to], 1, stride, true, device),
-                norm: norm.of(to, device),
-            }),
+            downsample: (stride != 1)
+                .then(|| Downsample { conv: conv([from, to], 1, stride, true, device), norm: norm.of(to, device) }),
         }
     }
 
@@ -77,11 +75,7 @@ impl Residual {
 
     fn statistics(&self) -> usize {
         let shortcut = self.downsample.as_ref().and_then(|d| d.norm.as_ref());
-        [self.norm1.as_ref(), self.norm2.as_ref(), shortcut]
-            .into_iter()
-            .flatten()
-            .map(|norm| 2 * norm.width())
-            .sum()
+        [self.norm1.as_ref(), self.norm2.as_ref(), shortcut].into_iter().flatten().map(|norm| 2 * norm.width()).sum()
     }
 }
 
@@ -99,12 +93,7 @@ pub struct Encoder {
 impl Encoder {
     /// To `width` channels.
     pub fn new(width: usize, norm: Norm, device: &Device) -> Self {
-        let layer = |from, to| {
-            [
-                Residual::new([from, to], norm, device),
-                Residual::new([to, to], norm, device),
-            ]
-        };
+        let layer = |from, to| [Residual::new([from, to], norm, device), Residual::new([to, to], norm, device)];
         Self {
             conv1: conv([3, 64], 7, 2, true, device),
             norm1: norm.of(64, device),

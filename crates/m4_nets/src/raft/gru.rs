@@ -26,10 +26,7 @@ pub struct Kernel {
 
 impl Kernel {
     fn new([rows, columns]: [usize; 2], device: &Device) -> Self {
-        Self {
-            weight: zeros([WIDTH, 3 * WIDTH, rows, columns], device),
-            bias: zeros([WIDTH], device),
-        }
+        Self { weight: zeros([WIDTH, 3 * WIDTH, rows, columns], device), bias: zeros([WIDTH], device) }
     }
 
     /// What of the kernel the input number `i` meets.
@@ -90,11 +87,8 @@ impl SepConvGru {
     /// Kernels and biases as they are, `z`, `r` and `q` of each axis.
     #[cfg(test)]
     pub fn kernels(&self) -> [[(Tensor<4>, Tensor<1>); 3]; 2] {
-        [
-            [&self.convz1, &self.convr1, &self.convq1],
-            [&self.convz2, &self.convr2, &self.convq2],
-        ]
-        .map(|axis| axis.map(|kernel| (kernel.weight.val(), kernel.bias.val())))
+        [[&self.convz1, &self.convr1, &self.convq1], [&self.convz2, &self.convr2, &self.convq2]]
+            .map(|axis| axis.map(|kernel| (kernel.weight.val(), kernel.bias.val())))
     }
 
     /// For the context `[n, 128, h, w]`.
@@ -122,10 +116,7 @@ impl SepConvGru {
             }
         };
         Unit {
-            passes: [
-                pass(&self.convz1, &self.convr1, &self.convq1),
-                pass(&self.convz2, &self.convr2, &self.convq2),
-            ],
+            passes: [pass(&self.convz1, &self.convr1, &self.convq1), pass(&self.convz2, &self.convr2, &self.convq2)],
         }
     }
 }

@@ -125,10 +125,7 @@ impl Raft {
         let mut net = Net::new(device);
         load::fill(&mut net, "RAFT", path, &RENAMES, unneeded)?;
         let net = on.fit(net);
-        Ok(Self {
-            net,
-            device: device.clone(),
-        })
+        Ok(Self { net, device: device.clone() })
     }
 
     /// Numbers that the network learned.
@@ -195,10 +192,8 @@ impl Raft {
                 correlation::scores(&source.source, &target.target, at, RADIUS)
             };
             let found = Tensor::stack::<4>(vec![look(a, b, 0), look(b, a, 1)], 0);
-            let motion = update.encoder.forward(
-                channels_first(found).cast(dtype),
-                channels_first(flow.clone()).cast(dtype),
-            );
+            let motion =
+                update.encoder.forward(channels_first(found).cast(dtype), channels_first(flow.clone()).cast(dtype));
             hidden = unit.forward(hidden, &motion);
             let change = update.flow_head.forward(hidden.clone()).cast(DType::F32);
             flow = flow + change.permute([0, 2, 3, 1]);
@@ -229,11 +224,7 @@ impl Raft {
     fn start(&self, LowFlow(low): &LowFlow, h: usize, w: usize) -> Result<Tensor<4>, FlowError> {
         let numbers = low.u.len().min(low.v.len());
         if (low.width, low.height, low.u.len(), low.v.len()) != (w, h, w * h, w * h) {
-            return Err(FlowError::Start {
-                found: (low.width, low.height),
-                numbers,
-                needed: (w, h),
-            });
+            return Err(FlowError::Start { found: (low.width, low.height), numbers, needed: (w, h) });
         }
         let pairs = low.u.iter().zip(&low.v).flat_map(|(&u, &v)| [u, v]).collect();
         Ok(self.in_32_bits(pairs, [1, h, w, 2]))

@@ -93,10 +93,7 @@ fn half_precision_stays_near() {
     let net = network();
     let fixture = Fixture::open("raft/flow.safetensors");
     let images = ["image1", "image2"].map(|name| fixture.image(name));
-    let half = Raft {
-        net: halved(net.net.clone()),
-        device: net.device.clone(),
-    };
+    let half = Raft { net: halved(net.net.clone()), device: net.device.clone() };
     let [whole, half] = [&net, &half].map(|net| {
         let [a, b] = [0, 1].map(|i| net.encode(&images[i]).unwrap());
         let [flow, _] = net.flow_both(&a, &b, 2, None).unwrap();

@@ -85,14 +85,8 @@ impl UpdateBlock {
                 conv: layer(64 + 192, WIDTH - 2, 3),
             },
             gru: SepConvGru::new(device),
-            flow_head: FlowHead {
-                conv1: layer(WIDTH, 256, 3),
-                conv2: layer(256, 2, 3),
-            },
-            mask: MaskHead {
-                hidden: layer(WIDTH, 256, 3),
-                weights: layer(256, 9 * FACTOR * FACTOR, 1),
-            },
+            flow_head: FlowHead { conv1: layer(WIDTH, 256, 3), conv2: layer(256, 2, 3) },
+            mask: MaskHead { hidden: layer(WIDTH, 256, 3), weights: layer(256, 9 * FACTOR * FACTOR, 1) },
         }
     }
 }

@@ -20,9 +20,7 @@ pub struct Mlp {
 
 impl Mlp {
     pub fn new(to: usize, device: &Device) -> Self {
-        Self {
-            layers: [WIDTH, WIDTH, to].map(|to| linear(WIDTH, to, true, device)),
-        }
+        Self { layers: [WIDTH, WIDTH, to].map(|to| linear(WIDTH, to, true, device)) }
     }
 
     /// Of `[n, 256]`: `[n, to]`.

@@ -18,9 +18,7 @@ pub struct Token {
 
 impl Token {
     pub fn new(rows: usize, device: &Device) -> Self {
-        Self {
-            weight: zeros([rows, WIDTH], device),
-        }
+        Self { weight: zeros([rows, WIDTH], device) }
     }
 }
 
@@ -33,17 +31,13 @@ struct Waves {
 
 impl Waves {
     fn new(device: &Device) -> Self {
-        Self {
-            positional_encoding_gaussian_matrix: zeros([2, WIDTH / 2], device),
-        }
+        Self { positional_encoding_gaussian_matrix: zeros([2, WIDTH / 2], device) }
     }
 
     /// Of places `[n, 2]`, columns and rows as parts of the image's side: `[n, 256]`.
     fn forward(&self, places: Tensor<2>) -> Tensor<2> {
         let centred = places.mul_scalar(2.0).sub_scalar(1.0);
-        let angles = centred
-            .matmul(self.positional_encoding_gaussian_matrix.val())
-            .mul_scalar(TAU);
+        let angles = centred.matmul(self.positional_encoding_gaussian_matrix.val()).mul_scalar(TAU);
         Tensor::cat(vec![angles.clone().sin(), angles.cos()], 1)
     }
 }

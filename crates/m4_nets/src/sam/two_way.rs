@@ -74,10 +74,7 @@ impl Layer {
             norm1: norm(),
             cross_attn_token_to_image: Attention::new(WIDTH / 2, device),
             norm2: norm(),
-            mlp: Mlp {
-                lin1: linear(WIDTH, MLP_WIDTH, true, device),
-                lin2: linear(MLP_WIDTH, WIDTH, true, device),
-            },
+            mlp: Mlp { lin1: linear(WIDTH, MLP_WIDTH, true, device), lin2: linear(MLP_WIDTH, WIDTH, true, device) },
             norm3: norm(),
             norm4: norm(),
             cross_attn_image_to_token: Attention::new(WIDTH / 2, device),

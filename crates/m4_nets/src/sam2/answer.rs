@@ -36,11 +36,7 @@ impl Sam2 {
         let masks = decoded.masks.cast(DType::F32);
         let iou = numbers(decoded.iou)?;
         let scores = numbers(decoded.score)?;
-        let stability = if ambiguous {
-            vec![1.0; b]
-        } else {
-            numbers(stability(&masks))?
-        };
+        let stability = if ambiguous { vec![1.0; b] } else { numbers(stability(&masks))? };
         let mut answers = Vec::new();
         for (i, iou) in iou.chunks_exact(MASKS).enumerate() {
             let chosen = chosen(iou, ambiguous, stability[i]);
@@ -60,11 +56,7 @@ impl Sam2 {
                 },
                 score: scores[i],
                 iou: iou[chosen],
-                candidates: if ambiguous {
-                    iou[1..].to_vec()
-                } else {
-                    vec![iou[chosen]]
-                },
+                candidates: if ambiguous { iou[1..].to_vec() } else { vec![iou[chosen]] },
             });
         }
         Ok(answers)

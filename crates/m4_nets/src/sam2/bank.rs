@@ -31,12 +31,7 @@ impl Entry {
         let mut logits = plane(answer.logits)?;
         holes::fill(&mut logits, holes_px);
         Ok(Self {
-            mask: ObjectMask {
-                logits,
-                iou: answer.iou,
-                candidates: answer.candidates,
-                score: answer.score,
-            },
+            mask: ObjectMask { logits, iou: answer.iou, candidates: answer.candidates, score: answer.score },
             pointer: answer.pointer,
             memory: None,
             prompted,
@@ -122,9 +117,7 @@ impl Object {
         }
         for steps in 1..pointer_frames(frames) {
             let Some(at) = before(steps) else { break };
-            recall
-                .pointers
-                .extend(other(at).map(|entry| (steps, entry.pointer.clone())));
+            recall.pointers.extend(other(at).map(|entry| (steps, entry.pointer.clone())));
         }
         recall
     }
@@ -134,8 +127,7 @@ impl Object {
         let shown = self.conditioning.keys().chain(self.pending.keys()).copied();
         let anchors: Vec<usize> = shown.chain([head]).collect();
         let near = |at: usize, reach: usize| anchors.iter().any(|&anchor| anchor.abs_diff(at) <= reach);
-        self.others
-            .retain(|&at, entry| entry.prompted || near(at, POINTER_FRAMES.max(history)));
+        self.others.retain(|&at, entry| entry.prompted || near(at, POINTER_FRAMES.max(history)));
         for (&at, entry) in &mut self.others {
             if !entry.prompted && !near(at, MEMORY_FRAMES.max(history)) {
                 entry.memory = None;

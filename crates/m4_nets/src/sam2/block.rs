@@ -91,9 +91,7 @@ impl Block {
             norm1: channel_norm(from, device),
             attn: Attention::new(config, device),
             norm2: channel_norm(to, device),
-            mlp: Mlp {
-                layers: [linear(to, 4 * to, true, device), linear(4 * to, to, true, device)],
-            },
+            mlp: Mlp { layers: [linear(to, 4 * to, true, device), linear(4 * to, to, true, device)] },
             proj: (from != to).then(|| linear(from, to, true, device)),
             window: config.window.unwrap_or(0),
             halves: config.halves,

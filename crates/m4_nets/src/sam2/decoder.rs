@@ -84,10 +84,11 @@ impl MaskDecoder {
     ) -> Decoded {
         let (tokens, pixels) = self.transformed(map, grid, prompts);
         let [b, _, _] = tokens.dims();
-        let map = self
-            .output_upscaling
-            .forward(pixels.reshape([b, h, w, WIDTH]), Some([s1, s0]))
-            .reshape([b, 16 * h * w, MAP_WIDTH]);
+        let map = self.output_upscaling.forward(pixels.reshape([b, h, w, WIDTH]), Some([s1, s0])).reshape([
+            b,
+            16 * h * w,
+            MAP_WIDTH,
+        ]);
         let token = |i: usize| tokens.clone().narrow(1, i, 1).squeeze_dim::<2>(1);
         let of_masks = self.output_hypernetworks_mlps.iter().enumerate();
         let weights = of_masks.map(|(i, mlp)| mlp.forward(token(2 + i))).collect();

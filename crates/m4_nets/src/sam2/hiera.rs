@@ -55,13 +55,7 @@ impl Hiera {
         let device = learned.device();
         let [_, c, rows, columns] = learned.dims();
         let values: Vec<f32> = learned.try_into_vec_as().unwrap_or_default();
-        let stretched = resampled(
-            &values,
-            columns,
-            rows,
-            &Kernels::cubic(columns, w),
-            &Kernels::cubic(rows, h),
-        );
+        let stretched = resampled(&values, columns, rows, &Kernels::cubic(columns, w), &Kernels::cubic(rows, h));
         let window = self.pos_embed_window.val().cast(DType::F32);
         let [_, _, side, _] = window.dims();
         let repeated = window.repeat(&[1, 1, h.div_ceil(side), w.div_ceil(side)]);

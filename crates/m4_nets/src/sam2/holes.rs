@@ -57,11 +57,7 @@ mod tests {
     #[test]
     fn small_holes_are_filled_and_large_ones_stay() {
         let before = mask(&["#####.", "#.##..", "##.#..", "#####.", "#.#.#.", "###.#."]);
-        for (most, filled) in [
-            (0, vec![]),
-            (1, vec![(1, 4)]),
-            (2, vec![(1, 1), (2, 2), (1, 4), (3, 4), (3, 5)]),
-        ] {
+        for (most, filled) in [(0, vec![]), (1, vec![(1, 4)]), (2, vec![(1, 1), (2, 2), (1, 4), (3, 4), (3, 5)])] {
             let mut after = before.clone();
             fill(&mut after, most);
             for (y, x) in (0..6).flat_map(|y| (0..6).map(move |x| (y, x))) {

@@ -52,11 +52,7 @@ impl Attention {
 
     /// As [`Rotations`] takes queries and keys.
     fn arranged(self) -> Self {
-        Self {
-            q_proj: halves_apart(self.q_proj),
-            k_proj: halves_apart(self.k_proj),
-            ..self
-        }
+        Self { q_proj: halves_apart(self.q_proj), k_proj: halves_apart(self.k_proj), ..self }
     }
 
     /// Of the pixels `x` `[b, n, 256]` among themselves.
@@ -147,10 +143,7 @@ pub struct MemoryAttention {
 
 impl MemoryAttention {
     pub fn new(device: &Device) -> Self {
-        Self {
-            layers: std::array::from_fn(|_| Layer::new(device)),
-            norm: norm(WIDTH, device),
-        }
+        Self { layers: std::array::from_fn(|_| Layer::new(device)), norm: norm(WIDTH, device) }
     }
 
     /// As [`Rotations`] takes queries and keys: once, after loading.

@@ -108,13 +108,9 @@ pub struct MemoryEncoder {
 impl MemoryEncoder {
     pub fn new(device: &Device) -> Self {
         Self {
-            mask_downsampler: MaskDownsampler {
-                encoder: MaskEncoder::new(device),
-            },
+            mask_downsampler: MaskDownsampler { encoder: MaskEncoder::new(device) },
             pix_feat_proj: conv([WIDTH, WIDTH], 1, 1, true, device),
-            fuser: Fuser {
-                layers: std::array::from_fn(|_| FuserBlock::new(device)),
-            },
+            fuser: Fuser { layers: std::array::from_fn(|_| FuserBlock::new(device)) },
             out_proj: conv([WIDTH, MEMORY_WIDTH], 1, 1, true, device),
         }
     }

@@ -76,14 +76,8 @@ const ABSENT: f32 = -1024.0;
 /// Names of the checkpoint that are not those of fields.
 const RENAMES: [(&str, &str); 22] = [
     (r"^model\.", ""),
-    (
-        r"\.transformer\.layers\.(\d)\.mlp\.layers\.0\.",
-        ".transformer.layers.$1.mlp.lin1.",
-    ),
-    (
-        r"\.transformer\.layers\.(\d)\.mlp\.layers\.1\.",
-        ".transformer.layers.$1.mlp.lin2.",
-    ),
+    (r"\.transformer\.layers\.(\d)\.mlp\.layers\.0\.", ".transformer.layers.$1.mlp.lin1."),
+    (r"\.transformer\.layers\.(\d)\.mlp\.layers\.1\.", ".transformer.layers.$1.mlp.lin2."),
     (r"\.encoder\.0\.", ".encoder.convs.0."),
     (r"\.encoder\.3\.", ".encoder.convs.1."),
     (r"\.encoder\.6\.", ".encoder.convs.2."),
@@ -142,10 +136,7 @@ impl Net {
             .with_initializer(Initializer::Zeros)
             .init(device);
         Self {
-            image_encoder: ImageEncoder {
-                trunk: Hiera::new(config, device),
-                neck: Neck::new(config, device),
-            },
+            image_encoder: ImageEncoder { trunk: Hiera::new(config, device), neck: Neck::new(config, device) },
             prompt_encoder: PromptEncoder::new(device),
             mask_decoder: MaskDecoder::new(device),
             memory_attention: MemoryAttention::new(device),
@@ -222,24 +213,14 @@ impl Sam2 {
     fn of(net: Net, size: Sam2Size, side: usize, on: &Compute) -> Self {
         let neck = &net.image_encoder.neck;
         let [finest, fine] = net.mask_decoder.fine();
-        let laterals = [
-            neck.of_stage(0).then(&finest),
-            neck.of_stage(1).then(&fine),
-            neck.of_stage(2),
-            neck.of_stage(3),
-        ];
+        let laterals =
+            [neck.of_stage(0).then(&finest), neck.of_stage(1).then(&fine), neck.of_stage(2), neck.of_stage(3)];
         let dtype = if on.is_half() { DType::F16 } else { DType::F32 };
         let tables = Tables::new(&net, side, &on.device, dtype);
-        let net = Net {
-            memory_attention: net.memory_attention.arranged(),
-            ..net
-        };
+        let net = Net { memory_attention: net.memory_attention.arranged(), ..net };
         // waves of places are too many for 16 bits
         let prompt_encoder = net.prompt_encoder.clone();
-        let net = Net {
-            prompt_encoder,
-            ..on.fit(net)
-        };
+        let net = Net { prompt_encoder, ..on.fit(net) };
         Self {
             net,
             laterals: laterals.map(|layer| layer.cast(dtype)),
@@ -303,16 +284,9 @@ impl Sam2 {
 
     /// Each stage after its layer.
     fn level(&self, stages: Vec<Tensor<4>>) -> [Tensor<4>; 4] {
-        let mut stages = stages
-            .into_iter()
-            .zip(&self.laterals)
-            .map(|(x, layer)| layer.forward(x));
+        let mut stages = stages.into_iter().zip(&self.laterals).map(|(x, layer)| layer.forward(x));
         // a trunk has four stages
-        std::array::from_fn(|_| {
-            stages
-                .next()
-                .unwrap_or_else(|| Tensor::zeros([1, 0, 0, WIDTH], &self.device))
-        })
+        std::array::from_fn(|_| stages.next().unwrap_or_else(|| Tensor::zeros([1, 0, 0, WIDTH], &self.device)))
     }
 
     /// Masks of what `prompt` shows in the image of `features`: three where it [is ambiguous](Prompt::is_ambiguous), of which that of the
@@ -416,11 +390,7 @@ impl Tables {
             sine: sine(WIDTH),
             memory_sine: sine(MEMORY_WIDTH),
             rotations: Rotations::new(grid, device, dtype),
-            places: net
-                .prompt_encoder
-                .grid([grid, grid], device)
-                .unsqueeze_dim(0)
-                .cast(dtype),
+            places: net.prompt_encoder.grid([grid, grid], device).unsqueeze_dim(0).cast(dtype),
             enlarge: tensor(enlarge, [1, side, mask], device),
         }
     }

@@ -46,10 +46,7 @@ impl Pointwise {
             Some(bias) => bias.val(),
             None => Tensor::zeros([to], (&weight.device(), weight.dtype())),
         };
-        Self {
-            weight: weight.reshape([to, from]).transpose(),
-            bias: bias.unsqueeze(),
-        }
+        Self { weight: weight.reshape([to, from]).transpose(), bias: bias.unsqueeze() }
     }
 
     /// This one, and `next` after it.
@@ -62,10 +59,7 @@ impl Pointwise {
 
     /// In another precision.
     pub fn cast(self, dtype: DType) -> Self {
-        Self {
-            weight: self.weight.cast(dtype),
-            bias: self.bias.cast(dtype),
-        }
+        Self { weight: self.weight.cast(dtype), bias: self.bias.cast(dtype) }
     }
 
     /// Of `[n, h, w, from]`: `[n, h, w, to]`.
@@ -80,9 +74,7 @@ impl Pointwise {
 impl Neck {
     pub fn new(config: &Config, device: &Device) -> Self {
         Self {
-            convs: std::array::from_fn(|i| Lateral {
-                conv: conv([config.width_of(3 - i), WIDTH], 1, 1, true, device),
-            }),
+            convs: std::array::from_fn(|i| Lateral { conv: conv([config.width_of(3 - i), WIDTH], 1, 1, true, device) }),
         }
     }
 
@@ -95,7 +87,5 @@ impl Neck {
 /// `x` `[n, h, w, c]` with each pixel four times: `[n, 2 h, 2 w, c]`.
 pub fn repeated(x: Tensor<4>) -> Tensor<4> {
     let [n, h, w, c] = x.dims();
-    x.reshape([n, h, 1, w, 1, c])
-        .expand([n, h, 2, w, 2, c])
-        .reshape([n, 2 * h, 2 * w, c])
+    x.reshape([n, h, 1, w, 1, c]).expand([n, h, 2, w, 2, c]).reshape([n, 2 * h, 2 * w, c])
 }

@@ -75,12 +75,6 @@ pub fn squared_mask(mask: &Plane<bool>, side: usize) -> Vec<f32> {
 /// `plane`, which has pixels, with another number of columns and rows, bilinear and without a filter where it becomes smaller.
 pub fn stretched(plane: &Plane<f32>, (width, height): (usize, usize)) -> Plane<f32> {
     let (w, h) = plane.size();
-    let values = resampled(
-        plane.data(),
-        w,
-        h,
-        &Kernels::linear(w, width),
-        &Kernels::linear(h, height),
-    );
+    let values = resampled(plane.data(), w, h, &Kernels::linear(w, width), &Kernels::linear(h, height));
     Plane::from_fn(width, height, |x, y| values[y * width + x])
 }

@@ -40,11 +40,7 @@ pub fn tokens(encoder: &PromptEncoder, prompt: &Prompt, frame: Frame, side: usiz
 /// [`Sam2Error`] if it has another size than `side` or numbers that are not finite.
 pub fn mask(mask: &Plane<f32>, side: usize, device: &Device) -> Result<Tensor<4>, Sam2Error> {
     if mask.size() != (side, side) {
-        return Err(Sam2Error::MaskSize {
-            width: mask.width(),
-            height: mask.height(),
-            expected: side,
-        });
+        return Err(Sam2Error::MaskSize { width: mask.width(), height: mask.height(), expected: side });
     }
     if !mask.data().iter().all(|x| x.is_finite()) {
         return Err(Sam2Error::NotFinite);

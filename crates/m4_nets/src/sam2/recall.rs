@@ -54,15 +54,10 @@ impl Sam2 {
             let pointers: Tensor<2> = Tensor::cat(pointers, 0);
             values.push(pointers.reshape([1, count * parts, MEMORY_WIDTH]));
             let most = (pointer_frames(frames) - 1).max(1) as f32;
-            let times = recall
-                .pointers
-                .iter()
-                .flat_map(|(steps, _)| waves(*steps as f32 / most));
+            let times = recall.pointers.iter().flat_map(|(steps, _)| waves(*steps as f32 / most));
             let times = tensor(times.collect(), [count, WIDTH], &self.device).cast(self.dtype);
             let times = self.net.obj_ptr_tpos_proj.forward(times);
-            let times = times
-                .reshape([count, 1, MEMORY_WIDTH])
-                .expand([count, parts, MEMORY_WIDTH]);
+            let times = times.reshape([count, 1, MEMORY_WIDTH]).expand([count, parts, MEMORY_WIDTH]);
             places.push(times.reshape([1, count * parts, MEMORY_WIDTH]));
         }
         let values = Tensor::cat(values, 1);
@@ -107,7 +102,5 @@ impl Sam2 {
 fn waves(time: f32) -> impl Iterator<Item = f32> {
     let half = WIDTH / 2;
     let angle = move |i: usize| time / 10_000f32.powf((i / 2 * 2) as f32 / half as f32);
-    (0..half)
-        .map(move |i| angle(i).sin())
-        .chain((0..half).map(move |i| angle(i).cos()))
+    (0..half).map(move |i| angle(i).sin()).chain((0..half).map(move |i| angle(i).cos()))
 }

@@ -38,10 +38,7 @@ impl Rotations {
             let values = angles.iter().map(|&a| f(a)).collect();
             tensor(values, [1, 1, side * side, PAIRS], device).cast(dtype)
         };
-        Self {
-            cos: table(f32::cos),
-            sin: table(f32::sin),
-        }
+        Self { cos: table(f32::cos), sin: table(f32::sin) }
     }
 
     /// Places of a map.

@@ -63,21 +63,9 @@ fn assert_numbers(got: &[f32], fixture: &Fixture, name: &str) {
 fn all_sizes_have_the_published_tensors() {
     let keys = [
         (TINY, Sam2Size::Tiny, 471),
-        (
-            include_str!("../../../../fixtures/sam2/small.keys.txt"),
-            Sam2Size::Small,
-            519,
-        ),
-        (
-            include_str!("../../../../fixtures/sam2/base_plus.keys.txt"),
-            Sam2Size::BasePlus,
-            615,
-        ),
-        (
-            include_str!("../../../../fixtures/sam2/large.keys.txt"),
-            Sam2Size::Large,
-            903,
-        ),
+        (include_str!("../../../../fixtures/sam2/small.keys.txt"), Sam2Size::Small, 519),
+        (include_str!("../../../../fixtures/sam2/base_plus.keys.txt"), Sam2Size::BasePlus, 615),
+        (include_str!("../../../../fixtures/sam2/large.keys.txt"), Sam2Size::Large, 903),
     ];
     for (keys, size, count) in keys {
         assert_eq!(keys.lines().count(), count);
@@ -149,10 +137,7 @@ fn the_decoder_meets_its_fixture() {
     let net = tiny();
     let last = |x: Tensor<4>| x.permute([0, 2, 3, 1]);
     let map = last(input("md_emb", 1.0, [2, 256, 16, 16])).reshape([2, 256, 256]);
-    let fine = [
-        last(input("md_s1", 1.0, [2, 64, 32, 32])),
-        last(input("md_s0", 1.0, [2, 32, 64, 64])),
-    ];
+    let fine = [last(input("md_s1", 1.0, [2, 64, 32, 32])), last(input("md_s0", 1.0, [2, 32, 64, 64]))];
     let prompts = sparse(&Fixture::open("sam2/unit_prompt_encoder.safetensors"), "labels");
     assert_near(prompts.clone(), &fixture, "sparse", LIMIT);
     let known = net.net.prompt_encoder.mask(None).reshape([1, 1, 256]);
@@ -162,11 +147,7 @@ fn the_decoder_meets_its_fixture() {
     let pixels = every(pixels.reshape([512, 256]), 8).reshape([2, 256, 32]);
     assert_near(pixels, &fixture, "transformer_image_strided", LIMIT);
 
-    let features = Features {
-        frame: Frame::of("an image", (256, 256)).unwrap(),
-        map: map.clone(),
-        fine,
-    };
+    let features = Features { frame: Frame::of("an image", (256, 256)).unwrap(), map: map.clone(), fine };
     let decoded = net.decoded(map, &features, prompts, None);
     let steps = |x: Tensor<4>, step: usize| {
         let [b, n, h, w] = x.dims();
@@ -187,9 +168,7 @@ fn the_decoder_meets_its_fixture() {
     let stability = numbers(answer::stability(&decoded.masks)).unwrap();
     assert_numbers(&stability, &fixture, "stability_single");
     let iou = numbers(decoded.iou).unwrap();
-    let chosen: Vec<usize> = (0..2)
-        .map(|i| answer::chosen(&iou[4 * i..][..4], false, stability[i]))
-        .collect();
+    let chosen: Vec<usize> = (0..2).map(|i| answer::chosen(&iou[4 * i..][..4], false, stability[i])).collect();
     let one = |i: usize| decoded.masks.clone().narrow(0, i, 1).narrow(1, chosen[i], 1);
     assert_near(Tensor::cat(vec![one(0), one(1)], 0), &fixture, "single_masks", LIMIT);
     let single: Vec<f32> = (0..2).map(|i| iou[4 * i + chosen[i]]).collect();
@@ -216,20 +195,12 @@ fn memory_attention_meets_its_fixture() {
     let curr: Tensor<3> = input("ma_curr", 1.0, [1, 256, 256]);
     let places = input("ma_cpos", 1.0, [1, 256, 256]);
     let values: Tensor<3> = input("ma_mem", 1.0, [1, 776, 64]);
-    let memories = Memories {
-        keys: values.clone() + input("ma_mpos", 1.0, [1, 776, 64]),
-        values,
-        placed: 768,
-    };
+    let memories = Memories { keys: values.clone() + input("ma_mpos", 1.0, [1, 776, 64]), values, placed: 768 };
     let attention = &net.net.memory_attention;
     let layer = &attention.layers[0];
     let alone: Tensor<3> = input("rope_q", 1.0, [1, 256, 256]);
     let others: Tensor<3> = input("rope_k", 1.0, [1, 516, 64]);
-    let others = Memories {
-        values: others.clone(),
-        keys: others,
-        placed: 512,
-    };
+    let others = Memories { values: others.clone(), keys: others, placed: 512 };
     let among = layer.self_attn.among(alone.clone(), &rotations);
     assert_near(every(among.squeeze_dim(0), 8), &fixture, "self_attn_strided", LIMIT);
     let to = layer.cross_attn_image.to(alone, &others, &rotations);
@@ -245,11 +216,8 @@ fn objects_in_one_batch_equal_single_objects() {
     let rotations = &net.tables.rotations;
     let attention = &net.net.memory_attention;
     let begun = attention.begun(input("ma_curr", 1.0, [1, 256, 256]), &net.tables.sine, rotations);
-    let both = Memories {
-        values: input("ma_mem", 1.0, [2, 776, 64]),
-        keys: input("ma_mpos", 1.0, [2, 776, 64]),
-        placed: 768,
-    };
+    let both =
+        Memories { values: input("ma_mem", 1.0, [2, 776, 64]), keys: input("ma_mpos", 1.0, [2, 776, 64]), placed: 768 };
     let together = attention.forward(begun.clone(), &both, rotations);
     for i in 0..2 {
         let one = Memories {
@@ -289,10 +257,7 @@ fn frame(fixture: &Fixture, i: usize) -> RgbImage {
 
 /// Upstream counts pixels from 0.
 fn point(at: &[f32], on_object: bool) -> PointPrompt {
-    PointPrompt {
-        at_px: [at[0] + 0.5, at[1] + 0.5],
-        on_object,
-    }
+    PointPrompt { at_px: [at[0] + 0.5, at[1] + 0.5], on_object }
 }
 
 #[track_caller]
@@ -300,11 +265,7 @@ fn assert_entry(predictor: &VideoPredictor<'_>, fixture: &Fixture, what: &str, [
     let entry = predictor.objects[&(i as u32 + 1)].at(at).unwrap();
     let name = format!("{what}_obj{i}_f{at}");
     assert_numbers(entry.mask.logits.data(), fixture, &format!("{name}_mask"));
-    assert_numbers(
-        &numbers(entry.pointer.clone()).unwrap(),
-        fixture,
-        &format!("{name}_ptr"),
-    );
+    assert_numbers(&numbers(entry.pointer.clone()).unwrap(), fixture, &format!("{name}_ptr"));
     assert_numbers(&[entry.mask.score], fixture, &format!("{name}_score"));
     if what == "A" {
         let memory = entry.memory.clone().unwrap().reshape([16, 16, 64]);
@@ -333,45 +294,29 @@ fn sampled(masks: &std::collections::BTreeMap<u32, ObjectMask>, step: usize) -> 
 fn passage_a(fixture: &Arc<Fixture>, bias: f32) -> VideoPredictor<'static> {
     let weights = FormulaWeights::of_keys(TINY).with("sam_mask_decoder.pred_obj_score_head.layers.2.bias", &[bias]);
     let net = Arc::new(loaded(&weights, 256));
-    let clip = Clip {
-        frames: 6,
-        width: 320,
-        height: 192,
-    };
+    let clip = Clip { frames: 6, width: 320, height: 192 };
     let frames = Arc::clone(fixture);
     let images = Box::new(move |i: usize| Ok(frame(&frames, i)));
     let mut predictor = VideoPredictor::new(Arc::clone(&net), clip, images, VideoOptions::default()).unwrap();
 
     let features = predictor.features(0).unwrap();
-    let stages = net.net.image_encoder.trunk.forward(
-        preprocess::squared(&frame(fixture, 0), 256, &cpu()).unwrap(),
-        net.tables.trunk.clone(),
-    );
+    let stages = net
+        .net
+        .image_encoder
+        .trunk
+        .forward(preprocess::squared(&frame(fixture, 0), 256, &cpu()).unwrap(), net.tables.trunk.clone());
     for (i, stage) in stages.into_iter().enumerate() {
         assert_map(stage.squeeze_dim(0), fixture, &format!("trunk_stage{i}_strided"), LIMIT);
     }
     let [s1, s0] = features.fine.clone().map(|map| map.squeeze_dim::<3>(0));
     assert_map(s0, fixture, "fpn_s0_strided", LIMIT);
     assert_map(s1, fixture, "fpn_s1_strided", LIMIT);
-    assert_map(
-        features.map.clone().reshape([16, 16, 256]),
-        fixture,
-        "fpn_s2_strided",
-        LIMIT,
-    );
-    assert_map(
-        net.tables.sine.clone().reshape([16, 16, 256]),
-        fixture,
-        "pos_s2_strided",
-        LIMIT,
-    );
+    assert_map(features.map.clone().reshape([16, 16, 256]), fixture, "fpn_s2_strided", LIMIT);
+    assert_map(net.tables.sine.clone().reshape([16, 16, 256]), fixture, "pos_s2_strided", LIMIT);
 
     let (one, _) = fixture.floats("prompt_obj1");
     let (three, _) = fixture.floats("prompt_obj2");
-    let prompt = |points| Prompt {
-        points,
-        ..Prompt::default()
-    };
+    let prompt = |points| Prompt { points, ..Prompt::default() };
     let mask = predictor.show(0, 1, &prompt(vec![point(&one, true)])).unwrap();
     let alone = std::collections::BTreeMap::from([(1, mask)]);
     assert_numbers(&sampled(&alone, 8), fixture, "prompt1_video_mask_strided");
@@ -422,10 +367,9 @@ fn a_clip_meets_its_fixture() {
     };
     predictor.show(3, 3, &prompt).unwrap();
     assert_call(&predictor, &fixture, "B_prompt_call0", 3, 3);
-    for (what, direction, frames) in [
-        ("B", Direction::Forward, vec![3, 4, 5]),
-        ("C", Direction::Backward, vec![3, 2, 1, 0]),
-    ] {
+    for (what, direction, frames) in
+        [("B", Direction::Forward, vec![3, 4, 5]), ("C", Direction::Backward, vec![3, 2, 1, 0])]
+    {
         let (mut seen, mut call) = (Vec::new(), 0);
         for at in frames {
             let keep = |_, masks: &_| seen.extend(sampled(masks, 16));
@@ -445,10 +389,7 @@ fn a_clip_meets_its_fixture() {
     }
 
     let (place, _) = fixture.floats("prompt_correction");
-    let prompt = Prompt {
-        points: vec![point(&place, false)],
-        ..Prompt::default()
-    };
+    let prompt = Prompt { points: vec![point(&place, false)], ..Prompt::default() };
     let mask = predictor.show(2, 1, &prompt).unwrap();
     assert_call(&predictor, &fixture, "D_call0", 1, 2);
     assert_numbers(mask.logits.data(), &fixture, "D_correction_mask");
@@ -485,20 +426,12 @@ fn an_image_of_the_published_side_meets_its_fixture() {
         [bytes[at], bytes[at + 1], bytes[at + 2]]
     });
     let features = net.encode(&image).unwrap();
-    assert_map(
-        net.unremembered(&features).reshape([64, 64, 256]),
-        &fixture,
-        "image_embed_strided",
-        1e-3,
-    );
+    assert_map(net.unremembered(&features).reshape([64, 64, 256]), &fixture, "image_embed_strided", 1e-3);
     let [s1, s0] = features.fine.clone().map(|map| map.squeeze_dim::<3>(0));
     assert_map(s0, &fixture, "feat_s0_strided", 1e-3);
     assert_map(s1, &fixture, "feat_s1_strided", 1e-3);
     let at = fixture.doubles("point");
-    let prompt = Prompt {
-        points: vec![point(&[at[0] as f32, at[1] as f32], true)],
-        ..Prompt::default()
-    };
+    let prompt = Prompt { points: vec![point(&[at[0] as f32, at[1] as f32], true)], ..Prompt::default() };
     let decoded = net.decode(&features, features.frame, &prompt).unwrap();
     let strided = |i: usize| -> Vec<f32> {
         let values = numbers(decoded.masks.clone().narrow(1, i, 1)).unwrap();

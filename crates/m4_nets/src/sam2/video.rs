@@ -77,13 +77,7 @@ pub struct VideoOptions {
 
 impl Default for VideoOptions {
     fn default() -> Self {
-        Self {
-            fill_holes_px: 0,
-            corrections_condition: false,
-            most_conditioning: None,
-            history_frames: 0,
-            together: 4,
-        }
+        Self { fill_holes_px: 0, corrections_condition: false, most_conditioning: None, history_frames: 0, together: 4 }
     }
 }
 
@@ -166,11 +160,7 @@ impl<'a> VideoPredictor<'a> {
 
     fn check(&self, frame: usize) -> Result<(), Sam2Error> {
         let frames = self.clip.frames;
-        if frame < frames {
-            Ok(())
-        } else {
-            Err(Sam2Error::NoSuchFrame { frame, frames })
-        }
+        if frame < frames { Ok(()) } else { Err(Sam2Error::NoSuchFrame { frame, frames }) }
     }
 
     /// Shows an object in a frame by places, with a name of the caller's choice, or corrects it there; its mask in that frame. All places

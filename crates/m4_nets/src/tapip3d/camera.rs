@@ -20,20 +20,13 @@ impl PosedPinhole {
     pub fn new(camera: &Camera, size: (usize, usize), origin: &Vector3<f64>) -> Option<Self> {
         let k = &camera.intrinsics;
         let scale = |to: usize, from: usize| {
-            if from > 1 {
-                (to - 1) as f64 / (from - 1) as f64
-            } else {
-                to as f64
-            }
+            if from > 1 { (to - 1) as f64 / (from - 1) as f64 } else { to as f64 }
         };
         let (sx, sy) = (scale(size.0, k.width), scale(size.1, k.height));
         let lens = Self {
             focal: [k.fx * sx, k.fy * sy],
             centre: [(k.cx - 0.5) * sx, (k.cy - 0.5) * sy],
-            c2w: Se3 {
-                rotation: camera.c2w.rotation,
-                translation: camera.c2w.translation - origin,
-            },
+            c2w: Se3 { rotation: camera.c2w.rotation, translation: camera.c2w.translation - origin },
         };
         let numbers = lens.c2w.rotation.iter().chain(lens.c2w.translation.iter());
         let finite = numbers.chain(&lens.focal).chain(&lens.centre).all(|x| x.is_finite());
@@ -49,11 +42,7 @@ impl PosedPinhole {
 
     /// The point at depth 1 behind a place in the image, in the camera's axes.
     pub fn ray(&self, [u, v]: [f64; 2]) -> [f64; 3] {
-        [
-            (u - self.centre[0]) / self.focal[0],
-            (v - self.centre[1]) / self.focal[1],
-            1.0,
-        ]
+        [(u - self.centre[0]) / self.focal[0], (v - self.centre[1]) / self.focal[1], 1.0]
     }
 
     /// Where a point is seen; somewhere far out if it is behind.
@@ -61,9 +50,6 @@ impl PosedPinhole {
         let p = self.c2w.rotation.transpose() * (point - self.c2w.translation);
         let z = p.z.max(1e-6);
         // upstream multiplies first, so that a point behind is not where its direction is
-        [
-            (self.focal[0] * p.x + self.centre[0] * p.z) / z,
-            (self.focal[1] * p.y + self.centre[1] * p.z) / z,
-        ]
+        [(self.focal[0] * p.x + self.centre[0] * p.z) / z, (self.focal[1] * p.y + self.centre[1] * p.z) / z]
     }
 }

@@ -67,14 +67,7 @@ impl Tapip3dOptions {
     /// As published, with frames of `size`.
     #[must_use]
     pub fn at(size: (usize, usize)) -> Self {
-        Self {
-            size,
-            iterations: 6,
-            support_grid: 16,
-            backward: true,
-            clean_edges: true,
-            memory_bytes: 2 << 30,
-        }
+        Self { size, iterations: 6, support_grid: 16, backward: true, clean_edges: true, memory_bytes: 2 << 30 }
     }
 }
 
@@ -122,9 +115,7 @@ impl PointTracks {
         let (frames, count) = (self.frames, self.count());
         let at = |i: usize| i % count * frames + i / count;
         let world = (0..frames * count).map(|i| self.world[at(i)]).collect();
-        let seen = (0..frames * count)
-            .map(|i| self.visibility[at(i)] >= threshold)
-            .collect();
+        let seen = (0..frames * count).map(|i| self.visibility[at(i)] >= threshold).collect();
         Tracks::new(frames, count, world, seen)
     }
 }

@@ -140,9 +140,7 @@ fn count(said: &Value, path: &str, otherwise: Option<usize>) -> Result<usize, St
     match (at(said, path), otherwise) {
         (Some(value), _) => {
             let count = value.as_u64().filter(|n| (1..=MOST).contains(n));
-            count
-                .map(|n| n as usize)
-                .ok_or_else(|| format!("{path} = {value} is no number from 1 to {MOST}"))
+            count.map(|n| n as usize).ok_or_else(|| format!("{path} = {value} is no number from 1 to {MOST}"))
         }
         (None, Some(otherwise)) => Ok(otherwise),
         (None, None) => Err(format!("{path} is missing")),

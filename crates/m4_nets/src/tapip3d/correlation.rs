@@ -112,9 +112,7 @@ impl Correlation {
 
     fn offsets(&self, level: usize, offsets: &[[f32; 3]], like: &Tensor<3>) -> Tensor<3> {
         let x = encoded(offsets, &like.device(), like.dtype());
-        self.posenc_mlps[level % self.posenc_mlps.len()]
-            .forward(x)
-            .reshape(like.dims())
+        self.posenc_mlps[level % self.posenc_mlps.len()].forward(x).reshape(like.dims())
     }
 
     /// The query side of `level`: prepared features `[queries, tokens, width]`, and where they are from the query,
@@ -143,16 +141,9 @@ impl Correlation {
         let frames = y.dims()[0] / queries.max(1);
         let again = |x: &Tensor<4>| {
             let [n, h, m, c] = x.dims();
-            x.clone()
-                .unsqueeze_dim::<5>(0)
-                .expand([frames, n, h, m, c])
-                .reshape([frames * n, h, m, c])
+            x.clone().unsqueeze_dim::<5>(0).expand([frames, n, h, m, c]).reshape([frames * n, h, m, c])
         };
-        let x = side
-            .x
-            .clone()
-            .unsqueeze_dim::<4>(0)
-            .expand([frames, queries, tokens, width]);
+        let x = side.x.clone().unsqueeze_dim::<4>(0).expand([frames, queries, tokens, width]);
         let x = x.reshape([frames * queries, tokens, width]);
         let others = meeting.xblock1_2.context(y.clone());
         let x = meeting.xblock1_2.revised(x, again(&side.q), others);

@@ -38,11 +38,7 @@ const FARTHEST: f32 = 1e9;
 type Vec3 = [f64; 3];
 
 fn cross(a: Vec3, b: Vec3) -> Vec3 {
-    [
-        a[1] * b[2] - a[2] * b[1],
-        a[2] * b[0] - a[0] * b[2],
-        a[0] * b[1] - a[1] * b[0],
-    ]
+    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
 
 fn unit(a: Vec3) -> Vec3 {
@@ -61,9 +57,7 @@ pub fn cleaned(z: &[f32], (w, h): (usize, usize), lens: &PosedPinhole) -> Vec<f3
     let steps = map(w, h, |x, y| {
         let at = y * w + x;
         let near = || window(x, y, w, h).map(|i| z[i]).filter(|&z| z > 0.0);
-        let (low, high) = near().fold((f32::INFINITY, f32::NEG_INFINITY), |(low, high), z| {
-            (low.min(z), high.max(z))
-        });
+        let (low, high) = near().fold((f32::INFINITY, f32::NEG_INFINITY), |(low, high), z| (low.min(z), high.max(z)));
         z[at] > 0.0 && (high - low) / z[at] > JUMP
     });
     if !steps.contains(&true) {
@@ -85,21 +79,13 @@ pub fn cleaned(z: &[f32], (w, h): (usize, usize), lens: &PosedPinhole) -> Vec<f3
     let sound: Vec<bool> = z.iter().zip(&edges).map(|(&z, &edge)| z > 0.0 && !edge).collect();
     let nearest = nearest_pixels(&sound, w, h);
     let replaced = |i: usize| {
-        if edges[i] {
-            nearest[i].map_or(z[i], |j| z[j])
-        } else {
-            z[i]
-        }
+        if edges[i] { nearest[i].map_or(z[i], |j| z[j]) } else { z[i] }
     };
     (0..w * h).map(replaced).collect()
 }
 
 fn map<T: Send>(w: usize, h: usize, f: impl Fn(usize, usize) -> T + Sync) -> Vec<T> {
-    (0..h)
-        .into_par_iter()
-        .flat_map_iter(|y| (0..w).map(move |x| (x, y)))
-        .map(|(x, y)| f(x, y))
-        .collect()
+    (0..h).into_par_iter().flat_map_iter(|y| (0..w).map(move |x| (x, y))).map(|(x, y)| f(x, y)).collect()
 }
 
 /// The normal at a pixel, the mean of those of its four corners, and whether one of these is known.
@@ -144,10 +130,7 @@ const EXPONENTS: (u32, u32) = (127 - 40, 127 + 40);
 impl Histogram {
     pub fn new() -> Self {
         let bins = (EXPONENTS.1 - EXPONENTS.0) << (23 - DROPPED_BITS);
-        Self {
-            counts: vec![0; bins as usize],
-            total: 0,
-        }
+        Self { counts: vec![0; bins as usize], total: 0 }
     }
 
     /// Takes in the known ones of `depths`.

@@ -33,9 +33,7 @@ impl Residual {
         Self {
             conv1: conv([from, to], 3, stride, true, device),
             conv2: conv([to, to], 3, 1, true, device),
-            downsample: (stride != 1).then(|| Downsample {
-                conv: conv([from, to], 1, stride, true, device),
-            }),
+            downsample: (stride != 1).then(|| Downsample { conv: conv([from, to], 1, stride, true, device) }),
         }
     }
 
@@ -65,12 +63,7 @@ pub struct Encoder {
 impl Encoder {
     /// To `width` channels.
     pub fn new(width: usize, device: &Device) -> Self {
-        let layer = |from, to, stride| {
-            [
-                Residual::new([from, to], stride, device),
-                Residual::new([to, to], 1, device),
-            ]
-        };
+        let layer = |from, to, stride| [Residual::new([from, to], stride, device), Residual::new([to, to], 1, device)];
         let [a, b, c, d] = STAGES;
         Self {
             conv1: conv([3, a], 7, 2, true, device),

@@ -15,9 +15,7 @@ use rayon::prelude::*;
 /// Columns and rows of the maps of a frame of `size`: a quarter, and each the half of the one before.
 pub fn map_sizes(size: (usize, usize), levels: usize) -> Vec<(usize, usize)> {
     let first = (size.0 / STRIDE, size.1 / STRIDE);
-    std::iter::successors(Some(first), |&(w, h)| Some((w / 2, h / 2)))
-        .take(levels)
-        .collect()
+    std::iter::successors(Some(first), |&(w, h)| Some((w / 2, h / 2))).take(levels).collect()
 }
 
 /// Where the pixels of a frame are.
@@ -148,11 +146,7 @@ pub fn rows_of(map: &Tensor<2>, rows: Vec<i32>) -> Tensor<2> {
 /// what is at the edge.
 pub fn sampled(map: &Tensor<2>, (w, h): (usize, usize), places: &[[f64; 2]]) -> Tensor<2> {
     let corner = |x: f64, n: usize| {
-        let x = if x.is_finite() {
-            x.clamp(0.0, (n - 1) as f64)
-        } else {
-            0.0
-        };
+        let x = if x.is_finite() { x.clamp(0.0, (n - 1) as f64) } else { 0.0 };
         let first = (x as usize).min(n.saturating_sub(2));
         (first, (first + 1).min(n - 1), x - first as f64)
     };

@@ -72,12 +72,7 @@ impl Attention {
         let [_, width] = token.dims();
         let q = self.queries(token.unsqueeze_dim(0)).squeeze_dim::<3>(0);
         let [heads, _, c] = q.dims();
-        let weights = self
-            .to_kv
-            .weight
-            .val()
-            .reshape([width, 2, heads, c])
-            .permute([1, 2, 0, 3]);
+        let weights = self.to_kv.weight.val().reshape([width, 2, heads, c]).permute([1, 2, 0, 3]);
         let [keys, values] = [0, 1].map(|i| weights.clone().narrow(0, i, 1).squeeze_dim::<3>(0));
         let out = self.to_out.weight.val().reshape([heads, c, width]);
         Pooling {
@@ -133,10 +128,7 @@ const MLP_TOKENS: usize = 512;
 
 impl Mlp {
     fn new(width: usize, hidden: usize, device: &Device) -> Self {
-        Self {
-            fc1: linear(width, hidden, true, device),
-            fc2: linear(hidden, width, true, device),
-        }
+        Self { fc1: linear(width, hidden, true, device), fc2: linear(hidden, width, true, device) }
     }
 
     fn forward(&self, x: Tensor<3>) -> Tensor<3> {
@@ -160,10 +152,7 @@ pub struct SelfBlock {
 
 impl SelfBlock {
     pub fn new(width: usize, hidden: usize, heads: usize, device: &Device) -> Self {
-        Self {
-            attn: Attention::new(width, width, heads, true, device),
-            mlp: Mlp::new(width, hidden, device),
-        }
+        Self { attn: Attention::new(width, width, heads, true, device), mlp: Mlp::new(width, hidden, device) }
     }
 
     /// Of tokens `[b, n, width]`: the same shape.

@@ -130,12 +130,7 @@ impl Tapip3d {
         })?;
         let mut net = Net::new(&sizes, &config, device);
         load::fill(&mut net, NAME, path, &RENAMES, |_| false)?;
-        Ok(Self {
-            net: on.fit(net),
-            config,
-            sizes,
-            device: device.clone(),
-        })
+        Ok(Self { net: on.fit(net), config, sizes, device: device.clone() })
     }
 
     /// Numbers of the checkpoint that are used.

@@ -43,20 +43,12 @@ impl Moments {
         let Self { n, mean, squares } = *self;
         let spread = match mode {
             NormMode::None => {
-                return Some(Space {
-                    mean: [0.0; 3],
-                    std: [1.0; 3],
-                    scale: 1.0,
-                });
+                return Some(Space { mean: [0.0; 3], std: [1.0; 3], scale: 1.0 });
             }
             NormMode::Anisotropic => squares.map(|square| (square / n).sqrt()),
             NormMode::Isotropic => [(squares.iter().sum::<f64>() / (3.0 * n)).sqrt(); 3],
         };
-        let space = Space {
-            mean: mean.map(|x| x as f32),
-            std: spread.map(|x| x as f32),
-            scale,
-        };
+        let space = Space { mean: mean.map(|x| x as f32), std: spread.map(|x| x as f32), scale };
         let usable = n > 0.0 && space.mean.iter().all(|x| x.is_finite());
         (usable && space.std.iter().all(|x| x.is_finite() && *x > 0.0)).then_some(space)
     }
@@ -88,9 +80,8 @@ mod tests {
 
     #[test]
     fn parts_have_the_moments_of_the_whole() {
-        let points: Vec<[f64; 3]> = (0..97)
-            .map(|i| [(i * i % 31) as f64 + 1e4, (i % 7) as f64 * 0.1, -(i as f64)])
-            .collect();
+        let points: Vec<[f64; 3]> =
+            (0..97).map(|i| [(i * i % 31) as f64 + 1e4, (i % 7) as f64 * 0.1, -(i as f64)]).collect();
         let of = |points: &[[f64; 3]]| {
             let about = points[0];
             let sums = [0, 1, 2].map(|a| points.iter().map(|p| p[a] - about[a]).sum());

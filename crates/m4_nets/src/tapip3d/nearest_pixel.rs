@@ -10,10 +10,7 @@ pub fn nearest_pixels(in_set: &[bool], w: usize, h: usize) -> Vec<Option<usize>>
     if w == 0 {
         return out;
     }
-    out.par_chunks_mut(w)
-        .zip(rows.par_chunks(w))
-        .enumerate()
-        .for_each(|(y, (out, rows))| along_row(out, rows, y, w));
+    out.par_chunks_mut(w).zip(rows.par_chunks(w)).enumerate().for_each(|(y, (out, rows))| along_row(out, rows, y, w));
     out
 }
 
@@ -63,9 +60,7 @@ fn along_row(out: &mut [Option<usize>], rows: &[Option<usize>], y: usize, w: usi
         while columns.get(k + 1).is_some_and(|&(_, begins)| begins < x as f64) {
             k += 1;
         }
-        *out = columns
-            .get(k)
-            .and_then(|&(column, _)| rows[column].map(|row| row * w + column));
+        *out = columns.get(k).and_then(|&(column, _)| rows[column].map(|row| row * w + column));
     }
 }
 

@@ -37,12 +37,7 @@ impl Cloud {
         };
         let low = [0, 1, 2].map(|axis| fold(axis, f32::INFINITY, f32::min));
         let high = [0, 1, 2].map(|axis| fold(axis, f32::NEG_INFINITY, f32::max));
-        Self {
-            points,
-            axes,
-            low,
-            high,
-        }
+        Self { points, axes, low, high }
     }
 
     /// The points.

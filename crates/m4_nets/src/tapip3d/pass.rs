@@ -57,13 +57,7 @@ pub struct TrackedPoint {
 
 impl TrackedPoint {
     fn new(query: Option<usize>, time: usize, start: [f32; 3], times: usize) -> Self {
-        Self {
-            query,
-            time,
-            start,
-            at: vec![start; times],
-            logits: vec![0.0; times],
-        }
+        Self { query, time, start, at: vec![start; times], logits: vec![0.0; times] }
     }
 
     /// Where it is taken to be at step `j` of the window that begins at `first`, before that is worked with.
@@ -153,10 +147,7 @@ pub fn walk(
         entered = entered.max(end);
         let (lowest, highest) = (needed.iter().min(), needed.iter().max());
         let (lowest, highest) = (lowest.copied().unwrap_or(0), highest.copied().unwrap_or(0));
-        let window = Window::new(window, config).ok_or(Tapip3dError::NoDepth {
-            first: lowest,
-            last: highest,
-        })?;
+        let window = Window::new(window, config).ok_or(Tapip3dError::NoDepth { first: lowest, last: highest })?;
         for (group, walkers) in known.groups.iter().zip(&mut walkers) {
             if walkers.is_empty() {
                 report();
@@ -172,10 +163,7 @@ pub fn walk(
                 }
                 state = window.moved(net, &sides, state, config.neighbours)?;
                 if !state.is_finite() {
-                    return Err(Tapip3dError::NotFinite {
-                        first: lowest,
-                        last: highest,
-                    });
+                    return Err(Tapip3dError::NotFinite { first: lowest, last: highest });
                 }
             }
             state.enter(walkers, first, &window);
@@ -224,30 +212,14 @@ impl TrackState {
         };
         for (known, group) in self.groups.iter_mut().zip(groups) {
             if let Some((queries, points)) = group.get(&frame) {
-                known.insert(
-                    frame,
-                    Batch {
-                        queries: queries.clone(),
-                        sides: side(points),
-                        points: points.clone(),
-                    },
-                );
+                known.insert(frame, Batch { queries: queries.clone(), sides: side(points), points: points.clone() });
             }
         }
         let ends = [frame == 0, frame + 1 == self.frames];
         if ends.contains(&true) && source.options.support_grid > 0 {
-            let points = grid(
-                source.options.support_grid,
-                &loaded.z,
-                source.options.size,
-                &loaded.geometry.lens,
-            );
+            let points = grid(source.options.support_grid, &loaded.z, source.options.size, &loaded.geometry.lens);
             if !points.is_empty() {
-                let batch = Batch {
-                    queries: Vec::new(),
-                    sides: side(&points),
-                    points,
-                };
+                let batch = Batch { queries: Vec::new(), sides: side(&points), points };
                 for (end, here) in self.grids.iter_mut().zip(ends) {
                     if here {
                         *end = Some(batch.clone());

@@ -26,9 +26,7 @@ pub fn sides(
         let cloud = Cloud::new(points.clone());
         let near: Vec<Vec<u32>> = queries
             .par_iter()
-            .map_init(Search::default, |search, &q| {
-                cloud.nearest(q, neighbours, search).collect()
-            })
+            .map_init(Search::default, |search, &q| cloud.nearest(q, neighbours, search).collect())
             .collect();
         let scale = [w as f64 / size.0 as f64, h as f64 / size.1 as f64];
         let places: Vec<[f64; 2]> = seen.iter().map(|p| [p[0] * scale[0], p[1] * scale[1]]).collect();
@@ -46,10 +44,7 @@ pub fn sides(
                 .collect(),
         );
     }
-    Sides {
-        features,
-        points: around,
-    }
+    Sides { features, points: around }
 }
 
 /// Where a point is seen; as far out as two images.

@@ -43,8 +43,7 @@ impl Sizes {
     pub fn in_checkpoint(shapes: &Shapes, config: &Config) -> Result<Self, String> {
         let of = |name: &str, axis: usize| {
             let size = shapes.get(name).and_then(|shape| shape.get(axis).copied());
-            size.filter(|&n| n > 0)
-                .ok_or_else(|| format!("{name} is missing or has no axis {axis}"))
+            size.filter(|&n| n > 0).ok_or_else(|| format!("{name} is missing or has no axis {axis}"))
         };
         let layers = |prefix: &str, rest: &str| {
             let there = |i: &usize| shapes.contains_key(&format!("{prefix}.{i}.{rest}"));
@@ -78,39 +77,18 @@ impl Sizes {
             format!("offsets of {offsets} numbers are those of options that are not known here"),
         )?;
         let sets = if config.shared { 1 } else { config.levels };
-        fits(
-            self.sets == sets,
-            format!(
-                "{} levels of neighbourhoods where the configuration has {sets}",
-                self.sets
-            ),
-        )?;
+        fits(self.sets == sets, format!("{} levels of neighbourhoods where the configuration has {sets}", self.sets))?;
         let input = 1 + config.levels * self.tokens + width(6);
-        fits(
-            self.input == input,
-            format!("the updater takes {} numbers, not {input}", self.input),
-        )?;
-        fits(
-            self.output >= 4,
-            format!("the updater says {} numbers, not 4", self.output),
-        )?;
+        fits(self.input == input, format!("the updater takes {} numbers, not {input}", self.input))?;
+        fits(self.output >= 4, format!("the updater says {} numbers, not 4", self.output))?;
         let heads = [(self.token_heads, config.heads), (self.hidden, config.updater_heads)];
         for (width, heads) in heads {
-            fits(
-                width % heads == 0,
-                format!("{width} channels cannot be those of {heads} heads"),
-            )?;
+            fits(width % heads == 0, format!("{width} channels cannot be those of {heads} heads"))?;
         }
         fits(
             self.space_depth > 0 && self.time_depth >= self.space_depth,
-            format!(
-                "{} layers over time and {} over space",
-                self.time_depth, self.space_depth
-            ),
+            format!("{} layers over time and {} over space", self.time_depth, self.space_depth),
         )?;
-        fits(
-            self.times == config.window,
-            format!("times of {} frames for windows of {}", self.times, config.window),
-        )
+        fits(self.times == config.window, format!("times of {} frames for windows of {}", self.times, config.window))
     }
 }

@@ -47,24 +47,14 @@ impl<'a> Source<'a> {
         if clip.frames() == 0 {
             return Err(Tapip3dError::NoFrames);
         }
-        let camera = clip
-            .camera(0)
-            .map_err(|source| Tapip3dError::Frame { frame: 0, source })?;
-        let source = Self {
-            net,
-            clip,
-            options,
-            origin: camera.centre(),
-        };
+        let camera = clip.camera(0).map_err(|source| Tapip3dError::Frame { frame: 0, source })?;
+        let source = Self { net, clip, options, origin: camera.centre() };
         source.lens(0)?;
         Ok(source)
     }
 
     fn lens(&self, frame: usize) -> Result<PosedPinhole, Tapip3dError> {
-        let camera = self
-            .clip
-            .camera(frame)
-            .map_err(|source| Tapip3dError::Frame { frame, source })?;
+        let camera = self.clip.camera(frame).map_err(|source| Tapip3dError::Frame { frame, source })?;
         PosedPinhole::new(&camera, self.options.size, &self.origin).ok_or(Tapip3dError::BadFrame {
             frame,
             reason: "its camera has no positive focal lengths, or numbers that are not finite",
@@ -74,21 +64,14 @@ impl<'a> Source<'a> {
     /// Depth of `frame` in the network's size, and its camera.
     fn depth(&self, frame: usize) -> Result<(PosedPinhole, Vec<f32>), Tapip3dError> {
         let lens = self.lens(frame)?;
-        let depth = self
-            .clip
-            .depth(frame)
-            .map_err(|source| Tapip3dError::Frame { frame, source })?;
+        let depth = self.clip.depth(frame).map_err(|source| Tapip3dError::Frame { frame, source })?;
         if depth.data().is_empty() {
             let reason = "its depth has no pixels";
             return Err(Tapip3dError::BadFrame { frame, reason });
         }
         let size = self.options.size;
         let z = resized(&depth, size);
-        let z = if self.options.clean_edges {
-            cleaned(&z, size, &lens)
-        } else {
-            z
-        };
+        let z = if self.options.clean_edges { cleaned(&z, size, &lens) } else { z };
         Ok((lens, z))
     }
 
@@ -118,10 +101,7 @@ impl<'a> Source<'a> {
     /// [`Tapip3dError`] if the frame cannot be had.
     pub fn load(&self, frame: usize, range: [f32; 2]) -> Result<Loaded, Tapip3dError> {
         let (lens, z) = self.depth(frame)?;
-        let image = self
-            .clip
-            .image(frame)
-            .map_err(|source| Tapip3dError::Frame { frame, source })?;
+        let image = self.clip.image(frame).map_err(|source| Tapip3dError::Frame { frame, source })?;
         if image.data().is_empty() {
             let reason = "its image has no pixels";
             return Err(Tapip3dError::BadFrame { frame, reason });

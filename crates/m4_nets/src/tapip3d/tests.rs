@@ -66,9 +66,7 @@ impl PosedClip for Clip {
     fn image(&self, frame: usize) -> Result<RgbImage, ClipError> {
         let bytes = self.0.bytes("frames_u8");
         let small = &bytes[frame * 40 * 56 * 3..];
-        Ok(Plane::from_fn(224, 160, |x, y| {
-            [0, 1, 2].map(|c| small[(y / 4 * 56 + x / 4) * 3 + c])
-        }))
+        Ok(Plane::from_fn(224, 160, |x, y| [0, 1, 2].map(|c| small[(y / 4 * 56 + x / 4) * 3 + c])))
     }
 
     fn depth(&self, frame: usize) -> Result<DepthMap, ClipError> {
@@ -76,21 +74,11 @@ impl PosedClip for Clip {
     }
 
     fn camera(&self, frame: usize) -> Result<Camera, ClipError> {
-        let k: Vec<f64> = self.0.floats("intrinsics").0[frame * 9..][..9]
-            .iter()
-            .map(|&x| f64::from(x))
-            .collect();
+        let k: Vec<f64> = self.0.floats("intrinsics").0[frame * 9..][..9].iter().map(|&x| f64::from(x)).collect();
         let w2c = self.0.floats("extrinsics").0[frame * 16..][..16].to_vec();
         let w2c = Matrix4::from_row_iterator(w2c.into_iter().map(f64::from));
         Ok(Camera {
-            intrinsics: Intrinsics {
-                width: 224,
-                height: 160,
-                fx: k[0],
-                fy: k[4],
-                cx: k[2] + 0.5,
-                cy: k[5] + 0.5,
-            },
+            intrinsics: Intrinsics { width: 224, height: 160, fx: k[0], fy: k[4], cx: k[2] + 0.5, cy: k[5] + 0.5 },
             c2w: Se3::from_matrix(&w2c).inverse(),
         })
     }
@@ -128,15 +116,7 @@ impl Clip {
             let (maps, geometry) = (self.maps(net, frame), self.geometry(frame));
             for (side, (t, p)) in of.iter_mut().zip(&queries) {
                 if *t == frame {
-                    *side = Some(sides(
-                        &net.net,
-                        &maps,
-                        &geometry.points,
-                        &geometry.lens,
-                        SIZE,
-                        &[*p],
-                        32,
-                    ));
+                    *side = Some(sides(&net.net, &maps, &geometry.points, &geometry.lens, SIZE, &[*p], 32));
                 }
             }
             let prepared = |map| net.net.corr_processor.prepared(map);
@@ -201,18 +181,8 @@ fn windows_are_brought_to_the_network_s_space() {
         let all = (first..first + WINDOW).map(|frame| clip.geometry(frame).moments);
         let all = all.fold(moments::Moments::default(), |sum, m| sum.with(&m));
         let space = all.space(config.norm_mode, config.norm_scale).unwrap();
-        assert_close(
-            "mean",
-            &space.mean,
-            &clip.0.floats(&format!("norm_mean_{name}")).0,
-            1e-5,
-        );
-        assert_close(
-            "deviation",
-            &space.std,
-            &clip.0.floats(&format!("norm_std_{name}")).0,
-            1e-5,
-        );
+        assert_close("mean", &space.mean, &clip.0.floats(&format!("norm_mean_{name}")).0, 1e-5);
+        assert_close("deviation", &space.std, &clip.0.floats(&format!("norm_std_{name}")).0, 1e-5);
         if first == 0 {
             let begun = clip.queries().into_iter().filter(|(t, _)| *t < WINDOW);
             let got: Vec<f32> = begun
@@ -230,8 +200,7 @@ fn windows_are_brought_to_the_network_s_space() {
 fn others(got: &[u32], want: &[i16]) -> usize {
     assert_eq!(got.len(), want.len());
     let rows = got.as_chunks::<32>().0.iter().zip(want.as_chunks::<32>().0);
-    rows.map(|(got, want)| got.iter().filter(|&&i| !want.contains(&(i as i16))).count())
-        .sum()
+    rows.map(|(got, want)| got.iter().filter(|&&i| !want.contains(&(i as i16))).count()).sum()
 }
 
 #[test]
@@ -252,15 +221,11 @@ fn neighbours_and_queries_of_a_window() {
         let here: Vec<[f32; 3]> = sides.points[level].iter().map(|&p| window.space.enter(p)).collect();
         // of points at the same distance the order is open
         let lengths = |all: &[[f32; 3]]| -> Vec<f32> {
-            all.iter()
-                .map(|p| p.iter().map(|x| x * x).sum::<f32>().sqrt())
-                .collect()
+            all.iter().map(|p| p.iter().map(|x| x * x).sum::<f32>().sqrt()).collect()
         };
         let minus = |a: [f32; 3], b: [f32; 3]| [0, 1, 2].map(|i| a[i] - b[i]);
-        let got: Vec<[f32; 3]> = here
-            .chunks_exact(33)
-            .flat_map(|around| around.iter().map(|&p| minus(p, around[0])))
-            .collect();
+        let got: Vec<[f32; 3]> =
+            here.chunks_exact(33).flat_map(|around| around.iter().map(|&p| minus(p, around[0]))).collect();
         assert_close("distances", &lengths(&got), &lengths(want.as_chunks::<3>().0), 3e-5);
 
         let sizes = map_sizes(SIZE, 4);
@@ -286,22 +251,11 @@ fn a_window_is_revised() {
     let clip = clip();
     let net = network(&clip.0);
     let (window, sides) = clip.first_window(&net);
-    let begun: Vec<[f32; 3]> = clip
-        .queries()
-        .into_iter()
-        .filter(|(t, _)| *t < WINDOW)
-        .map(|(_, p)| window.space.enter(p))
-        .collect();
-    let mut state = State {
-        at: begun.iter().cycle().take(WINDOW * FIRST).copied().collect(),
-        logits: vec![0.0; WINDOW * FIRST],
-    };
-    assert_close(
-        "points",
-        state.at.as_flattened(),
-        &clip.0.floats("corr_it0_coords").0,
-        1e-5,
-    );
+    let begun: Vec<[f32; 3]> =
+        clip.queries().into_iter().filter(|(t, _)| *t < WINDOW).map(|(_, p)| window.space.enter(p)).collect();
+    let mut state =
+        State { at: begun.iter().cycle().take(WINDOW * FIRST).copied().collect(), logits: vec![0.0; WINDOW * FIRST] };
+    assert_close("points", state.at.as_flattened(), &clip.0.floats("corr_it0_coords").0, 1e-5);
     let sides = window.query_sides(&net.net, &sides);
     let compared = window.compared(&net.net, &sides, &state.at, 32);
     let [t, n, c] = compared.dims();
@@ -318,9 +272,7 @@ fn a_window_is_revised() {
         let world: Vec<[f32; 3]> = state.at.iter().map(|&p| window.space.leave(p)).collect();
         let begun = |width: usize, values: Vec<f32>| -> Vec<f32> {
             let rows = values.chunks_exact(width).zip(clip.queries().into_iter().cycle());
-            rows.filter(|(_, (t, _))| *t < WINDOW)
-                .flat_map(|(x, _)| x.to_vec())
-                .collect()
+            rows.filter(|(_, (t, _))| *t < WINDOW).flat_map(|(x, _)| x.to_vec()).collect()
         };
         let want = begun(3, clip.0.floats(&format!("out{iteration}_coords")).0);
         assert_close(&format!("iteration {iteration}"), world.as_flattened(), &want, 1e-4);
@@ -330,21 +282,12 @@ fn a_window_is_revised() {
 }
 
 fn fixture_queries(clip: &Clip) -> Vec<PointQuery> {
-    let query = |(frame, p): (usize, [f32; 3])| PointQuery {
-        frame,
-        world: p.map(f64::from),
-    };
+    let query = |(frame, p): (usize, [f32; 3])| PointQuery { frame, world: p.map(f64::from) };
     clip.queries().into_iter().map(query).collect()
 }
 
 fn fixture_options() -> Tapip3dOptions {
-    Tapip3dOptions {
-        iterations: 2,
-        support_grid: 0,
-        backward: false,
-        clean_edges: false,
-        ..Tapip3dOptions::at(SIZE)
-    }
+    Tapip3dOptions { iterations: 2, support_grid: 0, backward: false, clean_edges: false, ..Tapip3dOptions::at(SIZE) }
 }
 
 #[test]
@@ -357,26 +300,12 @@ fn whole_clip_matches_the_reference() {
     let (want, logits) = (clip.0.floats("pred_coords").0, clip.0.floats("pred_visibs").0);
     let n = queries.len();
     // frames before a query's own are not followed
-    let followed: Vec<(usize, usize)> = (0..n)
-        .flat_map(|i| (queries[i].frame..FRAMES).map(move |t| (i, t)))
-        .collect();
-    let got: Vec<f32> = followed
-        .iter()
-        .flat_map(|&(i, t)| tracks.world()[i * FRAMES + t])
-        .collect();
-    let coords: Vec<f32> = followed
-        .iter()
-        .flat_map(|&(i, t)| want[(t * n + i) * 3..][..3].to_vec())
-        .collect();
+    let followed: Vec<(usize, usize)> = (0..n).flat_map(|i| (queries[i].frame..FRAMES).map(move |t| (i, t))).collect();
+    let got: Vec<f32> = followed.iter().flat_map(|&(i, t)| tracks.world()[i * FRAMES + t]).collect();
+    let coords: Vec<f32> = followed.iter().flat_map(|&(i, t)| want[(t * n + i) * 3..][..3].to_vec()).collect();
     assert_close("tracks", &got, &coords, 1e-4);
-    let got: Vec<f32> = followed
-        .iter()
-        .map(|&(i, t)| tracks.visibility()[i * FRAMES + t])
-        .collect();
-    let seen: Vec<f32> = followed
-        .iter()
-        .map(|&(i, t)| 1.0 / (1.0 + (-logits[t * n + i]).exp()))
-        .collect();
+    let got: Vec<f32> = followed.iter().map(|&(i, t)| tracks.visibility()[i * FRAMES + t]).collect();
+    let seen: Vec<f32> = followed.iter().map(|&(i, t)| 1.0 / (1.0 + (-logits[t * n + i]).exp())).collect();
     assert_close("visibility", &got, &seen, 1e-4);
 }
 
@@ -401,19 +330,8 @@ fn backward_is_forward_on_the_reversed_clip() {
     let clip = clip();
     let net = network(&clip.0);
     let queries: Vec<PointQuery> = fixture_queries(&clip).into_iter().filter(|q| q.frame == 17).collect();
-    let turned: Vec<PointQuery> = queries
-        .iter()
-        .map(|q| PointQuery {
-            frame: FRAMES - 1 - q.frame,
-            ..*q
-        })
-        .collect();
-    let options = Tapip3dOptions {
-        iterations: 1,
-        support_grid: 3,
-        backward: true,
-        ..fixture_options()
-    };
+    let turned: Vec<PointQuery> = queries.iter().map(|q| PointQuery { frame: FRAMES - 1 - q.frame, ..*q }).collect();
+    let options = Tapip3dOptions { iterations: 1, support_grid: 3, backward: true, ..fixture_options() };
     let there = net.track(&clip, &queries, &options, &Silent).unwrap();
     let back = net.track(&Reversed(&clip), &turned, &options, &Silent).unwrap();
     assert_eq!(there.count(), queries.len());

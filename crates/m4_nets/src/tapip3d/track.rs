@@ -74,29 +74,17 @@ pub fn track_within(
     let source = Source::new(net, clip, options)?;
     let points = points(&source, queries, frames)?;
     if queries.is_empty() {
-        return Ok(PointTracks {
-            frames,
-            world: Vec::new(),
-            visibility: Vec::new(),
-        });
+        return Ok(PointTracks { frames, world: Vec::new(), visibility: Vec::new() });
     }
     let range = match range {
         Some(range) => range,
         None => source.range(progress)?,
     };
     let groups = grouped(queries, &points, together(&source));
-    let mut known = TrackState {
-        frames,
-        groups: vec![BTreeMap::new(); groups.len()],
-        grids: [None, None],
-    };
+    let mut known = TrackState { frames, groups: vec![BTreeMap::new(); groups.len()], grids: [None, None] };
     let most = options.memory_bytes / 2 / source.frame_bytes().max(1);
     let mut held = Frames::new(most.max(net.config.window));
-    let order = |backward| FrameOrder {
-        frames,
-        backward,
-        window: net.config.window,
-    };
+    let order = |backward| FrameOrder { frames, backward, window: net.config.window };
     let back = options.backward && queries.iter().any(|q| q.frame > 0);
     let total = order(false).starts().count() * groups.len() * (1 + usize::from(back));
     let mut done = 0;
@@ -113,16 +101,7 @@ pub fn track_within(
             done += 1;
             progress.update("points tracked", done, total, "");
         };
-        let walkers = walk(
-            &source,
-            order(backward),
-            range,
-            &mut known,
-            &groups,
-            &mut held,
-            report,
-            progress,
-        )?;
+        let walkers = walk(&source, order(backward), range, &mut known, &groups, &mut held, report, progress)?;
         for walker in walkers.iter().flatten() {
             enter(&mut tracks, walker, queries, order(backward));
         }
@@ -137,11 +116,7 @@ pub fn track_within(
 fn enter(tracks: &mut PointTracks, walker: &TrackedPoint, queries: &[PointQuery], order: FrameOrder) {
     let Some(query) = walker.query else { return };
     let begins = queries[query].frame;
-    let frames = if order.backward {
-        0..begins
-    } else {
-        begins..order.frames
-    };
+    let frames = if order.backward { 0..begins } else { begins..order.frames };
     for frame in frames {
         let (to, time) = (query * order.frames + frame, order.time(frame));
         tracks.world[to] = walker.at[time];
@@ -155,11 +130,7 @@ fn check_size(net: &Tapip3d, options: &Tapip3dOptions) -> Result<(), Tapip3dErro
     let points = coarsest.map_or(0, |(w, h)| w.saturating_mul(h));
     let neighbours = net.config.neighbours;
     if points < neighbours || width > LONGEST || height > LONGEST {
-        return Err(Tapip3dError::Size {
-            width,
-            height,
-            neighbours,
-        });
+        return Err(Tapip3dError::Size { width, height, neighbours });
     }
     Ok(())
 }
@@ -172,11 +143,7 @@ fn points(source: &Source<'_>, queries: &[PointQuery], frames: usize) -> Result<
             return Err(bad(format!("it is asked for in frame {} of {frames}", query.frame)));
         }
         let p = [0, 1, 2].map(|axis| (query.world[axis] - source.origin[axis]) as f32);
-        if p.iter().all(|x| x.is_finite()) {
-            Ok(p)
-        } else {
-            Err(bad(format!("it is asked for at {:?}", query.world)))
-        }
+        if p.iter().all(|x| x.is_finite()) { Ok(p) } else { Err(bad(format!("it is asked for at {:?}", query.world))) }
     };
     queries.iter().enumerate().map(point).collect()
 }

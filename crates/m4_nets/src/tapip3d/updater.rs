@@ -25,11 +25,7 @@ impl Updater {
     pub fn new(sizes: &Sizes, heads: usize, device: &Device) -> Self {
         let (width, hidden) = (sizes.hidden, sizes.hidden_hidden);
         let alone = |n: usize| (0..n).map(|_| SelfBlock::new(width, hidden, heads, device)).collect();
-        let cross = |n: usize| {
-            (0..n)
-                .map(|_| CrossBlock::new(width, width, hidden, heads, device))
-                .collect()
-        };
+        let cross = |n: usize| (0..n).map(|_| CrossBlock::new(width, width, hidden, heads, device)).collect();
         Self {
             virtual_tracks: zeros([1, sizes.virtual_tracks, 1, width], device),
             input_transform: linear(sizes.input, width, true, device),

@@ -39,10 +39,7 @@ impl Window {
         let moments = frames.iter().fold(Moments::default(), |sum, f| sum.with(&f.moments));
         let space = moments.space(config.norm_mode, config.norm_scale)?;
         let cloud = |points: &Vec<[f32; 3]>| Cloud::new(points.iter().map(|&p| space.enter(p)).collect());
-        let clouds = frames
-            .par_iter()
-            .map(|frame| frame.points.iter().map(cloud).collect())
-            .collect();
+        let clouds = frames.par_iter().map(|frame| frame.points.iter().map(cloud).collect()).collect();
         Some(Self { frames, space, clouds })
     }
 
@@ -51,19 +48,11 @@ impl Window {
         let level = |(level, (features, points)): (usize, (&Tensor<3>, &Vec<[f32; 3]>))| {
             let [_, tokens, _] = features.dims();
             let here: Vec<[f32; 3]> = points.iter().map(|&p| self.space.enter(p)).collect();
-            let offsets: Vec<[f32; 3]> = here
-                .chunks_exact(tokens)
-                .flat_map(|around| around.iter().map(|&p| minus(p, around[0])))
-                .collect();
+            let offsets: Vec<[f32; 3]> =
+                here.chunks_exact(tokens).flat_map(|around| around.iter().map(|&p| minus(p, around[0]))).collect();
             net.corr_processor.query_side(level, features.clone(), &offsets)
         };
-        sides
-            .features
-            .iter()
-            .zip(&sides.points)
-            .enumerate()
-            .map(level)
-            .collect()
+        sides.features.iter().zip(&sides.points).enumerate().map(level).collect()
     }
 
     /// Numbers of the points of the maps near `at` `[frame][point]`, `[frame][point][neighbour]`.
@@ -90,9 +79,7 @@ impl Window {
         let step = TOGETHER[usize::from(net.time_emb.device() != Device::flex())];
         let some = |first: usize| {
             let n = step.min(points - first);
-            let at: Vec<[f32; 3]> = (0..frames)
-                .flat_map(|t| at[t * points + first..][..n].iter().copied())
-                .collect();
+            let at: Vec<[f32; 3]> = (0..frames).flat_map(|t| at[t * points + first..][..n].iter().copied()).collect();
             let level = |(level, side): (usize, &QuerySide)| {
                 let near = self.near(level, &at, neighbours);
                 let offsets: Vec<[f32; 3]> = near
@@ -130,11 +117,7 @@ impl Window {
             .map(|k| {
                 let (t, i) = (k / points, k % points);
                 let here = at(t, i);
-                let next = if t + 1 < frames {
-                    minus(here, at(t + 1, i))
-                } else {
-                    [0.0; 3]
-                };
+                let next = if t + 1 < frames { minus(here, at(t + 1, i)) } else { [0.0; 3] };
                 let last = if t > 0 { minus(here, at(t - 1, i)) } else { [0.0; 3] };
                 [next[0], next[1], next[2], last[0], last[1], last[2]]
             })
@@ -160,10 +143,7 @@ impl Window {
         neighbours: usize,
     ) -> Result<State, Tapip3dError> {
         let compared = self.compared(net, sides, &state.at, neighbours);
-        let out = net
-            .point_updater
-            .forward(self.input(net, &state, compared))
-            .narrow(2, 0, 4);
+        let out = net.point_updater.forward(self.input(net, &state, compared)).narrow(2, 0, 4);
         let out = numbers(out)?;
         let points = state.at.iter_mut().zip(&mut state.logits);
         for ((at, logit), d) in points.zip(out.as_chunks::<4>().0) {

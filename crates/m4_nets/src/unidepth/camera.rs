@@ -38,9 +38,7 @@ impl CameraHead {
         let context = self.in_features.forward(features + positions);
         let context = Tensor::cat(vec![context, classes.clone()], 0);
         let position = Some(self.latents_pos.val().squeeze_dim(0));
-        let x = self
-            .aggregate1
-            .attending(classes, context.clone(), position.clone(), None);
+        let x = self.aggregate1.attending(classes, context.clone(), position.clone(), None);
         let x = self.aggregate2.attending(x, context, position, None);
         self.out.forward(x)
     }
@@ -73,9 +71,7 @@ impl GlobalHead {
     pub fn forward(&self, levels: &[Tensor<2>], classes: Tensor<2>, rays: Tensor<2>) -> Tensor<2> {
         let classes = self.project_cls.forward(classes);
         let rays = self.project_rays.forward(rays);
-        let levels = levels
-            .iter()
-            .map(|x| self.in_features.forward(x.clone() + rays.clone()));
+        let levels = levels.iter().map(|x| self.in_features.forward(x.clone() + rays.clone()));
         let context = Tensor::cat(levels.chain([classes.clone()]).collect(), 0);
         let x = self.aggregate1.attending(classes, context.clone(), None, None);
         let x = self.aggregate2.attending(x, context, None, None);

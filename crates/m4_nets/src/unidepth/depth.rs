@@ -57,9 +57,7 @@ impl DepthHead {
             features_channel_cat: linear(4 * width, width, true, device),
             aggregate_16: Block::new(width, device),
             prompt_camera: Block::new(width, device),
-            rays_layers: (0..LEVELS)
-                .map(|i| linear(rays::CHANNELS, at(i), true, device))
-                .collect(),
+            rays_layers: (0..LEVELS).map(|i| linear(rays::CHANNELS, at(i), true, device)).collect(),
             ups: (0..LEVELS).map(|i| Up::new(at(i), device)).collect(),
             process_layers: (0..BLOCKS).map(|_| Block::new(width, device)).collect(),
             depth_mlp: (0..LEVELS).map(|i| Mlp::new(at(i + 1), 1, OUT, device)).collect(),
@@ -72,9 +70,7 @@ impl DepthHead {
         let levels = || scene.levels.to_vec();
         let together = self.features_channel_cat.forward(Tensor::cat(levels(), 1));
         let x = together.clone() + self.to_latents.forward(together);
-        let x = self
-            .aggregate_16
-            .attending(x, Tensor::cat(levels(), 0), None, Some(scene.positions.clone()));
+        let x = self.aggregate_16.attending(x, Tensor::cat(levels(), 0), None, Some(scene.positions.clone()));
         self.prompt_camera.attending(x, rays, None, None)
     }
 
@@ -115,8 +111,6 @@ impl DepthHead {
 
 /// `x` with `size` rows and columns, bilinear.
 fn enlarged(x: Tensor<4>, size: [usize; 2]) -> Tensor<4> {
-    let options = InterpolateOptions::new(InterpolateMode::Bilinear)
-        .with_align_corners(false)
-        .with_output_size(size);
+    let options = InterpolateOptions::new(InterpolateMode::Bilinear).with_align_corners(false).with_output_size(size);
     interpolate(x, options)
 }

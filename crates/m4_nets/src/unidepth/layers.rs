@@ -36,9 +36,7 @@ impl Mlp {
     }
 
     pub fn forward(&self, x: Tensor<2>) -> Tensor<2> {
-        by_tokens(x, |x| {
-            self.proj2.forward(gelu(self.proj1.forward(self.norm.forward(x))))
-        })
+        by_tokens(x, |x| self.proj2.forward(gelu(self.proj1.forward(self.norm.forward(x)))))
     }
 }
 
@@ -58,13 +56,8 @@ struct Adapter {
 impl Adapters {
     /// `n` of them.
     pub fn new(n: usize, from: usize, to: usize, device: &Device) -> Self {
-        let adapter = |_| Adapter {
-            norm: norm(from, device),
-            linear: linear(from, to, true, device),
-        };
-        Self {
-            input_adapters: (0..n).map(adapter).collect(),
-        }
+        let adapter = |_| Adapter { norm: norm(from, device), linear: linear(from, to, true, device) };
+        Self { input_adapters: (0..n).map(adapter).collect() }
     }
 
     /// Each of `levels` by its own.
@@ -83,9 +76,7 @@ pub struct LayerScale {
 
 impl LayerScale {
     fn new(width: usize, device: &Device) -> Self {
-        Self {
-            gamma: zeros([width], device),
-        }
+        Self { gamma: zeros([width], device) }
     }
 
     fn forward(&self, x: Tensor<2>) -> Tensor<2> {

@@ -178,10 +178,7 @@ impl Net {
         let dtype = decoder.level_embeds.dtype();
         let device = image.device();
         let blocks = self.pixel_encoder.depth();
-        let taps = self.pixel_encoder.taps(
-            image.cast(dtype),
-            std::array::from_fn::<_, TAPS, _>(|i| blocks - TAPS + i),
-        );
+        let taps = self.pixel_encoder.taps(image.cast(dtype), std::array::from_fn::<_, TAPS, _>(|i| blocks - TAPS + i));
         let levels = taps.iter().map(|tap| tap.patches.clone().squeeze_dim(0)).collect();
         let levels = decoder.input_adapter.forward(levels);
         let classes = |of: &[usize]| of.iter().map(|&i| taps[i].class.clone()).collect();
@@ -204,18 +201,9 @@ impl Net {
             rays.encoded(h, w, &device).cast(dtype),
         );
         let [log_scale, offset] = numbers(global)?;
-        let logarithms = decoder.depth_layer.forward(&Scene {
-            levels: &levels,
-            positions,
-            rays: &rays,
-            grid: patches.grid,
-        });
-        Ok(Heads {
-            camera,
-            log_scale,
-            offset,
-            logarithms,
-        })
+        let logarithms =
+            decoder.depth_layer.forward(&Scene { levels: &levels, positions, rays: &rays, grid: patches.grid });
+        Ok(Heads { camera, log_scale, offset, logarithms })
     }
 }
 
@@ -225,23 +213,17 @@ impl Decoder {
         let [levels, c] = self.level_embeds.dims();
         let n = grid[0] * grid[1];
         let layer = &self.level_embed_layer;
-        let level = layer
-            .contract
-            .forward(gelu(layer.expand.forward(self.level_embeds.val())));
+        let level = layer.contract.forward(gelu(layer.expand.forward(self.level_embeds.val())));
         let level: Tensor<3> = layer.norm.forward(level).reshape([levels, 1, c]);
-        let place = sine_positions(grid, grid, c, device)
-            .cast(level.dtype())
-            .reshape([1, n, c]);
+        let place = sine_positions(grid, grid, c, device).cast(level.dtype()).reshape([1, n, c]);
         (place + level).reshape([levels * n, c])
     }
 }
 
 /// A few numbers `[n, 1]` off the device.
 fn numbers<const N: usize>(x: Tensor<2>) -> Result<[f64; N], UniDepthError> {
-    let values: Vec<f32> = x
-        .cast(DType::F32)
-        .try_into_vec_as()
-        .map_err(|error| UniDepthError::Device(error.to_string()))?;
+    let values: Vec<f32> =
+        x.cast(DType::F32).try_into_vec_as().map_err(|error| UniDepthError::Device(error.to_string()))?;
     let found = <[f32; N]>::try_from(values);
     let found = found.map_err(|values| UniDepthError::Device(format!("gave {} numbers for {N}", values.len())))?;
     Ok(found.map(f64::from))
@@ -262,11 +244,7 @@ impl UniDepth {
         let mut net = Net::new(size, depth, width, device);
         load::fill(&mut net, NAME, path, &RENAMES, unneeded)?;
         let net = on.fit(net);
-        Ok(Self {
-            net,
-            size,
-            device: device.clone(),
-        })
+        Ok(Self { net, size, device: device.clone() })
     }
 
     /// The backbone that the checkpoint holds.

@@ -36,11 +36,7 @@ impl Patches {
         }
         let rows = ((n as f64 / ratio).sqrt() - 0.5).ceil().max(1.0);
         let columns = (rows * ratio - 0.5).ceil().max(1.0);
-        Ok(Self {
-            width,
-            height,
-            grid: [rows as usize, columns as usize],
-        })
+        Ok(Self { width, height, grid: [rows as usize, columns as usize] })
     }
 
     /// Width and height of what the network sees.
@@ -109,9 +105,5 @@ impl Patches {
 
 /// `ln(1 + exp(BETA x)) / BETA`, and `x` where that is the same in 32 bits.
 fn softplus(x: f64) -> f64 {
-    if x * BETA > 20.0 {
-        x
-    } else {
-        (x * BETA).exp().ln_1p() / BETA
-    }
+    if x * BETA > 20.0 { x } else { (x * BETA).exp().ln_1p() / BETA }
 }

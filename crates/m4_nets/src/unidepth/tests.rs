@@ -32,12 +32,7 @@ fn parts_agree_with_upstream() {
     assert_eq!(patches.grid, [6, 9]);
     let input = patches.tensor(&image, &cpu());
     let channels = (0..3).map(|c| thinned(input.clone().slice([0..1, c..c + 1]).reshape([84, 126]), 4, 4));
-    assert_near(
-        Tensor::stack::<3>(channels.collect(), 0),
-        &fixture,
-        "input_strided",
-        LIMIT,
-    );
+    assert_near(Tensor::stack::<3>(channels.collect(), 0), &fixture, "input_strided", LIMIT);
 
     let taps = net.pixel_encoder.taps(input.clone(), [1, 2, 3, 4]);
     let last: Tensor<2> = taps[3].patches.clone().squeeze_dim(0);
@@ -48,12 +43,8 @@ fn parts_agree_with_upstream() {
     let levels = decoder.input_adapter.forward(levels);
     let heads = net.heads(input, patches).unwrap();
     let rays = Rays::of(&heads.camera);
-    let scene = Scene {
-        levels: &levels,
-        positions: decoder.positions(patches.grid, &cpu()),
-        rays: &rays,
-        grid: patches.grid,
-    };
+    let scene =
+        Scene { levels: &levels, positions: decoder.positions(patches.grid, &cpu()), rays: &rays, grid: patches.grid };
     let first = decoder.depth_layer.encoded_rays(&scene, 0);
     let latents = decoder.depth_layer.latents(&scene, first.clone());
     assert_near(every(latents.clone(), 4), &fixture, "prompt_camera_strided", LIMIT);

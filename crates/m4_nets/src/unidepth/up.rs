@@ -43,9 +43,7 @@ impl ConvNext {
 
     fn forward(&self, x: Tensor<4>) -> Tensor<4> {
         let y = tokens(self.dwconv.forward(x.clone()));
-        let y = by_tokens(y, |y| {
-            self.pwconv2.forward(gelu(self.pwconv1.forward(self.norm.forward(y))))
-        });
+        let y = by_tokens(y, |y| self.pwconv2.forward(gelu(self.pwconv1.forward(self.norm.forward(y)))));
         let [_, _, h, w] = x.dims();
         x + map(y * self.gamma.val().unsqueeze(), h, w)
     }
@@ -85,9 +83,7 @@ impl Up {
 /// Four channels as 2 by 2 pixels: `[1, c, h, w]` as `[1, c / 4, 2 h, 2 w]`.
 fn pixels_of_channels(x: Tensor<4>) -> Tensor<4> {
     let [_, c, h, w] = x.dims();
-    x.reshape([c / 4, 2, 2, h, w])
-        .permute([0, 3, 1, 4, 2])
-        .reshape([1, c / 4, 2 * h, 2 * w])
+    x.reshape([c / 4, 2, 2, h, w]).permute([0, 3, 1, 4, 2]).reshape([1, c / 4, 2 * h, 2 * w])
 }
 
 /// A map `[1, c, h, w]` as tokens `[h w, c]`.

@@ -82,9 +82,8 @@ pub(crate) struct RotatingSplat {
 pub(crate) fn rotating(splats: &Splats) -> Vec<RotatingSplat> {
     let n_static = splats.n_static();
     let time = splats.column(Column::TimeMean, 0);
-    let mut visible: Vec<usize> = (0..splats.n_dynamic())
-        .filter(|i| opacity(splats, n_static + i) >= MIN_OPACITY)
-        .collect();
+    let mut visible: Vec<usize> =
+        (0..splats.n_dynamic()).filter(|i| opacity(splats, n_static + i) >= MIN_OPACITY).collect();
     visible.sort_by(|&a, &b| time[a].total_cmp(&time[b]).then(a.cmp(&b)));
     let mut found: Vec<RotatingSplat> = Vec::new();
     for keyframe in visible.chunk_by(|&a, &b| time[a] == time[b]) {
@@ -94,11 +93,7 @@ pub(crate) fn rotating(splats: &Splats) -> Vec<RotatingSplat> {
         found.par_extend(keyframe.par_iter().filter_map(|&index| {
             let angular_velocity = angular_velocity(&neighbourhood.around(&position(splats, n_static + index)));
             let deviation = deviation(splats, index, &angular_velocity);
-            (deviation > MAX_DEVIATION).then_some(RotatingSplat {
-                index,
-                angular_velocity,
-                deviation,
-            })
+            (deviation > MAX_DEVIATION).then_some(RotatingSplat { index, angular_velocity, deviation })
         }));
     }
     if found.len() > MAX_SPLIT {
@@ -115,9 +110,7 @@ fn deviation(splats: &Splats, i: usize, angular_velocity: &Vector3<f32>) -> f32 
     let row = splats.n_static() + i;
     let sd = splats.column(Column::LogTimeSd, 0)[i].exp();
     let axes = splats.layout().range(Column::LogScale).len();
-    let log_size = (0..axes)
-        .map(|k| splats.column(Column::LogScale, k)[row])
-        .fold(f32::MIN, f32::max);
+    let log_size = (0..axes).map(|k| splats.column(Column::LogScale, k)[row]).fold(f32::MIN, f32::max);
     0.5 * angular_velocity.cross(&velocity(splats, i)).norm() * sd * sd / log_size.exp()
 }
 
@@ -143,11 +136,7 @@ mod tests {
 
     /// Two static splats, and a disc of radius 1 at each of two instants that moves by `velocity(place)`.
     fn discs(mut velocity: impl FnMut(Vector3<f32>) -> Vector3<f32>) -> (Splats, AdamState) {
-        let layout = SplatLayout {
-            isotropic: false,
-            sh_degree: 0,
-            time_degree: 0,
-        };
+        let layout = SplatLayout { isotropic: false, sh_degree: 0, time_degree: 0 };
         let n = 3000;
         let mut splats = Splats::zeros(layout, 2, 2 * n);
         let mut rng = CounterRng::new(1, 2, 3);
@@ -157,10 +146,7 @@ mod tests {
             splats.column_mut(Column::LogScale, k).fill(0.02f32.ln());
         }
         for i in 0..2 * n {
-            let (radius, angle) = (
-                RADIUS * rng.uniform().sqrt() as f32,
-                std::f32::consts::TAU * rng.uniform() as f32,
-            );
+            let (radius, angle) = (RADIUS * rng.uniform().sqrt() as f32, std::f32::consts::TAU * rng.uniform() as f32);
             let p = Vector3::new(radius * angle.cos(), radius * angle.sin(), 5.0);
             let v = velocity(p);
             for k in 0..3 {
@@ -191,10 +177,7 @@ mod tests {
         let count = split(&mut splats, &mut adam);
         // the deviation is r 0.3^2 / 2, which is half the size from r = 0.22 on
         assert!((5300..5900).contains(&count), "{count}");
-        assert_eq!(
-            (splats.n_static(), splats.n_dynamic()),
-            (2, before.n_dynamic() + 2 * count)
-        );
+        assert_eq!((splats.n_static(), splats.n_dynamic()), (2, before.n_dynamic() + 2 * count));
         assert_eq!(adam.step.iter().filter(|&&s| s == 0).count(), 2 * count);
         assert_eq!(adam.m.n(), splats.n());
         let mut worst = 0.0f32;

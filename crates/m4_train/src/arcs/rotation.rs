@@ -47,11 +47,7 @@ impl Neighbourhood {
     pub fn around(&self, place: &Vector3<f32>) -> Vec<Motion> {
         let count = NEIGHBOURS.min(NonZero::new(self.motion.len()).unwrap_or(NEIGHBOURS));
         let place: [f32; 3] = (*place).into();
-        let near = self
-            .tree
-            .query(&place)
-            .nearest_n::<SquaredEuclidean<f32>>(count)
-            .execute();
+        let near = self.tree.query(&place).nearest_n::<SquaredEuclidean<f32>>(count).execute();
         near.into_iter().map(|n| self.motion[n.item as usize]).collect()
     }
 }
@@ -64,12 +60,7 @@ pub(super) fn angular_velocity(motion: &[Motion]) -> Vector3<f32> {
     for _ in 0..ROUNDS {
         let total: f32 = weights.iter().sum();
         let mean = |pick: fn(&Motion) -> Vector3<f32>| -> Vector3<f32> {
-            motion
-                .iter()
-                .zip(&weights)
-                .map(|(m, w)| pick(m) * *w)
-                .sum::<Vector3<f32>>()
-                / total
+            motion.iter().zip(&weights).map(|(m, w)| pick(m) * *w).sum::<Vector3<f32>>() / total
         };
         let (centre, drift) = (mean(|m| m.0), mean(|m| m.1));
         let (mut inertia, mut momentum) = (Matrix3::zeros(), Vector3::zeros());
@@ -83,10 +74,7 @@ pub(super) fn angular_velocity(motion: &[Motion]) -> Vector3<f32> {
             return Vector3::zeros();
         };
         let turn = inverse * momentum;
-        let off: Vec<f32> = motion
-            .iter()
-            .map(|(p, v)| (v - drift - turn.cross(&(p - centre))).norm())
-            .collect();
+        let off: Vec<f32> = motion.iter().map(|(p, v)| (v - drift - turn.cross(&(p - centre))).norm()).collect();
         let mut sorted = off.clone();
         let middle = sorted.len() / 2;
         let median = (*sorted.select_nth_unstable_by(middle, f32::total_cmp).1).max(f32::MIN_POSITIVE);
@@ -97,11 +85,7 @@ pub(super) fn angular_velocity(motion: &[Motion]) -> Vector3<f32> {
         let share = 1.0 - noise / turn.norm_squared().max(f32::MIN_POSITIVE);
         out = turn * share.max(0.0);
     }
-    if out.iter().all(|v| v.is_finite()) {
-        out
-    } else {
-        Vector3::zeros()
-    }
+    if out.iter().all(|v| v.is_finite()) { out } else { Vector3::zeros() }
 }
 
 #[cfg(test)]
@@ -136,14 +120,12 @@ mod tests {
     #[test]
     fn noise_is_no_rotation() {
         // a fit of the same velocities without shrinkage has a mean square of 0.1^2 / 32 (1 / 0.17 + 2 / 0.083) = 0.0094
-        let square: f32 = (0..100)
-            .map(|seed| angular_velocity(&patch(Vector3::zeros(), 0.1, seed)).norm_squared())
-            .sum();
+        let square: f32 =
+            (0..100).map(|seed| angular_velocity(&patch(Vector3::zeros(), 0.1, seed)).norm_squared()).sum();
         assert!(square / 100.0 < 0.004, "{}", square / 100.0);
         assert!(angular_velocity(&patch(Vector3::zeros(), 0.0, 1)).norm() < 1e-6);
-        let line: Vec<Motion> = (0..32)
-            .map(|i| (Vector3::new(i as f32, 0.0, 0.0), Vector3::new(0.1, 0.0, 0.0)))
-            .collect();
+        let line: Vec<Motion> =
+            (0..32).map(|i| (Vector3::new(i as f32, 0.0, 0.0), Vector3::new(0.1, 0.0, 0.0))).collect();
         assert!(angular_velocity(&line).norm() < 1e-6);
         let point = vec![(Vector3::zeros(), Vector3::new(0.1, 0.0, 0.0)); 5];
         assert_eq!(angular_velocity(&point), Vector3::zeros());

@@ -35,10 +35,7 @@ impl Shares {
         let (near, far) = (marginal(STEP, LIFETIME), marginal(2.0 * STEP, LIFETIME));
         let (at_middle, at_side) = (depth(opacity), depth(opacity * marginal(STEP, 1.0)));
         let solve = |depth: f32| (1.0 - (-depth.max(0.0)).exp()).clamp(LEAST_OPAQUE, MOST_OPAQUE);
-        let mut out = Self {
-            middle: opacity,
-            side: 0.0,
-        };
+        let mut out = Self { middle: opacity, side: 0.0 };
         for _ in 0..ROUNDS {
             out.side = solve(at_side - depth(near * out.middle) - depth(far * out.side));
             out.middle = solve(at_middle - 2.0 * depth(near * out.side));
@@ -54,11 +51,7 @@ pub(super) fn become_segment(splats: &mut Splats, row: usize, turn: &Vector3<f32
     let i = row - splats.n_static();
     let log_sd = splats.column(Column::LogTimeSd, 0)[i];
     let dt = OFFSETS[segment] * log_sd.exp();
-    let opacity = if OFFSETS[segment] == 0.0 {
-        shares.middle
-    } else {
-        shares.side
-    };
+    let opacity = if OFFSETS[segment] == 0.0 { shares.middle } else { shares.side };
     let rotation = UnitQuaternion::from_scaled_axis(turn * dt);
     let (p, v) = (position(splats, row), velocity(splats, i));
     let (to, onward) = (p + displacement(&v, turn, dt), rotation * v);
@@ -115,17 +108,9 @@ mod tests {
                     })
                     .product();
                 let want = o * marginal(t, 1.0);
-                assert!(
-                    (1.0 - passed - want).abs() < 0.07,
-                    "{o} at {t}: {} {want}",
-                    1.0 - passed
-                );
+                assert!((1.0 - passed - want).abs() < 0.07, "{o} at {t}: {} {want}", 1.0 - passed);
                 if tenth == 0 || tenth == 12 {
-                    assert!(
-                        (1.0 - passed - want).abs() < 2e-3,
-                        "{o} at {t}: {} {want}",
-                        1.0 - passed
-                    );
+                    assert!((1.0 - passed - want).abs() < 2e-3, "{o} at {t}: {} {want}", 1.0 - passed);
                 }
             }
         }
@@ -146,11 +131,7 @@ mod tests {
 
     #[test]
     fn a_segment_lies_on_the_circle_and_is_turned_with_it() {
-        let layout = SplatLayout {
-            isotropic: false,
-            sh_degree: 0,
-            time_degree: 0,
-        };
+        let layout = SplatLayout { isotropic: false, sh_degree: 0, time_degree: 0 };
         let turn = Vector3::new(0.0, 0.0, 0.5);
         let start = Vector3::new(2.0, 0.0, 7.0);
         let mut splats = Splats::zeros(layout, 1, 1);

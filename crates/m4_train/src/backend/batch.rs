@@ -16,9 +16,7 @@ pub(crate) fn add_touched(sum: &mut Gradients, other: &Gradients, n_static: usiz
     let (old, new) = (&sum.touched, &other.touched);
     for (column, g) in sum.columns.iter_mut().zip(&other.columns) {
         let first = if column.len() == n { 0 } else { n_static };
-        let flags = old[first..]
-            .par_chunks(CHUNK_ROWS)
-            .zip(new[first..].par_chunks(CHUNK_ROWS));
+        let flags = old[first..].par_chunks(CHUNK_ROWS).zip(new[first..].par_chunks(CHUNK_ROWS));
         let values = column.par_chunks_mut(CHUNK_ROWS).zip(g.par_chunks(CHUNK_ROWS));
         values.zip(flags).for_each(|((column, g), (old, new))| {
             // of a long video most chunks lie in other frames

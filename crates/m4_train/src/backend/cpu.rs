@@ -85,12 +85,8 @@ impl<'a> CpuBackend<'a> {
     }
 
     fn backward(&mut self, camera: bool) {
-        let wanted = Wanted {
-            camera,
-            ..Wanted::default()
-        };
-        self.renderer
-            .backward(&self.splats, &self.frame_gradient, wanted, &mut self.gradients);
+        let wanted = Wanted { camera, ..Wanted::default() };
+        self.renderer.backward(&self.splats, &self.frame_gradient, wanted, &mut self.gradients);
     }
 
     /// Leaves image minus target as the gradient.
@@ -119,11 +115,7 @@ impl<'a> CpuBackend<'a> {
 }
 
 fn nothing() -> Splats {
-    let layout = SplatLayout {
-        isotropic: false,
-        sh_degree: 0,
-        time_degree: 0,
-    };
+    let layout = SplatLayout { isotropic: false, sh_degree: 0, time_degree: 0 };
     Splats::zeros(layout, 0, 0)
 }
 
@@ -210,14 +202,7 @@ impl Backend for CpuBackend<'_> {
         if settings.cover > 0.0 {
             cover::cpu::add(&self.splats, gradients, settings.cover / pixels(views[0].view));
         }
-        adam_step(
-            self.level,
-            &mut self.splats,
-            gradients,
-            &mut self.adam,
-            &settings.adam,
-            settings.rates,
-        );
+        adam_step(self.level, &mut self.splats, gradients, &mut self.adam, &settings.adam, settings.rates);
         self.stats.steps += 1;
         self.stats.touched += gradients.touched.iter().filter(|&&v| v != 0).count() as f64;
         Ok(())

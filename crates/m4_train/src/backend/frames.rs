@@ -25,10 +25,7 @@ pub(crate) struct FrameStore<'a> {
 
 impl<'a> FrameStore<'a> {
     pub fn new(capture: &'a Capture, budget_mb: usize) -> Self {
-        let frames = capture.frames.iter().map(|frame| Stored {
-            frame: Some(frame),
-            cached: None,
-        });
+        let frames = capture.frames.iter().map(|frame| Stored { frame: Some(frame), cached: None });
         Self {
             frames: frames.collect(),
             budget: budget_mb * 1_000_000,
@@ -40,17 +37,8 @@ impl<'a> FrameStore<'a> {
 
     /// Of images that are prepared.
     pub fn given(targets: Vec<Target>) -> Self {
-        let frames = targets.into_iter().map(|target| Stored {
-            frame: None,
-            cached: Some(target),
-        });
-        Self {
-            frames: frames.collect(),
-            budget: 0,
-            used: 0,
-            spare: Target::default(),
-            spare_of: None,
-        }
+        let frames = targets.into_iter().map(|target| Stored { frame: None, cached: Some(target) });
+        Self { frames: frames.collect(), budget: 0, used: 0, spare: Target::default(), spare_of: None }
     }
 
     /// Prepares the images that are kept, as the first epoch would.
@@ -130,10 +118,7 @@ mod tests {
     fn frames_beyond_the_budget_are_prepared_anew() {
         let frame = |i: usize| CaptureFrame {
             name: i.to_string(),
-            camera: Camera {
-                intrinsics: Intrinsics::centred(5, 4, 5.0),
-                c2w: Se3::identity(),
-            },
+            camera: Camera { intrinsics: Intrinsics::centred(5, 4, 5.0), c2w: Se3::identity() },
             t: i as f64,
             rgb: Plane::from_fn(5, 4, |x, y| [(x * 10) as u8, (y * 20) as u8, i as u8]),
             depth: None,

@@ -48,12 +48,7 @@ impl<'a> StepView<'a> {
     /// The gradient of the splats alone.
     #[must_use]
     pub fn new(frame: usize, view: &'a View) -> Self {
-        Self {
-            frame,
-            view,
-            camera: false,
-            exposure: false,
-        }
+        Self { frame, view, camera: false, exposure: false }
     }
 }
 

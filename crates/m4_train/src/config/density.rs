@@ -129,10 +129,7 @@ impl DensityConfig {
             error_range: ErrorRange::Quantile { high: 0.995 },
             densify_threshold: 0.001,
             prune_threshold: 0.009,
-            prune_rule: PruneRule::WithOpacity {
-                opacity: 0.005,
-                quantile: 0.999,
-            },
+            prune_rule: PruneRule::WithOpacity { opacity: 0.005, quantile: 0.999 },
             from: 500,
             until: 0.6,
             every: 100,

@@ -106,11 +106,7 @@ impl TrainConfig {
             lambda_ssim: 0.2,
             cover: 0.0,
             lr: RateConfig::faithful(),
-            adam: AdamConfig {
-                sparse: false,
-                beta2_dynamic: 0.999,
-                ..AdamConfig::default()
-            },
+            adam: AdamConfig { sparse: false, beta2_dynamic: 0.999, ..AdamConfig::default() },
             density: DensityConfig::faithful(),
             arcs: false,
             mip: false,
@@ -180,11 +176,7 @@ impl TrainConfig {
 }
 
 fn bad(field: &'static str, value: impl ToString, expected: &'static str) -> TrainError {
-    TrainError::BadSetting {
-        field,
-        value: value.to_string(),
-        expected,
-    }
+    TrainError::BadSetting { field, value: value.to_string(), expected }
 }
 
 #[cfg(test)]

@@ -42,16 +42,9 @@ impl Decision {
 #[must_use]
 pub fn decide(config: &DensityConfig, due: Decision, splats: SplatView<'_>, scores: &Scores) -> Plan {
     let n = splats.opacity.len();
-    let grows = if due.densify {
-        best(config, &scores.densify, n, due.budget(config, n))
-    } else {
-        vec![false; n]
-    };
-    let by_score = if due.prune_by_score {
-        pruned_by_score(config, splats.opacity, &scores.prune)
-    } else {
-        vec![false; n]
-    };
+    let grows = if due.densify { best(config, &scores.densify, n, due.budget(config, n)) } else { vec![false; n] };
+    let by_score =
+        if due.prune_by_score { pruned_by_score(config, splats.opacity, &scores.prune) } else { vec![false; n] };
     let literal = config.prune_rule == PruneRule::Literal;
 
     let mut plan = Plan::default();
@@ -92,9 +85,7 @@ pub fn decide(config: &DensityConfig, due: Decision, splats: SplatView<'_>, scor
 
 /// True for the splats above the threshold that budget and cap allow.
 fn best(config: &DensityConfig, scores: &[f32], n: usize, budget: usize) -> Vec<bool> {
-    let mut above: Vec<u32> = (0..n as u32)
-        .filter(|&i| scores[i as usize] > config.densify_threshold)
-        .collect();
+    let mut above: Vec<u32> = (0..n as u32).filter(|&i| scores[i as usize] > config.densify_threshold).collect();
     if above.len() > budget {
         above.sort_unstable_by(|&a, &b| scores[b as usize].total_cmp(&scores[a as usize]).then(a.cmp(&b)));
         above.truncate(budget);
@@ -107,9 +98,7 @@ fn best(config: &DensityConfig, scores: &[f32], n: usize, budget: usize) -> Vec<
 /// True for the splats whose normalised score is above the threshold (Minute4D Eq. 10), as far as the rule of opacity allows.
 fn pruned_by_score(config: &DensityConfig, opacity: &[f32], scores: &[f32]) -> Vec<bool> {
     let (low, high) = match config.prune_rule {
-        PruneRule::Literal => scores
-            .iter()
-            .fold((f32::INFINITY, 0.0f32), |(a, b), &s| (a.min(s), b.max(s))),
+        PruneRule::Literal => scores.iter().fold((f32::INFINITY, 0.0f32), |(a, b), &s| (a.min(s), b.max(s))),
         PruneRule::WithOpacity { quantile: q, .. } => {
             let some: Vec<f32> = scores.iter().copied().filter(|s| *s > 0.0).collect();
             let low = some.iter().copied().fold(f32::INFINITY, f32::min);
@@ -140,34 +129,17 @@ mod tests {
         density::{Origin, Scores},
     };
 
-    const DUE: Decision = Decision {
-        densify: true,
-        prune_by_score: true,
-        max_splats: 1000,
-    };
+    const DUE: Decision = Decision { densify: true, prune_by_score: true, max_splats: 1000 };
 
     fn scores(densify: &[f32], prune: &[f32]) -> Scores {
-        Scores {
-            densify: densify.to_vec(),
-            prune: prune.to_vec(),
-        }
+        Scores { densify: densify.to_vec(), prune: prune.to_vec() }
     }
 
     #[test]
     fn small_splats_are_cloned_and_large_ones_split() {
-        let config = DensityConfig {
-            budget: 1.0,
-            ..DensityConfig::fast()
-        };
-        let view = SplatView {
-            n_static: 2,
-            opacity: &[0.5; 4],
-            large: &[false, true, false, true],
-        };
-        let due = Decision {
-            prune_by_score: false,
-            ..DUE
-        };
+        let config = DensityConfig { budget: 1.0, ..DensityConfig::fast() };
+        let view = SplatView { n_static: 2, opacity: &[0.5; 4], large: &[false, true, false, true] };
+        let due = Decision { prune_by_score: false, ..DUE };
         let plan = decide(&config, due, view, &scores(&[1.0, 0.0, 0.0005, 2.0], &[0.0; 4]));
         assert_eq!(plan.rows, [0, 1, 0, 2, 3, 3]);
         use Origin::{Child, Clone, Cloned, Kept};
@@ -178,29 +150,13 @@ mod tests {
 
     #[test]
     fn the_budget_takes_the_worst_and_the_cap_holds() {
-        let config = DensityConfig {
-            budget: 0.5,
-            ..DensityConfig::fast()
-        };
+        let config = DensityConfig { budget: 0.5, ..DensityConfig::fast() };
         let n = 10;
         let densify: Vec<f32> = (0..n).map(|i| 1.0 + ((i * 7) % n) as f32).collect();
-        let view = SplatView {
-            n_static: n,
-            opacity: &vec![0.5; n],
-            large: &vec![false; n],
-        };
+        let view = SplatView { n_static: n, opacity: &vec![0.5; n], large: &vec![false; n] };
         let count = |max_splats| {
-            let plan = decide(
-                &config,
-                Decision { max_splats, ..DUE },
-                view,
-                &scores(&densify, &vec![0.0; n]),
-            );
-            let worst = plan
-                .origins
-                .iter()
-                .zip(&plan.rows)
-                .filter(|(o, _)| **o == Origin::Clone);
+            let plan = decide(&config, Decision { max_splats, ..DUE }, view, &scores(&densify, &vec![0.0; n]));
+            let worst = plan.origins.iter().zip(&plan.rows).filter(|(o, _)| **o == Origin::Clone);
             assert!(worst.map(|(_, &r)| densify[r as usize]).all(|s| s > 5.0));
             plan.rows.len()
         };
@@ -213,10 +169,7 @@ mod tests {
     fn pruning_spares_parents_of_clones_and_opaque_splats() {
         let config = DensityConfig {
             budget: 1.0,
-            prune_rule: PruneRule::WithOpacity {
-                opacity: 0.1,
-                quantile: 0.999,
-            },
+            prune_rule: PruneRule::WithOpacity { opacity: 0.1, quantile: 0.999 },
             ..DensityConfig::fast()
         };
         // 100 splats whose scores rise; the last is transparent as dust
@@ -227,11 +180,7 @@ mod tests {
         let prune: Vec<f32> = (0..100).map(|i| if i == 10 { 0.0 } else { i as f32 * 0.1 }).collect();
         let mut densify = vec![0.0; 100];
         densify[98] = 1.0; // among the highest prune scores, but a parent
-        let view = SplatView {
-            n_static: 40,
-            opacity: &opacity,
-            large: &[false; 100],
-        };
+        let view = SplatView { n_static: 40, opacity: &opacity, large: &[false; 100] };
         let plan = decide(&config, DUE, view, &scores(&densify, &prune));
         let gone: Vec<u32> = (0..100).filter(|r| !plan.rows.contains(r)).collect();
         assert_eq!(gone, [60, 99]);
@@ -242,17 +191,8 @@ mod tests {
     #[test]
     fn the_literal_rule_cuts_the_tail() {
         let config = DensityConfig::faithful();
-        let view = SplatView {
-            n_static: 0,
-            opacity: &[0.5; 4],
-            large: &[false; 4],
-        };
-        let plan = decide(
-            &config,
-            DUE,
-            view,
-            &scores(&[0.0, 0.0, 0.5, 0.0], &[0.0, 0.5, 100.0, 50.0]),
-        );
+        let view = SplatView { n_static: 0, opacity: &[0.5; 4], large: &[false; 4] };
+        let plan = decide(&config, DUE, view, &scores(&[0.0, 0.0, 0.5, 0.0], &[0.0, 0.5, 100.0, 50.0]));
         // row 1: 0.5 / 100 stays; row 2: pruned, its clone takes its place; row 3: pruned
         assert_eq!(plan.rows, [0, 1, 2]);
         assert_eq!(plan.origins, [Origin::Kept, Origin::Kept, Origin::Clone]);
@@ -261,11 +201,7 @@ mod tests {
 
     #[test]
     fn zero_scores_keep_every_splat() {
-        let view = SplatView {
-            n_static: 1,
-            opacity: &[0.5; 3],
-            large: &[true; 3],
-        };
+        let view = SplatView { n_static: 1, opacity: &[0.5; 3], large: &[true; 3] };
         let plan = decide(&DensityConfig::fast(), DUE, view, &scores(&[0.0; 3], &[0.0; 3]));
         assert!(plan.changes_nothing());
         assert_eq!(plan.rows, [0, 1, 2]);

@@ -12,9 +12,7 @@ pub fn masked_error(errors: &mut [f32], threshold: f32, range: ErrorRange) {
         *e = 0.0;
     }
     let (low, high) = match range {
-        ErrorRange::MinMax => errors
-            .iter()
-            .fold((f32::INFINITY, 0.0f32), |(a, b), &e| (a.min(e), b.max(e))),
+        ErrorRange::MinMax => errors.iter().fold((f32::INFINITY, 0.0f32), |(a, b), &e| (a.min(e), b.max(e))),
         ErrorRange::Quantile { high } => (0.0, quantile(errors, high)),
     };
     let cut = low + threshold * (high - low);
@@ -53,9 +51,7 @@ mod tests {
 
     #[test]
     fn one_hot_pixel_does_not_hide_the_others() {
-        let base: Vec<f32> = (0..1000)
-            .map(|i| if i == 7 { 50.0 } else { (i % 10) as f32 * 0.01 })
-            .collect();
+        let base: Vec<f32> = (0..1000).map(|i| if i == 7 { 50.0 } else { (i % 10) as f32 * 0.01 }).collect();
         let kept = |range| {
             let mut e = base.clone();
             masked_error(&mut e, 0.1, range);

@@ -113,11 +113,7 @@ fn halve(splats: &mut Splats, row: usize, sign: f32) {
 /// A vector of the splat's own axes, in the world.
 fn turned(splats: &Splats, row: usize, local: Vector3<f32>) -> Vector3<f32> {
     let q = Vector4::from_fn(|k, _| splats.column(Column::Quat, k)[row]);
-    if q.norm() > 0.0 {
-        quat::rotation(&q) * local
-    } else {
-        local
-    }
+    if q.norm() > 0.0 { quat::rotation(&q) * local } else { local }
 }
 
 fn become_child(splats: &mut Splats, row: usize, mut rng: CounterRng) {
@@ -149,16 +145,10 @@ mod tests {
     use m4_kernels::adam::cpu::AdamState;
 
     fn world() -> (Splats, AdamState) {
-        let layout = SplatLayout {
-            isotropic: false,
-            sh_degree: 0,
-            time_degree: 0,
-        };
+        let layout = SplatLayout { isotropic: false, sh_degree: 0, time_degree: 0 };
         let mut splats = Splats::zeros(layout, 2, 2);
         splats.column_mut(Column::Quat, 0).fill(1.0);
-        splats
-            .column_mut(Column::Opacity, 0)
-            .copy_from_slice(&[0.0, 1.0, 2.0, 30.0]);
+        splats.column_mut(Column::Opacity, 0).copy_from_slice(&[0.0, 1.0, 2.0, 30.0]);
         splats.column_mut(Column::Velocity, 0).fill(0.5);
         let mut adam = AdamState::new(&splats);
         adam.m.columns_mut().for_each(|c| c.fill(0.25));
@@ -216,10 +206,7 @@ mod tests {
     #[test]
     fn a_shared_opacity_passes_the_same_light() {
         let world = world();
-        let config = DensityConfig {
-            split_placement: SplitPlacement::Sample,
-            ..DensityConfig::fast()
-        };
+        let config = DensityConfig { split_placement: SplitPlacement::Sample, ..DensityConfig::fast() };
         let (next, _) = applied(&config, &world, 1, 700);
         let pass = |logit: f32| 1.0 / (1.0 + logit.exp());
         let o = next.column(Column::Opacity, 0);
@@ -250,10 +237,7 @@ mod tests {
     #[test]
     fn children_are_smaller_and_drawn_around_their_parent() {
         let world = world();
-        let config = DensityConfig {
-            split_placement: SplitPlacement::Sample,
-            ..DensityConfig::fast()
-        };
+        let config = DensityConfig { split_placement: SplitPlacement::Sample, ..DensityConfig::fast() };
         let (mut sum, mut square, mut time) = (0.0f64, 0.0f64, 0.0f64);
         let rounds = 2000;
         for i in 0..rounds {

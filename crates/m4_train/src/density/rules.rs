@@ -29,12 +29,7 @@ impl Rules<'_> {
         let n = splats.n();
         let scales = splats.layout().range(Column::LogScale).len();
         let largest: Vec<f32> = (0..n)
-            .map(|i| {
-                (0..scales)
-                    .map(|k| splats.column(Column::LogScale, k)[i])
-                    .fold(f32::NEG_INFINITY, f32::max)
-                    .exp()
-            })
+            .map(|i| (0..scales).map(|k| splats.column(Column::LogScale, k)[i]).fold(f32::NEG_INFINITY, f32::max).exp())
             .collect();
         let mean = |i: usize| [0, 1, 2].map(|k| splats.column(Column::Mean, k)[i]);
         let limit = |i: usize| match config.split_size {
@@ -42,16 +37,8 @@ impl Rules<'_> {
             SplitSize::Pixels { pixels } => pixels * self.scale.nearest_camera(mean(i)) / self.scale.focal_px,
         };
         let large: Vec<bool> = (0..n).map(|i| largest[i] > limit(i)).collect();
-        let opacity: Vec<f32> = splats
-            .column(Column::Opacity, 0)
-            .iter()
-            .map(|&l| 1.0 / (1.0 + (-l).exp()))
-            .collect();
-        let view = SplatView {
-            n_static: splats.n_static(),
-            opacity: &opacity,
-            large: &large,
-        };
+        let opacity: Vec<f32> = splats.column(Column::Opacity, 0).iter().map(|&l| 1.0 / (1.0 + (-l).exp())).collect();
+        let view = SplatView { n_static: splats.n_static(), opacity: &opacity, large: &large };
         decide(&config, self.due, view, scores)
     }
 }

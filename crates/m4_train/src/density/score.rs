@@ -25,10 +25,7 @@ pub(crate) struct ScoreInput<'a, 'c> {
 /// where they are.
 pub(crate) fn score(input: &mut ScoreInput<'_, '_>, splats: &Splats, frames: &[(usize, View)]) -> Scores {
     let n = splats.n();
-    let mut scores = Scores {
-        densify: vec![0.0; n],
-        prune: vec![0.0; n],
-    };
+    let mut scores = Scores { densify: vec![0.0; n], prune: vec![0.0; n] };
     let (mut one, mut errors) = (vec![0.0f32; n], Vec::new());
     let (mut gradient, mut exposed): ([Vec<f32>; 3], [Vec<f32>; 3]) = Default::default();
     let share = 1.0 / frames.len().max(1) as f32;
@@ -42,14 +39,7 @@ pub(crate) fn score(input: &mut ScoreInput<'_, '_>, splats: &Splats, frames: &[(
             }
             None => &drawn.rgb,
         };
-        let terms = loss(
-            input.level,
-            target,
-            rgb,
-            input.settings.lambda_ssim,
-            input.scratch,
-            &mut gradient,
-        );
+        let terms = loss(input.level, target, rgb, input.settings.lambda_ssim, input.scratch, &mut gradient);
         error_map(input.level, target, rgb, &mut errors);
         masked_error(&mut errors, input.settings.threshold, input.settings.range);
         one.fill(0.0);

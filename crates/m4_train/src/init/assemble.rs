@@ -36,10 +36,7 @@ const SHELL_RADIUS: f32 = 2.0;
 pub fn initialise(capture: &Capture, config: &InitConfig, progress: &dyn Progress) -> Result<Splats, InitError> {
     config.check()?;
     if let Some(tracks) = capture.tracks.as_ref().filter(|t| t.frames() != capture.frames.len()) {
-        return Err(InitError::Tracks {
-            frames: capture.frames.len(),
-            tracks: tracks.frames(),
-        });
+        return Err(InitError::Tracks { frames: capture.frames.len(), tracks: tracks.frames() });
     }
     let clouds = clouds(capture, config, progress)?;
     let (focal_px, median_depth) = (clouds.focal_px, clouds.median_depth);
@@ -51,9 +48,7 @@ pub fn initialise(capture: &Capture, config: &InitConfig, progress: &dyn Progres
     let grid = |pixels| Grid::new(config.cells, pixels, focal_px, median_depth, &centres, origin);
     let points = |pixels: &Pixels| pixels.cloud(capture);
 
-    let static_pixels = pixels_for(config.max_static, MIN_PIXELS, |p| {
-        grid(p).occupied_by(&clouds.standing, points)
-    });
+    let static_pixels = pixels_for(config.max_static, MIN_PIXELS, |p| grid(p).occupied_by(&clouds.standing, points));
     let standing_grid = grid(static_pixels);
     let standing = standing_grid.merge_all(&clouds.standing, points);
     stopped(progress)?;
@@ -64,11 +59,8 @@ pub fn initialise(capture: &Capture, config: &InitConfig, progress: &dyn Progres
         clouds.moving.par_iter().map(|k| grid.occupied(&points(k))).sum()
     };
     let moving_grid = grid(pixels_for(config.max_dynamic, MIN_PIXELS, count));
-    let moving: Vec<(f64, Centroids)> = clouds
-        .moving
-        .par_iter()
-        .map(|k| (capture.frames[k.frame].t, moving_grid.merge(&points(k))))
-        .collect();
+    let moving: Vec<(f64, Centroids)> =
+        clouds.moving.par_iter().map(|k| (capture.frames[k.frame].t, moving_grid.merge(&points(k)))).collect();
     stopped(progress)?;
     progress.update("voxels", 2, 3, &format!("{} static", standing.xyz.len()));
 
@@ -98,9 +90,7 @@ pub fn initialise(capture: &Capture, config: &InitConfig, progress: &dyn Progres
     let tracked = tracked::tracked(&known, config);
     stopped(progress)?;
     let centre = |i: usize| capture.frames[frames[i]].camera.centre();
-    let paths: Vec<Paths> = (0..moving.len())
-        .map(|i| Paths::of(&moving, &fields, i, &centre(i)))
-        .collect();
+    let paths: Vec<Paths> = (0..moving.len()).map(|i| Paths::of(&moving, &fields, i, &centre(i))).collect();
     stopped(progress)?;
     let tint_grid = grid(TINT_PIXELS);
     let tints: Vec<Tints> = frames
@@ -110,22 +100,11 @@ pub fn initialise(capture: &Capture, config: &InitConfig, progress: &dyn Progres
                 return Tints::default();
             }
             let found = changes(&capture.frames[frame], config, &standing_grid, &standing);
-            Tints {
-                darker: tint_grid.merge(&found.darker),
-                brighter: tint_grid.merge(&found.brighter),
-            }
+            Tints { darker: tint_grid.merge(&found.darker), brighter: tint_grid.merge(&found.brighter) }
         })
         .collect();
     let shell = shell(capture, config.shell_splats, SHELL_RADIUS * clouds.far_depth as f32);
-    let parts = Parts {
-        standing,
-        shell,
-        moving,
-        paths,
-        hidden,
-        tracked,
-        tints,
-    };
+    let parts = Parts { standing, shell, moving, paths, hidden, tracked, tints };
     let splats = assemble(capture, config, &parts);
     let note = format!("{} static, {} dynamic", splats.n_static(), splats.n_dynamic());
     progress.update("voxels", 3, 3, &note);
@@ -177,17 +156,10 @@ fn motions(
             let reach = f64::from(REACH_PIXELS) * clouds.median_depth / clouds.focal_px;
             let by = Registration::with_reach(reach as f32);
             let frames = || clouds.moving.iter().map(|k| &capture.frames[k.frame]);
-            let sees: Vec<_> = frames()
-                .map(|frame| move |p| is_seen(frame, p, HIDDEN_BEHIND))
-                .collect();
+            let sees: Vec<_> = frames().map(|frame| move |p| is_seen(frame, p, HIDDEN_BEHIND)).collect();
             let keyframes: Vec<View<'_>> = frames()
                 .enumerate()
-                .map(|(i, frame)| View {
-                    nodes: &coarse[i],
-                    points: &moving[i].1,
-                    frame: Some(frame),
-                    sees: &sees[i],
-                })
+                .map(|(i, frame)| View { nodes: &coarse[i], points: &moving[i].1, frame: Some(frame), sees: &sees[i] })
                 .collect();
             let frames: Vec<usize> = clouds.moving.iter().map(|k| k.frame).collect();
             let ways = capture.tracks.as_ref().filter(|_| tracks).map(|tracks| Ways {
@@ -206,28 +178,16 @@ fn every_nth(n: usize, count: usize) -> impl Iterator<Item = usize> {
 }
 
 fn assemble(capture: &Capture, config: &InitConfig, parts: &Parts) -> Splats {
-    let layout = SplatLayout {
-        isotropic: config.isotropic,
-        sh_degree: 0,
-        time_degree: 0,
-    };
+    let layout = SplatLayout { isotropic: config.isotropic, sh_degree: 0, time_degree: 0 };
     let n_moving: usize = parts.moving.iter().map(|(_, c)| c.xyz.len()).sum();
     let unseen = || parts.hidden.iter().chain(&parts.tracked);
     let n_hidden: usize = unseen().map(|m| m.points.xyz.len()).sum();
-    let n_tints: usize = parts
-        .tints
-        .iter()
-        .map(|t| t.darker.xyz.len() + t.brighter.xyz.len())
-        .sum();
+    let n_tints: usize = parts.tints.iter().map(|t| t.darker.xyz.len() + t.brighter.xyz.len()).sum();
     let n_standing = parts.standing.xyz.len() + parts.shell.xyz.len();
     let n_static = if config.static_fade { 0 } else { n_standing };
     let mut splats = Splats::zeros(layout, n_static, n_standing - n_static + n_moving + n_hidden + n_tints);
 
-    let mut writer = Writer {
-        splats: &mut splats,
-        config,
-        row: 0,
-    };
+    let mut writer = Writer { splats: &mut splats, config, row: 0 };
     writer.surface(&parts.standing);
     writer.shell(&parts.shell);
     let times: Vec<f64> = parts.moving.iter().map(|(t, _)| *t).collect();

@@ -95,21 +95,10 @@ pub(crate) fn hidden(
             };
             let gap = (moving[to].0 - moving[from].0) as f32;
             let points = &moving[from].1;
-            let own = points
-                .xyz
-                .iter()
-                .zip(field.places(&points.xyz))
-                .enumerate()
-                .map(|(i, (&xyz, to))| {
-                    let point = Point {
-                        xyz,
-                        rgb: points.rgb[i],
-                        edge: points.edge[i],
-                        velocity: [0.0; 3],
-                        age: 0,
-                    };
-                    point.moved(to, gap)
-                });
+            let own = points.xyz.iter().zip(field.places(&points.xyz)).enumerate().map(|(i, (&xyz, to))| {
+                let point = Point { xyz, rgb: points.rgb[i], edge: points.edge[i], velocity: [0.0; 3], age: 0 };
+                point.moved(to, gap)
+            });
             let frame = &capture.frames[frames[to]];
             let moved = own.chain(go_on(&carried, field, gap, by.reach));
             let unseen = moved.filter(|p| p.age <= by.keyframes && !is_seen(frame, p.xyz, by.margin));
@@ -162,11 +151,8 @@ fn go_on(carried: &[Point], field: &Field, gap: f32, reach: f32) -> Vec<Point> {
 
 /// One point a cell: the one carried the shortest way.
 fn youngest(points: Vec<Point>, grid: &Grid) -> Vec<Point> {
-    let mut keys: Vec<((i16, u64), usize, usize)> = points
-        .iter()
-        .enumerate()
-        .map(|(i, p)| (grid.key(p.xyz), p.age, i))
-        .collect();
+    let mut keys: Vec<((i16, u64), usize, usize)> =
+        points.iter().enumerate().map(|(i, p)| (grid.key(p.xyz), p.age, i)).collect();
     keys.sort_unstable();
     keys.dedup_by_key(|k| k.0);
     keys.iter().map(|&(_, _, i)| points[i]).collect()
@@ -216,10 +202,7 @@ mod tests {
     /// pillar at depth 1 hides it in frame 2.
     #[test]
     fn points_are_carried_where_they_cannot_be_seen() {
-        let camera = Camera {
-            intrinsics: Intrinsics::centred(40, 20, 30.0),
-            c2w: Se3::identity(),
-        };
+        let camera = Camera { intrinsics: Intrinsics::centred(40, 20, 30.0), c2w: Se3::identity() };
         let x_at = |t: usize| -0.5 + 0.5 * t as f32;
         let seen = |t: usize| t != 2 && t < 5;
         let frame = |t: usize| CaptureFrame {
@@ -253,33 +236,17 @@ mod tests {
             .collect();
         let field = |t: usize, step: f32| {
             let nodes = moving[t].1.xyz.clone();
-            let motion = nodes
-                .iter()
-                .map(|p| Rigid::shift(*p, [p[0] + step, p[1], p[2]]))
-                .collect();
+            let motion = nodes.iter().map(|p| Rigid::shift(*p, [p[0] + step, p[1], p[2]])).collect();
             Field { nodes, motion }
         };
-        let fields: Vec<Fields> = (0..7)
-            .map(|t| Fields {
-                forward: field(t, 0.5),
-                backward: field(t + 1, -0.5),
-            })
-            .collect();
+        let fields: Vec<Fields> =
+            (0..7).map(|t| Fields { forward: field(t, 0.5), backward: field(t + 1, -0.5) }).collect();
         let grid = Grid::new(CellSize::Constant, 3.0, 30.0, 3.0, &[], [0.0; 3]);
         let frames: Vec<usize> = (0..8).collect();
-        let by = |keyframes| Carry {
-            keyframes,
-            most: usize::MAX,
-            margin: 0.05,
-            reach: 0.3,
-        };
+        let by = |keyframes| Carry { keyframes, most: usize::MAX, margin: 0.05, reach: 0.3 };
         let got = hidden(&capture, &frames, &moving, &fields, &grid, by(2), &Silent).unwrap();
         let counts: Vec<usize> = got.iter().map(|m| m.points.xyz.len()).collect();
-        assert_eq!(
-            counts,
-            [0, 0, 1, 0, 0, 1, 1, 0],
-            "hidden in 2, outside from 5 on, carried at most twice"
-        );
+        assert_eq!(counts, [0, 0, 1, 0, 0, 1, 1, 0], "hidden in 2, outside from 5 on, carried at most twice");
         for t in [2, 5, 6] {
             assert!((got[t].points.xyz[0][0] - x_at(t)).abs() < 1e-5);
         }

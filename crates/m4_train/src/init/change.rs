@@ -57,16 +57,9 @@ pub(crate) fn changes(frame: &CaptureFrame, config: &InitConfig, grid: &Grid, vo
     };
 
     let patches = patch_means(&difference, gw, gh);
-    let mut sizes: Vec<f32> = patches
-        .iter()
-        .filter(|d| d.is_finite())
-        .map(|d| (d - common).abs())
-        .collect();
+    let mut sizes: Vec<f32> = patches.iter().filter(|d| d.is_finite()).map(|d| (d - common).abs()).collect();
     let rank = ((sizes.len() as f32 * (1.0 - MOST_CHANGED)) as usize).min(sizes.len() - 1);
-    let threshold = sizes
-        .select_nth_unstable_by(rank, f32::total_cmp)
-        .1
-        .max(config.change_threshold);
+    let threshold = sizes.select_nth_unstable_by(rank, f32::total_cmp).1.max(config.change_threshold);
 
     let centre = frame.camera.centre();
     for k in 0..gw * gh {
@@ -74,11 +67,7 @@ pub(crate) fn changes(frame: &CaptureFrame, config: &InitConfig, grid: &Grid, vo
         if !difference[k].is_finite() || d.abs() <= threshold {
             continue;
         }
-        let share = if d < 0.0 {
-            -d / mean[k].max(0.02)
-        } else {
-            d / (1.0 - mean[k]).max(0.02)
-        };
+        let share = if d < 0.0 { -d / mean[k].max(0.02) } else { d / (1.0 - mean[k]).max(0.02) };
         let lifted = [0, 1, 2].map(|a| (points[k][a] + LIFT * (centre[a] - points[k][a])) as f32);
         let to = if d < 0.0 { &mut out.darker } else { &mut out.brighter };
         to.xyz.push(lifted);

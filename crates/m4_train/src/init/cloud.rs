@@ -47,10 +47,7 @@ impl Pixels {
         out.rgb.reserve_exact(count);
         for (x, y) in self.kept.set_pixels() {
             let p = camera.unproject(x as f64, y as f64, f64::from(depth.at(x, y)));
-            out.push(
-                p,
-                frame.rgb[((2 * x + 1) * rgb_w / (2 * w), (2 * y + 1) * rgb_h / (2 * h))],
-            );
+            out.push(p, frame.rgb[((2 * x + 1) * rgb_w / (2 * w), (2 * y + 1) * rgb_h / (2 * h))]);
         }
         out
     }
@@ -79,27 +76,15 @@ pub(crate) fn clouds(capture: &Capture, config: &InitConfig, progress: &dyn Prog
         return Err(InitError::NoFrames);
     }
     if let Some(frame) = capture.frames.iter().find(|f| !camera_is_usable(f)) {
-        return Err(InitError::BadCamera {
-            frame: frame.name.clone(),
-        });
+        return Err(InitError::BadCamera { frame: frame.name.clone() });
     }
-    let with_depth: Vec<usize> = (0..capture.frames.len())
-        .filter(|&i| capture.frames[i].depth.is_some())
-        .collect();
+    let with_depth: Vec<usize> = (0..capture.frames.len()).filter(|&i| capture.frames[i].depth.is_some()).collect();
     if with_depth.is_empty() {
-        return Err(InitError::NoDepth {
-            frames: capture.frames.len(),
-        });
+        return Err(InitError::NoDepth { frames: capture.frames.len() });
     }
     let picked = with_depth.len().min(config.static_frames);
     let standing_rank: Vec<usize> = (0..picked)
-        .map(|i| {
-            if picked == 1 {
-                with_depth.len() / 2
-            } else {
-                i * (with_depth.len() - 1) / (picked - 1)
-            }
-        })
+        .map(|i| if picked == 1 { with_depth.len() / 2 } else { i * (with_depth.len() - 1) / (picked - 1) })
         .collect();
 
     let mut out = Clouds {
@@ -133,12 +118,7 @@ pub(crate) fn clouds(capture: &Capture, config: &InitConfig, progress: &dyn Prog
             out.moving.extend(part.moving.map(pixels));
         }
         let note = format!("{points} points");
-        progress.update(
-            "points",
-            (b * BATCH + batch.len()).min(with_depth.len()),
-            with_depth.len(),
-            &note,
-        );
+        progress.update("points", (b * BATCH + batch.len()).min(with_depth.len()), with_depth.len(), &note);
     }
     if depths.is_empty() {
         return Err(InitError::EmptyDepth {
@@ -161,11 +141,7 @@ fn camera_is_usable(frame: &CaptureFrame) -> bool {
     [k.fx, k.fy, k.cx, k.cy].iter().all(|v| v.is_finite())
         && k.fx > 0.0
         && k.fy > 0.0
-        && pose
-            .rotation
-            .iter()
-            .chain(pose.translation.iter())
-            .all(|v| v.is_finite())
+        && pose.rotation.iter().chain(pose.translation.iter()).all(|v| v.is_finite())
 }
 
 /// What one frame contributes.
@@ -180,20 +156,14 @@ struct Part {
 }
 
 fn look_at(frame: &CaptureFrame, config: &InitConfig, want_standing: bool) -> Part {
-    let mut part = Part {
-        standing: None,
-        moving: None,
-        depths: Vec::new(),
-        focal_px: 0.0,
-    };
+    let mut part = Part { standing: None, moving: None, depths: Vec::new(), focal_px: 0.0 };
     let Some(depth) = &frame.depth else { return part };
     let depth = &depth.to_map();
     let (w, h) = depth.size();
     let camera = frame.camera.resized(w, h);
     part.focal_px = 0.5 * (camera.intrinsics.fx + camera.intrinsics.fy);
-    let usable: Vec<bool> = (0..w * h)
-        .map(|i| is_depth(depth.data()[i]) && !is_depth_edge(depth, i % w, i / w))
-        .collect();
+    let usable: Vec<bool> =
+        (0..w * h).map(|i| is_depth(depth.data()[i]) && !is_depth_edge(depth, i % w, i / w)).collect();
     let sampled = (0..w * h).step_by(16).filter(|&i| usable[i]);
     part.depths = sampled.map(|i| depth.data()[i]).collect();
     let moves = moving_pixels(frame, w, h);
@@ -255,9 +225,7 @@ pub(crate) fn moving_pixels(frame: &CaptureFrame, w: usize, h: usize) -> Vec<boo
         return vec![false; w * h];
     };
     let (mw, mh) = mask.size();
-    (0..w * h)
-        .map(|i| mask.at((2 * (i % w) + 1) * mw / (2 * w), (2 * (i / w) + 1) * mh / (2 * h)))
-        .collect()
+    (0..w * h).map(|i| mask.at((2 * (i % w) + 1) * mw / (2 * w), (2 * (i / w) + 1) * mh / (2 * h))).collect()
 }
 
 #[cfg(test)]

@@ -62,11 +62,7 @@ pub struct TrackedInit {
 
 impl Default for TrackedInit {
     fn default() -> Self {
-        Self {
-            enabled: false,
-            seen: false,
-            most: 300_000,
-        }
+        Self { enabled: false, seen: false, most: 300_000 }
     }
 }
 
@@ -162,11 +158,7 @@ impl InitConfig {
             mask_margin_px: 0,
             free_space: 0.0,
             carry_keyframes: 0,
-            tracked: TrackedInit {
-                enabled: true,
-                seen: true,
-                most: 40_000,
-            },
+            tracked: TrackedInit { enabled: true, seen: true, most: 40_000 },
             change_threshold: 0.0,
             shell_splats: 0,
             isotropic: true,
@@ -188,30 +180,15 @@ impl InitConfig {
             if ok {
                 return Ok(());
             }
-            Err(InitError::BadSetting {
-                field,
-                value: value.to_string(),
-                expected,
-            })
+            Err(InitError::BadSetting { field, value: value.to_string(), expected })
         };
-        let counts = [
-            ("max_static", self.max_static),
-            ("max_dynamic", self.max_dynamic),
-            ("static_frames", self.static_frames),
-        ];
+        let counts =
+            [("max_static", self.max_static), ("max_dynamic", self.max_dynamic), ("static_frames", self.static_frames)];
         for (field, value) in counts {
             need(value >= 1, field, &value, "at least 1")?;
         }
-        for (field, value) in [
-            ("free_space", self.free_space),
-            ("change_threshold", self.change_threshold),
-        ] {
-            need(
-                value.is_finite() && value >= 0.0,
-                field,
-                &value,
-                "a number of at least 0",
-            )?;
+        for (field, value) in [("free_space", self.free_space), ("change_threshold", self.change_threshold)] {
+            need(value.is_finite() && value >= 0.0, field, &value, "a number of at least 0")?;
         }
         let (spread, gaps) = match self.time_spread {
             TimeSpread::KeyframeGaps { factor } => ("keyframe_gaps", factor),
@@ -221,12 +198,7 @@ impl InitConfig {
             need(value.is_finite() && value > 0.0, field, &value, "a number above 0")?;
         }
         let opacity = self.opacity;
-        need(
-            opacity > 0.0 && opacity < 1.0,
-            "opacity",
-            &opacity,
-            "between 0 and 1, both excluded",
-        )
+        need(opacity > 0.0 && opacity < 1.0, "opacity", &opacity, "between 0 and 1, both excluded")
     }
 }
 
@@ -238,15 +210,9 @@ mod tests {
     fn the_profiles_are_valid_and_bad_values_are_named() {
         InitConfig::fast().check().unwrap();
         InitConfig::faithful().check().unwrap();
-        let broken = InitConfig {
-            opacity: 1.5,
-            ..InitConfig::fast()
-        };
+        let broken = InitConfig { opacity: 1.5, ..InitConfig::fast() };
         assert!(broken.check().unwrap_err().to_string().contains("`opacity` is 1.5"));
-        let broken = InitConfig {
-            scale_factor: f32::NAN,
-            ..InitConfig::fast()
-        };
+        let broken = InitConfig { scale_factor: f32::NAN, ..InitConfig::fast() };
         assert!(broken.check().is_err());
     }
 }

@@ -58,9 +58,5 @@ pub enum InitError {
 
 /// Fails once the user asked to stop.
 pub(crate) fn stopped(progress: &dyn m4_core::Progress) -> Result<(), InitError> {
-    if progress.cancelled() {
-        Err(InitError::Stopped)
-    } else {
-        Ok(())
-    }
+    if progress.cancelled() { Err(InitError::Stopped) } else { Ok(()) }
 }

@@ -49,9 +49,7 @@ pub(crate) fn clear(
 fn witnesses(frames: &[usize], at: usize) -> Vec<usize> {
     let others: Vec<usize> = (0..frames.len()).filter(|&i| i != at).map(|i| frames[i]).collect();
     let count = others.len().min(WITNESSES);
-    (0..count)
-        .map(|k| others[(2 * k + 1) * others.len() / (2 * count)])
-        .collect()
+    (0..count).map(|k| others[(2 * k + 1) * others.len() / (2 * count)]).collect()
 }
 
 /// What other frames say of a point.
@@ -69,11 +67,8 @@ fn votes(capture: &Capture, pixels: &Pixels, witnesses: &[usize], config: &InitC
     };
     let (w, h) = depth.size();
     let camera = frame.camera.resized(w, h);
-    let points: Vec<Vector3<f64>> = pixels
-        .kept
-        .set_pixels()
-        .map(|(x, y)| camera.unproject(x as f64, y as f64, depth.at(x, y).into()))
-        .collect();
+    let points: Vec<Vector3<f64>> =
+        pixels.kept.set_pixels().map(|(x, y)| camera.unproject(x as f64, y as f64, depth.at(x, y).into())).collect();
     let mut out = vec![Votes::default(); points.len()];
     for &other in witnesses {
         let Some(witness) = Witness::of(capture, other, config) else {
@@ -123,13 +118,7 @@ impl Witness {
                 least[y * width + x] = low;
             }
         }
-        Some(Self {
-            camera: frame.camera.resized(width, height),
-            width,
-            height,
-            depth,
-            least,
-        })
+        Some(Self { camera: frame.camera.resized(width, height), width, height, depth, least })
     }
 
     /// Whether it sees through the point; `false` if it sees the point; `None` if it cannot tell.
@@ -167,10 +156,7 @@ mod tests {
         let frame = |i: usize| {
             let mut c2w = Se3::identity();
             c2w.translation = Vector3::new(0.1 * i as f64, 0.0, 0.0);
-            let camera = Camera {
-                intrinsics: Intrinsics::centred(w, h, 60.0),
-                c2w,
-            };
+            let camera = Camera { intrinsics: Intrinsics::centred(w, h, 60.0), c2w };
             let depth = |x: usize, y: usize| {
                 let p = camera.unproject(x as f64, y as f64, BOX);
                 let front = (p.x - 0.3).abs() < 0.4 && p.y.abs() < 0.4;
@@ -188,21 +174,12 @@ mod tests {
                 camera_index: None,
             }
         };
-        Capture {
-            frames: (0..6).map(frame).collect(),
-            time_frames: 6,
-            duration_s: None,
-            metric: true,
-            tracks: None,
-        }
+        Capture { frames: (0..6).map(frame).collect(), time_frames: 6, duration_s: None, metric: true, tracks: None }
     }
 
     /// The pixels of frame 2 that are not points.
     fn missing(capture: &Capture, free_space: f32) -> Vec<(usize, usize)> {
-        let config = InitConfig {
-            free_space: 0.0,
-            ..InitConfig::fast()
-        };
+        let config = InitConfig { free_space: 0.0, ..InitConfig::fast() };
         let mut clouds = clouds(capture, &config, &Silent).unwrap();
         let config = InitConfig { free_space, ..config };
         clear(capture, &mut clouds.standing, &config, &Silent).unwrap();

@@ -27,19 +27,12 @@ impl Paths {
             let gap = (other - t) as f32;
             let places = (gap != 0.0).then(|| field.places(&points.xyz))?;
             let pairs = places.iter().zip(&points.xyz);
-            Some((
-                gap,
-                pairs
-                    .map(|(q, p)| (Vector3::from(*q) - Vector3::from(*p)) / gap)
-                    .collect(),
-            ))
+            Some((gap, pairs.map(|(q, p)| (Vector3::from(*q) - Vector3::from(*p)) / gap).collect()))
         };
         let before = i.checked_sub(1).and_then(|j| side(&fields[j].backward, moving[j].0));
         let after = moving.get(i + 1).and_then(|next| side(&fields[i].forward, next.0));
-        let straight = |v: Vec<Vector3<f32>>| Self {
-            bend: vec![0.0; v.len()],
-            velocity: v.into_iter().map(Into::into).collect(),
-        };
+        let straight =
+            |v: Vec<Vector3<f32>>| Self { bend: vec![0.0; v.len()], velocity: v.into_iter().map(Into::into).collect() };
         match (before, after) {
             (Some((back, a)), Some((ahead, b))) => {
                 let gap = 0.5 * (ahead - back);
@@ -49,10 +42,7 @@ impl Paths {
                     let off = (b - a) * (0.5 * gap);
                     (off - ray * (off.dot(&ray) / ray.norm_squared().max(f32::MIN_POSITIVE))).norm()
                 });
-                Self {
-                    bend: bend.collect(),
-                    velocity: a.iter().zip(&b).map(|(a, b)| (0.5 * (a + b)).into()).collect(),
-                }
+                Self { bend: bend.collect(), velocity: a.iter().zip(&b).map(|(a, b)| (0.5 * (a + b)).into()).collect() }
             }
             (Some((_, v)), None) | (None, Some((_, v))) => straight(v),
             (None, None) => straight(vec![Vector3::zeros(); points.xyz.len()]),
@@ -70,24 +60,13 @@ mod tests {
     use m4_core::nalgebra::Vector3;
 
     fn to(from: [f32; 3], to: [f32; 3]) -> Field {
-        Field {
-            nodes: vec![from],
-            motion: vec![Rigid::shift(from, to)],
-        }
+        Field { nodes: vec![from], motion: vec![Rigid::shift(from, to)] }
     }
 
     fn paths(steps: [[f32; 3]; 3], times: [f64; 3]) -> Paths {
         let [a, b, c] = steps;
-        let point = |xyz| Centroids {
-            xyz: vec![xyz],
-            rgb: vec![[0.5; 3]],
-            edge: vec![0.1],
-            key: vec![(0, 0)],
-        };
-        let between = |a, b| Fields {
-            forward: to(a, b),
-            backward: to(b, a),
-        };
+        let point = |xyz| Centroids { xyz: vec![xyz], rgb: vec![[0.5; 3]], edge: vec![0.1], key: vec![(0, 0)] };
+        let between = |a, b| Fields { forward: to(a, b), backward: to(b, a) };
         let moving = [(times[0], point(a)), (times[1], point(b)), (times[2], point(c))];
         Paths::of(&moving, &[between(a, b), between(b, c)], 1, &Vector3::zeros())
     }
@@ -99,10 +78,7 @@ mod tests {
         let found = paths([at(-1.0), at(0.0), at(1.0)], [0.0, 4.0, 8.0]);
         assert!((found.bend[0] - 2.0 * 0.1 * 0.1 / 2.0).abs() < 1e-4, "{found:?}");
         let v = Vector3::from(found.velocity[0]);
-        assert!(
-            (v - Vector3::new(2.0 * 0.1f32.sin() / 4.0, 0.0, 0.0)).norm() < 1e-5,
-            "{found:?}"
-        );
+        assert!((v - Vector3::new(2.0 * 0.1f32.sin() / 4.0, 0.0, 0.0)).norm() < 1e-5, "{found:?}");
     }
 
     #[test]

@@ -72,10 +72,7 @@ pub(crate) fn shell(capture: &Capture, count: usize, radius: f32) -> Shell {
         capture.frames.iter().map(|f| f.camera.centre()).sum::<Vector3<f64>>() / capture.frames.len() as f64;
     Shell {
         rgb: spread(&directions, &seen),
-        xyz: directions
-            .iter()
-            .map(|d| [0, 1, 2].map(|k| centre[k] as f32 + radius * d[k]))
-            .collect(),
+        xyz: directions.iter().map(|d| [0, 1, 2].map(|k| centre[k] as f32 + radius * d[k])).collect(),
         sd: 0.75 * radius * (4.0 * std::f32::consts::PI / count as f32).sqrt(),
     }
 }
@@ -98,11 +95,7 @@ fn spread(directions: &[[f32; 3]], seen: &[Option<[f32; 3]>]) -> Vec<[f32; 3]> {
         }
         sum.map(|v| v / total.max(1e-6))
     };
-    directions
-        .iter()
-        .zip(seen)
-        .map(|(d, seen)| seen.unwrap_or_else(|| fill(d)))
-        .collect()
+    directions.iter().zip(seen).map(|(d, seen)| seen.unwrap_or_else(|| fill(d))).collect()
 }
 
 /// Directions evenly over the sphere (golden-angle spiral).
@@ -127,11 +120,7 @@ mod tests {
         let points = fibonacci(400);
         let mean: [f32; 3] = [0, 1, 2].map(|k| points.iter().map(|p| p[k]).sum::<f32>() / 400.0);
         assert!(mean.iter().all(|m| m.abs() < 0.01), "{mean:?}");
-        assert!(
-            points
-                .iter()
-                .all(|p| (p.iter().map(|v| v * v).sum::<f32>() - 1.0).abs() < 1e-5)
-        );
+        assert!(points.iter().all(|p| (p.iter().map(|v| v * v).sum::<f32>() - 1.0).abs() < 1e-5));
     }
 
     #[test]
@@ -139,10 +128,7 @@ mod tests {
         // left half red wall, right half blue sky
         let frame = CaptureFrame {
             name: "0".to_owned(),
-            camera: Camera {
-                intrinsics: Intrinsics::centred(64, 64, 40.0),
-                c2w: Se3::identity(),
-            },
+            camera: Camera { intrinsics: Intrinsics::centred(64, 64, 40.0), c2w: Se3::identity() },
             t: 0.0,
             rgb: Plane::from_fn(64, 64, |x, _| if x < 32 { [255, 0, 0] } else { [0, 0, 255] }),
             depth: Some(Plane::from_fn(64, 64, |x, _| if x < 32 { 2.0 } else { 0.0 }).into()),
@@ -151,13 +137,7 @@ mod tests {
             instances: None,
             camera_index: None,
         };
-        let capture = Capture {
-            frames: vec![frame],
-            time_frames: 1,
-            duration_s: None,
-            metric: true,
-            tracks: None,
-        };
+        let capture = Capture { frames: vec![frame], time_frames: 1, duration_s: None, metric: true, tracks: None };
         let shell = shell(&capture, 1000, 10.0);
         for (p, rgb) in shell.xyz.iter().zip(&shell.rgb) {
             assert!((p.iter().map(|v| v * v).sum::<f32>().sqrt() - 10.0).abs() < 1e-3);

@@ -23,11 +23,7 @@ pub(crate) fn spacing(points: &[[f32; 3]], fallback: &[f32]) -> Vec<f32> {
             let near = tree.query(p).nearest_n::<SquaredEuclidean<f32>>(FOUR).execute();
             // One of the four is the point itself, whichever of its duplicates is named first.
             let own = near.iter().position(|n| n.item as usize == i).unwrap_or(0);
-            let others = near
-                .iter()
-                .enumerate()
-                .filter(|(k, _)| *k != own)
-                .map(|(_, n)| n.distance);
+            let others = near.iter().enumerate().filter(|(k, _)| *k != own).map(|(_, n)| n.distance);
             let (sum, count) = others.fold((0.0f32, 0.0f32), |(s, c), d| (s + d, c + 1.0));
             (sum / count.max(1.0)).max(LEAST_SQUARED).sqrt()
         })
@@ -45,14 +41,10 @@ pub(crate) struct Spread {
 
 /// Principal axes of the `count` nearest points, the point itself among them, around each point.
 pub(crate) fn spread(points: &[[f32; 3]], count: usize) -> Vec<Spread> {
-    let nothing = Spread {
-        sd: [0.0; 3],
-        quat: [1.0, 0.0, 0.0, 0.0],
-    };
-    let (Ok(tree), Some(count)) = (
-        ImmutableKdTree::<f32, 3>::new_from_slice(points),
-        NonZero::new(count.min(points.len())),
-    ) else {
+    let nothing = Spread { sd: [0.0; 3], quat: [1.0, 0.0, 0.0, 0.0] };
+    let (Ok(tree), Some(count)) =
+        (ImmutableKdTree::<f32, 3>::new_from_slice(points), NonZero::new(count.min(points.len())))
+    else {
         return vec![nothing; points.len()];
     };
     points
@@ -89,14 +81,9 @@ mod tests {
 
     #[test]
     fn a_lattice_has_its_own_spacing() {
-        let points: Vec<[f32; 3]> = (0..64)
-            .map(|i| [(i % 8) as f32 * 0.5, (i / 8) as f32 * 0.5, 1.0])
-            .collect();
+        let points: Vec<[f32; 3]> = (0..64).map(|i| [(i % 8) as f32 * 0.5, (i / 8) as f32 * 0.5, 1.0]).collect();
         let got = spacing(&points, &[1.0; 64]);
-        assert!(
-            (got[27] - 0.5).abs() < 1e-6,
-            "an inner point has four neighbours at 0.5"
-        );
+        assert!((got[27] - 0.5).abs() < 1e-6, "an inner point has four neighbours at 0.5");
         // a corner: two at 0.5 and one at the diagonal
         assert!((got[0] - ((0.25 + 0.25 + 0.5) / 3.0f32).sqrt()).abs() < 1e-6);
     }
@@ -113,9 +100,8 @@ mod tests {
     #[test]
     fn a_tilted_lattice_is_spread_along_its_axes() {
         let tilt = UnitQuaternion::from_scaled_axis(Vector3::new(0.7f32, -0.4, 0.2));
-        let points: Vec<[f32; 3]> = (0..81)
-            .map(|i| (tilt * Vector3::new((i % 9) as f32 * 0.5, (i / 9) as f32 * 0.25, 0.0)).into())
-            .collect();
+        let points: Vec<[f32; 3]> =
+            (0..81).map(|i| (tilt * Vector3::new((i % 9) as f32 * 0.5, (i / 9) as f32 * 0.25, 0.0)).into()).collect();
         let got = spread(&points, 9)[40];
         let q = UnitQuaternion::from_quaternion(Quaternion::new(got.quat[0], got.quat[1], got.quat[2], got.quat[3]));
         let flat = (0..3).min_by(|&a, &b| got.sd[a].total_cmp(&got.sd[b])).unwrap();

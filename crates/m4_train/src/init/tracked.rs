@@ -54,14 +54,9 @@ pub(crate) fn tracked(known: &Known<'_>, config: &InitConfig) -> Vec<Moving> {
     };
     let every = known.capture.frames.len().div_ceil(CAMERAS).max(1);
     let cameras: Vec<&CaptureFrame> = known.capture.frames.iter().step_by(every).collect();
-    let ways: Vec<Way> = (0..tracks.count())
-        .into_par_iter()
-        .map(|k| Way::of(known.capture, tracks, k))
-        .collect();
-    let mut out: Vec<Vec<Sample>> = (0..known.frames.len())
-        .into_par_iter()
-        .map(|i| samples(known, tracks, &ways, &cameras, i, config))
-        .collect();
+    let ways: Vec<Way> = (0..tracks.count()).into_par_iter().map(|k| Way::of(known.capture, tracks, k)).collect();
+    let mut out: Vec<Vec<Sample>> =
+        (0..known.frames.len()).into_par_iter().map(|i| samples(known, tracks, &ways, &cameras, i, config)).collect();
     let total: usize = out.iter().map(Vec::len).sum();
     if total > config.tracked.most {
         // thinned everywhere alike
@@ -102,15 +97,10 @@ impl Way {
         let places: Vec<(usize, [f32; 3])> = places.collect();
         let mut steps: Vec<f32> = places.windows(2).map(|w| speed(w[0], w[1])).collect();
         let step = m4_core::median(&mut steps).unwrap_or(0.0);
-        let seen = places
-            .iter()
-            .filter(|(t, _)| tracks.visible()[t * tracks.count() + track]);
+        let seen = places.iter().filter(|(t, _)| tracks.visible()[t * tracks.count() + track]);
         let colours: Vec<[u8; 3]> = seen.filter_map(|&(t, p)| colour(&capture.frames[t], p)).collect();
         let told = || Some(tracks.colours()?[track].map(|c| f32::from(c) / 255.0));
-        Self {
-            step,
-            rgb: robust_mean(&colours).or_else(told),
-        }
+        Self { step, rgb: robust_mean(&colours).or_else(told) }
     }
 }
 
@@ -169,12 +159,7 @@ fn samples(
             continue;
         }
         let velocity = velocities.of(k).unwrap_or([0.0; 3]);
-        out.push(Sample {
-            key,
-            xyz,
-            rgb,
-            velocity,
-        });
+        out.push(Sample { key, xyz, rgb, velocity });
     }
     // a stable sort, so that samples of a cell stay in the order of their tracks
     out.sort_by_key(|s| s.key);
@@ -184,12 +169,7 @@ fn samples(
 fn mean(cell: &[Sample]) -> Sample {
     let of =
         |f: fn(&Sample) -> [f32; 3]| [0, 1, 2].map(|k| cell.iter().map(|s| f(s)[k]).sum::<f32>() / cell.len() as f32);
-    Sample {
-        key: cell[0].key,
-        xyz: of(|s| s.xyz),
-        rgb: of(|s| s.rgb),
-        velocity: of(|s| s.velocity),
-    }
+    Sample { key: cell[0].key, xyz: of(|s| s.xyz), rgb: of(|s| s.rgb), velocity: of(|s| s.velocity) }
 }
 
 /// Whether a place of a track is to be believed.
@@ -215,10 +195,7 @@ fn is_plausible(
     let before = (0..at).rev().find_map(|t| Some((t, tracks.place(t, track)?)));
     let after = (at + 1..tracks.frames()).find_map(|t| Some((t, tracks.place(t, track)?)));
     let most = (JUMP * way.step).max(SMALL_STEP * known.median_depth as f32);
-    [before, after]
-        .into_iter()
-        .flatten()
-        .all(|other| speed((at, xyz), other) <= most)
+    [before, after].into_iter().flatten().all(|other| speed((at, xyz), other) <= most)
 }
 
 /// Whether a frame sees something farther where the place is, by more than [`FREE_SPACE`] of its depth, in all of 3x3 pixels.
@@ -233,12 +210,8 @@ fn floats(frame: &CaptureFrame, p: [f32; 3]) -> bool {
     let (x, y) = ((u + 0.5) as usize, (v + 0.5) as usize);
     let rows = y.saturating_sub(1)..(y + 2).min(h);
     let around = rows.flat_map(|y| (x.saturating_sub(1)..(x + 2).min(w)).map(move |x| (x, y)));
-    let known = around
-        .map(|(x, y)| depth.at(x, y))
-        .filter(|d| d.is_finite() && *d > 0.0);
-    known
-        .min_by(f32::total_cmp)
-        .is_some_and(|least| z < f64::from(least * (1.0 - FREE_SPACE)))
+    let known = around.map(|(x, y)| depth.at(x, y)).filter(|d| d.is_finite() && *d > 0.0);
+    known.min_by(f32::total_cmp).is_some_and(|least| z < f64::from(least * (1.0 - FREE_SPACE)))
 }
 
 /// How tracks move at a keyframe.

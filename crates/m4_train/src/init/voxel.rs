@@ -55,11 +55,7 @@ impl Grid {
             CellSize::Constant => (f64::from(pixels) * median_depth / focal_px, Vec::new()),
             CellSize::DepthProportional => (f64::from(pixels) / focal_px, centres.to_vec()),
         };
-        Self {
-            origin,
-            unit: unit as f32,
-            centres,
-        }
+        Self { origin, unit: unit as f32, centres }
     }
 
     /// Level and edge at a point: `edge = unit` or `unit * sqrt(2)^level`.
@@ -67,11 +63,7 @@ impl Grid {
         if self.centres.is_empty() {
             return (0, self.unit);
         }
-        let nearest = self
-            .centres
-            .iter()
-            .map(|c| distance2(*c, p))
-            .fold(f32::INFINITY, f32::min);
+        let nearest = self.centres.iter().map(|c| distance2(*c, p)).fold(f32::INFINITY, f32::min);
         // log base sqrt(2) of the distance is log2 of its square
         let level = nearest.max(1e-12).log2().round().clamp(-60.0, 60.0);
         (level as i16, self.unit * (0.5 * level).exp2())
@@ -178,12 +170,7 @@ fn added(sums: &[Sum], cloud: &Cloud, keys: &[((i16, u64), u32)]) -> Vec<Sum> {
         while let Some(sum) = rest.next_if(|sum| sum.key < key) {
             out.push(sum);
         }
-        let mut sum = rest.next_if(|sum| sum.key == key).unwrap_or(Sum {
-            key,
-            xyz: [0.0; 3],
-            rgb: [0.0; 3],
-            n: 0.0,
-        });
+        let mut sum = rest.next_if(|sum| sum.key == key).unwrap_or(Sum { key, xyz: [0.0; 3], rgb: [0.0; 3], n: 0.0 });
         for &(_, i) in cell {
             for k in 0..3 {
                 sum.xyz[k] += f64::from(cloud.xyz[i as usize][k]);
@@ -245,9 +232,7 @@ mod tests {
     fn noise(n: usize) -> Cloud {
         let mut rng = CounterRng::new(1, 2, 3);
         Cloud {
-            xyz: (0..n)
-                .map(|_| [rng.uniform() as f32 * 4.0 - 2.0, rng.uniform() as f32 * 3.0, 2.0])
-                .collect(),
+            xyz: (0..n).map(|_| [rng.uniform() as f32 * 4.0 - 2.0, rng.uniform() as f32 * 3.0, 2.0]).collect(),
             rgb: (0..n).map(|i| [(i % 256) as u8, 7, 200]).collect(),
         }
     }
@@ -269,23 +254,10 @@ mod tests {
 
     #[test]
     fn proportional_cells_grow_with_the_distance() {
-        let grid = Grid::new(
-            CellSize::DepthProportional,
-            2.0,
-            400.0,
-            3.0,
-            &[[0.0, 0.0, 0.0]],
-            [0.0; 3],
-        );
-        let cloud = Cloud {
-            xyz: vec![[0.0, 0.0, 1.0], [0.0, 0.0, 8.0]],
-            rgb: vec![[0; 3]; 2],
-        };
+        let grid = Grid::new(CellSize::DepthProportional, 2.0, 400.0, 3.0, &[[0.0, 0.0, 0.0]], [0.0; 3]);
+        let cloud = Cloud { xyz: vec![[0.0, 0.0, 1.0], [0.0, 0.0, 8.0]], rgb: vec![[0; 3]; 2] };
         let edge = grid.merge(&cloud).edge;
-        assert!(
-            (edge[0] - 0.005).abs() < 1e-6 && (edge[1] - 0.04).abs() < 1e-6,
-            "{edge:?}"
-        );
+        assert!((edge[0] - 0.005).abs() < 1e-6 && (edge[1] - 0.04).abs() < 1e-6, "{edge:?}");
     }
 
     #[test]
@@ -295,10 +267,7 @@ mod tests {
         for target in [300, 5_000, 60_000] {
             let pixels = pixels_for(target, 0.1, |p| grid(p).occupied(&cloud));
             let n = grid(pixels).occupied(&cloud);
-            assert!(
-                n <= target && n * 10 > target * 8,
-                "{n} cells where at most {target} were asked"
-            );
+            assert!(n <= target && n * 10 > target * 8, "{n} cells where at most {target} were asked");
         }
         assert_eq!(pixels_for(1_000_000, 0.1, |p| grid(p).occupied(&cloud)), 0.1);
     }

@@ -74,9 +74,7 @@ impl Writer<'_> {
             let thinnest = DISC_THICKNESS * size[i];
             let longest = (MOST_STRETCHED * config.scale_factor * size[i]).max(thinnest);
             for k in 0..3 {
-                let sd = (config.scale_factor * spread.sd[k])
-                    .clamp(thinnest, longest)
-                    .min(largest(i));
+                let sd = (config.scale_factor * spread.sd[k]).clamp(thinnest, longest).min(largest(i));
                 self.splats.column_mut(Column::LogScale, k)[first + i] = sd.ln();
             }
             for k in 0..4 {
@@ -115,9 +113,7 @@ impl Writer<'_> {
         let n_static = self.splats.n_static();
         let axes = if self.splats.layout().isotropic { 1 } else { 3 };
         for (row, &bend) in (first..).zip(bend) {
-            let log_size = (0..axes)
-                .map(|k| self.splats.column(Column::LogScale, k)[row])
-                .fold(f32::MIN, f32::max);
+            let log_size = (0..axes).map(|k| self.splats.column(Column::LogScale, k)[row]).fold(f32::MIN, f32::max);
             let share = (log_size.exp() / bend.max(f32::MIN_POSITIVE)).sqrt();
             self.splats.column_mut(Column::LogTimeSd, 0)[row - n_static] += share.clamp(SHORTEST, 1.0).ln();
         }
@@ -142,30 +138,16 @@ mod tests {
 
     #[test]
     fn a_lifetime_is_shortened_until_the_path_leaves_the_line_by_the_size_of_the_splat() {
-        let layout = SplatLayout {
-            isotropic: false,
-            sh_degree: 0,
-            time_degree: 0,
-        };
+        let layout = SplatLayout { isotropic: false, sh_degree: 0, time_degree: 0 };
         // one static splat before them; size 0.1, lifetime e^0.5
         let mut splats = Splats::zeros(layout, 1, 6);
         for k in 0..3 {
-            splats
-                .column_mut(Column::LogScale, k)
-                .fill([0.1f32, 0.05, 0.01][k].ln());
+            splats.column_mut(Column::LogScale, k).fill([0.1f32, 0.05, 0.01][k].ln());
         }
         splats.column_mut(Column::LogTimeSd, 0).fill(0.5);
-        let mut writer = Writer {
-            splats: &mut splats,
-            config: &InitConfig::default(),
-            row: 7,
-        };
+        let mut writer = Writer { splats: &mut splats, config: &InitConfig::default(), row: 7 };
         writer.shorten(1, &[0.0, 0.1, 0.2, 10.0, f32::NAN]);
-        let share: Vec<f32> = splats
-            .column(Column::LogTimeSd, 0)
-            .iter()
-            .map(|v| (v - 0.5).exp())
-            .collect();
+        let share: Vec<f32> = splats.column(Column::LogTimeSd, 0).iter().map(|v| (v - 0.5).exp()).collect();
         for (got, want) in share.iter().zip([1.0, 1.0, 0.5f32.sqrt(), 0.5, 1.0, 1.0]) {
             assert!((got - want).abs() < 1e-5, "{share:?}");
         }

@@ -27,11 +27,7 @@ impl Trainer<'_> {
             self.round(due, min_opacity)?;
         }
         if last {
-            let nothing = Decision {
-                densify: false,
-                prune_by_score: false,
-                max_splats: 0,
-            };
+            let nothing = Decision { densify: false, prune_by_score: false, max_splats: 0 };
             self.round(nothing, final_opacity)?;
         }
         Ok(())
@@ -51,12 +47,7 @@ impl Trainer<'_> {
                 threshold: config.error_threshold,
                 range: config.error_range,
             },
-            rules: Rules {
-                config: &config,
-                due,
-                min_opacity,
-                scale: &scale,
-            },
+            rules: Rules { config: &config, due, min_opacity, scale: &scale },
             seed: self.config.seed,
             iteration: self.iteration,
         };

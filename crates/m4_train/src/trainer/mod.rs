@@ -113,16 +113,7 @@ impl<'a> Trainer<'a> {
         };
         let background = config.background.unwrap_or_else(|| background_of(capture));
         let first_splats = splats.n();
-        Ok(Self::assemble(
-            capture,
-            splats,
-            adam,
-            basis,
-            background,
-            first_splats,
-            config,
-            level,
-        ))
+        Ok(Self::assemble(capture, splats, adam, basis, background, first_splats, config, level))
     }
 
     /// A run that resumes from [`state`](Self::state); `splats` are those of the scene saved with it.
@@ -152,18 +143,12 @@ impl<'a> Trainer<'a> {
         }
         let reader = Reader(state);
         let adam = read_adam(&reader, &splats)?;
-        let basis = RateBasis {
-            time_sd: reader.f32("train/time_sd", 1)?[0],
-            time_frames: capture.time_frames,
-        };
+        let basis = RateBasis { time_sd: reader.f32("train/time_sd", 1)?[0], time_frames: capture.time_frames };
         let rgb = reader.f32("train/background", 3)?;
         let background = [rgb[0], rgb[1], rgb[2]];
         let first_splats = reader.u32("train/first_splats", 1)?[0] as usize;
         let iteration = reader.u32("train/iteration", 1)?[0] as usize;
-        let config = TrainConfig {
-            iterations: reader.u32("train/iterations", 1)?[0] as usize,
-            ..config
-        };
+        let config = TrainConfig { iterations: reader.u32("train/iterations", 1)?[0] as usize, ..config };
         let mut out = Self::assemble(capture, splats, adam, basis, background, first_splats, config, level);
         out.iteration = iteration;
         read_refinement(&reader, &mut out.fit)?;
@@ -239,9 +224,7 @@ impl<'a> Trainer<'a> {
         while self.iteration < end {
             if progress.cancelled() {
                 self.synchronize()?;
-                return Ok(Outcome::Stopped {
-                    iteration: self.iteration,
-                });
+                return Ok(Outcome::Stopped { iteration: self.iteration });
             }
             let (started, processor) = (Instant::now(), ProcessTime::try_now());
             self.step()?;
@@ -378,9 +361,5 @@ fn background_of(capture: &Capture) -> [f32; 3] {
             }
         }
     }
-    if empty == 0 || empty * 1000 < all {
-        [0.0; 3]
-    } else {
-        sum.map(|s| (s / empty as f64) as f32)
-    }
+    if empty == 0 || empty * 1000 < all { [0.0; 3] } else { sum.map(|s| (s / empty as f64) as f32) }
 }

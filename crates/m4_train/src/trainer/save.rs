@@ -55,10 +55,7 @@ impl Trainer<'_> {
         let mut state = TrainState::new();
         let mut put = |name: &str, tensor| state.insert(name.to_owned(), tensor);
         put("train/iteration", StateTensor::u32(vec![self.iteration as u32]));
-        put(
-            "train/iterations",
-            StateTensor::u32(vec![self.config.iterations as u32]),
-        );
+        put("train/iterations", StateTensor::u32(vec![self.config.iterations as u32]));
         put("train/first_splats", StateTensor::u32(vec![self.first_splats as u32]));
         put("train/time_sd", StateTensor::f32(vec![self.basis.time_sd]));
         put("train/background", StateTensor::f32(self.background.to_vec()));

@@ -22,10 +22,7 @@ pub(crate) struct StepReport {
 
 impl StepReport {
     /// Before the first step.
-    pub(super) const NONE: Self = Self {
-        loss: f64::NAN,
-        psnr: f64::NAN,
-    };
+    pub(super) const NONE: Self = Self { loss: f64::NAN, psnr: f64::NAN };
 }
 
 impl Trainer<'_> {
@@ -42,16 +39,8 @@ impl Trainer<'_> {
         let refine = &self.config.refine;
         let refining = i >= refine.from;
         let (camera, exposure) = (refining && (refine.poses || refine.focal), refining && refine.exposure);
-        let views: Vec<StepView<'_>> = frames
-            .iter()
-            .zip(&views)
-            .map(|(&frame, view)| StepView {
-                frame,
-                view,
-                camera,
-                exposure,
-            })
-            .collect();
+        let views: Vec<StepView<'_>> =
+            frames.iter().zip(&views).map(|(&frame, view)| StepView { frame, view, camera, exposure }).collect();
         let settings = StepSettings {
             lambda_ssim: self.config.lambda_ssim,
             cover: if self.scale.one_centre { self.config.cover } else { 0.0 },
@@ -107,8 +96,7 @@ impl Trainer<'_> {
         for (frame, gradient) in &stats.cameras {
             let drawn = self.fit.camera(*frame);
             let median_depth = f64::from(self.scale.median_depth);
-            self.fit
-                .step(&self.config.refine, *frame, &drawn, gradient, median_depth);
+            self.fit.step(&self.config.refine, *frame, &drawn, gradient, median_depth);
         }
         self.last = StepReport { loss, psnr: stats.psnr };
         Ok(self.last)
@@ -201,21 +189,13 @@ impl Trainer<'_> {
     fn backend_failed(&mut self, error: &BackendError) -> TrainError {
         let iteration = self.iteration;
         self.go_back();
-        TrainError::Device {
-            why: error.to_string(),
-            iteration,
-            good_iteration: self.iteration,
-        }
+        TrainError::Device { why: error.to_string(), iteration, good_iteration: self.iteration }
     }
 
     fn back_to_good(&mut self, what: &'static str) -> TrainError {
         let iteration = self.iteration;
         self.go_back();
-        TrainError::Diverged {
-            what,
-            iteration,
-            good_iteration: self.iteration,
-        }
+        TrainError::Diverged { what, iteration, good_iteration: self.iteration }
     }
 
     /// Goes back to the splats here, without the moments, which led to the failure.

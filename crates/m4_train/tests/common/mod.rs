@@ -16,10 +16,7 @@ pub fn video() -> (MovingScene, Capture) {
     let mut scene = moving_scene(Intrinsics::centred(96, 72, 90.0), FRAMES);
     // A wall of one depth has no order from front to back that a small step would not turn around.
     let n_static = scene.splats.n_static();
-    for (i, z) in scene.splats.column_mut(Column::Mean, 2)[..n_static]
-        .iter_mut()
-        .enumerate()
-    {
+    for (i, z) in scene.splats.column_mut(Column::Mean, 2)[..n_static].iter_mut().enumerate() {
         *z += 0.2 * ((i * 7919) % 101) as f32 / 101.0;
     }
     scene.splats.column_mut(Column::LogScale, 0)[..n_static].fill(0.12f32.ln());
@@ -59,40 +56,23 @@ pub fn video() -> (MovingScene, Capture) {
         }
     });
     let frames = frames.collect();
-    let capture = Capture {
-        frames,
-        time_frames: FRAMES,
-        duration_s: None,
-        metric: true,
-        tracks: None,
-    };
+    let capture = Capture { frames, time_frames: FRAMES, duration_s: None, metric: true, tracks: None };
     (scene, capture)
 }
 
 /// The splats of the scene with everything that can be learned disturbed; anisotropic, velocities 0.
 pub fn disturbed(scene: &MovingScene, seed: u64) -> Splats {
     let from = &scene.splats;
-    let layout = SplatLayout {
-        isotropic: false,
-        sh_degree: 0,
-        time_degree: 0,
-    };
+    let layout = SplatLayout { isotropic: false, sh_degree: 0, time_degree: 0 };
     let mut out = Splats::zeros(layout, from.n_static(), from.n_dynamic());
     let mut rng = CounterRng::new(seed, 0, 0);
-    for column in [
-        Column::Mean,
-        Column::Colour,
-        Column::TimeMean,
-        Column::LogTimeSd,
-        Column::Opacity,
-    ] {
+    for column in [Column::Mean, Column::Colour, Column::TimeMean, Column::LogTimeSd, Column::Opacity] {
         for k in 0..layout.range(column).len() {
             out.column_mut(column, k).copy_from_slice(from.column(column, k));
         }
     }
     for k in 0..3 {
-        out.column_mut(Column::LogScale, k)
-            .copy_from_slice(from.column(Column::LogScale, 0));
+        out.column_mut(Column::LogScale, k).copy_from_slice(from.column(Column::LogScale, 0));
         for c in out.column_mut(Column::Colour, k) {
             *c += 0.5 * rng.normal() as f32;
         }

@@ -25,13 +25,7 @@ pub struct Watched<'a> {
 
 impl<'a> Watched<'a> {
     pub fn new(inner: Box<dyn Backend + 'a>, rounds: Option<&Arc<AtomicUsize>>) -> Self {
-        Self {
-            inner,
-            rounds: rounds.cloned(),
-            steps: 0,
-            fails_at: 0,
-            breaks_at: 0,
-        }
+        Self { inner, rounds: rounds.cloned(), steps: 0, fails_at: 0, breaks_at: 0 }
     }
 }
 
@@ -88,10 +82,7 @@ impl Backend for Watched<'_> {
 
     fn stats(&mut self) -> Result<StepStats, BackendError> {
         let splats_are_finite = self.inner.splats()?.is_finite();
-        Ok(StepStats {
-            splats_are_finite,
-            ..self.inner.stats()?
-        })
+        Ok(StepStats { splats_are_finite, ..self.inner.stats()? })
     }
 
     fn score(&mut self, views: &[(usize, View)], settings: &ScoreSettings) -> Result<Scores, BackendError> {

@@ -13,14 +13,8 @@ use m4_train::backend::{StepSettings, StepView};
 
 /// Corrections of two frames.
 pub const CASTS: [Exposure; 2] = [
-    Exposure {
-        matrix: [[0.8, 0.1, 0.0], [0.05, 1.1, -0.1], [0.0, 0.2, 0.9]],
-        offset: [0.02, 0.0, 0.05],
-    },
-    Exposure {
-        matrix: [[1.2, 0.0, 0.1], [0.0, 0.7, 0.0], [0.1, 0.0, 1.1]],
-        offset: [-0.1, 0.05, 0.0],
-    },
+    Exposure { matrix: [[0.8, 0.1, 0.0], [0.05, 1.1, -0.1], [0.0, 0.2, 0.9]], offset: [0.02, 0.0, 0.05] },
+    Exposure { matrix: [[1.2, 0.0, 0.1], [0.0, 0.7, 0.0], [0.1, 0.0, 1.1]], offset: [-0.1, 0.05, 0.0] },
 ];
 
 /// `matrix rgb + offset`, and unchanged without a correction.
@@ -78,10 +72,7 @@ fn on_the_cpu(splats: &Splats, views: &[(Target, View)], rates: &[f32]) -> Host 
         }
         g.rgb = pulled_back(CASTS.get(frame), &g.rgb);
         let mut out = Gradients::default();
-        let wanted = Wanted {
-            camera: true,
-            ..Wanted::default()
-        };
+        let wanted = Wanted { camera: true, ..Wanted::default() };
         renderer.backward(splats, &g, wanted, &mut out);
         cameras.push(out.camera);
         for (to, from) in sum.columns.iter_mut().zip(&out.columns) {
@@ -93,19 +84,8 @@ fn on_the_cpu(splats: &Splats, views: &[(Target, View)], rates: &[f32]) -> Host 
         sum.touched.iter_mut().zip(&out.touched).for_each(|(a, b)| *a |= b);
     }
     let (mut moved, mut adam) = (splats.clone(), AdamState::new(splats));
-    step(
-        SimdLevel::best(),
-        &mut moved,
-        &sum,
-        &mut adam,
-        &AdamConfig::default(),
-        rates,
-    );
-    Host {
-        adam,
-        cameras,
-        exposures,
-    }
+    step(SimdLevel::best(), &mut moved, &sum, &mut adam, &AdamConfig::default(), rates);
+    Host { adam, cameras, exposures }
 }
 
 #[test]
@@ -115,13 +95,8 @@ fn a_batched_step_matches_the_cpu() {
     let rates = vec![1e-4; LAYOUT.columns()];
     let late = View { t: 6.5, ..view };
     let views = [(image(0), view), (image(2), late), (image(1), View { t: 0.5, ..view })];
-    let settings = StepSettings {
-        lambda_ssim: LAMBDA,
-        cover: 0.0,
-        rates: &rates,
-        adam: AdamConfig::default(),
-        psnr: true,
-    };
+    let settings =
+        StepSettings { lambda_ssim: LAMBDA, cover: 0.0, rates: &rates, adam: AdamConfig::default(), psnr: true };
     for chosen in [&views[..], &views[1..2], &views[..1]] {
         let want = on_the_cpu(&splats, chosen, &rates);
         let frames = chosen.iter().map(|(frame, _)| frame);
@@ -129,11 +104,7 @@ fn a_batched_step_matches_the_cpu() {
         let asked: Vec<StepView<'_>> = chosen
             .iter()
             .enumerate()
-            .map(|(frame, (_, view))| StepView {
-                camera: true,
-                exposure: true,
-                ..StepView::new(frame, view)
-            })
+            .map(|(frame, (_, view))| StepView { camera: true, exposure: true, ..StepView::new(frame, view) })
             .collect();
         trainer.set_exposures(&CASTS);
         trainer.step(&asked, &settings).unwrap();
@@ -171,30 +142,16 @@ fn missing_frames_are_errors() {
     let (splats, view) = start();
     let mut trainer = GpuTrainer::new(gpu, &splats, &AdamState::new(&splats), [image(0)], usize::MAX).unwrap();
     let rates = vec![0.0; LAYOUT.columns()];
-    let settings = StepSettings {
-        lambda_ssim: LAMBDA,
-        cover: 0.0,
-        rates: &rates,
-        adam: AdamConfig::default(),
-        psnr: true,
-    };
+    let settings =
+        StepSettings { lambda_ssim: LAMBDA, cover: 0.0, rates: &rates, adam: AdamConfig::default(), psnr: true };
     let missing = trainer.step(&[StepView::new(1, &view)], &settings).unwrap_err();
     assert!(missing.to_string().contains("no frame 1"), "{missing}");
     trainer.step(&[], &settings).unwrap();
     let mut large = view;
     large.camera.intrinsics.width += 16;
-    assert!(matches!(
-        trainer.step(&[StepView::new(0, &large)], &settings),
-        Err(GpuError::Shape(_))
-    ));
-    let few = StepSettings {
-        rates: &rates[1..],
-        ..settings
-    };
-    assert!(matches!(
-        trainer.step(&[StepView::new(0, &view)], &few),
-        Err(GpuError::Shape(_))
-    ));
+    assert!(matches!(trainer.step(&[StepView::new(0, &large)], &settings), Err(GpuError::Shape(_))));
+    let few = StepSettings { rates: &rates[1..], ..settings };
+    assert!(matches!(trainer.step(&[StepView::new(0, &view)], &few), Err(GpuError::Shape(_))));
     let others = AdamState::new(&splats.gather(&[0, 1]).unwrap());
     assert!(matches!(trainer.replace(&splats, &others), Err(GpuError::Shape(_))));
     assert_eq!(trainer.stats().unwrap().steps, 0);

@@ -8,25 +8,14 @@ use m4_train::backend::gpu::Bench;
 #[test]
 fn a_bench_times_every_kernel_and_lowers_the_loss() {
     let Some(gpu) = gpu("the bench") else { return };
-    let config = SceneConfig {
-        splats: 3000,
-        width: 96,
-        height: 72,
-        ..SceneConfig::default()
-    };
+    let config = SceneConfig { splats: 3000, width: 96, height: 72, ..SceneConfig::default() };
     let mut host = Host::new(SimdLevel::best(), &config).unwrap();
     let counts = host.count(0);
     let mut bench = Bench::new(gpu.clone(), host.into_scene()).unwrap();
     let entries = bench.entries(0).unwrap();
-    assert!(
-        entries >= counts.visible && entries <= bench.room(),
-        "{entries} for {counts:?}"
-    );
+    assert!(entries >= counts.visible && entries <= bench.room(), "{entries} for {counts:?}");
     // larger tiles, so fewer entries, of which each is at most 16 of the CPU's
-    assert!(
-        entries < counts.pairs && 16 * entries > counts.pairs,
-        "{entries} for {counts:?}"
-    );
+    assert!(entries < counts.pairs && 16 * entries > counts.pairs, "{entries} for {counts:?}");
     let laps = bench.laps(0).unwrap();
     for (kernel, lap) in Kernel::ALL.iter().zip(laps) {
         assert!(!lap.is_zero(), "{} took no time", kernel.name());

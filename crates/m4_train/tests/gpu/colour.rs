@@ -34,10 +34,7 @@ fn on_the_cpu(
         let drawn = exposed(exposures.get(*frame), &renderer.render(splats, view).rgb);
         let target = frames[*frame].rgb();
         let rgb = [0, 1, 2].map(|k| -> Vec<f32> { drawn[k].iter().zip(&target[k]).map(|(a, b)| a - b).collect() });
-        let mut g = FrameGradient {
-            rgb: pulled_back(exposures.get(*frame), &rgb),
-            ..FrameGradient::default()
-        };
+        let mut g = FrameGradient { rgb: pulled_back(exposures.get(*frame), &rgb), ..FrameGradient::default() };
         add(&mut renderer, &g, &mut residual);
         g.rgb.iter_mut().for_each(|plane| plane.fill(1.0));
         add(&mut renderer, &g, &mut weight);

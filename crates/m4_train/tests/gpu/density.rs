@@ -13,21 +13,13 @@ use m4_train::config::{CloneOpacity, ErrorRange, PruneRule, SplitSize};
 use m4_train::density::{Decision, Origin, Rules, apply};
 use m4_train::{DensityConfig, SceneScale};
 
-const SCORES: ScoreSettings = ScoreSettings {
-    lambda_ssim: LAMBDA,
-    threshold: 0.3,
-    range: ErrorRange::Quantile { high: 0.9 },
-};
+const SCORES: ScoreSettings =
+    ScoreSettings { lambda_ssim: LAMBDA, threshold: 0.3, range: ErrorRange::Quantile { high: 0.9 } };
 
 fn step(trainer: &mut GpuTrainer, view: &View) {
     let rates = vec![1e-3; trainer.download_splats().unwrap().layout().columns()];
-    let settings = StepSettings {
-        lambda_ssim: LAMBDA,
-        cover: 0.0,
-        rates: &rates,
-        adam: AdamConfig::default(),
-        psnr: true,
-    };
+    let settings =
+        StepSettings { lambda_ssim: LAMBDA, cover: 0.0, rates: &rates, adam: AdamConfig::default(), psnr: true };
     trainer.step(&[StepView::new(0, view)], &settings).unwrap();
 }
 
@@ -60,11 +52,7 @@ fn scale(splats: &Splats, row: usize) -> [f32; 3] {
 }
 
 /// Everything is due, and splats may grow without limit.
-const DUE: Decision = Decision {
-    densify: true,
-    prune_by_score: true,
-    max_splats: usize::MAX,
-};
+const DUE: Decision = Decision { densify: true, prune_by_score: true, max_splats: usize::MAX };
 
 /// A round by these rules.
 fn round<'a>(
@@ -76,12 +64,7 @@ fn round<'a>(
     DensityRound {
         views,
         scores: SCORES,
-        rules: Rules {
-            config,
-            due,
-            min_opacity: config.min_opacity,
-            scale,
-        },
+        rules: Rules { config, due, min_opacity: config.min_opacity, scale },
         seed: 0,
         iteration: 0,
     }
@@ -102,18 +85,10 @@ fn check(what: &str, trainer: &mut GpuTrainer, round: &DensityRound<'_>) -> Dens
     let (got, after) = trainer.download().unwrap();
     assert!(after == state, "{what}: the optimiser's state");
     for (i, (a, b)) in columns(&got).into_iter().zip(columns(&want)).enumerate() {
-        assert!(
-            (a - b).abs() <= 2e-6 * (1.0 + b.abs()),
-            "{what}: number {i} is {a} for {b}"
-        );
+        assert!((a - b).abs() <= 2e-6 * (1.0 + b.abs()), "{what}: number {i} is {a} for {b}");
     }
-    let kept: Vec<u32> = (0..plan.rows.len() as u32)
-        .filter(|&i| plan.origins[i as usize] == Origin::Kept)
-        .collect();
-    assert!(
-        got.gather(&kept).unwrap() == want.gather(&kept).unwrap(),
-        "{what}: those that stay"
-    );
+    let kept: Vec<u32> = (0..plan.rows.len() as u32).filter(|&i| plan.origins[i as usize] == Origin::Kept).collect();
+    assert!(got.gather(&kept).unwrap() == want.gather(&kept).unwrap(), "{what}: those that stay");
     stats
 }
 
@@ -130,11 +105,7 @@ fn densify_and_prune_match_the_cpu() {
         let (mut trainer, views) = trainer(gpu.clone(), isotropic);
         let splats = trainer.download_splats().unwrap();
         let eye = views[0].1.camera.centre();
-        let usual = median(
-            (0..splats.n())
-                .map(|i| scale(&splats, i).into_iter().fold(0.0, f32::max))
-                .collect(),
-        );
+        let usual = median((0..splats.n()).map(|i| scale(&splats, i).into_iter().fold(0.0, f32::max)).collect());
         let lengths = SceneScale {
             one_centre: false,
             extent: usual,
@@ -146,19 +117,13 @@ fn densify_and_prune_match_the_cpu() {
             densify_threshold: 0.01,
             budget: 1.0,
             prune_threshold: 0.1,
-            prune_rule: PruneRule::WithOpacity {
-                opacity: 0.4,
-                quantile: 0.9,
-            },
+            prune_rule: PruneRule::WithOpacity { opacity: 0.4, quantile: 0.9 },
             min_opacity: 0.05,
             split_size: SplitSize::Pixels { pixels: 2.0 },
             clone_opacity: CloneOpacity::Share,
             ..DensityConfig::fast()
         };
-        let few = Decision {
-            max_splats: splats.n() + 60,
-            ..DUE
-        };
+        let few = Decision { max_splats: splats.n() + 60, ..DUE };
         let grown = check("careful", &mut trainer, &round(&views, &careful, &lengths, few));
         assert!(grown.cloned + grown.split == 60 && grown.pruned > 10, "{grown:?}");
         let literal = DensityConfig {
@@ -172,26 +137,12 @@ fn densify_and_prune_match_the_cpu() {
         let grown = check("literal", &mut trainer, &round(&views, &literal, &lengths, DUE));
         assert!(grown.cloned > 10 && grown.split > 10 && grown.pruned > 5, "{grown:?}");
         // many scores are 0: the first of them grow
-        let ties = DensityConfig {
-            densify_threshold: -1.0,
-            ..careful.clone()
-        };
-        let most = Decision {
-            prune_by_score: false,
-            max_splats: 2 * trainer.n() - 20,
-            ..DUE
-        };
+        let ties = DensityConfig { densify_threshold: -1.0, ..careful.clone() };
+        let most = Decision { prune_by_score: false, max_splats: 2 * trainer.n() - 20, ..DUE };
         let grown = check("ties", &mut trainer, &round(&views, &ties, &lengths, most));
         assert!(grown.cloned > 10 && grown.split > 10, "{grown:?}");
-        let last = DensityConfig {
-            min_opacity: 0.3,
-            ..careful
-        };
-        let nothing = Decision {
-            densify: false,
-            prune_by_score: false,
-            max_splats: 0,
-        };
+        let last = DensityConfig { min_opacity: 0.3, ..careful };
+        let nothing = Decision { densify: false, prune_by_score: false, max_splats: 0 };
         let grown = check("only opacity", &mut trainer, &round(&[], &last, &lengths, nothing));
         assert!(grown.cloned + grown.split == 0 && grown.pruned > 10, "{grown:?}");
         // and steps continue from there
@@ -209,36 +160,21 @@ fn a_set_of_splats_is_never_emptied_and_no_rule_changes_nothing() {
     };
     let (mut trainer, views) = trainer(gpu, false);
     let before = trainer.download().unwrap();
-    let lengths = SceneScale {
-        one_centre: false,
-        extent: 1.0,
-        median_depth: 1.0,
-        focal_px: 60.0,
-        centres: vec![[0.0; 3]],
-    };
+    let lengths =
+        SceneScale { one_centre: false, extent: 1.0, median_depth: 1.0, focal_px: 60.0, centres: vec![[0.0; 3]] };
     let with = |min_opacity: f32| DensityConfig {
         densify_threshold: 0.0,
         min_opacity,
         split_size: SplitSize::Extent { share: 0.0 },
         ..DensityConfig::fast()
     };
-    let nothing = Decision {
-        densify: false,
-        prune_by_score: false,
-        max_splats: 0,
-    };
-    let full = Decision {
-        densify: true,
-        ..nothing
-    };
+    let nothing = Decision { densify: false, prune_by_score: false, max_splats: 0 };
+    let full = Decision { densify: true, ..nothing };
     for (min_opacity, due) in [(0.0, nothing), (2.0, nothing), (0.0, full)] {
         let config = with(min_opacity);
         let grown = trainer.densify(&round(&views, &config, &lengths, due)).unwrap();
         assert_eq!((grown.cloned, grown.split, grown.pruned), (0, 0, 0), "{due:?}");
-        assert_eq!(
-            (grown.n_static, grown.n_dynamic),
-            (before.0.n_static(), before.0.n_dynamic())
-        );
+        assert_eq!((grown.n_static, grown.n_dynamic), (before.0.n_static(), before.0.n_dynamic()));
         assert!(trainer.download().unwrap() == before);
     }
     // none of the static ones is left

@@ -18,13 +18,7 @@ fn trainer(gpu: Gpu) -> (GpuTrainer, View) {
 }
 
 fn settings(rates: &[f32]) -> StepSettings<'_> {
-    StepSettings {
-        lambda_ssim: LAMBDA,
-        cover: 0.0,
-        rates,
-        adam: AdamConfig::default(),
-        psnr: true,
-    }
+    StepSettings { lambda_ssim: LAMBDA, cover: 0.0, rates, adam: AdamConfig::default(), psnr: true }
 }
 
 #[test]

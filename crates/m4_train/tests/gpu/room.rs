@@ -34,13 +34,7 @@ fn rates() -> Vec<f32> {
 }
 
 fn settings(rates: &[f32]) -> StepSettings<'_> {
-    StepSettings {
-        lambda_ssim: LAMBDA,
-        cover: 0.0,
-        rates,
-        adam: AdamConfig::default(),
-        psnr: true,
-    }
+    StepSettings { lambda_ssim: LAMBDA, cover: 0.0, rates, adam: AdamConfig::default(), psnr: true }
 }
 
 /// The image drawn last is that of the CPU.

@@ -51,26 +51,15 @@ fn scores_are_those_of_the_cpu() {
         (0.3, ErrorRange::MinMax, &CASTS[..1]),
     ] {
         trainer.set_exposures(exposures);
-        let settings = ScoreSettings {
-            lambda_ssim: LAMBDA,
-            threshold,
-            range,
-        };
+        let settings = ScoreSettings { lambda_ssim: LAMBDA, threshold, range };
         let want = on_the_cpu(&splats, &frames, &views, exposures, &settings);
         let got = trainer.score(&views, &settings).unwrap();
         for (got, want) in [&got.densify, &got.prune].into_iter().zip(&want) {
             assert!(want.iter().filter(|&&v| v > 0.1).count() > 100, "too little to compare");
             // a pixel at the cut or a contribution at its threshold counts in one and not in the other
-            let off = got
-                .iter()
-                .zip(want)
-                .filter(|(a, b)| (*a - *b).abs() > 1e-4 * (1.0 + b.abs()));
+            let off = got.iter().zip(want).filter(|(a, b)| (*a - *b).abs() > 1e-4 * (1.0 + b.abs()));
             let off = off.count();
-            assert!(
-                off * 50 < want.len(),
-                "{range:?}: {off} of {} scores differ",
-                want.len()
-            );
+            assert!(off * 50 < want.len(), "{range:?}: {off} of {} scores differ", want.len());
             let (a, b): (f64, f64) = (sum(got), sum(want));
             assert!((a - b).abs() < 1e-3 * b, "{range:?}: {a} for {b}");
         }
@@ -88,19 +77,11 @@ fn an_image_that_is_wrong_everywhere_alike_scores_nothing() {
     let Some(gpu) = gpu("flat errors") else { return };
     let (splats, view) = start();
     // nothing is drawn but the background, and the frame is black
-    let away = View {
-        near: 1e9,
-        background: [0.5; 3],
-        ..view
-    };
+    let away = View { near: 1e9, background: [0.5; 3], ..view };
     let k = &view.camera.intrinsics;
     let black = Target::from_bytes(k.width, k.height, [0, 1, 2].map(|_| vec![0; k.width * k.height])).unwrap();
     let mut trainer = GpuTrainer::new(gpu, &splats, &AdamState::new(&splats), [black], usize::MAX).unwrap();
-    let settings = ScoreSettings {
-        lambda_ssim: LAMBDA,
-        threshold: 0.1,
-        range: ErrorRange::MinMax,
-    };
+    let settings = ScoreSettings { lambda_ssim: LAMBDA, threshold: 0.1, range: ErrorRange::MinMax };
     let got = trainer.score(&[(0, away), (0, view)], &settings).unwrap();
     let alone = trainer.score(&[(0, view)], &settings).unwrap();
     assert_eq!(got.prune, alone.prune);

@@ -12,11 +12,7 @@ use m4_testkit::{SceneSpec, assert_gradient, random_camera, random_splats};
 use m4_train::backend::gpu::GpuTrainer;
 use m4_train::backend::{StepSettings, StepView};
 
-pub const LAYOUT: SplatLayout = SplatLayout {
-    isotropic: false,
-    sh_degree: 1,
-    time_degree: 0,
-};
+pub const LAYOUT: SplatLayout = SplatLayout { isotropic: false, sh_degree: 1, time_degree: 0 };
 pub const SIZE: (usize, usize) = (75, 50);
 pub const LAMBDA: f32 = 0.4;
 /// Large enough to change many steps.
@@ -27,31 +23,14 @@ pub fn image(shift: usize) -> Target {
         let pixels = (0..SIZE.0 * SIZE.1).map(|i| (i % SIZE.0, i / SIZE.0));
         pixels.map(|(x, y)| value(x, y, shift) as u8).collect()
     };
-    let planes = [
-        plane(|x, _, s| 3 * x + s),
-        plane(|_, y, _| 5 * y),
-        plane(|x, y, s| x * y / 8 + 40 * s),
-    ];
+    let planes = [plane(|x, _, s| 3 * x + s), plane(|_, y, _| 5 * y), plane(|x, y, s| x * y / 8 + 40 * s)];
     Target::from_bytes(SIZE.0, SIZE.1, planes).unwrap()
 }
 
 pub fn start() -> (Splats, View) {
     let camera = random_camera(11, SIZE.0, SIZE.1);
-    let spec = SceneSpec {
-        layout: LAYOUT,
-        n_static: 300,
-        n_dynamic: 200,
-        ..SceneSpec::default()
-    };
-    let view = View {
-        camera,
-        t: 4.0,
-        background: [0.3; 3],
-        near: 0.01,
-        mip: true,
-        period: 10.0,
-        with_depth: false,
-    };
+    let spec = SceneSpec { layout: LAYOUT, n_static: 300, n_dynamic: 200, ..SceneSpec::default() };
+    let view = View { camera, t: 4.0, background: [0.3; 3], near: 0.01, mip: true, period: 10.0, with_depth: false };
     (random_splats(11, &camera, &spec), view)
 }
 
@@ -75,14 +54,7 @@ fn on_the_cpu(frames: &[Target], config: &AdamConfig, rates: &[f32], steps: usiz
     for i in 0..steps {
         let target = &frames[i % frames.len()];
         let drawn = renderer.render(&splats, &view);
-        let terms = loss(
-            SimdLevel::best(),
-            target,
-            &drawn.rgb,
-            LAMBDA,
-            &mut scratch,
-            &mut out.rgb,
-        );
+        let terms = loss(SimdLevel::best(), target, &drawn.rgb, LAMBDA, &mut scratch, &mut out.rgb);
         (l1, ssim) = (l1 + terms.l1 / steps as f64, ssim + terms.ssim / steps as f64);
         psnr = shown(&drawn.rgb, target);
         renderer.backward(&splats, &out, Wanted::default(), &mut gradients);
@@ -90,14 +62,7 @@ fn on_the_cpu(frames: &[Target], config: &AdamConfig, rates: &[f32], steps: usiz
         cover::cpu::add(&splats, &mut gradients, COVER / (SIZE.0 * SIZE.1) as f32);
         step(SimdLevel::best(), &mut splats, &gradients, &mut adam, config, rates);
     }
-    Host {
-        splats,
-        adam,
-        l1,
-        ssim,
-        psnr,
-        touched,
-    }
+    Host { splats, adam, l1, ssim, psnr, touched }
 }
 
 /// PSNR with colours clamped to 0..1.
@@ -119,41 +84,20 @@ fn steps_are_those_of_the_cpu() {
     let frames = [image(0), image(2)];
     let rates: Vec<f32> = (0..LAYOUT.columns()).map(|c| 1e-4 * (1 + c % 3) as f32).collect();
     for sparse in [true, false] {
-        let config = AdamConfig {
-            sparse,
-            ..AdamConfig::default()
-        };
+        let config = AdamConfig { sparse, ..AdamConfig::default() };
         let steps = 4;
         let want = on_the_cpu(&frames, &config, &rates, steps);
         let (splats, view) = start();
         let mut trainer = GpuTrainer::new(gpu.clone(), &splats, &AdamState::new(&splats), &frames, 0).unwrap();
-        let settings = StepSettings {
-            lambda_ssim: LAMBDA,
-            cover: COVER,
-            rates: &rates,
-            adam: config,
-            psnr: true,
-        };
+        let settings = StepSettings { lambda_ssim: LAMBDA, cover: COVER, rates: &rates, adam: config, psnr: true };
         for i in 0..steps {
-            trainer
-                .step(&[StepView::new(i % frames.len(), &view)], &settings)
-                .unwrap();
+            trainer.step(&[StepView::new(i % frames.len(), &view)], &settings).unwrap();
         }
         let stats = trainer.stats().unwrap();
         assert_eq!(stats.steps, steps);
         assert!((stats.l1 - want.l1).abs() < 1e-5, "l1 {} for {}", stats.l1, want.l1);
-        assert!(
-            (stats.ssim - want.ssim).abs() < 1e-4,
-            "ssim {} for {}",
-            stats.ssim,
-            want.ssim
-        );
-        assert!(
-            (stats.psnr - want.psnr).abs() < 1e-2,
-            "{} dB for {}",
-            stats.psnr,
-            want.psnr
-        );
+        assert!((stats.ssim - want.ssim).abs() < 1e-4, "ssim {} for {}", stats.ssim, want.ssim);
+        assert!((stats.psnr - want.psnr).abs() < 1e-2, "{} dB for {}", stats.psnr, want.psnr);
         assert!((stats.touched - want.touched).abs() <= 1.0, "{} touched", stats.touched);
         assert!(stats.l1.is_finite() && stats.splats_are_finite);
         let again = trainer.stats().unwrap();
@@ -168,11 +112,7 @@ fn steps_are_those_of_the_cpu() {
         let (got, want) = (moved(&got), moved(&want.splats));
         // Adam moves by the sign of what is next to nothing too
         let off = got.iter().zip(&want).filter(|(a, b)| (*a - *b).abs() > 2e-5).count();
-        assert!(
-            off * 50 < want.len(),
-            "{off} of {} parameters went elsewhere",
-            want.len()
-        );
+        assert!(off * 50 < want.len(), "{off} of {} parameters went elsewhere", want.len());
     }
 }
 
@@ -184,24 +124,15 @@ fn splats_may_be_replaced() {
     let fewer = splats.gather(&(0..400).collect::<Vec<u32>>()).unwrap();
     trainer.replace(&fewer, &AdamState::new(&fewer)).unwrap();
     let rates = vec![0.0; LAYOUT.columns()];
-    let settings = StepSettings {
-        lambda_ssim: LAMBDA,
-        cover: 0.0,
-        rates: &rates,
-        adam: AdamConfig::default(),
-        psnr: true,
-    };
+    let settings =
+        StepSettings { lambda_ssim: LAMBDA, cover: 0.0, rates: &rates, adam: AdamConfig::default(), psnr: true };
     trainer.step(&[StepView::new(0, &view)], &settings).unwrap();
     let (got, adam) = trainer.download().unwrap();
     assert_eq!(got, fewer, "rates of 0");
     assert!(adam.step.contains(&1) && adam.step.iter().all(|&s| s <= 1));
     let want = Renderer::new(SimdLevel::best()).render(&fewer, &view).clone();
     let frame = trainer.frame().unwrap();
-    let off = frame.rgb[0]
-        .iter()
-        .zip(&want.rgb[0])
-        .filter(|(a, b)| (*a - *b).abs() > 1e-3)
-        .count();
+    let off = frame.rgb[0].iter().zip(&want.rgb[0]).filter(|(a, b)| (*a - *b).abs() > 1e-3).count();
     assert_eq!(off, 0);
 }
 
@@ -212,20 +143,12 @@ fn non_finite_parameters_are_reported() {
     let mut trainer = GpuTrainer::new(gpu, &splats, &AdamState::new(&splats), [image(0)], usize::MAX).unwrap();
     let mut rates = vec![0.0; LAYOUT.columns()];
     rates[4] = f32::INFINITY;
-    let settings = StepSettings {
-        lambda_ssim: LAMBDA,
-        cover: 0.0,
-        rates: &rates,
-        adam: AdamConfig::default(),
-        psnr: true,
-    };
+    let settings =
+        StepSettings { lambda_ssim: LAMBDA, cover: 0.0, rates: &rates, adam: AdamConfig::default(), psnr: true };
     trainer.step(&[StepView::new(0, &view)], &settings).unwrap();
     let stats = trainer.stats().unwrap();
     assert!(stats.l1.is_finite() && !stats.splats_are_finite);
-    let nowhere = View {
-        background: [f32::NAN; 3],
-        ..view
-    };
+    let nowhere = View { background: [f32::NAN; 3], ..view };
     trainer.step(&[StepView::new(0, &nowhere)], &settings).unwrap();
     assert!(trainer.stats().unwrap().l1.is_nan());
 }

@@ -35,12 +35,7 @@ fn config(iterations: usize) -> TrainConfig {
     let mut config = TrainConfig::fast();
     config.iterations = iterations;
     config.seed = 5;
-    config.density = DensityConfig {
-        from: 20,
-        every: 20,
-        prune_every: 40,
-        ..DensityConfig::fast()
-    };
+    config.density = DensityConfig { from: 20, every: 20, prune_every: 40, ..DensityConfig::fast() };
     config.reorder_every = 30;
     config
 }
@@ -50,9 +45,7 @@ fn train<'a>(scene: &MovingScene, capture: &'a Capture, config: TrainConfig, gpu
     if let Some(gpu) = gpu {
         trainer.use_backend(backend(gpu, None)).unwrap();
     }
-    trainer
-        .run(&Silent, &mut |event| assert!(event.loss.is_finite()))
-        .unwrap();
+    trainer.run(&Silent, &mut |event| assert!(event.loss.is_finite())).unwrap();
     trainer
 }
 
@@ -81,11 +74,7 @@ fn a_gpu_learns_what_the_cpu_learns() {
     };
     let (scene, capture) = video();
     let before = psnr(&start(&scene), &scene, &capture);
-    let faithful = TrainConfig {
-        iterations: 60,
-        seed: 5,
-        ..TrainConfig::faithful()
-    };
+    let faithful = TrainConfig { iterations: 60, seed: 5, ..TrainConfig::faithful() };
     let mut everything = config(60);
     everything.batch = 2;
     let refine = &mut everything.refine;
@@ -120,8 +109,7 @@ fn a_gpu_densifies_and_prunes_as_the_cpu_does() {
     for config in [config(80), literal] {
         let there = train(&scene, &capture, config.clone(), Some(&gpu));
         let mut here = Trainer::new(&capture, start(&scene), config, SimdLevel::best()).unwrap();
-        here.use_backend(Box::new(Watched::new(backend(&gpu, None), None)))
-            .unwrap();
+        here.use_backend(Box::new(Watched::new(backend(&gpu, None), None))).unwrap();
         here.run(&Silent, &mut |_| {}).unwrap();
         let [a, b] = [&here, &there].map(|t| psnr(t.splats(), &scene, &capture));
         let [n, m] = [&here, &there].map(|t| t.splats().n());

@@ -21,10 +21,7 @@ fn capture(frames: usize) -> Capture {
     let make = |i: usize| {
         let mut c2w = Se3::identity();
         c2w.translation = Vector3::new(0.01 * i as f64, 0.0, 0.0);
-        let camera = Camera {
-            intrinsics: Intrinsics::centred(w, h, 100.0),
-            c2w,
-        };
+        let camera = Camera { intrinsics: Intrinsics::centred(w, h, 100.0), c2w };
         let square = |x: usize, y: usize| {
             let p = camera.unproject(x as f64, y as f64, SQUARE);
             let (u, v) = (p.x - SPEED * i as f64 + 0.3, p.y);
@@ -60,13 +57,7 @@ fn capture(frames: usize) -> Capture {
 }
 
 fn fast() -> InitConfig {
-    InitConfig {
-        max_static: 2000,
-        max_dynamic: 2000,
-        change_threshold: 0.0,
-        shell_splats: 0,
-        ..InitConfig::fast()
-    }
+    InitConfig { max_static: 2000, max_dynamic: 2000, change_threshold: 0.0, shell_splats: 0, ..InitConfig::fast() }
 }
 
 fn mean(splats: &Splats, row: usize) -> [f32; 3] {
@@ -77,22 +68,11 @@ fn mean(splats: &Splats, row: usize) -> [f32; 3] {
 fn standing_and_moving_points_are_kept_apart() {
     let splats = initialise(&capture(8), &fast(), &Silent).unwrap();
     assert!(splats.is_finite());
-    assert!(
-        (1000..=2000).contains(&splats.n_static()),
-        "{} static",
-        splats.n_static()
-    );
-    assert!(
-        (1000..=2000).contains(&splats.n_dynamic()),
-        "{} dynamic",
-        splats.n_dynamic()
-    );
+    assert!((1000..=2000).contains(&splats.n_static()), "{} static", splats.n_static());
+    assert!((1000..=2000).contains(&splats.n_dynamic()), "{} dynamic", splats.n_dynamic());
     for row in 0..splats.n() {
         let z = if row < splats.n_static() { WALL } else { SQUARE };
-        assert!(
-            (f64::from(mean(&splats, row)[2]) - z).abs() < 1e-3,
-            "splat {row} is not on its surface"
-        );
+        assert!((f64::from(mean(&splats, row)[2]) - z).abs() < 1e-3, "splat {row} is not on its surface");
     }
     let sd = splats.column(Column::LogTimeSd, 0);
     assert!(sd.iter().all(|&v| (v.exp() - 1.0).abs() < 1e-4), "a gap of one frame");
@@ -104,26 +84,15 @@ fn standing_and_moving_points_are_kept_apart() {
 fn a_moving_square_has_its_velocity() {
     let splats = initialise(&capture(8), &fast(), &Silent).unwrap();
     let vx = splats.column(Column::Velocity, 0);
-    let good = vx
-        .iter()
-        .filter(|&&v| (f64::from(v) - SPEED).abs() < 0.3 * SPEED)
-        .count();
-    assert!(
-        good * 10 > vx.len() * 7,
-        "{good} of {} splats move as the square does",
-        vx.len()
-    );
+    let good = vx.iter().filter(|&&v| (f64::from(v) - SPEED).abs() < 0.3 * SPEED).count();
+    assert!(good * 10 > vx.len() * 7, "{good} of {} splats move as the square does", vx.len());
     let vz = splats.column(Column::Velocity, 2);
     assert!(vz.iter().all(|v| v.abs() < 1e-3), "nothing moves in depth");
 }
 
 #[test]
 fn the_faithful_profile_has_one_scale_and_fades_everything() {
-    let config = InitConfig {
-        max_static: 1000,
-        max_dynamic: 500,
-        ..InitConfig::faithful()
-    };
+    let config = InitConfig { max_static: 1000, max_dynamic: 500, ..InitConfig::faithful() };
     let splats = initialise(&capture(8), &config, &Silent).unwrap();
     assert_eq!(splats.n_static(), 0);
     assert!(splats.layout().isotropic);
@@ -146,20 +115,8 @@ fn a_shadow_on_the_wall_is_laid_over_it() {
         let lit = frame.rgb.clone();
         frame.rgb = Plane::from_fn(96, 64, |x, y| lit[(x, y)].map(|c| if x >= 88 { c / 2 } else { c }));
     }
-    let config = InitConfig {
-        change_threshold: 0.05,
-        velocity: VelocityInit::Zero,
-        ..fast()
-    };
-    let plain = initialise(
-        &capture,
-        &InitConfig {
-            change_threshold: 0.0,
-            ..config.clone()
-        },
-        &Silent,
-    )
-    .unwrap();
+    let config = InitConfig { change_threshold: 0.05, velocity: VelocityInit::Zero, ..fast() };
+    let plain = initialise(&capture, &InitConfig { change_threshold: 0.0, ..config.clone() }, &Silent).unwrap();
     let splats = initialise(&capture, &config, &Silent).unwrap();
     assert_eq!(splats.n_static(), plain.n_static());
     assert!(splats.n_dynamic() > plain.n_dynamic() + 50);
@@ -180,10 +137,7 @@ fn a_shadow_on_the_wall_is_laid_over_it() {
 
 #[test]
 fn the_shell_lies_behind_everything() {
-    let config = InitConfig {
-        shell_splats: 300,
-        ..fast()
-    };
+    let config = InitConfig { shell_splats: 300, ..fast() };
     let capture = capture(4);
     let n = initialise(&capture, &fast(), &Silent).unwrap().n_static();
     let splats = initialise(&capture, &config, &Silent).unwrap();
@@ -208,28 +162,15 @@ fn without_masks_everything_stands_still() {
 fn missing_and_useless_depth_are_clear_errors() {
     let mut none = capture(3);
     none.frames.iter_mut().for_each(|f| f.depth = None);
-    assert_eq!(
-        initialise(&none, &fast(), &Silent),
-        Err(InitError::NoDepth { frames: 3 })
-    );
+    assert_eq!(initialise(&none, &fast(), &Silent), Err(InitError::NoDepth { frames: 3 }));
     let mut zero = capture(2);
-    zero.frames
-        .iter_mut()
-        .for_each(|f| f.depth = Some(Plane::filled(96, 64, f32::NAN).into()));
+    zero.frames.iter_mut().for_each(|f| f.depth = Some(Plane::filled(96, 64, f32::NAN).into()));
     let message = initialise(&zero, &fast(), &Silent).unwrap_err().to_string();
     assert!(message.contains("no usable depth in 2 depth maps"), "{message}");
     let mut bad = capture(2);
     bad.frames[1].camera.intrinsics.fx = f64::NAN;
-    assert_eq!(
-        initialise(&bad, &fast(), &Silent),
-        Err(InitError::BadCamera {
-            frame: "001".to_owned()
-        })
-    );
-    let empty = Capture {
-        frames: Vec::new(),
-        ..capture(1)
-    };
+    assert_eq!(initialise(&bad, &fast(), &Silent), Err(InitError::BadCamera { frame: "001".to_owned() }));
+    let empty = Capture { frames: Vec::new(), ..capture(1) };
     assert_eq!(initialise(&empty, &fast(), &Silent), Err(InitError::NoFrames));
 }
 
@@ -266,11 +207,8 @@ fn threads_do_not_change_a_bit() {
     for (a, b) in one.columns().iter().zip(three.columns()) {
         assert!(a.iter().zip(b).all(|(a, b)| a.to_bits() == b.to_bits()));
     }
-    let other = InitConfig {
-        velocity: VelocityInit::Zero,
-        time_spread: TimeSpread::KeyframeGaps { factor: 2.0 },
-        ..fast()
-    };
+    let other =
+        InitConfig { velocity: VelocityInit::Zero, time_spread: TimeSpread::KeyframeGaps { factor: 2.0 }, ..fast() };
     let still = initialise(&capture, &other, &Silent).unwrap();
     assert!((still.column(Column::LogTimeSd, 0)[0] - 2.0f32.ln()).abs() < 1e-6);
 }
@@ -286,10 +224,7 @@ fn frames_of_one_instant_make_no_endless_velocities() {
     let splats = initialise(&capture, &fast(), &Silent).unwrap();
     assert!(splats.n_dynamic() > 100 && splats.is_finite());
     for k in 0..3 {
-        let fastest = splats
-            .column(Column::Velocity, k)
-            .iter()
-            .fold(0.0f32, |m, v| m.max(v.abs()));
+        let fastest = splats.column(Column::Velocity, k).iter().fold(0.0f32, |m, v| m.max(v.abs()));
         assert!(fastest < 1.0, "{fastest} world units a frame");
     }
 }

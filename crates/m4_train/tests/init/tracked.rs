@@ -12,10 +12,7 @@ const FRAMES: usize = 12;
 const SIDE: usize = 24;
 
 fn camera() -> Camera {
-    Camera {
-        intrinsics: Intrinsics::centred(96, 64, 100.0),
-        c2w: Se3::identity(),
-    }
+    Camera { intrinsics: Intrinsics::centred(96, 64, 100.0), c2w: Se3::identity() }
 }
 
 /// The middle of the square.
@@ -55,13 +52,7 @@ fn capture(tracks: Option<Tracks>) -> Capture {
         instances: None,
         camera_index: None,
     };
-    Capture {
-        frames: (0..FRAMES).map(frame).collect(),
-        time_frames: FRAMES,
-        duration_s: None,
-        metric: true,
-        tracks,
-    }
+    Capture { frames: (0..FRAMES).map(frame).collect(), time_frames: FRAMES, duration_s: None, metric: true, tracks }
 }
 
 /// A grid of points of the square, known in all frames and seen where the pillar does not hide them; `bend` changes places.
@@ -98,17 +89,11 @@ fn config(tracked: TrackedInit) -> InitConfig {
 }
 
 fn on() -> TrackedInit {
-    TrackedInit {
-        enabled: true,
-        ..TrackedInit::default()
-    }
+    TrackedInit { enabled: true, ..TrackedInit::default() }
 }
 
 fn off() -> TrackedInit {
-    TrackedInit {
-        enabled: false,
-        ..TrackedInit::default()
-    }
+    TrackedInit { enabled: false, ..TrackedInit::default() }
 }
 
 /// Places, colours and times of the dynamic part.
@@ -160,10 +145,7 @@ fn points_of_the_frames_win_where_both_exist() {
     let everywhere = TrackedInit { seen: true, ..on() };
     let all = run(Some(true_tracks()), everywhere).n_dynamic() - without.n_dynamic();
     let samples = FRAMES * SIDE * SIDE;
-    assert!(
-        all >= hidden && all - hidden < samples / 20,
-        "{all} {hidden} of {samples}"
-    );
+    assert!(all >= hidden && all - hidden < samples / 20, "{all} {hidden} of {samples}");
     // a little behind the surface there is room
     let behind = tracks(|_, _, p| p.map(|v| 1.03 * v));
     let doubled = run(Some(behind), everywhere).n_dynamic() - without.n_dynamic();
@@ -184,16 +166,8 @@ fn implausible_track_points_are_dropped() {
     assert_eq!(added(&|_, _, p| [p[0], p[1], -p[2]], everywhere), 0);
     // far behind the wall: implausible, so it must be rejected
     let far = |_: usize, _: usize, p: [f32; 3]| p.map(|v| 4.0 * v);
-    let hidden_far = Tracks::new(
-        FRAMES,
-        SIDE * SIDE,
-        tracks(far).xyz().to_vec(),
-        vec![false; FRAMES * SIDE * SIDE],
-    );
-    let colours = hidden_far
-        .unwrap()
-        .with_colours(vec![[200, 40, 40]; SIDE * SIDE])
-        .unwrap();
+    let hidden_far = Tracks::new(FRAMES, SIDE * SIDE, tracks(far).xyz().to_vec(), vec![false; FRAMES * SIDE * SIDE]);
+    let colours = hidden_far.unwrap().with_colours(vec![[200, 40, 40]; SIDE * SIDE]).unwrap();
     assert_eq!(run(Some(colours.clone()), everywhere).n_dynamic(), without);
     let trusted = colours.with_confidence(&vec![0.9; FRAMES * SIDE * SIDE]).unwrap();
     assert!(run(Some(trusted), everywhere).n_dynamic() > without + 1000);

@@ -13,35 +13,20 @@ const FRAMES: usize = 6;
 
 fn capture(tracks: Option<Tracks>) -> Capture {
     let (w, h) = (96, 64);
-    let camera = Camera {
-        intrinsics: Intrinsics::centred(w, h, 100.0),
-        c2w: Se3::identity(),
-    };
+    let camera = Camera { intrinsics: Intrinsics::centred(w, h, 100.0), c2w: Se3::identity() };
     let band = |y: usize| (26..38).contains(&y);
     let frame = |i: usize| CaptureFrame {
         name: format!("{i}"),
         camera,
         t: i as f64,
-        rgb: Plane::from_fn(w, h, |x, y| {
-            if band(y) {
-                [200, 40, 40]
-            } else {
-                [x as u8, 2 * y as u8, 90]
-            }
-        }),
+        rgb: Plane::from_fn(w, h, |x, y| if band(y) { [200, 40, 40] } else { [x as u8, 2 * y as u8, 90] }),
         depth: Some(Plane::from_fn(w, h, |_, y| if band(y) { BAND } else { WALL }).into()),
         mask: Some(CompactMask::from_fn(w, h, |_, y| band(y))),
         motion: None,
         instances: None,
         camera_index: None,
     };
-    Capture {
-        frames: (0..FRAMES).map(frame).collect(),
-        time_frames: FRAMES,
-        duration_s: None,
-        metric: true,
-        tracks,
-    }
+    Capture { frames: (0..FRAMES).map(frame).collect(), time_frames: FRAMES, duration_s: None, metric: true, tracks }
 }
 
 /// Points on the band at distance `z`, that move along it; every fifth is wrong by far, and each is known in some frames only.
@@ -49,11 +34,7 @@ fn tracks(z: f32) -> Result<Tracks, ShapeError> {
     let count = 60;
     let place = |i: usize| {
         let (t, k) = (i / count, i % count);
-        let start = [
-            -0.9 + 0.06 * (k / 2) as f32,
-            if k.is_multiple_of(2) { -0.06 } else { 0.06 },
-            z,
-        ];
+        let start = [-0.9 + 0.06 * (k / 2) as f32, if k.is_multiple_of(2) { -0.06 } else { 0.06 }, z];
         let speed = if k % 5 == 4 { -0.1 } else { SPEED };
         if k % 3 == 1 && t < 2 {
             return [f32::NAN; 3];
@@ -71,10 +52,7 @@ fn config() -> InitConfig {
         change_threshold: 0.0,
         shell_splats: 0,
         // their velocities alone are looked at here
-        tracked: TrackedInit {
-            enabled: false,
-            ..TrackedInit::default()
-        },
+        tracked: TrackedInit { enabled: false, ..TrackedInit::default() },
         ..InitConfig::fast()
     }
 }
@@ -102,20 +80,12 @@ fn same_bits(a: &Splats, b: &Splats) -> bool {
 #[test]
 fn points_move_as_the_tracks_near_them_do() {
     let alone = initialise(&capture(None), &with_tracks(true), &Silent).unwrap();
-    assert!(
-        speed(&alone) < 0.2 * SPEED,
-        "nothing in the images shows the motion: {}",
-        speed(&alone)
-    );
+    assert!(speed(&alone) < 0.2 * SPEED, "nothing in the images shows the motion: {}", speed(&alone));
     let told = initialise(&capture(Some(tracks(BAND).unwrap())), &with_tracks(true), &Silent).unwrap();
     let v = told.column(Column::Velocity, 0);
     assert!(v.len() > 500);
     let good = v.iter().filter(|v| (**v - SPEED).abs() < 0.1 * SPEED).count();
-    assert!(
-        good * 10 > v.len() * 8,
-        "{good} of {} have the speed of the tracks",
-        v.len()
-    );
+    assert!(good * 10 > v.len() * 8, "{good} of {} have the speed of the tracks", v.len());
 }
 
 #[test]
@@ -142,13 +112,7 @@ fn threads_do_not_change_a_bit() {
 fn tracks_of_another_clip_are_refused_and_degenerate_tracks_are_ignored() {
     let other = Tracks::new(2, 1, vec![[0.0; 3]; 2], vec![true; 2]).unwrap();
     let error = initialise(&capture(Some(other)), &with_tracks(true), &Silent).unwrap_err();
-    assert_eq!(
-        error,
-        InitError::Tracks {
-            frames: FRAMES,
-            tracks: 2
-        }
-    );
+    assert_eq!(error, InitError::Tracks { frames: FRAMES, tracks: 2 });
     // all in one place, or none at all
     for count in [0, 1, 500] {
         let n = FRAMES * count;

@@ -36,21 +36,11 @@ pub(super) struct Sinh {
 
 impl Sinh {
     pub fn mean(centre: f64, spread: f64, step: f64) -> Self {
-        Self {
-            centre,
-            spread,
-            step,
-            middle: MIDDLE_24,
-        }
+        Self { centre, spread, step, middle: MIDDLE_24 }
     }
 
     pub fn velocity(spread: f64, step: f64) -> Self {
-        Self {
-            centre: 0.0,
-            spread,
-            step,
-            middle: MIDDLE_16,
-        }
+        Self { centre: 0.0, spread, step, middle: MIDDLE_16 }
     }
 
     /// The nearest `q`; the last one where the value lies beyond.
@@ -58,9 +48,7 @@ impl Sinh {
         let x = (f64::from(value) - self.centre) / self.spread;
         // `asinh` of the standard library takes three times as long for the same bits that count here
         let y = (x.abs() + (x * x + 1.0).sqrt()).ln().copysign(x);
-        (y / self.step + self.middle)
-            .round()
-            .clamp(0.0, 2.0 * self.middle - 1.0) as u32
+        (y / self.step + self.middle).round().clamp(0.0, 2.0 * self.middle - 1.0) as u32
     }
 
     pub fn value(&self, q: u32) -> f32 {
@@ -80,22 +68,13 @@ impl Linear {
     /// From the smallest to the largest of `values`, with steps of at most `coarsest`: where that is not
     /// enough the smallest values are raised.
     pub fn over(values: impl Iterator<Item = f32>, top: f64, coarsest: f64) -> Self {
-        let (low, high) = values.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), v| {
-            (low.min(f64::from(v)), high.max(f64::from(v)))
-        });
+        let (low, high) = values
+            .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), v| (low.min(f64::from(v)), high.max(f64::from(v))));
         if low > high {
-            return Self {
-                low: 0.0,
-                step: 1.0,
-                top,
-            };
+            return Self { low: 0.0, step: 1.0, top };
         }
         let step = ((high - low) / top).min(coarsest);
-        Self {
-            low: high - top * step,
-            step,
-            top,
-        }
+        Self { low: high - top * step, step, top }
     }
 
     /// The nearest `q`.
@@ -122,9 +101,7 @@ pub(super) fn rotation_code(quat: [f32; 4]) -> u32 {
     let sign = f64::from(quat[largest]).signum();
     (0..3).fold((largest as u32) << 30, |bits, k| {
         let v = sign * f64::from(quat[(largest + k + 1) % 4]) / length;
-        let q = ((v * std::f64::consts::SQRT_2 + 1.0) / 2.0 * 1023.0)
-            .round()
-            .clamp(0.0, 1023.0) as u32;
+        let q = ((v * std::f64::consts::SQRT_2 + 1.0) / 2.0 * 1023.0).round().clamp(0.0, 1023.0) as u32;
         bits | q << (10 * k)
     })
 }

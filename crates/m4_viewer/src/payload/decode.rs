@@ -82,12 +82,7 @@ pub fn decode(bytes: &[u8]) -> Result<Splats, PayloadError> {
     let (a, b) = bytes_per_splat(layout);
     let expected = HEADER_BYTES as u64 + n_static as u64 * a as u64 + n_dynamic as u64 * b as u64;
     if expected != bytes.len() as u64 {
-        return Err(PayloadError::Length {
-            n_static,
-            n_dynamic,
-            expected,
-            found: bytes.len(),
-        });
+        return Err(PayloadError::Length { n_static, n_dynamic, expected, found: bytes.len() });
     }
     let mut numbers = [0.0f64; 14];
     for (index, (number, chunk)) in numbers.iter_mut().zip(header[24..].as_chunks::<8>().0).enumerate() {
@@ -96,11 +91,7 @@ pub fn decode(bytes: &[u8]) -> Result<Splats, PayloadError> {
             return Err(PayloadError::Number { index, value: *number });
         }
     }
-    Ok(fill(
-        Splats::zeros(layout, n_static, n_dynamic),
-        &numbers,
-        &bytes[HEADER_BYTES..],
-    ))
+    Ok(fill(Splats::zeros(layout, n_static, n_dynamic), &numbers, &bytes[HEADER_BYTES..]))
 }
 
 /// Takes one component after the other.
@@ -149,19 +140,14 @@ fn fill(mut splats: Splats, numbers: &[f64; 14], planes: &[u8]) -> Splats {
     });
     for k in 0..layout.range(Column::Colour).len() {
         let q = reader.component(2, n);
-        put(Column::Colour, k, &|row| {
-            (colour_step * (f64::from(q(row)) - super::MIDDLE_16)) as f32
-        });
+        put(Column::Colour, k, &|row| (colour_step * (f64::from(q(row)) - super::MIDDLE_16)) as f32);
     }
     let (q, code) = (reader.component(2, late), linear(time_low, time_step));
     put(Column::TimeMean, 0, &|row| code.value(q(row)) as f32);
     let (q, code) = (reader.component(1, late), linear(sd_low, sd_step));
     put(Column::LogTimeSd, 0, &|row| code.value(q(row)) as f32);
     for k in 0..3 {
-        let (q, sinh) = (
-            reader.component(2, late),
-            Sinh::velocity(velocity_spread, velocity_step),
-        );
+        let (q, sinh) = (reader.component(2, late), Sinh::velocity(velocity_spread, velocity_step));
         put(Column::Velocity, k, &|row| sinh.value(q(row)));
     }
     splats

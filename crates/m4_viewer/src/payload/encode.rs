@@ -50,11 +50,7 @@ pub fn encode(scene: &Scene, median_depth: f64) -> Payload {
     for v in [VERSION, n_static as u32, n_dynamic as u32] {
         bytes.extend_from_slice(&v.to_le_bytes());
     }
-    let kinds = [
-        layout.sh_degree as u8,
-        layout.time_degree as u8,
-        u8::from(layout.isotropic),
-    ];
+    let kinds = [layout.sh_degree as u8, layout.time_degree as u8, u8::from(layout.isotropic)];
     bytes.extend_from_slice(&kinds);
     bytes.extend_from_slice(&[0; 5]);
     for v in codes.numbers() {
@@ -86,11 +82,7 @@ pub fn encode(scene: &Scene, median_depth: f64) -> Payload {
     column(1, &rows, &|r| (sigmoid(logit[r]) * 255.0).round() as u32);
     for k in 0..layout.range(Column::Colour).len() {
         let from = splats.column(Column::Colour, k);
-        column(2, &rows, &|r| {
-            (f64::from(from[r]) / codes.colour_step + MIDDLE_16)
-                .round()
-                .clamp(0.0, 65535.0) as u32
-        });
+        column(2, &rows, &|r| (f64::from(from[r]) / codes.colour_step + MIDDLE_16).round().clamp(0.0, 65535.0) as u32);
     }
     let late: Vec<usize> = rows[n_static..].iter().map(|r| r - splats.n_static()).collect();
     let (time, sd) = (splats.column(Column::TimeMean, 0), splats.column(Column::LogTimeSd, 0));
@@ -100,12 +92,7 @@ pub fn encode(scene: &Scene, median_depth: f64) -> Payload {
         let from = splats.column(Column::Velocity, k);
         column(2, &late, &|r| codes.velocity.code(from[r]));
     }
-    Payload {
-        bytes: planes.finish(),
-        n_static,
-        n_dynamic,
-        layout,
-    }
+    Payload { bytes: planes.finish(), n_static, n_dynamic, layout }
 }
 
 /// Codecs of the parameters of a scene.
@@ -121,11 +108,7 @@ struct Codes {
 impl Codes {
     fn of(scene: &Scene, rows: &[usize], n_static: usize, median_depth: f64) -> Self {
         let splats = &scene.splats;
-        let depth = if median_depth.is_finite() && median_depth > 0.0 {
-            median_depth
-        } else {
-            1.0
-        };
+        let depth = if median_depth.is_finite() && median_depth > 0.0 { median_depth } else { 1.0 };
         let middle = scene.source.get(scene.source.len() / 2).map(|s| s.camera);
         let centre = middle.map_or([0.0; 3], |c| c.centre().into());
         // without a camera, the pixel of a phone's video at 480 pixels
@@ -134,15 +117,10 @@ impl Codes {
         let scales = splats.layout().range(Column::LogScale).len();
         let late = || rows[n_static..].iter().map(|r| r - splats.n_static());
         let (time, sd) = (splats.column(Column::TimeMean, 0), splats.column(Column::LogTimeSd, 0));
-        let mut lives: Vec<f64> = late()
-            .map(|r| (LIFE_SDS * f64::from(sd[r]).exp()).min(scene.time_frames.max(1) as f64))
-            .collect();
+        let mut lives: Vec<f64> =
+            late().map(|r| (LIFE_SDS * f64::from(sd[r]).exp()).min(scene.time_frames.max(1) as f64)).collect();
         let half = lives.len() / 2;
-        let life = if lives.is_empty() {
-            1.0
-        } else {
-            *lives.select_nth_unstable_by(half, f64::total_cmp).1
-        };
+        let life = if lives.is_empty() { 1.0 } else { *lives.select_nth_unstable_by(half, f64::total_cmp).1 };
         Self {
             mean: std::array::from_fn(|k| Sinh::mean(centre[k], EVEN_SHARE * depth, step)),
             scale: Linear::over(

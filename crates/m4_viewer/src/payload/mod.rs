@@ -82,13 +82,7 @@ const MIDDLE_16: f64 = (1u32 << 15) as f64;
 /// Components and bytes of each parameter that every splat has: mean, scale, rotation, opacity, colour.
 fn shared_parts(layout: SplatLayout) -> [(usize, usize); 5] {
     let (scales, rotations) = if layout.isotropic { (1, 0) } else { (3, 1) };
-    [
-        (3, 3),
-        (scales, 1),
-        (rotations, 4),
-        (1, 1),
-        (3 * layout.colour_terms(), 2),
-    ]
+    [(3, 3), (scales, 1), (rotations, 4), (1, 1), (3 * layout.colour_terms(), 2)]
 }
 
 /// The same for what dynamic splats have beside: time mean, time sd, velocity.
@@ -97,12 +91,7 @@ const TIME_PARTS: [(usize, usize); 3] = [(1, 2), (1, 1), (3, 2)];
 /// Bytes of a static and of a dynamic splat.
 #[must_use]
 pub fn bytes_per_splat(layout: SplatLayout) -> (usize, usize) {
-    let sum = |parts: &[(usize, usize)]| {
-        parts
-            .iter()
-            .map(|&(components, bytes)| components * bytes)
-            .sum::<usize>()
-    };
+    let sum = |parts: &[(usize, usize)]| parts.iter().map(|&(components, bytes)| components * bytes).sum::<usize>();
     let shared = sum(&shared_parts(layout));
     (shared, shared + sum(&TIME_PARTS))
 }

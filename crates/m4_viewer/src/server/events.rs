@@ -30,13 +30,8 @@ pub(super) async fn stream(
     uri: Uri,
 ) -> Sse<impl Stream<Item = Result<Event, Infallible>>> {
     let seen = query_value(uri.query(), "seen").and_then(|v| v.parse().ok());
-    let listener = Listener {
-        pulse: shared.hub.subscribe(),
-        hub: shared.hub,
-        version: seen.unwrap_or(0),
-        logged: 0,
-        end: None,
-    };
+    let listener =
+        Listener { pulse: shared.hub.subscribe(), hub: shared.hub, version: seen.unwrap_or(0), logged: 0, end: None };
     let events = unfold(listener, |mut listener| async {
         let text = listener.next().await?;
         Some((Ok(Event::default().data(text)), listener))

@@ -35,11 +35,7 @@ impl Guard {
             hosts.extend(names.map(str::to_owned));
         }
         let token: String = random.iter().map(|byte| format!("{byte:02x}")).collect();
-        Ok(Self {
-            digest: blake3::hash(token.as_bytes()),
-            token,
-            hosts,
-        })
+        Ok(Self { digest: blake3::hash(token.as_bytes()), token, hosts })
     }
 
     pub fn token(&self) -> &str {
@@ -65,9 +61,7 @@ impl Guard {
 
 /// The first value of that name in a query. Ours consist of letters and digits, which need no escaping.
 pub(super) fn query_value<'a>(query: Option<&'a str>, name: &str) -> Option<&'a str> {
-    query?
-        .split('&')
-        .find_map(|pair| pair.strip_prefix(name)?.strip_prefix('='))
+    query?.split('&').find_map(|pair| pair.strip_prefix(name)?.strip_prefix('='))
 }
 
 /// Lets requests through that name the host and the token.
@@ -114,13 +108,7 @@ mod tests {
         let guard = Guard::new(4321).unwrap();
         assert!(guard.knows_host(&request("/", &["127.0.0.1:4321"])));
         assert!(guard.knows_host(&request("/", &["LOCALHOST:4321"])));
-        for hosts in [
-            &["127.0.0.1"][..],
-            &["127.0.0.1:80"],
-            &["example.com:4321"],
-            &[],
-            &["localhost:4321", "evil"],
-        ] {
+        for hosts in [&["127.0.0.1"][..], &["127.0.0.1:80"], &["example.com:4321"], &[], &["localhost:4321", "evil"]] {
             assert!(!guard.knows_host(&request("/", hosts)), "{hosts:?}");
         }
         assert!(!guard.knows_host(&request("http://evil:4321/", &["127.0.0.1:4321"])));
@@ -134,13 +122,7 @@ mod tests {
         let with = |token: &str| request(&format!("/?seen=3&token={token}"), &[]);
         assert!(a.knows_token(&with(a.token())));
         let (short, long) = (&a.token()[..31], format!("{}0", a.token()));
-        for wrong in [
-            b.token(),
-            short,
-            &long,
-            "",
-            &a.token().to_uppercase().replace(char::is_numeric, "x"),
-        ] {
+        for wrong in [b.token(), short, &long, "", &a.token().to_uppercase().replace(char::is_numeric, "x")] {
             assert!(!a.knows_token(&with(wrong)), "{wrong}");
         }
         assert!(!a.knows_token(&request("/", &[])));

@@ -95,10 +95,7 @@ impl Hub {
             metrics: &'a Metrics,
         }
         // numbers that are not finite become null, which the page leaves out
-        let event = Event {
-            event: "metrics",
-            metrics,
-        };
+        let event = Event { event: "metrics", metrics };
         let Ok(line) = serde_json::to_string(&event) else {
             return;
         };
@@ -148,10 +145,6 @@ impl Hub {
             scene: format!("/scene?token={token}"),
             token: token.to_owned(),
         });
-        make(&Parts {
-            manifest: &manifest,
-            payload: payload.as_ref().map(|p| p.as_slice()),
-            frames: frames.as_deref(),
-        })
+        make(&Parts { manifest: &manifest, payload: payload.as_ref().map(|p| p.as_slice()), frames: frames.as_deref() })
     }
 }

@@ -98,11 +98,7 @@ impl Server {
         let app = router(hub, Arc::new(guard));
         let (stop, stopped) = oneshot::channel();
         let start = |source| ServeError::Start { source };
-        let runtime = tokio::runtime::Builder::new_current_thread()
-            .enable_io()
-            .enable_time()
-            .build()
-            .map_err(start)?;
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_io().enable_time().build().map_err(start)?;
         let thread = std::thread::Builder::new()
             .name("viewer".to_owned())
             .spawn(move || {
@@ -117,11 +113,7 @@ impl Server {
                 runtime.shutdown_background();
             })
             .map_err(start)?;
-        Ok(Self {
-            url,
-            stop: Some(stop),
-            thread: Some(thread),
-        })
+        Ok(Self { url, stop: Some(stop), thread: Some(thread) })
     }
 
     /// The address of the page, token included.
@@ -164,9 +156,7 @@ fn router(hub: Arc<Hub>, guard: Arc<Guard>) -> Router {
 async fn show_page(State(shared): State<Shared>) -> Response {
     let made = tokio::task::spawn_blocking(move || {
         let token = shared.guard.token();
-        shared
-            .hub
-            .with_parts(token, |parts| page::compose(TEMPLATE, parts, Effort::Quick))
+        shared.hub.with_parts(token, |parts| page::compose(TEMPLATE, parts, Effort::Quick))
     });
     answer(made.await, "text/html; charset=utf-8")
 }

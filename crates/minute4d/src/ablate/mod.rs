@@ -51,33 +51,21 @@ pub struct AblateOptions {
 /// [`Error::Refused`] without held-out views; else [`Error`] of the row that failed, or what cannot be read or written.
 pub fn ablate(input: &Path, out: &Path, options: &AblateOptions, job: &Job<'_>) -> Result<AblationReport, Error> {
     if !input.exists() {
-        return Err(Error::Missing {
-            what: "video, folder of images or capture",
-            path: input.to_path_buf(),
-        });
+        return Err(Error::Missing { what: "video, folder of images or capture", path: input.to_path_buf() });
     }
     job.check()?;
     let data = options.data.clone().unwrap_or_else(|| input.to_path_buf());
     if !data.join(Split::Test.file_name()).is_file() {
         return Err(evaluate::no_test_list(&data).into());
     }
-    fs::create_dir_all(out).map_err(|source| Error::Write {
-        path: out.to_path_buf(),
-        source,
-    })?;
+    fs::create_dir_all(out).map_err(|source| Error::Write { path: out.to_path_buf(), source })?;
     let wanted = |row: &Row| *row == Row::Full || options.rows.contains(row);
     let rows: Vec<Row> = Row::ALL.into_iter().filter(wanted).collect();
     let mut made = Vec::new();
     let mut settings = job.settings.clone();
     for (i, &row) in rows.iter().enumerate() {
         job.observer.update("rows", i, rows.len(), row.title());
-        let bench = Bench {
-            input,
-            out,
-            data: &data,
-            options,
-            job,
-        };
+        let bench = Bench { input, out, data: &data, options, job };
         let report = bench.row(row, &settings)?;
         if let (Row::Full, Some(iterations)) = (row, report.iterations) {
             // the others take as many steps, however fast they are
@@ -139,16 +127,12 @@ impl Bench<'_> {
             settings.switch_off(part);
         }
         self.run(&input, &folder, row, &settings)?;
-        let record = RunRecord::read(&folder)?.ok_or_else(|| Error::Missing {
-            what: "record of the run",
-            path: folder.clone(),
-        })?;
+        let record = RunRecord::read(&folder)?
+            .ok_or_else(|| Error::Missing { what: "record of the run", path: folder.clone() })?;
         let scores = self.scores(&folder)?;
         let mean = scores.mean;
         let stage = |name: &str| record.stages.get(name).map(|stage| stage.seconds);
-        let shared = GeometryRecord::read(&input)?
-            .filter(|_| from_frames)
-            .map(|record| record.seconds);
+        let shared = GeometryRecord::read(&input)?.filter(|_| from_frames).map(|record| record.seconds);
         Ok(RowReport {
             row,
             skipped: None,
@@ -192,18 +176,9 @@ impl Bench<'_> {
         settings.viewer.write = false;
         let config = self.out.join(format!("{}.toml", row.name()));
         let text = settings.to_toml()?;
-        atomic::write(&config, text.as_bytes()).map_err(|source| Error::Write {
-            path: config.clone(),
-            source,
-        })?;
+        atomic::write(&config, text.as_bytes()).map_err(|source| Error::Write { path: config.clone(), source })?;
         let mut command = Command::new(&self.options.program);
-        command
-            .arg("run")
-            .arg(input)
-            .arg("-o")
-            .arg(folder)
-            .arg("--config")
-            .arg(&config);
+        command.arg("run").arg(input).arg("-o").arg(folder).arg("--config").arg(&config);
         command.args(["--resume", "--quiet"]);
         command.args(["--threads", &crate::threads().to_string()]);
         command.args(["--device", &self.job.device.choice.to_string()]);
@@ -211,15 +186,9 @@ impl Bench<'_> {
             command.arg("--allow-outside");
         }
         let ended = command.stdin(Stdio::null()).stdout(Stdio::null()).output();
-        let ended = ended.map_err(|source| Error::Read {
-            path: self.options.program.clone(),
-            source,
-        })?;
+        let ended = ended.map_err(|source| Error::Read { path: self.options.program.clone(), source })?;
         if self.job.observer.cancelled() {
-            return Err(Error::Stopped {
-                stage: "ablate",
-                saved: true,
-            });
+            return Err(Error::Stopped { stage: "ablate", saved: true });
         }
         let finished = RunRecord::read(folder)?.is_some_and(|record| record.status == Status::Finished);
         if ended.status.success() && finished {

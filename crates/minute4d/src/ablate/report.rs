@@ -81,17 +81,8 @@ impl AblationReport {
     /// One Markdown row each, with the difference to everything in brackets.
     #[must_use]
     pub fn to_markdown(&self) -> String {
-        let head = [
-            "",
-            "PSNR dB",
-            "SSIM",
-            "PSNR dB moving",
-            "SSIM moving",
-            "splats",
-            "geometry s",
-            "train s",
-            "peak MB",
-        ];
+        let head =
+            ["", "PSNR dB", "SSIM", "PSNR dB moving", "SSIM moving", "splats", "geometry s", "train s", "peak MB"];
         let full = self.rows.iter().find(|row| row.row == Row::Full);
         let with_difference = |row: &RowReport, of: &dyn Fn(&RowReport) -> Option<f64>, digits: usize| {
             let value = of(row);
@@ -198,11 +189,8 @@ mod tests {
 
     #[test]
     fn differences_are_to_the_full_row() {
-        let row = |row, psnr| RowReport {
-            skipped: None,
-            psnr_db: Some(psnr),
-            ..RowReport::skipped(row, String::new())
-        };
+        let row =
+            |row, psnr| RowReport { skipped: None, psnr_db: Some(psnr), ..RowReport::skipped(row, String::new()) };
         let report = AblationReport {
             format: String::new(),
             version: 1,
@@ -220,9 +208,6 @@ mod tests {
         };
         let text = report.to_markdown();
         assert!(text.contains("24.25 (-0.75)") && text.contains("25.00"), "{text}");
-        assert!(
-            text.contains("without segmentation: not made, there is nothing to segment"),
-            "{text}"
-        );
+        assert!(text.contains("without segmentation: not made, there is nothing to segment"), "{text}");
     }
 }

@@ -33,22 +33,14 @@ pub fn write(folders: &[PathBuf; 2], data: &Path, path: &Path, job: &Job<'_>) ->
         HeldOut::read(without, data, job.settings.capture.reach, job.observer)?,
         HeldOut::read(with, data, job.settings.capture.reach, job.observer)?,
     );
-    let (mut draw_without, mut draw_with) = (
-        without.renderer(level, gpu.as_ref())?,
-        with.renderer(level, gpu.as_ref())?,
-    );
+    let (mut draw_without, mut draw_with) =
+        (without.renderer(level, gpu.as_ref())?, with.renderer(level, gpu.as_ref())?);
     let mut best: Option<Place> = None;
     for frame in &with.test.frames {
         if job.observer.cancelled() {
-            return Err(Error::Stopped {
-                stage: "ablate",
-                saved: true,
-            });
+            return Err(Error::Stopped { stage: "ablate", saved: true });
         }
-        let drawn = [
-            &without.draw(&mut draw_without, frame)?,
-            &with.draw(&mut draw_with, frame)?,
-        ];
+        let drawn = [&without.draw(&mut draw_without, frame)?, &with.draw(&mut draw_with, frame)?];
         let here = most_gained(&frame.rgb, drawn);
         if here.gain > best.as_ref().map_or(0.0, |place| place.gain) {
             best = Some(here);
@@ -69,9 +61,7 @@ fn most_gained(truth: &RgbImage, [without, with]: [&RgbImage; 2]) -> Place {
     };
     let gained = |left: usize, top: usize| {
         let pixels = (top..top + side).flat_map(|y| (left..left + side).map(move |x| (x, y)));
-        pixels
-            .map(|at| error(without[at], truth[at]) - error(with[at], truth[at]))
-            .sum::<f64>()
+        pixels.map(|at| error(without[at], truth[at]) - error(with[at], truth[at])).sum::<f64>()
     };
     let steps = |length: usize| (0..=(length - side)).step_by((side / 4).max(1));
     let places = steps(height).flat_map(|top| steps(width).map(move |left| (left, top)));
@@ -80,21 +70,14 @@ fn most_gained(truth: &RgbImage, [without, with]: [&RgbImage; 2]) -> Place {
         .reduce(|best, next| if next.0 > best.0 { next } else { best });
     let (gain, left, top) = best.unwrap_or((0.0, 0, 0));
     let cut = |image: &RgbImage| Plane::from_fn(side, side, |x, y| image[(left + x, top + y)]);
-    Place {
-        gain,
-        panels: [cut(truth), cut(without), cut(with)],
-    }
+    Place { gain, panels: [cut(truth), cut(without), cut(with)] }
 }
 
 fn side_by_side(panels: &[RgbImage; 3]) -> RgbImage {
     let (width, height) = (panels[0].width() * ENLARGED, panels[0].height() * ENLARGED);
     Plane::from_fn(3 * width + 2 * GAP, height, |x, y| {
         let (panel, x) = (x / (width + GAP), x % (width + GAP));
-        if x < width {
-            panels[panel][(x / ENLARGED, y / ENLARGED)]
-        } else {
-            [255; 3]
-        }
+        if x < width { panels[panel][(x / ENLARGED, y / ENLARGED)] } else { [255; 3] }
     })
 }
 

@@ -71,9 +71,7 @@ pub(crate) fn run(mut command: Command, log: File, watch: &dyn Watch) -> io::Res
         let message = last_messages.lock().map(|message| message.clone()).unwrap_or_default();
         Ok(Ended {
             code: status.code(),
-            reason: message
-                .filter(|_| status.code().is_some())
-                .unwrap_or_else(|| exit_message(status)),
+            reason: message.filter(|_| status.code().is_some()).unwrap_or_else(|| exit_message(status)),
             asked: asked.is_some(),
         })
     })
@@ -134,17 +132,8 @@ fn read_events(
 }
 
 /// Beginnings of names that belong to services, whose variables are accounts or lead to them.
-const SERVICES: &[&str] = &[
-    "AWS_",
-    "AZURE_",
-    "GOOGLE_",
-    "GCP_",
-    "GCLOUD_",
-    "CLOUDSDK_",
-    "GITHUB_",
-    "GITLAB_",
-    "VAULT_",
-];
+const SERVICES: &[&str] =
+    &["AWS_", "AZURE_", "GOOGLE_", "GCP_", "GCLOUD_", "CLOUDSDK_", "GITHUB_", "GITLAB_", "VAULT_"];
 /// Parts of names.
 const WORDS: &[&str] = &[
     "TOKEN",
@@ -161,15 +150,8 @@ const WORDS: &[&str] = &[
 /// Ends of names.
 const ENDS: &[&str] = &["_KEY", "_PASS", "_PAT", "_JWT"];
 /// Whole names: agents that sign, and files of passwords.
-const NAMES: &[&str] = &[
-    "SSH_AUTH_SOCK",
-    "SSH_AGENT_PID",
-    "GPG_AGENT_INFO",
-    "DOCKER_AUTH_CONFIG",
-    "KUBECONFIG",
-    "NETRC",
-    "PGPASSFILE",
-];
+const NAMES: &[&str] =
+    &["SSH_AUTH_SOCK", "SSH_AGENT_PID", "GPG_AGENT_INFO", "DOCKER_AUTH_CONFIG", "KUBECONFIG", "NETRC", "PGPASSFILE"];
 
 /// Takes the variables of this process that look like credentials from a command.
 pub(crate) fn remove_credentials(command: &mut Command) {

@@ -134,11 +134,7 @@ pub fn run_job(
 
 /// An end after which the job may be tried again.
 fn again(reason: &str) -> JobEnd {
-    JobEnd {
-        outcome: Outcome::Retryable,
-        reason: reason.to_owned(),
-        seconds: None,
-    }
+    JobEnd { outcome: Outcome::Retryable, reason: reason.to_owned(), seconds: None }
 }
 
 /// One attempt at one job.
@@ -154,13 +150,7 @@ struct Attempt<'a> {
 impl Attempt<'_> {
     /// What is known of a job that need not be run.
     fn ended_before(&self, retry_failed: bool) -> Result<Option<JobEnd>, BatchError> {
-        let end = |outcome, reason| {
-            Some(JobEnd {
-                outcome,
-                reason,
-                seconds: None,
-            })
-        };
+        let end = |outcome, reason| Some(JobEnd { outcome, reason, seconds: None });
         if present(&self.layout.result(&self.job.id), &self.key)? == Present::Same {
             return Ok(end(Outcome::Done, String::new()));
         }
@@ -185,10 +175,7 @@ impl Attempt<'_> {
             let Ended { code, reason, asked } = self.run()?;
             let end = match code {
                 Some(0) => match publish(&self.layout, id, &self.key, &self.tools.host)? {
-                    Published::Yes => JobEnd {
-                        outcome: Outcome::Done,
-                        ..again("")
-                    },
+                    Published::Yes => JobEnd { outcome: Outcome::Done, ..again("") },
                     Published::Bad(message) => again(&format!("the result was not published: {message}")),
                     Published::NotOurs => again(&self.in_the_way()),
                 },
@@ -200,10 +187,7 @@ impl Attempt<'_> {
                     continue;
                 }
                 Some(BAD_INPUT) => match self.check_input() {
-                    Ok(()) => JobEnd {
-                        outcome: Outcome::Failed,
-                        ..again(&reason)
-                    },
+                    Ok(()) => JobEnd { outcome: Outcome::Failed, ..again(&reason) },
                     Err(changed) => again(&format!("{changed}, and {reason}")),
                 },
                 _ => again(&reason),

@@ -107,30 +107,18 @@ pub(crate) fn ids(inputs: &[(String, String)]) -> Vec<String> {
     let mut given = Vec::with_capacity(plain.len());
     for (name, (_, path)) in plain.into_iter().zip(inputs) {
         let alone = count.get(&name.to_lowercase()).is_some_and(|&n| n == 1);
-        given.push(if alone {
-            name
-        } else {
-            format!("{name}-{}", short_hash(path))
-        });
+        given.push(if alone { name } else { format!("{name}-{}", short_hash(path)) });
     }
     given
 }
 
 fn short_hash(text: &str) -> String {
-    blake3::hash(text.as_bytes())
-        .to_hex()
-        .chars()
-        .take(HASH_CHARS)
-        .collect()
+    blake3::hash(text.as_bytes()).to_hex().chars().take(HASH_CHARS).collect()
 }
 
 fn safe(name: &str) -> String {
     let kept = |c: char| {
-        if c.is_ascii_alphanumeric() || "._-".contains(c) {
-            c
-        } else {
-            '_'
-        }
+        if c.is_ascii_alphanumeric() || "._-".contains(c) { c } else { '_' }
     };
     let text: String = name.chars().map(kept).take(LONGEST).collect();
     let text = text.trim_start_matches(['.', '-']).trim_end_matches('.');
@@ -221,21 +209,11 @@ mod tests {
             let owned: Vec<_> = names.iter().map(|(a, b)| ((*a).to_owned(), (*b).to_owned())).collect();
             ids(&owned)
         };
-        let odd = given(&[
-            ("../../etc", "1"),
-            ("a b\nc", "2"),
-            ("ü", "3"),
-            ("con", "4"),
-            ("...", "5"),
-            ("x", "6"),
-        ]);
+        let odd = given(&[("../../etc", "1"), ("a b\nc", "2"), ("ü", "3"), ("con", "4"), ("...", "5"), ("x", "6")]);
         assert_eq!(odd, ["_.._etc", "a_b_c", "_", "con_", "clip", "x"]);
         let long = "l".repeat(500);
         let clash = given(&[("Clip", "/a/Clip.mp4"), ("clip", "/b/clip.mp4"), (&long, "l")]);
-        assert!(
-            clash[0].starts_with("Clip-") && clash[1].starts_with("clip-"),
-            "{clash:?}"
-        );
+        assert!(clash[0].starts_with("Clip-") && clash[1].starts_with("clip-"), "{clash:?}");
         assert_ne!(clash[0].to_lowercase(), clash[1].to_lowercase());
         let turned = given(&[("clip", "/b/clip.mp4"), ("Clip", "/a/Clip.mp4")]);
         assert_eq!((&turned[0], &turned[1]), (&clash[1], &clash[0]));

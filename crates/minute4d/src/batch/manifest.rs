@@ -101,9 +101,7 @@ impl Manifest {
     /// [`BatchError::Manifest`] where it does not read back as it was.
     pub fn write(&self, path: &Path, force: bool) -> Result<(), BatchError> {
         if !force && fs::symlink_metadata(path).is_ok() {
-            return Err(BatchError::Exists {
-                path: path.to_path_buf(),
-            });
+            return Err(BatchError::Exists { path: path.to_path_buf() });
         }
         let header = Header {
             format: FORMAT.to_owned(),
@@ -154,10 +152,7 @@ impl Manifest {
             let line_number = i + 1;
             let job: Job = serde_json::from_str(line).map_err(|e| format!("line {line_number} is not a job ({e})"))?;
             if !layout::is_safe(&job.id) {
-                return Err(format!(
-                    "line {line_number}: the id {:?} cannot be the name of a folder",
-                    job.id
-                ));
+                return Err(format!("line {line_number}: the id {:?} cannot be the name of a folder", job.id));
             }
             if !seen.insert(job.id.to_lowercase()) {
                 return Err(format!("line {line_number}: the id {:?} was given before", job.id));
@@ -167,19 +162,12 @@ impl Manifest {
         if jobs.len() != header.jobs {
             return Err(format!("it lists {} jobs and should list {}", jobs.len(), header.jobs));
         }
-        Ok(Self {
-            results: header.results,
-            run: header.run,
-            jobs,
-        })
+        Ok(Self { results: header.results, run: header.run, jobs })
     }
 }
 
 fn bad(path: &Path, reason: String) -> BatchError {
-    BatchError::Manifest {
-        path: path.to_path_buf(),
-        reason,
-    }
+    BatchError::Manifest { path: path.to_path_buf(), reason }
 }
 
 #[cfg(test)]

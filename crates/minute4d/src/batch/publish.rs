@@ -77,11 +77,7 @@ pub(crate) fn present(folder: &Path, key: &str) -> Result<Present, BatchError> {
         return Ok(Present::NotOurs);
     };
     let same = mark.version == VERSION && mark.key == key;
-    Ok(if same && check(folder, false)?.is_ok() {
-        Present::Same
-    } else {
-        Present::Other
-    })
+    Ok(if same && check(folder, false)?.is_ok() { Present::Same } else { Present::Other })
 }
 
 /// Whether a folder holds a finished run whose files are as recorded; what is wrong, where something is.

@@ -76,11 +76,7 @@ pub(super) fn run(
     let plan = plan(bench.room());
     plan.check(limit)?;
     let own_clock = bench.own_clock();
-    let steps = if config.render_only {
-        None
-    } else {
-        Some(time_steps(&mut bench, config.steps, &cancelled)?)
-    };
+    let steps = if config.render_only { None } else { Some(time_steps(&mut bench, config.steps, &cancelled)?) };
     let memory = bench.memory();
     let mut drawing = bench.into_drawing()?;
     let frames = time_frames(&mut drawing, config.steps, &cancelled)?;
@@ -95,11 +91,7 @@ pub(super) fn run(
         reserved_bytes: memory.reserved,
     };
     let kernels = steps.as_ref().map_or(frames.kernels, |steps| steps.kernels);
-    let timed = Timed {
-        kernels,
-        step: steps.map(|steps| steps.step),
-        render_ms: frames.ms,
-    };
+    let timed = Timed { kernels, step: steps.map(|steps| steps.step), render_ms: frames.ms };
     Ok(case(scene, &counts, config, None, &probe, timed, Some(figures)))
 }
 
@@ -123,15 +115,7 @@ fn time_steps(bench: &mut Bench, steps: usize, cancelled: &dyn Fn() -> bool) -> 
     })?;
     bench.stats()?;
     all_views(bench, views)?;
-    Ok(Steps {
-        kernels,
-        step: Step {
-            ms,
-            busy,
-            loss: [before, loss(&bench.stats()?)],
-        },
-        count,
-    })
+    Ok(Steps { kernels, step: Step { ms, busy, loss: [before, loss(&bench.stats()?)] }, count })
 }
 
 fn all_views(bench: &mut Bench, views: usize) -> Result<(), GpuError> {
@@ -171,12 +155,7 @@ fn time_frames(drawing: &mut Drawing, frames: usize, cancelled: &dyn Fn() -> boo
             }
         }
     }
-    Ok(Frames {
-        kernels,
-        ms,
-        read_ms: mean_over(read_ms.into_iter(), views),
-        count,
-    })
+    Ok(Frames { kernels, ms, read_ms: mean_over(read_ms.into_iter(), views), count })
 }
 
 /// The fastest of some rounds, kernel by kernel and a view; then the mean over the views.

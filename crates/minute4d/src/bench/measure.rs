@@ -22,17 +22,10 @@ pub(super) fn on_processor(
 ) -> Case {
     let bytes: f64 = kernels(config).map(|kernel| mean_work(kernel, counts).bytes).sum();
     let probe = Probe::run(level, bytes.clamp(PROBE_BYTES.0, PROBE_BYTES.1) as usize);
-    let steps = if config.render_only {
-        None
-    } else {
-        Some(time_steps(bench, config.steps))
-    };
+    let steps = if config.render_only { None } else { Some(time_steps(bench, config.steps)) };
     let (render_ms, drawn) = time_frames(bench, config.steps);
-    let timed = Timed {
-        kernels: steps.as_ref().map_or(drawn, |steps| steps.0),
-        step: steps.map(|steps| steps.1),
-        render_ms,
-    };
+    let timed =
+        Timed { kernels: steps.as_ref().map_or(drawn, |steps| steps.0), step: steps.map(|steps| steps.1), render_ms };
     case(scene, counts, config, Some(level), &probe, timed, None)
 }
 
@@ -61,15 +54,7 @@ pub(super) fn case(
     gpu: Option<GpuCase>,
 ) -> Case {
     let rows: Vec<KernelRow> = kernels(config)
-        .map(|kernel| {
-            row(
-                kernel,
-                mean_work(kernel, counts),
-                timed.kernels[index(kernel)],
-                level,
-                probe,
-            )
-        })
+        .map(|kernel| row(kernel, mean_work(kernel, counts), timed.kernels[index(kernel)], level, probe))
         .collect();
     let mean = |f: fn(&Counts) -> f64| mean_over(counts.iter().map(f), counts.len());
     let step = timed.step.map(|step| StepRow {
@@ -119,15 +104,12 @@ fn index(kernel: Kernel) -> usize {
 
 fn mean_work(kernel: Kernel, counts: &[Counts]) -> Work {
     let n = counts.len().max(1) as f64;
-    counts
-        .iter()
-        .map(|c| kernel.work(c))
-        .fold(Work::default(), |sum, w| Work {
-            bytes: sum.bytes + w.bytes / n,
-            operations: sum.operations + w.operations / n,
-            evaluations: sum.evaluations + w.evaluations / n,
-            items: sum.items + w.items / n,
-        })
+    counts.iter().map(|c| kernel.work(c)).fold(Work::default(), |sum, w| Work {
+        bytes: sum.bytes + w.bytes / n,
+        operations: sum.operations + w.operations / n,
+        evaluations: sum.evaluations + w.evaluations / n,
+        items: sum.items + w.items / n,
+    })
 }
 
 /// Kernel by kernel, milliseconds.
@@ -145,11 +127,7 @@ fn time_steps(bench: &mut Bench, steps: usize) -> (Millis, Step) {
     for _ in 0..steps.max(1) {
         loss[1] = 0.0;
         for (view, (kernels, whole)) in best.iter_mut().enumerate() {
-            let Times {
-                kernels: now,
-                step,
-                loss: value,
-            } = bench.step(view);
+            let Times { kernels: now, step, loss: value } = bench.step(view);
             for (best, now) in kernels.iter_mut().zip(now) {
                 *best = best.min(ms(now));
             }
@@ -163,10 +141,7 @@ fn time_steps(bench: &mut Bench, steps: usize) -> (Millis, Step) {
         busy: cpu / (wall * rayon::current_num_threads() as f64),
         loss,
     };
-    (
-        std::array::from_fn(|k| mean_over(best.iter().map(|b| b.0[k]), views)),
-        step,
-    )
+    (std::array::from_fn(|k| mean_over(best.iter().map(|b| b.0[k]), views)), step)
 }
 
 /// Frames alone: milliseconds per frame and a kernel.
@@ -185,10 +160,7 @@ fn time_frames(bench: &mut Bench, frames: usize) -> (f64, Millis) {
             }
         }
     }
-    (
-        mean_over(best.iter().map(|b| b.1), views),
-        std::array::from_fn(|k| mean_over(best.iter().map(|b| b.0[k]), views)),
-    )
+    (mean_over(best.iter().map(|b| b.1), views), std::array::from_fn(|k| mean_over(best.iter().map(|b| b.0[k]), views)))
 }
 
 pub(super) fn mean_over(values: impl Iterator<Item = f64>, n: usize) -> f64 {
@@ -208,9 +180,7 @@ fn row(kernel: Kernel, mut work: Work, ms: f64, level: Option<SimdLevel>, probe:
                 .iter()
                 .find(|p| p.level == level.name())
                 .map(|p| if forward { p.forward } else { p.backward });
-            peak.map_or(0.0, |peak| {
-                work.evaluations / (peak * rayon::current_num_threads() as f64)
-            })
+            peak.map_or(0.0, |peak| work.evaluations / (peak * rayon::current_num_threads() as f64))
         }
         None => {
             work.operations += work.evaluations * if forward { OPERATIONS.0 } else { OPERATIONS.1 };
@@ -222,10 +192,8 @@ fn row(kernel: Kernel, mut work: Work, ms: f64, level: Option<SimdLevel>, probe:
         (Bound::Arithmetic, work.operations / probe.operations_per_s),
         (Bound::Evaluation, evaluation),
     ];
-    let (bound, seconds) = limits.into_iter().fold(
-        (Bound::Memory, 0.0),
-        |best, now| if now.1 > best.1 { now } else { best },
-    );
+    let (bound, seconds) =
+        limits.into_iter().fold((Bound::Memory, 0.0), |best, now| if now.1 > best.1 { now } else { best });
     let (bound_ms, seconds) = (seconds * 1e3, (ms * 1e-3).max(1e-9));
     KernelRow {
         kernel: kernel.name().to_owned(),

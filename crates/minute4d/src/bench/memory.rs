@@ -28,12 +28,7 @@ pub struct MemoryConfig {
 impl Default for MemoryConfig {
     /// 96 and 400 frames of 480x360, 100,000 splats.
     fn default() -> Self {
-        Self {
-            frames: vec![96, 400],
-            size: (480, 360),
-            splats: 100_000,
-            cpu: None,
-        }
+        Self { frames: vec![96, 400], size: (480, 360), splats: 100_000, cpu: None }
     }
 }
 
@@ -90,10 +85,7 @@ pub fn memory(program: &Path, config: &MemoryConfig, observer: &dyn Observer) ->
     for (i, &frames) in config.frames.iter().enumerate() {
         observer.update("bench", i, config.frames.len(), &format!("{frames} frames"));
         if observer.cancelled() {
-            return Err(Error::Stopped {
-                stage: "bench",
-                saved: false,
-            });
+            return Err(Error::Stopped { stage: "bench", saved: false });
         }
         cases.push(case(program, config, frames)?);
         observer.update("bench", i + 1, config.frames.len(), &format!("{frames} frames"));
@@ -108,10 +100,7 @@ pub fn memory(program: &Path, config: &MemoryConfig, observer: &dyn Observer) ->
 }
 
 fn case(program: &Path, config: &MemoryConfig, frames: usize) -> Result<MemoryCase, Error> {
-    let work = tempfile::tempdir().map_err(|source| Error::Write {
-        path: std::env::temp_dir(),
-        source,
-    })?;
+    let work = tempfile::tempdir().map_err(|source| Error::Write { path: std::env::temp_dir(), source })?;
     let (clip, out) = (work.path().join("clip"), work.path().join("out"));
     let (width, height) = config.size;
     m4_io::capture::write(&clip, &film(frames, width, height), Split::Train, &Silent)?;
@@ -131,10 +120,7 @@ fn case(program: &Path, config: &MemoryConfig, frames: usize) -> Result<MemoryCa
         command.args(["--set", setting]);
     }
     let ended = command.stdin(Stdio::null()).stdout(Stdio::null()).output();
-    let ended = ended.map_err(|source| Error::Read {
-        path: program.to_path_buf(),
-        source,
-    })?;
+    let ended = ended.map_err(|source| Error::Read { path: program.to_path_buf(), source })?;
     if !ended.status.success() {
         return Err(Error::Internal {
             what: format!(
@@ -143,10 +129,8 @@ fn case(program: &Path, config: &MemoryConfig, frames: usize) -> Result<MemoryCa
             ),
         });
     }
-    let record = RunRecord::read(&out)?.ok_or_else(|| Error::Missing {
-        what: "record of the run",
-        path: out.clone(),
-    })?;
+    let record =
+        RunRecord::read(&out)?.ok_or_else(|| Error::Missing { what: "record of the run", path: out.clone() })?;
     let (splats_static, splats_dynamic) = record.splats.map_or((0, 0), |s| (s.r#static, s.dynamic));
     Ok(MemoryCase {
         frames,
@@ -167,16 +151,7 @@ impl MemoryReport {
     /// One row per clip.
     #[must_use]
     pub fn to_markdown(&self) -> String {
-        let head = [
-            "frames",
-            "size",
-            "splats",
-            "steps",
-            "peak MB",
-            "of it images MB",
-            "scene file MB",
-            "train s",
-        ];
+        let head = ["frames", "size", "splats", "steps", "peak MB", "of it images MB", "scene file MB", "train s"];
         let mb = |bytes: u64| format!("{:.0}", bytes as f64 / 1e6);
         let mut rows = vec![head.map(str::to_owned).to_vec()];
         rows.extend(self.cases.iter().map(|c| {
@@ -191,11 +166,6 @@ impl MemoryReport {
                 format!("{:.0}", c.seconds),
             ]
         }));
-        format!(
-            "# Memory of training, {}\n\n{}\n\n{}",
-            self.date,
-            self.machine.line(),
-            aligned(&rows)
-        )
+        format!("# Memory of training, {}\n\n{}\n\n{}", self.date, self.machine.line(), aligned(&rows))
     }
 }

@@ -87,13 +87,8 @@ pub fn run(config: &BenchConfig, observer: &dyn Observer) -> Result<BenchReport,
     }
     #[cfg(feature = "gpu")]
     if let Some(gpu) = gpu::open(config.device)? {
-        let cases = each(&scenes, 1, observer, |scene| {
-            Ok(vec![gpu::run(&gpu, level, scene, config, observer)?])
-        })?;
-        let machine = Machine {
-            gpu: Some(gpu::machine(&gpu)),
-            ..Machine::here(level, config.cpu.clone())
-        };
+        let cases = each(&scenes, 1, observer, |scene| Ok(vec![gpu::run(&gpu, level, scene, config, observer)?]))?;
+        let machine = Machine { gpu: Some(gpu::machine(&gpu)), ..Machine::here(level, config.cpu.clone()) };
         return Ok(BenchReport::new(machine, config.steps, cases));
     }
     #[cfg(not(feature = "gpu"))]
@@ -114,11 +109,7 @@ pub fn run(config: &BenchConfig, observer: &dyn Observer) -> Result<BenchReport,
         }
         Ok(cases)
     })?;
-    Ok(BenchReport::new(
-        Machine::here(level, config.cpu.clone()),
-        config.steps,
-        cases,
-    ))
+    Ok(BenchReport::new(Machine::here(level, config.cpu.clone()), config.steps, cases))
 }
 
 /// Runs the cases of every scene with progress; each scene has this many cases.
@@ -131,13 +122,7 @@ fn each(
     let total = scenes.len() * cases_each;
     let mut cases = Vec::new();
     for scene in scenes {
-        let note = format!(
-            "{} splats, {} x {}, {}",
-            scene.splats,
-            scene.width,
-            scene.height,
-            scene.kind.name()
-        );
+        let note = format!("{} splats, {} x {}, {}", scene.splats, scene.width, scene.height, scene.kind.name());
         observer.update("bench", cases.len(), total, &note);
         if observer.cancelled() {
             return Err(stopped());
@@ -149,8 +134,5 @@ fn each(
 }
 
 fn stopped() -> Error {
-    Error::Stopped {
-        stage: "bench",
-        saved: false,
-    }
+    Error::Stopped { stage: "bench", saved: false }
 }

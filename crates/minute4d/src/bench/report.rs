@@ -77,9 +77,10 @@ impl Machine {
     /// As one line.
     #[must_use]
     pub fn line(&self) -> String {
-        let gpu = self.gpu.as_ref().map_or_else(String::new, |gpu| {
-            format!("{} ({}, {}, {}); ", gpu.name, gpu.kind, gpu.api, gpu.driver)
-        });
+        let gpu = self
+            .gpu
+            .as_ref()
+            .map_or_else(String::new, |gpu| format!("{} ({}, {}, {}); ", gpu.name, gpu.kind, gpu.api, gpu.driver));
         format!(
             "{gpu}{}, {} cores, {}, {}; minute4d {}{}",
             self.cpu.as_deref().unwrap_or("unknown processor"),
@@ -223,13 +224,6 @@ pub struct BenchReport {
 impl BenchReport {
     /// A report of today.
     pub(super) fn new(machine: Machine, steps: usize, cases: Vec<Case>) -> Self {
-        Self {
-            format: FORMAT.to_owned(),
-            version: VERSION,
-            date: table::today(),
-            machine,
-            steps,
-            cases,
-        }
+        Self { format: FORMAT.to_owned(), version: VERSION, date: table::today(), machine, steps, cases }
     }
 }

@@ -18,11 +18,7 @@ impl BenchReport {
             self.date,
             self.machine.line(),
             self.steps,
-            if self.machine.gpu.is_some() {
-                "; whole steps and frames without waiting between them"
-            } else {
-                ""
-            },
+            if self.machine.gpu.is_some() { "; whole steps and frames without waiting between them" } else { "" },
         );
         text += &self.overview();
         for case in &self.cases {
@@ -53,13 +49,7 @@ impl BenchReport {
                 },
             ];
             row.extend(case.kernels.iter().map(|k| millis(k.ms)));
-            let step = case.step.map(|s| {
-                [
-                    millis(s.ms),
-                    format!("{:.1}", s.per_s),
-                    format!("{:.0} %", 100.0 * s.busy),
-                ]
-            });
+            let step = case.step.map(|s| [millis(s.ms), format!("{:.1}", s.per_s), format!("{:.0} %", 100.0 * s.busy)]);
             row.extend(step.unwrap_or_else(|| std::array::from_fn(|_| "-".to_owned())));
             row.push(format!("{:.0}", case.frames_per_s));
             table.push(row);
@@ -75,10 +65,8 @@ impl Case {
             (None, 1) => "1 thread".to_owned(),
             (None, threads) => format!("{threads} threads"),
         };
-        let mut text = format!(
-            "## {} splats, {} x {}, {}, {place}\n\n",
-            self.splats, self.width, self.height, self.scene,
-        );
+        let mut text =
+            format!("## {} splats, {} x {}, {}, {place}\n\n", self.splats, self.width, self.height, self.scene,);
         text += &format!(
             "{:.0} alive, {:.0} in the image, {:.0} touched, {:.0} pairs; {:.1} blends a pixel, {:.0} % of the lanes \
              useful; memory {:.1} GB/s, multiply-adds {:.1} G/s\n\n",
@@ -91,9 +79,7 @@ impl Case {
             self.stream_gb_per_s,
             self.multiply_add_g_per_s,
         );
-        let head = [
-            "kernel", "ms", "ns/item", "item", "Geval/s", "MB", "GB/s", "bound ms", "bound by", "x bound",
-        ];
+        let head = ["kernel", "ms", "ns/item", "item", "Geval/s", "MB", "GB/s", "bound ms", "bound by", "x bound"];
         let mut table = vec![head.map(str::to_owned).to_vec()];
         table.extend(self.kernels.iter().map(kernel_row));
         if let Some(step) = &self.step {
@@ -125,11 +111,7 @@ impl GpuCase {
         format!(
             "\nkernels timed by {}; {} behind one another; memory {:.0} MB planned, {:.0} MB in use, {:.0} MB taken from \
              the driver; {:.0} frames/s where each is copied to the host\n",
-            if self.own_clock {
-                "the GPU's own clock"
-            } else {
-                "waiting for the GPU after each"
-            },
+            if self.own_clock { "the GPU's own clock" } else { "waiting for the GPU after each" },
             self.behind_one_another,
             mb(self.planned_bytes),
             mb(self.in_use_bytes),
@@ -145,8 +127,7 @@ fn kernel_row(k: &KernelRow) -> Vec<String> {
         millis(k.ms),
         format!("{:.1}", k.ns_per_item),
         k.item.clone(),
-        k.evaluations_g_per_s
-            .map_or_else(|| "-".to_owned(), |v| format!("{v:.2}")),
+        k.evaluations_g_per_s.map_or_else(|| "-".to_owned(), |v| format!("{v:.2}")),
         format!("{:.1}", k.bytes / 1e6),
         format!("{:.1}", k.gb_per_s),
         format!("{:.3}", k.bound_ms),
@@ -157,20 +138,15 @@ fn kernel_row(k: &KernelRow) -> Vec<String> {
 
 /// To a hundredth, below a millisecond to a thousandth.
 fn millis(ms: f64) -> String {
-    if ms < 1.0 {
-        format!("{ms:.3}")
-    } else {
-        format!("{ms:.2}")
-    }
+    if ms < 1.0 { format!("{ms:.3}") } else { format!("{ms:.2}") }
 }
 
 /// A Markdown table whose cells are padded to the width of their column; the first row is the head.
 pub(crate) fn aligned(rows: &[Vec<String>]) -> String {
     let columns = rows.iter().map(Vec::len).max().unwrap_or(0);
     let cell = |row: &Vec<String>, c: usize| row.get(c).cloned().unwrap_or_default();
-    let widths: Vec<usize> = (0..columns)
-        .map(|c| rows.iter().map(|row| cell(row, c).chars().count()).max().unwrap_or(0))
-        .collect();
+    let widths: Vec<usize> =
+        (0..columns).map(|c| rows.iter().map(|row| cell(row, c).chars().count()).max().unwrap_or(0)).collect();
     let mut text = String::new();
     for (r, row) in rows.iter().enumerate() {
         text.push('|');
@@ -256,23 +232,10 @@ pub fn save(folder: &Path, report: &impl SavedReport) -> Result<PathBuf, Error> 
 fn slug(m: &Machine) -> String {
     let name = match &m.gpu {
         Some(gpu) => format!("{} {}", gpu.name, gpu.api),
-        None => format!(
-            "{} {} cores {}",
-            m.cpu.as_deref().unwrap_or(&m.platform),
-            m.cores,
-            m.simd
-        ),
+        None => format!("{} {} cores {}", m.cpu.as_deref().unwrap_or(&m.platform), m.cores, m.simd),
     };
-    let letters: String = name
-        .chars()
-        .map(|c| {
-            if c.is_ascii_alphanumeric() {
-                c.to_ascii_lowercase()
-            } else {
-                ' '
-            }
-        })
-        .collect();
+    let letters: String =
+        name.chars().map(|c| if c.is_ascii_alphanumeric() { c.to_ascii_lowercase() } else { ' ' }).collect();
     letters.split_whitespace().collect::<Vec<_>>().join("-")
 }
 

@@ -53,9 +53,7 @@ impl OpenGpu {
     ///
     /// [`Error::Gpu`] if they do not fit.
     pub fn painter(&self, splats: &Splats) -> Result<GpuPainter, Error> {
-        Ok(GpuPainter {
-            renderer: Renderer::new(self.gpu.clone(), splats)?,
-        })
+        Ok(GpuPainter { renderer: Renderer::new(self.gpu.clone(), splats)? })
     }
 
     /// Takes training steps of `batch` frames on it, within `max_vram_mb`.

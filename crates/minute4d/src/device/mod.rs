@@ -86,10 +86,7 @@ pub struct DeviceRequest {
 
 impl From<DeviceChoice> for DeviceRequest {
     fn from(choice: DeviceChoice) -> Self {
-        Self {
-            choice,
-            max_vram_mb: None,
-        }
+        Self { choice, max_vram_mb: None }
     }
 }
 

@@ -61,13 +61,6 @@ pub struct Tapip3dConfig {
 
 impl Default for Tapip3dConfig {
     fn default() -> Self {
-        Self {
-            every: 10,
-            spacing_px: 4,
-            most: 4096,
-            iterations: 6,
-            size: 1.0,
-            memory_mb: 2000,
-        }
+        Self { every: 10, spacing_px: 4, most: 4096, iterations: 6, size: 1.0, memory_mb: 2000 }
     }
 }

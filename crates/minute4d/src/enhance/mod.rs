@@ -79,11 +79,7 @@ pub fn masks(
     progress: &dyn Progress,
 ) -> Result<(Capture, InstanceReport), Error> {
     let coarse = coarse(&capture)?;
-    let input = RefineInput {
-        clip: &Frames(&capture),
-        coarse: &coarse,
-        flow,
-    };
+    let input = RefineInput { clip: &Frames(&capture), coarse: &coarse, flow };
     let refined = refine(&input, segmenter, settings, progress).map_err(EnhanceError::from)?;
     for (frame, found) in capture.frames.iter_mut().zip(refined.frames) {
         let (mask, ids) = at_size(found, frame.rgb.size());
@@ -132,10 +128,7 @@ fn at_size(found: RefinedFrame, (width, height): (usize, usize)) -> (CompactMask
         let (x, y) = at(x, y);
         found.mask.at(x, y)
     });
-    (
-        mask,
-        CompactIds::from(&Plane::from_fn(width, height, |x, y| ids[at(x, y)])),
-    )
+    (mask, CompactIds::from(&Plane::from_fn(width, height, |x, y| ids[at(x, y)])))
 }
 
 /// Why masks could not be refined or points not be followed.
@@ -180,10 +173,7 @@ impl Follower {
     /// [`Error::Network`] if the build has no networks, or the weights are missing or cannot be used.
     pub fn load(segmenter: Segmenter) -> Result<Self, Error> {
         let resolved = geometry::resolve_segmenter(segmenter)?;
-        Ok(Self {
-            segmenter: resolved.load()?,
-            weights_hash: resolved.weights_hash().map(str::to_owned),
-        })
+        Ok(Self { segmenter: resolved.load()?, weights_hash: resolved.weights_hash().map(str::to_owned) })
     }
 
     /// Returns the segmenter that propagates masks along flow.
@@ -235,10 +225,7 @@ mod tests {
             });
             CaptureFrame {
                 name: format!("{i:05}"),
-                camera: Camera {
-                    intrinsics: Intrinsics::centred(SIZE.0, SIZE.1, 90.0),
-                    c2w: m4_core::Se3::identity(),
-                },
+                camera: Camera { intrinsics: Intrinsics::centred(SIZE.0, SIZE.1, 90.0), c2w: m4_core::Se3::identity() },
                 t: i as f64,
                 rgb,
                 depth: None,
@@ -261,23 +248,13 @@ mod tests {
     fn a_capture_gets_numbers_that_are_written_and_read() {
         let follower = Follower::load(Segmenter::None).unwrap();
         let settings = RefineSettings::default();
-        let (found, report) = masks(
-            capture(12),
-            &settings,
-            &follower.segmenter(),
-            Some(follower.flow()),
-            &Silent,
-        )
-        .unwrap();
+        let (found, report) =
+            masks(capture(12), &settings, &follower.segmenter(), Some(follower.flow()), &Silent).unwrap();
         assert_eq!((report.instances.len(), report.coarse.as_str()), (1, "masks"));
         assert_eq!((report.instances[0].frames, report.instances[0].id), (12, 1));
         for (i, frame) in found.frames.iter().enumerate() {
             let ids = frame.instances.as_ref().unwrap();
-            assert_eq!(
-                (ids.size(), ids.at(20 + 2 * i, 30), ids.at(90, 65)),
-                (SIZE, 1, 0),
-                "frame {i}"
-            );
+            assert_eq!((ids.size(), ids.at(20 + 2 * i, 30), ids.at(90, 65)), (SIZE, 1, 0), "frame {i}");
             assert!(frame.mask.as_ref().unwrap().at(20 + 2 * i, 30));
         }
         let dir = tempfile::tempdir().unwrap();
@@ -296,15 +273,9 @@ mod tests {
         let mut given = capture(4);
         given.frames[2].mask = None;
         let error = masks(given, &RefineSettings::default(), &follower.segmenter(), None, &Silent).unwrap_err();
-        assert!(
-            matches!(error, Error::Refused(_)) && error.to_string().contains("00002"),
-            "{error}"
-        );
+        assert!(matches!(error, Error::Refused(_)) && error.to_string().contains("00002"), "{error}");
         assert_eq!(error.category(), Category::BadInput);
-        let wrong = RefineSettings {
-            every_frames: 0,
-            ..RefineSettings::default()
-        };
+        let wrong = RefineSettings { every_frames: 0, ..RefineSettings::default() };
         let error = masks(capture(4), &wrong, &follower.segmenter(), None, &Silent).unwrap_err();
         assert_eq!(error.category(), Category::BadSettings);
     }

@@ -142,11 +142,7 @@ impl Plan {
             (Tracker::Auto | Tracker::Flow, Before::Motion) => Tracking::Flow,
             _ => Tracking::Unchanged,
         };
-        Ok(Self {
-            segmentation,
-            tracking,
-            used,
-        })
+        Ok(Self { segmentation, tracking, used })
     }
 
     /// Finds what is asked for.
@@ -168,11 +164,7 @@ impl Plan {
             (Tracker::Auto | Tracker::Flow, Before::Motion) => Tracking::Flow,
             _ => Tracking::Unchanged,
         };
-        Ok(Self {
-            segmentation: Segmentation::Unchanged,
-            tracking,
-            used: Vec::new(),
-        })
+        Ok(Self { segmentation: Segmentation::Unchanged, tracking, used: Vec::new() })
     }
 }
 

@@ -43,24 +43,12 @@ impl VideoSegmenter for Sam2Follower {
         size: (usize, usize),
     ) -> Result<Box<dyn VideoSession + 'a>, VideoError> {
         let name = self.name();
-        let options = VideoOptions {
-            fill_holes_px: HOLES_PX,
-            ..VideoOptions::default()
-        };
-        let frames = NetClip {
-            frames: clip.frames(),
-            width: size.0,
-            height: size.1,
-        };
+        let options = VideoOptions { fill_holes_px: HOLES_PX, ..VideoOptions::default() };
+        let frames = NetClip { frames: clip.frames(), width: size.0, height: size.1 };
         let images = Box::new(move |frame| clip.image(frame).map(std::borrow::Cow::into_owned));
         let predictor = VideoPredictor::new(Arc::clone(&self.net), frames, images, options)
             .map_err(|error| failed(name, 0, error))?;
-        Ok(Box::new(Session {
-            predictor,
-            name,
-            size,
-            frames: clip.frames(),
-        }))
+        Ok(Box::new(Session { predictor, name, size, frames: clip.frames() }))
     }
 }
 
@@ -68,16 +56,9 @@ fn failed(segmenter: &str, frame: usize, error: Sam2Error) -> VideoError {
     match error {
         Sam2Error::Image { frame, reason } => VideoError::Image { frame, reason },
         Sam2Error::Cancelled => VideoError::Cancelled { frame },
-        Sam2Error::UnknownObject(object) => VideoError::Unknown {
-            object: ObjectId(object),
-            frame,
-        },
+        Sam2Error::UnknownObject(object) => VideoError::Unknown { object: ObjectId(object), frame },
         Sam2Error::NoSuchFrame { frame, frames } => VideoError::Frame { frame, frames },
-        other => VideoError::Source {
-            segmenter: segmenter.to_owned(),
-            frame,
-            reason: Box::new(other),
-        },
+        other => VideoError::Source { segmenter: segmenter.to_owned(), frame, reason: Box::new(other) },
     }
 }
 
@@ -98,10 +79,7 @@ impl Session<'_> {
             return self.predictor.show_mask(frame, object, &mask);
         }
         let on = prompt.on_px.iter().map(|&at_px| PointPrompt { at_px, on_object: true });
-        let off = prompt.off_px.iter().map(|&at_px| PointPrompt {
-            at_px,
-            on_object: false,
-        });
+        let off = prompt.off_px.iter().map(|&at_px| PointPrompt { at_px, on_object: false });
         let prompt = Prompt {
             points: on.chain(off).collect(),
             box_px: prompt.box_px.filter(|_| prompt.on_px.is_empty()),
@@ -116,15 +94,9 @@ impl VideoSession for Session<'_> {
         let mut out = Vec::with_capacity(prompts.len());
         for prompt in prompts {
             if let Some(belief) = prompt.belief.as_ref().filter(|b| b.len() != self.size.0 * self.size.1) {
-                return Err(VideoError::Size {
-                    object: prompt.object,
-                    found: belief.len(),
-                    expected: self.size,
-                });
+                return Err(VideoError::Size { object: prompt.object, found: belief.len(), expected: self.size });
             }
-            let mask = self
-                .show(frame, prompt)
-                .map_err(|error| failed(self.name, frame, error))?;
+            let mask = self.show(frame, prompt).map_err(|error| failed(self.name, frame, error))?;
             out.push(converted(prompt.object, &mask, self.size));
         }
         Ok(out)
@@ -132,11 +104,7 @@ impl VideoSession for Session<'_> {
 
     fn set_mask(&mut self, frame: usize, object: ObjectId, mask: &CompactMask) -> Result<(), VideoError> {
         if mask.size() != self.size {
-            return Err(VideoError::MaskSize {
-                object,
-                found: mask.size(),
-                expected: self.size,
-            });
+            return Err(VideoError::MaskSize { object, found: mask.size(), expected: self.size });
         }
         let plane = Plane::from_fn(self.size.0, self.size.1, |x, y| mask.at(x, y));
         let shown = self.predictor.show_mask(frame, object.0, &plane);
@@ -195,11 +163,7 @@ fn converted(object: ObjectId, mask: &sam2::ObjectMask, size: (usize, usize)) ->
     let mask_px = CompactMask::from_fn(size.0, size.1, |x, y| found[(x, y)]);
     ObjectMask {
         object,
-        visibility: if mask_px.count() > 0 {
-            Visibility::Visible
-        } else {
-            Visibility::Occluded
-        },
+        visibility: if mask_px.count() > 0 { Visibility::Visible } else { Visibility::Occluded },
         mask: mask_px,
         quality: Some(mask.iou),
     }

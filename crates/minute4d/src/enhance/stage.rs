@@ -62,10 +62,7 @@ struct Part<'a> {
 /// [`Error`]: the capture cannot be read or says nothing of the dynamic part, weights are missing, the folder cannot be used, or the user stops.
 pub fn make(input: &Path, out: &Path, job: &Job<'_>) -> Result<EnhanceReport, Error> {
     if !input.exists() {
-        return Err(Error::Missing {
-            what: "capture",
-            path: input.to_path_buf(),
-        });
+        return Err(Error::Missing { what: "capture", path: input.to_path_buf() });
     }
     let settings = &job.settings;
     let (segmenter, tracker) = (settings.geometry.segmenter, settings.geometry.tracker);
@@ -85,10 +82,7 @@ pub fn make(input: &Path, out: &Path, job: &Job<'_>) -> Result<EnhanceReport, Er
         networks: &plan.used,
     };
     let part = plain_json(&part)?;
-    let source = Input {
-        path: input.display().to_string(),
-        blake3: hash::of_capture(&capture),
-    };
+    let source = Input { path: input.display().to_string(), blake3: hash::of_capture(&capture) };
     let key = hash::of_parts(&[STAGE, env!("CARGO_PKG_VERSION"), &source.blake3, &part.to_string()]);
     let mut record = GeometryRecord::begin(source, key, part);
     record.seconds = start.elapsed().as_secs_f64();
@@ -96,11 +90,7 @@ pub fn make(input: &Path, out: &Path, job: &Job<'_>) -> Result<EnhanceReport, Er
     let before = moving_share(&capture);
     let mut folder = CaptureFolder::open(out, job.existing, record, job.observer)?;
     let (capture, found) = folder.stage(STAGE, |folder, steps| {
-        let device = if plan.has_network() {
-            job.device.choice.for_networks()?
-        } else {
-            NetworkDevice::processor()
-        };
+        let device = if plan.has_network() { job.device.choice.for_networks()? } else { NetworkDevice::processor() };
         let (capture, found) = apply(capture, &plan, settings, &device, steps)?;
         write(&folder.path, &capture, found.as_ref(), steps.observer())?;
         Ok((capture, found))
@@ -212,10 +202,7 @@ fn tracker<'a>(
     match method {
         Tracking::Unchanged => Ok(None),
         Tracking::Flow if !settings.dense.tracks => Ok(None),
-        Tracking::Flow => Ok(Some(Box::new(FlowTracker {
-            flow,
-            config: TrackConfig::default(),
-        }))),
+        Tracking::Flow => Ok(Some(Box::new(FlowTracker { flow, config: TrackConfig::default() }))),
         #[cfg(feature = "nets")]
         Tracking::Tapip3d(path) => {
             let net = m4_nets::Tapip3d::load(path, &device.device).map_err(|source| NetworkError::Load {
@@ -240,11 +227,9 @@ fn tracker<'a>(
 fn grid(method: &Tracking, config: &EnhanceConfig) -> QueryGrid {
     match method {
         #[cfg(feature = "nets")]
-        Tracking::Tapip3d(_) => QueryGrid {
-            every: config.tapip3d.every,
-            spacing_px: config.tapip3d.spacing_px,
-            most: config.tapip3d.most,
-        },
+        Tracking::Tapip3d(_) => {
+            QueryGrid { every: config.tapip3d.every, spacing_px: config.tapip3d.spacing_px, most: config.tapip3d.most }
+        }
         _ => QueryGrid::chains(),
     }
 }

@@ -53,22 +53,12 @@ impl Tracker3d for Tapip3dTracker {
     ) -> Result<TrackedPoints, TrackError> {
         let frames = clip.frames();
         let queries = grid.queries(NAME, clip, progress)?;
-        let asked: Vec<PointQuery> = queries
-            .iter()
-            .map(|query| PointQuery {
-                frame: query.frame,
-                world: query.xyz.map(f64::from),
-            })
-            .collect();
+        let asked: Vec<PointQuery> =
+            queries.iter().map(|query| PointQuery { frame: query.frame, world: query.xyz.map(f64::from) }).collect();
         let found = self.net.track(&Frames(clip), &asked, &self.options, progress);
         let found = found.map_err(|error| match error {
-            Tapip3dError::Stopped => TrackError::Cancelled {
-                phase: "tracking points",
-            },
-            other => TrackError::Source {
-                tracker: NAME.to_owned(),
-                reason: Box::new(other),
-            },
+            Tapip3dError::Stopped => TrackError::Cancelled { phase: "tracking points" },
+            other => TrackError::Source { tracker: NAME.to_owned(), reason: Box::new(other) },
         })?;
         // the network's are a query's frames together, ours a frame's queries
         let count = queries.len();

@@ -159,10 +159,7 @@ pub struct Refusal {
 
 impl Refusal {
     pub(crate) fn new(category: Category, message: impl Into<String>) -> Self {
-        Self {
-            category,
-            message: message.into(),
-        }
+        Self { category, message: message.into() }
     }
 
     /// An argument that is invalid, or that does not go with the others.

@@ -209,10 +209,7 @@ impl Error {
     /// Returns true if the same work may succeed later or on another machine, so that finished work is worth keeping.
     #[must_use]
     pub fn may_pass(&self) -> bool {
-        matches!(
-            self.category(),
-            Category::CannotWrite | Category::Io | Category::TryAgain | Category::NoDevice
-        )
+        matches!(self.category(), Category::CannotWrite | Category::Io | Category::TryAgain | Category::NoDevice)
     }
 
     /// True when the caller asked to stop.
@@ -235,10 +232,7 @@ mod tests {
     #[test]
     fn a_stop_is_no_fault_of_the_input_however_deep_it_was_noticed() {
         let phase = "at work";
-        let stops = [
-            DenseError::Cancelled { phase },
-            DenseError::Tracks(TrackError::Cancelled { phase }),
-        ];
+        let stops = [DenseError::Cancelled { phase }, DenseError::Tracks(TrackError::Cancelled { phase })];
         for stop in stops {
             assert_eq!(Error::from(stop).category(), Category::Stopped);
         }
@@ -248,23 +242,10 @@ mod tests {
     fn the_type_of_an_operation_adds_nothing_to_the_message_nor_to_the_causes() {
         let refused = || io::Error::from(io::ErrorKind::PermissionDenied);
         let video = || Fault::Io(refused()).at(Path::new("clip.mp4"));
-        let server = || ServeError::Listen {
-            port: 80,
-            source: refused(),
-        };
+        let server = || ServeError::Listen { port: 80, source: refused() };
         let expected = [
-            (
-                video().to_string(),
-                Error::from(video()),
-                Category::from(video().kind()),
-                None,
-            ),
-            (
-                server().to_string(),
-                Error::from(server()),
-                Category::TryAgain,
-                Some(refused().to_string()),
-            ),
+            (video().to_string(), Error::from(video()), Category::from(video().kind()), None),
+            (server().to_string(), Error::from(server()), Category::TryAgain, Some(refused().to_string())),
         ];
         for (message, error, category, expected_cause) in expected {
             assert_eq!((error.to_string(), error.category()), (message, category));

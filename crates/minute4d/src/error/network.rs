@@ -103,21 +103,9 @@ mod tests {
     use crate::{Category, Error};
 
     const METHODS: [(NetworkMethod, &str, &str); 3] = [
-        (
-            NetworkMethod::FrontEnd(FrontendPart::Raft),
-            "front end raft",
-            "--frontend classical",
-        ),
-        (
-            NetworkMethod::Segmenter(Segmenter::Sam2),
-            "segmenter sam2",
-            "--segmenter none",
-        ),
-        (
-            NetworkMethod::Tracker(Tracker::Tapip3d),
-            "tracker tapip3d",
-            "--tracker flow",
-        ),
+        (NetworkMethod::FrontEnd(FrontendPart::Raft), "front end raft", "--frontend classical"),
+        (NetworkMethod::Segmenter(Segmenter::Sam2), "segmenter sam2", "--segmenter none"),
+        (NetworkMethod::Tracker(Tracker::Tapip3d), "tracker tapip3d", "--tracker flow"),
     ];
 
     #[test]
@@ -143,10 +131,7 @@ mod tests {
             let source = WeightsError::NoFolder;
             let (message, category) = (source.to_string(), source.category());
             let error = Error::from(NetworkError::Weights { method, source });
-            assert_eq!(
-                error.to_string(),
-                format!("the {name} cannot be used: {message}; {without} works without")
-            );
+            assert_eq!(error.to_string(), format!("the {name} cannot be used: {message}; {without} works without"));
             assert_eq!(error.category(), category);
             assert_eq!(error.source().map(ToString::to_string), Some(message));
         }

@@ -45,14 +45,8 @@ impl Alignment {
 
     fn new(map: &Sim3, pairs: &[(Camera, Camera)]) -> Self {
         let moved = |c: &Camera| map.transform_pose(&c.c2w);
-        let squared: f64 = pairs
-            .iter()
-            .map(|(d, s)| (moved(d).translation - s.centre()).norm_squared())
-            .sum();
-        let length: f64 = pairs
-            .windows(2)
-            .map(|w| (w[1].1.centre() - w[0].1.centre()).norm())
-            .sum();
+        let squared: f64 = pairs.iter().map(|(d, s)| (moved(d).translation - s.centre()).norm_squared()).sum();
+        let length: f64 = pairs.windows(2).map(|w| (w[1].1.centre() - w[0].1.centre()).norm()).sum();
         let angle = |(d, s): &(Camera, Camera)| {
             let turn = s.c2w.rotation.transpose() * moved(d).rotation;
             (((turn.trace() - 1.0) / 2.0).clamp(-1.0, 1.0)).acos().to_degrees()
@@ -111,24 +105,15 @@ fn training_list(data: &Path) -> Option<PathBuf> {
 /// Cameras of the capture and of the scene that took the same frame.
 fn pairs(known: &[(Camera, f64)], scene: &Scene) -> Vec<(Camera, Camera)> {
     let nearest = |t: f64| {
-        let closest = known
-            .iter()
-            .min_by(|a, b| (a.1 - t).abs().total_cmp(&(b.1 - t).abs()))?;
+        let closest = known.iter().min_by(|a, b| (a.1 - t).abs().total_cmp(&(b.1 - t).abs()))?;
         ((closest.1 - t).abs() <= SAME_MOMENT).then_some(closest.0)
     };
-    scene
-        .source
-        .iter()
-        .filter_map(|s| Some((nearest(s.t)?, s.camera)))
-        .collect()
+    scene.source.iter().filter_map(|s| Some((nearest(s.t)?, s.camera))).collect()
 }
 
 fn same_world(pairs: &[(Camera, Camera)]) -> bool {
     let Some(first) = pairs.first() else { return false };
-    let extent = pairs
-        .iter()
-        .map(|(d, _)| (d.centre() - first.0.centre()).norm())
-        .fold(0.0, f64::max);
+    let extent = pairs.iter().map(|(d, _)| (d.centre() - first.0.centre()).norm()).fold(0.0, f64::max);
     // A static camera has no extent; a unit of the world serves as well.
     let limit = SAME_WORLD * if extent > 0.0 { extent } else { 1.0 };
     pairs.iter().all(|(d, s)| {
@@ -142,10 +127,7 @@ fn fit(pairs: &[(Camera, Camera)]) -> Option<Sim3> {
     if pairs.len() < 3 {
         return None;
     }
-    let sum: Matrix3<f64> = pairs
-        .iter()
-        .map(|(d, s)| s.c2w.rotation * d.c2w.rotation.transpose())
-        .sum();
+    let sum: Matrix3<f64> = pairs.iter().map(|(d, s)| s.c2w.rotation * d.c2w.rotation.transpose()).sum();
     let svd = sum.svd(true, true);
     let (u, v_t) = (svd.u?, svd.v_t?);
     let sign = (u * v_t).determinant().signum();
@@ -160,11 +142,7 @@ fn fit(pairs: &[(Camera, Camera)]) -> Option<Sim3> {
         square += turned.norm_squared();
     }
     let scale = along / square;
-    (scale.is_finite() && scale > 0.0).then(|| Sim3 {
-        scale,
-        rotation,
-        translation: scene - rotation * data * scale,
-    })
+    (scale.is_finite() && scale > 0.0).then(|| Sim3 { scale, rotation, translation: scene - rotation * data * scale })
 }
 
 #[cfg(test)]
@@ -191,10 +169,7 @@ mod tests {
             rotation: exp_so3(&Vector3::new(0.3, -0.8, 0.4)),
             translation: Vector3::new(1.0, -2.0, 0.5),
         };
-        let moved = |c: Camera| Camera {
-            c2w: map.transform_pose(&c.c2w),
-            ..c
-        };
+        let moved = |c: Camera| Camera { c2w: map.transform_pose(&c.c2w), ..c };
         let pairs: Vec<(Camera, Camera)> = (0..8).map(|i| (camera(i), moved(camera(i)))).collect();
         let found = fit(&pairs).unwrap();
         assert!((found.scale - 2.5).abs() < 1e-9 && (found.rotation - map.rotation).norm() < 1e-9);

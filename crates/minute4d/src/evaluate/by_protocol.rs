@@ -36,20 +36,14 @@ pub(super) fn check(data: &Path, protocol: Protocol, options: &EvalOptions) -> R
         let message = format!("the protocol {protocol} does not refine the poses of test images; omit --refine-poses");
         return Err(Refusal::usage(message).into());
     }
-    let folder = if data.is_dir() {
-        data
-    } else {
-        data.parent().unwrap_or(data)
-    };
+    let folder = if data.is_dir() { data } else { data.parent().unwrap_or(data) };
     let split = SplitRecord::read(folder)?;
     let not_split = |found: String| Err(not_split(data, protocol, &found).into());
     match (rules.frames, split) {
         (FrameRule::TestSplit, None) => Ok(None),
         (FrameRule::TestSplit, Some(split)) => {
             let held = split.protocol;
-            not_split(format!(
-                "its held-out views are frames of the training video, by the protocol {held}"
-            ))
+            not_split(format!("its held-out views are frames of the training video, by the protocol {held}"))
         }
         (_, None) => not_split("it has no split.json".to_owned()),
         (rule, Some(split)) => {
@@ -115,10 +109,7 @@ pub(super) fn score(
     let (mut drawing_s, mut share) = (0.0, 0.0);
     for (i, view) in views.iter().enumerate() {
         if observer.cancelled() {
-            return Err(Error::Stopped {
-                stage: "eval",
-                saved: false,
-            });
+            return Err(Error::Stopped { stage: "eval", saved: false });
         }
         let (t, reference) = (held.moment(view), PlanarImage::from(&view.rgb));
         let moving = view.mask.as_ref().map(CompactMask::to_mask);
@@ -126,14 +117,7 @@ pub(super) fn score(
         let mut camera = given;
         if let (Some(refiner), Some(rule)) = (&mut refiner, &rules.refine) {
             let frame = renderer.frame(&given, t)?;
-            unrefined.add(
-                &view.name,
-                t,
-                view.camera_index,
-                &clamped(&frame)?,
-                &reference,
-                moving.as_ref(),
-            )?;
+            unrefined.add(&view.name, t, view.camera_index, &clamped(&frame)?, &reference, moving.as_ref())?;
             let start = match rule.start {
                 StartPose::Given => given,
                 StartPose::NearestTraining => nearest(held, &given, t),
@@ -176,11 +160,7 @@ pub(super) fn score(
     }
     let (treatment, words, geometry_saw_held_out) = poses(held.alignment.as_ref(), split.as_ref());
     let poses = PoseChoice {
-        treatment: if refiner.is_some() {
-            PoseTreatment::Refined
-        } else {
-            treatment
-        },
+        treatment: if refiner.is_some() { PoseTreatment::Refined } else { treatment },
         words: pose_words(rules, words, refiner.is_some()),
         geometry_saw_held_out,
         refinement_of_protocol: rules.refine,
@@ -201,10 +181,7 @@ pub(super) fn score(
         title: rules.title,
         task: rules.task,
         frames,
-        resolution: ResolutionChoice {
-            scored_px,
-            protocol_px: rules.size_px,
-        },
+        resolution: ResolutionChoice { scored_px, protocol_px: rules.size_px },
         mask: MaskChoice {
             source: masks.source(),
             words: masks.description(),
@@ -217,11 +194,7 @@ pub(super) fn score(
         headline: headline(rules, &images),
         note: rules.note,
     };
-    Ok(Scored {
-        images,
-        choices,
-        drawing_s,
-    })
+    Ok(Scored { images, choices, drawing_s })
 }
 
 fn planes(frame: &Frame) -> [&[f32]; 3] {
@@ -233,30 +206,20 @@ fn clamped(frame: &Frame) -> Result<PlanarImage, Error> {
 }
 
 fn raw(frame: &Frame) -> Result<PlanarImage, Error> {
-    Ok(PlanarImage::from_planes_unclamped(
-        frame.width,
-        frame.height,
-        planes(frame),
-    )?)
+    Ok(PlanarImage::from_planes_unclamped(frame.width, frame.height, planes(frame))?)
 }
 
 /// The view's lens at the pose of the training frame that is nearest in time.
 fn nearest(held: &HeldOut, view: &Camera, t: f64) -> Camera {
     let apart = |s: &&m4_core::SourceFrame| (s.t - t).abs();
     let closest = held.scene.source.iter().min_by(|a, b| apart(a).total_cmp(&apart(b)));
-    closest.map_or(*view, |s| Camera {
-        c2w: s.camera.c2w,
-        ..*view
-    })
+    closest.map_or(*view, |s| Camera { c2w: s.camera.c2w, ..*view })
 }
 
 /// Whether a training frame was taken from the same place at the same moment.
 fn took_part(held: &HeldOut, view: &Camera, t: f64) -> bool {
     let source = &held.scene.source;
-    let length: f64 = source
-        .windows(2)
-        .map(|w| (w[1].camera.centre() - w[0].camera.centre()).norm())
-        .sum();
+    let length: f64 = source.windows(2).map(|w| (w[1].camera.centre() - w[0].camera.centre()).norm()).sum();
     let limit = SAME_POSE * if length > 0.0 { length } else { 1.0 };
     source.iter().any(|s| {
         (s.t - t).abs() <= SAME_MOMENT
@@ -305,13 +268,7 @@ fn metrics(images: &ImageReport) -> std::collections::BTreeMap<String, String> {
 
 fn headline(rules: &Rules, images: &ImageReport) -> Headline {
     match rules.headline {
-        None => Headline {
-            name: "psnr_db".to_owned(),
-            mean: images.mean().map(|m| m.psnr_db),
-        },
-        Some(name) => Headline {
-            name: name.to_owned(),
-            mean: images.mean_others().get(name).map(|m| m.0),
-        },
+        None => Headline { name: "psnr_db".to_owned(), mean: images.mean().map(|m| m.psnr_db) },
+        Some(name) => Headline { name: name.to_owned(), mean: images.mean_others().get(name).map(|m| m.0) },
     }
 }

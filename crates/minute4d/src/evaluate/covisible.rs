@@ -61,16 +61,9 @@ impl Masks {
             if folder.is_dir() {
                 return Ok(Self::Files(folder.to_path_buf()));
             }
-            return Err(Error::Missing {
-                what: "folder of co-visibility masks",
-                path: folder.to_path_buf(),
-            });
+            return Err(Error::Missing { what: "folder of co-visibility masks", path: folder.to_path_buf() });
         }
-        let root = if data.is_dir() {
-            data
-        } else {
-            data.parent().unwrap_or(data)
-        };
+        let root = if data.is_dir() { data } else { data.parent().unwrap_or(data) };
         let own = root.join(COVISIBLE_FOLDER);
         if own.is_dir() {
             return Ok(Self::Files(own));
@@ -80,9 +73,7 @@ impl Masks {
         let capture = crate::train::read(root, &settings, observer)?;
         let training = Training::of(capture).map_err(|why| {
             let (root, hint) = (root.display(), "give the official ones with --covisible DIR");
-            Refusal::bad_input(format!(
-                "co-visibility masks cannot be computed for {root}: {why}; {hint}"
-            ))
+            Refusal::bad_input(format!("co-visibility masks cannot be computed for {root}: {why}; {hint}"))
         })?;
         observer.warn(
             "there are no published co-visibility masks: they are computed from poses and depth of the training frames, and scores inside \
@@ -182,17 +173,11 @@ impl Training {
             Some(own) if own.size() == view.rgb.size() => own,
             _ => self.depth(view),
         };
-        let test = DepthView {
-            camera: &view.camera,
-            depth: &depth,
-        };
+        let test = DepthView { camera: &view.camera, depth: &depth };
         let (width, height) = view.rgb.size();
         let mut counts = CovisibleCounts::new(width, height);
         for seen in &self.frames {
-            let training = DepthView {
-                camera: &seen.camera,
-                depth: &seen.depth,
-            };
+            let training = DepthView { camera: &seen.camera, depth: &seen.depth };
             counts.add(&seen_by_depth(test, training, DEPTH_TOLERANCE)?)?;
         }
         Ok(counts.mask())
@@ -207,11 +192,7 @@ impl Training {
         let nearest = self.frames.iter().map(apart).fold(f64::INFINITY, f64::min);
         for seen in &self.frames {
             let with_motion = apart(seen) <= nearest;
-            let moves = |x, y| {
-                seen.moves
-                    .as_ref()
-                    .is_some_and(|m| m.size() == seen.depth.size() && m[(x, y)] != 0)
-            };
+            let moves = |x, y| seen.moves.as_ref().is_some_and(|m| m.size() == seen.depth.size() && m[(x, y)] != 0);
             let (w, h) = seen.depth.size();
             for y in 0..h {
                 for x in 0..w {
@@ -263,10 +244,7 @@ pub(crate) fn adopt(capture: &Path, views: &Capture, from: impl Fn(&str) -> Path
         }
         let mask = read_mask(&source)?.to_mask();
         if copied == 0 {
-            fs::create_dir_all(&folder).map_err(|source| Error::Write {
-                path: folder.clone(),
-                source,
-            })?;
+            fs::create_dir_all(&folder).map_err(|source| Error::Write { path: folder.clone(), source })?;
         }
         write_mask(&folder.join(format!("{i:05}.png")), &mask)?;
         copied += 1;
@@ -282,10 +260,7 @@ mod tests {
     fn frame(x: f64, t: f64, depth: bool) -> CaptureFrame {
         let camera = Camera {
             intrinsics: Intrinsics::centred(32, 16, 16.0),
-            c2w: Se3 {
-                translation: Vector3::new(x, 0.0, 0.0),
-                ..Se3::identity()
-            },
+            c2w: Se3 { translation: Vector3::new(x, 0.0, 0.0), ..Se3::identity() },
         };
         CaptureFrame {
             name: format!("test/{t}.png"),
@@ -322,11 +297,7 @@ mod tests {
                 assert!(seen == (x < 26) || x == 26 || x == 25, "{x} {y}: {seen}");
             }
         }
-        assert!(
-            masks.description().contains("8 of 8 training frames"),
-            "{}",
-            masks.description()
-        );
+        assert!(masks.description().contains("8 of 8 training frames"), "{}", masks.description());
     }
 
     #[test]

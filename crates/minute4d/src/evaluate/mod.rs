@@ -42,10 +42,7 @@ use std::path::Path;
 ///
 /// What could not be read, or why the two do not belong together.
 pub fn geometry(capture: &Path, truth: &Path, reach: Reach, observer: &dyn Observer) -> Result<GeometryReport, Error> {
-    let options = CaptureOptions {
-        reach,
-        ..Settings::fast().capture
-    };
+    let options = CaptureOptions { reach, ..Settings::fast().capture };
     let estimate = m4_io::capture::read(capture, Split::Train, &options, observer)?;
     let truth = known(truth, &options, observer)?;
     Ok(evaluate(&estimate, &truth)?)
@@ -53,10 +50,7 @@ pub fn geometry(capture: &Path, truth: &Path, reach: Reach, observer: &dyn Obser
 
 fn known(path: &Path, options: &CaptureOptions, observer: &dyn Observer) -> Result<Capture, Error> {
     if !path.exists() {
-        return Err(Error::Missing {
-            what: "known geometry",
-            path: path.to_path_buf(),
-        });
+        return Err(Error::Missing { what: "known geometry", path: path.to_path_buf() });
     }
     if path.is_file() && llff::detect(path) {
         return Ok(llff::read(path)?);

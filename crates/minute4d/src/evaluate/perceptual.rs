@@ -77,10 +77,7 @@ mod with_nets {
     impl Perceptual {
         /// Loads what is here of `wanted`, for images whose shorter side is `least_px`.
         pub fn load(wanted: &[LpipsRule], masked: bool, least_px: usize, device: DeviceChoice) -> Result<Self, Error> {
-            let mut out = Self {
-                nets: Vec::new(),
-                choices: Vec::new(),
-            };
+            let mut out = Self { nets: Vec::new(), choices: Vec::new() };
             if wanted.is_empty() {
                 return Ok(out);
             }
@@ -164,14 +161,9 @@ mod with_nets {
 #[cfg(not(feature = "nets"))]
 impl Perceptual {
     pub fn load(wanted: &[LpipsRule], masked: bool, _: usize, _: DeviceChoice) -> Result<Self, Error> {
-        let why = format!(
-            "this program was built without networks: `{}` builds it with them",
-            crate::BUILD_FULL
-        );
+        let why = format!("this program was built without networks: `{}` builds it with them", crate::BUILD_FULL);
         let choices = wanted.iter().map(|&net| choice(net, masked, Some(why.clone())));
-        Ok(Self {
-            choices: choices.collect(),
-        })
+        Ok(Self { choices: choices.collect() })
     }
 
     pub fn score(

@@ -75,10 +75,7 @@ impl<'a> Refiner<'a> {
         let mut before = None;
         for step in 1..=rule.steps {
             if observer.cancelled() {
-                return Err(Error::Stopped {
-                    stage: "eval",
-                    saved: false,
-                });
+                return Err(Error::Stopped { stage: "eval", saved: false });
             }
             let (mse, g) = self.gradient(&camera, t, reference);
             before.get_or_insert(mse);
@@ -107,12 +104,7 @@ impl<'a> Refiner<'a> {
         let frame = self.renderer.render(splats, &view(self.scene, camera, t));
         let share = 1.0 / (3 * reference.width() * reference.height()).max(1) as f64;
         let mut sum = 0.0;
-        for (out, (drawn, wanted)) in self
-            .gradient
-            .rgb
-            .iter_mut()
-            .zip(frame.rgb.iter().zip(reference.planes()))
-        {
+        for (out, (drawn, wanted)) in self.gradient.rgb.iter_mut().zip(frame.rgb.iter().zip(reference.planes())) {
             out.clear();
             out.extend(drawn.iter().zip(wanted).map(|(&a, &b)| {
                 let off = f64::from(a - b);
@@ -120,12 +112,8 @@ impl<'a> Refiner<'a> {
                 (2.0 * share * off) as f32
             }));
         }
-        let wanted = Wanted {
-            camera: true,
-            means2d: false,
-        };
-        self.renderer
-            .backward(splats, &self.gradient, wanted, &mut self.gradients);
+        let wanted = Wanted { camera: true, means2d: false };
+        self.renderer.backward(splats, &self.gradient, wanted, &mut self.gradients);
         let c = &self.gradients.camera;
         let [a, b, d] = c.tau;
         let [e, f, g] = c.omega;
@@ -155,34 +143,20 @@ mod tests {
         let planes = [0, 1, 2].map(|k| frame.rgb[k].as_slice());
         let reference = PlanarImage::from_planes_unclamped(frame.width, frame.height, planes).unwrap();
         let off = Vector6::new(0.01 * unit, -0.008 * unit, 0.01 * unit, 0.006, -0.01, 0.008);
-        let start = Camera {
-            c2w: truth.w2c().retract(&off).inverse(),
-            ..truth
-        };
-        let rule = RefineRule {
-            steps: 150,
-            lr: 5e-4,
-            start: StartPose::Given,
-        };
-        let (found, moved) = Refiner::new(&scene, level)
-            .refine(&start, t, &reference, &rule, &Silent)
-            .unwrap();
+        let start = Camera { c2w: truth.w2c().retract(&off).inverse(), ..truth };
+        let rule = RefineRule { steps: 150, lr: 5e-4, start: StartPose::Given };
+        let (found, moved) = Refiner::new(&scene, level).refine(&start, t, &reference, &rule, &Silent).unwrap();
         let apart = |c: &Camera| {
             let turn = (c.c2w.rotation - truth.c2w.rotation).norm();
             (turn, (c.centre() - truth.centre()).norm() / unit)
         };
         let ((turn0, shift0), (turn1, shift1)) = (apart(&start), apart(&found));
         assert!(turn0 > 0.015 && shift0 > 0.01, "{turn0} {shift0}");
-        assert!(
-            turn1 < 0.2 * turn0 && shift1 < 0.3 * shift0,
-            "{turn1} of {turn0}, {shift1} of {shift0}"
-        );
+        assert!(turn1 < 0.2 * turn0 && shift1 < 0.3 * shift0, "{turn1} of {turn0}, {shift1} of {shift0}");
         assert!(moved.mse[0] > 1e-5 && moved.mse[1] < 0.02 * moved.mse[0], "{moved:?}");
         // without a step nothing moves
         let none = RefineRule { steps: 0, ..rule };
-        let (same, moved) = Refiner::new(&scene, level)
-            .refine(&start, t, &reference, &none, &Silent)
-            .unwrap();
+        let (same, moved) = Refiner::new(&scene, level).refine(&start, t, &reference, &none, &Silent).unwrap();
         assert_eq!((same, moved.shifted), (start, 0.0));
     }
 }

@@ -52,9 +52,7 @@ impl SplitRecord {
     pub fn read(capture: &Path) -> Result<Option<Self>, Error> {
         let path = capture.join(SPLIT_FILE);
         match fs::read(&path) {
-            Ok(bytes) => serde_json::from_slice(&bytes)
-                .map(Some)
-                .map_err(|e| Error::Read { path, source: e.into() }),
+            Ok(bytes) => serde_json::from_slice(&bytes).map(Some).map_err(|e| Error::Read { path, source: e.into() }),
             Err(_) if !path.exists() => Ok(None),
             Err(source) => Err(Error::Read { path, source }),
         }
@@ -114,11 +112,7 @@ pub fn parts(capture: Capture, protocol: Protocol) -> Result<Parts, Refusal> {
         metric: capture.metric,
         tracks,
     };
-    Ok(Parts {
-        train: part(kept, tracks),
-        test: part(judged, None),
-        held_out,
-    })
+    Ok(Parts { train: part(kept, tracks), test: part(judged, None), held_out })
 }
 
 /// Splits the training frames of the capture `data` by a protocol and writes the capture `out`, whose record is
@@ -138,16 +132,9 @@ pub fn split(
     observer: &dyn Observer,
 ) -> Result<SplitRecord, Error> {
     if !data.exists() {
-        return Err(Error::Missing {
-            what: "capture",
-            path: data.to_path_buf(),
-        });
+        return Err(Error::Missing { what: "capture", path: data.to_path_buf() });
     }
-    let folder = if data.is_dir() {
-        data
-    } else {
-        data.parent().unwrap_or(data)
-    };
+    let folder = if data.is_dir() { data } else { data.parent().unwrap_or(data) };
     if let (Ok(from), Ok(to)) = (fs::canonicalize(folder), fs::canonicalize(out))
         && from == to
     {
@@ -182,18 +169,10 @@ pub fn split(
             (Some(_), Existing::Resume | Existing::Force) => clear(out)?,
             (None, Existing::Force) => {}
             (Some(_), Existing::Refuse) => {
-                return Err(OutputError::Exists {
-                    path: out.to_path_buf(),
-                    what: "a split capture",
-                }
-                .into());
+                return Err(OutputError::Exists { path: out.to_path_buf(), what: "a split capture" }.into());
             }
             (None, _) => {
-                return Err(OutputError::NotOurs {
-                    path: out.to_path_buf(),
-                    missing: SPLIT_FILE,
-                }
-                .into());
+                return Err(OutputError::NotOurs { path: out.to_path_buf(), missing: SPLIT_FILE }.into());
             }
         }
     }
@@ -226,10 +205,7 @@ mod tests {
     fn clip(n: usize) -> Capture {
         let frame = |i: usize| CaptureFrame {
             name: format!("{i:05}"),
-            camera: Camera {
-                intrinsics: Intrinsics::centred(16, 12, 15.0),
-                c2w: Se3::identity(),
-            },
+            camera: Camera { intrinsics: Intrinsics::centred(16, 12, 15.0), c2w: Se3::identity() },
             t: i as f64,
             rgb: Plane::filled(16, 12, [i as u8; 3]),
             depth: Some(Plane::filled(16, 12, 2.0 + i as f32).into()),
@@ -278,15 +254,7 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let (full, out) = (dir.path().join("full"), dir.path().join("out"));
         capture::write(&full, &clip(24), Split::Train, &Silent).unwrap();
-        let record = split(
-            &full,
-            Protocol::Instant4d,
-            &out,
-            Existing::Refuse,
-            Reach::Inside,
-            &Silent,
-        )
-        .unwrap();
+        let record = split(&full, Protocol::Instant4d, &out, Existing::Refuse, Reach::Inside, &Silent).unwrap();
         assert_eq!(record.held_out, [5, 11, 17, 22]);
         assert_eq!(record.held_out_names[0], "train/00005.png");
         let read = |which| capture::read(&out, which, &CaptureOptions::default(), &Silent).unwrap();
@@ -300,25 +268,12 @@ mod tests {
             assert!((frame.t / last - i / 23.0).abs() < 1e-12, "{} {i}", frame.t);
         }
         let again = |existing| split(&full, Protocol::Instant4d, &out, existing, Reach::Inside, &Silent);
-        assert!(matches!(
-            again(Existing::Refuse),
-            Err(Error::Output(OutputError::Exists { .. }))
-        ));
+        assert!(matches!(again(Existing::Refuse), Err(Error::Output(OutputError::Exists { .. }))));
         assert_eq!(again(Existing::Resume).unwrap(), record);
         let other = split(&full, Protocol::Holdout, &out, Existing::Force, Reach::Inside, &Silent).unwrap();
         assert_eq!(other.held_out, [0, 8, 16]);
-        assert_eq!(
-            capture::read(&out, Split::Test, &CaptureOptions::default(), &Silent)
-                .unwrap()
-                .frames
-                .len(),
-            3
-        );
-        assert_eq!(
-            std::fs::read_dir(out.join("test")).unwrap().count(),
-            3,
-            "nothing of the first split is left"
-        );
+        assert_eq!(capture::read(&out, Split::Test, &CaptureOptions::default(), &Silent).unwrap().frames.len(), 3);
+        assert_eq!(std::fs::read_dir(out.join("test")).unwrap().count(), 3, "nothing of the first split is left");
         let foreign = split(&full, Protocol::Holdout, &full, Existing::Force, Reach::Inside, &Silent);
         assert_eq!(foreign.unwrap_err().category(), Category::Usage);
     }

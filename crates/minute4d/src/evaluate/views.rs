@@ -98,11 +98,7 @@ pub fn views(
     device: DeviceChoice,
     observer: &dyn Observer,
 ) -> Result<EvalReport, Error> {
-    let options = EvalOptions {
-        grow_mask,
-        device,
-        ..EvalOptions::default()
-    };
+    let options = EvalOptions { grow_mask, device, ..EvalOptions::default() };
     views_by(out, data, &options, observer)
 }
 
@@ -139,9 +135,7 @@ pub fn views_by(out: &Path, data: &Path, options: &EvalOptions, observer: &dyn O
         data: data.to_path_buf(),
         splats: held.scene.splats.n(),
         mean: images.mean(),
-        mean_others: means
-            .map(|(name, (mean, views))| (name, OtherMean { mean, views }))
-            .collect(),
+        mean_others: means.map(|(name, (mean, views))| (name, OtherMean { mean, views })).collect(),
         choices,
         frames_per_s: (drawing_s > 0.0).then(|| images.frames.len() as f64 / drawing_s),
         device: gpu.as_ref().map_or("cpu", |gpu| gpu.name()).to_owned(),
@@ -167,10 +161,7 @@ fn plain(
     let mut drawing_s = 0.0;
     for (i, frame) in views.iter().enumerate() {
         if observer.cancelled() {
-            return Err(Error::Stopped {
-                stage: "eval",
-                saved: false,
-            });
+            return Err(Error::Stopped { stage: "eval", saved: false });
         }
         let t = held.moment(frame);
         let begin = Instant::now();
@@ -208,20 +199,11 @@ impl HeldOut {
     pub fn read(out: &Path, data: &Path, reach: Reach, observer: &dyn Observer) -> Result<Self, Error> {
         let path = out.join(SCENE_FILE);
         let scene = safetensors::read(&path)?.scene;
-        let options = CaptureOptions {
-            reach,
-            ..Settings::fast().capture
-        };
+        let options = CaptureOptions { reach, ..Settings::fast().capture };
         let test = test_views(data, &options, observer)?;
         let alignment = align::between(&scene, data, observer)?;
         let stretch = (scene.time_frames.max(2) - 1) as f64 / (test.time_frames.max(2) - 1) as f64;
-        Ok(Self {
-            path,
-            scene,
-            test,
-            alignment,
-            stretch,
-        })
+        Ok(Self { path, scene, test, alignment, stretch })
     }
 
     /// When a view was taken, frames of the scene.
@@ -249,19 +231,15 @@ impl HeldOut {
 
     /// A view's camera in the world of the scene.
     pub fn camera(&self, frame: &CaptureFrame) -> Camera {
-        self.alignment.as_ref().map_or(frame.camera, |a| Camera {
-            c2w: a.similarity().transform_pose(&frame.camera.c2w),
-            ..frame.camera
-        })
+        self.alignment
+            .as_ref()
+            .map_or(frame.camera, |a| Camera { c2w: a.similarity().transform_pose(&frame.camera.c2w), ..frame.camera })
     }
 }
 
 fn test_views(data: &Path, options: &CaptureOptions, observer: &dyn Observer) -> Result<Capture, Error> {
     if !data.exists() {
-        return Err(Error::Missing {
-            what: "capture",
-            path: data.to_path_buf(),
-        });
+        return Err(Error::Missing { what: "capture", path: data.to_path_buf() });
     }
     if data.is_dir() && !data.join(Split::Test.file_name()).is_file() {
         return Err(no_test_list(data).into());

@@ -26,10 +26,7 @@ pub(super) fn bake(scene: &Scene) -> Option<(Scene, Loss)> {
     }
     let mut views: Vec<View> = scene.source.iter().map(View::new).collect();
     views.sort_by(|a, b| a.t.total_cmp(&b.t));
-    let factors: Vec<f64> = (0..scene.splats.n())
-        .into_par_iter()
-        .map(|row| factor(scene, &views, row))
-        .collect();
+    let factors: Vec<f64> = (0..scene.splats.n()).into_par_iter().map(|row| factor(scene, &views, row)).collect();
     let mut baked = scene.clone();
     baked.mip = false;
     for (logit, factor) in baked.splats.column_mut(Column::Opacity, 0).iter_mut().zip(&factors) {
@@ -55,11 +52,7 @@ struct View {
 impl View {
     fn new(frame: &m4_core::SourceFrame) -> Self {
         let k = &frame.camera.intrinsics;
-        Self {
-            t: frame.t,
-            camera: Pinhole::new(&frame.camera),
-            size_px: [k.width as f64, k.height as f64],
-        }
+        Self { t: frame.t, camera: Pinhole::new(&frame.camera), size_px: [k.width as f64, k.height as f64] }
     }
 }
 
@@ -71,9 +64,7 @@ fn factor(scene: &Scene, views: &[View], row: usize) -> f64 {
     let covariance = covariance(scene, row);
     let life = row.checked_sub(splats.n_static());
     let centre_and_sd = life.map(|d| (value(Column::TimeMean, 0, d), value(Column::LogTimeSd, 0, d).exp()));
-    let velocity = life.map_or(Vector3::zeros(), |d| {
-        Vector3::from_fn(|k, _| value(Column::Velocity, k, d))
-    });
+    let velocity = life.map_or(Vector3::zeros(), |d| Vector3::from_fn(|k, _| value(Column::Velocity, k, d)));
     let range = match centre_and_sd {
         Some((centre, sd)) => {
             let reach = REACH_SD * sd;
@@ -116,11 +107,7 @@ fn factor(scene: &Scene, views: &[View], row: usize) -> f64 {
     }
     let (sum, weight) = if inside.1 > 0.0 { inside } else { in_front };
     let factor = sum / weight;
-    if factor.is_finite() {
-        factor.clamp(0.0, 1.0)
-    } else {
-        1.0
-    }
+    if factor.is_finite() { factor.clamp(0.0, 1.0) } else { 1.0 }
 }
 
 /// World units squared.
@@ -145,11 +132,7 @@ mod tests {
 
     /// A splat of a pixel wide and one that lives while the camera is twice as near.
     fn scene() -> Scene {
-        let layout = SplatLayout {
-            isotropic: true,
-            sh_degree: 0,
-            time_degree: 0,
-        };
+        let layout = SplatLayout { isotropic: true, sh_degree: 0, time_degree: 0 };
         let mut splats = Splats::zeros(layout, 1, 1);
         splats.column_mut(Column::Mean, 2).fill(10.0);
         splats.column_mut(Column::LogScale, 0).fill(0.1f32.ln());
@@ -158,10 +141,7 @@ mod tests {
         let frame = |t: f64| SourceFrame {
             camera: Camera {
                 intrinsics: Intrinsics::centred(64, 48, 100.0),
-                c2w: Se3 {
-                    translation: m4_core::nalgebra::Vector3::new(0.0, 0.0, 5.0 * t),
-                    ..Se3::identity()
-                },
+                c2w: Se3 { translation: m4_core::nalgebra::Vector3::new(0.0, 0.0, 5.0 * t), ..Se3::identity() },
             },
             t,
             exposure: Exposure::IDENTITY,

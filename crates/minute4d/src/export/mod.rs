@@ -112,24 +112,15 @@ pub fn scene_to(scene: &Scene, out: &Path, job: &ExportJob, observer: &dyn Obser
     let moments = job.moments(scene)?;
     let start = Instant::now();
     let has_splats = job.format.time() != Time::Video;
-    let baked = if has_splats && !job.keep_mip {
-        bake::bake(scene)
-    } else {
-        None
-    };
+    let baked = if has_splats && !job.keep_mip { bake::bake(scene) } else { None };
     let (plain, loss) = baked.unzip();
     let mut written = write::write(plain.as_ref().unwrap_or(scene), out, &moments, job, observer)?;
     written.losses.splice(0..0, loss);
     drop(plain);
     let encode_s = start.elapsed().as_secs_f64();
-    let comparison = if job.compare {
-        report::compare(scene, &written.path, job.format, &moments, observer)?
-    } else {
-        None
-    };
-    Ok(ExportReport::new(
-        scene, job.format, &moments, written, encode_s, comparison,
-    ))
+    let comparison =
+        if job.compare { report::compare(scene, &written.path, job.format, &moments, observer)? } else { None };
+    Ok(ExportReport::new(scene, job.format, &moments, written, encode_s, comparison))
 }
 
 impl ExportJob {
@@ -153,10 +144,7 @@ impl ExportJob {
 
     /// The moments that are written, frames: one, or those of a sequence; none for a format with time.
     fn moments(&self, scene: &Scene) -> Result<Vec<f64>, Error> {
-        let span = Span {
-            time_frames: scene.time_frames,
-            duration_s: scene.duration_s,
-        };
+        let span = Span { time_frames: scene.time_frames, duration_s: scene.duration_s };
         let last = scene.time_frames.saturating_sub(1) as f64;
         match self.format.time() {
             Time::Instant => Ok(vec![match self.time {

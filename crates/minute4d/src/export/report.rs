@@ -125,11 +125,7 @@ impl fmt::Display for ExportReport {
         }
         write!(f, ", written in {:.1} s", self.encode_s)?;
         let losses = &self.losses;
-        for (sort, all) in [
-            ("baked", &losses.baked),
-            ("dropped", &losses.dropped),
-            ("quantised", &losses.quantised),
-        ] {
+        for (sort, all) in [("baked", &losses.baked), ("dropped", &losses.dropped), ("quantised", &losses.quantised)] {
             for what in all {
                 write!(f, "\n{sort}: {what}")?;
             }
@@ -192,10 +188,7 @@ pub(super) fn compare(
     let mut last: Option<(usize, Scene)> = None;
     for (i, look) in looks.iter().enumerate() {
         if observer.cancelled() {
-            return Err(Error::Stopped {
-                stage: "export",
-                saved: false,
-            });
+            return Err(Error::Stopped { stage: "export", saved: false });
         }
         if last.as_ref().is_none_or(|(moment, _)| *moment != look.moment) {
             let Some(read) = read_back(format, path, look.moment) else {
@@ -256,11 +249,7 @@ fn looks(scene: &Scene, format: Format, moments: &[f64]) -> Vec<Look> {
         .filter_map(|frame| {
             let camera = frame.camera;
             match format.time() {
-                Time::Clip => Some(Look {
-                    camera,
-                    t: frame.t,
-                    moment: 0,
-                }),
+                Time::Clip => Some(Look { camera, t: frame.t, moment: 0 }),
                 Time::Instant | Time::Sequence => {
                     let moment = nearest(frame.t)?;
                     let t = moments[moment];

@@ -76,12 +76,7 @@ fn write_video(out: &Path, scene: &Scene, fps: Option<f64>, observer: &dyn Obser
         observer.update("export", i + 1, scene.source.len(), "");
     }
     writer.finish()?;
-    let bytes = std::fs::metadata(out)
-        .map_err(|source| Error::Read {
-            path: out.to_path_buf(),
-            source,
-        })?
-        .len();
+    let bytes = std::fs::metadata(out).map_err(|source| Error::Read { path: out.to_path_buf(), source })?.len();
     Ok(Written {
         path: out.to_path_buf(),
         bytes,
@@ -101,19 +96,13 @@ pub(super) fn make_capture(input: &Path, job: &ExportJob, observer: &dyn Observe
     if !job.replace && occupied(&out) {
         return Err(OutputError::WouldReplace { path: out }.into());
     }
-    let options = CaptureOptions {
-        reach: job.reach,
-        ..Settings::fast().capture
-    };
+    let options = CaptureOptions { reach: job.reach, ..Settings::fast().capture };
     let train = capture::read(input, Split::Train, &options, observer)?;
     // COLMAP has no place for views of other cameras
     let has_views = input.join(Split::Test.file_name()).is_file();
     let takes_views = job.format == Format::Nerfstudio;
-    let test = if has_views && takes_views {
-        Some(capture::read(input, Split::Test, &options, observer)?)
-    } else {
-        None
-    };
+    let test =
+        if has_views && takes_views { Some(capture::read(input, Split::Test, &options, observer)?) } else { None };
     let start = Instant::now();
     let (bytes, mut losses) = write_capture(&out, &train, test.as_ref(), job.format, observer)?;
     if has_views && !takes_views {
@@ -135,9 +124,7 @@ fn write_capture(
         Format::Colmap => colmap::write(out, train, observer),
         Format::Nerfstudio => nerfstudio::write(out, train, test, observer),
         other => {
-            return Err(Error::Internal {
-                what: format!("{} was treated as a capture format", other.name()),
-            });
+            return Err(Error::Internal { what: format!("{} was treated as a capture format", other.name()) });
         }
     };
     let written = written.map_err(|error| match error.kind() {
@@ -147,7 +134,4 @@ fn write_capture(
     Ok((written.bytes, Losses::of(written.losses)))
 }
 
-const STOPPED: Error = Error::Stopped {
-    stage: "export",
-    saved: false,
-};
+const STOPPED: Error = Error::Stopped { stage: "export", saved: false };

@@ -48,11 +48,7 @@ impl CachedFlow<'_> {
 
 fn written(both: &(Flow, Flow)) -> Vec<u8> {
     let planes = [&both.0.u, &both.0.v, &both.1.u, &both.1.v];
-    planes
-        .iter()
-        .flat_map(|plane| plane.iter())
-        .flat_map(|v| v.to_le_bytes())
-        .collect()
+    planes.iter().flat_map(|plane| plane.iter()).flat_map(|v| v.to_le_bytes()).collect()
 }
 
 fn read(bytes: &[u8], (width, height): (usize, usize)) -> Option<(Flow, Flow)> {
@@ -65,12 +61,7 @@ fn read(bytes: &[u8], (width, height): (usize, usize)) -> Option<(Flow, Flow)> {
         let of_plane = &numbers[k * n..(k + 1) * n];
         of_plane.iter().map(|bytes| f32::from_le_bytes(*bytes)).collect()
     };
-    let flow = |k: usize| Flow {
-        width,
-        height,
-        u: plane(k),
-        v: plane(k + 1),
-    };
+    let flow = |k: usize| Flow { width, height, u: plane(k), v: plane(k + 1) };
     Some((flow(0), flow(2)))
 }
 
@@ -106,27 +97,15 @@ mod tests {
             (0..w * h).map(|i| ([value(i); 3], f32::from(value(i)))).unzip()
         };
         let pixels = [pixels(0), pixels(1)];
-        let [a, b] = pixels.each_ref().map(|(rgb, grey)| FlowImage {
-            width: w,
-            height: h,
-            rgb,
-            grey,
-        });
+        let [a, b] = pixels.each_ref().map(|(rgb, grey)| FlowImage { width: w, height: h, rgb, grey });
         let dir = tempfile::tempdir().unwrap();
         let steps = Steps::open(dir.path(), "key", &Silent);
-        let cached = CachedFlow {
-            source: Box::new(Counting),
-            steps: &steps,
-        };
+        let cached = CachedFlow { source: Box::new(Counting), steps: &steps };
         let plain = InverseSearch.both(&a, &b).unwrap();
         assert_eq!(cached.both(&a, &b).unwrap(), plain);
         assert_eq!(cached.both(&a, &b).unwrap(), plain, "from the cache");
         assert_eq!(MEASURED.load(Ordering::Relaxed), 1);
-        assert_ne!(
-            cached.both(&b, &a).unwrap(),
-            plain,
-            "the other way round is another pair"
-        );
+        assert_ne!(cached.both(&b, &a).unwrap(), plain, "the other way round is another pair");
         assert_eq!(MEASURED.load(Ordering::Relaxed), 2);
     }
 }

@@ -22,15 +22,12 @@ use m4_geometry::classical::sparse::{self, FeatureTracks, Recovered, SparseConfi
 pub(super) fn compute(clip: Clip, context: &Context<'_>) -> Result<(Capture, GeometrySummary), Error> {
     let (pass, found) = Reconstruction::new(&clip, context)?.run()?;
     let (cameras, dense) = (pass.recovered.sparse.cameras, pass.dense);
-    let frames = cameras
-        .into_iter()
-        .zip(dense.frames)
-        .map(|(camera, dense)| FrameGeometry {
-            camera,
-            depth: dense.depth.into(),
-            mask: dense.mask.into(),
-            motion: None,
-        });
+    let frames = cameras.into_iter().zip(dense.frames).map(|(camera, dense)| FrameGeometry {
+        camera,
+        depth: dense.depth.into(),
+        mask: dense.mask.into(),
+        motion: None,
+    });
     Ok((clip.capture(frames, pass.metric, dense.tracks), found))
 }
 
@@ -57,15 +54,11 @@ impl<'a> Reconstruction<'a> {
     fn new(clip: &'a Clip, context: &'a Context<'a>) -> Result<Self, Error> {
         let methods = context.methods;
         let (images, given) = (clip.images(), &clip.given);
-        let flow = methods
-            .frontend
-            .flow(context.settings.megasam.flow_iterations, &methods.device)?;
+        let flow = methods.frontend.flow(context.settings.megasam.flow_iterations, &methods.device)?;
         let segmenter = methods.segmenter.load()?;
         let mono = match &given.depth {
             Some(_) => None,
-            None => methods
-                .frontend
-                .depth(&images, clip.focal_px, &methods.device, context.steps)?,
+            None => methods.frontend.depth(&images, clip.focal_px, &methods.device, context.steps)?,
         };
         let depth = KnownDepth::of(given, mono);
         let mut config = clip.sparse.clone();
@@ -77,10 +70,7 @@ impl<'a> Reconstruction<'a> {
             images,
             given,
             config,
-            flow: CachedFlow {
-                source: flow,
-                steps: context.steps,
-            },
+            flow: CachedFlow { source: flow, steps: context.steps },
             segmenter,
             depth,
         })
@@ -107,17 +97,14 @@ impl<'a> Reconstruction<'a> {
     /// Tracks, unless the cameras are given, and cameras.
     fn cameras(&self) -> Result<(Option<FeatureTracks>, Recovered), Error> {
         let (images, config, masks) = (&self.images, &self.config, self.given.masks.as_deref());
-        let found = self
-            .context
-            .steps
-            .keep("cameras", |observer| match &self.given.cameras {
-                Some(cameras) => Ok((None, sparse::with_cameras(images, cameras, masks, config, observer)?)),
-                None => {
-                    let followed = sparse::track_features(images, config, observer)?;
-                    let recovered = followed.recover(masks, config, observer)?;
-                    Ok::<_, sparse::SparseError>((Some(followed), recovered))
-                }
-            })?;
+        let found = self.context.steps.keep("cameras", |observer| match &self.given.cameras {
+            Some(cameras) => Ok((None, sparse::with_cameras(images, cameras, masks, config, observer)?)),
+            None => {
+                let followed = sparse::track_features(images, config, observer)?;
+                let recovered = followed.recover(masks, config, observer)?;
+                Ok::<_, sparse::SparseError>((Some(followed), recovered))
+            }
+        })?;
         Ok(found)
     }
 
@@ -144,15 +131,12 @@ impl<'a> Reconstruction<'a> {
             KnownDepth::Network(mono) => mono,
             KnownDepth::Unknown => &NoDepth,
         };
-        let sources = Sources {
-            flow: &self.flow,
-            segmenter: self.segmenter.as_deref(),
-            mono,
-        };
+        let sources = Sources { flow: &self.flow, segmenter: self.segmenter.as_deref(), mono };
         let masks = self.given.masks.as_deref();
-        let estimated = self.context.steps.keep(name, |observer| {
-            estimate(&self.images, sparse, &sources, masks, &settings.dense, observer)
-        })?;
+        let estimated = self
+            .context
+            .steps
+            .keep(name, |observer| estimate(&self.images, sparse, &sources, masks, &settings.dense, observer))?;
         let mut dense = estimated.enlarge(&self.images, observer)?;
         if unit != 1.0 {
             for z in dense.frames.iter_mut().flat_map(|f| f.depth.data_mut()) {
@@ -160,11 +144,7 @@ impl<'a> Reconstruction<'a> {
             }
             dense.tracks = dense.tracks.map(|tracks| tracks.scaled(unit as f32));
         }
-        Ok(Pass {
-            recovered,
-            dense,
-            metric,
-        })
+        Ok(Pass { recovered, dense, metric })
     }
 
     /// Grades the result, warns of a doubtful one, and describes it.

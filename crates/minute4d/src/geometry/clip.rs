@@ -54,12 +54,7 @@ impl Clip {
         if let Some(lens) = given.lens {
             sparse.intrinsics = Some([lens.fx, lens.fy, lens.cx, lens.cy]);
         }
-        Ok(Self {
-            video,
-            given,
-            sparse,
-            focal_px,
-        })
+        Ok(Self { video, given, sparse, focal_px })
     }
 
     /// The images.
@@ -83,13 +78,7 @@ impl Clip {
             instances: None,
             camera_index: None,
         });
-        Capture {
-            frames: frames.collect(),
-            time_frames,
-            duration_s,
-            metric,
-            tracks,
-        }
+        Capture { frames: frames.collect(), time_frames, duration_s, metric, tracks }
     }
 }
 
@@ -134,10 +123,7 @@ impl Between {
 
     /// The options with which the clip is read.
     pub fn to_read(self, video: &VideoOptions) -> VideoOptions {
-        VideoOptions {
-            max_frames: self.read,
-            ..video.clone()
-        }
+        VideoOptions { max_frames: self.read, ..video.clone() }
     }
 
     /// Keeps the frames that were asked for, with their times; tracks lose the others.
@@ -152,20 +138,15 @@ impl Between {
             return Ok(capture);
         }
         let tracks = capture.tracks.as_ref().map(|tracks| tracks.in_order(&chosen));
-        let tracks = tracks.transpose().map_err(|e| Error::Internal {
-            what: format!("tracks do not fit their frames: {e}"),
-        })?;
+        let tracks =
+            tracks.transpose().map_err(|e| Error::Internal { what: format!("tracks do not fit their frames: {e}") })?;
         let mut frames: Vec<_> = capture.frames.into_iter().map(Some).collect();
         let frames: Vec<_> = chosen.iter().filter_map(|&i| frames[i].take()).collect();
         observer.warn(&format!(
             "geometry used {all} frames to follow motion; {} of them are kept for training (max_frames)",
             frames.len()
         ));
-        Ok(Capture {
-            frames,
-            tracks,
-            ..capture
-        })
+        Ok(Capture { frames, tracks, ..capture })
     }
 }
 
@@ -173,9 +154,7 @@ impl Between {
 fn to_read(kept: usize) -> usize {
     let per_step = (MOST_FRAMES / kept.max(1)).clamp(1, MOST_PER_STEP);
     // At least one frame must be kept: the reader refuses 0.
-    kept.saturating_sub(1)
-        .saturating_mul(per_step)
-        .saturating_add(kept.min(1))
+    kept.saturating_sub(1).saturating_mul(per_step).saturating_add(kept.min(1))
 }
 
 #[cfg(test)]
@@ -205,10 +184,7 @@ mod tests {
     fn kept_frames_keep_their_times_and_tracks() {
         let frame = |i: usize| CaptureFrame {
             name: format!("{i:05}"),
-            camera: Camera {
-                intrinsics: Intrinsics::centred(2, 1, 1.0),
-                c2w: Se3::identity(),
-            },
+            camera: Camera { intrinsics: Intrinsics::centred(2, 1, 1.0), c2w: Se3::identity() },
             t: i as f64,
             rgb: Plane::filled(2, 1, [i as u8; 3]),
             depth: None,
@@ -225,19 +201,13 @@ mod tests {
             metric: false,
             tracks: Some(Tracks::new(9, 1, places, vec![true; 9]).unwrap()),
         };
-        let between = Between {
-            kept: Some(3),
-            read: Some(9),
-        };
+        let between = Between { kept: Some(3), read: Some(9) };
         let thin = between.keep(capture.clone(), &Silent).unwrap();
         let times: Vec<f64> = thin.frames.iter().map(|f| f.t).collect();
         assert_eq!((times, thin.time_frames), (vec![0.0, 4.0, 8.0], 9));
         let tracks = thin.tracks.unwrap();
         assert_eq!((tracks.frames(), tracks.place(1, 0)), (3, Some([4.0, 0.0, 1.0])));
-        let all = Between {
-            kept: Some(20),
-            read: Some(77),
-        };
+        let all = Between { kept: Some(20), read: Some(77) };
         assert_eq!(all.keep(capture, &Silent).unwrap().frames.len(), 9);
     }
 }

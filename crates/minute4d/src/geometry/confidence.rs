@@ -93,10 +93,7 @@ impl Confidence {
     ) -> Self {
         let pixels = dense.iter().map(|d| d.mask.data().len()).sum::<usize>().max(1) as f64;
         let resting = dense.iter().flat_map(|d| d.mask.data()).filter(|&&m| m == 0).count() as f64;
-        let measured = dense
-            .iter()
-            .flat_map(|d| d.confidence.data())
-            .filter(|&&c| c >= MEASURED);
+        let measured = dense.iter().flat_map(|d| d.confidence.data()).filter(|&&c| c >= MEASURED);
         let measured = measured.count() as f64 / pixels;
         let judged = sparse.tracks.iter().filter(|t| t.motion != Motion::Unknown).count();
         let inliers = sparse.tracks.iter();
@@ -120,11 +117,8 @@ impl Confidence {
             residual_px: sparse.residual_px,
             measured_share: known_depth.map_or(measured, |known| known.max(measured)),
         };
-        let around = Circumstances {
-            camera_motion: sparse.camera_motion,
-            masks_given,
-            depth_given: known_depth.is_some(),
-        };
+        let around =
+            Circumstances { camera_motion: sparse.camera_motion, masks_given, depth_given: known_depth.is_some() };
         (confidence.grade, confidence.advice) = confidence.judge(around);
         confidence
     }
@@ -172,10 +166,9 @@ impl Confidence {
         }
         findings.push(match (self.focal, self.focal_sigma_percent) {
             (Focal::Assumed, _) => (Grade::Fair, "the field of view is a guess: give --fov"),
-            (Focal::Estimated, Some(sigma)) => (
-                high(sigma, 3.0, 10.0),
-                "the clip says little about the field of view: give --fov",
-            ),
+            (Focal::Estimated, Some(sigma)) => {
+                (high(sigma, 3.0, 10.0), "the clip says little about the field of view: give --fov")
+            }
             _ => (Grade::Good, ""),
         });
         if moves {
@@ -198,9 +191,7 @@ impl Confidence {
             ));
         }
         let worst = findings.iter().map(|(grade, _)| *grade).max().unwrap_or(Grade::Good);
-        let advice = findings
-            .iter()
-            .find(|(grade, _)| *grade == worst && worst != Grade::Good);
+        let advice = findings.iter().find(|(grade, _)| *grade == worst && worst != Grade::Good);
         (worst, advice.map(|(_, advice)| (*advice).to_owned()))
     }
 
@@ -237,13 +228,8 @@ fn parallax_rad(sparse: &SparseReconstruction) -> f64 {
         let seen = (0..=last).step_by(step).chain([last]);
         let cameras = seen.filter_map(|k| sparse.cameras.get(track.first_frame + k));
         let rays: Vec<_> = cameras.map(|c| (point - c.centre()).normalize()).collect();
-        let pairs = rays
-            .iter()
-            .enumerate()
-            .flat_map(|(i, a)| rays[..i].iter().map(move |b| (a, b)));
-        let widest = pairs
-            .map(|(a, b)| a.cross(b).norm().atan2(a.dot(b)))
-            .fold(0.0, f64::max);
+        let pairs = rays.iter().enumerate().flat_map(|(i, a)| rays[..i].iter().map(move |b| (a, b)));
+        let widest = pairs.map(|(a, b)| a.cross(b).norm().atan2(a.dot(b))).fold(0.0, f64::max);
         angles.push(widest);
     }
     median(&mut angles).unwrap_or(0.0)
@@ -266,11 +252,8 @@ mod tests {
         residual_px: 0.2,
         measured_share: 0.8,
     };
-    const MOVING: Circumstances = Circumstances {
-        camera_motion: CameraMotion::Parallax,
-        masks_given: false,
-        depth_given: false,
-    };
+    const MOVING: Circumstances =
+        Circumstances { camera_motion: CameraMotion::Parallax, masks_given: false, depth_given: false };
 
     #[test]
     fn each_weak_number_has_its_grade_and_advice() {
@@ -285,25 +268,14 @@ mod tests {
         weak(&|c| c.parallax_deg = 1.0, MOVING, Grade::Fair, "sideways");
         weak(&|c| c.parallax_deg = 0.1, MOVING, Grade::Poor, "sideways");
         weak(&|c| c.inlier_share = 0.1, MOVING, Grade::Poor, "light");
-        weak(
-            &|c| (c.inlier_share, c.static_share) = (0.1, 0.4),
-            MOVING,
-            Grade::Poor,
-            "--masks",
-        );
+        weak(&|c| (c.inlier_share, c.static_share) = (0.1, 0.4), MOVING, Grade::Poor, "--masks");
         weak(&|c| c.focal_sigma_percent = Some(20.0), MOVING, Grade::Poor, "--fov");
         weak(&|c| c.residual_px = 1.0, MOVING, Grade::Fair, "zoom");
         weak(&|c| c.static_share = 0.5, MOVING, Grade::Fair, "--masks");
         weak(&|c| c.measured_share = 0.2, MOVING, Grade::Fair, "--depth");
-        let tripod = Circumstances {
-            camera_motion: CameraMotion::Static,
-            ..MOVING
-        };
+        let tripod = Circumstances { camera_motion: CameraMotion::Static, ..MOVING };
         weak(&|c| c.focal = Focal::Assumed, tripod, Grade::Poor, "is static");
-        let told = Circumstances {
-            depth_given: true,
-            ..tripod
-        };
+        let told = Circumstances { depth_given: true, ..tripod };
         weak(&|c| c.focal = Focal::Assumed, told, Grade::Fair, "--fov");
     }
 }

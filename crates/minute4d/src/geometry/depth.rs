@@ -80,11 +80,7 @@ impl<'a> KnownDepth<'a> {
             Self::Network(mono) => mono.metric_m(),
             Self::Unknown => None,
         };
-        if posed || maps.is_some() {
-            typical_depth(sparse, maps)
-        } else {
-            1.0
-        }
+        if posed || maps.is_some() { typical_depth(sparse, maps) } else { 1.0 }
     }
 }
 
@@ -142,10 +138,7 @@ pub(super) fn depth_ratio(sparse: &SparseReconstruction, depth: &[DepthMap]) -> 
                 let at = (f64::from(at) + 0.5) / side as f64 * cells as f64;
                 (at.max(0.0) as usize).min(cells.saturating_sub(1))
             };
-            let given = map[(
-                cell(seen[0], k.width, map.width()),
-                cell(seen[1], k.height, map.height()),
-            )];
+            let given = map[(cell(seen[0], k.width, map.width()), cell(seen[1], k.height, map.height()))];
             let (_, z) = camera.project(&point);
             if given > 0.0 && given.is_finite() && z > 0.0 {
                 ratios.push(f64::from(given) / z);
@@ -167,11 +160,7 @@ pub(super) fn typical_depth(sparse: &SparseReconstruction, depth: Option<&[Depth
     let mut depths = Vec::new();
     for track in &sparse.tracks {
         let Some(point) = track.point else { continue };
-        let cameras = sparse
-            .cameras
-            .iter()
-            .skip(track.first_frame)
-            .take(track.observations.len());
+        let cameras = sparse.cameras.iter().skip(track.first_frame).take(track.observations.len());
         depths.extend(cameras.map(|c| c.project(&point).1).filter(|z| *z > 0.0));
     }
     if depths.is_empty() {

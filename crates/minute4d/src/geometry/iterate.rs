@@ -46,15 +46,9 @@ pub(super) fn without_masked(
                 other => Ok(other.ok().filter(|r| r.sparse.camera_motion == CameraMotion::Parallax)),
             }
         })?;
-        let change = second
-            .as_ref()
-            .map(|second| Change::between(first, &second.sparse, |track| within(&masks, track)));
-        observer.update(
-            PHASE,
-            1,
-            1,
-            &change.map_or_else(String::new, |change| change.description()),
-        );
+        let change =
+            second.as_ref().map(|second| Change::between(first, &second.sparse, |track| within(&masks, track)));
+        observer.update(PHASE, 1, 1, &change.map_or_else(String::new, |change| change.description()));
         found = second.filter(|_| change.is_some_and(|change| change.matters()));
     }
     put_back(frames, masks);
@@ -111,18 +105,11 @@ impl Change {
         masked: impl Fn(&Track) -> bool,
     ) -> Self {
         let by_start: HashMap<_, &Track> = first.tracks.iter().filter_map(|t| Some((key(t)?, t))).collect();
-        let pairs: Vec<(&Track, &Track)> = second
-            .tracks
-            .iter()
-            .filter(|t| !masked(t))
-            .filter_map(|t| Some((*by_start.get(&key(t)?)?, t)))
-            .collect();
-        let judged = pairs
-            .iter()
-            .filter(|(a, b)| a.motion != Motion::Unknown && b.motion != Motion::Unknown);
-        let (judged, turned) = judged.fold((0_usize, 0_usize), |(n, turned), (a, b)| {
-            (n + 1, turned + usize::from(a.motion != b.motion))
-        });
+        let pairs: Vec<(&Track, &Track)> =
+            second.tracks.iter().filter(|t| !masked(t)).filter_map(|t| Some((*by_start.get(&key(t)?)?, t))).collect();
+        let judged = pairs.iter().filter(|(a, b)| a.motion != Motion::Unknown && b.motion != Motion::Unknown);
+        let (judged, turned) =
+            judged.fold((0_usize, 0_usize), |(n, turned), (a, b)| (n + 1, turned + usize::from(a.motion != b.motion)));
         let rest =
             |motion: &dyn Fn(&(&Track, &Track)) -> Motion| pairs.iter().filter(|p| motion(p) == Motion::Static).count();
         let (before, after) = (rest(&|p| p.0.motion), rest(&|p| p.1.motion));
@@ -142,10 +129,7 @@ fn key(track: &Track) -> Option<(usize, [i64; 2])> {
 
 /// See [`Change::shift_px`]. The two worlds are laid over each other by their points.
 fn shift_px(first: &SparseReconstruction, second: &SparseReconstruction, pairs: &[(&Track, &Track)]) -> f64 {
-    let points: Vec<_> = pairs
-        .iter()
-        .filter_map(|(a, b)| Some((a.point?, b.point?, *b)))
-        .collect();
+    let points: Vec<_> = pairs.iter().filter_map(|(a, b)| Some((a.point?, b.point?, *b))).collect();
     let all: Vec<usize> = (0..points.len()).collect();
     let fit = |of: &[usize]| -> Option<Sim3> {
         let (to, from): (Vec<Vector3<f64>>, Vec<Vector3<f64>>) = of.iter().map(|&i| (points[i].0, points[i].1)).unzip();
@@ -159,10 +143,7 @@ fn shift_px(first: &SparseReconstruction, second: &SparseReconstruction, pairs: 
         let off = |i: &usize| (world.transform(&points[*i].1) - points[*i].0).norm();
         let mut order: Vec<(f64, usize)> = all.iter().map(|i| (off(i), *i)).collect();
         order.sort_by(|a, b| a.0.total_cmp(&b.0));
-        let half: Vec<usize> = order[..(order.len() / 2).max(POINTS / 2)]
-            .iter()
-            .map(|(_, i)| *i)
-            .collect();
+        let half: Vec<usize> = order[..(order.len() / 2).max(POINTS / 2)].iter().map(|(_, i)| *i).collect();
         if let Some(better) = fit(&half) {
             world = better;
         }
@@ -173,11 +154,7 @@ fn shift_px(first: &SparseReconstruction, second: &SparseReconstruction, pairs: 
         let cameras = first.cameras.iter().zip(&second.cameras).enumerate();
         for (frame, (a, b)) in cameras.skip(track.first_frame).take(track.observations.len()) {
             let ((p, z), (q, w)) = (a.project(&there), b.project(point));
-            shifts[frame].push(if z > 0.0 && w > 0.0 {
-                (p[0] - q[0]).hypot(p[1] - q[1])
-            } else {
-                f64::INFINITY
-            });
+            shifts[frame].push(if z > 0.0 && w > 0.0 { (p[0] - q[0]).hypot(p[1] - q[1]) } else { f64::INFINITY });
         }
     }
     let known = shifts.iter_mut().filter(|s| s.len() >= POINTS_A_FRAME);
@@ -207,10 +184,7 @@ fn worth(sparse: &SparseReconstruction, masks: &[Mask]) -> bool {
 /// Takes the masks out of frames; [`put_back`] undoes that.
 fn take_masks(frames: &mut [DenseFrame]) -> Vec<Mask> {
     let empty = || Plane::filled(0, 0, 0);
-    frames
-        .iter_mut()
-        .map(|f| std::mem::replace(&mut f.mask, empty()))
-        .collect()
+    frames.iter_mut().map(|f| std::mem::replace(&mut f.mask, empty())).collect()
 }
 
 /// Gives frames their masks.
@@ -243,11 +217,7 @@ mod tests {
             Track {
                 first_frame: 0,
                 observations: seen.collect(),
-                motion: if i.is_multiple_of(10) {
-                    Motion::Dynamic
-                } else {
-                    Motion::Static
-                },
+                motion: if i.is_multiple_of(10) { Motion::Dynamic } else { Motion::Static },
                 point: (!i.is_multiple_of(10)).then_some(point),
                 residual_px: 0.1,
             }
@@ -299,10 +269,7 @@ mod tests {
 
         let verdicts = |n: usize, motion: Motion| {
             let mut second = first.clone();
-            let some = second
-                .tracks
-                .iter_mut()
-                .filter(|t| t.motion != motion && t.motion != Motion::Unknown);
+            let some = second.tracks.iter_mut().filter(|t| t.motion != motion && t.motion != Motion::Unknown);
             for t in some.take(n) {
                 t.motion = motion;
             }
@@ -334,10 +301,7 @@ mod tests {
         assert!(worth(&clip, &half));
         assert!(!worth(&clip, &vec![Plane::filled(320, 240, 0); 12]));
         assert!(!worth(&clip, &vec![Plane::filled(320, 240, 255); 12]));
-        let turning = SparseReconstruction {
-            camera_motion: CameraMotion::RotationOnly,
-            ..clip
-        };
+        let turning = SparseReconstruction { camera_motion: CameraMotion::RotationOnly, ..clip };
         assert!(!worth(&turning, &half));
     }
 }

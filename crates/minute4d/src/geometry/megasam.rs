@@ -110,10 +110,7 @@ fn frames(
         let (w, h) = geometry.size.scaled;
         let motion = geometry.static_at(i, w, h).map(|&m| 1.0 - m.clamp(0.0, 1.0));
         FrameGeometry {
-            camera: Camera {
-                intrinsics: geometry.lens,
-                c2w: geometry.c2w[i],
-            },
+            camera: Camera { intrinsics: geometry.lens, c2w: geometry.c2w[i] },
             depth: geometry.depth[i].clone().into(),
             mask: match &masks {
                 Some(masks) => masks[i].clone().into(),
@@ -143,12 +140,7 @@ fn summary(
         size: [lens.width, lens.height],
         focal_px: lens.fx,
         fov_deg: lens.horizontal_fov_rad().to_degrees(),
-        camera_motion: if geometry.observability.has_parallax() {
-            "parallax"
-        } else {
-            "rotation_only"
-        }
-        .to_owned(),
+        camera_motion: if geometry.observability.has_parallax() { "parallax" } else { "rotation_only" }.to_owned(),
         residual_px: geometry.residual_px,
         tracks: 0,
         points: 0,

@@ -37,11 +37,7 @@ impl Methods {
         };
         let segmenter = segmenter::resolve(asked)?;
         // Masks that the user gave stay.
-        let refined = if options.masks.is_some() {
-            Segmenter::None
-        } else {
-            options.segmenter
-        };
+        let refined = if options.masks.is_some() { Segmenter::None } else { options.segmenter };
         let enhance = enhance::Plan::of(refined, options.tracker, before)?;
         let device = if frontend.used.is_empty() && !enhance.has_network() {
             // A GPU that is not needed is not started, and does not count as a difference between results.
@@ -49,12 +45,7 @@ impl Methods {
         } else {
             device.for_networks()?
         };
-        Ok(Self {
-            frontend,
-            segmenter,
-            enhance,
-            device,
-        })
+        Ok(Self { frontend, segmenter, enhance, device })
     }
 }
 

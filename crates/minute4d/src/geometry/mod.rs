@@ -83,21 +83,13 @@ struct Part<'a> {
 /// [`Error`]: the input cannot be read, the folder cannot be used, or nothing can be reconstructed.
 pub fn make(input: &Path, capture: &Path, job: &Job<'_>) -> Result<GeometryRecord, Error> {
     if !input.exists() {
-        return Err(Error::Missing {
-            what: "video or folder of images",
-            path: input.to_path_buf(),
-        });
+        return Err(Error::Missing { what: "video or folder of images", path: input.to_path_buf() });
     }
     let mut settings = job.settings.clone();
     // flow tracks are computed with the depth, unless another method tracks points afterwards
     settings.dense.tracks &= !matches!(settings.geometry.tracker, Tracker::None | Tracker::Tapip3d);
     let methods = Methods::resolve(&settings.geometry, job.device.choice)?;
-    let Methods {
-        frontend,
-        segmenter,
-        enhance,
-        device,
-    } = &methods;
+    let Methods { frontend, segmenter, enhance, device } = &methods;
     let name = frontend.frontend.to_string();
     let part = Part {
         video: &settings.video,
@@ -114,10 +106,7 @@ pub fn make(input: &Path, capture: &Path, job: &Job<'_>) -> Result<GeometryRecor
         enhance: (!enhance.nothing()).then_some((&settings.enhance, enhance.used.as_slice())),
         given: Sources::of(&settings.geometry)?,
     };
-    let source = Input {
-        path: input.display().to_string(),
-        blake3: hash::of_path(input)?,
-    };
+    let source = Input { path: input.display().to_string(), blake3: hash::of_path(input)? };
     let key = hash::of_parts(&[STAGE, env!("CARGO_PKG_VERSION"), &source.blake3, &part_to_toml(&part)?]);
     let record = GeometryRecord::begin(source, key, plain_json(&part)?);
     let mut folder = CaptureFolder::open(capture, job.existing, record, job.observer)?;
@@ -128,11 +117,7 @@ pub fn make(input: &Path, capture: &Path, job: &Job<'_>) -> Result<GeometryRecor
         for note in &frontend.notes {
             steps.observer().warn(note);
         }
-        let context = Context {
-            settings: &settings,
-            methods: &methods,
-            steps,
-        };
+        let context = Context { settings: &settings, methods: &methods, steps };
         folder.record.found = Some(compute(input, &folder.path, &context)?);
         Ok(())
     })?;

@@ -66,21 +66,16 @@ pub(crate) fn resolve(asked: Segmenter) -> Result<Resolved, Error> {
 pub(crate) fn resolve(asked: Segmenter) -> Result<Resolved, Error> {
     match asked {
         Segmenter::None | Segmenter::Auto => Ok(Resolved {}),
-        Segmenter::Mobilesam | Segmenter::Sam2 => Err(NetworkError::NotBuilt {
-            method: NetworkMethod::Segmenter(asked),
+        Segmenter::Mobilesam | Segmenter::Sam2 => {
+            Err(NetworkError::NotBuilt { method: NetworkMethod::Segmenter(asked) }.into())
         }
-        .into()),
     }
 }
 
 impl Resolved {
     /// Its name, never `auto`.
     pub(crate) fn name(&self) -> &'static str {
-        if self.weights_hash().is_some() {
-            Segmenter::Mobilesam.name()
-        } else {
-            Segmenter::None.name()
-        }
+        if self.weights_hash().is_some() { Segmenter::Mobilesam.name() } else { Segmenter::None.name() }
     }
 
     /// BLAKE3 of its weights.
@@ -154,10 +149,8 @@ mod network {
         }
 
         pub fn load(&self) -> Result<MobileSamSegmenter, Error> {
-            let net = MobileSam::load(&self.path, m4_nets::cpu()).map_err(|source| NetworkError::Load {
-                method: METHOD,
-                source: Box::new(source),
-            })?;
+            let net = MobileSam::load(&self.path, m4_nets::cpu())
+                .map_err(|source| NetworkError::Load { method: METHOD, source: Box::new(source) })?;
             Ok(MobileSamSegmenter { net })
         }
     }
@@ -169,14 +162,8 @@ mod network {
 
     /// A prompt of an image of `size` as one of `image`.
     fn ours(prompt: &SegmentPrompt, belief: Plane<f32>, image: &RgbImage, size: (usize, usize)) -> Prompt {
-        let (sx, sy) = (
-            image.width() as f32 / size.0 as f32,
-            image.height() as f32 / size.1 as f32,
-        );
-        let point = |&[x, y]: &[f32; 2], on_object: bool| PointPrompt {
-            at_px: [x * sx, y * sy],
-            on_object,
-        };
+        let (sx, sy) = (image.width() as f32 / size.0 as f32, image.height() as f32 / size.1 as f32);
+        let point = |&[x, y]: &[f32; 2], on_object: bool| PointPrompt { at_px: [x * sx, y * sy], on_object };
         let on = prompt.points_px.iter().map(|p| point(p, true));
         let off = prompt.off_points_px.iter().map(|p| point(p, false));
         let [x0, y0, x1, y1] = prompt.box_px;
@@ -201,10 +188,7 @@ mod network {
                 let masks = self.net.masks(&embedding, &ours(prompt, belief, image, size))?;
                 // The first: box, points and belief leave no doubt which thing is meant.
                 let mask = masks.first().ok_or(SamError::NothingAsked)?;
-                Ok(SegmentMask {
-                    logits: mask.logits_at(size).data().to_vec(),
-                    quality: mask.iou,
-                })
+                Ok(SegmentMask { logits: mask.logits_at(size).data().to_vec(), quality: mask.iou })
             };
             prompts.iter().map(one).collect()
         }
@@ -275,11 +259,7 @@ mod tests {
             box_px: edges.map(|v| v * SMALL.0 as f32),
             belief: coarse.iter().map(|&c| if c { 2.0 } else { -2.0 }).collect(),
         };
-        let found = weights
-            .load()
-            .unwrap()
-            .masks(&colour_image(), SMALL, &[prompt])
-            .unwrap();
+        let found = weights.load().unwrap().masks(&colour_image(), SMALL, &[prompt]).unwrap();
         let found: Vec<bool> = found[0].logits.iter().map(|&logit| logit > 0.0).collect();
         let overlap = |mask: &[bool]| {
             let count = |f: &dyn Fn(bool, bool) -> bool| mask.iter().zip(&truth).filter(|(a, b)| f(**a, **b)).count();

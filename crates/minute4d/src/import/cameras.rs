@@ -32,10 +32,7 @@ pub fn default_cameras(scene: &mut Scene, up: Option<[f64; 3]>) {
     let distance = radius * 2.0 * focal / width.min(height) as f64;
     let camera = Camera {
         intrinsics: Intrinsics::centred(width, height, focal),
-        c2w: Se3 {
-            rotation: Matrix3::from_columns(&[right, down, forward]),
-            translation: middle - forward * distance,
-        },
+        c2w: Se3 { rotation: Matrix3::from_columns(&[right, down, forward]), translation: middle - forward * distance },
     };
     if scene.time_frames < 2 {
         scene.time_frames = STILL_FRAMES;
@@ -45,11 +42,7 @@ pub fn default_cameras(scene: &mut Scene, up: Option<[f64; 3]>) {
     scene.source = cameras
         .into_iter()
         .enumerate()
-        .map(|(i, camera)| SourceFrame {
-            camera,
-            t: i as f64,
-            exposure: Exposure::IDENTITY,
-        })
+        .map(|(i, camera)| SourceFrame { camera, t: i as f64, exposure: Exposure::IDENTITY })
         .collect();
     // Nothing of the scene is nearer than a thousandth of the way to it.
     scene.near = scene.near.min((1e-3 * distance) as f32);
@@ -61,11 +54,7 @@ fn extent(splats: &Splats) -> (Vector3<f64>, f64) {
     let columns: [&[f32]; 3] = std::array::from_fn(|k| splats.column(Column::Mean, k));
     let nth = |mut values: Vec<f64>, share: f64| {
         let at = ((n as f64 * share) as usize).min(n.saturating_sub(1));
-        if values.is_empty() {
-            0.0
-        } else {
-            *values.select_nth_unstable_by(at, f64::total_cmp).1
-        }
+        if values.is_empty() { 0.0 } else { *values.select_nth_unstable_by(at, f64::total_cmp).1 }
     };
     let median = |k: usize| nth(columns[k].iter().map(|&v| f64::from(v)).collect(), 0.5);
     let middle = Vector3::new(median(0), median(1), median(2));
@@ -82,11 +71,7 @@ mod tests {
     use m4_core::{Column, Scene, SplatLayout, Splats, nalgebra::Vector3};
 
     fn scene(means: &[[f32; 3]]) -> Scene {
-        let layout = SplatLayout {
-            isotropic: false,
-            sh_degree: 0,
-            time_degree: 0,
-        };
+        let layout = SplatLayout { isotropic: false, sh_degree: 0, time_degree: 0 };
         let mut splats = Splats::zeros(layout, means.len(), 0);
         for (i, mean) in means.iter().enumerate() {
             for k in 0..3 {
@@ -107,13 +92,8 @@ mod tests {
     #[test]
     fn the_centre_of_the_scene_projects_to_the_centre_of_every_image() {
         for up in [None, Some([0.0, 1.0, 0.0]), Some([0.0, 0.0, 1.0])] {
-            let mut scene = scene(&[
-                [4.0, 1.0, 0.0],
-                [6.0, 1.0, 0.0],
-                [5.0, 2.0, 0.0],
-                [5.0, 0.0, 0.0],
-                [5.0, 1.0, 1.0],
-            ]);
+            let mut scene =
+                scene(&[[4.0, 1.0, 0.0], [6.0, 1.0, 0.0], [5.0, 2.0, 0.0], [5.0, 0.0, 0.0], [5.0, 1.0, 1.0]]);
             default_cameras(&mut scene, up);
             assert_eq!((scene.source.len(), scene.time_frames), (60, 60));
             for frame in &scene.source {

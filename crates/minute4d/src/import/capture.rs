@@ -64,10 +64,7 @@ pub(super) fn make(
 ) -> Result<CaptureReport, Error> {
     let start = Instant::now();
     let keeper = RecordingObserver::new(observer);
-    let options = ImportOptions {
-        max_memory_bytes: Settings::fast().capture.max_memory_bytes,
-        ..job.options.clone()
-    };
+    let options = ImportOptions { max_memory_bytes: Settings::fast().capture.max_memory_bytes, ..job.options.clone() };
     // Read before the folder is made, so that a wrong file leaves nothing behind.
     observer.stage(STAGE, StageEvent::Started { because: None });
     if format == SourceFormat::Megasam {
@@ -81,17 +78,9 @@ pub(super) fn make(
     } else {
         None
     };
-    let part = Part {
-        import: &options,
-        motion: &options.motion,
-        fix: job.fix,
-        format,
-    };
+    let part = Part { import: &options, motion: &options.motion, fix: job.fix, format };
     let settings = plain_json(&part)?;
-    let input = Input {
-        path: file.display().to_string(),
-        blake3: hash::of_path(file)?,
-    };
+    let input = Input { path: file.display().to_string(), blake3: hash::of_path(file)? };
     let key = hash::of_parts(&[STAGE, env!("CARGO_PKG_VERSION"), &input.blake3, &settings.to_string()]);
     let mut capture = CaptureFolder::open(out, job.existing, GeometryRecord::begin(input, key, settings), observer)?;
     let ours = GeometryRecord::read(out)?.is_some_and(|record| record.settings.get("import").is_some());
@@ -111,12 +100,7 @@ pub(super) fn make(
     };
     record.write(out)?;
     written?;
-    observer.stage(
-        STAGE,
-        StageEvent::Finished {
-            seconds: record.seconds,
-        },
-    );
+    observer.stage(STAGE, StageEvent::Finished { seconds: record.seconds });
     let held_out = imported.test.as_ref().map_or(0, |test| test.frames.len());
     Ok(report(format, out, &imported.train, (held_out, check), record.seconds))
 }
@@ -160,18 +144,13 @@ fn check_megasam(options: &ImportOptions) -> Result<(), Refusal> {
     match beside.into_iter().find(|(_, is_given)| *is_given) {
         Some((option, _)) => {
             let format = SourceFormat::Megasam.name();
-            Err(Refusal::usage(format!(
-                "{option} has no meaning for {format}, which has its own; leave it out"
-            )))
+            Err(Refusal::usage(format!("{option} has no meaning for {format}, which has its own; leave it out")))
         }
         None => Ok(()),
     }
 }
 
-const STOPPED: Error = Error::Stopped {
-    stage: STAGE,
-    saved: false,
-};
+const STOPPED: Error = Error::Stopped { stage: STAGE, saved: false };
 
 fn source_stopped(error: ReadError) -> Error {
     match error.kind() {
@@ -191,12 +170,7 @@ fn report(
     let lens = frames.first().map(|f| f.camera.intrinsics);
     let size = lens.map_or([0, 0], |k| [k.width, k.height]);
     let pixels = (frames.len() * size[0] * size[1]).max(1) as f64;
-    let known = frames
-        .iter()
-        .filter_map(|f| f.depth.as_ref())
-        .flat_map(|d| d.every(1))
-        .filter(|z| *z > 0.0)
-        .count();
+    let known = frames.iter().filter_map(|f| f.depth.as_ref()).flat_map(|d| d.every(1)).filter(|z| *z > 0.0).count();
     let masks = || frames.iter().filter_map(|f| f.mask.as_ref());
     let moving: usize = masks().map(CompactMask::count).sum();
     CaptureReport {
@@ -258,17 +232,8 @@ pub(super) fn checked(
         for cause in &found.causes {
             keeper.warn(&format!("{cause}; this was corrected"));
         }
-        let repaired = Some(Repaired {
-            causes: found.causes.clone(),
-            before: found,
-        });
-        return Ok((
-            Checked {
-                consistency: after,
-                repaired,
-            },
-            imported,
-        ));
+        let repaired = Some(Repaired { causes: found.causes.clone(), before: found });
+        return Ok((Checked { consistency: after, repaired }, imported));
     }
     for cause in &found.causes {
         keeper.warn(&format!("{cause}; --fix puts it right"));
@@ -279,10 +244,7 @@ pub(super) fn checked(
              it: are they of the same clip and frames?",
         );
     }
-    let checked = Checked {
-        consistency: found,
-        repaired: None,
-    };
+    let checked = Checked { consistency: found, repaired: None };
     Ok((checked, imported))
 }
 
@@ -298,11 +260,7 @@ impl fmt::Display for Checked {
         }
         write!(f, "consistency {}: ", c.verdict.name())?;
         match c.error_px {
-            Some(px) => write!(
-                f,
-                "cameras and flow differ by {px:.2} px (median of {} pixels)",
-                c.samples
-            )?,
+            Some(px) => write!(f, "cameras and flow differ by {px:.2} px (median of {} pixels)", c.samples)?,
             None => f.write_str("most pixels would be behind a camera")?,
         }
         if let Some(share) = c.depth_error {

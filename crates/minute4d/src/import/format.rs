@@ -77,15 +77,9 @@ impl ImportFormat {
         }
         let format = Format::of_path(path).ok_or_else(|| {
             let (path, known) = (path.display(), Self::names());
-            Refusal::usage(format!(
-                "the format of {path} is not recognised by its name; add --format, one of {known}"
-            ))
+            Refusal::usage(format!("the format of {path} is not recognised by its name; add --format, one of {known}"))
         })?;
-        if SCENES.contains(&format) {
-            Ok(Self::Scene(format))
-        } else {
-            Err(write_only(format))
-        }
+        if SCENES.contains(&format) { Ok(Self::Scene(format)) } else { Err(write_only(format)) }
     }
 }
 
@@ -137,19 +131,7 @@ mod tests {
         assert_eq!(colmap, ImportFormat::Source(SourceFormat::Colmap));
         let ply: ImportFormat = "ply".parse().unwrap();
         assert_eq!(ply, ImportFormat::Scene(Format::Ply));
-        assert!(
-            "spz"
-                .parse::<ImportFormat>()
-                .unwrap_err()
-                .to_string()
-                .contains("cannot be imported")
-        );
-        assert!(
-            "obj"
-                .parse::<ImportFormat>()
-                .unwrap_err()
-                .to_string()
-                .contains("colmap")
-        );
+        assert!("spz".parse::<ImportFormat>().unwrap_err().to_string().contains("cannot be imported"));
+        assert!("obj".parse::<ImportFormat>().unwrap_err().to_string().contains("colmap"));
     }
 }

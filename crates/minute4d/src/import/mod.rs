@@ -71,10 +71,7 @@ pub enum Report {
 /// cannot be used.
 pub fn make(file: &Path, out: &Path, job: &ImportJob, observer: &dyn Observer) -> Result<Report, Error> {
     if !file.exists() {
-        return Err(Error::Missing {
-            what: "file to import",
-            path: file.to_path_buf(),
-        });
+        return Err(Error::Missing { what: "file to import", path: file.to_path_buf() });
     }
     let format = ImportFormat::of(file, job.format)?;
     let splats = match format {
@@ -101,12 +98,7 @@ fn scene(
     existing: Existing,
     observer: &dyn Observer,
 ) -> Result<ImportReport, Error> {
-    let job = Job {
-        settings: Settings::fast(),
-        device: crate::device::DeviceRequest::default(),
-        existing,
-        observer,
-    };
+    let job = Job { settings: Settings::fast(), device: crate::device::DeviceRequest::default(), existing, observer };
     // Read before the folder is made, so that a wrong file leaves nothing behind.
     let Imported { mut scene, up, losses } = read(format, file)?;
     if scene.splats.n() == 0 {
@@ -116,17 +108,11 @@ fn scene(
     if cameras == 0 {
         default_cameras(&mut scene, up);
     }
-    let input = Input {
-        path: file.display().to_string(),
-        blake3: hash::of_path(file)?,
-    };
+    let input = Input { path: file.display().to_string(), blake3: hash::of_path(file)? };
     let key = hash::of_parts(&[STAGE, env!("CARGO_PKG_VERSION"), &input.blake3, format.name()]);
     let record: RunRecord = Workspace::open(out, input, &job, Clock::start(&job.settings))?.finish(|run| {
         run.record.profile = STAGE.to_owned();
-        run.record.splats = Some(SplatCount {
-            r#static: scene.splats.n_static(),
-            dynamic: scene.splats.n_dynamic(),
-        });
+        run.record.splats = Some(SplatCount { r#static: scene.splats.n_static(), dynamic: scene.splats.n_dynamic() });
         run.stage(STAGE, key, (None, 0.0), &[SCENE_FILE], |run, keeper| {
             use m4_core::Progress;
             for loss in &losses {
@@ -135,12 +121,7 @@ fn scene(
             if cameras == 0 {
                 keeper.warn("the file has no cameras; a default path around its centre is used");
             }
-            Ok(safetensors::write(
-                &run.path(SCENE_FILE),
-                &scene,
-                None,
-                &BTreeMap::new(),
-            )?)
+            Ok(safetensors::write(&run.path(SCENE_FILE), &scene, None, &BTreeMap::new())?)
         })
     })?;
     Ok(ImportReport {
@@ -174,13 +155,7 @@ impl ImportJob {
     /// Everything as the files say.
     #[must_use]
     pub fn new(format: Option<ImportFormat>) -> Self {
-        Self {
-            format,
-            existing: Existing::Refuse,
-            options: ImportOptions::default(),
-            check: true,
-            fix: false,
-        }
+        Self { format, existing: Existing::Refuse, options: ImportOptions::default(), check: true, fix: false }
     }
 
     /// An option that has a meaning for captures alone and was given.

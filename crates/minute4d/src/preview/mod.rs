@@ -35,30 +35,15 @@ pub struct PreviewConfig {
 
 impl Default for PreviewConfig {
     fn default() -> Self {
-        Self {
-            panel_px: 480,
-            labels: true,
-            min_seconds: 4.0,
-            swing: SwingConfig::default(),
-        }
+        Self { panel_px: 480, labels: true, min_seconds: 4.0, swing: SwingConfig::default() }
     }
 }
 
 /// Makes the preview within a run, unless that was done before.
 pub(crate) fn stage(run: &mut Workspace<'_>, capture: &Capture, scene: &Scene) -> Result<(), Error> {
-    let scene_hash = run
-        .record
-        .files
-        .get(crate::folder::SCENE_FILE)
-        .map_or("", |f| f.blake3.as_str());
+    let scene_hash = run.record.files.get(crate::folder::SCENE_FILE).map_or("", |f| f.blake3.as_str());
     let config = part_to_toml(&run.job.settings.preview)?;
-    let key = hash::of_parts(&[
-        STAGE,
-        env!("CARGO_PKG_VERSION"),
-        scene_hash,
-        &hash::of_capture(capture),
-        &config,
-    ]);
+    let key = hash::of_parts(&[STAGE, env!("CARGO_PKG_VERSION"), scene_hash, &hash::of_capture(capture), &config]);
     let task = match run.task(STAGE, &key, &[PREVIEW_FILE])? {
         Task::Reuse => {
             run.job.observer.stage(STAGE, StageEvent::Reused);
@@ -67,17 +52,13 @@ pub(crate) fn stage(run: &mut Workspace<'_>, capture: &Capture, scene: &Scene) -
         // A preview is computed again, so seconds of an earlier attempt do not count.
         Task::Work { because, .. } => (because, 0.0),
     };
-    run.stage(STAGE, key, task, &[PREVIEW_FILE], |run, keeper| {
-        draw(run, capture, scene, keeper)
-    })
+    run.stage(STAGE, key, task, &[PREVIEW_FILE], |run, keeper| draw(run, capture, scene, keeper))
 }
 
 fn draw(run: &Workspace<'_>, capture: &Capture, scene: &Scene, keeper: &RecordingObserver<'_>) -> Result<(), Error> {
     let config = &run.job.settings.preview;
     let Some(first) = scene.source.first() else {
-        return Err(Error::Internal {
-            what: "the scene has no source frames".to_owned(),
-        });
+        return Err(Error::Internal { what: "the scene has no source frames".to_owned() });
     };
     let size = panel_size(&first.camera, config.panel_px);
     let panels = Panels::new(size, config.labels);
@@ -92,26 +73,15 @@ fn draw(run: &Workspace<'_>, capture: &Capture, scene: &Scene, keeper: &Recordin
     let rounds = ((config.min_seconds * fps / n as f64).ceil() as usize).clamp(1, 100);
     let total = n * rounds;
     // At least one whole swing, and a whole number of them, so that the clip loops.
-    let swings = (total as f64 / config.swing.period_frames.max(2) as f64)
-        .round()
-        .max(1.0);
-    let swing_config = SwingConfig {
-        period_frames: (total as f64 / swings).round() as usize,
-        ..config.swing
-    };
+    let swings = (total as f64 / config.swing.period_frames.max(2) as f64).round().max(1.0);
+    let swing_config = SwingConfig { period_frames: (total as f64 / swings).round() as usize, ..config.swing };
     let cameras = swing(&still.camera.resized(size.0, size.1), distance, total, &swing_config);
     for (i, camera) in cameras.iter().enumerate() {
         if keeper.cancelled() {
-            return Err(Error::Stopped {
-                stage: STAGE,
-                saved: true,
-            });
+            return Err(Error::Stopped { stage: STAGE, saved: true });
         }
         let source = &scene.source[i % n];
-        let photo = capture
-            .frames
-            .get(i % n)
-            .and_then(|f| resize_rgb(&f.rgb, size.0, size.1, ResizeFilter::Triangle));
+        let photo = capture.frames.get(i % n).and_then(|f| resize_rgb(&f.rgb, size.0, size.1, ResizeFilter::Triangle));
         let again = renderer.image(&source.camera.resized(size.0, size.1), source.t, &source.exposure)?;
         let swung = renderer.image(camera, still.t, &Exposure::IDENTITY)?;
         writer.push(&panels.compose([photo.as_ref(), Some(&again), Some(&swung)]))?;

@@ -108,10 +108,7 @@ mod tests {
         let [red, blue] = [[255, 0, 0], [0, 0, 255]].map(|c| Plane::filled(8, 6, c));
         let out = panels.compose([Some(&red), None, Some(&blue)]);
         assert_eq!(out.size(), (32, 6));
-        assert_eq!(
-            (out[(0, 0)], out[(12, 3)], out[(31, 5)]),
-            ([255, 0, 0], [0; 3], [0, 0, 255])
-        );
+        assert_eq!((out[(0, 0)], out[(12, 3)], out[(31, 5)]), ([255, 0, 0], [0; 3], [0, 0, 255]));
         assert_eq!(out[(9, 2)], [0; 3]);
     }
 
@@ -119,10 +116,7 @@ mod tests {
     fn a_letter_is_drawn_and_cut_off_at_the_border() {
         let mut image = Plane::filled(40, 30, [90; 3]);
         draw(&mut image, 0, 0, "T");
-        assert_eq!(
-            (image[(2, 2)], image[(2, 10)], image[(6, 10)]),
-            ([255; 3], [30; 3], [255; 3])
-        );
+        assert_eq!((image[(2, 2)], image[(2, 10)], image[(6, 10)]), ([255; 3], [30; 3], [255; 3]));
         assert_eq!(image[(39, 29)], [90; 3]);
         draw(&mut image, 36, 26, "FROZEN TIME");
     }

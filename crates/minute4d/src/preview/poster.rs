@@ -26,19 +26,14 @@ const SIDE_PX: usize = 240;
 /// [`Error::Missing`] where the folder holds no run; [`Error`] where scene or capture cannot be read or nothing can be
 /// written.
 pub fn poster(run: &Path, input: &Path, settings: &Settings) -> Result<PathBuf, Error> {
-    let mut record = RunRecord::read(run)?.ok_or_else(|| Error::Missing {
-        what: RUN_FILE,
-        path: run.to_path_buf(),
-    })?;
+    let mut record = RunRecord::read(run)?.ok_or_else(|| Error::Missing { what: RUN_FILE, path: run.to_path_buf() })?;
     // Warnings about the capture were given while the scene was made.
     let made = run.join(CAPTURE_FOLDER);
     let capture = train::read(if made.is_dir() { &made } else { input }, settings, &Silent)?;
     let scene = safetensors::read(&run.join(SCENE_FILE))?.scene;
     let frame = sharpest(&capture).min(scene.source.len().saturating_sub(1));
     let (Some(source), Some(photo)) = (scene.source.get(frame), capture.frames.get(frame)) else {
-        return Err(Error::Internal {
-            what: "the scene has no source frames".to_owned(),
-        });
+        return Err(Error::Internal { what: "the scene has no source frames".to_owned() });
     };
     let (width, height) = panel_size(&source.camera, SIDE_PX);
     let photo = resize_rgb(&photo.rgb, width, height, ResizeFilter::Triangle);
@@ -54,14 +49,8 @@ pub fn poster(run: &Path, input: &Path, settings: &Settings) -> Result<PathBuf, 
     }
     let path = run.join(POSTER_FILE);
     write_rgb(&path, &both)?;
-    let bytes = fs::metadata(&path).map_err(|source| Error::Read {
-        path: path.clone(),
-        source,
-    })?;
-    let file = FileRecord {
-        bytes: bytes.len(),
-        blake3: hash::of_path(&path)?,
-    };
+    let bytes = fs::metadata(&path).map_err(|source| Error::Read { path: path.clone(), source })?;
+    let file = FileRecord { bytes: bytes.len(), blake3: hash::of_path(&path)? };
     record.files.insert(POSTER_FILE.to_owned(), file);
     record.write(run)?;
     Ok(path)
@@ -131,10 +120,7 @@ mod tests {
     fn frame_with_most_dynamic_detail_wins() {
         let frame = |i: usize| CaptureFrame {
             name: i.to_string(),
-            camera: Camera {
-                intrinsics: Intrinsics::centred(32, 24, 30.0),
-                c2w: Se3::identity(),
-            },
+            camera: Camera { intrinsics: Intrinsics::centred(32, 24, 30.0), c2w: Se3::identity() },
             t: i as f64,
             // Stripes to the left in frame 6; stronger ones to the right, where nothing moves, in frame 4; and
             // in frame 3, where next to nothing is masked.

@@ -15,18 +15,12 @@ impl<'a> Painter<'a> {
     /// Draws `scene` on the vector instructions given.
     #[must_use]
     pub fn new(scene: &'a Scene, level: SimdLevel) -> Self {
-        Self {
-            scene,
-            renderer: Renderer::new(level),
-        }
+        Self { scene, renderer: Renderer::new(level) }
     }
 
     /// Renders a camera at a time (frames), before exposure.
     pub fn frame(&mut self, camera: &Camera, t: f64, with_depth: bool) -> &Frame {
-        let view = View {
-            with_depth,
-            ..view(self.scene, camera, t)
-        };
+        let view = View { with_depth, ..view(self.scene, camera, t) };
         self.renderer.render(&self.scene.splats, &view)
     }
 

@@ -124,11 +124,7 @@ pub fn make(scene: &Path, out: &Path, job: &RenderJob, observer: &dyn Observer) 
     let start = Instant::now();
     Sink::check(out, job.replace)?;
     let level = SimdLevel::detect()?;
-    let file = if scene.is_dir() {
-        scene.join(SCENE_FILE)
-    } else {
-        scene.to_path_buf()
-    };
+    let file = if scene.is_dir() { scene.join(SCENE_FILE) } else { scene.to_path_buf() };
     let scene = safetensors::read(&file)?.scene;
     let gpu = job.device.open()?;
     let mut renderer = SceneRenderer::new(&scene, level, gpu.as_ref())?;
@@ -137,19 +133,14 @@ pub fn make(scene: &Path, out: &Path, job: &RenderJob, observer: &dyn Observer) 
     let mut sink = Sink::open(out, stops, plan.fps, job.replace)?;
     for (i, stop) in stops.iter().enumerate() {
         if observer.cancelled() {
-            return Err(Error::Stopped {
-                stage: "render",
-                saved: false,
-            });
+            return Err(Error::Stopped { stage: "render", saved: false });
         }
         let image = renderer.image(&stop.camera, stop.t, &stop.exposure)?;
         sink.push(&image)?;
         observer.update("render", i + 1, stops.len(), "");
     }
     sink.finish()?;
-    let size = stops
-        .first()
-        .map_or((0, 0), |s| (s.camera.intrinsics.width, s.camera.intrinsics.height));
+    let size = stops.first().map_or((0, 0), |s| (s.camera.intrinsics.width, s.camera.intrinsics.height));
     Ok(Rendered {
         frames: stops.len(),
         fps: plan.fps,

@@ -126,9 +126,7 @@ pub(super) fn unused(option: &str, path: &str, known: &[&str]) -> Refusal {
         [] => "none of these options".to_owned(),
         known => known.join(", "),
     };
-    Refusal::usage(format!(
-        "{option} has no meaning for the camera path {path}; it takes {takes}"
-    ))
+    Refusal::usage(format!("{option} has no meaning for the camera path {path}; it takes {takes}"))
 }
 
 #[cfg(test)]
@@ -137,26 +135,14 @@ mod tests {
 
     #[test]
     fn unused_options_are_rejected() {
-        let held = PathOptions {
-            hold_s: Some(3.0),
-            ..PathOptions::default()
-        };
+        let held = PathOptions { hold_s: Some(3.0), ..PathOptions::default() };
         assert_eq!(held.check(&CameraPath::Bullet), Ok(()));
         let error = held.check(&CameraPath::Swing).unwrap_err();
-        assert!(
-            error.to_string().contains("--hold-s") && error.to_string().contains("--degrees"),
-            "{error}"
-        );
-        let strong = PathOptions {
-            strength: Some(1.5),
-            ..PathOptions::default()
-        };
+        assert!(error.to_string().contains("--hold-s") && error.to_string().contains("--degrees"), "{error}");
+        let strong = PathOptions { strength: Some(1.5), ..PathOptions::default() };
         let error = strong.check(&CameraPath::Stabilised).unwrap_err();
         assert_eq!(error.to_string(), "--strength is 1.5; 0 to 1 was expected");
-        let nan = PathOptions {
-            amount: Some(f64::NAN),
-            ..PathOptions::default()
-        };
+        let nan = PathOptions { amount: Some(f64::NAN), ..PathOptions::default() };
         assert!(nan.check(&CameraPath::Swing).is_err());
     }
 }

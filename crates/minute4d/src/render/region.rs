@@ -29,11 +29,7 @@ impl Region {
         // The dynamic part is what one looks at, and what bears a turn of the camera least: the turn is about it.
         let distance = moving_depth(scene, &stop).unwrap_or(all);
         let centres: Vec<Vector3<f64>> = scene.source.iter().map(|s| s.camera.centre()).collect();
-        Self {
-            stop,
-            distance,
-            reach: reach(&stop, &centres),
-        }
+        Self { stop, distance, reach: reach(&stop, &centres) }
     }
 
     /// Returns the point that the camera looks at.
@@ -77,15 +73,10 @@ fn moving_depth(scene: &Scene, stop: &Stop) -> Option<f64> {
 
 fn reach(stop: &Stop, centres: &[Vector3<f64>]) -> f64 {
     let side = stop.camera.c2w.rotation.column(0);
-    let mut ways: Vec<f64> = centres
-        .iter()
-        .map(|c| side.dot(&(c - stop.camera.centre())).abs())
-        .collect();
+    let mut ways: Vec<f64> = centres.iter().map(|c| side.dot(&(c - stop.camera.centre())).abs()).collect();
     ways.sort_by(f64::total_cmp);
     let last = ways.len().saturating_sub(1);
-    ways.get((REACH_SHARE * last as f64).round() as usize)
-        .copied()
-        .unwrap_or(0.0)
+    ways.get((REACH_SHARE * last as f64).round() as usize).copied().unwrap_or(0.0)
 }
 
 #[cfg(test)]
@@ -96,11 +87,7 @@ mod tests {
 
     #[test]
     fn depth_is_that_of_visible_dynamic_splats() {
-        let layout = SplatLayout {
-            isotropic: true,
-            sh_degree: 0,
-            time_degree: 0,
-        };
+        let layout = SplatLayout { isotropic: true, sh_degree: 0, time_degree: 0 };
         // 100 static splats at 9; 60 moving ones that are at 4 in frame 10; 60 beside the image; 60 of frame 30.
         let mut splats = Splats::zeros(layout, 100, 180);
         splats.column_mut(Column::Opacity, 0).fill(3.0);
@@ -124,10 +111,7 @@ mod tests {
             source: Vec::new(),
         };
         let stop = Stop {
-            camera: Camera {
-                intrinsics: Intrinsics::centred(64, 48, 50.0),
-                c2w: Se3::identity(),
-            },
+            camera: Camera { intrinsics: Intrinsics::centred(64, 48, 50.0), c2w: Se3::identity() },
             t: 10.0,
             exposure: Exposure::IDENTITY,
         };

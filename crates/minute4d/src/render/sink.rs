@@ -36,10 +36,7 @@ impl Sink {
             .into());
         }
         if is_file(&extension) && out.exists() && !replace {
-            return Err(OutputError::WouldReplace {
-                path: out.to_path_buf(),
-            }
-            .into());
+            return Err(OutputError::WouldReplace { path: out.to_path_buf() }.into());
         }
         Ok(())
     }
@@ -66,9 +63,7 @@ impl Sink {
             }
             return Ok(Self::Folder { path, next: 0 });
         }
-        let size = stops
-            .first()
-            .map_or((0, 0), |s| (s.camera.intrinsics.width, s.camera.intrinsics.height));
+        let size = stops.first().map_or((0, 0), |s| (s.camera.intrinsics.width, s.camera.intrinsics.height));
         Ok(Self::Video(Box::new(Mp4Writer::create(out, size.0, size.1, fps)?)))
     }
 
@@ -96,8 +91,7 @@ impl Sink {
 }
 
 fn extension(out: &Path) -> String {
-    out.extension()
-        .map_or_else(String::new, |e| e.to_string_lossy().to_lowercase())
+    out.extension().map_or_else(String::new, |e| e.to_string_lossy().to_lowercase())
 }
 
 fn is_file(extension: &str) -> bool {
@@ -110,10 +104,7 @@ fn numbered(folder: &Path, i: usize) -> PathBuf {
 
 /// Removes the images from number `next` on, so that the folder holds one render.
 fn remove_from(folder: &Path, next: usize) -> Result<(), Error> {
-    let read = |source| Error::Read {
-        path: folder.to_path_buf(),
-        source,
-    };
+    let read = |source| Error::Read { path: folder.to_path_buf(), source };
     for entry in fs::read_dir(folder).map_err(read)? {
         let name = entry.map_err(read)?.file_name();
         let number = name.to_str().and_then(|n| n.strip_suffix(".png"));

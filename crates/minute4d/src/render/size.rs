@@ -48,11 +48,7 @@ pub fn fitted(k: &Intrinsics, (width, height): (usize, usize), fit: Fit) -> Resu
 /// The same image with everything `factor` times as large about the principal point.
 #[must_use]
 pub fn zoomed(k: &Intrinsics, factor: f64) -> Intrinsics {
-    Intrinsics {
-        fx: k.fx * factor,
-        fy: k.fy * factor,
-        ..*k
-    }
+    Intrinsics { fx: k.fx * factor, fy: k.fy * factor, ..*k }
 }
 
 #[cfg(test)]
@@ -60,14 +56,7 @@ mod tests {
     use super::{Fit, fitted};
     use m4_core::Intrinsics;
 
-    const K: Intrinsics = Intrinsics {
-        width: 480,
-        height: 360,
-        fx: 400.0,
-        fy: 410.0,
-        cx: 250.0,
-        cy: 170.0,
-    };
+    const K: Intrinsics = Intrinsics { width: 480, height: 360, fx: 400.0, fy: 410.0, cx: 250.0, cy: 170.0 };
 
     #[test]
     fn fitting_keeps_the_ray_through_the_image_centre() {

@@ -56,17 +56,10 @@ impl PoseSpline {
     #[must_use]
     pub fn new(times: Vec<f64>, poses: Vec<Se3<f64>>) -> Self {
         let turns: Vec<_> = poses.iter().map(|p| quaternion(&p.rotation)).collect();
-        let steps: Vec<_> = (1..turns.len())
-            .map(|i| (turns[i - 1].inverse() * turns[i]).scaled_axis())
-            .collect();
+        let steps: Vec<_> = (1..turns.len()).map(|i| (turns[i - 1].inverse() * turns[i]).scaled_axis()).collect();
         let spins = slopes(&times, &steps);
         let points = poses.iter().map(|p| p.translation).collect();
-        Self {
-            centres: Spline::new(times, points),
-            poses,
-            turns,
-            spins,
-        }
+        Self { centres: Spline::new(times, points), poses, turns, spins }
     }
 
     /// The pose at a time: exactly that of a node at its time, the nearest node's outside.
@@ -84,10 +77,7 @@ impl PoseSpline {
         // De Casteljau's construction.
         let (ab, bc, cd) = (arc(&a, &b, u), arc(&b, &c, u), arc(&c, &d, u));
         let turn = arc(&arc(&ab, &bc, u), &arc(&bc, &cd, u), u);
-        Se3 {
-            rotation: turn.to_rotation_matrix().into_inner(),
-            translation: self.centres.at(time),
-        }
+        Se3 { rotation: turn.to_rotation_matrix().into_inner(), translation: self.centres.at(time) }
     }
 }
 
@@ -155,10 +145,7 @@ mod tests {
     #[test]
     fn a_steady_turn_stays_steady() {
         let axis = Vector3::new(0.2, -0.9, 0.4);
-        let pose = |t: f64| Se3 {
-            rotation: exp_so3(&(axis * t)),
-            translation: Vector3::new(t, 2.0 * t, 1.0),
-        };
+        let pose = |t: f64| Se3 { rotation: exp_so3(&(axis * t)), translation: Vector3::new(t, 2.0 * t, 1.0) };
         let times = vec![0.0, 0.7, 1.0, 2.2];
         let spline = PoseSpline::new(times.clone(), times.iter().map(|t| pose(*t)).collect());
         for i in 0..=44 {

@@ -22,11 +22,7 @@ pub struct SwingConfig {
 
 impl Default for SwingConfig {
     fn default() -> Self {
-        Self {
-            side_deg: 6.0,
-            up_deg: 2.0,
-            period_frames: 60,
-        }
+        Self { side_deg: 6.0, up_deg: 2.0, period_frames: 60 }
     }
 }
 
@@ -56,14 +52,8 @@ pub(super) fn orbit(camera: &Camera, pivot: &Vector3<f64>, side: f64, up: f64) -
     let axes = &camera.c2w.rotation;
     let (right, down) = (axes.column(0).into_owned(), axes.column(1).into_owned());
     let turn: Matrix3<f64> = exp_so3(&(down * side)) * exp_so3(&(right * up));
-    let about_pivot = Se3 {
-        rotation: turn,
-        translation: pivot - turn * pivot,
-    };
-    Camera {
-        intrinsics: camera.intrinsics,
-        c2w: about_pivot.compose(&camera.c2w),
-    }
+    let about_pivot = Se3 { rotation: turn, translation: pivot - turn * pivot };
+    Camera { intrinsics: camera.intrinsics, c2w: about_pivot.compose(&camera.c2w) }
 }
 
 #[cfg(test)]
@@ -88,11 +78,7 @@ mod tests {
             let ([u, v], z) = c.project(&pivot);
             assert!((u - 31.5).abs() < 1e-9 && (v - 23.5).abs() < 1e-9 && (z - 3.0).abs() < 1e-9);
         }
-        let angle = |c: &Camera| {
-            (c.c2w.rotation.column(2).dot(&camera.c2w.rotation.column(2)))
-                .acos()
-                .to_degrees()
-        };
+        let angle = |c: &Camera| (c.c2w.rotation.column(2).dot(&camera.c2w.rotation.column(2))).acos().to_degrees();
         let widest = cameras.iter().map(angle).fold(0.0, f64::max);
         assert!((5.9..6.5).contains(&widest), "{widest}");
     }

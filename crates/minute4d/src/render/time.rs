@@ -44,10 +44,7 @@ pub enum TimeError {
         given: String,
     },
     /// Before the first or after the last frame.
-    #[error(
-        "{moment} lies outside the scene, which has frames 0 to {last}{}",
-        seconds_of(duration_s)
-    )]
+    #[error("{moment} lies outside the scene, which has frames 0 to {last}{}", seconds_of(duration_s))]
     Outside {
         /// The moment asked for.
         moment: Moment,
@@ -113,11 +110,7 @@ fn parse_moment(text: &str) -> Option<Moment> {
         None => (text, false),
     };
     let value: f64 = number.parse().ok().filter(|v: &f64| v.is_finite())?;
-    Some(if seconds {
-        Moment::Seconds(value)
-    } else {
-        Moment::Frames(value)
-    })
+    Some(if seconds { Moment::Seconds(value) } else { Moment::Frames(value) })
 }
 
 /// The duration of a scene.
@@ -151,11 +144,7 @@ impl Span {
             Ok(t.clamp(0.0, last as f64))
         } else {
             let duration_s = self.duration_s;
-            Err(TimeError::Outside {
-                moment,
-                last,
-                duration_s,
-            })
+            Err(TimeError::Outside { moment, last, duration_s })
         }
     }
 }
@@ -194,10 +183,7 @@ impl TimePath {
 mod tests {
     use super::{Moment, Span, TimeError, TimePath};
 
-    const SPAN: Span = Span {
-        time_frames: 31,
-        duration_s: Some(3.0),
-    };
+    const SPAN: Span = Span { time_frames: 31, duration_s: Some(3.0) };
 
     #[test]
     fn every_form_is_read() {
@@ -205,22 +191,8 @@ mod tests {
         assert_eq!(read("source"), TimePath::Source);
         assert_eq!(read("freeze@12.5"), TimePath::Freeze(Moment::Frames(12.5)));
         assert_eq!(read("freeze@1.5s"), TimePath::Freeze(Moment::Seconds(1.5)));
-        assert_eq!(
-            read("3..0.5s"),
-            TimePath::Range(Moment::Frames(3.0), Moment::Seconds(0.5))
-        );
-        for bad in [
-            "",
-            "now",
-            "freeze",
-            "freeze@",
-            "freeze@x",
-            "1..",
-            "..2",
-            "nan..2",
-            "1..2..3",
-            "freeze@1ms",
-        ] {
+        assert_eq!(read("3..0.5s"), TimePath::Range(Moment::Frames(3.0), Moment::Seconds(0.5)));
+        for bad in ["", "now", "freeze", "freeze@", "freeze@x", "1..", "..2", "nan..2", "1..2..3", "freeze@1ms"] {
             assert!(matches!(bad.parse::<TimePath>(), Err(TimeError::Form { .. })), "{bad}");
         }
     }
@@ -247,10 +219,7 @@ mod tests {
         assert_eq!(at("0s..3s").unwrap(), [0.0, 15.0, 30.0]);
         assert!(matches!(at("freeze@31"), Err(TimeError::Outside { last: 30, .. })));
         assert!(matches!(at("freeze@-1"), Err(TimeError::Outside { .. })));
-        let unknown = Span {
-            duration_s: None,
-            ..SPAN
-        };
+        let unknown = Span { duration_s: None, ..SPAN };
         let seconds = "freeze@1s".parse::<TimePath>().unwrap().moments(&own, 20.0, &unknown);
         assert!(matches!(seconds, Err(TimeError::NoDuration { .. })));
     }

@@ -77,10 +77,7 @@ pub fn reproduce(
     job: &Job<'_>,
 ) -> Result<ReproduceReport, Error> {
     if !data.is_dir() {
-        return Err(Error::Missing {
-            what: "folder of the data set",
-            path: data.to_path_buf(),
-        });
+        return Err(Error::Missing { what: "folder of the data set", path: data.to_path_buf() });
     }
     job.check()?;
     let protocols = suite.protocols_of(&options.protocols)?;
@@ -88,30 +85,21 @@ pub fn reproduce(
     let (found, missing) = scenes;
     if found.is_empty() {
         let missing: Vec<String> = missing.iter().map(|m| format!("{} ({})", m.scene, m.why)).collect();
-        let message = format!(
-            "no scene of {suite} is in {}: {}. {}",
-            data.display(),
-            missing.join(", "),
-            suite.source()
-        );
+        let message =
+            format!("no scene of {suite} is in {}: {}. {}", data.display(), missing.join(", "), suite.source());
         return Err(Refusal::new(Category::NoInput, message).into());
     }
     for scene in &missing {
-        job.observer
-            .warn(&format!("{}: {}; {}", scene.scene, scene.why, suite.source()));
+        job.observer.warn(&format!("{}: {}; {}", scene.scene, scene.why, suite.source()));
     }
-    fs::create_dir_all(out).map_err(|source| Error::Write {
-        path: out.to_path_buf(),
-        source,
-    })?;
+    fs::create_dir_all(out).map_err(|source| Error::Write { path: out.to_path_buf(), source })?;
     let total = found.len() * protocols.len();
     let mut done = 0;
     let mut tables: Vec<TableReport> = Vec::new();
     for &protocol in &protocols {
         let (mut rows, mut ablations) = (Vec::new(), Vec::new());
         for found in &found {
-            job.observer
-                .update("scenes", done, total, &format!("{protocol} {}", found.name));
+            job.observer.update("scenes", done, total, &format!("{protocol} {}", found.name));
             let made = scene::make(suite, found, protocol, out, options, job)?;
             if let Some(program) = &options.ablations {
                 ablations.push(report::of(&made, program, job)?);

@@ -119,10 +119,7 @@ impl TableReport {
     pub(super) fn new(suite: Suite, protocol: Protocol, rows: Vec<SceneRow>, ablations: Vec<SceneAblation>) -> Self {
         let rules = protocol.rules();
         let published_scenes = suite.scenes(protocol);
-        let counted = rows
-            .iter()
-            .filter(|r| published_scenes.contains(&r.scene.as_str()))
-            .count();
+        let counted = rows.iter().filter(|r| published_scenes.contains(&r.scene.as_str())).count();
         let mut sums: BTreeMap<String, (f64, usize)> = BTreeMap::new();
         for row in &rows {
             let own = [
@@ -199,10 +196,7 @@ pub(super) fn of(made: &SceneResult, program: &Path, job: &Job<'_>) -> Result<Sc
         grow_mask: GROW_MASK,
     };
     let report = ablate::ablate(&made.capture, &made.folder.join("ablation"), &options, job)?;
-    Ok(SceneAblation {
-        scene: made.row.scene.clone(),
-        report,
-    })
+    Ok(SceneAblation { scene: made.row.scene.clone(), report })
 }
 
 /// A part of the page; empty where nothing was asked for.

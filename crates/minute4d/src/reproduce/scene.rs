@@ -82,31 +82,14 @@ pub(super) fn make(
     if suite == Suite::Davis {
         settings.video.folder_fps = DAVIS_FPS;
     }
-    let job = Job {
-        settings,
-        existing: Existing::Resume,
-        ..*job
-    };
+    let job = Job { settings, existing: Existing::Resume, ..*job };
     let whole = out.join("captures").join(&scene.name);
     let own = options.geometry == GeometrySource::Own && suite != Suite::Davis;
-    let trained = if own {
-        out.join("captures-own").join(&scene.name)
-    } else {
-        whole.clone()
-    };
+    let trained = if own { out.join("captures-own").join(&scene.name) } else { whole.clone() };
     let splits = protocol.rules().frames != FrameRule::TestSplit;
     let part = folder.join("capture");
-    let (data, views) = if splits {
-        (part.clone(), part)
-    } else {
-        (trained.clone(), whole.clone())
-    };
-    let made = |row| SceneResult {
-        row,
-        folder: folder.clone(),
-        capture: data.clone(),
-        views: views.clone(),
-    };
+    let (data, views) = if splits { (part.clone(), part) } else { (trained.clone(), whole.clone()) };
+    let made = |row| SceneResult { row, folder: folder.clone(), capture: data.clone(), views: views.clone() };
     if let Some(kept) = read::<CachedRow>(&file)
         && kept.key == key
         && run.join(EVAL_FILE).is_file()
@@ -119,14 +102,7 @@ pub(super) fn make(
         geometry_s = Some(own_geometry(&whole, &trained, &job)?);
     }
     if splits {
-        evaluate::split(
-            &trained,
-            protocol,
-            &data,
-            Existing::Resume,
-            job.settings.capture.reach,
-            job.observer,
-        )?;
+        evaluate::split(&trained, protocol, &data, Existing::Resume, job.settings.capture.reach, job.observer)?;
     } else if !whole.join(Split::Test.file_name()).is_file() {
         let path = scene.path.display();
         let message = format!("{path} has no held-out views, which the protocol {protocol} scores; {HINT}");
@@ -173,11 +149,7 @@ fn own_geometry(imported: &Path, out: &Path, job: &Job<'_>) -> Result<f64, Error
     }
     drop(train);
     let [images, ..] = Split::Train.folders();
-    let job = Job {
-        settings,
-        existing: Existing::Resume,
-        ..*job
-    };
+    let job = Job { settings, existing: Existing::Resume, ..*job };
     Ok(geometry::make(&imported.join(images), out, &job)?.seconds)
 }
 
@@ -202,11 +174,7 @@ fn whole_capture(
     }
     if folder::make(whole)? {
         if !file.is_file() {
-            return Err(OutputError::NotOurs {
-                path: whole.to_path_buf(),
-                missing: KEY_FILE,
-            }
-            .into());
+            return Err(OutputError::NotOurs { path: whole.to_path_buf(), missing: KEY_FILE }.into());
         }
         // what an earlier import of other data left must not stay beside the new
         folder::remove_folder(whole)?;
@@ -233,9 +201,7 @@ fn row(
     record: &RunRecord,
     geometry_s: Option<f64>,
 ) -> Result<SceneRow, Error> {
-    let lacks = |what: &str| Error::Internal {
-        what: format!("the report of {} has no {what}", scene.name),
-    };
+    let lacks = |what: &str| Error::Internal { what: format!("the report of {} has no {what}", scene.name) };
     let choices = report.choices.as_ref().ok_or_else(|| lacks("choices"))?;
     let mean = report.mean.ok_or_else(|| lacks("mean"))?;
     let others = report.mean_others.iter().map(|(name, m)| (name.clone(), m.mean));
@@ -288,11 +254,7 @@ fn fingerprint(folder: &Path) -> Result<String, Error> {
             }
             let modified = meta.modified().ok().and_then(|t| t.duration_since(UNIX_EPOCH).ok());
             let name = path.strip_prefix(folder).unwrap_or(&path).display().to_string();
-            parts.push(format!(
-                "{name} {} {}",
-                meta.len(),
-                modified.map_or(0, |t| t.as_nanos())
-            ));
+            parts.push(format!("{name} {} {}", meta.len(), modified.map_or(0, |t| t.as_nanos())));
         }
     }
     parts.sort();

@@ -39,15 +39,7 @@ struct Facts {
 const DYCHECK: Facts = Facts {
     name: "dycheck",
     title: "DyCheck (iPhone)",
-    scenes: &[
-        "apple",
-        "block",
-        "paper-windmill",
-        "spin",
-        "teddy",
-        "space-out",
-        "wheel",
-    ],
+    scenes: &["apple", "block", "paper-windmill", "spin", "teddy", "space-out", "wheel"],
     below: &["", "iphone", "dycheck", "dycheck/iphone"],
     protocols: &[Protocol::Instant4d, Protocol::Dycheck],
     more_protocols: &[Protocol::Rodygs, Protocol::Holdout],
@@ -57,15 +49,7 @@ const DYCHECK: Facts = Facts {
 const NVIDIA: Facts = Facts {
     name: "nvidia",
     title: "NVIDIA Dynamic Scenes",
-    scenes: &[
-        "Balloon1",
-        "Balloon2",
-        "Jumping",
-        "Playground",
-        "Skating",
-        "Truck",
-        "Umbrella",
-    ],
+    scenes: &["Balloon1", "Balloon2", "Jumping", "Playground", "Skating", "Truck", "Umbrella"],
     below: &["", "nvidia", "Nvidia", "NVIDIA"],
     protocols: &[Protocol::Nvidia],
     more_protocols: &[],
@@ -160,14 +144,8 @@ impl Suite {
         let (mut found, mut missing) = (Vec::new(), Vec::new());
         for name in wanted {
             match self.locate(data, name) {
-                Ok(path) => found.push(FoundScene {
-                    name: name.clone(),
-                    path,
-                }),
-                Err(why) => missing.push(MissingScene {
-                    scene: name.clone(),
-                    why,
-                }),
+                Ok(path) => found.push(FoundScene { name: name.clone(), path }),
+                Err(why) => missing.push(MissingScene { scene: name.clone(), why }),
             }
         }
         (found, missing)

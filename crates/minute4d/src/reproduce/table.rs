@@ -72,11 +72,7 @@ fn one(table: &TableReport) -> String {
     }
     out +=
         &format!("\n### Published, the same task\n\nOur mean is over {counted} of the {all} scenes of published means");
-    out += if counted == all && table.rows.len() == all {
-        ".\n\n"
-    } else {
-        ": the two do not compare yet.\n\n"
-    };
+    out += if counted == all && table.rows.len() == all { ".\n\n" } else { ": the two do not compare yet.\n\n" };
     out += &aligned(&beside(table));
     out += &format!("\n{}\n\n![{}]({})\n", table.caveat, table.protocol, table.plot_file());
     out
@@ -84,9 +80,7 @@ fn one(table: &TableReport) -> String {
 
 fn sentence(text: &str) -> String {
     let mut letters = text.chars();
-    letters
-        .next()
-        .map_or_else(String::new, |first| first.to_uppercase().chain(letters).collect())
+    letters.next().map_or_else(String::new, |first| first.to_uppercase().chain(letters).collect())
 }
 
 fn ours(table: &TableReport) -> Vec<Vec<String>> {
@@ -97,17 +91,9 @@ fn ours(table: &TableReport) -> Vec<Vec<String>> {
     head.extend(["poses", "training s", "steps", "splats", "images/s", "device"].map(String::from));
     let mut lines = vec![head];
     for row in &table.rows {
-        let mut line = vec![
-            row.scene.clone(),
-            row.views.to_string(),
-            number(Some(row.psnr_db), 2),
-            number(Some(row.ssim), 4),
-        ];
-        line.extend(
-            scores
-                .iter()
-                .map(|&(name, _, digits)| number(row.others.get(name).copied(), digits)),
-        );
+        let mut line =
+            vec![row.scene.clone(), row.views.to_string(), number(Some(row.psnr_db), 2), number(Some(row.ssim), 4)];
+        line.extend(scores.iter().map(|&(name, _, digits)| number(row.others.get(name).copied(), digits)));
         line.extend([
             row.poses.clone(),
             number(row.train_s, 1),
@@ -140,17 +126,7 @@ fn ours(table: &TableReport) -> Vec<Vec<String>> {
 
 /// Ours and the published numbers, one task.
 fn beside(table: &TableReport) -> Vec<Vec<String>> {
-    let head = [
-        "method",
-        "PSNR dB",
-        "SSIM",
-        "LPIPS Alex",
-        "poses",
-        "training",
-        "images/s",
-        "scenes",
-        "source",
-    ];
+    let head = ["method", "PSNR dB", "SSIM", "LPIPS Alex", "poses", "training", "images/s", "scenes", "source"];
     let mean = |name: &str| table.mean.get(name).copied();
     let first = |names: &[&str]| names.iter().find_map(|name| mean(name));
     let mut lines = vec![head.map(String::from).to_vec()];
@@ -158,15 +134,7 @@ fn beside(table: &TableReport) -> Vec<Vec<String>> {
     lines.push(vec![
         "this run".to_owned(),
         number(mean("headline"), 2),
-        number(
-            first(&[
-                "ssim_dycheck_masked_masked",
-                "ssim_skimage_uniform",
-                "ssim_gaussian_zero_padded",
-                "ssim",
-            ]),
-            3,
-        ),
+        number(first(&["ssim_dycheck_masked_masked", "ssim_skimage_uniform", "ssim_gaussian_zero_padded", "ssim"]), 3),
         number(first(&["lpips_alex_masked", "lpips_alex"]), 3),
         poses.into_iter().collect::<Vec<_>>().join(", "),
         mean("train_s").map_or("-".to_owned(), |s| format!("{s:.1} s")),
@@ -182,10 +150,7 @@ fn beside(table: &TableReport) -> Vec<Vec<String>> {
             number(p.lpips, 3),
             p.poses.unwrap_or("-").to_owned(),
             p.training.unwrap_or("-").to_owned(),
-            number(
-                p.frames_per_s,
-                if p.frames_per_s.is_some_and(|f| f < 10.0) { 2 } else { 0 },
-            ),
+            number(p.frames_per_s, if p.frames_per_s.is_some_and(|f| f < 10.0) { 2 } else { 0 }),
             p.scenes.map_or("-".to_owned(), |n| n.to_string()),
             p.source.to_owned(),
         ]);
@@ -217,11 +182,7 @@ struct Bar {
 pub(super) fn write(path: &Path, table: &TableReport) -> Result<(), Refusal> {
     let mut bars: Vec<Bar> = Vec::new();
     let mut ours = |name: String, value: Option<f64>| {
-        bars.extend(value.filter(|v| v.is_finite()).map(|psnr_db| Bar {
-            name,
-            psnr_db,
-            colour: OURS,
-        }));
+        bars.extend(value.filter(|v| v.is_finite()).map(|psnr_db| Bar { name, psnr_db, colour: OURS }));
     };
     ours(table.ours(), table.mean.get("headline").copied());
     for row in &table.rows {
@@ -256,13 +217,11 @@ fn draw(path: &Path, table: &TableReport, bars: &[Bar]) -> Result<(), String> {
         let top = TOP + ROW * i as i32;
         let share = ((bar.psnr_db - 10.0) / (most - 10.0)).clamp(0.0, 1.0);
         let end = FROM + (share * f64::from(TO - FROM)).round() as i32;
-        root.draw(&text(bar.name.clone(), (16, top + 4), 15))
-            .map_err(|e| message(&e))?;
+        root.draw(&text(bar.name.clone(), (16, top + 4), 15)).map_err(|e| message(&e))?;
         let rectangle = Rectangle::new([(FROM, top + 3), (end, top + ROW - 5)], bar.colour.filled());
         root.draw(&rectangle).map_err(|e| message(&e))?;
         let value = format!("{:.2}", bar.psnr_db);
-        root.draw(&text(value, (end + 6, top + 4), 15))
-            .map_err(|e| message(&e))?;
+        root.draw(&text(value, (end + 6, top + 4), 15)).map_err(|e| message(&e))?;
     }
     root.present().map_err(|e| message(&e))
 }

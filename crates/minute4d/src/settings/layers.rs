@@ -22,10 +22,8 @@ impl Layers {
     ///
     /// [`SettingsError`] naming the file and the key at fault.
     pub fn file(self, path: &Path) -> Result<Self, SettingsError> {
-        let text = std::fs::read_to_string(path).map_err(|source| SettingsError::Read {
-            path: path.to_path_buf(),
-            source,
-        })?;
+        let text =
+            std::fs::read_to_string(path).map_err(|source| SettingsError::Read { path: path.to_path_buf(), source })?;
         let layer: Table = text.parse().map_err(|e: toml::de::Error| SettingsError::Syntax {
             path: path.to_path_buf(),
             reason: e.to_string().trim_end().to_owned(),
@@ -39,9 +37,7 @@ impl Layers {
     ///
     /// [`SettingsError`] naming the argument.
     pub fn set(self, given: &str) -> Result<Self, SettingsError> {
-        let form = || SettingsError::Form {
-            given: given.to_owned(),
-        };
+        let form = || SettingsError::Form { given: given.to_owned() };
         let (key, text) = given.split_once('=').ok_or_else(form)?;
         let parts: Vec<&str> = key.split('.').map(str::trim).collect();
         if parts.iter().any(|part| part.is_empty()) {
@@ -53,9 +49,8 @@ impl Layers {
             .ok()
             .and_then(|mut table| table.remove("x"))
             .unwrap_or_else(|| Value::String(text.to_owned()));
-        let layer = parts.iter().rev().fold(value, |inner, &part| {
-            Value::Table(Table::from_iter([(part.to_owned(), inner)]))
-        });
+        let layer =
+            parts.iter().rev().fold(value, |inner, &part| Value::Table(Table::from_iter([(part.to_owned(), inner)])));
         match layer {
             Value::Table(layer) => self.lay(layer, &format!("--set {given}")),
             _ => Err(form()),
@@ -95,9 +90,7 @@ impl Layers {
     pub fn named(&self, key: &str) -> bool {
         let mut parts = key.split('.');
         let first = parts.next().and_then(|part| self.named.get(part));
-        parts
-            .fold(first, |at, part| at.and_then(|value| value.get(part)))
-            .is_some()
+        parts.fold(first, |at, part| at.and_then(|value| value.get(part))).is_some()
     }
 
     fn lay(mut self, layer: Table, name: &str) -> Result<Self, SettingsError> {
@@ -143,30 +136,16 @@ fn explain(path: &str, message: &str, table: &Table, layer: &str) -> SettingsErr
         let known: Vec<String> = quoted.collect();
         let parent = path.rsplit_once('.').map_or("", |(parent, _)| parent);
         let dotted = |key: &str| {
-            if parent.is_empty() {
-                key.to_owned()
-            } else {
-                format!("{parent}.{key}")
-            }
+            if parent.is_empty() { key.to_owned() } else { format!("{parent}.{key}") }
         };
         let suggestion = nearest(&key, &known).map(dotted).or_else(|| elsewhere(&key, table));
-        return SettingsError::UnknownKey {
-            layer,
-            key: dotted(&key),
-            suggestion,
-            known,
-        };
+        return SettingsError::UnknownKey { layer, key: dotted(&key), suggestion, known };
     }
     let value = path
         .split('.')
         .try_fold(Value::Table(table.clone()), |value, part| value.get(part).cloned())
         .map_or_else(String::new, |value| value.to_string());
-    SettingsError::BadValue {
-        layer,
-        key: path.to_owned(),
-        value,
-        reason: message.to_owned(),
-    }
+    SettingsError::BadValue { layer, key: path.to_owned(), value, reason: message.to_owned() }
 }
 
 /// The known word closest to `key`, if it is close enough to be meant.
@@ -187,18 +166,12 @@ fn elsewhere(key: &str, table: &Table) -> Option<String> {
     while !level.is_empty() {
         let inner = level.iter().flat_map(|(path, table)| {
             table.iter().filter_map(move |(name, value)| {
-                let path = if path.is_empty() {
-                    name.clone()
-                } else {
-                    format!("{path}.{name}")
-                };
+                let path = if path.is_empty() { name.clone() } else { format!("{path}.{name}") };
                 Some((path, value.as_table()?))
             })
         });
         level = inner.collect();
-        let found = level
-            .iter()
-            .find(|(_, table)| table.get(key).is_some_and(|v| !v.is_table()));
+        let found = level.iter().find(|(_, table)| table.get(key).is_some_and(|v| !v.is_table()));
         if let Some((path, _)) = found {
             return Some(format!("{path}.{key}"));
         }
@@ -245,12 +218,7 @@ pub enum SettingsError {
         known: Vec<String>,
     },
     /// A value of the wrong type or out of range.
-    #[error(
-        "{layer}: {} = {} does not work: {}",
-        shortened(key),
-        shortened(value),
-        shortened(reason)
-    )]
+    #[error("{layer}: {} = {} does not work: {}", shortened(key), shortened(value), shortened(reason))]
     BadValue {
         /// The file or argument.
         layer: String,
@@ -294,9 +262,7 @@ impl SettingsError {
 }
 
 fn suggest(nearest: &Option<String>) -> String {
-    nearest
-        .as_ref()
-        .map_or_else(String::new, |key| format!("; did you mean {key:?}?"))
+    nearest.as_ref().map_or_else(String::new, |key| format!("; did you mean {key:?}?"))
 }
 
 #[cfg(test)]
@@ -316,11 +282,7 @@ mod tests {
     #[test]
     fn later_layers_win_and_leave_the_rest() {
         let file = std::env::temp_dir().join(format!("minute4d-layers-{}", std::process::id()));
-        std::fs::write(
-            &file,
-            "train.seed = 3\n[train.density]\nevery = 50\nerror_threshold = 1",
-        )
-        .unwrap();
+        std::fs::write(&file, "train.seed = 3\n[train.density]\nevery = 50\nerror_threshold = 1").unwrap();
         let layers = Layers::default()
             .file(&file)
             .and_then(|layers| layers.set("train.density.every=7"))
@@ -346,10 +308,7 @@ mod tests {
         let text = layers.over(&Settings::fast()).unwrap_err().to_string();
         assert!(text.contains("\"faithful\"") && text.contains("\"fast\""), "{text}");
         let text = refusal("profile=best");
-        assert!(
-            text.contains("profile = \"best\"") && text.contains("`faithful`"),
-            "{text}"
-        );
+        assert!(text.contains("profile = \"best\"") && text.contains("`faithful`"), "{text}");
     }
 
     #[test]
@@ -358,25 +317,16 @@ mod tests {
         assert!(text.contains("there is no setting \"train.density.evry\""), "{text}");
         assert!(text.contains("did you mean \"train.density.every\"?"), "{text}");
         let text = refusal("error_threshold=2");
-        assert!(
-            text.contains("did you mean \"train.density.error_threshold\"?"),
-            "{text}"
-        );
+        assert!(text.contains("did you mean \"train.density.error_threshold\"?"), "{text}");
         assert!(refusal("iterations=7").contains("did you mean \"train.iterations\"?"));
         let text = refusal("zzz=2");
-        assert!(
-            !text.contains("did you mean") && text.contains("profile, video, capture"),
-            "{text}"
-        );
+        assert!(!text.contains("did you mean") && text.contains("profile, video, capture"), "{text}");
     }
 
     #[test]
     fn a_wrong_type_names_key_and_value() {
         let text = refusal("train.density.every=often");
-        assert!(
-            text.contains("train.density.every = \"often\"") && text.contains("usize"),
-            "{text}"
-        );
+        assert!(text.contains("train.density.every = \"often\"") && text.contains("usize"), "{text}");
         assert!(refusal("train.density.every=-1").contains("train.density.every = -1"));
         assert!(refusal("train.density=3").contains("train.density = 3"));
     }

@@ -183,10 +183,7 @@ mod tests {
         assert_eq!(Settings::default(), Settings::fast());
         let given = |settings: Settings| (settings.init_config(), settings.train_config());
         assert_eq!(given(Settings::fast()), (InitConfig::fast(), TrainConfig::fast()));
-        assert_eq!(
-            given(Settings::faithful()),
-            (InitConfig::faithful(), TrainConfig::faithful())
-        );
+        assert_eq!(given(Settings::faithful()), (InitConfig::faithful(), TrainConfig::faithful()));
         Settings::fast().check().unwrap();
         Settings::faithful().check().unwrap();
         let mut endless = Settings::fast();
@@ -205,16 +202,10 @@ mod tests {
             "preview.swing.side_deg=5",
             "checkpoint.every_s=1",
         ];
-        let layers = sets
-            .iter()
-            .try_fold(Layers::default(), |layers, set| layers.set(set))
-            .unwrap();
+        let layers = sets.iter().try_fold(Layers::default(), |layers, set| layers.set(set)).unwrap();
         let settings = layers.over(&Settings::fast()).unwrap();
         assert_eq!((settings.train.iterations, settings.video.max_frames), (7, Some(12)));
-        assert_eq!(
-            (settings.sparse.fov_deg, settings.dense.working_side_px),
-            (Some(60.0), 200)
-        );
+        assert_eq!((settings.sparse.fov_deg, settings.dense.working_side_px), (Some(60.0), 200));
     }
 
     /// Every key of `table`, and a value that is another one.

@@ -95,8 +95,5 @@ fn the_page_has_the_defaults_of_the_code() {
         std::fs::write(path(), page).unwrap();
         return;
     }
-    assert!(
-        written == page,
-        "docs/settings.md has other defaults than the code; run `cargo xtask settings`"
-    );
+    assert!(written == page, "docs/settings.md has other defaults than the code; run `cargo xtask settings`");
 }

@@ -127,10 +127,7 @@ mod tests {
             assert_ne!(without(part), Settings::fast(), "{part:?}");
         }
         let density = without(Enhancement::Density);
-        assert_eq!(
-            (density.geometry, density.init),
-            (Settings::fast().geometry, Settings::fast().init)
-        );
+        assert_eq!((density.geometry, density.init), (Settings::fast().geometry, Settings::fast().init));
         let tracking = without(Enhancement::Tracking);
         assert_eq!(tracking.train, Settings::fast().train);
         assert_eq!(tracking.geometry.segmenter, Settings::fast().geometry.segmenter);

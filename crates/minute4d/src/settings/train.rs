@@ -98,12 +98,8 @@ impl TrainSettings {
             background: config.background,
             metrics_every: config.metrics_every,
             target_cache_mb: config.target_cache_mb,
-            colour_fit: ColourFitSettings {
-                rounds: config.colour_fit_rounds,
-            },
-            loss: LossSettings {
-                lambda_ssim: config.lambda_ssim,
-            },
+            colour_fit: ColourFitSettings { rounds: config.colour_fit_rounds },
+            loss: LossSettings { lambda_ssim: config.lambda_ssim },
             density: DensitySettings {
                 enabled: density.enabled,
                 frames: density.frames,
@@ -114,11 +110,7 @@ impl TrainSettings {
                 every: density.every,
                 prune_every: density.prune_every,
             },
-            refine: RefinementSettings {
-                poses: refine.poses,
-                focal: refine.focal,
-                exposure: refine.exposure,
-            },
+            refine: RefinementSettings { poses: refine.poses, focal: refine.focal, exposure: refine.exposure },
         }
     }
 
@@ -147,12 +139,7 @@ impl TrainSettings {
                 prune_every: density.prune_every,
                 ..base.density
             },
-            refine: RefineConfig {
-                poses: refine.poses,
-                focal: refine.focal,
-                exposure: refine.exposure,
-                ..base.refine
-            },
+            refine: RefineConfig { poses: refine.poses, focal: refine.focal, exposure: refine.exposure, ..base.refine },
             ..base
         }
     }
@@ -205,11 +192,7 @@ impl InitSettings {
     /// What the stage is given.
     #[must_use]
     pub fn config(&self, profile: Profile) -> InitConfig {
-        let mut config = InitConfig {
-            max_static: self.max_static,
-            max_dynamic: self.max_dynamic,
-            ..profile.init()
-        };
+        let mut config = InitConfig { max_static: self.max_static, max_dynamic: self.max_dynamic, ..profile.init() };
         if let Some(factor) = self.keyframe_gaps {
             config.time_spread = TimeSpread::KeyframeGaps { factor };
         }

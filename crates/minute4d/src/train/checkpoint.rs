@@ -23,11 +23,7 @@ pub(super) struct Checkpoints {
 impl Checkpoints {
     /// Those in `folder` that belong to the stage with this key.
     pub fn new(folder: &Path, key: &str, keep: usize) -> Self {
-        Self {
-            folder: folder.to_path_buf(),
-            key: key.to_owned(),
-            keep: keep.max(1),
-        }
+        Self { folder: folder.to_path_buf(), key: key.to_owned(), keep: keep.max(1) }
     }
 
     /// A trainer that resumes from the newest checkpoint that can be read and belongs to this stage.
@@ -47,25 +43,13 @@ impl Checkpoints {
                     continue;
                 }
             };
-            let SceneFile {
-                scene,
-                state: Some(state),
-                metadata,
-                ..
-            } = file
-            else {
+            let SceneFile { scene, state: Some(state), metadata, .. } = file else {
                 continue;
             };
             if metadata.get(KEY) != Some(&self.key) {
                 continue;
             }
-            return Ok(Some(Trainer::resume(
-                capture,
-                scene.splats,
-                &state,
-                config.clone(),
-                level,
-            )?));
+            return Ok(Some(Trainer::resume(capture, scene.splats, &state, config.clone(), level)?));
         }
         Ok(None)
     }
@@ -111,12 +95,7 @@ impl<'a> CheckpointTimer<'a> {
     pub fn new(inner: &'a dyn Progress, observer: &'a dyn Observer, seconds: f64) -> Self {
         const LONGEST: Duration = Duration::from_secs(1 << 31);
         let wait = Duration::try_from_secs_f64(seconds).unwrap_or(LONGEST).min(LONGEST);
-        Self {
-            inner,
-            observer,
-            until: Instant::now() + wait,
-            asked: AtomicBool::new(false),
-        }
+        Self { inner, observer, until: Instant::now() + wait, asked: AtomicBool::new(false) }
     }
 
     /// The same, but not beyond `end`.

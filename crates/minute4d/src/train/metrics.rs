@@ -16,20 +16,14 @@ pub(super) struct MetricsLog {
 impl MetricsLog {
     /// An empty log.
     pub fn new(path: &Path) -> Self {
-        Self {
-            path: path.to_path_buf(),
-            lines: Vec::new(),
-        }
+        Self { path: path.to_path_buf(), lines: Vec::new() }
     }
 
     /// The log of an interrupted run, up to the iteration that was saved.
     pub fn up_to(path: &Path, iteration: usize) -> Self {
         let text = fs::read_to_string(path).unwrap_or_default();
         let kept = |line: &&str| serde_json::from_str::<MetricsEvent>(line).is_ok_and(|e| e.iteration <= iteration);
-        Self {
-            path: path.to_path_buf(),
-            lines: text.lines().filter(kept).map(str::to_owned).collect(),
-        }
+        Self { path: path.to_path_buf(), lines: text.lines().filter(kept).map(str::to_owned).collect() }
     }
 
     /// Adds an event.
@@ -42,10 +36,7 @@ impl MetricsLog {
     /// Writes the file, whole or not at all.
     pub fn write(&self) -> Result<(), Error> {
         let text: String = self.lines.iter().flat_map(|line| [line.as_str(), "\n"]).collect();
-        atomic::write(&self.path, text.as_bytes()).map_err(|source| Error::Write {
-            path: self.path.clone(),
-            source,
-        })
+        atomic::write(&self.path, text.as_bytes()).map_err(|source| Error::Write { path: self.path.clone(), source })
     }
 }
 
@@ -84,10 +75,8 @@ mod tests {
         resumed.push(&event(150));
         resumed.write().unwrap();
         let text = std::fs::read_to_string(&path).unwrap();
-        let found: Vec<usize> = text
-            .lines()
-            .map(|l| serde_json::from_str::<MetricsEvent>(l).unwrap().iteration)
-            .collect();
+        let found: Vec<usize> =
+            text.lines().map(|l| serde_json::from_str::<MetricsEvent>(l).unwrap().iteration).collect();
         assert_eq!(found, [50, 100, 150]);
     }
 }

@@ -41,19 +41,13 @@ struct Part<'a> {
 /// [`Error`]: the capture cannot be used, the folder cannot be used, or the user asked to stop.
 pub fn make(capture: &Path, out: &Path, job: &Job<'_>) -> Result<RunRecord, Error> {
     if !capture.exists() {
-        return Err(Error::Missing {
-            what: "capture",
-            path: capture.to_path_buf(),
-        });
+        return Err(Error::Missing { what: "capture", path: capture.to_path_buf() });
     }
     job.check()?;
     let clock = Clock::start(&job.settings);
     // Read before the folder is made, so that a wrong path leaves nothing behind.
     let data = read(capture, &job.settings, job.observer)?;
-    let input = Input {
-        path: capture.display().to_string(),
-        blake3: hash::of_capture(&data),
-    };
+    let input = Input { path: capture.display().to_string(), blake3: hash::of_capture(&data) };
     Workspace::open(out, input, job, clock)?.finish(|run| all(run, &data))
 }
 
@@ -66,22 +60,13 @@ pub(crate) fn all(run: &mut Workspace<'_>, capture: &Capture) -> Result<(), Erro
 
 /// Reads the training frames of a capture.
 pub(crate) fn read(capture: &Path, settings: &Settings, observer: &dyn Observer) -> Result<Capture, Error> {
-    Ok(m4_io::capture::read(
-        capture,
-        Split::Train,
-        &settings.capture,
-        observer,
-    )?)
+    Ok(m4_io::capture::read(capture, Split::Train, &settings.capture, observer)?)
 }
 
 /// Trains within a run, unless that was done before.
 pub(crate) fn stage(run: &mut Workspace<'_>, capture: &Capture) -> Result<Scene, Error> {
     let settings = &run.job.settings;
-    let part = Part {
-        profile: settings.profile,
-        init: &settings.init,
-        train: &settings.train,
-    };
+    let part = Part { profile: settings.profile, init: &settings.init, train: &settings.train };
     let (capture_hash, part) = (hash::of_capture(capture), part_to_toml(&part)?);
     let mut parts = vec![STAGE, env!("CARGO_PKG_VERSION"), &capture_hash, run.level.name(), &part];
     // last digits are the device's own
@@ -94,15 +79,11 @@ pub(crate) fn stage(run: &mut Workspace<'_>, capture: &Capture) -> Result<Scene,
             run.job.observer.stage(STAGE, StageEvent::Reused);
             return Ok(safetensors::read(&run.path(SCENE_FILE))?.scene);
         }
-        Task::Work {
-            because,
-            seconds_before,
-        } => (because, seconds_before),
+        Task::Work { because, seconds_before } => (because, seconds_before),
     };
     let same_key = key.clone();
-    let scene = run.stage(STAGE, key, (because, seconds), &files, |run, keeper| {
-        train(run, capture, &same_key, keeper)
-    })?;
+    let scene =
+        run.stage(STAGE, key, (because, seconds), &files, |run, keeper| train(run, capture, &same_key, keeper))?;
     // Only now: until the record says that the scene is whole, they are what a killed run continues from.
     folder::remove_checkpoints(&run.folder)?;
     Ok(scene)
@@ -187,19 +168,13 @@ fn train(
             observer.scene(&mut || trainer.scene(), depth);
         }
         if !patience.stopped_by_user() && end.is_some_and(|end| Instant::now() >= end) {
-            keeper.warn(&format!(
-                "the time limit ended training after {} of {total} iterations",
-                trainer.iteration()
-            ));
+            keeper.warn(&format!("the time limit ended training after {} of {total} iterations", trainer.iteration()));
             break;
         }
         if patience.stopped_by_user() || patience.is_over() {
             save(run, &mut trainer, &mut checkpoints, &mut log)?;
             if patience.stopped_by_user() {
-                return Err(Error::Stopped {
-                    stage: STAGE,
-                    saved: true,
-                });
+                return Err(Error::Stopped { stage: STAGE, saved: true });
             }
             patience = CheckpointTimer::new(keeper, observer, every_s).at_most(end);
         }
@@ -238,19 +213,14 @@ fn save(
 fn note_progress(record: &mut RunRecord, trainer: &Trainer<'_>) {
     let splats: &Splats = trainer.splats();
     record.iterations = Some(trainer.iteration());
-    record.splats = Some(SplatCount {
-        r#static: splats.n_static(),
-        dynamic: splats.n_dynamic(),
-    });
+    record.splats = Some(SplatCount { r#static: splats.n_static(), dynamic: splats.n_dynamic() });
 }
 
 /// Writes the finished scene with the state of the optimiser, reads both back and compares: only then is it
 /// a success.
 fn publish(path: &Path, scene: &Scene, state: &TrainState<'_>) -> Result<(), Error> {
     if !scene.splats.is_finite() {
-        return Err(Error::Internal {
-            what: "training ended with values that are not finite".to_owned(),
-        });
+        return Err(Error::Internal { what: "training ended with values that are not finite".to_owned() });
     }
     safetensors::write(path, scene, Some(state), &BTreeMap::new())?;
     let back = safetensors::read(path)?;
@@ -262,9 +232,5 @@ fn publish(path: &Path, scene: &Scene, state: &TrainState<'_>) -> Result<(), Err
         return Ok(());
     };
     folder::remove_file(path)?;
-    Err(OutputError::Verify {
-        path: path.to_path_buf(),
-        what: differs.to_owned(),
-    }
-    .into())
+    Err(OutputError::Verify { path: path.to_path_buf(), what: differs.to_owned() }.into())
 }

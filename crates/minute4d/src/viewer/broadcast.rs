@@ -84,16 +84,8 @@ impl<'a> Broadcast<'a> {
         let thread = std::thread::Builder::new()
             .name("snapshots".to_owned())
             .spawn(move || pack_all(&receive, &title, &to, &done))
-            .map_err(|e| Error::Internal {
-                what: format!("cannot start a thread for the page: {e}"),
-            })?;
-        Ok(Self {
-            inner,
-            hub,
-            server,
-            worker: Some((send, thread)),
-            pace,
-        })
+            .map_err(|e| Error::Internal { what: format!("cannot start a thread for the page: {e}") })?;
+        Ok(Self { inner, hub, server, worker: Some((send, thread)), pace })
     }
 
     /// The address of the page, token included.
@@ -200,11 +192,7 @@ impl Observer for Broadcast<'_> {
         let start = Instant::now();
         lock(&self.pace).busy = true;
         let scene = copy();
-        let copied = Copied {
-            scene,
-            median_depth,
-            waited: start.elapsed(),
-        };
+        let copied = Copied { scene, median_depth, waited: start.elapsed() };
         if let Err(TrySendError::Full(_) | TrySendError::Disconnected(_)) = send.try_send(copied) {
             lock(&self.pace).busy = false;
         }
@@ -219,19 +207,11 @@ mod tests {
     #[test]
     fn scenes_that_cost_much_come_seldom() {
         let start = Instant::now();
-        let mut pace = Pace {
-            config: LiveConfig::default(),
-            threads: 2.0,
-            busy: true,
-            next: start,
-        };
+        let mut pace = Pace { config: LiveConfig::default(), threads: 2.0, busy: true, next: start };
         let ms = Duration::from_millis;
         pace.done(ms(1), ms(10), start);
         assert_eq!(pace.next - start, ms(2000), "no more than a person follows");
         pace.done(ms(50), ms(500), start);
-        assert!(
-            !pace.busy && (pace.next - start).abs_diff(ms(10_000)) < ms(1),
-            "0.3 s of two threads, 3 %"
-        );
+        assert!(!pace.busy && (pace.next - start).abs_diff(ms(10_000)) < ms(1), "0.3 s of two threads, 3 %");
     }
 }

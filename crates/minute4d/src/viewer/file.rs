@@ -38,9 +38,7 @@ pub(crate) fn stage(run: &mut Workspace<'_>, capture: &Capture, scene: &Scene) -
         // A page is written again, so seconds of an earlier attempt do not count.
         Task::Work { because, .. } => (because, 0.0),
     };
-    run.stage(STAGE, key, task, &[VIEWER_FILE], |run, _| {
-        write(run, &title, capture, scene)
-    })
+    run.stage(STAGE, key, task, &[VIEWER_FILE], |run, _| write(run, &title, capture, scene))
 }
 
 fn write(run: &Workspace<'_>, title: &str, capture: &Capture, scene: &Scene) -> Result<(), Error> {
@@ -48,31 +46,17 @@ fn write(run: &Workspace<'_>, title: &str, capture: &Capture, scene: &Scene) -> 
     let (mut manifest, payload) = pack(scene, title, median_depth(scene, run.level));
     let frames = frames(capture, scene, config)?;
     manifest.frames = frames.as_ref().map(|f| f.index.clone());
-    let parts = Parts {
-        manifest: &manifest,
-        payload: Some(&payload.bytes),
-        frames: frames.as_ref(),
-    };
+    let parts = Parts { manifest: &manifest, payload: Some(&payload.bytes), frames: frames.as_ref() };
     let html = page::compose(TEMPLATE, &parts, Effort::Small)?;
     let path = run.path(VIEWER_FILE);
-    let failed = |source| Error::Write {
-        path: path.clone(),
-        source,
-    };
+    let failed = |source| Error::Write { path: path.clone(), source };
     let mut file = AtomicFile::create(&path).map_err(failed)?;
     file.write_all(&html).map_err(failed)?;
     drop(html);
     file.sync().map_err(failed)?;
-    let differs = |what: &str| {
-        Error::from(OutputError::Verify {
-            path: path.clone(),
-            what: what.to_owned(),
-        })
-    };
-    let text = fs::read_to_string(file.temporary_path()).map_err(|source| Error::Read {
-        path: path.clone(),
-        source,
-    })?;
+    let differs = |what: &str| Error::from(OutputError::Verify { path: path.clone(), what: what.to_owned() });
+    let text =
+        fs::read_to_string(file.temporary_path()).map_err(|source| Error::Read { path: path.clone(), source })?;
     let back = page::read(&text)?;
     let splats = payload::decode(back.payload.as_deref().unwrap_or_default()).map_err(|e| differs(&e.to_string()))?;
     if (splats.n_static(), splats.n_dynamic()) != (payload.n_static, payload.n_dynamic) {

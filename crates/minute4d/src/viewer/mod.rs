@@ -38,10 +38,7 @@ pub struct ViewerConfig {
 
 impl Default for ViewerConfig {
     fn default() -> Self {
-        Self {
-            write: true,
-            frames: FrameLimits::default(),
-        }
+        Self { write: true, frames: FrameLimits::default() }
     }
 }
 
@@ -57,10 +54,7 @@ pub struct LiveConfig {
 
 impl Default for LiveConfig {
     fn default() -> Self {
-        Self {
-            every_s: 2.0,
-            share: 0.03,
-        }
+        Self { every_s: 2.0, share: 0.03 }
     }
 }
 
@@ -95,11 +89,7 @@ impl ViewerError {
 /// sees, world units.
 fn pack(scene: &Scene, title: &str, median_depth: f64) -> (Manifest, Payload) {
     let payload = encode(scene, median_depth);
-    let about = About {
-        title,
-        median_depth,
-        fps: source_fps(scene),
-    };
+    let about = About { title, median_depth, fps: source_fps(scene) };
     (Manifest::new(scene, &payload, &about), payload)
 }
 

@@ -28,11 +28,7 @@ impl Stamp {
     /// `None` where there is no such file.
     pub fn of(path: &Path) -> Option<Self> {
         let facts = fs::metadata(path).ok().filter(fs::Metadata::is_file)?;
-        Some(Self {
-            path: path.to_path_buf(),
-            len: facts.len(),
-            modified: facts.modified().ok(),
-        })
+        Some(Self { path: path.to_path_buf(), len: facts.len(), modified: facts.modified().ok() })
     }
 }
 
@@ -49,16 +45,11 @@ impl Source {
     ///
     /// [`Error::Missing`] if there is neither.
     pub fn new(path: &Path) -> Result<Self, Error> {
-        let source = Self {
-            path: path.to_path_buf(),
-        };
+        let source = Self { path: path.to_path_buf() };
         if source.newest().is_some() || (path.is_dir() && RunRecord::read(path)?.is_some()) {
             return Ok(source);
         }
-        Err(Error::Missing {
-            what: "scene or run",
-            path: path.to_path_buf(),
-        })
+        Err(Error::Missing { what: "scene or run", path: path.to_path_buf() })
     }
 
     /// The scene, or the newest checkpoint where training is not done.
@@ -77,11 +68,7 @@ impl Source {
     }
 
     fn record(&self) -> Option<RunRecord> {
-        if self.path.is_dir() {
-            RunRecord::read(&self.path).ok().flatten()
-        } else {
-            None
-        }
+        if self.path.is_dir() { RunRecord::read(&self.path).ok().flatten() } else { None }
     }
 
     /// Outcome of the run, once it ended; `None` while it continues. A scene alone is a result.
@@ -114,10 +101,7 @@ impl Source {
         let finished = record.is_some_and(|r| r.status == Status::Finished);
         // a run that was given seconds says how many iterations they were only when it is done
         let iterations = asked.map_or(done, |n| n as usize).max(done);
-        events
-            .iter()
-            .map(|e| event(e, if finished { done } else { iterations }))
-            .collect()
+        events.iter().map(|e| event(e, if finished { done } else { iterations })).collect()
     }
 
     /// Reads the scene for the page. The frames come from the page of an earlier run, or from the

@@ -101,25 +101,14 @@ impl Partial {
     /// [`WeightsError::Write`] if there can be none.
     pub fn of(store: &Store, entry: &Entry) -> Result<Self, WeightsError> {
         let folder = store.root().join(format!(".fetch-{}", entry.name));
-        let failed = |source| WeightsError::Write {
-            path: folder.clone(),
-            source,
-        };
+        let failed = |source| WeightsError::Write { path: folder.clone(), source };
         fs::create_dir_all(&folder).map_err(failed)?;
         let lock = File::create(folder.join(LOCK)).map_err(failed)?;
         if lock.try_lock().is_ok() {
-            return Ok(Self {
-                folder,
-                lock: Some(lock),
-                own: None,
-            });
+            return Ok(Self { folder, lock: Some(lock), own: None });
         }
         let own = store.scratch()?;
-        Ok(Self {
-            folder: own.path().to_owned(),
-            lock: None,
-            own: Some(own),
-        })
+        Ok(Self { folder: own.path().to_owned(), lock: None, own: Some(own) })
     }
 
     /// The folder.
@@ -133,10 +122,7 @@ impl Partial {
     ///
     /// [`WeightsError::Write`] if that fails.
     pub fn empty(&self) -> Result<(), WeightsError> {
-        let failed = |source| WeightsError::Write {
-            path: self.folder.clone(),
-            source,
-        };
+        let failed = |source| WeightsError::Write { path: self.folder.clone(), source };
         for file in fs::read_dir(&self.folder).map_err(failed)? {
             let path = file.map_err(failed)?.path();
             if path.file_name().is_some_and(|name| name != LOCK) {

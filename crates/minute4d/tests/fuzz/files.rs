@@ -82,9 +82,7 @@ impl Wrap {
                 let all = others.iter().map(|(name, bytes)| (name, bytes.as_slice()));
                 for (name, bytes) in all.chain([(name, bytes)]) {
                     let written = to.start_file(name, stored).map_err(io::Error::from);
-                    written
-                        .and_then(|()| to.write_all(bytes))
-                        .unwrap_or_else(|e| panic!("an archive in memory: {e}"));
+                    written.and_then(|()| to.write_all(bytes)).unwrap_or_else(|e| panic!("an archive in memory: {e}"));
                 }
                 let done = to.finish().unwrap_or_else(|e| panic!("an archive in memory: {e}"));
                 done.into_inner()

@@ -51,11 +51,7 @@ fn inputs(stage: &Stage<'_>) -> Box<dyn Iterator<Item = (String, Vec<u8>)>> {
     let found = found.into_iter().map(|(name, bytes)| (format!("corpus/{name}"), bytes));
     let seeds = stage.seeds().to_vec();
     let (most, mutations) = (MALFORMED / seeds.len().min(3), MUTATED / seeds.len().max(1));
-    let valid = seeds
-        .clone()
-        .into_iter()
-        .enumerate()
-        .map(|(i, bytes)| (format!("seed {i}"), bytes));
+    let valid = seeds.clone().into_iter().enumerate().map(|(i, bytes)| (format!("seed {i}"), bytes));
     Box::new(
         found
             .chain(valid)
@@ -73,9 +69,7 @@ fn fails_on(path: &Path) -> bool {
 
 fn broken(name: &'static str, failure: fn() -> Outcome) -> Reader {
     let seeds = || vec![b"sound".to_vec(), b"!".to_vec(), b"sound too".to_vec()];
-    table::alone(name, "file", seeds, move |path| {
-        if fails_on(path) { failure() } else { Outcome::Read }
-    })
+    table::alone(name, "file", seeds, move |path| if fails_on(path) { failure() } else { Outcome::Read })
 }
 
 /// Readers that fail, each in its own way, on files that start with `!`: they verify that each fault is detected.
@@ -105,11 +99,8 @@ fn named(name: &str) -> Reader {
 fn one_reader_within_limits() {
     let Ok(name) = env::var(READER) else { return };
     let from = env::var(FROM).unwrap().parse().unwrap();
-    let meter = Meter {
-        reset: || MEMORY.reset_peak_usage(),
-        peak: || MEMORY.peak_usage(),
-        now: || MEMORY.current_usage(),
-    };
+    let meter =
+        Meter { reset: || MEMORY.reset_peak_usage(), peak: || MEMORY.peak_usage(), now: || MEMORY.current_usage() };
     let folder = PathBuf::from(env::var(FOLDER).unwrap());
     work(&named(&name), &folder, from, inputs, meter).unwrap();
 }
@@ -118,10 +109,7 @@ fn replayed(name: &str, folder: &Path) -> Report {
     let again = |from: usize| {
         let mut command = Command::new(env::current_exe().unwrap());
         command.args(["--exact", "one_reader_within_limits", "--nocapture"]);
-        command
-            .env(READER, name)
-            .env(FROM, from.to_string())
-            .env(FOLDER, folder);
+        command.env(READER, name).env(FROM, from.to_string()).env(FOLDER, folder);
         command
     };
     watch(name, folder, again).unwrap()
@@ -154,35 +142,20 @@ fn no_reader_fails_on_malformed_files() {
         .flat_map(|(_, r)| &r.findings)
         .map(|f| format!("{}: {}: {} ({})", f.reader, f.input, f.why, f.saved.display()))
         .collect();
-    assert!(
-        findings.is_empty(),
-        "{} findings:\n{}",
-        findings.len(),
-        findings.join("\n")
-    );
+    assert!(findings.is_empty(), "{} findings:\n{}", findings.len(), findings.join("\n"));
     // malformed files that are all taken, or all refused with the valid ones, test nothing
     let idle: Vec<String> = reports
         .iter()
         .filter(|(_, r)| r.executions < 60 || r.refused * 10 < r.executions || r.read == 0)
         .map(|(name, r)| format!("{name}: {} files, {} read, {} refused", r.executions, r.read, r.refused))
         .collect();
-    assert!(
-        idle.is_empty(),
-        "do the mutations reach these readers?\n{}",
-        idle.join("\n")
-    );
+    assert!(idle.is_empty(), "do the mutations reach these readers?\n{}", idle.join("\n"));
 }
 
 #[test]
 fn panics_aborts_excess_memory_and_bad_output_are_detected() {
     let folder = tempfile::tempdir().unwrap();
-    let words = [
-        "this reader is broken",
-        "aborted",
-        "200 MiB",
-        "5000 characters",
-        "what was read",
-    ];
+    let words = ["this reader is broken", "aborted", "200 MiB", "5000 characters", "what was read"];
     for (reader, words) in broken_readers().iter().zip(words) {
         let report = replayed(reader.name, folder.path());
         let found: Vec<_> = report.findings.iter().filter(|f| f.input == "seed 1").collect();

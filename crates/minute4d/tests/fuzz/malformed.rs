@@ -9,26 +9,10 @@ const HEADER: usize = 96;
 /// Cuts of a file.
 const CUTS: usize = 24;
 /// What a field of a header is set to: more than any file holds, more than a type holds, less than nothing, nothing.
-const EXTREMES: [u64; 6] = [
-    u64::MAX,
-    0x7fff_ffff_ffff_ffff,
-    0x4000_0000_4000_0000,
-    0x7fff_7fff_7fff_7fff,
-    1 << 20,
-    0,
-];
+const EXTREMES: [u64; 6] = [u64::MAX, 0x7fff_ffff_ffff_ffff, 0x4000_0000_4000_0000, 0x7fff_7fff_7fff_7fff, 1 << 20, 0];
 /// Numbers that take the place of a number of a text.
-const NUMBERS: [&str; 9] = [
-    "-1",
-    "0",
-    "NaN",
-    "1e308",
-    "-1e-320",
-    "4294967296",
-    "99999999999999999999",
-    "1000000000",
-    "9223372036854775807",
-];
+const NUMBERS: [&str; 9] =
+    ["-1", "0", "NaN", "1e308", "-1e-320", "4294967296", "99999999999999999999", "1000000000", "9223372036854775807"];
 /// Numbers of a text that are replaced.
 const NUMBERS_REPLACED: usize = 24;
 
@@ -37,12 +21,7 @@ enum Mutation {
     /// Only this many bytes remain.
     Cut(usize),
     /// A field is set.
-    Field {
-        at: usize,
-        width: usize,
-        value: u64,
-        big: bool,
-    },
+    Field { at: usize, width: usize, value: u64, big: bool },
     /// A number of a text is another.
     Number(Range<usize>, &'static str),
 }
@@ -55,20 +34,13 @@ impl Mutation {
                 let mut bytes = valid.to_vec();
                 let value = value.to_le_bytes();
                 // of patterns the upper bytes, of small numbers the lower
-                let part = if value[7] == 0 {
-                    &value[..*width]
-                } else {
-                    &value[8 - width..]
-                };
+                let part = if value[7] == 0 { &value[..*width] } else { &value[8 - width..] };
                 let field = &mut bytes[*at..at + width];
                 field.copy_from_slice(part);
                 if *big {
                     field.reverse();
                 }
-                (
-                    format!("{width} bytes at {at}: {:02x?}", &bytes[*at..at + width]),
-                    bytes,
-                )
+                (format!("{width} bytes at {at}: {:02x?}", &bytes[*at..at + width]), bytes)
             }
             Self::Number(place, number) => {
                 let bytes = [&valid[..place.start], number.as_bytes(), &valid[place.end..]].concat();
@@ -88,13 +60,8 @@ pub fn malformed(valid: Vec<u8>, most: usize) -> impl Iterator<Item = (String, V
     let room = most.saturating_sub(whole.len()).max(1);
     let step = all.len().div_ceil(room).max(1);
     // another phase in each group of as many, so that not the same extreme is taken each time
-    let taken = all
-        .into_iter()
-        .enumerate()
-        .filter(move |(i, _)| (i + i / step).is_multiple_of(step));
-    whole
-        .into_iter()
-        .chain(taken.map(move |(_, mutation)| mutation.on(&valid)))
+    let taken = all.into_iter().enumerate().filter(move |(i, _)| (i + i / step).is_multiple_of(step));
+    whole.into_iter().chain(taken.map(move |(_, mutation)| mutation.on(&valid)))
 }
 
 /// `count` random mutations of a valid file, each once or sometimes twice, with what was done.
@@ -122,10 +89,7 @@ fn of_nothing(valid: &[u8]) -> Vec<(String, Vec<u8>)> {
         ("words without end".to_owned(), b"abc ".repeat(1 << 18)),
     ];
     let header = valid.len().min(HEADER);
-    all.push((
-        "a valid header, then ones".to_owned(),
-        [&valid[..header], &[0xff; 4096]].concat(),
-    ));
+    all.push(("a valid header, then ones".to_owned(), [&valid[..header], &[0xff; 4096]].concat()));
     all.push(("twice".to_owned(), [valid, valid].concat()));
     if let Some(at) = valid.iter().position(|b| *b == b'{') {
         let deep = [&valid[..=at], &b"\"a\":{".repeat(60_000)].concat();
@@ -151,11 +115,7 @@ fn cuts(valid: &[u8]) -> Vec<Mutation> {
 fn fields(valid: &[u8]) -> Vec<Mutation> {
     let n = valid.len();
     let start = 0..n.min(HEADER);
-    let end = if valid.starts_with(b"PK") {
-        n.saturating_sub(HEADER).max(start.end)..n
-    } else {
-        n..n
-    };
+    let end = if valid.starts_with(b"PK") { n.saturating_sub(HEADER).max(start.end)..n } else { n..n };
     let mut all = Vec::new();
     for at in start.chain(end).chain(boxes(valid)) {
         for width in [1, 2, 4, 8].into_iter().filter(|w| at + w <= n) {
@@ -239,10 +199,7 @@ mod tests {
         let all: Vec<_> = malformed(valid.clone(), 100).collect();
         assert!((60..=110).contains(&all.len()), "{}", all.len());
         assert!(all.iter().filter(|(_, bytes)| *bytes != valid).count() > 55);
-        assert!(
-            all.iter()
-                .any(|(_, bytes)| bytes.windows(20).any(|w| w == b"99999999999999999999"))
-        );
+        assert!(all.iter().any(|(_, bytes)| bytes.windows(20).any(|w| w == b"99999999999999999999")));
         assert!(all.iter().any(|(what, _)| what.starts_with("4 bytes")));
         assert!(malformed(Vec::new(), 50).any(|(what, _)| what == "ones"));
     }

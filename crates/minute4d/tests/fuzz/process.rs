@@ -88,11 +88,7 @@ pub fn work(
             Err(_) => Some(said.lock().map(|s| s.clone()).unwrap_or_default()),
             Ok(outcome) => {
                 let outcome = outcome?;
-                let how = if matches!(outcome, Outcome::Refused(_)) {
-                    "refused"
-                } else {
-                    "read"
-                };
+                let how = if matches!(outcome, Outcome::Refused(_)) { "refused" } else { "read" };
                 writeln!(out, "{how} {i}")?;
                 Stage::fault(&outcome)
             }
@@ -119,10 +115,7 @@ pub fn work(
 #[cfg(unix)]
 fn limit_memory(bytes: u64) -> io::Result<()> {
     use rustix::process::{Resource, Rlimit, setrlimit};
-    let limit = Rlimit {
-        current: Some(bytes),
-        maximum: Some(bytes),
-    };
+    let limit = Rlimit { current: Some(bytes), maximum: Some(bytes) };
     setrlimit(Resource::As, limit).map_err(io::Error::from)
 }
 

@@ -83,11 +83,7 @@ impl Reader {
         Ok(Stage {
             reader: self,
             file,
-            given: if self.given.is_empty() {
-                here.to_path_buf()
-            } else {
-                here.join(&self.given)
-            },
+            given: if self.given.is_empty() { here.to_path_buf() } else { here.join(&self.given) },
             seeds,
             folder,
         })

@@ -72,11 +72,7 @@ pub fn capture(capture: &Capture) -> Option<String> {
     }
     let of_tracks = capture.tracks.as_ref().and_then(|t| {
         let fits = t.frames() == capture.frames.len();
-        if fits {
-            tracks(t)
-        } else {
-            Some("the length of tracks".into())
-        }
+        if fits { tracks(t) } else { Some("the length of tracks".into()) }
     });
     let last = capture.time_frames as f64 - 1.0;
     of_tracks.or_else(|| capture.frames.iter().find_map(|f| frame(f, last)))
@@ -100,12 +96,7 @@ pub fn trajectory(path: &Trajectory) -> Option<String> {
             listed.iter().find_map(|(c, _)| camera(c))
         }
         Trajectory::Keyed(keyed) => {
-            let times = keyed
-                .keyframes
-                .iter()
-                .map(|k| k.time_s)
-                .chain(keyed.back_s)
-                .chain(keyed.fps);
+            let times = keyed.keyframes.iter().map(|k| k.time_s).chain(keyed.back_s).chain(keyed.fps);
             if keyed.keyframes.is_empty() || !times.into_iter().all(f64::is_finite) {
                 return Some("a time, or no keyframes".into());
             }
@@ -113,11 +104,7 @@ pub fn trajectory(path: &Trajectory) -> Option<String> {
                 KeyPose::C2w(c2w) => c2w.matrix().iter().all(|v| v.is_finite()),
                 KeyPose::LookAt { position, look_at, up } => {
                     let up = up.unwrap_or_default();
-                    position
-                        .iter()
-                        .chain(look_at.iter())
-                        .chain(up.iter())
-                        .all(|v| v.is_finite())
+                    position.iter().chain(look_at.iter()).chain(up.iter()).all(|v| v.is_finite())
                 }
             });
             (!valid).then(|| "a pose".into())

@@ -59,12 +59,7 @@ pub fn run(args: &Ablate, output: &Output) -> Result<(), Failure> {
         data: args.data.clone(),
         grow_mask: args.grow_mask,
     };
-    let job = Job {
-        settings,
-        device: args.device.into(),
-        existing: Existing::Resume,
-        observer: output,
-    };
+    let job = Job { settings, device: args.device.into(), existing: Existing::Resume, observer: output };
     let report = ablate::ablate(&args.input, &args.out, &options, &job)?;
     if let Some(image) = &report.image {
         output.note(&format!("{}: source, without tracking, full method", image.display()));

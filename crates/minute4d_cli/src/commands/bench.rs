@@ -58,11 +58,7 @@ pub struct Bench {
 fn scene_kinds() -> impl TypedValueParser<Value = SceneKind> {
     choice([
         ("static", "Every splat is visible at all times", SceneKind::Static),
-        (
-            "4d",
-            "Four of five splats are visible for one or two of 64 frames",
-            SceneKind::FourD,
-        ),
+        ("4d", "Four of five splats are visible for one or two of 64 frames", SceneKind::FourD),
     ])
 }
 
@@ -82,10 +78,7 @@ pub fn run(args: &Bench, common: &Common, output: &Output) -> Result<(), Failure
 }
 
 fn memory(args: &Bench, output: &Output) -> Result<(), Failure> {
-    let mut config = MemoryConfig {
-        cpu: processor(),
-        ..MemoryConfig::default()
-    };
+    let mut config = MemoryConfig { cpu: processor(), ..MemoryConfig::default() };
     if let Some(frames) = &args.frames {
         config.frames = frames.iter().map(|&n| n as usize).collect();
     }

@@ -84,14 +84,8 @@ fn examine() -> Result<Machine, Failure> {
         cores: System::physical_core_count().ok(),
         threads: minute4d::threads(),
         simd: simd.name().to_owned(),
-        simd_available: minute4d::kernels::SimdLevel::available()
-            .iter()
-            .map(|l| l.name())
-            .collect(),
-        memory: system.map(|s| Memory {
-            total_bytes: s.total_memory(),
-            available_bytes: s.available_memory(),
-        }),
+        simd_available: minute4d::kernels::SimdLevel::available().iter().map(|l| l.name()).collect(),
+        memory: system.map(|s| Memory { total_bytes: s.total_memory(), available_bytes: s.available_memory() }),
         disk: disk_of(&folder),
         ffmpeg: ffmpeg(),
         gpus: gpus(),
@@ -114,28 +108,18 @@ fn disk_of(folder: &Path) -> Option<Disk> {
     let disks = Disks::new_with_refreshed_list().ok()?;
     let above = disks.iter().filter(|disk| folder.starts_with(disk.mount_point()));
     let disk = above.max_by_key(|disk| disk.mount_point().as_os_str().len())?;
-    Some(Disk {
-        folder: folder.to_path_buf(),
-        free_bytes: disk.available_space(),
-    })
+    Some(Disk { folder: folder.to_path_buf(), free_bytes: disk.available_space() })
 }
 
 fn ffmpeg() -> Ffmpeg {
     let program = PathBuf::from("ffmpeg");
     let output = Command::new(&program).arg("-version").stdin(Stdio::null()).output();
-    let text = output
-        .ok()
-        .filter(|o| o.status.success())
-        .map(|o| String::from_utf8_lossy(&o.stdout).into_owned());
+    let text = output.ok().filter(|o| o.status.success()).map(|o| String::from_utf8_lossy(&o.stdout).into_owned());
     let version = text.as_deref().and_then(|text| {
         let rest = text.lines().next()?.strip_prefix("ffmpeg version ")?;
         rest.split_whitespace().next().map(str::to_owned)
     });
-    Ffmpeg {
-        found: text.is_some(),
-        program,
-        version,
-    }
+    Ffmpeg { found: text.is_some(), program, version }
 }
 
 #[cfg(feature = "gpu")]
@@ -173,10 +157,7 @@ fn gpus() -> Vec<GpuAdapter> {
 fn notes(machine: &Machine) -> Vec<String> {
     let mut notes = Vec::new();
     if !cfg!(feature = "gpu") {
-        notes.push(format!(
-            "this program was built without GPU support; `{}` builds it with it",
-            minute4d::BUILD_FULL
-        ));
+        notes.push(format!("this program was built without GPU support; `{}` builds it with it", minute4d::BUILD_FULL));
     } else if machine.gpus.is_empty() {
         notes.push(
             "no GPU was found through Vulkan, Metal, DX12 or OpenGL; if there is one, its driver is missing".to_owned(),
@@ -191,11 +172,7 @@ fn notes(machine: &Machine) -> Vec<String> {
                 .to_owned(),
         );
     }
-    if machine
-        .memory
-        .as_ref()
-        .is_some_and(|m| m.available_bytes < LITTLE_MEMORY)
-    {
+    if machine.memory.as_ref().is_some_and(|m| m.available_bytes < LITTLE_MEMORY) {
         notes.push("little free memory: reduce clips with --max-frames and --size".to_owned());
     }
     if machine.disk.as_ref().is_some_and(|disk| disk.free_bytes < LITTLE_DISK) {
@@ -243,10 +220,7 @@ fn describe(machine: &Machine) -> String {
                 machine.threads
             ),
         ),
-        (
-            "instructions",
-            format!("{} (available: {})", machine.simd, machine.simd_available.join(", ")),
-        ),
+        ("instructions", format!("{} (available: {})", machine.simd, machine.simd_available.join(", "))),
         (
             "memory",
             machine.memory.as_ref().map_or_else(

@@ -49,12 +49,7 @@ pub fn run(args: &Enhance, output: &Output) -> Result<(), Failure> {
     let (Some(capture), Some(out), false) = (&args.capture, &args.out, args.settings.print_config) else {
         return print_config(&settings, output);
     };
-    let job = Job {
-        settings,
-        device: args.device.into(),
-        existing: args.existing.mode(),
-        observer: output,
-    };
+    let job = Job { settings, device: args.device.into(), existing: args.existing.mode(), observer: output };
     let report = minute4d::enhance::make(capture, out, &job)?;
     let share = |share: Option<f64>| share.map_or_else(|| "unknown".to_owned(), |s| format!("{:.1} %", 100.0 * s));
     output.note(&format!(
@@ -66,9 +61,6 @@ pub fn run(args: &Enhance, output: &Output) -> Result<(), Failure> {
         report.tracker,
         report.tracks
     ));
-    output.result(
-        &out.display().to_string(),
-        json!({"path": out, "record": minute4d::plain_json(&report)?}),
-    );
+    output.result(&out.display().to_string(), json!({"path": out, "record": minute4d::plain_json(&report)?}));
     Ok(())
 }

@@ -67,10 +67,7 @@ pub fn run(args: &Export, output: &Output) -> Result<(), Failure> {
         compare: !args.no_compare,
         keep_mip: args.keep_mip,
         reach: args.reach.reach(),
-        fourdgs: FourdgsConfig {
-            precision: args.precision,
-            ..FourdgsConfig::default()
-        },
+        fourdgs: FourdgsConfig { precision: args.precision, ..FourdgsConfig::default() },
         ..ExportJob::new(args.format.or(named).unwrap_or(Format::Fourdgs))
     };
     let report = minute4d::export::make(&args.scene, &job, output)?;

@@ -43,12 +43,7 @@ pub fn run(args: &Geometry, output: &Output) -> Result<(), Failure> {
         return print_config(&settings, output);
     };
     let asked = settings.geometry.segmenter;
-    let job = Job {
-        settings,
-        device: args.device.into(),
-        existing: args.existing.mode(),
-        observer: output,
-    };
+    let job = Job { settings, device: args.device.into(), existing: args.existing.mode(), observer: output };
     let record = minute4d::geometry::make(input, out, &job)?;
     if let Some(found) = &record.found {
         output.note(&format!(
@@ -71,9 +66,6 @@ pub fn run(args: &Geometry, output: &Output) -> Result<(), Failure> {
             output.note("MobileSAM improves the masks of dynamic objects: `minute4d weights fetch mobile-sam`");
         }
     }
-    output.result(
-        &out.display().to_string(),
-        json!({"path": out, "record": minute4d::plain_json(&record)?}),
-    );
+    output.result(&out.display().to_string(), json!({"path": out, "record": minute4d::plain_json(&record)?}));
     Ok(())
 }

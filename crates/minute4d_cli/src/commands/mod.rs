@@ -65,10 +65,6 @@ fn stopped(failure: Failure, output: &Output) -> Failure {
 
 /// Returns the path of this program, which runs parts of some commands in processes of their own.
 fn program() -> Result<PathBuf, Failure> {
-    std::env::current_exe().map_err(|e| {
-        minute4d::Error::Internal {
-            what: format!("the path of this program is unknown: {e}"),
-        }
-        .into()
-    })
+    std::env::current_exe()
+        .map_err(|e| minute4d::Error::Internal { what: format!("the path of this program is unknown: {e}") }.into())
 }

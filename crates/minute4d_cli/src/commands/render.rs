@@ -49,12 +49,7 @@ pub struct Render {
     #[arg(long, value_name = "F", allow_negative_numbers = true, help_heading = "Camera paths")]
     pub amount: Option<f64>,
     /// `swing`, `bullet`: maximum rotation to either side, degrees
-    #[arg(
-        long,
-        value_name = "DEG",
-        allow_negative_numbers = true,
-        help_heading = "Camera paths"
-    )]
+    #[arg(long, value_name = "DEG", allow_negative_numbers = true, help_heading = "Camera paths")]
     pub degrees: Option<f64>,
     /// `stabilised`: standard deviation of the smoothing in seconds [default: 0.5]
     #[arg(long, value_name = "S", help_heading = "Camera paths")]
@@ -77,11 +72,7 @@ pub struct Render {
 fn fits() -> impl TypedValueParser<Value = Fit> {
     choice([
         ("crop", "The centre of the view fills the image", Fit::Crop),
-        (
-            "extend",
-            "The image contains the whole view, and more at the sides",
-            Fit::Extend,
-        ),
+        ("extend", "The image contains the whole view, and more at the sides", Fit::Extend),
     ])
 }
 

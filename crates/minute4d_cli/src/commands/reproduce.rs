@@ -77,12 +77,7 @@ pub fn run(args: &Reproduce, output: &Output) -> Result<(), Failure> {
         factor: args.factor,
         refine_poses: args.refine_poses,
     };
-    let job = Job {
-        settings,
-        device: args.device.into(),
-        existing: Existing::Resume,
-        observer: output,
-    };
+    let job = Job { settings, device: args.device.into(), existing: Existing::Resume, observer: output };
     let report = reproduce(args.suite, &args.data, &args.out, &options, &job)?;
     output.note(&format!("tables written to {}", args.out.join(TABLE_FILE).display()));
     output.result(&report.to_markdown(), minute4d::plain_json(&report)?);

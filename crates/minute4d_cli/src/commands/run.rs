@@ -45,12 +45,7 @@ pub fn run(args: &Run, output: &Output) -> Result<(), Failure> {
     };
     let device = args.training.device.request()?;
     let work = |observer: &dyn Observer| {
-        let job = Job {
-            settings,
-            device,
-            existing: args.existing.mode(),
-            observer,
-        };
+        let job = Job { settings, device, existing: args.existing.mode(), observer };
         let done = minute4d::run(input, out, &job)?;
         if args.poster {
             minute4d::preview::poster(out, input, &job.settings)?;
@@ -66,9 +61,6 @@ pub fn report(out: &Path, done: &RunRecord, output: &Output) -> Result<(), Failu
     let file = viewable.find(|name| done.files.contains_key(*name));
     let open = file.map_or_else(String::new, |name| format!("; open {}", out.join(name).display()));
     output.note(&format!("finished in {}{open}", duration(done.seconds)));
-    output.result(
-        &out.display().to_string(),
-        json!({"path": out, "record": minute4d::plain_json(done)?}),
-    );
+    output.result(&out.display().to_string(), json!({"path": out, "record": minute4d::plain_json(done)?}));
     Ok(())
 }

@@ -37,15 +37,8 @@ pub fn run(args: &Train, output: &Output) -> Result<(), Failure> {
     };
     let device = args.training.device.request()?;
     let work = |observer: &dyn Observer| {
-        let job = Job {
-            settings,
-            device,
-            existing: args.existing.mode(),
-            observer,
-        };
+        let job = Job { settings, device, existing: args.existing.mode(), observer };
         minute4d::train::make(capture, out, &job)
     };
-    while_training(&args.page, (capture, out), output, work, |done| {
-        report(out, done, output)
-    })
+    while_training(&args.page, (capture, out), output, work, |done| report(out, done, output))
 }

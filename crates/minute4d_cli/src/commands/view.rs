@@ -83,9 +83,7 @@ pub fn while_training(
 fn open(url: &str, no_open: bool, output: &Output) {
     // without a display the system would start a browser in the terminal
     let screen = cfg!(any(windows, target_os = "macos"))
-        || ["DISPLAY", "WAYLAND_DISPLAY"]
-            .iter()
-            .any(|name| std::env::var_os(name).is_some());
+        || ["DISPLAY", "WAYLAND_DISPLAY"].iter().any(|name| std::env::var_os(name).is_some());
     if no_open || !screen || !std::io::stdout().is_terminal() {
         return;
     }

@@ -63,18 +63,11 @@ pub fn run(args: &Weights, output: &Output) -> Result<(), Failure> {
             }
             report_installed(&store, &records, output)
         }
-        WeightsAction::Add {
-            name,
-            file,
-            accept_license,
-        } => {
+        WeightsAction::Add { name, file, accept_license } => {
             let record =
                 weights::add(find_entry(name)?, &store, file, *accept_license).map_err(minute4d::Error::from)?;
             if !record.published {
-                output.warn(&format!(
-                    "no published checksum for {name}; the SHA-256 of the file is {}",
-                    record.sha256
-                ));
+                output.warn(&format!("no published checksum for {name}; the SHA-256 of the file is {}", record.sha256));
             }
             report_installed(&store, &[record], output)
         }
@@ -129,32 +122,21 @@ fn list(store: &Store, output: &Output) -> Result<(), Failure> {
         },
     };
     let rows: Vec<Row> = weights::all().iter().map(row).collect();
-    let mut text = format!(
-        "{:<24} {:>7}  {:<4} {:<6} {:<38} used for\n",
-        "name", "MB", "here", "got by", "licence"
-    );
+    let mut text = format!("{:<24} {:>7}  {:<4} {:<6} {:<38} used for\n", "name", "MB", "here", "got by", "licence");
     for row in &rows {
-        let size = row
-            .bytes
-            .map_or_else(|| "?".to_owned(), |n| format!("{:.1}", n as f64 / 1e6));
+        let size = row.bytes.map_or_else(|| "?".to_owned(), |n| format!("{:.1}", n as f64 / 1e6));
         let here = if row.path.is_some() { "yes" } else { "no" };
         let licence = match row.commercial {
             true => row.licence.to_owned(),
             false => format!("non-commercial: {}", row.licence),
         };
-        text += &format!(
-            "{:<24} {size:>7}  {here:<4} {:<6} {licence:<38} {}\n",
-            row.name, row.got_by, row.used_for
-        );
+        text += &format!("{:<24} {size:>7}  {here:<4} {:<6} {licence:<38} {}\n", row.name, row.got_by, row.used_for);
     }
     let missing: Vec<&Row> = rows.iter().filter(|row| row.path.is_none()).collect();
     if !missing.is_empty() {
         text += "\nnot installed: the command that installs it, and what is unavailable without it\n";
         for row in missing {
-            text += &format!(
-                "{:<24} {}\n{:<24} without it: {}\n",
-                row.name, row.command, "", row.without
-            );
+            text += &format!("{:<24} {}\n{:<24} without it: {}\n", row.name, row.command, "", row.without);
         }
         text += "\n";
     }
@@ -168,11 +150,7 @@ fn report_installed(store: &Store, records: &[Record], output: &Output) -> Resul
     let mut text = String::new();
     for record in records {
         let path = store.root().join(&record.name).join(&record.file);
-        let checked = if record.published {
-            "checksum as published"
-        } else {
-            "no published checksum"
-        };
+        let checked = if record.published { "checksum as published" } else { "no published checksum" };
         text += &format!(
             "{}: {} ({} bytes, {checked}), licence: {}\n",
             record.name,
@@ -196,10 +174,7 @@ struct CheckedFile {
 
 fn verify(store: &Store, names: &[String], output: &Output) -> Result<(), Failure> {
     let entries: Vec<&Entry> = match names {
-        [] => weights::all()
-            .iter()
-            .filter(|entry| store.state(entry) != State::Absent)
-            .collect(),
+        [] => weights::all().iter().filter(|entry| store.state(entry) != State::Absent).collect(),
         names => names.iter().map(|name| find_entry(name)).collect::<Result<_, _>>()?,
     };
     let mut found = Vec::new();
@@ -213,25 +188,14 @@ fn verify(store: &Store, names: &[String], output: &Output) -> Result<(), Failur
                 return Err(minute4d::Error::from(store.require(entry).err().unwrap_or(WeightsError::NoFolder)).into());
             }
         };
-        found.push(CheckedFile {
-            name: entry.name,
-            condition,
-            reason,
-        });
+        found.push(CheckedFile { name: entry.name, condition, reason });
     }
     let line = |f: &CheckedFile| match &f.reason {
         Some(reason) => format!("{}: {}: {reason}\n", f.name, f.condition),
         None => format!("{}: {}\n", f.name, f.condition),
     };
     let text: String = found.iter().map(line).collect();
-    output.result(
-        if text.is_empty() {
-            "no weights are installed\n"
-        } else {
-            &text
-        },
-        minute4d::plain_json(&found)?,
-    );
+    output.result(if text.is_empty() { "no weights are installed\n" } else { &text }, minute4d::plain_json(&found)?);
     match found.iter().find(|f| f.condition == "damaged") {
         None => Ok(()),
         Some(bad) => Err(Failure {

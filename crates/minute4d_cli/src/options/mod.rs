@@ -34,10 +34,7 @@ pub struct DeviceArgs {
 impl DeviceArgs {
     /// Returns the request in the library's type.
     pub fn request(&self) -> Result<DeviceRequest, Failure> {
-        Ok(DeviceRequest {
-            choice: self.device,
-            max_vram_mb: vram_limit(self.device, self.max_vram)?,
-        })
+        Ok(DeviceRequest { choice: self.device, max_vram_mb: vram_limit(self.device, self.max_vram)? })
     }
 }
 
@@ -85,11 +82,7 @@ pub struct ReachArgs {
 impl ReachArgs {
     /// Returns the choice in the library's type.
     pub fn reach(&self) -> Reach {
-        if self.allow_outside {
-            Reach::Anywhere
-        } else {
-            Reach::Inside
-        }
+        if self.allow_outside { Reach::Anywhere } else { Reach::Inside }
     }
 }
 
@@ -151,11 +144,7 @@ pub fn segmenters() -> impl TypedValueParser<Value = Segmenter> {
             Segmenter::Auto,
         ),
         ("none", "No network: masks from motion and colour only", Segmenter::None),
-        (
-            "mobilesam",
-            "MobileSAM; `minute4d weights fetch mobile-sam` installs its weights",
-            Segmenter::Mobilesam,
-        ),
+        ("mobilesam", "MobileSAM; `minute4d weights fetch mobile-sam` installs its weights", Segmenter::Mobilesam),
         (
             "sam2",
             "SAM 2.1, which tracks objects through the clip; needs the weights of one of its sizes",
@@ -169,16 +158,8 @@ pub fn trackers() -> impl TypedValueParser<Value = Tracker> {
     choice([
         ("auto", "`flow`", Tracker::Auto),
         ("none", "No tracking", Tracker::None),
-        (
-            "flow",
-            "Chained optical flow, lifted to 3D with depth and continued through occlusions",
-            Tracker::Flow,
-        ),
-        (
-            "tapip3d",
-            "TAPIP3D, a network whose licence forbids commercial use",
-            Tracker::Tapip3d,
-        ),
+        ("flow", "Chained optical flow, lifted to 3D with depth and continued through occlusions", Tracker::Flow),
+        ("tapip3d", "TAPIP3D, a network whose licence forbids commercial use", Tracker::Tapip3d),
     ])
 }
 
@@ -222,11 +203,7 @@ pub struct LengthArgs {
 
 fn presets() -> impl TypedValueParser<Value = Preset> {
     choice([
-        (
-            "draft",
-            "A quick preview: ten seconds, a third of the splats",
-            Preset::Draft,
-        ),
+        ("draft", "A quick preview: ten seconds, a third of the splats", Preset::Draft),
         ("default", "Sixty seconds", Preset::Default),
     ])
 }

@@ -62,11 +62,7 @@ impl Events {
                 (entry.first_done, entry.started)
             }
             None => {
-                let entry = Phase {
-                    started: now,
-                    first_done: done,
-                    last_event: now,
-                };
+                let entry = Phase { started: now, first_done: done, last_event: now };
                 state.phases.insert(phase.to_owned(), entry);
                 (done, now)
             }
@@ -123,19 +119,13 @@ pub fn end_of_json(code: u8, reason: &str) {
 }
 
 fn write_end(code: u8, reason: &str) {
-    let fields = [
-        ("ok", json!(code == 0)),
-        ("code", json!(code)),
-        ("reason", json!(reason)),
-    ];
+    let fields = [("ok", json!(code == 0)), ("code", json!(code)), ("reason", json!(reason))];
     write_line("end", &fields);
 }
 
 /// Writes one event. The object is assembled by hand so that the event's name comes first.
 fn write_line(event: &str, fields: &[(&str, Value)]) {
-    let fields = fields
-        .iter()
-        .map(|(name, value)| format!(",{}:{value}", Value::from(*name)));
+    let fields = fields.iter().map(|(name, value)| format!(",{}:{value}", Value::from(*name)));
     let line = format!("{{\"event\":{}{}}}\n", Value::from(event), fields.collect::<String>());
     let mut stdout = std::io::stdout().lock();
     // If the reader has closed the pipe, the work continues without events.

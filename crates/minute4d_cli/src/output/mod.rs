@@ -47,11 +47,7 @@ impl Output {
         } else {
             Mode::Lines(Lines::default())
         };
-        Arc::new(Self {
-            mode,
-            stop,
-            warned: Mutex::new(Vec::new()),
-        })
+        Arc::new(Self { mode, stop, warned: Mutex::new(Vec::new()) })
     }
 
     /// Returns the state of stop requests.
@@ -185,13 +181,7 @@ fn print_result(text: &str) {
     let mut stdout = std::io::stdout().lock();
     let written = stdout
         .write_all(text.as_bytes())
-        .and_then(|()| {
-            if text.ends_with('\n') {
-                Ok(())
-            } else {
-                stdout.write_all(b"\n")
-            }
-        })
+        .and_then(|()| if text.ends_with('\n') { Ok(()) } else { stdout.write_all(b"\n") })
         .and_then(|()| stdout.flush());
     if let Err(error) = written
         && error.kind() != ErrorKind::BrokenPipe

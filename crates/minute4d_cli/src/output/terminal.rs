@@ -17,9 +17,7 @@ impl Bars {
             if let Some((_, old)) = current.take() {
                 old.finish_and_clear();
             }
-            let bar = ProgressBar::new(total as u64)
-                .with_style(style())
-                .with_prefix(phase.to_owned());
+            let bar = ProgressBar::new(total as u64).with_style(style()).with_prefix(phase.to_owned());
             bar.set_position(done as u64);
             bar.reset_eta();
             bar.enable_steady_tick(Duration::from_millis(200));
@@ -80,12 +78,7 @@ impl Lines {
         let same = current.as_ref().is_some_and(|p| p.name == phase);
         if !same {
             let last_line = current.as_ref().map_or(now, |p| p.last_line);
-            *current = Some(Phase {
-                name: phase.to_owned(),
-                started: now,
-                first_done: done,
-                last_line,
-            });
+            *current = Some(Phase { name: phase.to_owned(), started: now, first_done: done, last_line });
         }
         let entry = current.as_mut()?;
         if now.saturating_duration_since(entry.last_line) < INTERVAL {
@@ -95,11 +88,7 @@ impl Lines {
         let percent = (100 * done).checked_div(total).unwrap_or(0);
         let mut line = format!("{phase}: {done}/{total} ({percent} %)");
         let elapsed_s = now.saturating_duration_since(entry.started).as_secs_f64();
-        if let Some(eta) = eta_s(
-            elapsed_s,
-            done.saturating_sub(entry.first_done),
-            total.saturating_sub(done),
-        ) {
+        if let Some(eta) = eta_s(elapsed_s, done.saturating_sub(entry.first_done), total.saturating_sub(done)) {
             line += &format!(", {} left", duration(eta));
         }
         if !note.is_empty() {
@@ -126,10 +115,7 @@ mod tests {
         let at = |s: u64, done| lines.at(start + Duration::from_secs(s), "train", done, 100, "loss 0.1");
         assert_eq!(at(0, 0), None);
         assert_eq!(at(9, 9), None);
-        assert_eq!(
-            at(10, 10).as_deref(),
-            Some("train: 10/100 (10 %), 1m30s left, loss 0.1")
-        );
+        assert_eq!(at(10, 10).as_deref(), Some("train: 10/100 (10 %), 1m30s left, loss 0.1"));
         assert_eq!(at(19, 20), None);
         assert!(at(20, 50).is_some_and(|l| l.contains("50/100 (50 %), 20.0 s left")));
     }

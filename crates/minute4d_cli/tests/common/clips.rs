@@ -58,14 +58,7 @@ pub fn walk(n: usize) -> Vec<Camera> {
     let share = |i: usize| i as f64 / (n.max(2) - 1) as f64;
     (0..n)
         .map(|i| {
-            let bob = Vector6::new(
-                0.0,
-                0.03 * (9.0 * share(i)).sin(),
-                0.0,
-                0.0,
-                0.0,
-                0.01 * (7.0 * share(i)).sin(),
-            );
+            let bob = Vector6::new(0.0, 0.03 * (9.0 * share(i)).sin(), 0.0, 0.0, 0.0, 0.01 * (7.0 * share(i)).sin());
             let mut camera = camera(1.2 * share(i) - 0.6, 0.15 * (0.5 - share(i)), FOCAL_PX);
             camera.c2w = camera.c2w.retract(&bob);
             camera
@@ -75,9 +68,7 @@ pub fn walk(n: usize) -> Vec<Camera> {
 
 /// What a camera sees.
 pub fn frame_image(camera: &Camera) -> RgbImage {
-    Plane::from_fn(camera.intrinsics.width, camera.intrinsics.height, |x, y| {
-        see(camera, x as f64, y as f64).0
-    })
+    Plane::from_fn(camera.intrinsics.width, camera.intrinsics.height, |x, y| see(camera, x as f64, y as f64).0)
 }
 
 /// Writes images as `00000.png`...

@@ -9,10 +9,7 @@ use std::path::Path;
 
 /// Numbers as numpy saves them, `<f4` or `<f8`.
 fn write_npy(path: &Path, shape: &[usize], values: &[f64], double: bool) {
-    let (name, shape) = (
-        if double { "<f8" } else { "<f4" },
-        format!("{shape:?}").replace(['[', ']'], ""),
-    );
+    let (name, shape) = (if double { "<f8" } else { "<f4" }, format!("{shape:?}").replace(['[', ']'], ""));
     let mut header = format!("{{'descr': '{name}', 'fortran_order': False, 'shape': ({shape},), }}");
     while !(10 + header.len() + 1).is_multiple_of(64) {
         header.push(' ');
@@ -67,10 +64,7 @@ pub fn write_dycheck_of(root: &Path, [train, test]: [Capture; 2], with_masks: bo
         let id = format!("{camera}_{i:05}");
         dycheck_camera(&root.join(format!("camera/{id}.json")), &frame.camera);
         write_rgb(&root.join(format!("rgb/2x/{id}.png")), &frame.rgb).unwrap();
-        meta.insert(
-            id.clone(),
-            json!({"appearance_id": i, "camera_id": camera, "warp_id": i}),
-        );
+        meta.insert(id.clone(), json!({"appearance_id": i, "camera_id": camera, "warp_id": i}));
         id
     };
     let mut train_ids = Vec::new();
@@ -108,14 +102,8 @@ pub fn write_dycheck_of(root: &Path, [train, test]: [Capture; 2], with_masks: bo
         json!({"count": ids.len(), "num_exemplars": n, "ids": ids, "train_ids": train_ids, "val_ids": val_ids});
     put("dataset.json", &dataset);
     put("metadata.json", &Value::Object(meta));
-    put(
-        "scene.json",
-        &json!({"center": [0.0, 0.0, 3.0], "scale": 1.0, "near": 2.0, "far": 6.0}),
-    );
-    put(
-        "extra.json",
-        &json!({"factor": 2, "fps": 10, "lookat": [0.0, 0.0, 4.0], "up": [0.0, -1.0, 0.0]}),
-    );
+    put("scene.json", &json!({"center": [0.0, 0.0, 3.0], "scale": 1.0, "near": 2.0, "far": 6.0}));
+    put("extra.json", &json!({"factor": 2, "fps": 10, "lookat": [0.0, 0.0, 4.0], "up": [0.0, -1.0, 0.0]}));
 }
 
 /// A scene in the layout of RoDynRF's bundle: camera `i` took image `i`, camera 0 is judged at all moments.
@@ -126,11 +114,7 @@ pub fn write_nvidia(root: &Path, n: usize) {
     let train = capture(n, false);
     let mut poses = Vec::new();
     for (i, frame) in train.frames.iter().enumerate() {
-        let (r, c, k) = (
-            frame.camera.c2w.rotation,
-            frame.camera.centre(),
-            &frame.camera.intrinsics,
-        );
+        let (r, c, k) = (frame.camera.c2w.rotation, frame.camera.centre(), &frame.camera.intrinsics);
         let hwf = [2.0 * k.height as f64, 2.0 * k.width as f64, 2.0 * k.fx];
         for row in 0..3 {
             // down, right, back
@@ -138,11 +122,7 @@ pub fn write_nvidia(root: &Path, n: usize) {
         }
         poses.extend([2.5, 4.0]);
         write_rgb(&root.join(format!("images_2/{i:03}.png")), &frame.rgb).unwrap();
-        write_mask(
-            &root.join(format!("motion_masks/{i:03}.png")),
-            &frame.mask.as_ref().unwrap().to_mask(),
-        )
-        .unwrap();
+        write_mask(&root.join(format!("motion_masks/{i:03}.png")), &frame.mask.as_ref().unwrap().to_mask()).unwrap();
         let depth = frame.depth.as_ref().unwrap().to_map();
         let disparity: Vec<f64> = depth.data().iter().map(|&z| 1.0 / f64::from(z)).collect();
         let shape = [depth.height(), depth.width()];

@@ -22,10 +22,7 @@ pub fn program() -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_minute4d"));
     // No weights that this machine may have: what is found does not depend on them.
     let none = Path::new(env!("CARGO_TARGET_TMPDIR")).join("no-weights");
-    command
-        .env_remove("MINUTE4D_SIMD")
-        .env("MINUTE4D_WEIGHTS", none)
-        .env("TERM", "dumb");
+    command.env_remove("MINUTE4D_SIMD").env("MINUTE4D_WEIGHTS", none).env("TERM", "dumb");
     command
 }
 
@@ -48,11 +45,7 @@ impl Ended {
 
     /// The events of `--json`, each a line that is an object with a name.
     pub fn events(&self) -> Vec<Value> {
-        let events: Vec<Value> = self
-            .stdout
-            .lines()
-            .map(|line| serde_json::from_str(line).unwrap())
-            .collect();
+        let events: Vec<Value> = self.stdout.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
         assert!(events.iter().all(|e| e["event"].is_string()), "{}", self.stdout);
         events
     }
@@ -85,18 +78,10 @@ fn check_refusal(command: &mut Command, code: i32, words: &[&str]) {
     let reason = end["reason"].as_str().unwrap();
     for word in words {
         assert!(reason.contains(word), "{args:?}: {word:?} is not in {reason:?}");
-        assert!(
-            ended.stderr.contains(word),
-            "{args:?}: {word:?} is not in {:?}",
-            ended.stderr
-        );
+        assert!(ended.stderr.contains(word), "{args:?}: {word:?} is not in {:?}", ended.stderr);
     }
     let lower = ended.stderr.to_lowercase();
-    assert!(
-        !lower.contains("panicked") && !lower.contains("internal error"),
-        "{}",
-        ended.stderr
-    );
+    assert!(!lower.contains("panicked") && !lower.contains("internal error"), "{}", ended.stderr);
 }
 
 /// The path as an argument.
@@ -207,11 +192,7 @@ fn see(camera: &Camera, share: f64) -> (RgbImage, Plane<f32>, Plane<u8>) {
         let at = |z: f64| camera.unproject(x as f64, y as f64, z);
         let near = at(2.5);
         let square = (near.x - (share - 0.5)).abs() < 0.35 && near.y.abs() < 0.35;
-        if square {
-            (near, 2.5, true)
-        } else {
-            (at(4.0), 4.0, false)
-        }
+        if square { (near, 2.5, true) } else { (at(4.0), 4.0, false) }
     };
     let wave = |v: f64| (127.5 + 110.0 * v.sin()) as u8;
     let rgb = Plane::from_fn(w, h, |x, y| match hit(x, y) {
@@ -263,9 +244,8 @@ pub fn mean_image_psnr_db<'a>(
     let psnr_db = |view: RgbImage| {
         let (w, h) = view.size();
         let places = (0..h).flat_map(|y| (0..w.min(columns)).map(move |x| (x, y)));
-        let squares: Vec<f64> = places
-            .flat_map(|(x, y)| [0, 1, 2].map(|k| (mean(x, y, k) - f64::from(view[(x, y)][k])).powi(2)))
-            .collect();
+        let squares: Vec<f64> =
+            places.flat_map(|(x, y)| [0, 1, 2].map(|k| (mean(x, y, k) - f64::from(view[(x, y)][k])).powi(2))).collect();
         -10.0 * (squares.iter().sum::<f64>() / squares.len() as f64 / (255.0 * 255.0)).log10()
     };
     let scores: Vec<f64> = views.into_iter().map(psnr_db).collect();
@@ -280,9 +260,7 @@ pub fn capture(n: usize, held_out: bool) -> Capture {
 fn capture_of(size: (usize, usize), n: usize, held_out: bool) -> Capture {
     let shift = if held_out { 0.1 } else { 0.0 };
     Capture {
-        frames: (0..n)
-            .map(|i| frame(size, shift, i, n, held_out.then_some(0)))
-            .collect(),
+        frames: (0..n).map(|i| frame(size, shift, i, n, held_out.then_some(0))).collect(),
         time_frames: n,
         duration_s: Some((n - 1) as f64 / 10.0),
         metric: false,
@@ -300,10 +278,7 @@ pub fn write_capture(folder: &Path, with_test: bool) {
 
 /// Writes a capture of `n` frames of another size and rate.
 pub fn write_clip(folder: &Path, size: (usize, usize), n: usize, fps: f64) {
-    let clip = Capture {
-        duration_s: Some((n - 1) as f64 / fps),
-        ..capture_of(size, n, false)
-    };
+    let clip = Capture { duration_s: Some((n - 1) as f64 / fps), ..capture_of(size, n, false) };
     capture::write(folder, &clip, Split::Train, &Silent).unwrap();
 }
 

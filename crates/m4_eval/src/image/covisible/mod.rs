@@ -31,10 +31,7 @@ impl CovisibleCounts {
     /// None yet, for an image of `width` by `height`.
     #[must_use]
     pub fn new(width: usize, height: usize) -> Self {
-        Self {
-            counts: Plane::filled(width, height, 0),
-            frames: 0,
-        }
+        Self { counts: Plane::filled(width, height, 0), frames: 0 }
     }
 
     /// Adds a training frame, which saw the pixels of the test image that are not 0 in `seen`.
@@ -118,9 +115,7 @@ pub fn seen_by_depth(test: DepthView<'_>, training: DepthView<'_>, tolerance: f6
         ((z - there).abs() <= tolerance * there).then_some(())
     };
     let (width, height) = test.depth.size();
-    Ok(Plane::from_fn(width, height, |x, y| {
-        if seen(x, y).is_some() { 255 } else { 0 }
-    }))
+    Ok(Plane::from_fn(width, height, |x, y| if seen(x, y).is_some() { 255 } else { 0 }))
 }
 
 /// 255 where a pixel of the test image is seen in a training frame: `|f + b|^2 <= 0.01 (|f|^2 + |b|^2) + 0.5` for the flow `f` from the
@@ -142,11 +137,7 @@ pub fn seen_by_flow(forward: &Plane<[f32; 2]>, backward: &Plane<[f32; 2]>) -> Re
         let b = bilinear(backward, x as f64 + f[0], y as f64 + f[1]);
         let apart = square([f[0] + b[0], f[1] + b[1]]);
         // false for NaN
-        if apart <= 0.01 * (square(f) + square(b)) + 0.5 {
-            255
-        } else {
-            0
-        }
+        if apart <= 0.01 * (square(f) + square(b)) + 0.5 { 255 } else { 0 }
     }))
 }
 
@@ -158,11 +149,7 @@ fn bilinear(flow: &Plane<[f32; 2]>, x: f64, y: f64) -> [f64; 2] {
     let (width, height) = flow.size();
     let at = |x: f64, y: f64| {
         let inside = x >= 0.0 && y >= 0.0 && x < width as f64 && y < height as f64;
-        if inside {
-            flow[(x as usize, y as usize)].map(f64::from)
-        } else {
-            [0.0; 2]
-        }
+        if inside { flow[(x as usize, y as usize)].map(f64::from) } else { [0.0; 2] }
     };
     let (x0, y0) = (x.floor(), y.floor());
     let (tx, ty) = (x - x0, y - y0);
@@ -205,10 +192,7 @@ mod tests {
     fn camera(x: f64) -> Camera {
         Camera {
             intrinsics: Intrinsics::centred(20, 10, 10.0),
-            c2w: Se3 {
-                translation: Vector3::new(x, 0.0, 0.0),
-                ..Se3::identity()
-            },
+            c2w: Se3 { translation: Vector3::new(x, 0.0, 0.0), ..Se3::identity() },
         }
     }
 
@@ -217,13 +201,8 @@ mod tests {
     fn occluded_pixels_are_not_covisible() {
         let (here, there) = (camera(0.0), camera(1.0));
         // the box spans x from 0 to 1 in the world: columns 10..15 here, 5..10 there
-        let of = |first: usize| {
-            Plane::from_fn(
-                20,
-                10,
-                move |x, _| if (first..first + 5).contains(&x) { 2.0 } else { 4.0 },
-            )
-        };
+        let of =
+            |first: usize| Plane::from_fn(20, 10, move |x, _| if (first..first + 5).contains(&x) { 2.0 } else { 4.0 });
         let (a, b) = (of(10), of(5));
         let view = |camera, depth| DepthView { camera, depth };
         let seen = seen_by_depth(view(&here, &a), view(&there, &b), DEPTH_TOLERANCE).unwrap();
@@ -249,23 +228,11 @@ mod tests {
         let flat = |z: f32| Plane::filled(20, 10, z);
         let share = |a: f32, b: f32, tolerance| {
             let (a, b) = (flat(a), flat(b));
-            let (test, training) = (
-                DepthView {
-                    camera: &here,
-                    depth: &a,
-                },
-                DepthView {
-                    camera: &there,
-                    depth: &b,
-                },
-            );
+            let (test, training) = (DepthView { camera: &here, depth: &a }, DepthView { camera: &there, depth: &b });
             let seen = seen_by_depth(test, training, tolerance).unwrap();
             seen.data().iter().filter(|&&m| m != 0).count() as f64 / 200.0
         };
-        assert_eq!(
-            (share(4.1, 4.0, 0.05), share(4.3, 4.0, 0.05), share(4.3, 4.0, 0.1)),
-            (1.0, 0.0, 1.0)
-        );
+        assert_eq!((share(4.1, 4.0, 0.05), share(4.3, 4.0, 0.05), share(4.3, 4.0, 0.1)), (1.0, 0.0, 1.0));
         assert_eq!((share(3.9, 4.0, 0.05), share(3.7, 4.0, 0.05)), (1.0, 0.0));
         for bad in [0.0, -1.0, f32::NAN, f32::INFINITY] {
             assert_eq!((share(bad, 4.0, 0.05), share(4.0, bad, 0.05)), (0.0, 0.0));
@@ -279,10 +246,7 @@ mod tests {
         let seen = seen_by_depth(view(&here), view(&turned), 0.05).unwrap();
         assert!(seen.data().iter().all(|&m| m == 0));
         let small = Plane::filled(19, 10, 4.0);
-        let small = DepthView {
-            camera: &here,
-            depth: &small,
-        };
+        let small = DepthView { camera: &here, depth: &small };
         assert!(seen_by_depth(small, view(&there), 0.05).is_err());
     }
 

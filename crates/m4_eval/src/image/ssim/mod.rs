@@ -130,11 +130,7 @@ pub fn ssim_map_of(
     let (width, height) = reference.size();
     let window = kind.window();
     if width < window.side() || height < window.side() {
-        return Err(ImageError::TooSmall {
-            width,
-            height,
-            window: window.side(),
-        });
+        return Err(ImageError::TooSmall { width, height, window: window.side() });
     }
     let (out_w, out_h) = window.out_size(width, height);
     let mut sum = vec![0.0; out_w * out_h];
@@ -242,11 +238,7 @@ mod tests {
         let map = ssim_map(&a, &b).unwrap();
         assert_eq!(map.map.size(), (5, 3));
         let want = (2.0 * 0.2 * 0.6 + 1e-4) / (0.2 * 0.2 + 0.6 * 0.6 + 1e-4);
-        assert!(
-            (map.mean() - want).abs() < 1e-6,
-            "{} where {want} was expected",
-            map.mean()
-        );
+        assert!((map.mean() - want).abs() < 1e-6, "{} where {want} was expected", map.mean());
         assert!((ssim_map(&a, &a).unwrap().mean() - 1.0).abs() < 1e-12);
     }
 
@@ -254,9 +246,7 @@ mod tests {
     fn ssim_of_scaled_contrast_has_a_closed_form() {
         // b = a scaled about its local mean by -1 where the mean is the same everywhere: a checkerboard
         // has window mean 0.5 + e and variance s^2; its negative has mean 0.5 - e and covariance -s^2.
-        let a: Vec<f32> = (0..400)
-            .map(|i| if (i % 20 + i / 20) % 2 == 0 { 0.75 } else { 0.25 })
-            .collect();
+        let a: Vec<f32> = (0..400).map(|i| if (i % 20 + i / 20) % 2 == 0 { 0.75 } else { 0.25 }).collect();
         let b: Vec<f32> = a.iter().map(|v| 1.0 - v).collect();
         let (a, b) = (
             PlanarImage::from_planes(20, 20, [&a, &a, &a]).unwrap(),
@@ -272,28 +262,13 @@ mod tests {
     fn bad_input_is_named() {
         let (a, b) = (flat(16, 16, 0.5), flat(12, 16, 0.5));
         assert!(matches!(ssim_map(&a, &b), Err(ImageError::Size { .. })));
-        assert!(matches!(
-            ssim_map(&flat(10, 20, 0.0), &flat(10, 20, 0.0)),
-            Err(ImageError::TooSmall { .. })
-        ));
+        assert!(matches!(ssim_map(&flat(10, 20, 0.0), &flat(10, 20, 0.0)), Err(ImageError::TooSmall { .. })));
         let (good, bad, short) = (vec![0.0; 4], vec![0.0, f32::NAN, 0.0, 0.0], vec![0.0; 3]);
         let nan = PlanarImage::from_planes(2, 2, [&good, &bad, &good]);
-        assert!(matches!(
-            nan,
-            Err(ImageError::NotFinite {
-                x: 1,
-                y: 0,
-                channel: 1,
-                ..
-            })
-        ));
+        assert!(matches!(nan, Err(ImageError::NotFinite { x: 1, y: 0, channel: 1, .. })));
         assert!(matches!(
             PlanarImage::from_planes(2, 2, [&good, &good, &short]),
-            Err(ImageError::Length {
-                channel: 2,
-                found: 3,
-                ..
-            })
+            Err(ImageError::Length { channel: 2, found: 3, .. })
         ));
     }
 
@@ -317,10 +292,7 @@ mod tests {
         for kind in kinds {
             let score = |mask| ssim(kind, &a, &b, mask).unwrap();
             let whole = score(None).unwrap();
-            assert!(
-                (score(Some(&all)).unwrap() - whole).abs() < 1e-12 && whole < 0.9,
-                "{kind:?}: {whole}"
-            );
+            assert!((score(Some(&all)).unwrap() - whole).abs() < 1e-12 && whole < 0.9, "{kind:?}: {whole}");
             assert_eq!(score(Some(&none)), None, "{kind:?}");
             assert!((ssim(kind, &a, &a, None).unwrap().unwrap() - 1.0).abs() < 1e-12);
             seen.push(whole);

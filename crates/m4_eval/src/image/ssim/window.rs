@@ -32,28 +32,18 @@ impl Window {
     }
 
     fn of(taps: Vec<f64>) -> Self {
-        Self {
-            taps,
-            zero_padded: false,
-            unbias: 1.0,
-        }
+        Self { taps, zero_padded: false, unbias: 1.0 }
     }
 
     /// With zeros beyond the border, so that every pixel has a window.
     pub fn zero_padded(self) -> Self {
-        Self {
-            zero_padded: true,
-            ..self
-        }
+        Self { zero_padded: true, ..self }
     }
 
     /// With variances of a sample of as many pixels as the window has, whatever their weights: scikit-image's default.
     pub fn of_sample(self) -> Self {
         let n = (self.side() * self.side()) as f64;
-        Self {
-            unbias: n / (n - 1.0),
-            ..self
-        }
+        Self { unbias: n / (n - 1.0), ..self }
     }
 
     /// Pixels a side.
@@ -85,10 +75,7 @@ impl Window {
         let pad = self.side() / 2;
         let (wide, high) = (width + 2 * pad, height + 2 * pad);
         let mut padded = vec![0.0; wide * high];
-        for (row, values) in padded[pad * wide..]
-            .chunks_exact_mut(wide)
-            .zip(values.chunks_exact(width))
-        {
+        for (row, values) in padded[pad * wide..].chunks_exact_mut(wide).zip(values.chunks_exact(width)) {
             row[pad..pad + width].copy_from_slice(values);
         }
         self.inside(&padded, wide, high)

@@ -26,10 +26,7 @@ pub(super) fn aggregate(width: usize, height: usize, count: usize, volume: &[u8]
 
 /// Adds four directions: along the row, and from the three neighbours in the previous row.
 fn pass(width: usize, height: usize, count: usize, volume: &[u8], grey: &[f32], downwards: bool, total: &mut [i16]) {
-    let fresh = || Path {
-        values: vec![FAR; count + 2],
-        least: 0,
-    };
+    let fresh = || Path { values: vec![FAR; count + 2], least: 0 };
     let rows = |n: usize| (0..n).map(|_| fresh()).collect::<Vec<Path>>();
     // [direction][column]; the row before and the row being made.
     let mut before: [Vec<Path>; 3] = std::array::from_fn(|_| rows(width));
@@ -44,18 +41,10 @@ fn pass(width: usize, height: usize, count: usize, volume: &[u8], grey: &[f32], 
             let cost = &volume[i * count..(i + 1) * count];
             let out = &mut total[i * count..(i + 1) * count];
             let step_back = |n: usize, size: usize| {
-                if downwards {
-                    n.checked_sub(1)
-                } else {
-                    (n + 1 < size).then_some(n + 1)
-                }
+                if downwards { n.checked_sub(1) } else { (n + 1 < size).then_some(n + 1) }
             };
             let ahead = |n: usize, size: usize| {
-                if downwards {
-                    (n + 1 < size).then_some(n + 1)
-                } else {
-                    n.checked_sub(1)
-                }
+                if downwards { (n + 1 < size).then_some(n + 1) } else { n.checked_sub(1) }
             };
             let large = |j: usize| {
                 let fade = 1.0 / (1.0 + (grey[i] - grey[j]).abs() / EDGE);

@@ -67,17 +67,10 @@ mod tests {
 
     #[test]
     fn passing_objects_differ_from_the_background() {
-        let camera = Camera {
-            intrinsics: Intrinsics::centred(40, 32, 50.0),
-            c2w: Se3::identity(),
-        };
+        let camera = Camera { intrinsics: Intrinsics::centred(40, 32, 50.0), c2w: Se3::identity() };
         let frame = |k: usize| {
             let image = Plane::from_fn(40, 32, |x, y| {
-                if (3 * k..3 * k + 4).contains(&x) && (10..20).contains(&y) {
-                    [250; 3]
-                } else {
-                    [(x * 3) as u8; 3]
-                }
+                if (3 * k..3 * k + 4).contains(&x) && (10..20).contains(&y) { [250; 3] } else { [(x * 3) as u8; 3] }
             });
             WorkingFrame::new(&image, &camera, 40, 32)
         };

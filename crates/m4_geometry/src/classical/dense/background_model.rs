@@ -68,15 +68,9 @@ fn background_colours(scene: &Scene<'_>, i: usize, zone: &[u8]) -> Vec<Option<[f
     };
     let spread = SPREAD_FRAMES.min(count);
     let all = pairs((0..spread).map(|k| k * count / spread).collect());
-    let near = REACHES
-        .iter()
-        .flat_map(|reach| [i.checked_sub(*reach), Some(i + reach).filter(|&j| j < count)]);
+    let near = REACHES.iter().flat_map(|reach| [i.checked_sub(*reach), Some(i + reach).filter(|&j| j < count)]);
     // errors of depth grow with the parallax; without it, an object that rests for a while is not the background of the whole clip
-    let near = if scene.parallax {
-        pairs(near.flatten().collect())
-    } else {
-        all.clone()
-    };
+    let near = if scene.parallax { pairs(near.flatten().collect()) } else { all.clone() };
     let mut seen: Vec<[f32; 3]> = Vec::new();
     (0..zone.len())
         .map(|p| {
@@ -121,10 +115,7 @@ fn recurring(seen: &[[f32; 3]]) -> Option<[f32; 3]> {
         .map(|s| (within(s, RECURRENCE_NOISE), s))
         .reduce(|best, other| if other.0 > best.0 { other } else { best })?;
     let shows = |s: &[f32; 3]| difference(of, s) <= RECURRENCE_NOISE;
-    let runs = seen
-        .chunk_by(|a, b| shows(a) == shows(b))
-        .filter(|run| shows(&run[0]))
-        .count();
+    let runs = seen.chunk_by(|a, b| shows(a) == shows(b)).filter(|run| shows(&run[0])).count();
     let gradual = within(of, 2.0 * RECURRENCE_NOISE) - count;
     if (count as f32) < least || runs < LEAST_RUNS || gradual as f32 > MOST_GRADUAL * (seen.len() - count) as f32 {
         return None;
@@ -146,9 +137,8 @@ fn evidence(scene: &Scene<'_>, i: usize, before: &[u8]) -> (Vec<f32>, Vec<f32>) 
     let frame = &scene.shots[i].frame;
     // Shadows keep the pattern of what they fall on: the background may be darker by one factor around a pixel.
     let level = |rgb: [f32; 3]| rgb[0] + rgb[1] + rgb[2];
-    let mut here: Vec<f32> = (0..w * h)
-        .map(|p| background[p].map_or(0.0, |_| level(frame.rgb[p].map(f32::from))))
-        .collect();
+    let mut here: Vec<f32> =
+        (0..w * h).map(|p| background[p].map_or(0.0, |_| level(frame.rgb[p].map(f32::from)))).collect();
     let mut there: Vec<f32> = (0..w * h).map(|p| background[p].map_or(0.0, level)).collect();
     box_blur(w, h, &mut here);
     box_blur(w, h, &mut there);
@@ -252,13 +242,8 @@ mod tests {
     #[test]
     fn wide_mask_shrinks_to_the_object_without_its_shadow() {
         let cameras: Vec<Camera> = (0..FRAMES).map(camera).collect();
-        let truth: Vec<Vec<u8>> = (0..FRAMES)
-            .map(|t| {
-                (0..W * H)
-                    .map(|p| if inside(t, p % W, p / W) { 255 } else { 0 })
-                    .collect()
-            })
-            .collect();
+        let truth: Vec<Vec<u8>> =
+            (0..FRAMES).map(|t| (0..W * H).map(|p| if inside(t, p % W, p / W) { 255 } else { 0 }).collect()).collect();
         let shots: Vec<Shot> = (0..FRAMES)
             .map(|t| {
                 let rgb: Vec<[u8; 3]> = (0..W * H)
@@ -284,11 +269,7 @@ mod tests {
                     census: Vec::new(),
                     points: Vec::new(),
                     partners: Vec::new(),
-                    range: Range {
-                        least: 0.1,
-                        step: 0.1,
-                        count: 8,
-                    },
+                    range: Range { least: 0.1, step: 0.1, count: 8 },
                 }
             })
             .collect();

@@ -10,10 +10,7 @@ pub(crate) struct Components {
 
 impl Components {
     pub fn of(width: usize, height: usize, mask: &[u8]) -> Self {
-        let mut out = Self {
-            label: vec![0; width * height],
-            pixels: Vec::new(),
-        };
+        let mut out = Self { label: vec![0; width * height], pixels: Vec::new() };
         let mut open = Vec::new();
         for seed in 0..width * height {
             if mask[seed] == 0 || out.label[seed] != 0 {

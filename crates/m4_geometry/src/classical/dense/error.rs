@@ -10,9 +10,7 @@ pub(super) fn check_count(what: &str, found: usize, expected: usize) -> Result<(
     if found == expected {
         return Ok(());
     }
-    Err(DenseError::Input(format!(
-        "{what} of {found} frames were given for {expected} frames; give one per frame"
-    )))
+    Err(DenseError::Input(format!("{what} of {found} frames were given for {expected} frames; give one per frame")))
 }
 
 /// Why no depth and masks could be made.

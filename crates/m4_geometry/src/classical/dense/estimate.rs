@@ -121,10 +121,7 @@ impl Estimate {
             };
             enlarge(frames[i], &small)
         })?;
-        Ok(Dense {
-            frames,
-            tracks: self.tracks,
-        })
+        Ok(Dense { frames, tracks: self.tracks })
     }
 }
 
@@ -161,15 +158,11 @@ fn stages(
     let mono = each(count, "reading depth", progress, |i| {
         Mono::read(sources.mono, i, frames[i], (w, h)).map_err(|source| DenseError::Mono { frame: i, source })
     })?;
-    let mono = Mono {
-        frames: mono.into_iter().collect::<Result<_, _>>()?,
-    };
+    let mono = Mono { frames: mono.into_iter().collect::<Result<_, _>>()? };
     let working = ground.working(frames, sparse, progress)?;
     let flows = ground.flows(&working, sources, progress)?;
     let points = sparse_points(sparse, w, h);
-    let shots = each(count, "preparing frames", progress, |i| {
-        Shot::new(&working, i, &points, parallax)
-    })?;
+    let shots = each(count, "preparing frames", progress, |i| Shot::new(&working, i, &points, parallax))?;
     let swept: Vec<Swept> = each(count, "sweeping depth", progress, |i| static_depth::sweep(&shots, i))?;
     let still = sparse.camera_motion == CameraMotion::Static && count >= LEAST_BACKGROUND;
     let clues = MotionCues {
@@ -192,11 +185,7 @@ fn stages(
         progress,
     };
     let told = masks.map(|masks| masks.iter().map(|mask| mask_at_size(mask, w, h)).collect());
-    let MotionSegmentation {
-        moving,
-        measured,
-        filled,
-    } = clip.segment_motion(told)?;
+    let MotionSegmentation { moving, measured, filled } = clip.segment_motion(told)?;
     let input = rigid_objects::Clip {
         width: w,
         height: h,
@@ -286,28 +275,17 @@ pub(super) fn enlarge(image: &RgbImage, small: &Small<'_>) -> DenseFrame {
             }
             depth[(x, y)] = if weight > 0.0 { weight / sum } else { 1.0 / surface };
             mask[(x, y)] = if moving { 255 } else { 0 };
-            confidence[(x, y)] = if moving || weight == 0.0 {
-                0.0
-            } else {
-                (sure / weight).min(1.0)
-            };
+            confidence[(x, y)] = if moving || weight == 0.0 { 0.0 } else { (sure / weight).min(1.0) };
         }
     }
-    DenseFrame {
-        depth,
-        mask,
-        confidence,
-    }
+    DenseFrame { depth, mask, confidence }
 }
 
 fn neighbours(small: &Small<'_>, (x, y): (f32, f32), colour: [u8; 3]) -> Neighbours {
     let (w, h) = (small.size.0 as isize, small.size.1 as isize);
     let clamp = |v: f32, n: isize| (v.round() as isize).clamp(0, n - 1);
     let (cx, cy) = (clamp(x, w), clamp(y, h));
-    let mut out = Neighbours {
-        index: [0; 9],
-        weight: [0.0; 9],
-    };
+    let mut out = Neighbours { index: [0; 9], weight: [0.0; 9] };
     for k in 0..9 {
         let (nx, ny) = (cx + k as isize % 3 - 1, cy + k as isize / 3 - 1);
         let inside = nx >= 0 && ny >= 0 && nx < w && ny < h;
@@ -339,13 +317,8 @@ mod tests {
         let disparity: Vec<f32> = (0..16 * 12).map(|i| if i % 16 < 5 { 0.25 } else { 1.0 }).collect();
         let moving: Vec<u8> = (0..16 * 12).map(|i| if i % 16 < 5 { 0 } else { 255 }).collect();
         let confidence = vec![1.0; 16 * 12];
-        let small = Small {
-            size: (16, 12),
-            rgb: &rgb,
-            disparity: &disparity,
-            moving: &moving,
-            confidence: &confidence,
-        };
+        let small =
+            Small { size: (16, 12), rgb: &rgb, disparity: &disparity, moving: &moving, confidence: &confidence };
         let out = enlarge(&image, &small);
         for x in 0..64 {
             let (z, m) = (out.depth[(x, 20)], out.mask[(x, 20)]);

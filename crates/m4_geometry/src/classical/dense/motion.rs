@@ -117,11 +117,7 @@ fn link(flows: &[FlowPair], cameras: &[Camera], i: usize, span: usize, later: bo
             round_trip[p] += trip[q];
         }
     }
-    Some(Link {
-        there,
-        round_trip,
-        pair: Pair::new(&cameras[i], to),
-    })
+    Some(Link { there, round_trip, pair: Pair::new(&cameras[i], to) })
 }
 
 /// Evidence of one frame, below 0 for static and above for moving, smoothed along the edges of the frame:

@@ -67,11 +67,7 @@ impl Clip<'_> {
         };
         let measured = self.measured(Some(&moving))?;
         let filled = self.filled(&measured, Some(&moving))?;
-        Ok(MotionSegmentation {
-            moving,
-            measured,
-            filled,
-        })
+        Ok(MotionSegmentation { moving, measured, filled })
     }
 
     /// For every frame in parallel, with progress.
@@ -159,9 +155,7 @@ impl Clip<'_> {
     /// `before` leaves.
     fn sharpened(&self, before: Option<&[Vec<u8>]>, moving: &[Vec<u8>]) -> Result<Masks, DenseError> {
         let (width, height) = (self.width, self.height);
-        let near = self.each("growing masks", |i| {
-            dilated(&moving[i], width, height, background_model::GUARD_PX)
-        })?;
+        let near = self.each("growing masks", |i| dilated(&moving[i], width, height, background_model::GUARD_PX))?;
         let background = if self.parallax {
             let measured = self.measured(before)?;
             self.each("filling depth", |i| {

@@ -59,11 +59,7 @@ fn touch(width: usize, height: usize, moving: &[u8], background: &[f32]) -> Vec<
             let y = (row(i) + BELOW_PX).min(height - 1);
             background[y * width + i as usize % width]
         };
-        let mut feet: Vec<f32> = pixels
-            .iter()
-            .filter(|&&i| row(i) >= feet_from)
-            .map(|&i| below(i))
-            .collect();
+        let mut feet: Vec<f32> = pixels.iter().filter(|&&i| row(i) >= feet_from).map(|&i| below(i)).collect();
         let mut hidden: Vec<f32> = pixels.iter().map(|&i| background[i as usize]).collect();
         let feet = quantile(&mut feet, 0.5).unwrap_or(0.0);
         let hidden = quantile(&mut hidden, HIDDEN_QUANTILE).unwrap_or(0.0);
@@ -95,10 +91,7 @@ impl Clip<'_> {
     /// The mean of frame `i` with those of `last`, which ends at frame `i - 1` or, `backwards`, at `i + 1`.
     fn extend(&self, i: usize, last: Option<&Running>, backwards: bool) -> Running {
         let (w, h) = (self.width, self.height);
-        let mut running = Running {
-            mean: self.touched[i].clone(),
-            weight: vec![1.0; w * h],
-        };
+        let mut running = Running { mean: self.touched[i].clone(), weight: vec![1.0; w * h] };
         let Some(last) = last else {
             return running;
         };
@@ -131,14 +124,7 @@ fn steady(
     background: &[Vec<f32>],
     flows: &[FlowPair],
 ) -> Vec<Vec<f32>> {
-    let clip = Clip {
-        width,
-        height,
-        moving,
-        touched,
-        flows,
-        decay: (-1.0 / SMOOTH_FRAMES).exp(),
-    };
+    let clip = Clip { width, height, moving, touched, flows, decay: (-1.0 / SMOOTH_FRAMES).exp() };
     let mut backward: Vec<Running> = Vec::with_capacity(touched.len());
     for i in (0..touched.len()).rev() {
         let next = clip.extend(i, backward.last(), true);
@@ -176,9 +162,7 @@ mod tests {
 
     /// A wall above row 8, then ground that comes nearer downwards.
     fn ground() -> Vec<f32> {
-        (0..W * H)
-            .map(|i| 0.2 + 0.05 * (i / W).saturating_sub(8) as f32)
-            .collect()
+        (0..W * H).map(|i| 0.2 + 0.05 * (i / W).saturating_sub(8) as f32).collect()
     }
 
     fn block(left: usize) -> Vec<u8> {
@@ -187,10 +171,7 @@ mod tests {
     }
 
     fn shift(u: f32) -> FlowPair {
-        let flow = |u: f32| Flow {
-            u: vec![u; W * H],
-            ..Flow::zero(W, H)
-        };
+        let flow = |u: f32| Flow { u: vec![u; W * H], ..Flow::zero(W, H) };
         FlowPair {
             forward: flow(u),
             backward: flow(-u),

@@ -81,10 +81,7 @@ mod tests {
     #[test]
     fn projects_as_the_cameras_do() {
         let camera = |twist: Vector6<f64>| Camera {
-            intrinsics: Intrinsics {
-                cx: 30.0,
-                ..Intrinsics::centred(64, 48, 50.0)
-            },
+            intrinsics: Intrinsics { cx: 30.0, ..Intrinsics::centred(64, 48, 50.0) },
             c2w: Se3::identity().retract(&twist),
         };
         let a = camera(Vector6::new(0.1, 0.0, -0.2, 0.05, 0.1, 0.0));
@@ -92,23 +89,14 @@ mod tests {
         let (x, y, z) = (20.0, 31.0, 2.5);
         let ([u, v], depth) = b.project(&a.unproject(x, y, z));
         let seen = Pair::new(&a, &b).project(x as f32, y as f32, (1.0 / z) as f32);
-        assert!(
-            (f64::from(seen.x) - u).abs() < 1e-3 && (f64::from(seen.y) - v).abs() < 1e-3,
-            "{seen:?} {u} {v}"
-        );
+        assert!((f64::from(seen.x) - u).abs() < 1e-3 && (f64::from(seen.y) - v).abs() < 1e-3, "{seen:?} {u} {v}");
         assert!((1.0 / f64::from(seen.disparity) - depth).abs() < 1e-4);
     }
 
     #[test]
     fn parallax_is_focal_times_baseline_times_disparity() {
-        let still = Camera {
-            intrinsics: Intrinsics::centred(64, 48, 50.0),
-            c2w: Se3::identity(),
-        };
-        let aside = Camera {
-            c2w: still.c2w.retract(&Vector6::new(0.3, 0.0, 0.0, 0.0, 0.0, 0.0)),
-            ..still
-        };
+        let still = Camera { intrinsics: Intrinsics::centred(64, 48, 50.0), c2w: Se3::identity() };
+        let aside = Camera { c2w: still.c2w.retract(&Vector6::new(0.3, 0.0, 0.0, 0.0, 0.0, 0.0)), ..still };
         assert!((parallax_px(&still, &aside, 0.5) - 50.0 * 0.3 * 0.5).abs() < 1e-3);
         assert_eq!(parallax_px(&still, &still, 0.5), 0.0);
     }

@@ -50,10 +50,8 @@ pub(super) fn sparse_points(sparse: &SparseReconstruction, width: usize, height:
             let x = (f64::from(seen[0]) + 0.5) * width as f64 / k_full.width as f64;
             let y = (f64::from(seen[1]) + 0.5) * height as f64 / k_full.height as f64;
             if z > 0.0 && z.is_finite() && x >= 0.0 && y >= 0.0 && x < width as f64 && y < height as f64 {
-                out[track.first_frame + k].push(SparsePoint {
-                    pixel: y as usize * width + x as usize,
-                    disparity: (1.0 / z) as f32,
-                });
+                out[track.first_frame + k]
+                    .push(SparsePoint { pixel: y as usize * width + x as usize, disparity: (1.0 / z) as f32 });
             }
         }
     }
@@ -75,11 +73,7 @@ fn range(points: &[Vec<SparsePoint>], i: usize) -> (Range, f32) {
     let far = quantile(&mut values, 0.01).unwrap_or(0.5);
     let near = quantile(&mut values, 0.99).unwrap_or(2.0);
     let (least, most) = (0.6 * far, 1.4 * near.max(1.2 * median));
-    let range = Range {
-        least,
-        step: (most - least) / (HYPOTHESES - 1) as f32,
-        count: HYPOTHESES,
-    };
+    let range = Range { least, step: (most - least) / (HYPOTHESES - 1) as f32, count: HYPOTHESES };
     (range, median)
 }
 
@@ -89,13 +83,7 @@ fn partners(frames: &[WorkingFrame], i: usize, median: f32) -> Vec<(usize, Pair)
     let parallax = |j: usize| parallax_px(&frames[i].camera, &frames[j].camera, f64::from(median));
     let up_to = |reach: usize, later: bool| -> Vec<(usize, f64)> {
         (1..=reach)
-            .map_while(|k| {
-                if later {
-                    (i + k < frames.len()).then_some(i + k)
-                } else {
-                    i.checked_sub(k)
-                }
-            })
+            .map_while(|k| if later { (i + k < frames.len()).then_some(i + k) } else { i.checked_sub(k) })
             .map(|j| (j, parallax(j)))
             .filter(|&(_, p)| p >= LEAST_PARALLAX_PX)
             .collect()
@@ -103,11 +91,7 @@ fn partners(frames: &[WorkingFrame], i: usize, median: f32) -> Vec<(usize, Pair)
     // Where the camera pauses, time goes on until it moves.
     let side = |later: bool| {
         let near = up_to(PARTNER_FRAMES, later);
-        if near.is_empty() {
-            up_to(frames.len(), later)
-        } else {
-            near
-        }
+        if near.is_empty() { up_to(frames.len(), later) } else { near }
     };
     let (before, after) = (side(false), side(true));
     let mut chosen: Vec<usize> = Vec::new();
@@ -128,10 +112,7 @@ fn partners(frames: &[WorkingFrame], i: usize, median: f32) -> Vec<(usize, Pair)
         }
     }
     chosen.sort_unstable();
-    chosen
-        .into_iter()
-        .map(|j| (j, Pair::new(&frames[i].camera, &frames[j].camera)))
-        .collect()
+    chosen.into_iter().map(|j| (j, Pair::new(&frames[i].camera, &frames[j].camera))).collect()
 }
 
 impl Shot {
@@ -141,11 +122,7 @@ impl Shot {
         Self {
             census: census(frame.width, frame.height, &frame.grey),
             points: points[i].clone(),
-            partners: if parallax {
-                partners(frames, i, median)
-            } else {
-                Vec::new()
-            },
+            partners: if parallax { partners(frames, i, median) } else { Vec::new() },
             range,
             frame,
         }

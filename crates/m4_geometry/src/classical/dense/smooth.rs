@@ -19,9 +19,7 @@ impl Smoother {
     /// `sigma`: the colour difference (0..255, largest channel) over which the coupling falls by e.
     pub fn new(width: usize, height: usize, guide: &[[u8; 3]], sigma: f32) -> Self {
         // One entry a possible colour difference.
-        let coupling: Vec<f32> = (0..256)
-            .map(|d| (-(d as f32) / sigma).exp().max(LEAST_COUPLING))
-            .collect();
+        let coupling: Vec<f32> = (0..256).map(|d| (-(d as f32) / sigma).exp().max(LEAST_COUPLING)).collect();
         let couple = |a: [u8; 3], b: [u8; 3]| {
             let d = a.iter().zip(&b).map(|(a, b)| a.abs_diff(*b)).fold(0, u8::max);
             coupling[usize::from(d)]
@@ -39,12 +37,7 @@ impl Smoother {
                 }
             }
         }
-        Self {
-            width,
-            height,
-            right,
-            below,
-        }
+        Self { width, height, right, below }
     }
 
     /// Approximately minimises `sum (u - f)^2 + lambda sum coupling (u_i - u_j)^2`.
@@ -80,11 +73,8 @@ impl Smoother {
             for x in 0..w {
                 let i = y * w + x;
                 let after = l * self.below[i];
-                let (before, carried, above) = if y > 0 {
-                    (l * self.below[i - w], ratio[i - w], u[i - w])
-                } else {
-                    (0.0, 0.0, 0.0)
-                };
+                let (before, carried, above) =
+                    if y > 0 { (l * self.below[i - w], ratio[i - w], u[i - w]) } else { (0.0, 0.0, 0.0) };
                 let pivot = 1.0 / (1.0 + before + after - before * carried);
                 ratio[i] = after * pivot;
                 u[i] = (u[i] + before * above) * pivot;

@@ -21,11 +21,7 @@ impl<'a> Sources<'a> {
     /// Flow alone.
     #[must_use]
     pub fn flow(flow: &'a dyn FlowSource) -> Self {
-        Self {
-            flow,
-            segmenter: None,
-            mono: &NoDepth,
-        }
+        Self { flow, segmenter: None, mono: &NoDepth }
     }
 }
 
@@ -45,11 +41,7 @@ pub struct DenseConfig {
 
 impl Default for DenseConfig {
     fn default() -> Self {
-        Self {
-            working_side_px: 480,
-            memory_mb: 4096,
-            tracks: true,
-        }
+        Self { working_side_px: 480, memory_mb: 4096, tracks: true }
     }
 }
 

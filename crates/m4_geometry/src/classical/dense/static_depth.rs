@@ -35,34 +35,21 @@ pub(super) struct Measured {
 pub(super) fn sweep(shots: &[Shot], i: usize) -> Swept {
     let shot = &shots[i];
     let (w, h) = (shot.frame.width, shot.frame.height);
-    let partners: Vec<Partner<'_>> = shot
-        .partners
-        .iter()
-        .map(|(j, pair)| Partner {
-            pair: *pair,
-            census: &shots[*j].census,
-        })
-        .collect();
+    let partners: Vec<Partner<'_>> =
+        shot.partners.iter().map(|(j, pair)| Partner { pair: *pair, census: &shots[*j].census }).collect();
     if partners.is_empty() {
-        return Swept {
-            disparity: vec![shot.range.at(0.5 * shot.range.count as f32); w * h],
-        };
+        return Swept { disparity: vec![shot.range.at(0.5 * shot.range.count as f32); w * h] };
     }
     let volume = cost_volume(w, h, &shot.census, &partners, &shot.range);
     let index = aggregate(w, h, shot.range.count, &volume, &shot.frame.grey);
-    Swept {
-        disparity: index.iter().map(|&k| shot.range.at(k)).collect(),
-    }
+    Swept { disparity: index.iter().map(|&k| shot.range.at(k)).collect() }
 }
 
 /// Keeps what the partners' own sweeps confirm. Moving pixels (`moving[frame]`, above 0) confirm nothing.
 pub(super) fn measure(shots: &[Shot], swept: &[Swept], moving: Option<&[Vec<u8>]>, i: usize) -> Measured {
     let shot = &shots[i];
     let (w, h) = (shot.frame.width, shot.frame.height);
-    let mut out = Measured {
-        disparity: swept[i].disparity.clone(),
-        confidence: vec![0.0; w * h],
-    };
+    let mut out = Measured { disparity: swept[i].disparity.clone(), confidence: vec![0.0; w * h] };
     let needed = shot.partners.len().min(2);
     if needed == 0 {
         return out;

@@ -100,11 +100,7 @@ fn fill<const N: usize>(
             for (costs, partner) in costs.iter_mut().zip(partners) {
                 let b = partner.pair.b;
                 let [qx, qy, qz] = partner.pair.ray(x as f32, y as f32);
-                let (qx, qy, qz) = (
-                    qx + range.least * b[0],
-                    qy + range.least * b[1],
-                    qz + range.least * b[2],
-                );
+                let (qx, qy, qz) = (qx + range.least * b[0], qy + range.least * b[1], qz + range.least * b[2]);
                 let (sx, sy, sz) = (range.step * b[0], range.step * b[1], range.step * b[2]);
                 for (pixel, &k) in pixels.iter_mut().zip(&steps) {
                     let z = 1.0 / (qz + k * sz);
@@ -188,11 +184,7 @@ mod tests {
             .collect();
         seen.sort_unstable();
         let half = seen.len().div_ceil(2);
-        if half == 0 {
-            UNKNOWN
-        } else {
-            (2 * seen[..half].iter().sum::<u32>() / half as u32) as u8
-        }
+        if half == 0 { UNKNOWN } else { (2 * seen[..half].iter().sum::<u32>() / half as u32) as u8 }
     }
 
     #[test]
@@ -205,22 +197,11 @@ mod tests {
         // a shift of 3 and -2 pixels per unit of disparity, and a camera that also goes ahead
         let pair = |n: usize| Pair {
             a: [[1.0, 0.0, 0.2371], [0.0, 1.0, 0.3117], [0.0, 0.0, 1.0]],
-            b: [
-                3.0 - n as f32,
-                n as f32 - 2.0,
-                if n.is_multiple_of(2) { 0.0 } else { -0.2 },
-            ],
+            b: [3.0 - n as f32, n as f32 - 2.0, if n.is_multiple_of(2) { 0.0 } else { -0.2 }],
         };
-        let partners: Vec<Partner<'_>> = others
-            .iter()
-            .enumerate()
-            .map(|(n, census)| Partner { pair: pair(n), census })
-            .collect();
-        let range = Range {
-            least: 0.5,
-            step: 0.5,
-            count: 19,
-        };
+        let partners: Vec<Partner<'_>> =
+            others.iter().enumerate().map(|(n, census)| Partner { pair: pair(n), census }).collect();
+        let range = Range { least: 0.5, step: 0.5, count: 19 };
         let mut unknown = 0;
         for n in 0..=MAX_PARTNERS {
             let volume = cost_volume(w, h, &own, &partners[..n], &range);

@@ -48,11 +48,7 @@ pub(super) fn tracks(
         let depth = |x: usize, y: usize| 1.0 / clip.disparity[i][y * clip.width + x];
         Ok(Plane::from_fn(clip.width, clip.height, depth))
     };
-    let scene = Scene {
-        strip: &strip,
-        surface: &surface,
-        config,
-    };
+    let scene = Scene { strip: &strip, surface: &surface, config };
     if config.fill {
         fill(&scene, &mut board, progress).map_err(|e| match e {
             TrackError::Cancelled { phase } => DenseError::Cancelled { phase },
@@ -120,10 +116,7 @@ mod tests {
 
     /// Chains alone.
     fn chains() -> TrackConfig {
-        TrackConfig {
-            fill: false,
-            ..TrackConfig::default()
-        }
+        TrackConfig { fill: false, ..TrackConfig::default() }
     }
 
     fn tracks(clip: &Clip<'_>, config: &TrackConfig) -> Option<Tracks> {
@@ -142,10 +135,7 @@ mod tests {
         for t in 0..FRAMES {
             let mut c2w = Se3::identity();
             c2w.translation = Vector3::new(0.02 * t as f64, 0.01 * t as f64, 0.0);
-            let camera = Camera {
-                intrinsics: Intrinsics::centred(W, H, 90.0),
-                c2w,
-            };
+            let camera = Camera { intrinsics: Intrinsics::centred(W, H, 90.0), c2w };
             let factor = 1.0 + noise * (2.0 * rng.uniform() - 1.0);
             let on = |i: usize| {
                 let p = camera.unproject((i % W) as f64, (i / W) as f64, depth(t));
@@ -175,12 +165,7 @@ mod tests {
             backward_round_trip: vec![0.0; W * H],
         };
         let flows = (0..FRAMES - 1).map(pair).collect();
-        Made {
-            cameras,
-            moving,
-            disparity,
-            flows,
-        }
+        Made { cameras, moving, disparity, flows }
     }
 
     /// Differences to the true velocity over its length, of all steps.
@@ -218,10 +203,7 @@ mod tests {
     #[test]
     fn depth_that_trembles_is_smoothed_along_the_track() {
         let clip = made(0.01);
-        let raw = TrackConfig {
-            smooth_frames: 0.0,
-            ..chains()
-        };
+        let raw = TrackConfig { smooth_frames: 0.0, ..chains() };
         let median = |config: &TrackConfig| {
             let errors = errors(&tracks(&clip.clip(), config).unwrap());
             errors[errors.len() / 2]
@@ -265,10 +247,7 @@ mod tests {
         assert!((0..found.count()).all(|k| found.place(7, k).is_none() || found.place(8, k).is_none()));
         assert!((0..found.count()).any(|k| found.place(8, k).is_some()));
         let errors = errors(&found);
-        assert!(
-            errors[errors.len() / 2] < 0.5,
-            "the parts before and after move on as before"
-        );
+        assert!(errors[errors.len() / 2] < 0.5, "the parts before and after move on as before");
     }
 
     #[test]
@@ -279,10 +258,7 @@ mod tests {
         assert_eq!(tracks(&still.clip(), &config), None);
 
         let all = tracks(&made(0.0).clip(), &config).unwrap();
-        let grid = QueryGrid {
-            most: 10,
-            ..QueryGrid::chains()
-        };
+        let grid = QueryGrid { most: 10, ..QueryGrid::chains() };
         let few = |clip: &Clip<'_>| super::tracks(clip, &grid, &config, &Silent).unwrap();
         let thinned = few(&made(0.0).clip()).unwrap();
         assert_eq!(thinned.count(), 10);

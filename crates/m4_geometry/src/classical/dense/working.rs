@@ -49,22 +49,11 @@ pub(super) fn fitting_side(width: usize, height: usize, side: usize, frames: usi
 impl WorkingFrame {
     pub fn new(image: &RgbImage, camera: &Camera, width: usize, height: usize) -> Self {
         let (rgb, grey) = rgb_and_grey(image, width, height);
-        Self {
-            width,
-            height,
-            rgb,
-            grey,
-            camera: camera.resized(width, height),
-        }
+        Self { width, height, rgb, grey, camera: camera.resized(width, height) }
     }
 
     pub fn flow_image(&self) -> FlowImage<'_> {
-        FlowImage {
-            width: self.width,
-            height: self.height,
-            rgb: &self.rgb,
-            grey: &self.grey,
-        }
+        FlowImage { width: self.width, height: self.height, rgb: &self.rgb, grey: &self.grey }
     }
 }
 
@@ -116,11 +105,7 @@ impl Ground {
             progress
                 .warn("the focal length changes from frame to frame: dynamic objects get the depth of what they touch");
         }
-        Ok(Self {
-            size,
-            parallax,
-            one_lens,
-        })
+        Ok(Self { size, parallax, one_lens })
     }
 
     /// The frames at the working size.
@@ -131,9 +116,7 @@ impl Ground {
         progress: &dyn Progress,
     ) -> Result<Vec<WorkingFrame>, DenseError> {
         let (w, h) = self.size;
-        each(frames.len(), "shrinking frames", progress, |i| {
-            WorkingFrame::new(frames[i], &sparse.cameras[i], w, h)
-        })
+        each(frames.len(), "shrinking frames", progress, |i| WorkingFrame::new(frames[i], &sparse.cameras[i], w, h))
     }
 
     /// Flow between neighbouring frames.
@@ -201,9 +184,7 @@ fn one_lens(cameras: &[Camera]) -> bool {
 /// The mask at the working size, 255 in dynamic regions, read at the nearest pixel.
 pub(super) fn mask_at_size(mask: &Mask, width: usize, height: usize) -> Vec<u8> {
     let at = nearest(mask.size(), width, height);
-    (0..width * height)
-        .map(|p| if mask[at(p)] > 0 { 255 } else { 0 })
-        .collect()
+    (0..width * height).map(|p| if mask[at(p)] > 0 { 255 } else { 0 }).collect()
 }
 
 /// The pixel of a plane of size `from` at the centre of pixel `p` of one of `width` x `height`.

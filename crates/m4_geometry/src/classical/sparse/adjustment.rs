@@ -44,22 +44,13 @@ impl Clip<'_> {
                 needed: MIN_MATCHES,
             }));
         };
-        let Refined {
-            map,
-            limits,
-            motions,
-            report,
-        } = self.refine(map, free_focal)?;
+        let Refined { map, limits, motions, report } = self.refine(map, free_focal)?;
         self.limits = limits;
         let points = map.points.iter().flatten().count();
         let judged = motions.iter().filter(|m| **m != Motion::Unknown).count();
         let needed = MIN_POINTS.max(judged / 20);
         if points < needed {
-            return Ok(Err(SparseError::TooFewPoints {
-                points,
-                tracks: judged,
-                needed,
-            }));
+            return Ok(Err(SparseError::TooFewPoints { points, tracks: judged, needed }));
         }
         if let Some(rival) = rival_focal {
             self.warn(format!(
@@ -74,11 +65,7 @@ impl Clip<'_> {
         }
         let sigma = self.judge(&map, &motions, &report, free_focal);
         let sparse = self.finish(map, &motions, CameraMotion::Parallax);
-        let focal = if free_focal {
-            FocalSource::Estimated { sigma: Some(sigma) }
-        } else {
-            FocalSource::Given
-        };
+        let focal = if free_focal { FocalSource::Estimated { sigma: Some(sigma) } } else { FocalSource::Given };
         Ok(Ok(Recovered { sparse, focal }))
     }
 
@@ -151,12 +138,7 @@ impl Clip<'_> {
         let report = map.adjust(&self.tracks, &bundle_options(&limits, free_focal), self.progress);
         // an adjustment that was told to stop is not finished
         stopped(self.progress)?;
-        Ok(Refined {
-            map,
-            limits,
-            motions,
-            report,
-        })
+        Ok(Refined { map, limits, motions, report })
     }
 
     /// Places the frames that have no pose yet, nearest to placed ones first.

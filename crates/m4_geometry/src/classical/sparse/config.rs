@@ -28,14 +28,7 @@ pub struct SparseConfig {
 
 impl Default for SparseConfig {
     fn default() -> Self {
-        Self {
-            fov_deg: None,
-            focal_px: None,
-            static_camera: false,
-            intrinsics: None,
-            default_fov_deg: 60.0,
-            seed: 0,
-        }
+        Self { fov_deg: None, focal_px: None, static_camera: false, intrinsics: None, default_fov_deg: 60.0, seed: 0 }
     }
 }
 

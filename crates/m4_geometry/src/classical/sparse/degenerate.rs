@@ -14,11 +14,7 @@ use rayon::prelude::*;
 
 /// One pose for all frames.
 pub(crate) fn standing(tracks: &[RawTrack], frames: usize, focal: f64) -> Map {
-    Map {
-        focal,
-        poses: vec![Some(Se3::identity()); frames],
-        points: vec![None; tracks.len()],
-    }
+    Map { focal, poses: vec![Some(Se3::identity()); frames], points: vec![None; tracks.len()] }
 }
 
 /// A camera that turns in place.
@@ -54,16 +50,8 @@ pub(crate) fn turning(
     let best = all.iter().min_by(|a, b| a.0.total_cmp(&b.0));
     let observed = best.filter(|(error, ..)| *error < 0.8 * error_assumed);
     match observed.or(all.last()) {
-        Some((_, map, lost)) => Turning {
-            map: map.clone(),
-            lost: *lost,
-            focal_observed: observed.is_some(),
-        },
-        None => Turning {
-            map: standing(tracks, frames, assumed),
-            lost: 0,
-            focal_observed: false,
-        },
+        Some((_, map, lost)) => Turning { map: map.clone(), lost: *lost, focal_observed: observed.is_some() },
+        None => Turning { map: standing(tracks, frames, assumed), lost: 0, focal_observed: false },
     }
 }
 
@@ -82,33 +70,23 @@ fn rotations(tracks: &[RawTrack], frames: usize, focal: f64, min_matches: usize,
     }
     for _ in 0..10 {
         let directions: Vec<Option<Vector3<f64>>> = tracks.iter().map(|t| direction(t, &rotations, focal)).collect();
-        let refined: Vec<Matrix3<f64>> = (0..frames)
-            .map(|frame| refine(tracks, &directions, frame, &rotations[frame], focal, cauchy_px))
-            .collect();
+        let refined: Vec<Matrix3<f64>> =
+            (0..frames).map(|frame| refine(tracks, &directions, frame, &rotations[frame], focal, cauchy_px)).collect();
         rotations = refined;
     }
     // The world is the first camera.
     let first = rotations[0].transpose();
-    let pose = |r: &Matrix3<f64>| {
-        Some(Se3 {
-            rotation: exp_so3(&log_so3(&(r * first))),
-            translation: Vector3::zeros(),
-        })
-    };
-    let map = Map {
-        focal,
-        poses: rotations.iter().map(pose).collect(),
-        points: vec![None; tracks.len()],
-    };
+    let pose =
+        |r: &Matrix3<f64>| Some(Se3 { rotation: exp_so3(&log_so3(&(r * first))), translation: Vector3::zeros() });
+    let map = Map { focal, poses: rotations.iter().map(pose).collect(), points: vec![None; tracks.len()] };
     (map, lost)
 }
 
 /// Mean direction of a track in the world.
 fn direction(track: &RawTrack, rotations: &[Matrix3<f64>], focal: f64) -> Option<Vector3<f64>> {
     let rays = (track.first..).zip(&track.seen);
-    let sum: Vector3<f64> = rays
-        .map(|(frame, at)| rotations[frame].tr_mul(&Vector3::new(at[0], at[1], focal).normalize()))
-        .sum();
+    let sum: Vector3<f64> =
+        rays.map(|(frame, at)| rotations[frame].tr_mul(&Vector3::new(at[0], at[1], focal).normalize())).sum();
     (sum.norm() > 0.0 && track.seen.len() > 1).then(|| sum.normalize())
 }
 
@@ -190,10 +168,7 @@ impl Clip<'_> {
         };
         let (least, most) = range(&found.aims);
         let focal = (least * most).sqrt();
-        let pose = |aim: &Aim| Se3 {
-            rotation: exp_so3(&log_so3(&aim.rotation)),
-            translation: Vector3::zeros(),
-        };
+        let pose = |aim: &Aim| Se3 { rotation: exp_so3(&log_so3(&aim.rotation)), translation: Vector3::zeros() };
         let map = Map {
             focal,
             poses: found.aims.iter().map(|aim| Some(pose(aim))).collect(),
@@ -201,38 +176,20 @@ impl Clip<'_> {
         };
         let tracks = through(&self.tracks, &found.aims, focal);
         let median_px = median_far_error(&map, &tracks).unwrap_or(f64::INFINITY);
-        Ok(Some(Zoom {
-            found,
-            map,
-            tracks,
-            median_px,
-        }))
+        Ok(Some(Zoom { found, map, tracks, median_px }))
     }
 
     /// A rotation and intrinsics per frame.
     pub(super) fn zoomed(&mut self, zoom: Zoom) -> Recovered {
-        let Zoom {
-            found,
-            map,
-            tracks,
-            median_px,
-        } = zoom;
+        let Zoom { found, map, tracks, median_px } = zoom;
         let first = found.aims[0].focal;
         let base = self.lenses.of(0);
         let base = base.unwrap_or_else(|| Intrinsics::centred(self.width, self.height, first / self.size.scale));
-        let lens = |aim: &Aim| Intrinsics {
-            fx: base.fx * aim.focal / first,
-            fy: base.fy * aim.focal / first,
-            ..base
-        };
+        let lens = |aim: &Aim| Intrinsics { fx: base.fx * aim.focal / first, fy: base.fy * aim.focal / first, ..base };
         self.masked = through(&self.masked, &found.aims, map.focal);
         self.tracks = tracks;
         self.lenses = Lenses::Zooming(found.aims.iter().map(lens).collect());
-        let note = if found.focal_observed {
-            String::new()
-        } else {
-            self.focal_note()
-        };
+        let note = if found.focal_observed { String::new() } else { self.focal_note() };
         let (least, most) = range(&found.aims);
         self.warn(format!(
             "the lens zooms (its field of view goes from {:.0} to {:.0} degrees, between {:.0} and {:.0}) and the camera does \

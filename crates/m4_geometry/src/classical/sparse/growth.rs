@@ -25,22 +25,14 @@ pub(crate) struct Pair {
 
 /// Pairs of keyframes, best first: much parallax, many tracks in common.
 pub(crate) fn start_pairs(tracks: &[RawTrack], keys: &[usize], focal: f64, width: usize) -> Vec<Pair> {
-    let all: Vec<(usize, usize)> = keys
-        .iter()
-        .enumerate()
-        .flat_map(|(i, &a)| keys[i + 1..].iter().map(move |&b| (a, b)))
-        .collect();
+    let all: Vec<(usize, usize)> =
+        keys.iter().enumerate().flat_map(|(i, &a)| keys[i + 1..].iter().map(move |&b| (a, b))).collect();
     let mut pairs: Vec<Pair> = all
         .par_iter()
         .filter_map(|&(a, b)| {
             let found = matches(tracks, a, b);
             let parallax_px = turn(&found, focal)?.parallax_px;
-            (found.len() >= MIN_MATCHES).then_some(Pair {
-                a,
-                b,
-                matches: found.len(),
-                parallax_px,
-            })
+            (found.len() >= MIN_MATCHES).then_some(Pair { a, b, matches: found.len(), parallax_px })
         })
         .collect();
     // Beyond 8 % of the width more parallax buys nothing and costs tracks.
@@ -94,12 +86,7 @@ pub(crate) fn scan(
             .collect();
         let score = views.iter().flatten().map(|v| v.score).sum::<f64>() / picked.len().max(1) as f64;
         for ((pair, _), view) in picked.iter().zip(views) {
-            starts.extend(view.map(|view| Start {
-                focal,
-                score,
-                pair: *pair,
-                view,
-            }));
+            starts.extend(view.map(|view| Start { focal, score, pair: *pair, view }));
         }
     }
     progress.update("focal length", focals.len(), focals.len(), "");
@@ -126,11 +113,7 @@ pub(crate) fn grow(
     limits: &Limits,
     progress: &dyn Progress,
 ) -> Result<Option<Map>, SparseError> {
-    let mut map = Map {
-        focal: start.focal,
-        poses: vec![None; frames],
-        points: vec![None; tracks.len()],
-    };
+    let mut map = Map { focal: start.focal, poses: vec![None; frames], points: vec![None; tracks.len()] };
     map.poses[start.pair.a] = Some(Se3::identity());
     map.poses[start.pair.b] = Some(start.view.motion);
     map.triangulate(tracks, usable, limits);
@@ -149,10 +132,7 @@ pub(crate) fn grow(
     let mut failed: Vec<usize> = Vec::new();
     loop {
         stopped(progress)?;
-        let open = keys
-            .iter()
-            .copied()
-            .filter(|&k| map.poses[k].is_none() && !failed.contains(&k));
+        let open = keys.iter().copied().filter(|&k| map.poses[k].is_none() && !failed.contains(&k));
         let counted = open.map(|k| (map.sightings(tracks, k).len(), k));
         let Some((_, next)) = counted.max_by_key(|&(n, k)| (n, std::cmp::Reverse(k))) else {
             break;
@@ -238,10 +218,7 @@ pub(crate) fn select(
     let mut scored = scored.into_iter();
     Ok(scored.next().map(|(explained, map)| {
         let rival = scored.find(|(e, m)| *e > RIVAL * explained && (m.focal / map.focal).ln().abs() > SAME_FOCAL);
-        Selected {
-            map,
-            rival_focal: rival.map(|(_, m)| m.focal),
-        }
+        Selected { map, rival_focal: rival.map(|(_, m)| m.focal) }
     }))
 }
 

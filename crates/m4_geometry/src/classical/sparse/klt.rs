@@ -31,10 +31,7 @@ impl Template {
         for y in 1..=side {
             for x in 1..=side {
                 let i = y * wide + x;
-                let g = [
-                    0.5 * (patch[i + 1] - patch[i - 1]),
-                    0.5 * (patch[i + wide] - patch[i - wide]),
-                ];
+                let g = [0.5 * (patch[i + 1] - patch[i - 1]), 0.5 * (patch[i + wide] - patch[i - wide])];
                 h = [h[0] + g[0] * g[0], h[1] + g[0] * g[1], h[2] + g[1] * g[1]];
                 values.push(patch[i]);
                 gradient.push(g);
@@ -71,10 +68,8 @@ impl Template {
                 let error = value - mean - want;
                 b = [b[0] + g[0] * error, b[1] + g[1] * error];
             }
-            let step = [
-                self.inverse[0] * b[0] + self.inverse[1] * b[1],
-                self.inverse[1] * b[0] + self.inverse[2] * b[1],
-            ];
+            let step =
+                [self.inverse[0] * b[0] + self.inverse[1] * b[1], self.inverse[1] * b[0] + self.inverse[2] * b[1]];
             // A patch cannot see further than itself.
             let length = step[0].hypot(step[1]);
             let damp = if length > reach { reach / length } else { 1.0 };
@@ -86,11 +81,7 @@ impl Template {
         sample_square(plane, p[0] - reach, p[1] - reach, side, &mut patch);
         let norm = centre(&mut patch);
         let dot: f32 = patch.iter().zip(&self.values).map(|(a, b)| a * b).sum();
-        let correlation = if norm * self.norm > 0.0 {
-            dot / (norm * self.norm)
-        } else {
-            0.0
-        };
+        let correlation = if norm * self.norm > 0.0 { dot / (norm * self.norm) } else { 0.0 };
         (p, correlation)
     }
 }
@@ -181,10 +172,7 @@ mod tests {
         let (p, _) = follow(&a, &b, [90.0, 50.0], 7, 15).expect("texture");
         // u + 80 - 2 = 90 at x = 80 + 1.03 * 12, likewise y.
         let want = [80.0 + 1.03 * 12.0, 60.0 + 1.03 * -9.0];
-        assert!(
-            (p[0] - want[0]).abs() < 0.15 && (p[1] - want[1]).abs() < 0.15,
-            "{p:?} {want:?}"
-        );
+        assert!((p[0] - want[0]).abs() < 0.15 && (p[1] - want[1]).abs() < 0.15, "{p:?} {want:?}");
     }
 
     #[test]

@@ -26,12 +26,7 @@ impl WorkingSize {
     pub fn new(width: usize, height: usize, longest_px: usize) -> Self {
         let scale = (longest_px as f64 / width.max(height).max(1) as f64).min(1.0);
         let side = |n: usize| ((n as f64 * scale).round() as usize).max(1);
-        Self {
-            width: side(width),
-            height: side(height),
-            input: [width as f64, height as f64],
-            scale,
-        }
+        Self { width: side(width), height: side(height), input: [width as f64, height as f64], scale }
     }
 
     /// From working pixels, measured from the image centre, to input pixels (centre of the first
@@ -60,12 +55,7 @@ impl WorkingSize {
 
 /// Luma in 0..=255 at working size; every working pixel is the mean of the input area it covers.
 pub(crate) fn luma(rgb: &RgbImage, size: WorkingSize) -> Plane<f32> {
-    let full = rgb.map(|p| {
-        BT601
-            .iter()
-            .zip(p)
-            .fold(0.0, |sum, (weight, &value)| sum + weight * f32::from(value))
-    });
+    let full = rgb.map(|p| BT601.iter().zip(p).fold(0.0, |sum, (weight, &value)| sum + weight * f32::from(value)));
     if (size.width, size.height) == rgb.size() {
         return full;
     }
@@ -126,9 +116,7 @@ fn halved(plane: &Plane<f32>) -> Plane<f32> {
         let row = plane.row(y);
         (0..5).fold(0.0, |sum, k| sum + TAPS[k] * row[at(2 * x, k, w)])
     });
-    Plane::from_fn(half_w, half_h, |x, y| {
-        (0..5).fold(0.0, |sum, k| sum + TAPS[k] * rows[(x, at(2 * y, k, h))])
-    })
+    Plane::from_fn(half_w, half_h, |x, y| (0..5).fold(0.0, |sum, k| sum + TAPS[k] * rows[(x, at(2 * y, k, h))]))
 }
 
 /// The `side` x `side` samples whose first is at `(x, y)`, bilinear, one pixel apart; outside the

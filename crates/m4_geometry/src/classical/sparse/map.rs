@@ -30,9 +30,7 @@ impl Map {
 
     /// The rays of a track from cameras with a pose.
     pub fn views(&self, track: &RawTrack) -> Vec<View> {
-        (track.first..track.end())
-            .filter_map(|frame| Some((self.poses[frame]?, track.at(frame)?)))
-            .collect()
+        (track.first..track.end()).filter_map(|frame| Some((self.poses[frame]?, track.at(frame)?))).collect()
     }
 
     /// Frames with a pose.
@@ -65,14 +63,13 @@ impl Map {
     /// few points agree.
     pub fn register(&mut self, tracks: &[RawTrack], frame: usize) -> bool {
         let sightings = self.sightings(tracks, frame);
-        let best = self
-            .starts(frame)
-            .iter()
-            .map(|start| resect(&sightings, self.focal, start, INLIER_PX))
-            .fold(None, |best: Option<super::triangulate::Resection>, r| match best {
+        let best = self.starts(frame).iter().map(|start| resect(&sightings, self.focal, start, INLIER_PX)).fold(
+            None,
+            |best: Option<super::triangulate::Resection>, r| match best {
                 Some(b) if b.inliers >= r.inliers => Some(b),
                 _ => Some(r),
-            });
+            },
+        );
         match best {
             Some(found) if found.inliers >= MIN_SIGHTINGS && 3 * found.inliers >= sightings.len() => {
                 self.poses[frame] = Some(found.pose);
@@ -170,11 +167,7 @@ impl Map {
             let t = &tracks[i];
             for (frame, &at) in (t.first..t.end()).zip(&t.seen) {
                 if index[frame] != usize::MAX {
-                    observations.push(Observation {
-                        pose: index[frame],
-                        point,
-                        at,
-                    });
+                    observations.push(Observation { pose: index[frame], point, at });
                 }
             }
         }
@@ -205,10 +198,7 @@ impl Map {
     /// Median reprojection error over all points and views, pixels.
     pub fn median_error(&self, tracks: &[RawTrack]) -> Option<f64> {
         let known = tracks.iter().zip(&self.points);
-        let mut all: Vec<f64> = known
-            .filter_map(|(t, x)| Some(self.errors(t, x.as_ref()?)))
-            .flatten()
-            .collect();
+        let mut all: Vec<f64> = known.filter_map(|(t, x)| Some(self.errors(t, x.as_ref()?))).flatten().collect();
         median(&mut all)
     }
 
@@ -286,10 +276,8 @@ pub(crate) fn classify(map: &Map, tracks: &[RawTrack]) -> Vec<Motion> {
 
 /// Median over all tracks of the median error of a point at infinity.
 pub(crate) fn median_far_error(map: &Map, tracks: &[RawTrack]) -> Option<f64> {
-    let mut all: Vec<f64> = tracks
-        .par_iter()
-        .filter_map(|track| median(&mut map.errors(track, &far_point(map, track)?)))
-        .collect();
+    let mut all: Vec<f64> =
+        tracks.par_iter().filter_map(|track| median(&mut map.errors(track, &far_point(map, track)?))).collect();
     median(&mut all)
 }
 
@@ -310,12 +298,7 @@ fn far_point(map: &Map, track: &RawTrack) -> Option<Vector3<f64>> {
     let views = map.views(track);
     let ray = |at: &[f64; 2]| Vector3::new(at[0], at[1], map.focal).normalize();
     let sum: Vector3<f64> = views.iter().map(|(pose, at)| pose.rotation.tr_mul(&ray(at))).sum();
-    let extent = map
-        .poses
-        .iter()
-        .flatten()
-        .map(|p| p.translation.norm())
-        .fold(1.0, f64::max);
+    let extent = map.poses.iter().flatten().map(|p| p.translation.norm()).fold(1.0, f64::max);
     (sum.norm() > 0.0).then(|| sum.normalize() * 1e5 * extent)
 }
 
@@ -328,11 +311,7 @@ mod tests {
     #[test]
     fn interpolation_meets_both_ends_and_the_middle() {
         let pose = |w: f64, x: f64| {
-            Se3 {
-                rotation: exp_so3(&Vector3::new(0.0, w, 0.0)),
-                translation: Vector3::new(x, 0.0, 1.0),
-            }
-            .inverse()
+            Se3 { rotation: exp_so3(&Vector3::new(0.0, w, 0.0)), translation: Vector3::new(x, 0.0, 1.0) }.inverse()
         };
         let (a, b) = (pose(0.2, 1.0), pose(0.6, 3.0));
         for (s, want) in [(0.0, a), (1.0, b), (0.5, pose(0.4, 2.0))] {

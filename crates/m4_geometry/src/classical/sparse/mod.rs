@@ -45,11 +45,7 @@ pub use reconstruct::{FeatureTracks, track_features};
 
 /// Fails once the user asked to stop.
 fn stopped(progress: &dyn m4_core::Progress) -> Result<(), SparseError> {
-    if progress.cancelled() {
-        Err(SparseError::Cancelled)
-    } else {
-        Ok(())
-    }
+    if progress.cancelled() { Err(SparseError::Cancelled) } else { Ok(()) }
 }
 
 /// Epipolar and reprojection errors above this do not count as agreement, working pixels.

@@ -40,9 +40,7 @@ impl Clip<'_> {
         }
         let points = map.points.iter().flatten().count();
         if points < 100 {
-            self.warn(format!(
-                "only {points} points were triangulated; camera poses may be wrong"
-            ));
+            self.warn(format!("only {points} points were triangulated; camera poses may be wrong"));
         }
         sigma
     }
@@ -83,8 +81,7 @@ impl Clip<'_> {
         let mut residuals = Vec::new();
         let seen = |raw: &RawTrack| {
             let seen = (raw.first..).zip(&raw.seen);
-            seen.map(|(frame, &p)| self.lenses.input_px(frame, p, self.size, map.focal))
-                .collect()
+            seen.map(|(frame, &p)| self.lenses.input_px(frame, p, self.size, map.focal)).collect()
         };
         let judged = self.tracks.iter().zip(&map.points).zip(motions);
         let judged = judged.map(|((raw, point), &motion)| {

@@ -52,24 +52,12 @@ fn check_camera(frame: usize, camera: &Camera, (width, height): (usize, usize)) 
     let k = &camera.intrinsics;
     let bad = |what: String| Err(SparseError::Input(format!("the camera of frame {frame} is {what}")));
     if (k.width, k.height) != (width, height) {
-        return bad(format!(
-            "for {}x{} pixels where the frame has {width}x{height}",
-            k.width, k.height
-        ));
+        return bad(format!("for {}x{} pixels where the frame has {width}x{height}", k.width, k.height));
     }
     if ![k.fx, k.fy].iter().all(|f| f.is_finite() && *f > 0.0) || ![k.cx, k.cy].iter().all(|c| c.is_finite()) {
-        return bad(format!(
-            "without valid intrinsics (fx {}, fy {}, cx {}, cy {})",
-            k.fx, k.fy, k.cx, k.cy
-        ));
+        return bad(format!("without valid intrinsics (fx {}, fy {}, cx {}, cy {})", k.fx, k.fy, k.cx, k.cy));
     }
-    if !camera
-        .c2w
-        .rotation
-        .iter()
-        .chain(&camera.c2w.translation)
-        .all(|v| v.is_finite())
-    {
+    if !camera.c2w.rotation.iter().chain(&camera.c2w.translation).all(|v| v.is_finite()) {
         return bad("with a pose that is not finite".to_owned());
     }
     Ok(())
@@ -77,10 +65,7 @@ fn check_camera(frame: usize, camera: &Camera, (width, height): (usize, usize)) 
 
 impl Clip<'_> {
     fn posed(&mut self, cameras: &[Camera]) -> Result<Recovered, SparseError> {
-        let focal = cameras
-            .iter()
-            .map(|c| (c.intrinsics.fx * c.intrinsics.fy).sqrt())
-            .sum::<f64>()
+        let focal = cameras.iter().map(|c| (c.intrinsics.fx * c.intrinsics.fy).sqrt()).sum::<f64>()
             / cameras.len().max(1) as f64
             * self.size.scale;
         for tracks in [&mut self.tracks, &mut self.masked] {
@@ -109,10 +94,7 @@ impl Clip<'_> {
         let judged = motions.iter().filter(|m| **m != Motion::Unknown).count();
         let needed = MIN_POINTS.max(judged / 20);
         let camera_motion = if points >= needed {
-            let report = BundleReport {
-                cost: 0.0,
-                log_focal_sigma: f64::INFINITY,
-            };
+            let report = BundleReport { cost: 0.0, log_focal_sigma: f64::INFINITY };
             self.judge(&map, &motions, &report, false);
             if (points as f64) < DOUBTFUL_SHARE * judged as f64 {
                 self.refute(cameras, focal, points, judged)?;
@@ -126,11 +108,7 @@ impl Clip<'_> {
             // Without points, the poses must at least explain the images as turns.
             let far = median_far_error(&map, &self.tracks).unwrap_or(f64::INFINITY);
             if far > INLIER_PX {
-                return Err(SparseError::PosesDoNotFit {
-                    points,
-                    tracks: judged,
-                    needed,
-                });
+                return Err(SparseError::PosesDoNotFit { points, tracks: judged, needed });
             }
             map.points.fill(None);
             self.warn(format!(
@@ -159,11 +137,7 @@ fn motionless(cameras: &[Camera]) -> CameraMotion {
         let turn = cameras[0].c2w.rotation.tr_mul(&c.c2w.rotation);
         log_so3(&turn).norm() > STILL_RAD
     };
-    if cameras.iter().any(turns) {
-        CameraMotion::RotationOnly
-    } else {
-        CameraMotion::Static
-    }
+    if cameras.iter().any(turns) { CameraMotion::RotationOnly } else { CameraMotion::Static }
 }
 
 /// How many times as many tracks must agree with other poses.
@@ -207,12 +181,7 @@ impl Clip<'_> {
         let better = found.tracks.iter().filter(|t| t.point.is_some()).count();
         let (way, turn_rad) = apart(&found.cameras, cameras);
         if better >= TIMES * points && (way > SAME_WAY || turn_rad > SAME_RAD) {
-            return Err(SparseError::PosesRefuted {
-                points,
-                tracks: judged,
-                better,
-                turn_deg: turn_rad.to_degrees(),
-            });
+            return Err(SparseError::PosesRefuted { points, tracks: judged, better, turn_deg: turn_rad.to_degrees() });
         }
         Ok(())
     }
@@ -233,10 +202,6 @@ fn apart(a: &[Camera], b: &[Camera]) -> (f64, f64) {
     let Some(fit) = Sim3::umeyama(&from, &to).filter(|_| way > 0.0) else {
         return (f64::INFINITY, turn_rad);
     };
-    let squared: f64 = from
-        .iter()
-        .zip(&to)
-        .map(|(p, q)| (fit.transform(p) - q).norm_squared())
-        .sum();
+    let squared: f64 = from.iter().zip(&to).map(|(p, q)| (fit.transform(p) - q).norm_squared()).sum();
     ((squared / to.len() as f64).sqrt() / way, turn_rad)
 }

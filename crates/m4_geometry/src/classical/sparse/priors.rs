@@ -93,10 +93,7 @@ impl Lenses<'_> {
     pub fn input_px(&self, frame: usize, at: [f64; 2], size: WorkingSize, focal: f64) -> [f32; 2] {
         match self.of(frame) {
             None => size.to_input(at),
-            Some(k) => [
-                (at[0] / focal * k.fx + k.cx - 0.5) as f32,
-                (at[1] / focal * k.fy + k.cy - 0.5) as f32,
-            ],
+            Some(k) => [(at[0] / focal * k.fx + k.cx - 0.5) as f32, (at[1] / focal * k.fy + k.cy - 0.5) as f32],
         }
     }
 }
@@ -111,10 +108,7 @@ mod tests {
     #[test]
     fn tracks_within_masks_are_separated() {
         let size = WorkingSize::new(200, 100, 100);
-        let track = |x: f64| RawTrack {
-            first: 1,
-            seen: vec![[x, 0.0]; 3],
-        };
+        let track = |x: f64| RawTrack { first: 1, seen: vec![[x, 0.0]; 3] };
         // the right half of frames 1 and 2, nothing in frame 3
         let half = Plane::from_fn(20, 10, |x, _| u8::from(x >= 10));
         let masks = [Plane::filled(20, 10, 255), half.clone(), half, Plane::filled(20, 10, 0)];
@@ -127,21 +121,11 @@ mod tests {
     #[test]
     fn a_lens_is_undone_and_done_again() {
         let size = WorkingSize::new(640, 480, 320);
-        let lens = Intrinsics {
-            width: 640,
-            height: 480,
-            fx: 500.0,
-            fy: 520.0,
-            cx: 300.0,
-            cy: 250.0,
-        };
+        let lens = Intrinsics { width: 640, height: 480, fx: 500.0, fy: 520.0, cx: 300.0, cy: 250.0 };
         let lenses = Lenses::Shared(lens);
         // a ray through input pixel (400, 100)
         let before = size.centred([199.75, 49.75]);
-        let mut tracks = [RawTrack {
-            first: 0,
-            seen: vec![before],
-        }];
+        let mut tracks = [RawTrack { first: 0, seen: vec![before] }];
         lenses.undo(&mut tracks, size, 255.0);
         let at = tracks[0].seen[0];
         assert!((at[0] - 255.0 * (400.5 - 300.0) / 500.0).abs() < 1e-9, "{at:?}");

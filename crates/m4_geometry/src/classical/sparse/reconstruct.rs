@@ -30,14 +30,7 @@ pub(super) fn from_tracks(
     progress: &dyn Progress,
 ) -> Result<Recovered, SparseError> {
     let ([width, height], size) = (features.size, features.working);
-    let lens = config.intrinsics.map(|[fx, fy, cx, cy]| Intrinsics {
-        width,
-        height,
-        fx,
-        fy,
-        cx,
-        cy,
-    });
+    let lens = config.intrinsics.map(|[fx, fy, cx, cy]| Intrinsics { width, height, fx, fy, cx, cy });
     let lenses = lens.map_or(Lenses::Centred, Lenses::Shared);
     let mut clip = Clip::new(features, masks, lenses, config, progress);
     if let Some(focal) = clip.given_focal() {
@@ -56,9 +49,7 @@ pub(super) fn check(
     let refused = |what: String| Err(SparseError::Input(what));
     let Some(first) = frames.first().filter(|_| frames.len() >= 2) else {
         let found = frames.len();
-        return refused(format!(
-            "the clip has {found} frame(s); at least 2 are needed to observe motion"
-        ));
+        return refused(format!("the clip has {found} frame(s); at least 2 are needed to observe motion"));
     };
     let (width, height) = first.size();
     for (frame, image) in frames.iter().enumerate() {
@@ -96,9 +87,7 @@ pub(super) fn check_count(what: &str, found: usize, frames: usize) -> Result<(),
     if found == frames {
         return Ok(());
     }
-    Err(SparseError::Input(format!(
-        "there are {found} {what} for {frames} frames; give one per frame"
-    )))
+    Err(SparseError::Input(format!("there are {found} {what} for {frames} frames; give one per frame")))
 }
 
 /// A tracked clip on its way to a reconstruction.
@@ -165,8 +154,7 @@ impl Clip<'_> {
     }
 
     pub(super) fn default_focal(&self) -> f64 {
-        self.given_focal()
-            .unwrap_or_else(|| self.working_focal(self.config.default_fov_deg))
+        self.given_focal().unwrap_or_else(|| self.working_focal(self.config.default_fov_deg))
     }
 
     fn working_focal(&self, fov_deg: f64) -> f64 {
@@ -239,11 +227,7 @@ impl Clip<'_> {
         for frame in 1..self.frames {
             let found = matches(&self.tracks, frame - 1, frame).len();
             if found < MIN_TRACKS {
-                return Err(SparseError::TooFewTracks {
-                    frame: frame - 1,
-                    found,
-                    needed: MIN_TRACKS,
-                });
+                return Err(SparseError::TooFewTracks { frame: frame - 1, found, needed: MIN_TRACKS });
             }
         }
         Ok(())
@@ -263,19 +247,8 @@ impl Clip<'_> {
     fn turning(&mut self, focals: &[f64], sway: &Sway) -> Result<Recovered, SparseError> {
         stopped(self.progress)?;
         let assumed = self.default_focal();
-        let found = turning(
-            &self.tracks,
-            self.frames,
-            focals,
-            assumed,
-            MIN_TRACKS,
-            self.limits.cauchy_px,
-        );
-        let note = if found.focal_observed {
-            String::new()
-        } else {
-            self.focal_note()
-        };
+        let found = turning(&self.tracks, self.frames, focals, assumed, MIN_TRACKS, self.limits.cauchy_px);
+        let note = if found.focal_observed { String::new() } else { self.focal_note() };
         self.warn(format!(
             "the camera rotates (by up to {:.1} degrees) but hardly translates: median parallax is at most {:.1} px where \
              {:.1} px are needed (working size); rotations only, depth cannot be measured{note}",

@@ -46,18 +46,10 @@ pub(crate) fn turn(matches: &[Match], focal: f64) -> Option<Turn> {
     let mut rotation = Matrix3::identity();
     let residual = |rotation: &Matrix3<f64>, (a, _): &(Vector3<f64>, Vector3<f64>), m: &Match| {
         let p = rotation * a;
-        if p.z > 1e-6 {
-            (focal * p.x / p.z - m.1[0]).hypot(focal * p.y / p.z - m.1[1])
-        } else {
-            focal
-        }
+        if p.z > 1e-6 { (focal * p.x / p.z - m.1[0]).hypot(focal * p.y / p.z - m.1[1]) } else { focal }
     };
     for step in 0..12 {
-        let scale = if step == 0 {
-            1e9
-        } else {
-            (16.0 * 0.7_f64.powi(step)).max(1.0)
-        };
+        let scale = if step == 0 { 1e9 } else { (16.0 * 0.7_f64.powi(step)).max(1.0) };
         let mut sum = Matrix3::zeros();
         for (pair, m) in rays.iter().zip(matches) {
             let weight = 1.0 / (1.0 + (residual(&rotation, pair, m) / scale).powi(2));
@@ -68,15 +60,8 @@ pub(crate) fn turn(matches: &[Match], focal: f64) -> Option<Turn> {
         let sign = (u.determinant() * v_t.determinant()).signum();
         rotation = u * Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, sign)) * v_t;
     }
-    let mut left: Vec<f64> = rays
-        .iter()
-        .zip(matches)
-        .map(|(r, m)| residual(&rotation, r, m))
-        .collect();
-    Some(Turn {
-        rotation,
-        parallax_px: median(&mut left)?,
-    })
+    let mut left: Vec<f64> = rays.iter().zip(matches).map(|(r, m)| residual(&rotation, r, m)).collect();
+    Some(Turn { rotation, parallax_px: median(&mut left)? })
 }
 
 /// Focal lengths in working pixels for the fields of view to try, widest lens first.
@@ -84,9 +69,7 @@ pub(crate) fn focal_candidates(width: usize) -> Vec<f64> {
     // Evenly spaced in the logarithm of the focal length.
     let at = |deg: f64| focal_from_fov(width, deg).ln();
     let (low, high) = (at(MAX_FOV_DEG), at(MIN_FOV_DEG));
-    (0..FOV_CANDIDATES)
-        .map(|i| (low + (high - low) * (i as f64 + 0.5) / FOV_CANDIDATES as f64).exp())
-        .collect()
+    (0..FOV_CANDIDATES).map(|i| (low + (high - low) * (i as f64 + 0.5) / FOV_CANDIDATES as f64).exp()).collect()
 }
 
 /// Focal length in pixels of an image `width` pixels wide.
@@ -136,17 +119,10 @@ pub(crate) fn sway(tracks: &[RawTrack], frames: usize, focals: &[f64], min_match
                 let angle = (0.5 * (t.rotation.trace() - 1.0)).clamp(-1.0, 1.0).acos();
                 (p.max(t.parallax_px), w.max(angle))
             });
-            Sway {
-                motion_px,
-                parallax_px,
-                focal,
-                turn_rad,
-            }
+            Sway { motion_px, parallax_px, focal, turn_rad }
         })
         .collect();
-    by_focal
-        .into_iter()
-        .min_by(|a, b| a.parallax_px.total_cmp(&b.parallax_px))
+    by_focal.into_iter().min_by(|a, b| a.parallax_px.total_cmp(&b.parallax_px))
 }
 
 /// At most `count` of `0..n`, evenly spread, first and last among them.
@@ -206,11 +182,7 @@ pub(crate) struct Limits {
 
 impl Default for Limits {
     fn default() -> Self {
-        Self {
-            cauchy_px: 1.0,
-            min_angle_deg: 1.5,
-            keyframe_parallax: KEYFRAME_PARALLAX,
-        }
+        Self { cauchy_px: 1.0, min_angle_deg: 1.5, keyframe_parallax: KEYFRAME_PARALLAX }
     }
 }
 
@@ -276,10 +248,7 @@ mod tests {
 
     #[test]
     fn keyframes_follow_parallax_alone() {
-        assert_eq!(
-            keyframes(&tracks(20, 0.02, 0.0, 400.0), 20, 480, 400.0, KEYFRAME_PARALLAX),
-            [0, 19]
-        );
+        assert_eq!(keyframes(&tracks(20, 0.02, 0.0, 400.0), 20, 480, 400.0, KEYFRAME_PARALLAX), [0, 19]);
         let moving = keyframes(&tracks(20, 0.0, 0.2, 400.0), 20, 480, 400.0, KEYFRAME_PARALLAX);
         assert!(moving.len() > 4, "{moving:?}");
         assert_eq!(spread(10, 4), [0, 3, 6, 9]);

@@ -71,10 +71,7 @@ impl Scene {
             let x = self.pose(birth).inverse().transform(&(ray * depth));
             let moves = (i as f64) < self.moving * self.points as f64;
             let direction = Vector3::from_fn(|_, _| 0.06 * rng.normal());
-            let mut track = RawTrack {
-                first: birth,
-                seen: Vec::new(),
-            };
+            let mut track = RawTrack { first: birth, seen: Vec::new() };
             for frame in birth..(birth + life).min(self.frames) {
                 let t = (frame - birth) as f64;
                 let bend = Vector3::new((0.4 * t).sin(), (0.5 * t).cos(), 0.0) * 0.1;
@@ -97,12 +94,7 @@ impl Scene {
 }
 
 fn features(tracks: Vec<RawTrack>, frames: usize) -> FeatureTracks {
-    FeatureTracks {
-        tracks,
-        frames,
-        size: [WIDTH, HEIGHT],
-        working: WorkingSize::new(WIDTH, HEIGHT, WIDTH),
-    }
+    FeatureTracks { tracks, frames, size: [WIDTH, HEIGHT], working: WorkingSize::new(WIDTH, HEIGHT, WIDTH) }
 }
 
 fn solve(tracks: Vec<RawTrack>, frames: usize, config: &SparseConfig) -> Result<SparseReconstruction, SparseError> {
@@ -156,11 +148,7 @@ fn errors(found: &SparseReconstruction, scene: &Scene) -> (f64, f64) {
     let Some(fit) = Sim3::umeyama(&centres(&ours), &want) else {
         return (f64::INFINITY, turn);
     };
-    let squared: f64 = centres(&ours)
-        .iter()
-        .zip(&want)
-        .map(|(a, b)| (fit.transform(a) - b).norm_squared())
-        .sum();
+    let squared: f64 = centres(&ours).iter().zip(&want).map(|(a, b)| (fit.transform(a) - b).norm_squared()).sum();
     ((squared / want.len() as f64).sqrt() / path, turn)
 }
 
@@ -173,20 +161,12 @@ fn a_room_with_a_fifth_of_moving_points() {
     assert!(trajectory < 0.004, "trajectory error {trajectory}");
     assert!(turn < 0.005, "rotation error {turn}");
     assert!((focal / ROOM.focal - 1.0).abs() < 0.02, "focal {focal}");
-    assert!(
-        found.residual_px < 0.3 && found.warnings.is_empty(),
-        "{:?}",
-        found.warnings
-    );
+    assert!(found.residual_px < 0.3 && found.warnings.is_empty(), "{:?}", found.warnings);
     let judged = |motion: Motion, moves: bool| judged(&found, &moving, motion, moves) as f64;
     let (hit, miss) = (judged(Motion::Dynamic, true), judged(Motion::Static, true));
     assert!(hit > 0.85 * (hit + miss), "{hit} of {} moving tracks found", hit + miss);
     let (rest, wrong) = (judged(Motion::Static, false), judged(Motion::Dynamic, false));
-    assert!(
-        wrong < 0.02 * (rest + wrong),
-        "{wrong} of {} resting tracks called moving",
-        rest + wrong
-    );
+    assert!(wrong < 0.02 * (rest + wrong), "{wrong} of {} resting tracks called moving", rest + wrong);
     // The world is the first camera, and the median depth is 1.
     assert!((found.cameras[0].c2w.matrix() - Se3::identity().matrix()).norm() < 1e-9);
     for (t, moves) in found.tracks.iter().zip(&moving) {
@@ -204,21 +184,14 @@ fn a_wide_and_a_long_lens_are_found() {
         let scene = Scene { focal, ..ROOM };
         let (found, _) = solved(&scene);
         let got = found.cameras[0].intrinsics.fx;
-        assert!(
-            (got / focal - 1.0).abs() < tolerance,
-            "{got} where {focal} was expected"
-        );
+        assert!((got / focal - 1.0).abs() < tolerance, "{got} where {focal} was expected");
         assert!(errors(&found, &scene).0 < 0.01, "{:?}", errors(&found, &scene));
     }
 }
 
 #[test]
 fn given_focal_length_is_used() {
-    let config = SparseConfig {
-        focal_px: Some(530.0),
-        fov_deg: Some(40.0),
-        ..SparseConfig::default()
-    };
+    let config = SparseConfig { focal_px: Some(530.0), fov_deg: Some(40.0), ..SparseConfig::default() };
     let found = solve(ROOM.tracks().0, ROOM.frames, &config).expect("a reconstruction");
     assert!((found.cameras[0].intrinsics.fx - 530.0).abs() < 1e-9);
     assert!(errors(&found, &ROOM).0 < 0.02);
@@ -226,12 +199,7 @@ fn given_focal_length_is_used() {
 
 #[test]
 fn turning_camera_gives_rotations_and_is_reported() {
-    let scene = Scene {
-        step: 0.0,
-        turn: 0.012,
-        moving: 0.1,
-        ..ROOM
-    };
+    let scene = Scene { step: 0.0, turn: 0.012, moving: 0.1, ..ROOM };
     let (found, moving) = solved(&scene);
     assert_eq!(found.camera_motion, CameraMotion::RotationOnly);
     let focal = found.cameras[0].intrinsics.fx;
@@ -245,57 +213,31 @@ fn turning_camera_gives_rotations_and_is_reported() {
 
 #[test]
 fn zoom_gives_rotations_and_intrinsics_per_frame() {
-    let scene = Scene {
-        step: 0.0,
-        zoom: 1.8,
-        ..ROOM
-    };
+    let scene = Scene { step: 0.0, zoom: 1.8, ..ROOM };
     let (tracks, moving) = scene.tracks();
     let found = solve(tracks.clone(), scene.frames, &SparseConfig::default()).unwrap();
     assert_eq!(found.camera_motion, CameraMotion::RotationOnly, "{:?}", found.warnings);
     assert_eq!(found.warnings.len(), 1, "{:?}", found.warnings);
     assert!(found.warnings[0].contains("the lens zooms"), "{:?}", found.warnings);
     let lens = |frame: usize| found.cameras[frame].intrinsics.fx;
-    assert!(
-        (lens(29) / lens(0) / 1.8 - 1.0).abs() < 0.01,
-        "{} {}",
-        lens(0),
-        lens(29)
-    );
+    assert!((lens(29) / lens(0) / 1.8 - 1.0).abs() < 0.01, "{} {}", lens(0), lens(29));
     // Tracks are where they were seen.
     let (seen, raw) = (found.tracks[7].observations[3], tracks[7].seen[3]);
     for (k, middle) in [320.0, 240.0].into_iter().enumerate() {
-        assert!(
-            (f64::from(seen[k]) + 0.5 - middle - raw[k]).abs() < 1e-3,
-            "{seen:?} {raw:?}"
-        );
+        assert!((f64::from(seen[k]) + 0.5 - middle - raw[k]).abs() < 1e-3, "{seen:?} {raw:?}");
     }
     let wrong = judged(&found, &moving, Motion::Static, true) + judged(&found, &moving, Motion::Dynamic, false);
     assert!(wrong * 10 < moving.len());
     // A given field of view is that of the first frame.
-    let told = SparseConfig {
-        focal_px: Some(520.0),
-        ..SparseConfig::default()
-    };
+    let told = SparseConfig { focal_px: Some(520.0), ..SparseConfig::default() };
     let found = solve(tracks, scene.frames, &told).unwrap();
     let lens = |frame: usize| found.cameras[frame].intrinsics.fx;
-    assert!(
-        (lens(0) - 520.0).abs() < 1e-6 && (lens(29) / 936.0 - 1.0).abs() < 0.01,
-        "{} {}",
-        lens(0),
-        lens(29)
-    );
+    assert!((lens(0) - 520.0).abs() < 1e-6 && (lens(29) / 936.0 - 1.0).abs() < 0.01, "{} {}", lens(0), lens(29));
 }
 
 #[test]
 fn a_walk_straight_ahead_is_a_walk() {
-    let scene = Scene {
-        step: 0.06,
-        way: [0.0, 0.02, 1.0],
-        turn: 0.001,
-        moving: 0.0,
-        ..ROOM
-    };
+    let scene = Scene { step: 0.06, way: [0.0, 0.02, 1.0], turn: 0.001, moving: 0.0, ..ROOM };
     let (found, _) = solved(&scene);
     assert_eq!(found.camera_motion, CameraMotion::Parallax, "{:?}", found.warnings);
     let (path, _) = errors(&found, &scene);
@@ -304,11 +246,7 @@ fn a_walk_straight_ahead_is_a_walk() {
 
 #[test]
 fn a_camera_on_a_tripod_gives_one_pose() {
-    let scene = Scene {
-        step: 0.0,
-        turn: 0.0,
-        ..ROOM
-    };
+    let scene = Scene { step: 0.0, turn: 0.0, ..ROOM };
     let (found, moving) = solved(&scene);
     assert_eq!(found.camera_motion, CameraMotion::Static);
     assert!(found.cameras.iter().all(|c| c.c2w == Se3::identity()));
@@ -319,11 +257,7 @@ fn a_camera_on_a_tripod_gives_one_pose() {
 
 #[test]
 fn static_camera_option_overrides_detection() {
-    let config = SparseConfig {
-        static_camera: true,
-        fov_deg: Some(60.0),
-        ..SparseConfig::default()
-    };
+    let config = SparseConfig { static_camera: true, fov_deg: Some(60.0), ..SparseConfig::default() };
     let found = solve(ROOM.tracks().0, ROOM.frames, &config).expect("a pose");
     assert_eq!(found.camera_motion, CameraMotion::Static);
     let fov = found.cameras[0].intrinsics.horizontal_fov_rad().to_degrees();
@@ -372,16 +306,9 @@ fn the_number_of_threads_changes_nothing() {
     let run = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
         let (found, _) = pool.expect("a pool").install(|| solved(&ROOM));
-        let bits: Vec<u64> = found
-            .cameras
-            .iter()
-            .flat_map(|c| c.c2w.matrix().iter().map(|v| v.to_bits()).collect::<Vec<_>>())
-            .collect();
-        (
-            bits,
-            found.cameras[0].intrinsics.fx.to_bits(),
-            found.residual_px.to_bits(),
-        )
+        let bits: Vec<u64> =
+            found.cameras.iter().flat_map(|c| c.c2w.matrix().iter().map(|v| v.to_bits()).collect::<Vec<_>>()).collect();
+        (bits, found.cameras[0].intrinsics.fx.to_bits(), found.residual_px.to_bits())
     };
     assert_eq!(run(1), run(3));
 }
@@ -393,10 +320,7 @@ fn posed(cameras: &[Camera]) -> Result<SparseReconstruction, SparseError> {
 }
 
 fn room_cameras(focal: f64) -> Vec<Camera> {
-    let camera = |i| Camera {
-        intrinsics: Intrinsics::centred(WIDTH, HEIGHT, focal),
-        c2w: ROOM.pose(i).inverse(),
-    };
+    let camera = |i| Camera { intrinsics: Intrinsics::centred(WIDTH, HEIGHT, focal), c2w: ROOM.pose(i).inverse() };
     (0..ROOM.frames).map(camera).collect()
 }
 
@@ -416,12 +340,7 @@ fn given_cameras_are_used_and_points_are_in_their_unit() {
     });
     let depths: Vec<f64> = depths.collect();
     let inside = depths.iter().filter(|z| (2.5..11.0).contains(*z)).count();
-    assert!(
-        depths.len() > 150 && inside * 20 > depths.len() * 19,
-        "{} of {}",
-        inside,
-        depths.len()
-    );
+    assert!(depths.len() > 150 && inside * 20 > depths.len() * 19, "{} of {}", inside, depths.len());
 }
 
 #[test]
@@ -442,13 +361,11 @@ fn given_cameras_that_contradict_the_images_are_rejected() {
 fn given_cameras_that_explain_far_less_than_others_are_rejected() {
     // The last two thirds of the way are walked backwards.
     let right = room_cameras(ROOM.focal);
-    let wrong: Vec<Camera> = (0..ROOM.frames)
-        .map(|i| right[if i < 10 { i } else { 39 - i }])
-        .collect();
+    let wrong: Vec<Camera> = (0..ROOM.frames).map(|i| right[if i < 10 { i } else { 39 - i }]).collect();
     match posed(&wrong) {
-        Err(SparseError::PosesRefuted {
-            points, tracks, better, ..
-        }) => assert!(points * 2 <= better && better <= tracks, "{points} {better} {tracks}"),
+        Err(SparseError::PosesRefuted { points, tracks, better, .. }) => {
+            assert!(points * 2 <= better && better <= tracks, "{points} {better} {tracks}")
+        }
         other => panic!("{:?}", other.map(|r| r.warnings)),
     }
 }
@@ -479,10 +396,7 @@ fn off_centre_principal_point_gives_the_same_cameras() {
         at[0] = at[0] / ROOM.focal * fx + cx - WIDTH as f64 / 2.0;
         at[1] = at[1] / ROOM.focal * fy + cy - HEIGHT as f64 / 2.0;
     }
-    let config = SparseConfig {
-        intrinsics: Some([fx, fy, cx, cy]),
-        ..SparseConfig::default()
-    };
+    let config = SparseConfig { intrinsics: Some([fx, fy, cx, cy]), ..SparseConfig::default() };
     let found = solve(tracks, ROOM.frames, &config).expect("a reconstruction");
     let k = found.cameras[0].intrinsics;
     assert_eq!([k.fx, k.fy, k.cx, k.cy], [fx, fy, cx, cy]);

@@ -65,10 +65,7 @@ pub(crate) fn track(
     let mut done: Vec<RawTrack> = Vec::new();
     let mut live: Vec<Live> = Vec::new();
     let mut previous: Option<Pyramid> = None;
-    let finish = |t: Live| RawTrack {
-        first: t.first,
-        seen: t.seen.iter().map(|&p| size.centred(p)).collect(),
-    };
+    let finish = |t: Live| RawTrack { first: t.first, seen: t.seen.iter().map(|&p| size.centred(p)).collect() };
     // Pyramids of a few frames are made side by side; tracking itself goes frame by frame.
     for (batch_index, batch) in frames.chunks(BATCH).enumerate() {
         let pyramids: Vec<Pyramid> = batch.par_iter().map(|f| pyramid(f)).collect();
@@ -97,11 +94,7 @@ pub(crate) fn track(
                 let occupied: Vec<[f32; 2]> = live.iter().filter_map(|t| t.seen.last().copied()).collect();
                 let found = fill_empty_cells(&current.levels[0], &occupied, RADIUS + 1);
                 live.extend(found.into_iter().filter_map(|p| {
-                    Some(Live {
-                        first: frame,
-                        seen: vec![p],
-                        anchor: Template::new(&current.levels[0], p, RADIUS)?,
-                    })
+                    Some(Live { first: frame, seen: vec![p], anchor: Template::new(&current.levels[0], p, RADIUS)? })
                 }));
             }
             previous = Some(current);
@@ -196,9 +189,7 @@ pub(crate) fn response(luma: &Plane<f32>) -> Plane<f32> {
         let dy = 0.5 * (luma[(x, y + 1)] - luma[(x, y - 1)]);
         [dx * dx, dx * dy, dy * dy]
     };
-    let products: Vec<Vec<[f32; 3]>> = (1..h - 1)
-        .map(|y| (1..w - 1).map(|x| gradient(x, y)).collect())
-        .collect();
+    let products: Vec<Vec<[f32; 3]>> = (1..h - 1).map(|y| (1..w - 1).map(|x| gradient(x, y)).collect()).collect();
     let mut columns = vec![[0.0_f32; 3]; w - 2];
     for y in border..h - border {
         for (x, sum) in columns.iter_mut().enumerate() {
@@ -243,11 +234,7 @@ pub(crate) fn fill_empty_cells(luma: &Plane<f32>, occupied: &[[f32; 2]], margin:
     let near = |cells: &[Vec<[f32; 2]>], p: [f32; 2], cx: usize, cy: usize| {
         (cy.saturating_sub(1)..(cy + 2).min(rows))
             .flat_map(|y| (cx.saturating_sub(1)..(cx + 2).min(columns)).map(move |x| y * columns + x))
-            .any(|c| {
-                cells[c]
-                    .iter()
-                    .any(|q| (q[0] - p[0]).hypot(q[1] - p[1]) < MIN_DISTANCE_PX)
-            })
+            .any(|c| cells[c].iter().any(|q| (q[0] - p[0]).hypot(q[1] - p[1]) < MIN_DISTANCE_PX))
     };
     let mut found = Vec::new();
     for cy in 0..rows {

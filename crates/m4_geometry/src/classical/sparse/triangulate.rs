@@ -58,10 +58,7 @@ pub(crate) fn triangulate(views: &[View], focal: f64, cauchy_px: f64) -> Option<
 fn nearest_to_rays(views: &[View], focal: f64) -> Option<Vector3<f64>> {
     let (mut a, mut b) = (Matrix3::zeros(), Vector3::zeros());
     for (pose, at) in views {
-        let direction = pose
-            .rotation
-            .tr_mul(&Vector3::new(at[0] / focal, at[1] / focal, 1.0))
-            .normalize();
+        let direction = pose.rotation.tr_mul(&Vector3::new(at[0] / focal, at[1] / focal, 1.0)).normalize();
         let across = Matrix3::identity() - direction * direction.transpose();
         let centre = -pose.rotation.tr_mul(&pose.translation);
         a += across;
@@ -111,10 +108,8 @@ pub(crate) fn resect(sightings: &[Sighting], focal: f64, start: &Se3<f64>, inlie
     for scale in [16.0, 6.0, 2.0, 0.5] {
         pose = descend(sightings, focal, &pose, scale * inlier_px);
     }
-    let inliers = sightings
-        .iter()
-        .filter(|(x, at)| error_px(&pose, x, focal, *at).is_some_and(|e| e < inlier_px))
-        .count();
+    let inliers =
+        sightings.iter().filter(|(x, at)| error_px(&pose, x, focal, *at).is_some_and(|e| e < inlier_px)).count();
     Resection { pose, inliers }
 }
 
@@ -128,10 +123,7 @@ pub(crate) fn error_px(w2c: &Se3<f64>, x: &Vector3<f64>, focal: f64, at: [f64; 2
 pub(crate) fn descend(sightings: &[Sighting], focal: f64, start: &Se3<f64>, cauchy_px: f64) -> Se3<f64> {
     let cost = |pose: &Se3<f64>| -> f64 {
         let loss = |e: Option<f64>| (e.unwrap_or(100.0) / cauchy_px).powi(2).ln_1p();
-        sightings
-            .iter()
-            .map(|(x, at)| loss(error_px(pose, x, focal, *at)))
-            .sum()
+        sightings.iter().map(|(x, at)| loss(error_px(pose, x, focal, *at))).sum()
     };
     let (mut pose, mut best, mut damping) = (*start, cost(start), 1e-3);
     for _ in 0..10 {
@@ -171,10 +163,7 @@ mod tests {
     use m4_core::{CounterRng, Se3, exp_so3, log_so3};
 
     fn camera(x: f64) -> Se3<f64> {
-        Se3 {
-            rotation: Matrix3::identity(),
-            translation: Vector3::new(-x, 0.0, 0.0),
-        }
+        Se3 { rotation: Matrix3::identity(), translation: Vector3::new(-x, 0.0, 0.0) }
     }
 
     #[test]
@@ -204,23 +193,14 @@ mod tests {
     #[test]
     fn a_pose_is_found_among_a_third_of_wrong_sightings() {
         let focal = 400.0;
-        let truth = Se3 {
-            rotation: exp_so3(&Vector3::new(0.1, 0.3, -0.1)),
-            translation: Vector3::new(0.2, 0.0, 5.0),
-        };
+        let truth = Se3 { rotation: exp_so3(&Vector3::new(0.1, 0.3, -0.1)), translation: Vector3::new(0.2, 0.0, 5.0) };
         let mut rng = CounterRng::new(4, 0, 0);
         let sightings: Vec<_> = (0..120)
             .map(|i| {
                 let x = Vector3::from_fn(|_, _| rng.normal());
                 let p = truth.transform(&x);
                 let off = if i % 3 == 0 { 40.0 } else { 0.3 };
-                (
-                    x,
-                    [
-                        focal * p.x / p.z + off * rng.normal(),
-                        focal * p.y / p.z + off * rng.normal(),
-                    ],
-                )
+                (x, [focal * p.x / p.z + off * rng.normal(), focal * p.y / p.z + off * rng.normal()])
             })
             .collect();
         let start = truth.retract(&Vector6::new(0.1, -0.1, 0.2, 0.04, -0.05, 0.03));

@@ -53,11 +53,7 @@ pub(crate) fn relate(
     let (score, e) = best?;
     let inliers: Vec<usize> = (0..rays.len()).filter(|&i| sampson(&e, &rays[i]) < limit).collect();
     let motion = decompose(&e, inliers.iter().map(|&i| &rays[i]))?;
-    Some(TwoView {
-        motion,
-        inliers,
-        score: score / rays.len() as f64,
-    })
+    Some(TwoView { motion, inliers, score: score / rays.len() as f64 })
 }
 
 /// Five different numbers below `n`, `n >= 5`.
@@ -142,10 +138,8 @@ mod tests {
     #[test]
     fn motion_is_found_among_moving_points() {
         let focal = 400.0;
-        let truth = Se3 {
-            rotation: exp_so3(&Vector3::new(0.03, -0.08, 0.02)),
-            translation: Vector3::new(0.5, 0.1, -0.1),
-        };
+        let truth =
+            Se3 { rotation: exp_so3(&Vector3::new(0.03, -0.08, 0.02)), translation: Vector3::new(0.5, 0.1, -0.1) };
         let mut rng = CounterRng::new(1, 0, 0);
         let project = |p: Vector3<f64>| [focal * p.x / p.z, focal * p.y / p.z];
         let matches: Vec<_> = (0..300)
@@ -163,12 +157,7 @@ mod tests {
         let turn = log_so3(&(found.motion.rotation * truth.rotation.transpose())).norm();
         let angle = found.motion.translation.dot(&truth.translation.normalize()).acos();
         assert!(turn < 0.01 && angle < 0.05, "{turn} {angle}");
-        assert!(
-            found.inliers.len() > 220 && found.score > 0.6,
-            "{} {}",
-            found.inliers.len(),
-            found.score
-        );
+        assert!(found.inliers.len() > 220 && found.score > 0.6, "{} {}", found.inliers.len(), found.score);
         assert!(relate(&matches[..7], focal, 2.0, 10, 0, 0).is_none());
     }
 }

@@ -72,10 +72,7 @@ pub(crate) fn zooming(
     let all: Vec<usize> = (0..frames).collect();
     let aims = aims(tracks, &all, focal, min_matches, cauchy_px)?;
     let good = median_error(tracks, &all, &aims)? < MOST_PX && ratio(&aims) > LEAST_RATIO;
-    good.then_some(Zooming {
-        aims,
-        focal_observed: observed,
-    })
+    good.then_some(Zooming { aims, focal_observed: observed })
 }
 
 /// Greatest over least focal length.
@@ -122,10 +119,8 @@ fn step(found: &[Match], focal: f64, cauchy_px: f64) -> Option<Aim> {
         .filter(|(a, b)| distance(a.0, b.0) > 10.0)
         .map(|(a, b)| distance(a.1, b.1) / distance(a.0, b.0))
         .collect();
-    let start = Aim {
-        rotation: Matrix3::identity(),
-        focal: focal * median(&mut growth).filter(|g| *g > 0.0).unwrap_or(1.0),
-    };
+    let start =
+        Aim { rotation: Matrix3::identity(), focal: focal * median(&mut growth).filter(|g| *g > 0.0).unwrap_or(1.0) };
     fit(&sightings, &start, true, &[1e6, 16.0, 4.0, cauchy_px])
 }
 
@@ -141,11 +136,7 @@ fn left(found: &[Match], focal: f64, aim: &Aim) -> Option<f64> {
 
 fn error_px(aim: &Aim, direction: &Vector3<f64>, at: [f64; 2]) -> f64 {
     let p = aim.rotation * direction;
-    if p.z > 1e-6 {
-        (aim.focal * p.x / p.z - at[0]).hypot(aim.focal * p.y / p.z - at[1])
-    } else {
-        f64::INFINITY
-    }
+    if p.z > 1e-6 { (aim.focal * p.x / p.z - at[0]).hypot(aim.focal * p.y / p.z - at[1]) } else { f64::INFINITY }
 }
 
 /// Gauss-Newton steps under Cauchy losses of shrinking scales, two a scale; `None` for too few sightings.
@@ -155,10 +146,7 @@ fn fit(sightings: &[(Vector3<f64>, [f64; 2])], start: &Aim, free_focal: bool, sc
     }
     let mut aim = *start;
     for &cauchy_px in scales_px.iter().flat_map(|s| [s, s]) {
-        let pose = Se3 {
-            rotation: aim.rotation,
-            translation: Vector3::zeros(),
-        };
+        let pose = Se3 { rotation: aim.rotation, translation: Vector3::zeros() };
         let (mut h, mut g) = (Matrix4::zeros(), Vector4::zeros());
         for (direction, at) in sightings {
             let j = Jacobian::new(&pose, direction, aim.focal, *at, cauchy_px);
@@ -187,10 +175,7 @@ fn fit(sightings: &[(Vector3<f64>, [f64; 2])], start: &Aim, free_focal: bool, sc
 /// Aims chained through `picked` frames, then refined so that every track has one direction in the world. The focal
 /// length of the first frame stays. `None` where two frames share too little.
 fn aims(tracks: &[RawTrack], picked: &[usize], focal: f64, min_matches: usize, cauchy_px: f64) -> Option<Vec<Aim>> {
-    let first = Aim {
-        rotation: Matrix3::identity(),
-        focal,
-    };
+    let first = Aim { rotation: Matrix3::identity(), focal };
     let mut aims = vec![first];
     let mut last = first;
     for pair in picked.windows(2) {
@@ -199,10 +184,7 @@ fn aims(tracks: &[RawTrack], picked: &[usize], focal: f64, min_matches: usize, c
             return None;
         }
         let next = step(&found, last.focal, cauchy_px)?;
-        last = Aim {
-            rotation: next.rotation * last.rotation,
-            focal: next.focal,
-        };
+        last = Aim { rotation: next.rotation * last.rotation, focal: next.focal };
         aims.push(last);
     }
     for _ in 0..ROUNDS {
@@ -244,9 +226,8 @@ fn median_error(tracks: &[RawTrack], picked: &[usize], aims: &[Aim]) -> Option<f
         .filter_map(|track| {
             let direction = direction(track, picked, aims)?;
             let seen = picked.iter().zip(aims);
-            let mut errors: Vec<f64> = seen
-                .filter_map(|(&frame, aim)| Some(error_px(aim, &direction, track.at(frame)?)))
-                .collect();
+            let mut errors: Vec<f64> =
+                seen.filter_map(|(&frame, aim)| Some(error_px(aim, &direction, track.at(frame)?))).collect();
             median(&mut errors)
         })
         .collect();
@@ -277,10 +258,7 @@ mod tests {
                     let off = if i % 10 == 0 { 10.0 } else { 0.1 };
                     [f * p.x / p.z + off * rng.normal(), f * p.y / p.z + off * rng.normal()]
                 });
-                RawTrack {
-                    first: 0,
-                    seen: seen.collect(),
-                }
+                RawTrack { first: 0, seen: seen.collect() }
             })
             .collect()
     }

@@ -78,13 +78,9 @@ fn sharpened(
     size: (usize, usize),
     carried: Vec<Option<CompactMask>>,
 ) -> Result<Vec<Option<Trusted>>, SegmentError> {
-    let asked: Vec<usize> = (0..carried.len())
-        .filter(|&k| carried[k].as_ref().is_some_and(|m| m.count() >= LEAST_PART_PX))
-        .collect();
-    let prompts: Vec<SegmentPrompt> = asked
-        .par_iter()
-        .filter_map(|&k| Some(prompt_of(carried[k].as_ref()?)))
-        .collect();
+    let asked: Vec<usize> =
+        (0..carried.len()).filter(|&k| carried[k].as_ref().is_some_and(|m| m.count() >= LEAST_PART_PX)).collect();
+    let prompts: Vec<SegmentPrompt> = asked.par_iter().filter_map(|&k| Some(prompt_of(carried[k].as_ref()?))).collect();
     let found = checked_masks(segmenter, image, size, &prompts)?;
     let mut out: Vec<_> = carried.into_iter().map(|mask| mask.map(|mask| (mask, None))).collect();
     for (&k, answer) in asked.iter().zip(&found) {

@@ -44,27 +44,17 @@ pub struct Session<'a> {
 
 impl<'a> Session<'a> {
     pub fn new(follower: &'a FlowFollower<'a>, clip: &'a dyn FrameSource, size: (usize, usize)) -> Self {
-        Self {
-            follower,
-            clip,
-            size,
-            known: BTreeMap::new(),
-        }
+        Self { follower, clip, size, known: BTreeMap::new() }
     }
 
     /// Flow of steps from each of `frames` to the next of them, and the images they lead to at the size of masks.
     fn steps(&self, frames: &[usize]) -> Result<Vec<(Step, ScaledFrame)>, VideoError> {
         let flow_size = working_size(self.size.0, self.size.1, FLOW_SIDE_PX);
-        let small: Vec<ScaledFrame> = frames
-            .par_iter()
-            .map(|&frame| scaled(self.clip, frame, flow_size))
-            .collect::<Result<_, _>>()?;
+        let small: Vec<ScaledFrame> =
+            frames.par_iter().map(|&frame| scaled(self.clip, frame, flow_size)).collect::<Result<_, _>>()?;
         let one = |k: usize| {
             let pair = FlowPair::between(&small[k].flow_image(), &small[k + 1].flow_image(), self.follower.flow);
-            let pair = pair.map_err(|source| VideoError::Flow {
-                between: (frames[k], frames[k + 1]),
-                source,
-            })?;
+            let pair = pair.map_err(|source| VideoError::Flow { between: (frames[k], frames[k + 1]), source })?;
             let onto = scaled(self.clip, frames[k + 1], self.size)?;
             Ok((Step::new(pair, self.size), onto))
         };
@@ -94,11 +84,7 @@ impl<'a> Session<'a> {
         if found == self.size.0 * self.size.1 {
             return Ok(());
         }
-        Err(VideoError::Size {
-            object,
-            found,
-            expected: self.size,
-        })
+        Err(VideoError::Size { object, found, expected: self.size })
     }
 
     /// The mask that a prompt describes, without asking anybody: the belief, else the box.
@@ -111,9 +97,9 @@ impl<'a> Session<'a> {
                 x >= x0 && x <= x1 && y >= y0 && y <= y1
             }),
             // A point is a thing of a pixel: which thing, is unknown here.
-            (None, None) => CompactMask::from_fn(w, h, |x, y| {
-                prompt.on_px.iter().any(|p| p[0] as usize == x && p[1] as usize == y)
-            }),
+            (None, None) => {
+                CompactMask::from_fn(w, h, |x, y| prompt.on_px.iter().any(|p| p[0] as usize == x && p[1] as usize == y))
+            }
         }
     }
 
@@ -121,18 +107,10 @@ impl<'a> Session<'a> {
     fn for_image(&self, prompt: &ObjectPrompt) -> SegmentPrompt {
         let described = self.described(prompt);
         let (w, h) = self.size;
-        let somewhere = if described.count() > 0 {
-            described
-        } else {
-            CompactMask::from_fn(w, h, |_, _| true)
-        };
+        let somewhere = if described.count() > 0 { described } else { CompactMask::from_fn(w, h, |_, _| true) };
         let of_mask = prompt_of(&somewhere);
         SegmentPrompt {
-            points_px: if prompt.on_px.is_empty() {
-                of_mask.points_px
-            } else {
-                prompt.on_px.clone()
-            },
+            points_px: if prompt.on_px.is_empty() { of_mask.points_px } else { prompt.on_px.clone() },
             off_points_px: prompt.off_px.clone(),
             box_px: prompt.box_px.unwrap_or(of_mask.box_px),
             belief: prompt.belief.clone().unwrap_or(of_mask.belief),
@@ -171,11 +149,7 @@ impl VideoSession for Session<'_> {
             known.prompted.insert(frame, mask.clone());
             out.push(ObjectMask {
                 object: prompt.object,
-                visibility: if mask.count() > 0 {
-                    Visibility::Visible
-                } else {
-                    Visibility::Occluded
-                },
+                visibility: if mask.count() > 0 { Visibility::Visible } else { Visibility::Occluded },
                 mask,
                 quality,
             });
@@ -189,17 +163,9 @@ impl VideoSession for Session<'_> {
             return Err(VideoError::Frame { frame, frames });
         }
         if mask.size() != self.size {
-            return Err(VideoError::MaskSize {
-                object,
-                found: mask.size(),
-                expected: self.size,
-            });
+            return Err(VideoError::MaskSize { object, found: mask.size(), expected: self.size });
         }
-        self.known
-            .entry(object)
-            .or_default()
-            .prompted
-            .insert(frame, mask.clone());
+        self.known.entry(object).or_default().prompted.insert(frame, mask.clone());
         Ok(())
     }
 
@@ -230,11 +196,7 @@ impl VideoSession for Session<'_> {
             mask.ok_or(VideoError::Unknown { object, frame: from })
         };
         let mut masks: Vec<Option<CompactMask>> = objects.iter().map(start).collect::<Result<_, _>>()?;
-        let way: Vec<usize> = if later {
-            (from..=to).collect()
-        } else {
-            (to..=from).rev().collect()
-        };
+        let way: Vec<usize> = if later { (from..=to).collect() } else { (to..=from).rev().collect() };
         let mut at = from;
         'way: for k in (0..way.len().saturating_sub(1)).step_by(AHEAD) {
             if progress.cancelled() {
@@ -261,21 +223,14 @@ impl VideoSession for Session<'_> {
                     .into_iter()
                     .zip(objects)
                     // What was said of a frame outranks what is found there.
-                    .map(
-                        |(found, object)| match prompted.get(object).and_then(|k| k.prompted.get(&frame)) {
-                            Some(mask) => Some((mask.clone(), None)),
-                            None => found,
-                        },
-                    )
+                    .map(|(found, object)| match prompted.get(object).and_then(|k| k.prompted.get(&frame)) {
+                        Some(mask) => Some((mask.clone(), None)),
+                        None => found,
+                    })
                     .collect();
                 masks = found.iter().map(|m| m.as_ref().map(|(mask, _)| mask.clone())).collect();
                 let shown = found.into_iter().zip(objects).map(|(found, &object)| match found {
-                    Some((mask, quality)) => ObjectMask {
-                        object,
-                        mask,
-                        quality,
-                        visibility: Visibility::Visible,
-                    },
+                    Some((mask, quality)) => ObjectMask { object, mask, quality, visibility: Visibility::Visible },
                     None => ObjectMask::unseen(object, size, Visibility::Lost),
                 });
                 at = frame;

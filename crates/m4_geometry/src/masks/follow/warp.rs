@@ -39,10 +39,7 @@ impl Step {
                 back_round_trip_px: pair.backward_round_trip,
             };
         }
-        let (there, back) = (
-            pair.forward.resized(width, height),
-            pair.backward.resized(width, height),
-        );
+        let (there, back) = (pair.forward.resized(width, height), pair.backward.resized(width, height));
         Self {
             there_round_trip_px: round_trip_px(&there, &back),
             back_round_trip_px: round_trip_px(&back, &there),
@@ -101,9 +98,7 @@ pub fn carry(mask: &CompactMask, step: &Step, onto: &ScaledFrame) -> Option<Comp
     let (x0, y0) = (x0.saturating_sub(MARGIN_PX), y0.saturating_sub(MARGIN_PX));
     let (x1, y1) = ((x1 + MARGIN_PX + 1).min(w), (y1 + MARGIN_PX + 1).min(h));
     let (cw, ch) = (x1 - x0, y1 - y0);
-    let side: Vec<f32> = (0..w * h)
-        .map(|p| if mask.at(p % w, p / w) { 1.0 } else { -1.0 })
-        .collect();
+    let side: Vec<f32> = (0..w * h).map(|p| if mask.at(p % w, p / w) { 1.0 } else { -1.0 }).collect();
     let (mut value, mut weight) = (vec![0.0; cw * ch], vec![0.0; cw * ch]);
     let mut guide = vec![[0u8; 3]; cw * ch];
     for y in 0..ch {
@@ -116,9 +111,7 @@ pub fn carry(mask: &CompactMask, step: &Step, onto: &ScaledFrame) -> Option<Comp
         }
     }
     let found = if cw > 1 && ch > 1 {
-        Smoother::new(cw, ch, &guide, EDGE_SIGMA)
-            .fill(&value, &weight, SMOOTH_LAMBDA)
-            .0
+        Smoother::new(cw, ch, &guide, EDGE_SIGMA).fill(&value, &weight, SMOOTH_LAMBDA).0
     } else {
         value
     };

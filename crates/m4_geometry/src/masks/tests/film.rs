@@ -102,9 +102,7 @@ fn coarse_at(x: usize, y: usize, i: usize) -> bool {
 }
 
 pub fn coarse_masks() -> Vec<CompactMask> {
-    (0..FRAMES)
-        .map(|i| CompactMask::from_fn(SIZE.0, SIZE.1, |x, y| coarse_at(x, y, i)))
-        .collect()
+    (0..FRAMES).map(|i| CompactMask::from_fn(SIZE.0, SIZE.1, |x, y| coarse_at(x, y, i))).collect()
 }
 
 /// Maps of a quarter of the size: how much of each 4 x 4 pixels is coarse.
@@ -179,11 +177,7 @@ impl Segmenter for Hues {
             let [x, y] = prompt.points_px[0];
             let wanted = hue(image[(x as usize, y as usize)]);
             SegmentMask {
-                logits: image
-                    .data()
-                    .iter()
-                    .map(|c| if hue(*c) == wanted { 3.0 } else { -3.0 })
-                    .collect(),
+                logits: image.data().iter().map(|c| if hue(*c) == wanted { 3.0 } else { -3.0 }).collect(),
                 quality: 0.9,
             }
         };
@@ -208,10 +202,8 @@ impl Segmenter for Grabber {
         prompts: &[SegmentPrompt],
     ) -> Result<Vec<SegmentMask>, SegmentError> {
         let corner = |p: usize| p % w < self.corner_px && p / w < self.corner_px;
-        let mask = SegmentMask {
-            logits: (0..w * h).map(|p| if corner(p) { 1.0 } else { -1.0 }).collect(),
-            quality: 1.0,
-        };
+        let mask =
+            SegmentMask { logits: (0..w * h).map(|p| if corner(p) { 1.0 } else { -1.0 }).collect(), quality: 1.0 };
         Ok(vec![mask; prompts.len()])
     }
 }

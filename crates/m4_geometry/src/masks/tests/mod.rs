@@ -14,10 +14,7 @@ use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 fn settings() -> RefineSettings {
-    RefineSettings {
-        every_frames: 4,
-        ..RefineSettings::default()
-    }
+    RefineSettings { every_frames: 4, ..RefineSettings::default() }
 }
 
 fn run_with(
@@ -30,11 +27,7 @@ fn run_with(
     let clip: Vec<&RgbImage> = images.iter().collect();
     let flow = InverseSearch;
     let follower = FlowFollower::new(&flow, segmenter);
-    let input = RefineInput {
-        clip: &ImageList(&clip),
-        coarse,
-        flow: Some(&flow),
-    };
+    let input = RefineInput { clip: &ImageList(&clip), coarse, flow: Some(&flow) };
     refine(&input, &follower, settings, progress)
 }
 
@@ -60,34 +53,19 @@ fn check_things(found: &Refined, better_than: f64) {
     // It is found when the masks show it, and followed back to where it came in.
     let late = number(found, 2, FRAMES - 1);
     assert!(late > 0 && late != walker && late != leaver);
-    assert!(
-        (LATE_SEEN + 3..FRAMES).all(|i| number(found, 2, i) == late),
-        "{:#?}",
-        found.report
-    );
+    assert!((LATE_SEEN + 3..FRAMES).all(|i| number(found, 2, i) == late), "{:#?}", found.report);
     let record = |id: u16| &found.report.instances[usize::from(id) - 1];
     assert!(record(late).prompted_frame >= LATE_COARSE && record(late).first_frame < LATE_COARSE);
     assert_eq!((record(late).id, record(late).ending), (late, Ending::ClipEnd));
-    assert_eq!(
-        (record(walker).frames, record(walker).ending),
-        (FRAMES, Ending::ClipEnd)
-    );
+    assert_eq!((record(walker).frames, record(walker).ending), (FRAMES, Ending::ClipEnd));
     let Ending::Lost { frame } = record(leaver).ending else {
         panic!("{:#?}", record(leaver));
     };
     assert!((10..17).contains(&frame), "{frame}");
     // The static thing was taken for dynamic at first, the ghost for a moment.
     let reasons: Vec<&Rejection> = found.report.rejected.iter().map(|r| &r.reason).collect();
-    assert!(
-        reasons
-            .iter()
-            .any(|r| matches!(r, Rejection::Unsupported { share } if *share < 0.1)),
-        "{reasons:?}"
-    );
-    assert!(
-        reasons.iter().any(|r| matches!(r, Rejection::Flicker { seen_in: 1 })),
-        "{reasons:?}"
-    );
+    assert!(reasons.iter().any(|r| matches!(r, Rejection::Unsupported { share } if *share < 0.1)), "{reasons:?}");
+    assert!(reasons.iter().any(|r| matches!(r, Rejection::Flicker { seen_in: 1 })), "{reasons:?}");
     assert!((0..FRAMES).all(|i| number(found, 4, i) == 0));
     for frame in &found.frames {
         let ids = frame.ids.to_plane();
@@ -103,10 +81,7 @@ fn things_are_outlined_and_followed_by_a_segmenter_and_flow() {
     println!("coarse {coarse:.3}, refined {:.3}", iou_of(&found));
     assert!(coarse < 0.75, "{coarse}");
     check_things(&found, 0.93);
-    assert_eq!(
-        (found.report.segmenter.as_str(), found.report.coarse.as_str()),
-        ("hues+classical", "motion")
-    );
+    assert_eq!((found.report.segmenter.as_str(), found.report.coarse.as_str()), ("hues+classical", "motion"));
 }
 
 /// Flow alone finds no better outlines than it starts with, and what it drags along grows; but identities are right.
@@ -114,16 +89,8 @@ fn things_are_outlined_and_followed_by_a_segmenter_and_flow() {
 fn flow_alone_follows_them_too() {
     let masks = coarse_masks();
     let found = run_with(&as_masks(&masks), None, &settings(), &Silent).unwrap();
-    println!(
-        "coarse {:.3}, refined {:.3}",
-        iou(coarse_masks().into_iter()),
-        iou_of(&found)
-    );
-    let (walker, leaver, late) = (
-        number(&found, 1, 0),
-        number(&found, 3, 0),
-        number(&found, 2, FRAMES - 1),
-    );
+    println!("coarse {:.3}, refined {:.3}", iou(coarse_masks().into_iter()), iou_of(&found));
+    let (walker, leaver, late) = (number(&found, 1, 0), number(&found, 3, 0), number(&found, 2, FRAMES - 1));
     assert!(walker > 0 && leaver > 0 && late > 0 && walker != leaver && late != walker && late != leaver);
     assert!((0..FRAMES).all(|i| number(&found, 1, i) == walker));
     assert!((LATE_SEEN + 3..FRAMES).all(|i| number(&found, 2, i) == late));
@@ -153,13 +120,7 @@ fn a_segmenter_that_grabs_the_background_is_not_believed() {
     }
     // Coarse masks are kept where nothing explains them, except for what is there for a moment.
     let masks = coarse_masks();
-    let found = run_with(
-        &as_masks(&masks),
-        Some(&Grabber { corner_px: 1000 }),
-        &settings(),
-        &Silent,
-    )
-    .unwrap();
+    let found = run_with(&as_masks(&masks), Some(&Grabber { corner_px: 1000 }), &settings(), &Silent).unwrap();
     assert!(found.report.instances.is_empty() && found.report.unexplained_share > 0.0);
     assert!(iou_of(&found) > iou(coarse_masks().into_iter()) - 0.02);
     assert!(!found.frames[film::FLICKER].mask.at(80, 66) && masks[film::FLICKER].at(80, 66));
@@ -184,8 +145,7 @@ impl Progress for Watch {
     }
 
     fn cancelled(&self) -> bool {
-        self.stop_after
-            .is_some_and(|n| self.updates.load(Ordering::Relaxed) >= n)
+        self.stop_after.is_some_and(|n| self.updates.load(Ordering::Relaxed) >= n)
     }
 }
 
@@ -194,24 +154,15 @@ fn inverted_maps_are_rejected() {
     let maps = motion_maps();
     let turned: Vec<Plane<u8>> = maps.iter().map(|map| map.map(|&m| 255 - m)).collect();
     let error = run_with(&as_motion(&turned), Some(&Hues), &settings(), &Silent).unwrap_err();
-    let InstanceError::Polarity { evidence } = &error else {
-        panic!("{error}")
-    };
+    let InstanceError::Polarity { evidence } = &error else { panic!("{error}") };
     let [high, low] = evidence.residual_px.unwrap();
-    assert!(
-        evidence.high_share > 0.7 && evidence.border_high_share > 0.7 && high < 0.5 * low,
-        "{evidence:?}"
-    );
+    assert!(evidence.high_share > 0.7 && evidence.border_high_share > 0.7 && high < 0.5 * low, "{evidence:?}");
     assert!(error.to_string().contains("255 minus"), "{error}");
     let right = run_with(&as_motion(&maps), Some(&Hues), &settings(), &Silent).unwrap();
     let [high, low] = right.report.polarity.unwrap().residual_px.unwrap();
     assert!(high > 1.0 && high > 3.0 * low, "{high} {low}");
     // One witness alone is a warning.
-    let lone = PolarityEvidence {
-        high_share: 0.7,
-        border_high_share: 0.3,
-        residual_px: Some([3.0, 0.1]),
-    };
+    let lone = PolarityEvidence { high_share: 0.7, border_high_share: 0.3, residual_px: Some([3.0, 0.1]) };
     assert_eq!(lone.verdict(), Polarity::Doubtful);
 }
 
@@ -220,9 +171,7 @@ fn the_same_bits_for_any_number_of_threads() {
     let maps = motion_maps();
     let all = |threads: usize, segmenter: Option<&dyn Segmenter>| {
         let pool = ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        let found = pool
-            .install(|| run_with(&as_motion(&maps), segmenter, &settings(), &Silent))
-            .unwrap();
+        let found = pool.install(|| run_with(&as_motion(&maps), segmenter, &settings(), &Silent)).unwrap();
         (found.frames, found.report)
     };
     assert_eq!(all(1, Some(&Hues)), all(3, Some(&Hues)));
@@ -233,15 +182,9 @@ fn the_same_bits_for_any_number_of_threads() {
 fn stopping_stops() {
     let maps = motion_maps();
     for stop_after in [0, 3, 20, 45] {
-        let watch = Watch {
-            stop_after: Some(stop_after),
-            ..Watch::default()
-        };
+        let watch = Watch { stop_after: Some(stop_after), ..Watch::default() };
         let error = run_with(&as_motion(&maps), Some(&Hues), &settings(), &watch).unwrap_err();
-        assert!(
-            matches!(error, InstanceError::Cancelled { .. }),
-            "{stop_after}: {error}"
-        );
+        assert!(matches!(error, InstanceError::Cancelled { .. }), "{stop_after}: {error}");
         assert!(watch.updates.load(Ordering::Relaxed) <= stop_after + 10);
     }
 }
@@ -251,27 +194,15 @@ fn mismatched_input_is_an_error() {
     let mut maps = motion_maps();
     maps.pop();
     let error = run_with(&as_motion(&maps), None, &settings(), &Silent).unwrap_err();
-    assert!(
-        error.to_string().contains("29 coarse masks were given for 30"),
-        "{error}"
-    );
+    assert!(error.to_string().contains("29 coarse masks were given for 30"), "{error}");
     maps.push(Plane::filled(0, 7, 0));
     let error = run_with(&as_motion(&maps), None, &settings(), &Silent).unwrap_err();
     assert!(error.to_string().contains("frame 29 has no pixels"), "{error}");
     for wrong in [
-        RefineSettings {
-            every_frames: 0,
-            ..settings()
-        },
-        RefineSettings {
-            tau: f32::NAN,
-            ..settings()
-        },
+        RefineSettings { every_frames: 0, ..settings() },
+        RefineSettings { tau: f32::NAN, ..settings() },
         RefineSettings { tau: 0.2, ..settings() },
-        RefineSettings {
-            side_px: 63,
-            ..settings()
-        },
+        RefineSettings { side_px: 63, ..settings() },
     ] {
         assert!(matches!(wrong.check(), Err(InstanceError::Setting { .. })), "{wrong:?}");
     }

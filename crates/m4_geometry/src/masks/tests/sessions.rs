@@ -111,10 +111,7 @@ fn prompts_are_kept_at_their_frame() {
         |session: &mut dyn VideoSession, prompt: ObjectPrompt| session.prompt(3, &[prompt]).unwrap().remove(0).mask;
     let belief: Vec<f32> = (0..w * h).map(|p| p as f32 - 100.0).collect();
     assert!(of(session.as_mut(), prompt(Some(belief), None)).count() > w * h - 400);
-    assert_eq!(
-        of(session.as_mut(), prompt(None, Some([2.5, 2.5, 5.5, 4.5]))).count(),
-        12
-    );
+    assert_eq!(of(session.as_mut(), prompt(None, Some([2.5, 2.5, 5.5, 4.5]))).count(), 12);
     assert_eq!(of(session.as_mut(), prompt(None, None)).count(), 1);
 }
 
@@ -130,21 +127,10 @@ fn impossible_requests_are_errors() {
     let error = followed(session.as_mut(), &[WALKER], 4, FRAMES).unwrap_err();
     assert!(matches!(error, VideoError::Frame { frame: 30, frames: 30 }));
     let small = CompactMask::from_fn(SIZE.1, SIZE.0, |_, _| true);
-    assert!(matches!(
-        session.set_mask(4, WALKER, &small),
-        Err(VideoError::MaskSize { .. })
-    ));
-    let short = ObjectPrompt {
-        object: LATE,
-        on_px: Vec::new(),
-        off_px: Vec::new(),
-        box_px: None,
-        belief: Some(vec![1.0; 7]),
-    };
-    assert!(matches!(
-        session.prompt(4, &[short]),
-        Err(VideoError::Size { found: 7, .. })
-    ));
+    assert!(matches!(session.set_mask(4, WALKER, &small), Err(VideoError::MaskSize { .. })));
+    let short =
+        ObjectPrompt { object: LATE, on_px: Vec::new(), off_px: Vec::new(), box_px: None, belief: Some(vec![1.0; 7]) };
+    assert!(matches!(session.prompt(4, &[short]), Err(VideoError::Size { found: 7, .. })));
     session.forget(WALKER);
     assert!(unknown(followed(session.as_mut(), &[WALKER], 4, 7).unwrap_err()));
 }

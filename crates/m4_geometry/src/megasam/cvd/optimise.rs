@@ -60,12 +60,8 @@ pub fn optimise(
         .iter()
         .map(|plane| plane.data().iter().map(|&d| (f64::from(d) * unit) as f32).collect())
         .collect();
-    let starts: Vec<Start<'_>> = (0..scaled.len())
-        .map(|i| Start {
-            disparity: &scaled[i],
-            uncertainty: input.uncertainty[i].data(),
-        })
-        .collect();
+    let starts: Vec<Start<'_>> =
+        (0..scaled.len()).map(|i| Start { disparity: &scaled[i], uncertainty: input.uncertainty[i].data() }).collect();
     let mut descent = Descent::new(SimdLevel::best(), [lens; 2], &w2c, pairs, &starts);
     drop(starts);
     drop(scaled);
@@ -162,16 +158,7 @@ fn check(input: &CvdInput<'_>, pairs: &PairStore) -> Result<(), CvdError> {
     }
     for frame in 0..frames {
         let pose = &input.c2w[frame];
-        let lens = [
-            k.fx,
-            k.fy,
-            k.cx,
-            k.cy,
-            k.fx.recip(),
-            k.fy.recip(),
-            k.fx.sqrt(),
-            k.fy.sqrt(),
-        ];
+        let lens = [k.fx, k.fy, k.cx, k.cy, k.fx.recip(), k.fy.recip(), k.fx.sqrt(), k.fy.sqrt()];
         let numbers = pose.rotation.iter().chain(pose.translation.iter()).chain(&lens);
         if let Some(&value) = numbers.into_iter().find(|v| !v.is_finite()) {
             return refused(format!(
@@ -184,9 +171,7 @@ fn check(input: &CvdInput<'_>, pairs: &PairStore) -> Result<(), CvdError> {
             count(what, plane.width(), width)?;
             count(what, plane.height(), height)?;
             if let Some(value) = plane.data().iter().find(|v| !positive(**v)) {
-                return refused(format!(
-                    "{what} of frame {frame} holds {value}; it must be above 0 and finite"
-                ));
+                return refused(format!("{what} of frame {frame} holds {value}; it must be above 0 and finite"));
             }
         }
     }

@@ -19,18 +19,9 @@ pub struct Weights {
 
 impl Weights {
     /// Weights of the first stage.
-    pub const STAGE1: Self = Self {
-        normal: 4.0,
-        ..Self::STAGE2
-    };
+    pub const STAGE1: Self = Self { normal: 4.0, ..Self::STAGE2 };
     /// Weights of the second stage.
-    pub const STAGE2: Self = Self {
-        ratio: 1.0,
-        flow: 0.2,
-        scale_invariant: 1.0,
-        gradient: 2.0,
-        normal: 5.0,
-    };
+    pub const STAGE2: Self = Self { ratio: 1.0, flow: 0.2, scale_invariant: 1.0, gradient: 2.0, normal: 5.0 };
 }
 
 /// Weights of both stages.

@@ -28,11 +28,7 @@ struct Sums {
 
 impl Sums {
     fn distance(self) -> f64 {
-        if self.valid / (self.total + 1e-8) < LEAST_VALID {
-            FAR
-        } else {
-            self.motion / self.valid
-        }
+        if self.valid / (self.total + 1e-8) < LEAST_VALID { FAR } else { self.motion / self.valid }
     }
 }
 
@@ -41,10 +37,7 @@ impl Sums {
 #[must_use]
 pub fn frame_distance_reference<T: Real>(geometry: &Geometry<T>, i: usize, j: usize, beta: f64) -> f64 {
     let g = geometry.relative(i, j);
-    let still = Se3 {
-        translation: g.translation,
-        ..Se3::identity()
-    };
+    let still = Se3 { translation: g.translation, ..Se3::identity() };
     let mut sums = Sums::default();
     for (motion, share) in [(g, beta), (still, 1.0 - beta)] {
         for (n, d) in geometry.disparity[i].iter().enumerate() {
@@ -93,13 +86,7 @@ impl Rays {
                 lane[..count].copy_from_slice(&plane[start..start + count]);
                 lane
             };
-            let (rx, ry, u, v, d) = (
-                load(&self.x),
-                load(&self.y),
-                load(&self.u),
-                load(&self.v),
-                load(disparity),
-            );
+            let (rx, ry, u, v, d) = (load(&self.x), load(&self.y), load(&self.u), load(&self.v), load(disparity));
             let (mut length, mut ok) = ([0.0_f32; LANES], [0.0_f32; LANES]);
             for l in 0..LANES {
                 let x = r[(0, 0)] * rx[l] + r[(0, 1)] * ry[l] + r[(0, 2)] + t[0] * d[l];
@@ -107,10 +94,7 @@ impl Rays {
                 let z = r[(2, 0)] * rx[l] + r[(2, 1)] * ry[l] + r[(2, 2)] + t[2] * d[l];
                 let seen = z > MIN_DEPTH as f32 && l < count;
                 let iz = 1.0 / if seen { z } else { 1.0 };
-                let (du, dv) = (
-                    focal[0] * x * iz + centre[0] - u[l],
-                    focal[1] * y * iz + centre[1] - v[l],
-                );
+                let (du, dv) = (focal[0] * x * iz + centre[0] - u[l], focal[1] * y * iz + centre[1] - v[l]);
                 let on = if seen { 1.0 } else { 0.0 };
                 length[l] = (du * du + dv * dv).sqrt() * on;
                 ok[l] = on;
@@ -128,10 +112,7 @@ impl Rays {
 
     fn distance(&self, geometry: &Geometry<f32>, i: usize, j: usize, beta: f64, level: Level) -> f64 {
         let g = geometry.relative(i, j).cast::<f32>();
-        let still = Se3 {
-            translation: g.translation,
-            ..Se3::identity()
-        };
+        let still = Se3 { translation: g.translation, ..Se3::identity() };
         let lens = geometry.lens;
         let (focal, centre) = ([lens.fx as f32, lens.fy as f32], [lens.cx as f32, lens.cy as f32]);
         let disparity = geometry.disparity[i].as_slice();

@@ -116,11 +116,7 @@ impl FactorGraph {
             self.make_room(self.max_factors.saturating_sub(fresh.len()));
         }
         for (source, target) in fresh {
-            let key = EdgeKey {
-                id: next_id(),
-                source_frame: frames[source],
-                target_frame: frames[target],
-            };
+            let key = EdgeKey { id: next_id(), source_frame: frames[source], target_frame: frames[target] };
             self.changes.entered.push(key);
             let len = geometry.grid.len();
             self.active.push(GraphEdge {
@@ -272,12 +268,7 @@ mod tests {
     #[test]
     fn positions_are_those_of_the_reference_projection() {
         let grid = Grid { width: 9, height: 7 };
-        let lens = Pinhole {
-            fx: 8.0,
-            fy: 7.5,
-            cx: 4.1,
-            cy: 3.2,
-        };
+        let lens = Pinhole { fx: 8.0, fy: 7.5, cx: 4.1, cy: 3.2 };
         let plane: Vec<f32> = (0..grid.len()).map(|n| 0.2 + 0.03 * n as f32).collect();
         let geometry = Geometry {
             grid,

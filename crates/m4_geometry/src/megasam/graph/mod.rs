@@ -87,11 +87,7 @@ pub fn select_proximity(
 ) -> Vec<(usize, usize)> {
     let (s, columns) = (settings, frames.saturating_sub(settings.first_target));
     let rows = frames.saturating_sub(s.first_source);
-    let mut candidates = Open {
-        settings,
-        frames,
-        open: vec![true; rows * columns],
-    };
+    let mut candidates = Open { settings, frames, open: vec![true; rows * columns] };
     for &(i, j) in existing {
         candidates.suppress(i, j);
     }
@@ -108,9 +104,7 @@ pub fn select_proximity(
         .filter(|&(i, j)| i >= j + s.radius && candidates.at(i, j).is_some_and(|k| candidates.open[k]))
         .collect();
     let distance = distances(&pairs);
-    let mut order: Vec<usize> = (0..pairs.len())
-        .filter(|&k| distance[k] <= s.threshold_px.min(100.0))
-        .collect();
+    let mut order: Vec<usize> = (0..pairs.len()).filter(|&k| distance[k] <= s.threshold_px.min(100.0)).collect();
     order.sort_by(|&a, &b| distance[a].total_cmp(&distance[b]));
     for k in order {
         let (i, j) = pairs[k];

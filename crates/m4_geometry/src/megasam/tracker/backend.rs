@@ -93,10 +93,7 @@ impl Backend {
     /// [`TrackerError::Dba`] where sizes do not fit.
     pub fn observability(&self, keyframes: &Keyframes) -> Result<Observability, TrackerError> {
         let edges: Vec<&Factor<f32>> = self.graph.active.iter().map(|e| &e.factor).collect();
-        let problem = Problem {
-            edges: &edges,
-            eta: &keyframes.damping,
-        };
+        let problem = Problem { edges: &edges, eta: &keyframes.damping };
         let options = DbaOptions {
             min_depth: self.settings.min_depth,
             #[cfg(test)]

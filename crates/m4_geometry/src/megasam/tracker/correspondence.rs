@@ -97,9 +97,7 @@ pub(super) fn check_count(found: usize) -> Result<(), TrackerError> {
     if found >= 2 {
         return Ok(());
     }
-    Err(TrackerError::Input(format!(
-        "the clip has {found} frame(s); at least 2 are needed to observe motion"
-    )))
+    Err(TrackerError::Input(format!("the clip has {found} frame(s); at least 2 are needed to observe motion")))
 }
 
 /// Why a clip could not be tracked.

@@ -67,13 +67,7 @@ impl Frontend {
         let graph = FactorGraph::new(settings.max_factors);
         #[cfg(test)]
         let graph = graph.with_permuted_ranks(settings.python_twin);
-        Self {
-            settings,
-            keyframes: Keyframes::new(grid, lens),
-            graph,
-            initialised: false,
-            last_accepted: None,
-        }
+        Self { settings, keyframes: Keyframes::new(grid, lens), graph, initialised: false, last_accepted: None }
     }
 
     /// True after the first adjustment.
@@ -142,8 +136,7 @@ impl Frontend {
         let count = self.keyframes.len();
         check_count(count)?;
         let frames = self.keyframes.frame.clone();
-        self.graph
-            .add_neighbourhood(0, count, 3, &self.keyframes.geometry, &frames);
+        self.graph.add_neighbourhood(0, count, 3, &self.keyframes.geometry, &frames);
         for _ in 0..s.initial_updates {
             self.update(1, Free::Poses, source)?;
         }
@@ -156,8 +149,7 @@ impl Frontend {
             beta: INITIAL_BETA,
             max_factors: s.max_factors,
         };
-        self.graph
-            .add_proximity(&proximity, &self.keyframes.geometry, &frames, false);
+        self.graph.add_proximity(&proximity, &self.keyframes.geometry, &frames, false);
         for free in [Free::Poses, Free::PosesAndDepth] {
             for _ in 0..s.initial_updates {
                 self.update(1, free, source)?;
@@ -183,17 +175,13 @@ impl Frontend {
             max_factors: s.max_factors,
         };
         let frames = self.keyframes.frame.clone();
-        self.graph
-            .add_proximity(&proximity, &self.keyframes.geometry, &frames, true);
+        self.graph.add_proximity(&proximity, &self.keyframes.geometry, &frames, true);
         self.keyframes.reset_to_sensor(count - 1);
         for _ in 0..s.first_updates {
             self.update_window(source)?;
         }
         if count < 3 {
-            return Ok(Submitted::Tracked {
-                distance_px: f64::INFINITY,
-                dropped: None,
-            });
+            return Ok(Submitted::Tracked { distance_px: f64::INFINITY, dropped: None });
         }
         let (a, b) = (count - 3, count - 2);
         let g = &self.keyframes.geometry;

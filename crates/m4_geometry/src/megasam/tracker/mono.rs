@@ -78,21 +78,12 @@ impl MonoAlignment {
             }
         }
         let (scale, shift) = (scales[index], shifts[index]);
-        let mut all: Vec<f64> = relative
-            .iter()
-            .flatten()
-            .map(|&a| scale * f64::from(a) + shift)
-            .collect();
+        let mut all: Vec<f64> = relative.iter().flatten().map(|&a| scale * f64::from(a) + shift).collect();
         let norm = percentile(&mut all, 0.98) / 2.0;
         if !(norm > 0.0 && norm.is_finite()) {
             return Err(MonoError::no_scale(norm));
         }
-        Ok(Self {
-            scales,
-            shifts,
-            index,
-            norm,
-        })
+        Ok(Self { scales, shifts, index, norm })
     }
 
     /// Depth in scene units of relative disparities, 0 where it is unknown.
@@ -113,19 +104,11 @@ fn frame_alignment(metric_m: &[f32], relative: &[f32]) -> (f64, f64) {
         .zip(&a)
         .map(|(&m, &a)| {
             let m = f64::from(m);
-            if m < SKY_DEPTH_M && a < SKY_DISPARITY {
-                SKY_METRIC
-            } else {
-                1.0 / (m + 1e-8)
-            }
+            if m < SKY_DEPTH_M && a < SKY_DISPARITY { SKY_METRIC } else { 1.0 / (m + 1e-8) }
         })
         .collect();
     let (ga, gg) = (median(&mut a.clone()), median(&mut g.clone()));
-    let mut ratios: Vec<f64> = g
-        .iter()
-        .zip(&a)
-        .map(|(g, a)| (g - gg + 1e-8) / (a - ga + 1e-8))
-        .collect();
+    let mut ratios: Vec<f64> = g.iter().zip(&a).map(|(g, a)| (g - gg + 1e-8) / (a - ga + 1e-8)).collect();
     let scale = median(&mut ratios);
     let mut rest: Vec<f64> = g.iter().zip(&a).map(|(g, a)| g - scale * a).collect();
     (scale, median(&mut rest))

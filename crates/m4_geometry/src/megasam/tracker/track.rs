@@ -92,12 +92,8 @@ pub fn track(
     let report = backend.run(&mut all, source, settings.final_updates, false, alpha, progress)?;
     let mut static_confidence = backend.static_confidence(&all);
     if settings.robust != Robust::None {
-        let residuals = confidence_from_residuals(
-            &all.geometry,
-            &backend.graph.active,
-            settings.robust,
-            settings.min_depth,
-        );
+        let residuals =
+            confidence_from_residuals(&all.geometry, &backend.graph.active, settings.robust, settings.min_depth);
         for (m, r) in static_confidence.iter_mut().flatten().zip(residuals.iter().flatten()) {
             *m *= r;
         }
@@ -136,14 +132,7 @@ fn probe(
 ) -> Result<Observability, TrackerError> {
     let mut copy = keyframes.clone();
     let mut backend = Backend::new(&copy, *settings);
-    backend.run(
-        &mut copy,
-        source,
-        settings.probe_updates,
-        false,
-        Some(PROBE_ALPHA),
-        progress,
-    )?;
+    backend.run(&mut copy, source, settings.probe_updates, false, Some(PROBE_ALPHA), progress)?;
     let seen = backend.observability(&copy)?;
     backend.finish(source)?;
     Ok(seen)

@@ -78,19 +78,10 @@ pub fn read_cameras(bytes: &[u8]) -> Result<Vec<ColmapCamera>, PlacedError> {
         let known = usize::try_from(model).ok().and_then(|k| MODELS.get(k));
         let &(name, len) = known.ok_or_else(|| {
             let what = format!("its lens is of the unknown model {model}");
-            (
-                format!("camera {id}"),
-                Fault::unsupported(what, "undistort the images (`colmap image_undistorter`)"),
-            )
+            (format!("camera {id}"), Fault::unsupported(what, "undistort the images (`colmap image_undistorter`)"))
         })?;
         let parameters: Vec<f64> = (0..len).map(|_| from.f64()).collect::<Result<_, _>>()?;
-        rows.push(ColmapCamera {
-            id,
-            model: name.to_owned(),
-            width,
-            height,
-            parameters,
-        });
+        rows.push(ColmapCamera { id, model: name.to_owned(), width, height, parameters });
     }
     from.end()?;
     Ok(rows)
@@ -108,13 +99,7 @@ pub fn read_images(bytes: &[u8]) -> Result<Vec<ColmapImage>, PlacedError> {
         let name = from.name()?;
         let seen = from.u64()?;
         from.skip(seen, 24)?;
-        rows.push(ColmapImage {
-            id,
-            rotation,
-            translation,
-            camera,
-            name,
-        });
+        rows.push(ColmapImage { id, rotation, translation, camera, name });
     }
     from.end()?;
     Ok(rows)

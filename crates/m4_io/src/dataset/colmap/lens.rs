@@ -19,10 +19,7 @@ pub(super) fn of(camera: &ColmapCamera) -> Result<Lens, Fault> {
         ("RADIAL", &[f, cx, cy, k1, k2]) => ([f, f, cx, cy], radial(k1, k2)),
         ("OPENCV", &[fx, fy, cx, cy, k1, k2, p1, p2]) => ([fx, fy, cx, cy], Distortion::brown(k1, k2, 0.0, p1, p2)),
         ("FULL_OPENCV", &[fx, fy, cx, cy, k1, k2, p1, p2, k3, k4, k5, k6]) => {
-            let full = Distortion::Brown {
-                radial: [k1, k2, k3, k4, k5, k6],
-                tangential: [p1, p2],
-            };
+            let full = Distortion::Brown { radial: [k1, k2, k3, k4, k5, k6], tangential: [p1, p2] };
             let none = [k1, k2, p1, p2, k3, k4, k5, k6] == [0.0; 8];
             ([fx, fy, cx, cy], if none { Distortion::None } else { full })
         }
@@ -44,14 +41,7 @@ pub(super) fn of(camera: &ColmapCamera) -> Result<Lens, Fault> {
         return Err(Fault::bad(what, "export the model again"));
     }
     let lens = Lens {
-        intrinsics: Intrinsics {
-            width: camera.width as usize,
-            height: camera.height as usize,
-            fx,
-            fy,
-            cx,
-            cy,
-        },
+        intrinsics: Intrinsics { width: camera.width as usize, height: camera.height as usize, fx, fy, cx, cy },
         distortion,
     };
     lens.check()?;

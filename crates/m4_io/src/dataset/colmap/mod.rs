@@ -41,18 +41,9 @@ pub(super) fn detect(path: &Path) -> bool {
 }
 
 fn model_folder(path: &Path) -> Option<PathBuf> {
-    let folders = [
-        path.join("sparse/0"),
-        path.join("sparse"),
-        path.join("0"),
-        path.to_path_buf(),
-    ];
+    let folders = [path.join("sparse/0"), path.join("sparse"), path.join("0"), path.to_path_buf()];
     let is_model = |folder: &PathBuf| {
-        ["bin", "txt"].iter().any(|e| {
-            ["cameras", "images"]
-                .iter()
-                .all(|n| folder.join(format!("{n}.{e}")).is_file())
-        })
+        ["bin", "txt"].iter().any(|e| ["cameras", "images"].iter().all(|n| folder.join(format!("{n}.{e}")).is_file()))
     };
     folders.into_iter().find(is_model)
 }
@@ -130,17 +121,7 @@ fn places(folder: &Path, images: &[ColmapImage]) -> Option<Places> {
     let inner = Path::new(&images.first()?.name).parent()?;
     let files = crate::video::image_files(&folder.join(inner)).ok()?;
     let name = |file: &PathBuf| Some(inner.join(file.file_name()?));
-    let index: HashMap<PathBuf, usize> = files
-        .iter()
-        .enumerate()
-        .filter_map(|(i, f)| Some((name(f)?, i)))
-        .collect();
-    let of: Option<Vec<usize>> = images
-        .iter()
-        .map(|image| index.get(Path::new(&image.name)).copied())
-        .collect();
-    Some(Places {
-        of: of?,
-        all: files.len(),
-    })
+    let index: HashMap<PathBuf, usize> = files.iter().enumerate().filter_map(|(i, f)| Some((name(f)?, i))).collect();
+    let of: Option<Vec<usize>> = images.iter().map(|image| index.get(Path::new(&image.name)).copied()).collect();
+    Some(Places { of: of?, all: files.len() })
 }

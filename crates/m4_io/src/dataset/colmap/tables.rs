@@ -56,10 +56,8 @@ impl ColmapImage {
         let q = Quaternion::new(w, x, y, z);
         let numbers = self.translation.iter().all(|v| v.is_finite());
         if !(numbers && q.norm().is_finite() && q.norm() > 1e-9) {
-            let what = format!(
-                "the pose is {:?} {:?}; a rotation and a place were expected",
-                self.rotation, self.translation
-            );
+            let what =
+                format!("the pose is {:?} {:?}; a rotation and a place were expected", self.rotation, self.translation);
             return Err(Fault::bad(what, HINT));
         }
         let w2c = Se3 {

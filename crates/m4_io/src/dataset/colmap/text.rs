@@ -10,13 +10,7 @@ pub fn read_cameras(text: &str) -> Result<Vec<ColmapCamera>, PlacedError> {
         let id = words.next("CAMERA_ID")?;
         let model: String = words.next("MODEL")?;
         let (width, height) = (words.next("WIDTH")?, words.next("HEIGHT")?);
-        rows.push(ColmapCamera {
-            id,
-            model,
-            width,
-            height,
-            parameters: words.rest("PARAMS")?,
-        });
+        rows.push(ColmapCamera { id, model, width, height, parameters: words.rest("PARAMS")? });
     }
     Ok(rows)
 }
@@ -62,10 +56,7 @@ struct Words<'a> {
 
 impl<'a> Words<'a> {
     fn new(line: usize, text: &'a str) -> Self {
-        Self {
-            line,
-            words: text.split_ascii_whitespace(),
-        }
+        Self { line, words: text.split_ascii_whitespace() }
     }
 
     fn damaged(&self, reason: String) -> PlacedError {
@@ -81,10 +72,7 @@ impl<'a> Words<'a> {
     fn rest<T: FromStr>(&mut self, what: &str) -> Result<Vec<T>, PlacedError> {
         let mut all = Vec::new();
         while let Some(word) = self.words.next() {
-            all.push(
-                word.parse()
-                    .map_err(|_| self.damaged(format!("{what} holds {word:?}")))?,
-            );
+            all.push(word.parse().map_err(|_| self.damaged(format!("{what} holds {word:?}")))?);
         }
         Ok(all)
     }

@@ -106,13 +106,7 @@ fn of_split(file: &Path) -> Result<Vec<Id>, ReadError> {
         return Err(Fault::bad(what, "export the split again").at(file));
     }
     let ids = names.frame_names.into_iter().zip(names.camera_ids).zip(names.time_ids);
-    Ok(ids
-        .map(|((name, camera), time)| Id {
-            name,
-            camera,
-            time: time.into(),
-        })
-        .collect())
+    Ok(ids.map(|((name, camera), time)| Id { name, camera, time: time.into() }).collect())
 }
 
 fn of_dataset(root: &Path) -> Result<(Vec<Id>, Vec<Id>), ReadError> {
@@ -128,11 +122,7 @@ fn of_dataset(root: &Path) -> Result<(Vec<Id>, Vec<Id>), ReadError> {
                 let what = format!("warp_id of {short} in metadata.json");
                 return Err(Fault::missing(what, "give the moment of each frame").at(&file));
             };
-            Ok(Id {
-                camera: meta.camera_id,
-                time: time.into(),
-                name,
-            })
+            Ok(Id { camera: meta.camera_id, time: time.into(), name })
         };
         names.into_iter().map(id).collect()
     };
@@ -190,10 +180,7 @@ pub(super) fn unit_of_depth(
     if options.depth_unit.is_some() {
         let unit = depth::unit(options, 1.0).at(root)?;
         let metric = median * unit < NO_METRES;
-        return Ok(Some(Unit {
-            scene_units: unit,
-            metric,
-        }));
+        return Ok(Some(Unit { scene_units: unit, metric }));
     }
     let file = root.join("scene.json");
     let milli = if file.is_file() {
@@ -219,8 +206,5 @@ pub(super) fn unit_of_depth(
         ));
     }
     let scene_units = if milli { MILLI } else { 1.0 };
-    Ok(Some(Unit {
-        scene_units,
-        metric: median * scene_units < NO_METRES,
-    }))
+    Ok(Some(Unit { scene_units, metric: median * scene_units < NO_METRES }))
 }

@@ -90,14 +90,8 @@ pub(crate) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress
         time_frames: train.len(),
         duration_s: Some((last - first) / fps),
         metric: reader.unit.is_some_and(|u| u.metric),
-        train: train
-            .iter()
-            .map(|id| reader.frame(id, None))
-            .collect::<Result<_, _>>()?,
-        test: within
-            .iter()
-            .map(|id| reader.frame(id, Some(id.camera)))
-            .collect::<Result<_, _>>()?,
+        train: train.iter().map(|id| reader.frame(id, None)).collect::<Result<_, _>>()?,
+        test: within.iter().map(|id| reader.frame(id, Some(id.camera))).collect::<Result<_, _>>()?,
         tracks: None,
     })
 }
@@ -105,16 +99,9 @@ pub(crate) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress
 fn fps(path: &Path, options: &ImportOptions, progress: &dyn Progress) -> Result<f64, ReadError> {
     let file = path.join("extra.json");
     let given = clock::fps(options).at(path)?;
-    let own = if file.is_file() {
-        json::<Extra>(&file)?.fps
-    } else {
-        None
-    };
+    let own = if file.is_file() { json::<Extra>(&file)?.fps } else { None };
     if own.or(given).is_none() {
-        progress.warn(&format!(
-            "{} does not state its frame rate; 30 frames per second are assumed",
-            path.display()
-        ));
+        progress.warn(&format!("{} does not state its frame rate; 30 frames per second are assumed", path.display()));
     }
     let fps = own.or(given).unwrap_or(clock::DEFAULT_FPS);
     if fps.is_finite() && fps > 0.0 {
@@ -190,18 +177,12 @@ struct Camera {
 fn read_camera(path: &Path) -> Result<Camera, ReadError> {
     let file: File = json(path)?;
     if file.skew != 0.0 {
-        let what = format!(
-            "skew is {}; only cameras whose pixels are rectangles are read",
-            file.skew
-        );
+        let what = format!("skew is {}; only cameras whose pixels are rectangles are read", file.skew);
         return Err(Fault::unsupported(what, "undistort the images").at(path));
     }
     let whole = |v: f64| (v.fract() == 0.0 && (1.0..=65536.0).contains(&v)).then_some(v as usize);
     let [Some(width), Some(height)] = file.image_size.map(whole) else {
-        let what = format!(
-            "image_size is {:?}; [width, height] in pixels was expected",
-            file.image_size
-        );
+        let what = format!("image_size is {:?}; [width, height] in pixels was expected", file.image_size);
         return Err(Fault::bad(what, HINT).at(path));
     };
     let [k1, k2, k3] = file.radial_distortion;

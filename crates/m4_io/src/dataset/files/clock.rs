@@ -44,10 +44,7 @@ pub(crate) fn duration_of(
 
 /// Moments of each frame, in order and of any unit, as places in frames `0 ..= n - 1`, and the time from the first to the last.
 pub(crate) fn in_frames(moments: &[f64]) -> (Vec<f64>, f64) {
-    let (first, last) = (
-        moments.first().copied().unwrap_or(0.0),
-        moments.last().copied().unwrap_or(0.0),
-    );
+    let (first, last) = (moments.first().copied().unwrap_or(0.0), moments.last().copied().unwrap_or(0.0));
     let (n, span) = (moments.len().max(1) as f64 - 1.0, last - first);
     let passes = span > 0.0;
     if !passes {

@@ -60,14 +60,9 @@ pub(crate) fn read(
     let clip = video::read(path, &as_stored, progress)?;
     clip.warnings.iter().for_each(|warning| progress.warn(warning));
     let times_s = clip.frames.iter().map(|frame| frame.time_s).collect();
-    let all = clip.frames.into_iter().map(|frame| StoredImage {
-        size: frame.rgb.size(),
-        rgb: FrameSource::held(frame.rgb),
-    });
-    Ok(StoredImages {
-        all: all.collect(),
-        times_s: Some(times_s),
-    })
+    let all =
+        clip.frames.into_iter().map(|frame| StoredImage { size: frame.rgb.size(), rgb: FrameSource::held(frame.rgb) });
+    Ok(StoredImages { all: all.collect(), times_s: Some(times_s) })
 }
 
 /// Width and height of a PNG or JPEG file by its header, compared with the file's length.
@@ -91,14 +86,7 @@ pub(crate) fn check_pixels(width: usize, height: usize, file_bytes: u64) -> Resu
 
 /// The pinhole `fx fy cx cy`, pixels, of images of that size.
 pub(crate) fn pinhole([fx, fy, cx, cy]: [f64; 4], (width, height): (usize, usize)) -> Intrinsics {
-    Intrinsics {
-        width,
-        height,
-        fx,
-        fy,
-        cx,
-        cy,
-    }
+    Intrinsics { width, height, fx, fy, cx, cy }
 }
 
 /// The lens of a camera for its images at another size: a side is rounded to a whole pixel, nothing is cut off or turned.

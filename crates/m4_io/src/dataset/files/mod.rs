@@ -130,10 +130,7 @@ impl Members {
                 if member.size() > limit_bytes {
                     return Err(too_large(member.size()));
                 }
-                (&mut member)
-                    .take(limit_bytes + 1)
-                    .read_to_end(&mut out)
-                    .map_err(|e| unpacked(e.to_string()))?;
+                (&mut member).take(limit_bytes + 1).read_to_end(&mut out).map_err(|e| unpacked(e.to_string()))?;
             }
         }
         if out.len() as u64 > limit_bytes {

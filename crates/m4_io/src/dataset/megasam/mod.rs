@@ -195,21 +195,13 @@ mod tests {
         let half = mask_of(0, &[1.0, 0.0], (2, 1), (16, 1), 0.5).unwrap();
         assert_eq!(half.count(), 8);
         assert!(mask_of(4, &[f64::NAN], (1, 1), (8, 8), 0.7).is_err());
-        assert!(
-            mask_of(4, &[1.5], (1, 1), (8, 8), 0.7)
-                .unwrap_err()
-                .to_string()
-                .contains("frame 4")
-        );
+        assert!(mask_of(4, &[1.5], (1, 1), (8, 8), 0.7).unwrap_err().to_string().contains("frame 4"));
     }
 
     #[test]
     fn motion_map_candidates_follow_megasam_folders() {
         let at = candidates(Path::new("out/outputs_cvd/dog_sgd_cvd_hr.npz"));
-        assert!(
-            at.contains(&"out/outputs_cvd/../reconstructions/dog/motion_prob.npy".into()),
-            "{at:?}"
-        );
+        assert!(at.contains(&"out/outputs_cvd/../reconstructions/dog/motion_prob.npy".into()), "{at:?}");
         assert_eq!(at.last().unwrap(), Path::new("out/outputs_cvd/motion_prob.npy"));
     }
 

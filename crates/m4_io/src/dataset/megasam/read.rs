@@ -29,19 +29,12 @@ pub fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress) -> Re
     let here = |cause: Fault| cause.at(path);
     clock::fps(options).map_err(here)?;
     if !(0.0..=1.0).contains(&options.tau_motion) {
-        let what = format!(
-            "the option tau_motion is {}; a probability, 0 to 1, was expected",
-            options.tau_motion
-        );
+        let what = format!("the option tau_motion is {}; a probability, 0 to 1, was expected", options.tau_motion);
         return Err(here(Fault::bad(what, "give another")));
     }
     let mut input = Input::open(path, options.max_memory_bytes).map_err(here)?;
     let clip = input.clip().map_err(here)?;
-    let cameras = if matches!(input.from, Storage::Folder(_)) {
-        input.quaternions(clip)
-    } else {
-        input.matrices(clip)
-    };
+    let cameras = if matches!(input.from, Storage::Folder(_)) { input.quaternions(clip) } else { input.matrices(clip) };
     let cameras = cameras.map_err(here)?;
     let images = input.images(clip, progress).map_err(here)?;
     let depths = input.depths(path, clip, progress).map_err(here)?;
@@ -54,13 +47,7 @@ pub fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress) -> Re
             depth: Some(FrameSource::held(depth.into())),
             mask: mask.map(FrameSource::held),
             motion: motion.map(FrameSource::held),
-            ..ListedFrame::new(
-                format!("{i:05}"),
-                Lens::pinhole(intrinsics),
-                c2w,
-                i as f64,
-                FrameSource::held(rgb),
-            )
+            ..ListedFrame::new(format!("{i:05}"), Lens::pinhole(intrinsics), c2w, i as f64, FrameSource::held(rgb))
         }
     });
     Ok(Listing::of_video(frames.collect(), clip.frames, duration_s))
@@ -79,11 +66,7 @@ struct Input {
 
 impl Input {
     fn open(path: &Path, limit_bytes: u64) -> Result<Self, Fault> {
-        let from = if path.is_dir() {
-            Storage::Folder(path.to_path_buf())
-        } else {
-            Storage::Archive(Npz::open(path)?)
-        };
+        let from = if path.is_dir() { Storage::Folder(path.to_path_buf()) } else { Storage::Archive(Npz::open(path)?) };
         Ok(Self { from, limit_bytes })
     }
 
@@ -101,14 +84,12 @@ impl Input {
     /// An array that must be there.
     fn array(&mut self, name: &str) -> Result<Array<'_>, Fault> {
         let has = match &self.from {
-            Storage::Archive(npz) => format!(
-                "it has {}; images, depths, intrinsic and cam_c2w are needed",
-                npz.names()
-            ),
+            Storage::Archive(npz) => {
+                format!("it has {}; images, depths, intrinsic and cam_c2w are needed", npz.names())
+            }
             Storage::Folder(_) => "images.npy, disps.npy, poses.npy and intrinsics.npy are needed".to_owned(),
         };
-        self.find(name)?
-            .ok_or_else(|| Fault::missing(format!("the array `{name}`"), has))
+        self.find(name)?.ok_or_else(|| Fault::missing(format!("the array `{name}`"), has))
     }
 
     /// All numbers of an array of that shape, which is not large.
@@ -148,22 +129,14 @@ impl Input {
         let zeros = [k[1], k[3], k[6], k[7]];
         if k[8] != 1.0 || zeros.iter().any(|v| v.is_nan() || v.abs() > 1e-6 * k[0].abs()) {
             let what = format!("the array `intrinsic` is {k:?}");
-            return Err(Fault::bad(
-                what,
-                "[fx, 0, cx, 0, fy, cy, 0, 0, 1] was expected (is it transposed?)",
-            ));
+            return Err(Fault::bad(what, "[fx, 0, cx, 0, fy, cy, 0, 0, 1] was expected (is it transposed?)"));
         }
         let lens = pinhole([k[0], k[4], k[2], k[5]], clip, "intrinsic", 0)?;
         let is = "a matrix for each of the frames of `images`";
         let m = self.all("cam_c2w", &[clip.frames, 4, 4], is)?;
         let poses = m.chunks_exact(16).enumerate();
         poses
-            .map(|(i, m)| {
-                Ok((
-                    lens,
-                    pose::of_matrix(&format!("the array `cam_c2w`, frame {i}: the matrix"), m)?,
-                ))
-            })
+            .map(|(i, m)| Ok((lens, pose::of_matrix(&format!("the array `cam_c2w`, frame {i}: the matrix"), m)?)))
             .collect()
     }
 
@@ -226,12 +199,7 @@ impl Input {
         };
         check_floats(name, &array)?;
         let (w, h) = clip.size;
-        check_shape(
-            name,
-            &array,
-            &[clip.frames, h, w],
-            "a map for each of the frames of `images`",
-        )?;
+        check_shape(name, &array, &[clip.frames, h, w], "a map for each of the frames of `images`")?;
         let (mut maps, mut known) = (Vec::new(), 0);
         for i in 0..clip.frames {
             step("read depth", i, clip.frames, progress)?;
@@ -243,10 +211,7 @@ impl Input {
         array.end()?;
         let share = known as f64 / (clip.frames * w * h) as f64;
         if share < 0.5 {
-            progress.warn(&format!(
-                "the depth of only {:.0} % of the pixels is known",
-                100.0 * share
-            ));
+            progress.warn(&format!("the depth of only {:.0} % of the pixels is known", 100.0 * share));
         }
         Ok(maps)
     }
@@ -319,10 +284,7 @@ fn open(path: &Path, name: &str, limit_bytes: u64) -> Result<Array<'static>, Fau
 }
 
 fn shape_error(name: &str, array: &Array<'_>, expected: &str) -> Fault {
-    let what = format!(
-        "the array `{name}` has shape {:?} where {expected} was expected",
-        array.shape
-    );
+    let what = format!("the array `{name}` has shape {:?} where {expected} was expected", array.shape);
     Fault::bad(what, HINT)
 }
 

@@ -28,10 +28,7 @@ fn files(path: &Path) -> Option<(PathBuf, Option<PathBuf>)> {
     }
     let file = |name: &str| Some(path.join(name)).filter(|file| file.is_file());
     match file("transforms_train.json") {
-        Some(train) => Some((
-            train,
-            file("transforms_test.json").or_else(|| file("transforms_val.json")),
-        )),
+        Some(train) => Some((train, file("transforms_test.json").or_else(|| file("transforms_val.json")))),
         None => Some((file("transforms.json")?, file("transforms_test.json"))),
     }
 }
@@ -91,11 +88,7 @@ pub fn list_capture(
         let what = "time of the held-out views";
         return Err(Fault::missing(what, "add their times, 0 to 1").within(file, "frames"));
     }
-    let time_frames = if held_out {
-        list.time_frames()?
-    } else {
-        list.entries.len()
-    };
+    let time_frames = if held_out { list.time_frames()? } else { list.entries.len() };
     if !list.timed {
         progress.warn(&format!(
             "the {time_frames} frames of {} have no time; they are taken as evenly spaced in the order of their names",
@@ -149,19 +142,12 @@ impl List {
         let values = std::mem::take(&mut file.frames);
         let mut entries = Vec::with_capacity(values.len());
         for (i, value) in values.into_iter().enumerate() {
-            let name = value
-                .get("file_path")
-                .and_then(|v| v.as_str())
-                .unwrap_or("?")
-                .to_owned();
+            let name = value.get("file_path").and_then(|v| v.as_str()).unwrap_or("?").to_owned();
             let entry: Frame = serde_json::from_value(value)
                 .map_err(|e| bad(&format!("frame {i} ({name})"), e.to_string(), "write the file again"))?;
             entries.push((i, entry));
         }
-        let depth_unit = options
-            .depth_unit
-            .or(file.depth_unit_scale_factor)
-            .unwrap_or(depth::DEFAULT_UNIT);
+        let depth_unit = options.depth_unit.or(file.depth_unit_scale_factor).unwrap_or(depth::DEFAULT_UNIT);
         let scale = file.applied_scale.unwrap_or(1.0);
         for (key, value) in [("depth_unit_scale_factor", depth_unit), ("applied_scale", scale)] {
             if !(value.is_finite() && value > 0.0) {
@@ -183,9 +169,7 @@ impl List {
         if timed == 0 {
             entries.sort_by(|(_, a), (_, b)| natural(&a.file_path, &b.file_path));
             let last = entries.len().max(2) as f64 - 1.0;
-            (0u32..)
-                .zip(&mut entries)
-                .for_each(|(i, (_, entry))| entry.time = Some(f64::from(i) / last));
+            (0u32..).zip(&mut entries).for_each(|(i, (_, entry))| entry.time = Some(f64::from(i) / last));
         } else if timed == entries.len() {
             entries.sort_by(|(_, a), (_, b)| a.time.unwrap_or(0.0).total_cmp(&b.time.unwrap_or(0.0)));
         } else {
@@ -366,9 +350,7 @@ fn axes_of(file: &Transforms, frames: &[(usize, Frame)], options: &ImportOptions
         || file.orientation_override.is_some()
         || file.aabb_scale.is_some()
         || file.ply_file_path.is_some()
-        || frames
-            .iter()
-            .any(|(_, frame)| frame.lens.camera_angle_x.is_some() || frame.lens.camera_model.is_some());
+        || frames.iter().any(|(_, frame)| frame.lens.camera_angle_x.is_some() || frame.lens.camera_model.is_some());
     if of_opengl || !frames.iter().all(|(_, frame)| frame.time.is_some()) {
         return Axes::OpenGl;
     }

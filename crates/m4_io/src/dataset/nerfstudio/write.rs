@@ -52,13 +52,8 @@ pub fn write(
     let staging = Staging::new(out)?;
     let held_out = test.map_or(&[][..], |t| &t.frames);
     let named = |prefix: &'static str| move |(i, frame): (usize, _)| (frame, paths(prefix, i, frame));
-    let frames: Vec<(&CaptureFrame, FramePaths)> = train
-        .frames
-        .iter()
-        .enumerate()
-        .map(named(""))
-        .chain(held_out.iter().enumerate().map(named("test_")))
-        .collect();
+    let frames: Vec<(&CaptureFrame, FramePaths)> =
+        train.frames.iter().enumerate().map(named("")).chain(held_out.iter().enumerate().map(named("test_"))).collect();
     let unit = unit(train);
     let points = static_points(train, MAX_POINTS);
     let list = list(train, &frames, unit, !points.is_empty());
@@ -98,11 +93,7 @@ fn paths(prefix: &str, i: usize, frame: &CaptureFrame) -> FramePaths {
 
 /// Millimetres where these are neither too coarse nor too few.
 fn unit(train: &Capture) -> f64 {
-    if (LEAST_FAR..=65535.0 * UNIT).contains(&f64::from(farthest(train))) {
-        UNIT
-    } else {
-        depth_unit(train)
-    }
+    if (LEAST_FAR..=65535.0 * UNIT).contains(&f64::from(farthest(train))) { UNIT } else { depth_unit(train) }
 }
 
 fn list(train: &Capture, frames: &[(&CaptureFrame, FramePaths)], unit: f64, points: bool) -> Transforms<Frame> {
@@ -122,10 +113,7 @@ fn list(train: &Capture, frames: &[(&CaptureFrame, FramePaths)], unit: f64, poin
         ..Frame::default()
     };
     Transforms {
-        lens: LensKeys {
-            camera_model: Some("OPENCV".to_owned()),
-            ..LensKeys::default()
-        },
+        lens: LensKeys { camera_model: Some("OPENCV".to_owned()), ..LensKeys::default() },
         depth_unit_scale_factor: Some(unit),
         duration_s: train.duration_s,
         train_filenames: names(own),
@@ -170,10 +158,7 @@ fn ply(points: &[ColmapPoint]) -> Vec<u8> {
     text.push_str("end_header\n");
     let mut bytes = text.into_bytes();
     for point in points {
-        point
-            .position
-            .iter()
-            .for_each(|&v| bytes.extend((v as f32).to_le_bytes()));
+        point.position.iter().for_each(|&v| bytes.extend((v as f32).to_le_bytes()));
         bytes.extend(point.colour);
     }
     bytes

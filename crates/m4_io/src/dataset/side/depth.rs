@@ -84,10 +84,7 @@ fn read_in(path: &Path, unit: f64, float_unit: f64) -> Result<CompactDepth, Faul
         std::fs::File::open(path)?;
         return Err(Fault::bad("the file is empty", "export it again"));
     }
-    Err(Fault::unsupported(
-        "its format is not supported for depth maps",
-        "give PNG of 16 bits, EXR, PFM, npy or npz",
-    ))
+    Err(Fault::unsupported("its format is not supported for depth maps", "give PNG of 16 bits, EXR, PFM, npy or npz"))
 }
 
 /// A stack of maps.
@@ -133,10 +130,7 @@ pub(crate) fn known(z: f32) -> f32 {
 pub(crate) fn kept_where(depth: &CompactDepth, confidence: &Plane<u8>) -> Result<CompactDepth, Fault> {
     if depth.size() != confidence.size() {
         let (d, c) = (depth.size(), confidence.size());
-        let what = format!(
-            "a confidence map of {} x {} pixels for depth of {} x {}",
-            c.0, c.1, d.0, d.1
-        );
+        let what = format!("a confidence map of {} x {} pixels for depth of {} x {}", c.0, c.1, d.0, d.1);
         return Err(Fault::bad(what, "export both again"));
     }
     let (w, h) = depth.size();
@@ -172,10 +166,7 @@ impl Stack {
         let (n, height, width) = match array.shape[..] {
             [n, h, w] | [n, h, w, 1] => (n, h, w),
             _ => {
-                let what = format!(
-                    "{key} has shape {:?}; [frames, height, width] was expected",
-                    array.shape
-                );
+                let what = format!("{key} has shape {:?}; [frames, height, width] was expected", array.shape);
                 return Err(Fault::bad(what, "save one map per frame"));
             }
         };
@@ -184,16 +175,9 @@ impl Stack {
             return Err(Fault::bad(what, "give one map for each training frame"));
         }
         if width == 0 || height == 0 {
-            return Err(Fault::bad(
-                format!("{key} has maps of {width} x {height} pixels"),
-                "save them again",
-            ));
+            return Err(Fault::bad(format!("{key} has maps of {width} x {height} pixels"), "save them again"));
         }
-        let stack = Self {
-            width,
-            height,
-            whole: !array.number.is_float(),
-        };
+        let stack = Self { width, height, whole: !array.number.is_float() };
         let mut maps = Vec::new();
         for i in 0..n {
             step("read maps", i, n, progress)?;

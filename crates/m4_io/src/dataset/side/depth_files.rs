@@ -38,21 +38,14 @@ pub fn decode_exr(bytes: &[u8]) -> Result<DepthMap, Fault> {
             pixels.saturating_mul(h.channels.bytes_per_pixel as u64)
         })
         .fold(0, u64::saturating_add);
-    if needed
-        > (bytes.len() as u64)
-            .saturating_mul(MAX_RATIO)
-            .saturating_add(FREE_BYTES)
-    {
+    if needed > (bytes.len() as u64).saturating_mul(MAX_RATIO).saturating_add(FREE_BYTES) {
         let what = format!("{needed} bytes of pixels are claimed by a file of {}", bytes.len());
         return Err(Fault::bad(what, "the file is damaged; export it again"));
     }
     let (wanted, header) = depth_channel(&meta)?;
     let (seen, whole) = (header.layer_size, header.shared_attributes.display_window.size);
     if seen != whole {
-        let what = format!(
-            "it holds {} x {} pixels of an image of {} x {}",
-            seen.0, seen.1, whole.0, whole.1
-        );
+        let what = format!("it holds {} x {} pixels of an image of {} x {}", seen.0, seen.1, whole.0, whole.1);
         return Err(Fault::unsupported(what, "export the whole image"));
     }
     let image = read()
@@ -76,9 +69,7 @@ pub fn decode_exr(bytes: &[u8]) -> Result<DepthMap, Fault> {
 fn depth_channel(meta: &MetaData) -> Result<(String, &Header), Fault> {
     let channels = || {
         let of = |h: &Header| h.channels.list.iter().map(|c| c.name.to_string()).collect::<Vec<_>>();
-        meta.headers
-            .iter()
-            .flat_map(move |h| of(h).into_iter().map(move |name| (name, h)))
+        meta.headers.iter().flat_map(move |h| of(h).into_iter().map(move |name| (name, h)))
     };
     let last = |name: &str| name.rsplit('.').next().unwrap_or_default().to_ascii_lowercase();
     let named = |want: &&str| channels().find(|(name, _)| last(name) == want.to_ascii_lowercase());
@@ -89,10 +80,7 @@ fn depth_channel(meta: &MetaData) -> Result<(String, &Header), Fault> {
     if let [(name, header)] = all.as_slice() {
         return Ok((name.clone(), header));
     }
-    let names: Vec<String> = all
-        .into_iter()
-        .map(|(name, _)| name.chars().take(32).collect())
-        .collect();
+    let names: Vec<String> = all.into_iter().map(|(name, _)| name.chars().take(32).collect()).collect();
     let what = format!("none of the channels {} is depth", names.join(", "));
     Err(Fault::bad(what, "name the channel Z"))
 }
@@ -121,10 +109,7 @@ pub fn decode_pfm(bytes: &[u8]) -> Result<DepthMap, Fault> {
     if kind != "Pf" {
         return Err(bad(format!("a PFM file of kind {kind:?}; Pf was expected")));
     }
-    let sides = [
-        token().and_then(|t| t.parse::<usize>().ok()),
-        token().and_then(|t| t.parse().ok()),
-    ];
+    let sides = [token().and_then(|t| t.parse::<usize>().ok()), token().and_then(|t| t.parse().ok())];
     let scale = token().and_then(|t| t.parse::<f64>().ok());
     let ([Some(width), Some(height)], Some(scale)) = (sides, scale) else {
         return Err(bad("its head is not understood".into()));
@@ -140,14 +125,8 @@ pub fn decode_pfm(bytes: &[u8]) -> Result<DepthMap, Fault> {
         )));
     }
     let value = |b: &[u8; 4]| {
-        if scale < 0.0 {
-            f32::from_le_bytes(*b)
-        } else {
-            f32::from_be_bytes(*b)
-        }
+        if scale < 0.0 { f32::from_le_bytes(*b) } else { f32::from_be_bytes(*b) }
     };
     let values = rest.as_chunks::<4>().0;
-    Ok(Plane::from_fn(width, height, |x, y| {
-        known(value(&values[(height - 1 - y) * width + x]))
-    }))
+    Ok(Plane::from_fn(width, height, |x, y| known(value(&values[(height - 1 - y) * width + x]))))
 }

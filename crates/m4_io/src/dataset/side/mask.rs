@@ -65,9 +65,7 @@ pub(crate) fn read_stack(
     Stack::open(path, KEYS, frames, limit_bytes, progress, |stack, values| {
         let from = if stack.whole { 0.0 } else { 0.5 };
         let w = stack.width;
-        Ok(CompactMask::from_fn(w, stack.height, |x, y| {
-            (values[y * w + x] > from) != invert
-        }))
+        Ok(CompactMask::from_fn(w, stack.height, |x, y| (values[y * w + x] > from) != invert))
     })
 }
 
@@ -114,10 +112,7 @@ pub(crate) fn read_numbers(path: &Path) -> Result<Numbers, Fault> {
     let line = frame.line_size;
     let whole = line.checked_mul(h).is_some_and(|n| n <= data.len());
     if (frame.width, frame.height) != (width, height) || !whole {
-        let what = format!(
-            "a frame of {} x {} pixels in an image of {w} x {h}",
-            frame.width, frame.height
-        );
+        let what = format!("a frame of {} x {} pixels in an image of {w} x {h}", frame.width, frame.height);
         return Err(Fault::bad(what, "export it again"));
     }
     let (bits, channels) = (frame.bit_depth as usize, frame.color_type.samples());
@@ -138,8 +133,5 @@ pub(crate) fn read_numbers(path: &Path) -> Result<Numbers, Fault> {
         ColorType::Indexed | ColorType::Grayscale | ColorType::GrayscaleAlpha => sample(x, y, 0),
         ColorType::Rgb | ColorType::Rgba => u16::from((0..3).any(|c| sample(x, y, c) != 0)),
     });
-    Ok(Numbers {
-        plane,
-        palette: frame.color_type == ColorType::Indexed,
-    })
+    Ok(Numbers { plane, palette: frame.color_type == ColorType::Indexed })
 }

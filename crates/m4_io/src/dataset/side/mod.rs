@@ -90,9 +90,7 @@ fn attach_masks(
         let files = Inside::named(path, options).files(files)?;
         for (frame, file) in frames.iter_mut().zip(files) {
             let of_things = file.clone();
-            frame.mask = Some(FrameSource::new(move || {
-                Ok(named(&file, mask::read_mask(&file, invert))?.mask)
-            }));
+            frame.mask = Some(FrameSource::new(move || Ok(named(&file, mask::read_mask(&file, invert))?.mask)));
             let with_palette = mask::has_objects(&of_things) && !invert;
             frame.instances = with_palette.then(|| {
                 FrameSource::new(move || {
@@ -129,11 +127,7 @@ pub(crate) fn one_a_frame(
     }
     let end = match (files.first(), files.last()) {
         (Some(first), Some(last)) => {
-            let name = |p: &Path| {
-                p.file_name()
-                    .map(|n| n.to_string_lossy().into_owned())
-                    .unwrap_or_default()
-            };
+            let name = |p: &Path| p.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
             format!(" ({} to {})", name(first), name(last))
         }
         _ => format!(" (names that end in .{})", extensions.join(", .")),

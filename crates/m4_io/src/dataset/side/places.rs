@@ -45,16 +45,11 @@ fn scale(theirs: &[Se3<f64>], frames: &[ListedFrame], xyz: &[f64]) -> f64 {
     let centres: Vec<Vector3<f64>> = theirs.iter().map(|c| c.translation).collect();
     let ours: Vec<Vector3<f64>> = frames.iter().map(|f| f.c2w.translation).collect();
     let (a, b) = (spread(&centres), spread(&ours));
-    let places: Vec<Vector3<f64>> = xyz
-        .as_chunks::<3>()
-        .0
-        .iter()
-        .map(|p| Vector3::from(*p))
-        .filter(|p| p.iter().all(|v| v.is_finite()))
-        .collect();
-    let far = centres.first().map_or(0.0, |c| {
-        places.iter().map(|p| (p - c).norm()).sum::<f64>() / places.len().max(1) as f64
-    });
+    let places: Vec<Vector3<f64>> =
+        xyz.as_chunks::<3>().0.iter().map(|p| Vector3::from(*p)).filter(|p| p.iter().all(|v| v.is_finite())).collect();
+    let far = centres
+        .first()
+        .map_or(0.0, |c| places.iter().map(|p| (p - c).norm()).sum::<f64>() / places.len().max(1) as f64);
     let ratio = b / a;
     if a <= MOVES_FROM * far || !ratio.is_finite() || ratio <= 0.0 || (ratio - 1.0).abs() < SAME_SCALE_WITHIN {
         return 1.0;
@@ -93,10 +88,7 @@ pub(super) fn lift(
             (_, 3) => None,
             (Some(depth), _) => Some(depth.get()?),
             (None, _) => {
-                let what = format!(
-                    "tracks in pixels, and no depth of frame {} to lift them with",
-                    frame.name
-                );
+                let what = format!("tracks in pixels, and no depth of frame {} to lift them with", frame.name);
                 return Err(Fault::bad(what, "give depth maps too, or tracks in space"));
             }
         };
@@ -162,10 +154,7 @@ mod tests {
             assert!((straight[0] - (u - 60.0) / 100.0).abs() < 1e-12);
         }
         // 1 - 40 r^2 turns back: nothing lands in the corner
-        let folds = Lens {
-            intrinsics,
-            distortion: Distortion::brown(-40.0, 0.0, 0.0, 0.0, 0.0),
-        };
+        let folds = Lens { intrinsics, distortion: Distortion::brown(-40.0, 0.0, 0.0, 0.0, 0.0) };
         assert_eq!(ray(&folds, 0.5, 0.5), None);
     }
 }

@@ -160,10 +160,7 @@ impl Read {
         match array.shape[..] {
             [_, h, w, 3] | [_, 3, h, w] | [1, _, h, w, 3] | [1, _, 3, h, w] if w > 0 && h > 0 => Ok(Some((w, h))),
             _ => {
-                let what = format!(
-                    "video has shape {:?}; [frames, height, width, 3] was expected",
-                    array.shape
-                );
+                let what = format!("video has shape {:?}; [frames, height, width, 3] was expected", array.shape);
                 Err(Fault::bad(what, HINT))
             }
         }
@@ -174,10 +171,7 @@ impl Read {
         let array = self.npz.array("colors", self.limit_bytes)?;
         let Some(mut array) = array else { return Ok(None) };
         if array.shape != [tracks, 3] || array.number != Number::U8 {
-            let what = format!(
-                "colors has shape {:?}; {tracks} colours of 8 bits were expected",
-                array.shape
-            );
+            let what = format!("colors has shape {:?}; {tracks} colours of 8 bits were expected", array.shape);
             return Err(Fault::bad(what, HINT));
         }
         let bytes = array.next_bytes(3 * tracks)?;

@@ -18,14 +18,8 @@ const PINHOLE: u8 = 1;
 /// Right-handed, in the registry of the format.
 const RIGHT_HANDED: u8 = 1;
 /// Axes of the registry of the format: +x, +y, +z, -x, -y, -z.
-const AXES: [[f64; 3]; 6] = [
-    [1.0, 0.0, 0.0],
-    [0.0, 1.0, 0.0],
-    [0.0, 0.0, 1.0],
-    [-1.0, 0.0, 0.0],
-    [0.0, -1.0, 0.0],
-    [0.0, 0.0, -1.0],
-];
+const AXES: [[f64; 3]; 6] =
+    [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]];
 
 fn seconds(frame: &SourceFrame, clip: &Clip) -> f64 {
     frame.t * clip.step_s
@@ -41,10 +35,7 @@ pub(super) fn provenance(scene: &Scene, clip: &Clip) -> (Provenance, Vec<Loss>) 
         length_unit: 0,
         metres_per_unit: 0.0,
     };
-    let mut out = Provenance {
-        frames: vec![world],
-        ..Provenance::default()
-    };
+    let mut out = Provenance { frames: vec![world], ..Provenance::default() };
     let mut losses = Vec::new();
     let Some(first) = scene.source.first() else {
         return (out, losses);
@@ -52,14 +43,9 @@ pub(super) fn provenance(scene: &Scene, clip: &Clip) -> (Provenance, Vec<Loss>) 
     if scene.source.iter().any(|s| s.exposure != Exposure::IDENTITY) {
         losses.push(Loss::Dropped("the exposure of every frame".to_owned()));
     }
-    let in_order = scene
-        .source
-        .windows(2)
-        .all(|pair| seconds(&pair[0], clip) < seconds(&pair[1], clip));
+    let in_order = scene.source.windows(2).all(|pair| seconds(&pair[0], clip) < seconds(&pair[1], clip));
     if !in_order {
-        losses.push(Loss::Dropped(
-            "the cameras of the video: several are of the same moment".to_owned(),
-        ));
+        losses.push(Loss::Dropped("the cameras of the video: several are of the same moment".to_owned()));
         return (out, losses);
     }
     let lens = first.camera.intrinsics;
@@ -152,11 +138,8 @@ pub(super) fn source(provenance: &Provenance, clip: &Clip, losses: &mut Vec<Loss
         cy: sensor.cy,
     };
     let on_rig = pose(&sensor.rotation, &sensor.translation);
-    let frame = |c2w: Se3<f64>, t: f64| SourceFrame {
-        camera: Camera { intrinsics, c2w },
-        t,
-        exposure: Exposure::IDENTITY,
-    };
+    let frame =
+        |c2w: Se3<f64>, t: f64| SourceFrame { camera: Camera { intrinsics, c2w }, t, exposure: Exposure::IDENTITY };
     let source: Vec<SourceFrame> = match sensor.pose_reference {
         POSE_TO_SCENE => (0..clip.frames).map(|t| frame(on_rig, t as f64)).collect(),
         _ => {
@@ -175,20 +158,14 @@ pub(super) fn source(provenance: &Provenance, clip: &Clip, losses: &mut Vec<Loss
     if source.iter().all(usable) {
         return source;
     }
-    losses.push(Loss::Dropped(format!(
-        "the camera {:?}: its lens or its poses make no image",
-        sensor.name
-    )));
+    losses.push(Loss::Dropped(format!("the camera {:?}: its lens or its poses make no image", sensor.name)));
     Vec::new()
 }
 
 fn pose(rotation: &[f64; 4], translation: &[f64; 3]) -> Se3<f64> {
     let [x, y, z, w] = *rotation;
     let unit = UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z));
-    Se3 {
-        rotation: unit.to_rotation_matrix().into_inner(),
-        translation: Vector3::from(*translation),
-    }
+    Se3 { rotation: unit.to_rotation_matrix().into_inner(), translation: Vector3::from(*translation) }
 }
 
 /// Which way is up: as the coordinate frame says, else as the header does.

@@ -68,12 +68,9 @@ pub(super) fn to_set(splats: &Splats, clip: &Clip) -> (GaussianSet, Vec<Loss>) {
         }
         let life = Life::of(splats, i);
         let step = clip.step_s;
-        set.motions
-            .extend(life.map_or([0.0; 3], |l| l.velocity.map(|v| (f64::from(v) / step) as f32)));
-        set.mu_t
-            .push(life.map_or(0.0, |l| (f64::from(l.time_mean) * step) as f32));
-        set.sigma_t
-            .push(life.map_or(f32::INFINITY, |l| (f64::from(l.log_time_sd).exp() * step) as f32));
+        set.motions.extend(life.map_or([0.0; 3], |l| l.velocity.map(|v| (f64::from(v) / step) as f32)));
+        set.mu_t.push(life.map_or(0.0, |l| (f64::from(l.time_mean) * step) as f32));
+        set.sigma_t.push(life.map_or(f32::INFINITY, |l| (f64::from(l.log_time_sd).exp() * step) as f32));
     }
     let mut losses = Vec::new();
     if bright > 0 {
@@ -190,10 +187,7 @@ fn window_losses(sudden: usize, cut: usize) -> Vec<Loss> {
         )));
     }
     if cut > 0 {
-        losses.push(Loss::Dropped(format!(
-            "the window of {}, which cuts off their fading",
-            plural(cut, "splat")
-        )));
+        losses.push(Loss::Dropped(format!("the window of {}, which cuts off their fading", plural(cut, "splat"))));
     }
     losses
 }

@@ -31,10 +31,7 @@ pub(super) fn record(scene: &Scene) -> Metadata {
     if let Some(s) = scene.duration_s {
         entries.insert("duration_s".to_owned(), s.to_string());
     }
-    Metadata {
-        name: NAME.to_owned(),
-        entries,
-    }
+    Metadata { name: NAME.to_owned(), entries }
 }
 
 impl Notes {
@@ -49,18 +46,10 @@ impl Notes {
             <[f32; 3]>::try_from(parts).ok()
         };
         Self {
-            time_frames: text("time_frames")
-                .and_then(|v| v.parse().ok())
-                .filter(|n| (1..=MAX_FRAMES).contains(n)),
-            duration_s: text("duration_s")
-                .and_then(|v| v.parse().ok())
-                .filter(|s: &f64| s.is_finite() && *s >= 0.0),
-            background: text("background")
-                .and_then(colour)
-                .filter(|c| c.iter().all(|v| v.is_finite())),
-            near: text("near")
-                .and_then(|v| v.parse().ok())
-                .filter(|v: &f32| v.is_finite() && *v >= 0.0),
+            time_frames: text("time_frames").and_then(|v| v.parse().ok()).filter(|n| (1..=MAX_FRAMES).contains(n)),
+            duration_s: text("duration_s").and_then(|v| v.parse().ok()).filter(|s: &f64| s.is_finite() && *s >= 0.0),
+            background: text("background").and_then(colour).filter(|c| c.iter().all(|v| v.is_finite())),
+            near: text("near").and_then(|v| v.parse().ok()).filter(|v: &f32| v.is_finite() && *v >= 0.0),
             mip: text("mip").and_then(|v| v.parse().ok()),
         }
     }

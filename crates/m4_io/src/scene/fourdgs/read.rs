@@ -43,10 +43,7 @@ fn unsupported(reason: impl Into<String>) -> Fault {
 
 fn scene_of(bytes: &[u8]) -> Result<Imported, Fault> {
     budget(bytes)?;
-    let options = ReadOptions {
-        recover_truncated: false,
-        ..ReadOptions::default()
-    };
+    let options = ReadOptions { recover_truncated: false, ..ReadOptions::default() };
     let file = read_from(bytes, &options).map_err(|e| refused(&e))?;
     if !file.objects.tracks.is_empty() {
         return Err(unsupported("its splats are moved by the tracks of objects"));
@@ -59,24 +56,14 @@ fn scene_of(bytes: &[u8]) -> Result<Imported, Fault> {
         losses.push(Loss::Dropped("the sound".to_owned()));
     }
     let source = cameras::source(&file.provenance, &clip, &mut losses);
-    let up = cameras::up(
-        &file.provenance,
-        file.header.attributes.get("coordinate_system").map(String::as_str),
-    );
+    let up = cameras::up(&file.provenance, file.header.attributes.get("coordinate_system").map(String::as_str));
     let (splats, changed) = from_set(&file.gaussians, &clip, file.header.cutoff).map_err(|bad| {
         let BadField { splat, field, value } = bad;
         Fault::damaged(format!("{field} of splat {splat} is {value}"))
     })?;
     losses.extend(changed);
-    if file
-        .header
-        .attributes
-        .get("color_space")
-        .is_some_and(|s| s.starts_with("linear"))
-    {
-        losses.push(Loss::Dropped(
-            "that its colours are linear light: they are shown as sRGB values".to_owned(),
-        ));
+    if file.header.attributes.get("color_space").is_some_and(|s| s.starts_with("linear")) {
+        losses.push(Loss::Dropped("that its colours are linear light: they are shown as sRGB values".to_owned()));
     }
     let steps = clip.frames.saturating_sub(1) as f64;
     let duration_s = match facts.time_frames {
@@ -113,10 +100,7 @@ fn clip(duration_s: f64, facts: &Notes) -> Option<Clip> {
         return Some(Clip { step_s, frames });
     }
     let frames = (duration_s * DEFAULT_FPS).round();
-    (frames <= MAX_FRAMES as f64).then(|| Clip {
-        step_s: assumed,
-        frames: (frames as usize).max(1),
-    })
+    (frames <= MAX_FRAMES as f64).then(|| Clip { step_s: assumed, frames: (frames as usize).max(1) })
 }
 
 fn refused(error: &::fourdgs::Error) -> Fault {
@@ -127,10 +111,7 @@ fn refused(error: &::fourdgs::Error) -> Fault {
         E::UnsupportedVersion(_) | E::UnsupportedCodec(_) | E::UnsupportedModel(_) | E::UnsupportedOperation(_) => {
             unsupported(reason)
         }
-        E::Refused {
-            kind: UnsupportedVersion | UnsupportedModel | UnsupportedCodec,
-            ..
-        } => unsupported(reason),
+        E::Refused { kind: UnsupportedVersion | UnsupportedModel | UnsupportedCodec, .. } => unsupported(reason),
         _ => Fault::damaged(reason),
     }
 }
@@ -164,8 +145,7 @@ fn budget(bytes: &[u8]) -> Result<(), Fault> {
                 let symbols = if head.compression.is_empty() {
                     stream_symbols(streams, u64::from(head.count))
                 } else {
-                    head.uncompressed_size
-                        .saturating_add(u64::from(head.count).saturating_mul(26))
+                    head.uncompressed_size.saturating_add(u64::from(head.count).saturating_mul(26))
                 };
                 largest = largest.max(symbols.saturating_mul(PER_SYMBOL));
             }
@@ -196,9 +176,8 @@ fn stream_symbols(mut bytes: &[u8], expected: u64) -> u64 {
     while let Some((head, rest)) = bytes.split_at_checked(STREAM_HEADER_SIZE) {
         let (mode, channels) = (head[2], u64::from(head[4]));
         let count = u64::from(u32::from_le_bytes([head[5], head[6], head[7], head[8]]));
-        let payload = u64::from_le_bytes([
-            head[9], head[10], head[11], head[12], head[13], head[14], head[15], head[16],
-        ]);
+        let payload =
+            u64::from_le_bytes([head[9], head[10], head[11], head[12], head[13], head[14], head[15], head[16]]);
         let rows = if mode == CONSTANT { 1 } else { count.min(expected) };
         symbols = symbols.saturating_add(rows * channels);
         let Some(next) = usize::try_from(payload).ok().and_then(|n| rest.get(n..)) else {

@@ -12,11 +12,7 @@ use std::path::Path;
 
 fn scene(sh_degree: usize, time_degree: usize, isotropic: bool) -> Scene {
     random_scene(&SceneSpec {
-        layout: SplatLayout {
-            isotropic,
-            sh_degree,
-            time_degree,
-        },
+        layout: SplatLayout { isotropic, sh_degree, time_degree },
         n_static: 300,
         n_dynamic: 400,
         time_frames: 31,
@@ -36,10 +32,7 @@ fn matched(want: &Splats, found: &Splats) -> Vec<usize> {
             let is_static = i < want.n_static();
             let same_kind = |&j: &usize| (j < found.n_static()) == is_static;
             let distance = |&j: &usize| (mean(found, j) - mean(want, i)).norm();
-            (0..found.n())
-                .filter(same_kind)
-                .min_by(|a, b| distance(a).total_cmp(&distance(b)))
-                .unwrap()
+            (0..found.n()).filter(same_kind).min_by(|a, b| distance(a).total_cmp(&distance(b))).unwrap()
         })
         .collect()
 }
@@ -54,10 +47,8 @@ fn fourdgs_round_trips_within_bounds() {
         let (a, b) = (&*want, &back.splats);
         assert_eq!((a.n_static(), a.n_dynamic()), (b.n_static(), b.n_dynamic()));
         assert_eq!(b.layout().sh_degree, sh_degree);
-        let mut scales: Vec<f32> = (0..a.n())
-            .flat_map(|i| crate::scene::splats::Row::of(a, i).log_scale)
-            .map(f32::exp)
-            .collect();
+        let mut scales: Vec<f32> =
+            (0..a.n()).flat_map(|i| crate::scene::splats::Row::of(a, i).log_scale).map(f32::exp).collect();
         scales.sort_by(f32::total_cmp);
         // bounds of the profile "default" of the format, section 6
         let bound = 0.05 * scales[scales.len() / 2];
@@ -77,11 +68,7 @@ fn fourdgs_round_trips_within_bounds() {
                 let bound = if c < 3 { 1.01 / 255.0 / 0.2820948 } else { 4.01 / 255.0 };
                 // black and white stay what they are, but no more than that
                 let cut = |v: f32| {
-                    if c < 3 {
-                        v.clamp(-0.5 / 0.2820948, 0.5 / 0.2820948)
-                    } else {
-                        v
-                    }
+                    if c < 3 { v.clamp(-0.5 / 0.2820948, 0.5 / 0.2820948) } else { v }
                 };
                 assert!((cut(old) - new).abs() <= bound, "colour {c} of {i}: {old} {new}");
             }
@@ -120,11 +107,7 @@ fn extra_metadata_round_trips() {
         assert!((a.t - b.t).abs() < 1e-9);
         assert!((a.camera.c2w.matrix() - b.camera.c2w.matrix()).amax() < 1e-12);
     }
-    assert!(
-        losses
-            .iter()
-            .any(|l| matches!(l, Loss::Dropped(what) if what.contains("Mip")))
-    );
+    assert!(losses.iter().any(|l| matches!(l, Loss::Dropped(what) if what.contains("Mip"))));
     assert!(!losses.iter().any(|l| matches!(l, Loss::Baked(_))));
 }
 
@@ -138,11 +121,7 @@ fn scenes_without_duration_use_30_frames_per_second() {
     assert!((header.duration_sec - 31.0 / 30.0).abs() < 1e-6);
     let baked = losses.iter().filter(|l| matches!(l, Loss::Baked(_))).count();
     assert_eq!(baked, 2, "seconds and harmonics of time: {losses:?}");
-    assert!(
-        losses
-            .iter()
-            .any(|l| l.to_string() == "dropped: the exposure of every frame")
-    );
+    assert!(losses.iter().any(|l| l.to_string() == "dropped: the exposure of every frame"));
     let back = parse(name(), &bytes).unwrap().scene;
     assert_eq!((back.time_frames, back.duration_s), (31, None));
     assert!((back.source[30].t - 30.0).abs() < 1e-9);
@@ -154,10 +133,7 @@ fn finer_precision_takes_more_bytes() {
     let sizes: Vec<usize> = [Precision::Fine, Precision::Normal, Precision::Coarse]
         .into_iter()
         .map(|precision| {
-            let config = FourdgsConfig {
-                precision,
-                ..FourdgsConfig::default()
-            };
+            let config = FourdgsConfig { precision, ..FourdgsConfig::default() };
             encode(name(), &scene, &config).unwrap().0.len()
         })
         .collect();
@@ -170,10 +146,7 @@ fn changed_values_fail_verification() {
     let scene = scene(1, 0, false);
     let (bytes, _) = encode(name(), &scene, &FourdgsConfig::default()).unwrap();
     let mut file = ::fourdgs::read_bytes(&bytes).unwrap();
-    let clip = super::convert::Clip {
-        step_s: 1.25 / 30.0,
-        frames: 31,
-    };
+    let clip = super::convert::Clip { step_s: 1.25 / 30.0, frames: 31 };
     let (set, _) = super::convert::to_set(&scene.splats, &clip);
     let mut scales = set.scales.clone();
     scales.sort_by(f32::total_cmp);
@@ -181,15 +154,8 @@ fn changed_values_fail_verification() {
     let median = 0.5 * (f64::from(scales[middle - 1]) + f64::from(scales[middle]));
     let bounds = Bounds::for_profile(Profile::Default, median);
     super::verify::check(&set, &bounds, &file).unwrap();
-    let tight = Bounds {
-        pos: 0.5 * bounds.pos,
-        ..bounds
-    };
-    assert!(
-        super::verify::check(&set, &tight, &file)
-            .unwrap_err()
-            .contains("position")
-    );
+    let tight = Bounds { pos: 0.5 * bounds.pos, ..bounds };
+    assert!(super::verify::check(&set, &tight, &file).unwrap_err().contains("position"));
     file.gaussians.mu_t[600] = f32::from_bits(file.gaussians.mu_t[600].to_bits() + 1);
     assert!(super::verify::check(&set, &bounds, &file).is_err());
     file.gaussians.mu_t.pop();
@@ -223,10 +189,7 @@ fn foreign(change: impl FnOnce(&mut ::fourdgs::GaussianSet)) -> Vec<u8> {
         ..::fourdgs::GaussianSet::default()
     };
     change(&mut set);
-    let options = ::fourdgs::WriteOptions {
-        verify: false,
-        ..::fourdgs::WriteOptions::default()
-    };
+    let options = ::fourdgs::WriteOptions { verify: false, ..::fourdgs::WriteOptions::default() };
     ::fourdgs::write_to_vec(&set, 2.0, &options, &::fourdgs::SceneExtras::default()).unwrap()
 }
 
@@ -251,9 +214,7 @@ fn fourdgs_of_other_tools_gets_a_clock() {
     .unwrap();
     let splats = &sudden.scene.splats;
     assert_eq!(splats.n_dynamic(), 2);
-    let row = (0..2)
-        .find(|&i| (splats.column(Column::LogTimeSd, 0)[i] - 6f32.ln()).abs() > 0.02)
-        .unwrap();
+    let row = (0..2).find(|&i| (splats.column(Column::LogTimeSd, 0)[i] - 6f32.ln()).abs() > 0.02).unwrap();
     assert!((splats.column(Column::TimeMean, 0)[row] - 30.0).abs() < 0.1);
     let sd = f64::from(splats.column(Column::LogTimeSd, 0)[row]).exp();
     assert!(((-0.5 * (15.0 / sd).powi(2)).exp() - 0.05).abs() < 1e-4);
@@ -278,10 +239,7 @@ fn a_small_file_cannot_ask_for_much_memory() {
         win_hi: vec![1.0; n],
         ..::fourdgs::GaussianSet::default()
     };
-    let options = ::fourdgs::WriteOptions {
-        verify: false,
-        ..::fourdgs::WriteOptions::default()
-    };
+    let options = ::fourdgs::WriteOptions { verify: false, ..::fourdgs::WriteOptions::default() };
     let bytes = |n| ::fourdgs::write_to_vec(&set(n), 1.0, &options, &::fourdgs::SceneExtras::default()).unwrap();
     let large = bytes(1_000_000);
     assert!(large.len() < 2000);

@@ -13,15 +13,8 @@ use ::fourdgs::{GaussianSet, Quantization, Scene};
 /// Fields of a row beside its harmonics.
 const FIELDS: usize = 19;
 /// Their names, for messages, and how many values each has.
-const NAMES: [(&str, usize); 7] = [
-    ("position", 3),
-    ("scale", 3),
-    ("rotation", 4),
-    ("colour", 4),
-    ("motion", 3),
-    ("mu_t", 1),
-    ("sigma_t", 1),
-];
+const NAMES: [(&str, usize); 7] =
+    [("position", 3), ("scale", 3), ("rotation", 4), ("colour", 4), ("motion", 3), ("mu_t", 1), ("sigma_t", 1)];
 
 type Fields = [f32; FIELDS];
 
@@ -46,10 +39,7 @@ pub(super) fn check(set: &GaussianSet, bounds: &Bounds, file: &Scene) -> Result<
     let got = rows(&file.gaussians, |i| fields_of(&file.gaussians, i));
     match wanted.iter().zip(&got).position(|(a, b)| a != b) {
         None => Ok(()),
-        Some(at) => Err(format!(
-            "row {at} in order of its bits is {:?} where {:?} was written",
-            got[at], wanted[at]
-        )),
+        Some(at) => Err(format!("row {at} in order of its bits is {:?} where {:?} was written", got[at], wanted[at])),
     }
 }
 
@@ -111,15 +101,8 @@ impl Grid {
         let original = fields_of(set, i).map(f64::from);
         let (s, snap) = (&self.steps, |v: f64, step: f64| rint(v / step) as f64 * step);
         let fades = original[18].is_finite();
-        let sigma_bin = if fades {
-            rint(original[18].max(1e-30).ln() / s.sigma_log)
-        } else {
-            0
-        };
-        let motion = motion_step(
-            life_class(sigma_bin, s.sigma_log, !fades, self.window_s, self.k),
-            s.motion,
-        );
+        let sigma_bin = if fades { rint(original[18].max(1e-30).ln() / s.sigma_log) } else { 0 };
+        let motion = motion_step(life_class(sigma_bin, s.sigma_log, !fades, self.window_s, self.k), s.motion);
         let time = mu_step(sigma_bin, s.sigma_log, !fades, s.time);
         let mut out = [0.0; FIELDS];
         for k in 0..3 {
@@ -133,11 +116,7 @@ impl Grid {
         out[6..10].copy_from_slice(&dequantize_rotation(largest, &bins, s.rot));
         out[13] = snap(original[13], s.alpha).clamp(0.0, 1.0) as f32;
         out[17] = snap(original[17], time) as f32;
-        out[18] = if fades {
-            (sigma_bin as f64 * s.sigma_log).exp() as f32
-        } else {
-            f32::INFINITY
-        };
+        out[18] = if fades { (sigma_bin as f64 * s.sigma_log).exp() as f32 } else { f32::INFINITY };
         out
     }
 }
@@ -165,9 +144,7 @@ fn within(fields: &Fields, set: &GaussianSet, i: usize, bounds: &Bounds) -> Resu
             // one in the last place, of the value or of the larger of the two numbers it was made of
             let slack = f64::from(f32::EPSILON) * a.abs().max(b.abs()).max(allowed);
             if (a - b).abs() > allowed + slack {
-                return Err(format!(
-                    "the {name} of splat {i} is {b} where {a} was given, and the bound is {allowed}"
-                ));
+                return Err(format!("the {name} of splat {i} is {b} where {a} was given, and the bound is {allowed}"));
             }
         }
         at += width;

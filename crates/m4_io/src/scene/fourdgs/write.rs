@@ -25,10 +25,7 @@ pub struct FourdgsConfig {
 
 impl Default for FourdgsConfig {
     fn default() -> Self {
-        Self {
-            precision: Precision::Normal,
-            compression: 6,
-        }
+        Self { precision: Precision::Normal, compression: 6 }
     }
 }
 
@@ -64,12 +61,7 @@ impl Precision {
 pub fn write(path: &Path, scene: &Scene, config: &FourdgsConfig) -> Result<Written, WriteError> {
     let (bytes, losses) = encode(path, scene, config)?;
     publish(path, &bytes)?;
-    Ok(Written {
-        path: path.to_path_buf(),
-        bytes: bytes.len() as u64,
-        splats: scene.splats.n(),
-        losses,
-    })
+    Ok(Written { path: path.to_path_buf(), bytes: bytes.len() as u64, splats: scene.splats.n(), losses })
 }
 
 /// The bytes of the file `path`, decoded and compared with the scene, and what they cannot hold.
@@ -80,10 +72,7 @@ pub fn write(path: &Path, scene: &Scene, config: &FourdgsConfig) -> Result<Writt
 pub fn encode(path: &Path, scene: &Scene, config: &FourdgsConfig) -> Result<(Vec<u8>, Vec<Loss>), WriteError> {
     check_finite(path, scene)?;
     let clock = Clock::of(scene);
-    let clip = Clip {
-        step_s: clock.step_s,
-        frames: scene.time_frames.max(1),
-    };
+    let clip = Clip { step_s: clock.step_s, frames: scene.time_frames.max(1) };
     let splats = at_peak(&scene.splats);
     let (set, clipped) = to_set(&splats, &clip);
     let (provenance, unheld) = cameras::provenance(scene, &clip);
@@ -119,9 +108,7 @@ pub fn encode(path: &Path, scene: &Scene, config: &FourdgsConfig) -> Result<(Vec
         ));
     }
     if scene.mip {
-        losses.push(Loss::Dropped(
-            "the Mip filter for other players (minute4d finds it in the metadata)".to_owned(),
-        ));
+        losses.push(Loss::Dropped("the Mip filter for other players (minute4d finds it in the metadata)".to_owned()));
     }
     losses.extend(unheld);
     losses.extend(clipped);
@@ -130,10 +117,7 @@ pub fn encode(path: &Path, scene: &Scene, config: &FourdgsConfig) -> Result<(Vec
 }
 
 fn decodes_to(bytes: &[u8], set: &GaussianSet, bounds: &Bounds) -> Result<(), String> {
-    let options = ReadOptions {
-        recover_truncated: false,
-        ..ReadOptions::default()
-    };
+    let options = ReadOptions { recover_truncated: false, ..ReadOptions::default() };
     let file = read_from(bytes, &options).map_err(|e| e.to_string())?;
     verify::check(set, bounds, &file)
 }
@@ -146,11 +130,7 @@ fn median(set: &GaussianSet) -> f64 {
     }
     scales.sort_unstable_by(f32::total_cmp);
     let (low, high) = (scales[(scales.len() - 1) / 2], scales[scales.len() / 2]);
-    if scales.len() % 2 == 1 {
-        f64::from(high)
-    } else {
-        0.5 * (f64::from(low) + f64::from(high))
-    }
+    if scales.len() % 2 == 1 { f64::from(high) } else { 0.5 * (f64::from(low) + f64::from(high)) }
 }
 
 fn steps(bounds: &Bounds, set: &GaussianSet, sh_degree: usize) -> Vec<Loss> {

@@ -104,10 +104,7 @@ pub(super) fn parse(bytes: &[u8]) -> Result<Header, Fault> {
             ["property", kind, name] => {
                 let kind = number_of(kind).ok_or_else(|| bad("an unknown type", line))?;
                 match elements.last_mut() {
-                    Some(element) => element.properties.push(Property {
-                        name: name.to_owned(),
-                        kind,
-                    }),
+                    Some(element) => element.properties.push(Property { name: name.to_owned(), kind }),
                     None => return Err(bad("a property before the first element", line)),
                 }
             }
@@ -115,11 +112,7 @@ pub(super) fn parse(bytes: &[u8]) -> Result<Header, Fault> {
         }
     }
     match encoding {
-        Some(encoding) => Ok(Header {
-            encoding,
-            elements,
-            length: lines.at,
-        }),
+        Some(encoding) => Ok(Header { encoding, elements, length: lines.at }),
         None => Err(Fault::damaged("its header states no format".to_owned())),
     }
 }
@@ -158,11 +151,7 @@ impl<'a> Table<'a> {
     ) -> Result<Self, Fault> {
         let width = element.properties.len();
         // a digit and a space in text
-        let stride = if encoding == Encoding::Text {
-            2 * width
-        } else {
-            element.stride()
-        };
+        let stride = if encoding == Encoding::Text { 2 * width } else { element.stride() };
         // the last number of a text may end the file
         let there = bytes.len().saturating_add(usize::from(encoding == Encoding::Text));
         if stride == 0 || element.rows > there / stride {
@@ -172,11 +161,8 @@ impl<'a> Table<'a> {
                 bytes.len()
             )));
         }
-        let mut columns: Vec<Option<Vec<f32>>> = element
-            .properties
-            .iter()
-            .map(|p| wanted(&p.name).then(|| Vec::with_capacity(element.rows)))
-            .collect();
+        let mut columns: Vec<Option<Vec<f32>>> =
+            element.properties.iter().map(|p| wanted(&p.name).then(|| Vec::with_capacity(element.rows))).collect();
         if encoding == Encoding::Text {
             text(element, bytes, &mut columns)?;
         } else {
@@ -209,9 +195,7 @@ fn text(element: &Element, bytes: &[u8], columns: &mut [Option<Vec<f32>>]) -> Re
     let mut words = bytes.split(|b| b.is_ascii_whitespace()).filter(|word| !word.is_empty());
     for row in 0..element.rows {
         for (property, column) in element.properties.iter().zip(&mut *columns) {
-            let number = words
-                .next()
-                .and_then(|word| std::str::from_utf8(word).ok()?.parse::<f64>().ok());
+            let number = words.next().and_then(|word| std::str::from_utf8(word).ok()?.parse::<f64>().ok());
             let Some(number) = number else {
                 let what = format!("{} of splat {row} is not a number, or missing", property.name);
                 return Err(Fault::damaged(what));
@@ -251,10 +235,7 @@ mod tests {
             "ply\nformat ascii 1.0\nelement vertex 1\n",
             "ply\nformat ascii 2.0\nend_header\n",
         ] {
-            assert!(
-                parse(text.as_bytes()).unwrap_err().to_string().contains("damaged"),
-                "{text}"
-            );
+            assert!(parse(text.as_bytes()).unwrap_err().to_string().contains("damaged"), "{text}");
         }
     }
 }

@@ -45,18 +45,10 @@ pub fn write(path: &Path, scene: &Scene, t: f64) -> Result<Written, WriteError> 
     }
     let unseen = scene.splats.n() - splats.n();
     if unseen > 0 {
-        losses.push(Loss::Dropped(format!(
-            "{} that this instant does not see",
-            plural(unseen, "splat")
-        )));
+        losses.push(Loss::Dropped(format!("{} that this instant does not see", plural(unseen, "splat"))));
     }
     losses.extend(unheld(scene));
-    Ok(Written {
-        path: path.to_path_buf(),
-        bytes: bytes.len() as u64,
-        splats: splats.n(),
-        losses,
-    })
+    Ok(Written { path: path.to_path_buf(), bytes: bytes.len() as u64, splats: splats.n(), losses })
 }
 
 /// The splats of an instant, frames.
@@ -86,15 +78,11 @@ fn encode(splats: &Splats, t: f64) -> Vec<u8> {
     let mut property = |name: &str| {
         let _ = writeln!(text, "property float {name}");
     };
-    ["x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2"]
+    ["x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2"].iter().for_each(|name| property(name));
+    (0..rest).for_each(|k| property(&format!("f_rest_{k}")));
+    ["opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"]
         .iter()
         .for_each(|name| property(name));
-    (0..rest).for_each(|k| property(&format!("f_rest_{k}")));
-    [
-        "opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3",
-    ]
-    .iter()
-    .for_each(|name| property(name));
     text.push_str("end_header\n");
 
     let mut bytes = text.into_bytes();
@@ -140,12 +128,7 @@ pub fn write_sequence(
     check_finite(folder, scene)?;
     let io = WriteError::io;
     fs::create_dir_all(folder).map_err(|e| io(folder, e))?;
-    let mut written = Written {
-        path: folder.to_path_buf(),
-        bytes: 0,
-        splats: 0,
-        losses: Vec::new(),
-    };
+    let mut written = Written { path: folder.to_path_buf(), bytes: 0, splats: 0, losses: Vec::new() };
     for (i, &t) in times.iter().enumerate() {
         let path = folder.join(frame_name(i));
         let splats = seen(scene, t);
@@ -165,9 +148,7 @@ pub fn write_sequence(
         fs::remove_file(&path).map_err(|e| io(&path, e))?;
     }
     if scene.splats.n_dynamic() > 0 {
-        written
-            .losses
-            .push(Loss::Baked(format!("time, at {} instants", times.len())));
+        written.losses.push(Loss::Baked(format!("time, at {} instants", times.len())));
     }
     written.losses.extend(unheld(scene));
     Ok(written)

@@ -51,15 +51,8 @@ fn scene_of(bytes: &[u8]) -> Result<Imported, Fault> {
     let [element, ..] = &header.elements[..] else {
         return Err(unsupported("it has no tables"));
     };
-    if header
-        .elements
-        .iter()
-        .flat_map(|e| &e.properties)
-        .any(|p| p.name == "packed_position")
-    {
-        return Err(unsupported(
-            "it is a compressed PLY; splat-transform turns it into a plain one",
-        ));
+    if header.elements.iter().flat_map(|e| &e.properties).any(|p| p.name == "packed_position") {
+        return Err(unsupported("it is a compressed PLY; splat-transform turns it into a plain one"));
     }
     if element.name != "vertex" || element.lists {
         return Err(unsupported(format!(
@@ -100,15 +93,8 @@ fn unknown<'a>(names: impl Iterator<Item = &'a str>) -> Vec<Loss> {
     }
     let more = names.len().saturating_sub(8);
     names.truncate(8);
-    let rest = if more > 0 {
-        format!(" and {more} more")
-    } else {
-        String::new()
-    };
-    vec![Loss::Dropped(format!(
-        "properties that are not known here: {}{rest}",
-        names.join(", ")
-    ))]
+    let rest = if more > 0 { format!(" and {more} more") } else { String::new() };
+    vec![Loss::Dropped(format!("properties that are not known here: {}{rest}", names.join(", ")))]
 }
 
 /// Where the parameters of splats are.
@@ -131,9 +117,7 @@ impl<'a> Columns<'a> {
     fn of(table: &'a Table<'a>) -> Result<(Self, usize), String> {
         let find = |names: &[&str]| table.column(names);
         let need = |names: &[&str]| {
-            find(names)
-                .map(|(_, _, column)| column)
-                .ok_or_else(|| format!("it has no property {}", names[0]))
+            find(names).map(|(_, _, column)| column).ok_or_else(|| format!("it has no property {}", names[0]))
         };
         let numbered = |stems: [&str; 2], k: usize| {
             let names = stems.map(|stem| format!("{stem}_{k}"));
@@ -167,9 +151,7 @@ impl<'a> Columns<'a> {
             24 => 2,
             45 => 3,
             n => {
-                return Err(format!(
-                    "it has {n} properties f_rest_, and harmonics come 9, 24 or 45 at a time"
-                ));
+                return Err(format!("it has {n} properties f_rest_, and harmonics come 9, 24 or 45 at a time"));
             }
         };
         let columns = Self {
@@ -186,11 +168,7 @@ impl<'a> Columns<'a> {
 
     fn row(&self, i: usize) -> Result<(Row, Option<Life>), Bad> {
         let finite = |name: &str, value: f32| {
-            if value.is_finite() {
-                Ok(value)
-            } else {
-                Err((i, name.to_owned(), value))
-            }
+            if value.is_finite() { Ok(value) } else { Err((i, name.to_owned(), value)) }
         };
         let bounded = |name: &str, value: f32| {
             if value.is_nan() {
@@ -207,12 +185,7 @@ impl<'a> Columns<'a> {
             None => [1.0, 0.0, 0.0, 0.0],
             Some(columns) => {
                 let [w, x, y, z] = columns.map(|column| column[i]);
-                unit([
-                    finite("rot_0", w)?,
-                    finite("rot_1", x)?,
-                    finite("rot_2", y)?,
-                    finite("rot_3", z)?,
-                ])
+                unit([finite("rot_0", w)?, finite("rot_1", x)?, finite("rot_2", y)?, finite("rot_3", z)?])
             }
         };
         let row = Row {
@@ -226,11 +199,7 @@ impl<'a> Columns<'a> {
 
     fn check_colours(&self, rows: usize) -> Result<(), Bad> {
         let names = |k: usize| {
-            if k < 3 {
-                format!("f_dc_{k}")
-            } else {
-                format!("f_rest_{}", k - 3)
-            }
+            if k < 3 { format!("f_dc_{k}") } else { format!("f_rest_{}", k - 3) }
         };
         for (k, column) in self.colour.iter().chain(&self.rest).enumerate() {
             if let Some(at) = column.iter().take(rows).position(|v| !v.is_finite()) {

@@ -12,23 +12,14 @@ use std::path::Path;
 
 fn scene(sh_degree: usize) -> Scene {
     let scene = random_scene(&SceneSpec {
-        layout: SplatLayout {
-            isotropic: false,
-            sh_degree,
-            time_degree: 0,
-        },
+        layout: SplatLayout { isotropic: false, sh_degree, time_degree: 0 },
         n_static: 50,
         n_dynamic: 70,
         time_frames: 11,
         ..SceneSpec::default()
     });
     // what a PLY file has no place for
-    Scene {
-        background: [0.0; 3],
-        mip: false,
-        source: Vec::new(),
-        ..scene
-    }
+    Scene { background: [0.0; 3], mip: false, source: Vec::new(), ..scene }
 }
 
 #[test]
@@ -39,10 +30,7 @@ fn ply_instants_round_trip_exactly() {
         let path = dir.path().join("a.ply");
         let written = write(&path, &scene, 4.0).unwrap();
         let seen = crate::scene::instant(&scene.splats, 4.0, 10.0);
-        assert_eq!(
-            (written.splats, written.bytes),
-            (seen.n(), std::fs::metadata(&path).unwrap().len())
-        );
+        assert_eq!((written.splats, written.bytes), (seen.n(), std::fs::metadata(&path).unwrap().len()));
         assert!(seen.n() > 50 && seen.n() < 120);
         let back = read(&path).unwrap();
         assert!(back.losses.is_empty());
@@ -58,10 +46,7 @@ fn ply_instants_round_trip_exactly() {
             let close = |a: &f32, b: &f32| (a - b).abs() <= f32::EPSILON * a.abs().max(0.5);
             let same = unit.columns()[c].iter().zip(&back.scene.splats.columns()[c]);
             let is_quat = unit.layout().range(Column::Quat).contains(&c);
-            assert!(
-                same.clone().all(|(a, b)| if is_quat { close(a, b) } else { a == b }),
-                "column {c}"
-            );
+            assert!(same.clone().all(|(a, b)| if is_quat { close(a, b) } else { a == b }), "column {c}");
         }
     }
 }
@@ -100,16 +85,11 @@ fn sequences_write_one_file_per_frame_and_remove_old_ones() {
     write_sequence(dir.path(), &scene, &[0.0, 5.0, 10.0], |_| true).unwrap();
     let written = write_sequence(dir.path(), &scene, &[0.0, 10.0], |_| true).unwrap();
     assert!(!dir.path().join(frame_name(2)).exists());
-    let counts: Vec<usize> = (0..2)
-        .map(|i| read(&dir.path().join(frame_name(i))).unwrap().scene.splats.n())
-        .collect();
+    let counts: Vec<usize> = (0..2).map(|i| read(&dir.path().join(frame_name(i))).unwrap().scene.splats.n()).collect();
     assert_eq!(counts.iter().sum::<usize>(), written.splats);
     assert_eq!(counts[0], crate::scene::instant(&scene.splats, 0.0, 10.0).n());
     let stopped = write_sequence(dir.path(), &scene, &[0.0, 5.0, 10.0], |done| done < 2).unwrap();
-    assert_eq!(
-        stopped.splats,
-        counts[0] + crate::scene::instant(&scene.splats, 5.0, 10.0).n()
-    );
+    assert_eq!(stopped.splats, counts[0] + crate::scene::instant(&scene.splats, 5.0, 10.0).n());
 }
 
 #[test]
@@ -121,24 +101,16 @@ fn ply_property_orders_and_types_are_read() {
         property uchar blue\nproperty float trbf_center\nend_header\n0 3 2 1 -1 255 0 51 0.5\ninf 6 5 4 -inf 0 0 0 0.5";
     let found = parse(at, text.as_bytes()).unwrap();
     let splats = &found.scene.splats;
-    assert_eq!(
-        (splats.n_static(), splats.n_dynamic(), found.scene.time_frames),
-        (2, 0, 1)
-    );
+    assert_eq!((splats.n_static(), splats.n_dynamic(), found.scene.time_frames), (2, 0, 1));
     let (first, second) = (Row::of(splats, 0), Row::of(splats, 1));
-    assert_eq!(
-        (first.mean, first.log_scale, first.quat),
-        ([1.0, 2.0, 3.0], [-1.0; 3], [1.0, 0.0, 0.0, 0.0])
-    );
+    assert_eq!((first.mean, first.log_scale, first.quat), ([1.0, 2.0, 3.0], [-1.0; 3], [1.0, 0.0, 0.0, 0.0]));
     assert!((splats.column(Column::Colour, 2)[0] - (0.2 - 0.5) / 0.282_094_8).abs() < 1e-5);
     assert_eq!((sigmoid(second.opacity) as f32, second.log_scale), (1.0, [-20.0; 3]));
     assert!(matches!(&found.losses[..], [Loss::Dropped(what)] if what.contains("trbf_center")));
 
     // big-endian, as an importer of another platform writes it
     let mut bytes = b"ply\nformat binary_big_endian 1.0\nelement vertex 1\n".to_vec();
-    let names = [
-        "rot_3", "rot_2", "rot_1", "rot_0", "f_dc_2", "f_dc_1", "f_dc_0", "opacity",
-    ];
+    let names = ["rot_3", "rot_2", "rot_1", "rot_0", "f_dc_2", "f_dc_1", "f_dc_0", "opacity"];
     let more = ["scale_0", "scale_1", "scale_2", "x", "y", "z"];
     for name in names.iter().chain(&more) {
         bytes.extend(format!("property float32 {name}\n").bytes());
@@ -149,10 +121,7 @@ fn ply_property_orders_and_types_are_read() {
     }
     let splats = parse(at, &bytes).unwrap().scene.splats;
     let row = Row::of(&splats, 0);
-    assert_eq!(
-        (row.mean, row.log_scale, row.opacity),
-        ([12.0, 13.0, 14.0], [9.0, 10.0, 11.0], 8.0)
-    );
+    assert_eq!((row.mean, row.log_scale, row.opacity), ([12.0, 13.0, 14.0], [9.0, 10.0, 11.0], 8.0));
     assert_eq!(splats.column(Column::Colour, 0), &[7.0]);
     assert!((row.quat[0] - 4.0 / 30f32.sqrt()).abs() < 1e-6);
 }
@@ -183,28 +152,14 @@ fn malformed_ply_is_rejected_with_a_reason() {
     assert!(nan.to_string().contains("of splat 0 is NaN"), "{nan}");
     for left_out in ["x", "opacity", "scale_0", "rot_2", "f_dc_1"] {
         let names: Vec<&str> = all.into_iter().filter(|n| *n != left_out).collect();
-        assert_eq!(
-            one(&names, 0.5).unwrap_err().kind(),
-            ErrorKind::Unsupported,
-            "{left_out}"
-        );
+        assert_eq!(one(&names, 0.5).unwrap_err().kind(), ErrorKind::Unsupported, "{left_out}");
     }
     let rest: Vec<String> = (0..5).map(|k| format!("f_rest_{k}")).collect();
     let names: Vec<&str> = all.into_iter().chain(rest.iter().map(String::as_str)).collect();
-    assert!(
-        one(&names, 0.5)
-            .unwrap_err()
-            .to_string()
-            .contains("5 properties f_rest_")
-    );
+    assert!(one(&names, 0.5).unwrap_err().to_string().contains("5 properties f_rest_"));
     let flat: Vec<&str> = all.into_iter().filter(|n| *n != "scale_2").collect();
     assert!(one(&flat, 0.5).unwrap_err().to_string().contains("two scales"));
     let packed = one(&["packed_position"], 0.5).unwrap_err();
     assert!(packed.to_string().contains("compressed PLY"));
-    assert!(
-        parse(at, b"\x89PNG")
-            .unwrap_err()
-            .to_string()
-            .contains("not a PLY file")
-    );
+    assert!(parse(at, b"\x89PNG").unwrap_err().to_string().contains("not a PLY file"));
 }

@@ -47,11 +47,7 @@ pub fn splats_to_arrays<'a>(splats: &'a Splats, arrays: &mut Sources<'a>) {
         if columns.is_empty() {
             continue;
         }
-        let rows = if is_dynamic(column) {
-            splats.n_dynamic()
-        } else {
-            splats.n()
-        };
+        let rows = if is_dynamic(column) { splats.n_dynamic() } else { splats.n() };
         let shape = shape(layout, column, rows);
         arrays.insert(name.to_owned(), Source::Woven { shape, columns });
     }
@@ -90,45 +86,21 @@ pub fn source_to_arrays(source: &[SourceFrame], arrays: &mut Sources<'_>) {
     };
     let pose = |f: &SourceFrame| -> [f64; 12] {
         let Se3 { rotation, translation } = f.camera.c2w;
-        std::array::from_fn(|i| {
-            if i % 4 == 3 {
-                translation[i / 4]
-            } else {
-                rotation[(i / 4, i % 4)]
-            }
-        })
+        std::array::from_fn(|i| if i % 4 == 3 { translation[i / 4] } else { rotation[(i / 4, i % 4)] })
     };
     let exposure = |f: &SourceFrame| -> [f32; 12] {
         let Exposure { matrix, offset } = f.exposure;
-        std::array::from_fn(|i| {
-            if i % 4 == 3 {
-                offset[i / 4]
-            } else {
-                matrix[i / 4][i % 4]
-            }
-        })
+        std::array::from_fn(|i| if i % 4 == 3 { offset[i / 4] } else { matrix[i / 4][i % 4] })
     };
     let f64s = |shape: Vec<usize>, data: Vec<f64>| {
         let data = data.into();
         Source::Array(StateTensor::F64 { shape, data })
     };
-    arrays.insert(
-        "source.intrinsics".into(),
-        f64s(vec![n, 6], source.iter().flat_map(lens).collect()),
-    );
-    arrays.insert(
-        "source.c2w".into(),
-        f64s(vec![n, 3, 4], source.iter().flat_map(pose).collect()),
-    );
+    arrays.insert("source.intrinsics".into(), f64s(vec![n, 6], source.iter().flat_map(lens).collect()));
+    arrays.insert("source.c2w".into(), f64s(vec![n, 3, 4], source.iter().flat_map(pose).collect()));
     arrays.insert("source.t".into(), f64s(vec![n], source.iter().map(|f| f.t).collect()));
     let data = source.iter().flat_map(exposure).collect();
-    arrays.insert(
-        "source.exposure".into(),
-        Source::Array(StateTensor::F32 {
-            shape: vec![n, 3, 4],
-            data,
-        }),
-    );
+    arrays.insert("source.exposure".into(), Source::Array(StateTensor::F32 { shape: vec![n, 3, 4], data }));
 }
 
 /// The training cameras of arrays.

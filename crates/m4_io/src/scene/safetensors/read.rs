@@ -49,9 +49,7 @@ fn file(path: &Path) -> Result<SceneFile, Fault> {
         return Err(Fault::unsupported(what, "update minute4d"));
     }
     let header: Header = serde_json::from_str(&header).map_err(Fault::damaged)?;
-    let views = arrays
-        .iter()
-        .map(|(name, array)| (name.clone(), Source::Array(array.view())));
+    let views = arrays.iter().map(|(name, array)| (name.clone(), Source::Array(array.view())));
     let found = checksum(&header.scene, &header.metadata, &views.collect()).map_err(Fault::damaged)?;
     if found != header.blake3 {
         let what = format!("its checksum is {found} where {} was written", shortened(header.blake3));
@@ -61,10 +59,7 @@ fn file(path: &Path) -> Result<SceneFile, Fault> {
 }
 
 fn not_scene(reason: String) -> Fault {
-    Fault::bad(
-        format!("it is not a scene file: {reason}"),
-        "give the scene.safetensors of a run",
-    )
+    Fault::bad(format!("it is not a scene file: {reason}"), "give the scene.safetensors of a run")
 }
 
 /// The arrays of a safetensors file and the JSON under [`KEY`], one array after the other. Sizes are
@@ -85,18 +80,14 @@ fn load(path: &Path) -> Result<(Option<String>, Arrays), Fault> {
         return Err(not_scene("it does not start like a safetensors file".into()));
     }
     if head > len - 8 {
-        return Err(Fault::damaged(format!(
-            "its header says {head} bytes and the file has {len}"
-        )));
+        return Err(Fault::damaged(format!("its header says {head} bytes and the file has {len}")));
     }
     let mut json = vec![brace];
     file.by_ref().take(head.saturating_sub(1)).read_to_end(&mut json)?;
     let metadata: Metadata = serde_json::from_slice(&json).map_err(Fault::damaged)?;
     let (bytes, rest) = (metadata.data_len() as u64, len - 8 - head);
     if bytes != rest {
-        return Err(Fault::damaged(format!(
-            "its arrays have {bytes} bytes and the file has {rest} for them"
-        )));
+        return Err(Fault::damaged(format!("its arrays have {bytes} bytes and the file has {rest} for them")));
     }
     let mut arrays = Arrays::new();
     for name in metadata.offset_keys() {
@@ -119,9 +110,7 @@ fn scene(header: Header, mut arrays: Arrays) -> Result<SceneFile, Fault> {
     let facts = header.scene;
     if facts.sh_degree > MAX_DEGREES.0 || facts.time_degree > MAX_DEGREES.1 {
         let (space, time) = (facts.sh_degree, facts.time_degree);
-        return Err(Fault::damaged(format!(
-            "it says degree {space} in space and {time} in time"
-        )));
+        return Err(Fault::damaged(format!("it says degree {space} in space and {time} in time")));
     }
     let splats = arrays_to_splats(&mut arrays, facts.layout(), facts.splats_static, facts.splats_dynamic)?;
     let source = arrays_to_source(&arrays)?;
@@ -142,11 +131,7 @@ fn scene(header: Header, mut arrays: Arrays) -> Result<SceneFile, Fault> {
     if let Some(reason) = fault(&scene) {
         return Err(Fault::damaged(reason));
     }
-    Ok(SceneFile {
-        scene,
-        state,
-        metadata: header.metadata,
-    })
+    Ok(SceneFile { scene, state, metadata: header.metadata })
 }
 
 /// The first NaN, infinite or impossible value of a scene; `None` if it is valid.

@@ -97,22 +97,10 @@ fn numbers<T: Copy, E, const N: usize>(
 pub fn load(dtype: Dtype, shape: &[usize], bytes: Vec<u8>) -> Option<StateTensor<'static>> {
     let shape = shape.to_vec();
     Some(match dtype {
-        Dtype::F32 => StateTensor::F32 {
-            shape,
-            data: words(&bytes, f32::from_le_bytes),
-        },
-        Dtype::U32 => StateTensor::U32 {
-            shape,
-            data: words(&bytes, u32::from_le_bytes),
-        },
-        Dtype::U8 => StateTensor::U8 {
-            shape,
-            data: bytes.into(),
-        },
-        Dtype::F64 => StateTensor::F64 {
-            shape,
-            data: words(&bytes, f64::from_le_bytes),
-        },
+        Dtype::F32 => StateTensor::F32 { shape, data: words(&bytes, f32::from_le_bytes) },
+        Dtype::U32 => StateTensor::U32 { shape, data: words(&bytes, u32::from_le_bytes) },
+        Dtype::U8 => StateTensor::U8 { shape, data: bytes.into() },
+        Dtype::F64 => StateTensor::F64 { shape, data: words(&bytes, f64::from_le_bytes) },
         _ => return None,
     })
 }
@@ -176,11 +164,7 @@ pub struct Facts {
 
 impl Facts {
     pub fn layout(&self) -> SplatLayout {
-        SplatLayout {
-            isotropic: self.isotropic,
-            sh_degree: self.sh_degree,
-            time_degree: self.time_degree,
-        }
+        SplatLayout { isotropic: self.isotropic, sh_degree: self.sh_degree, time_degree: self.time_degree }
     }
 }
 

@@ -62,9 +62,7 @@ pub fn write(
 fn check(path: &Path, scene: &Scene, state: Option<&TrainState<'_>>) -> Result<(), WriteError> {
     let bad = |what: String| WriteError::bad(path, what);
     if !scene.splats.is_finite() {
-        return Err(bad(
-            "a parameter of a splat is not a finite number; lower the learning rates".into(),
-        ));
+        return Err(bad("a parameter of a splat is not a finite number; lower the learning rates".into()));
     }
     if let Some(what) = fault(scene) {
         return Err(bad(what));
@@ -106,11 +104,7 @@ fn head(arrays: &[(&String, &Source<'_>)], header: String) -> Result<Vec<u8>, St
     for (name, array) in arrays {
         let start = offset;
         offset += array.bytes();
-        let info = TensorInfo {
-            dtype: array.dtype(),
-            shape: array.shape().to_vec(),
-            data_offsets: (start, offset),
-        };
+        let info = TensorInfo { dtype: array.dtype(), shape: array.shape().to_vec(), data_offsets: (start, offset) };
         infos.push(((*name).clone(), info));
     }
     // One key alone: with more, their order would change from run to run.

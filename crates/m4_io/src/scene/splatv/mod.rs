@@ -81,12 +81,7 @@ pub fn write(path: &Path, scene: &Scene) -> Result<Written, WriteError> {
     }
     bytes.resize(8 + json.len() + texture, 0);
     publish(path, &bytes)?;
-    Ok(Written {
-        path: path.to_path_buf(),
-        bytes: bytes.len() as u64,
-        splats: n,
-        losses: losses(scene, worst * last),
-    })
+    Ok(Written { path: path.to_path_buf(), bytes: bytes.len() as u64, splats: n, losses: losses(scene, worst * last) })
 }
 
 /// Two halves in a word, the first in the low bits.
@@ -102,9 +97,7 @@ fn words(splats: &Splats, i: usize, last: f64) -> Result<([u32; 16], f64), Strin
         if rounded.is_finite() {
             Ok(rounded)
         } else {
-            Err(format!(
-                "{what} of splat {i} is {value:.3e}, and a half holds 65504 at most"
-            ))
+            Err(format!("{what} of splat {i} is {value:.3e}, and a half holds 65504 at most"))
         }
     };
     // A half below the smallest one would be a splat without extent.
@@ -130,10 +123,7 @@ fn words(splats: &Splats, i: usize, last: f64) -> Result<([u32; 16], f64), Strin
     let mean: [f32; 3] = std::array::from_fn(|k| (f64::from(row.mean[k]) + velocity[k] * shift) as f32);
     let quat = row.quat.map(f16::from_f32);
     // 0 would be never.
-    let length = half(
-        "the length of the life",
-        length.max(f64::from(f16::MIN_POSITIVE_SUBNORMAL)),
-    )?;
+    let length = half("the length of the life", length.max(f64::from(f16::MIN_POSITIVE_SUBNORMAL)))?;
     let words = [
         mean[0].to_bits(),
         mean[1].to_bits(),
@@ -164,14 +154,10 @@ fn losses(scene: &Scene, worst_shift: f64) -> Vec<Loss> {
         ));
     }
     if layout.sh_degree > 0 {
-        losses.push(Loss::Dropped(
-            "the spherical harmonics: a colour is the same from every direction".to_owned(),
-        ));
+        losses.push(Loss::Dropped("the spherical harmonics: a colour is the same from every direction".to_owned()));
     }
     if scene.mip {
-        losses.push(Loss::Dropped(
-            "the Mip filter for players (the header says that the scene wants it)".to_owned(),
-        ));
+        losses.push(Loss::Dropped("the Mip filter for players (the header says that the scene wants it)".to_owned()));
     }
     if scene.source.iter().any(|s| s.exposure != m4_core::Exposure::IDENTITY) {
         losses.push(Loss::Dropped("the exposure of every frame".to_owned()));

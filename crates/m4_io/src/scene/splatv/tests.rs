@@ -10,12 +10,7 @@ use m4_testkit::{SceneSpec, random_scene};
 use serde_json::{Value, json};
 
 fn scene() -> Scene {
-    random_scene(&SceneSpec {
-        n_static: 300,
-        n_dynamic: 900,
-        time_frames: 41,
-        ..SceneSpec::default()
-    })
+    random_scene(&SceneSpec { n_static: 300, n_dynamic: 900, time_frames: 41, ..SceneSpec::default() })
 }
 
 /// The 16 words of every splat in a texture.
@@ -61,20 +56,12 @@ fn splatv_parameters_have_half_precision() {
     let splats = &scene.splats;
     let half = |v: f64, w: f64| (v - w).abs() <= v.abs() / 2048.0 + 1e-7;
     let drawn = texture(&bytes[8 + length..]);
-    assert!(
-        drawn[splats.n()..].iter().all(|words| *words == [0; 16]),
-        "the tail is zeros"
-    );
+    assert!(drawn[splats.n()..].iter().all(|words| *words == [0; 16]), "the tail is zeros");
     for (i, words) in drawn.iter().take(splats.n()).enumerate() {
         let row = Row::of(splats, i);
         let mean = [words[0], words[1], words[2]].map(f32::from_bits);
         let ([w, x], [y, z]) = (halves(words[3]), halves(words[4]));
-        assert!(
-            Vector4::from(row.quat.map(f64::from))
-                .dot(&Vector4::new(w, x, y, z))
-                .abs()
-                > 1.0 - 1e-3
-        );
+        assert!(Vector4::from(row.quat.map(f64::from)).dot(&Vector4::new(w, x, y, z)).abs() > 1.0 - 1e-3);
         let ([sx, sy], [sz, _]) = (halves(words[5]), halves(words[6]));
         for (k, scale) in [sx, sy, sz].into_iter().enumerate() {
             let want = f64::from(row.log_scale[k]).exp();
@@ -113,11 +100,7 @@ fn values_out_of_range_of_f16_are_refused() {
     let error = write(&dir.path().join("a.splatv"), &scene).unwrap_err();
     assert_eq!(error.kind(), ErrorKind::BadData);
     assert!(error.to_string().contains("motion of splat 303"), "{error}");
-    let layout = SplatLayout {
-        isotropic: true,
-        sh_degree: 1,
-        time_degree: 1,
-    };
+    let layout = SplatLayout { isotropic: true, sh_degree: 1, time_degree: 1 };
     scene.splats = Splats::zeros(layout, 1, 1);
     let losses = write(&dir.path().join("a.splatv"), &scene).unwrap().losses;
     assert!(matches!(losses[..2], [Loss::Baked(_), Loss::Dropped(_)]), "{losses:?}");

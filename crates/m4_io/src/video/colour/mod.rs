@@ -63,11 +63,7 @@ impl YuvMatrix {
         data.par_chunks_mut(width).enumerate().for_each(|(y, row)| {
             let luma = &luma[y * luma_stride..][..width];
             let near = y / 2;
-            let far = if y % 2 == 0 {
-                near.saturating_sub(1)
-            } else {
-                (near + 1).min(half_height - 1)
-            };
+            let far = if y % 2 == 0 { near.saturating_sub(1) } else { (near + 1).min(half_height - 1) };
             // Chroma of the whole row first, so that the arithmetic below runs over plain arrays.
             let line = |plane: &[u8]| -> Vec<f32> {
                 let a = &plane[near * chroma_stride..][..half_width];
@@ -132,11 +128,7 @@ impl Coefficients {
         let l = (l - self.black) * self.luma;
         let (u, v) = (u - 128.0, v - 128.0);
         // A cast from float saturates.
-        [
-            (l + self.r_v * v + 0.5) as u8,
-            (l + self.g_u * u + self.g_v * v + 0.5) as u8,
-            (l + self.b_u * u + 0.5) as u8,
-        ]
+        [(l + self.r_v * v + 0.5) as u8, (l + self.g_u * u + self.g_v * v + 0.5) as u8, (l + self.b_u * u + 0.5) as u8]
     }
 }
 
@@ -181,12 +173,7 @@ impl Planes420 {
             }
         });
         let chroma = [0, 1].map(|c| both.iter().map(|v| v[c]).collect());
-        Self {
-            width,
-            height,
-            luma,
-            chroma,
-        }
+        Self { width, height, luma, chroma }
     }
 }
 
@@ -200,43 +187,24 @@ mod tests {
         for code in [1, 4, 5, 6, 7, 9] {
             for range in [Range::Limited, Range::Full] {
                 let matrix = YuvMatrix::from_code(code, 480, range).unwrap();
-                for colour in [
-                    [255.0, 0.0, 0.0],
-                    [10.0, 200.0, 60.0],
-                    [0.0, 0.0, 255.0],
-                    [255.0; 3],
-                    [0.0; 3],
-                ] {
+                for colour in [[255.0, 0.0, 0.0], [10.0, 200.0, 60.0], [0.0, 0.0, 255.0], [255.0; 3], [0.0; 3]] {
                     let [l, u, v] = matrix.yuv(colour).map(|v| v.round() as u8);
                     let got = matrix.image_420((6, 4), [&[l; 24], &[u; 6], &[v; 6]], [6, 3]).unwrap();
                     for (got, want) in got.data().iter().flatten().zip(colour.iter().cycle()) {
-                        assert!(
-                            (f32::from(*got) - want).abs() <= 3.0,
-                            "{code} {range:?} {colour:?} {got}"
-                        );
+                        assert!((f32::from(*got) - want).abs() <= 3.0, "{code} {range:?} {colour:?} {got}");
                     }
                 }
             }
         }
         assert!(YuvMatrix::from_code(0, 480, Range::Full).is_none());
-        assert_eq!(
-            YuvMatrix::from_code(2, 1080, Range::Full),
-            YuvMatrix::from_code(1, 1080, Range::Full)
-        );
-        assert_eq!(
-            YuvMatrix::from_code(2, 480, Range::Full),
-            YuvMatrix::from_code(6, 480, Range::Full)
-        );
+        assert_eq!(YuvMatrix::from_code(2, 1080, Range::Full), YuvMatrix::from_code(1, 1080, Range::Full));
+        assert_eq!(YuvMatrix::from_code(2, 480, Range::Full), YuvMatrix::from_code(6, 480, Range::Full));
     }
 
     #[test]
     fn known_values_of_bt_601_and_709() {
         // Pure red, limited range: (82, 90, 240) in BT.601 and (63, 102, 240) in BT.709.
-        let limited = |code| {
-            YuvMatrix::from_code(code, 480, Range::Limited)
-                .unwrap()
-                .yuv([255.0, 0.0, 0.0])
-        };
+        let limited = |code| YuvMatrix::from_code(code, 480, Range::Limited).unwrap().yuv([255.0, 0.0, 0.0]);
         assert_eq!(limited(6).map(|v| v.round() as u8), [81, 90, 240]);
         assert_eq!(limited(1).map(|v| v.round() as u8), [63, 102, 240]);
     }
@@ -246,26 +214,18 @@ mod tests {
         // Chroma rising along x: a luma column x lies at chroma column x / 2.
         let matrix = YuvMatrix::from_code(6, 480, Range::Full).unwrap();
         let cr: Vec<u8> = (0..4).flat_map(|_| (0..8).map(|i| 128 + 4 * i as u8)).collect();
-        let got = matrix
-            .image_420((16, 8), [&[100; 128], &[128; 32], &cr], [16, 8])
-            .unwrap();
+        let got = matrix.image_420((16, 8), [&[100; 128], &[128; 32], &cr], [16, 8]).unwrap();
         for x in 0..15 {
             let want = 100.0 + 1.402 * 2.0 * x as f64;
             assert!((f64::from(got[(x, 3)][0]) - want).abs() <= 1.0, "{x}");
         }
-        assert!(
-            matrix
-                .image_420((16, 8), [&[0; 100], &[0; 32], &[0; 32]], [16, 8])
-                .is_none()
-        );
+        assert!(matrix.image_420((16, 8), [&[0; 100], &[0; 32], &[0; 32]], [16, 8]).is_none());
     }
 
     #[test]
     fn smooth_images_survive_420_round_trip() {
         let matrix = YuvMatrix::from_code(1, 480, Range::Limited).unwrap();
-        let image = Plane::from_fn(41, 27, |x, y| {
-            [(x * 6) as u8, (y * 9) as u8, 200 - (x * 2 + y * 3) as u8]
-        });
+        let image = Plane::from_fn(41, 27, |x, y| [(x * 6) as u8, (y * 9) as u8, 200 - (x * 2 + y * 3) as u8]);
         let planes = Planes420::new(&image, &matrix);
         assert_eq!((planes.width, planes.height), (42, 28));
         let [cb, cr] = &planes.chroma;

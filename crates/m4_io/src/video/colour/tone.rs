@@ -58,11 +58,7 @@ impl Hdr {
             }
             Self::Hlg => {
                 let (a, b, c) = (0.178_832_77, 0.284_668_92, 0.559_910_73);
-                if signal <= 0.5 {
-                    signal * signal / 3.0
-                } else {
-                    (((signal - c) / a).exp() + b) / 12.0
-                }
+                if signal <= 0.5 { signal * signal / 3.0 } else { (((signal - c) / a).exp() + b) / 12.0 }
             }
         }
     }
@@ -80,20 +76,12 @@ pub struct ToneMap {
 impl ToneMap {
     pub fn new(hdr: Hdr) -> Self {
         let srgb = |x: f64| {
-            if x <= 0.003_130_8 {
-                12.92 * x
-            } else {
-                1.055 * x.powf(1.0 / 2.4) - 0.055
-            }
+            if x <= 0.003_130_8 { 12.92 * x } else { 1.055 * x.powf(1.0 / 2.4) - 0.055 }
         };
         Self {
             hdr,
-            linear: (0..=65535u32)
-                .map(|v| hdr.linear(f64::from(v) / 65535.0) as f32)
-                .collect(),
-            encoded: (0..4096)
-                .map(|v| (srgb(f64::from(v) / 4095.0) * 255.0).round() as u8)
-                .collect(),
+            linear: (0..=65535u32).map(|v| hdr.linear(f64::from(v) / 65535.0) as f32).collect(),
+            encoded: (0..4096).map(|v| (srgb(f64::from(v) / 4095.0) * 255.0).round() as u8).collect(),
         }
     }
 
@@ -153,19 +141,11 @@ mod tests {
     #[test]
     fn transfer_functions_match_the_recommendation() {
         // BT.2408 table 1: reference white is 58 % PQ and 75 % HLG.
-        assert!(
-            (Hdr::Pq.linear(0.5807) - 1.0).abs() < 0.01,
-            "{}",
-            Hdr::Pq.linear(0.5807)
-        );
+        assert!((Hdr::Pq.linear(0.5807) - 1.0).abs() < 0.01, "{}", Hdr::Pq.linear(0.5807));
         assert!((Hdr::Pq.linear(1.0) - 10_000.0 / 203.0).abs() < 1e-6);
         assert!((Hdr::Hlg.linear(1.0) - 1.0).abs() < 1e-5 && (Hdr::Hlg.linear(0.5) - 1.0 / 12.0).abs() < 1e-9);
         let white = Hdr::Hlg.linear(0.75);
-        assert!(
-            (white.powf(1.2) * 1000.0 - 203.0).abs() < 1.0,
-            "{}",
-            white.powf(1.2) * 1000.0
-        );
+        assert!((white.powf(1.2) * 1000.0 - 203.0).abs() < 1.0, "{}", white.powf(1.2) * 1000.0);
     }
 
     #[test]
@@ -176,20 +156,13 @@ mod tests {
             assert_eq!(greys[0], [0; 3]);
             assert!(greys[255].iter().all(|&v| v >= 254), "{hdr:?} {:?}", greys[255]);
             for pair in greys.windows(2) {
-                assert!(
-                    pair[1][1] >= pair[0][1] && pair[1][1] - pair[0][1] <= 6,
-                    "{hdr:?} {pair:?}"
-                );
+                assert!(pair[1][1] >= pair[0][1] && pair[1][1] - pair[0][1] <= 6, "{hdr:?} {pair:?}");
             }
             // Reference white stays bright, a mid-grey stays a mid-grey.
             let white = map.pixel([if hdr == Hdr::Pq { 38_058 } else { 49_151 }; 3]);
             assert!((215..=240).contains(&white[1]), "{hdr:?} {white:?}");
             // Greys stay grey.
-            assert!(
-                greys
-                    .iter()
-                    .all(|p| p[0].abs_diff(p[1]) <= 1 && p[2].abs_diff(p[1]) <= 1)
-            );
+            assert!(greys.iter().all(|p| p[0].abs_diff(p[1]) <= 1 && p[2].abs_diff(p[1]) <= 1));
         }
         assert!((shoulder(1000.0 / 203.0) - 1.0).abs() < 1e-12 && shoulder(0.4) == 0.4);
     }

@@ -78,10 +78,7 @@ impl<'a> Child<'a> {
         on_line: OnLine,
         progress: &'a dyn Progress,
     ) -> io::Result<Self> {
-        command
-            .stdin(if talks { Stdio::piped() } else { Stdio::null() })
-            .stdout(Stdio::piped())
-            .stderr(Stdio::piped());
+        command.stdin(if talks { Stdio::piped() } else { Stdio::null() }).stdout(Stdio::piped()).stderr(Stdio::piped());
         launch::clear_environment(command);
         // A group of its own: keys pressed in the terminal are for us, and wrappers go down with what they started.
         #[cfg(unix)]
@@ -94,17 +91,8 @@ impl<'a> Child<'a> {
         let (sender, output) = sync_channel(CHUNKS);
         let messages = Messages::read(stderr.ok_or_else(missing)?, message_bytes, on_line);
         // From here on the child is ended when something fails.
-        let mut child = Self {
-            process,
-            output,
-            chunk: Vec::new(),
-            at: 0,
-            input: None,
-            messages,
-            allowed,
-            progress,
-            reaped: false,
-        };
+        let mut child =
+            Self { process, output, chunk: Vec::new(), at: 0, input: None, messages, allowed, progress, reaped: false };
         limited.map_err(|e| io::Error::other(format!("its limits cannot be set: {e}")))?;
         let stdout = stdout.ok_or_else(missing)?;
         std::thread::spawn(move || forward(stdout, &sender));

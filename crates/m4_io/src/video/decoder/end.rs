@@ -83,15 +83,11 @@ impl DecoderEnd {
     /// What a status and the last words of a process that failed mean.
     pub(super) fn of(status: ExitStatus, cpu_s: Option<f64>, allowed: &Allowed, words: &[String]) -> Self {
         if words.iter().any(|line| is_of_memory(line)) {
-            return Self::Memory {
-                limit_mb: allowed.memory_bytes >> 20,
-            };
+            return Self::Memory { limit_mb: allowed.memory_bytes >> 20 };
         }
         let Some(signal) = signal_of(status) else {
             let message = words.last().map_or("no reason given", String::as_str);
-            return Self::Answer {
-                what: format!("it ended early ({status}): {message}"),
-            };
+            return Self::Answer { what: format!("it ended early ({status}): {message}") };
         };
         // The kernel looks at the clock every few milliseconds.
         let used_up = cpu_s.is_some_and(|s| s + 0.5 > allowed.cpu_s as f64);
@@ -123,9 +119,7 @@ pub fn is_of_memory(line: &str) -> bool {
 /// True for the words with which ffmpeg and ffprobe say that the bytes of a clip are bad: not that they could not be read.
 pub fn is_of_data(line: &str) -> bool {
     // A list of other files is refused as an invalid argument, after words about the whitelist.
-    ["invalid data found", "end of file", "on whitelist"]
-        .iter()
-        .any(|words| line.to_ascii_lowercase().contains(words))
+    ["invalid data found", "end of file", "on whitelist"].iter().any(|words| line.to_ascii_lowercase().contains(words))
 }
 
 #[cfg(unix)]

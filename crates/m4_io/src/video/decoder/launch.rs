@@ -32,9 +32,7 @@ fn find(program: &Path) -> io::Result<PathBuf> {
         vec![program.to_path_buf()]
     } else {
         let path = std::env::var_os("PATH").unwrap_or_default();
-        std::env::split_paths(&path)
-            .map(|folder| folder.join(program))
-            .collect()
+        std::env::split_paths(&path).map(|folder| folder.join(program)).collect()
     };
     let found = places.into_iter().find(|place| is_program(place));
     // As starting it would have said.
@@ -123,19 +121,13 @@ pub struct DecoderProgram {
 impl DecoderProgram {
     /// A program, and the argument that makes it a decoder.
     pub fn new(program: impl Into<PathBuf>, argument: impl Into<OsString>) -> Self {
-        Self {
-            program: program.into(),
-            arguments: vec![argument.into()],
-        }
+        Self { program: program.into(), arguments: vec![argument.into()] }
     }
 
     /// The command that starts it under these limits.
     pub(crate) fn command(&self, allowed: &Allowed) -> Command {
         let mut command = Command::new(&self.program);
-        command
-            .args(&self.arguments)
-            .arg(allowed.memory_bytes.to_string())
-            .arg(allowed.cpu_s.to_string());
+        command.args(&self.arguments).arg(allowed.memory_bytes.to_string()).arg(allowed.cpu_s.to_string());
         command
     }
 }

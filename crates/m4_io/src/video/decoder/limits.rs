@@ -38,11 +38,7 @@ pub struct DecoderLimits {
 
 impl Default for DecoderLimits {
     fn default() -> Self {
-        Self {
-            memory_mb: 0,
-            cpu_seconds: 0,
-            idle_seconds: 120,
-        }
+        Self { memory_mb: 0, cpu_seconds: 0, idle_seconds: 120 }
     }
 }
 
@@ -84,11 +80,7 @@ impl DecoderLimits {
             return bad("decoder.cpu_seconds", self.cpu_seconds, expected);
         }
         if !(1..=1 << 30).contains(&self.idle_seconds) {
-            return bad(
-                "decoder.idle_seconds",
-                self.idle_seconds,
-                "1 to 1073741824 s were expected",
-            );
+            return bad("decoder.idle_seconds", self.idle_seconds, "1 to 1073741824 s were expected");
         }
         Ok(())
     }
@@ -107,11 +99,7 @@ impl DecoderLimits {
             }
             s => s,
         };
-        Allowed {
-            memory_bytes,
-            cpu_s,
-            idle_s: self.idle_seconds,
-        }
+        Allowed { memory_bytes, cpu_s, idle_s: self.idle_seconds }
     }
 }
 
@@ -121,38 +109,19 @@ mod tests {
 
     #[test]
     fn limits_grow_with_the_clip_and_a_number_given_is_kept() {
-        let hd = Work {
-            pixels: 1920 * 1080,
-            frames: 300,
-            bytes: 0,
-        };
+        let hd = Work { pixels: 1920 * 1080, frames: 300, bytes: 0 };
         let allowed = DecoderLimits::default().allowed(hd);
-        assert_eq!(
-            (allowed.memory_bytes >> 20, allowed.cpu_s, allowed.idle_s),
-            (2364, 431, 120)
-        );
-        let absurd = Work {
-            pixels: u64::MAX,
-            frames: u64::MAX,
-            bytes: u64::MAX,
-        };
+        assert_eq!((allowed.memory_bytes >> 20, allowed.cpu_s, allowed.idle_s), (2364, 431, 120));
+        let absurd = Work { pixels: u64::MAX, frames: u64::MAX, bytes: u64::MAX };
         assert_eq!(DecoderLimits::default().allowed(absurd).memory_bytes, 8 << 30);
-        let given = DecoderLimits {
-            memory_mb: 100,
-            cpu_seconds: 3,
-            idle_seconds: 2,
-        };
+        let given = DecoderLimits { memory_mb: 100, cpu_seconds: 3, idle_seconds: 2 };
         let allowed = given.allowed(absurd);
         assert_eq!((allowed.memory_bytes >> 20, allowed.cpu_s, allowed.idle_s), (100, 3, 2));
     }
 
     #[test]
     fn invalid_limits_are_refused() {
-        let with = |memory_mb, cpu_seconds, idle_seconds| DecoderLimits {
-            memory_mb,
-            cpu_seconds,
-            idle_seconds,
-        };
+        let with = |memory_mb, cpu_seconds, idle_seconds| DecoderLimits { memory_mb, cpu_seconds, idle_seconds };
         assert!(DecoderLimits::default().check().is_ok());
         for (limits, name) in [
             (with(1, 0, 1), "memory_mb"),

@@ -34,19 +34,12 @@ impl Messages {
         let (sender, end) = channel();
         let for_thread = Arc::clone(&shared);
         std::thread::spawn(move || drain(stderr, limit_bytes, on_line, &for_thread, sender));
-        Self {
-            shared,
-            end,
-            limit_bytes,
-        }
+        Self { shared, end, limit_bytes }
     }
 
     /// MiB that were read, when there were too many.
     pub fn too_many_mb(&self) -> Option<u64> {
-        self.shared
-            .too_many
-            .load(Ordering::Relaxed)
-            .then_some(self.limit_bytes >> 20)
+        self.shared.too_many.load(Ordering::Relaxed).then_some(self.limit_bytes >> 20)
     }
 
     /// Closed when all was read.
@@ -112,10 +105,7 @@ mod tests {
         let text: String = (0..100).map(|i| format!("line {i}\n")).collect();
         let (kept, many) = all(Cursor::new(text), 1 << 20);
         assert_eq!((kept.len(), many), (16, None));
-        assert_eq!(
-            (kept[7].as_str(), kept[8].as_str(), kept[15].as_str()),
-            ("line 7", "line 92", "line 99")
-        );
+        assert_eq!((kept[7].as_str(), kept[8].as_str(), kept[15].as_str()), ("line 7", "line 92", "line 99"));
     }
 
     #[test]

@@ -50,10 +50,7 @@ fn set((resource, value): Limit, set: impl Fn(rustix::process::Rlimit) -> rustix
     let most = rustix::process::getrlimit(resource).maximum;
     let value = Some(most.map_or(value, |most| most.min(value)));
     // Where both are one, the kernel kills; a signal before that could be ignored.
-    let limit = rustix::process::Rlimit {
-        current: value,
-        maximum: value,
-    };
+    let limit = rustix::process::Rlimit { current: value, maximum: value };
     Ok(set(limit)?)
 }
 

@@ -41,13 +41,7 @@ pub fn command(
     name.push(input);
     let mut command = decoder::command(launcher, program, allowed)?;
     command
-        .args([
-            "-hide_banner",
-            "-protocol_whitelist",
-            "file",
-            "-format_whitelist",
-            FORMATS,
-        ])
+        .args(["-hide_banner", "-protocol_whitelist", "file", "-format_whitelist", FORMATS])
         .args(options)
         .arg("-i")
         .arg(name);
@@ -56,10 +50,7 @@ pub fn command(
 
 /// How such a command is started.
 pub fn start(launcher: Option<&DecoderProgram>) -> Start {
-    Start {
-        talks: false,
-        bare: launcher.is_none(),
-    }
+    Start { talks: false, bare: launcher.is_none() }
 }
 
 /// A frame that is about to come through the pipe.
@@ -86,27 +77,19 @@ pub fn parse(line: &str) -> Line {
     if line.contains("Parsed_showinfo") && line.contains(" n:") && line.contains(" pts_time:") {
         return frame(line).map_or(Line::Other, Line::Frame);
     }
-    match ["[error]", "[fatal]", "[panic]"]
-        .iter()
-        .find_map(|tag| line.split_once(tag))
-    {
+    match ["[error]", "[fatal]", "[panic]"].iter().find_map(|tag| line.split_once(tag)) {
         Some((_, message)) => Line::Error(message.trim().to_owned()),
         None => Line::Other,
     }
 }
 
 fn frame(line: &str) -> Option<FrameInfo> {
-    let value = |key: &str| {
-        line.split_once(key)
-            .and_then(|(_, rest)| rest.split_whitespace().next())
-    };
+    let value = |key: &str| line.split_once(key).and_then(|(_, rest)| rest.split_whitespace().next());
     let (width, height) = value(" s:")?.split_once('x')?;
     let aspect = value(" sar:").and_then(|v| v.split_once('/'));
     let aspect = aspect.and_then(|(n, d)| Some(n.parse::<f64>().ok()? / d.parse::<f64>().ok()?));
     Some(FrameInfo {
-        time_s: value(" pts_time:")
-            .and_then(|v| v.parse().ok())
-            .filter(|t: &f64| t.is_finite()),
+        time_s: value(" pts_time:").and_then(|v| v.parse().ok()).filter(|t: &f64| t.is_finite()),
         width: width.parse().ok()?,
         height: height.parse().ok()?,
         // 0/1 and 0/0 mean that the file does not say.
@@ -122,33 +105,17 @@ mod tests {
     #[test]
     fn the_probe_is_looked_for_beside_the_decoder() {
         assert_eq!(probe_beside(Path::new("ffmpeg")), Path::new("ffprobe"));
-        assert_eq!(
-            probe_beside(Path::new("/opt/bin/ffmpeg")),
-            Path::new("/opt/bin/ffprobe")
-        );
+        assert_eq!(probe_beside(Path::new("/opt/bin/ffmpeg")), Path::new("/opt/bin/ffprobe"));
         assert_eq!(probe_beside(Path::new("ffmpeg.exe")), Path::new("ffprobe.exe"));
     }
 
     #[test]
     fn lines_of_ffmpeg_5_are_understood() {
         let line = "[Parsed_showinfo_0 @ 0x5581] [info] n:   3 pts:   1536 pts_time:0.125   pos:    36872 fmt:yuv420p sar:4/3 s:480x360 i:P iskey:0 type:B checksum:0 plane_checksum:[] mean:[96 ] stdev:[ 1.0 ]";
-        let want = FrameInfo {
-            time_s: Some(0.125),
-            width: 480,
-            height: 360,
-            pixel_aspect: 4.0 / 3.0,
-        };
+        let want = FrameInfo { time_s: Some(0.125), width: 480, height: 360, pixel_aspect: 4.0 / 3.0 };
         assert_eq!(parse(line), Line::Frame(want));
         let line = "[Parsed_showinfo_0 @ 0x5581] [info] n:   3 pts: NOPTS pts_time:NOPTS pos: -1 fmt:yuv420p sar:0/1 s:48x36 i:P";
-        assert_eq!(
-            parse(line),
-            Line::Frame(FrameInfo {
-                time_s: None,
-                width: 48,
-                height: 36,
-                pixel_aspect: 1.0
-            })
-        );
+        assert_eq!(parse(line), Line::Frame(FrameInfo { time_s: None, width: 48, height: 36, pixel_aspect: 1.0 }));
         assert_eq!(
             parse("[h264 @ 0x1] [error] error while decoding MB 1 2"),
             Line::Error("error while decoding MB 1 2".into())

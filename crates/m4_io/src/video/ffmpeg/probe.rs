@@ -78,30 +78,15 @@ pub fn describe(
     let program = probe_beside(&options.ffmpeg);
     // V: no cover images.
     let entries = "stream=codec_name,pix_fmt,color_space,color_transfer,width,height,field_order:packet=pts_time,flags";
-    let arguments = [
-        "-v",
-        "error",
-        "-of",
-        "json",
-        "-select_streams",
-        "V:0",
-        "-show_entries",
-        entries,
-    ];
-    let work = Work {
-        pixels: MAX_PIXELS,
-        frames: 0,
-        bytes: std::fs::metadata(path).map_or(0, |m| m.len()),
-    };
+    let arguments = ["-v", "error", "-of", "json", "-select_streams", "V:0", "-show_entries", entries];
+    let work = Work { pixels: MAX_PIXELS, frames: 0, bytes: std::fs::metadata(path).map_or(0, |m| m.len()) };
     let allowed = options.decoder.allowed(work);
     let child = command((launcher, &program), &allowed, &arguments, path).and_then(|mut command| {
         let on_line = Box::new(|_: &str| true);
         Child::start(&mut command, start(launcher), allowed, MESSAGE_BYTES, on_line, progress)
     });
     let mut child = child.map_err(|e| needed(what, &program, &e.to_string()))?;
-    let text = child
-        .read_to_end(MAX_OUTPUT_BYTES)
-        .map_err(|halt| halt.fault("ffprobe"))?;
+    let text = child.read_to_end(MAX_OUTPUT_BYTES).map_err(|halt| halt.fault("ffprobe"))?;
     let Some(text) = text else {
         return Err(undecoded("it has more than two million frames"));
     };
@@ -121,10 +106,7 @@ pub fn describe(
             return Err(Halt::Failed(DecoderEnd::Answer { what }).fault("ffprobe"));
         }
         let name = format!("file:{}: ", path.display());
-        return Err(not_video(&format!(
-            "ffprobe says {:?}",
-            last.trim().trim_start_matches(&name)
-        )));
+        return Err(not_video(&format!("ffprobe says {:?}", last.trim().trim_start_matches(&name))));
     }
     let output: Output = serde_json::from_slice(&text).map_err(|e| undecoded(&format!("ffprobe answered: {e}")))?;
     Ok(output.streams.first().map(|stream| summary(stream, &output.packets)))
@@ -132,10 +114,8 @@ pub fn describe(
 
 /// The clip needs `program` of ffmpeg, and there is none.
 pub fn needed(what: &str, program: &Path, reason: &str) -> Fault {
-    let what = format!(
-        "it is {what}, which is decoded by ffmpeg, and `{}` cannot be started ({reason})",
-        program.display()
-    );
+    let what =
+        format!("it is {what}, which is decoded by ffmpeg, and `{}` cannot be started ({reason})", program.display());
     let hint = "install ffmpeg (apt, brew or winget install ffmpeg) or convert the clip to 8-bit H.264 elsewhere: ffmpeg -i IN \
                 -c:v libx264 -pix_fmt yuv420p OUT.mp4";
     Fault::unavailable(what, hint)
@@ -157,18 +137,11 @@ fn summary(stream: &Stream, packets: &[Packet]) -> Description {
         times.iter_mut().for_each(|t| *t -= first);
         times
     });
-    let rgb = stream
-        .pix_fmt
-        .as_deref()
-        .is_some_and(|f| f.contains("rgb") || f.contains("gbr"));
+    let rgb = stream.pix_fmt.as_deref().is_some_and(|f| f.contains("rgb") || f.contains("gbr"));
     Description {
         codec: stream.codec_name.clone(),
         hdr: stream.color_transfer.as_deref().and_then(Hdr::from_name),
-        matrix_known: rgb
-            || stream
-                .color_space
-                .as_deref()
-                .is_some_and(|s| s != "unknown" && s != "reserved"),
+        matrix_known: rgb || stream.color_space.as_deref().is_some_and(|s| s != "unknown" && s != "reserved"),
         interlaced: matches!(stream.field_order.as_deref(), Some("tt" | "bb" | "tb" | "bt")),
         pixels: (stream.width as u64).saturating_mul(stream.height as u64),
         height: stream.height,

@@ -51,22 +51,13 @@ pub fn read(
         return Err(no_frames(&format!("its {} stream is empty", description.codec)));
     }
     let decode = |every_frame_once| {
-        Decoder::start(
-            (path, what),
-            &description,
-            options,
-            every_frame_once,
-            launcher,
-            progress,
-        )?
-        .run(progress)
+        Decoder::start((path, what), &description, options, every_frame_once, launcher, progress)?.run(progress)
     };
     match decode(["-fps_mode", "passthrough"]) {
         // Before ffmpeg 5.1 the option had another name.
-        Err(Fault::Decoder {
-            how: DecoderEnd::Answer { what },
-            ..
-        }) if what.contains("fps_mode") => decode(["-vsync", "passthrough"]),
+        Err(Fault::Decoder { how: DecoderEnd::Answer { what }, .. }) if what.contains("fps_mode") => {
+            decode(["-vsync", "passthrough"])
+        }
         other => other,
     }
 }
@@ -105,9 +96,7 @@ impl<'a> Decoder<'a> {
             None => description.packets,
         };
         let strict: &[&str] = if options.strict { &["-xerror"] } else { &[] };
-        let threads = std::thread::available_parallelism()
-            .map_or(1, |n| n.get().min(MAX_THREADS))
-            .to_string();
+        let threads = std::thread::available_parallelism().map_or(1, |n| n.get().min(MAX_THREADS)).to_string();
         let before: Vec<&str> = ["-nostdin", "-nostats", "-loglevel", "level+info"]
             .iter()
             .chain(&["-filter_threads", &threads, "-threads", &threads])
@@ -178,9 +167,7 @@ impl<'a> Decoder<'a> {
             let info = self.child.wait_for(&self.frames).map_err(halted)?;
             let Some(info) = info else { break };
             let (start, origin_s) = *first.get_or_insert((info, info.time_s.unwrap_or(0.0)));
-            let time_s = info
-                .time_s
-                .map_or(decoded as f64 / self.options.folder_fps, |t| t - origin_s);
+            let time_s = info.time_s.map_or(decoded as f64 / self.options.folder_fps, |t| t - origin_s);
             decoded += 1;
             if (info.width, info.height) != (start.width, start.height) {
                 let (from, to) = ((start.width, start.height), (info.width, info.height));
@@ -239,11 +226,7 @@ impl<'a> Decoder<'a> {
     fn finish(mut self, collector: Option<Collector>, decoded: usize, kept: usize) -> Result<Video, Fault> {
         let complete = kept == self.keep.len();
         // What remains of a clip of which enough was read is not needed.
-        let exit = if complete {
-            None
-        } else {
-            Some(self.child.finish().map_err(halted)?)
-        };
+        let exit = if complete { None } else { Some(self.child.finish().map_err(halted)?) };
         let description = self.description;
         let complaints = std::mem::take(&mut *self.complaints.lock().unwrap_or_else(PoisonError::into_inner));
         if let Some(exit) = &exit
@@ -256,11 +239,7 @@ impl<'a> Decoder<'a> {
             }
         }
         drop(self.child);
-        let message = complaints
-            .first
-            .first()
-            .cloned()
-            .unwrap_or_else(|| "no reason given".into());
+        let message = complaints.first.first().cloned().unwrap_or_else(|| "no reason given".into());
         if self.options.strict && (complaints.count > 0 || !complete) {
             let reason = format!("{} errors with `strict`, the first: {message}", complaints.count.max(1));
             return Err(undecoded(&reason));
@@ -276,9 +255,7 @@ impl<'a> Decoder<'a> {
         };
         if let Some(hdr) = description.hdr {
             let name = hdr.name();
-            collector
-                .warnings
-                .push(format!("high dynamic range ({name}) was tone-mapped to sRGB"));
+            collector.warnings.push(format!("high dynamic range ({name}) was tone-mapped to sRGB"));
         }
         if description.interlaced {
             collector.warnings.push("interlaced video was deinterlaced".to_owned());
@@ -291,10 +268,9 @@ impl<'a> Decoder<'a> {
         }
         if !complete {
             let ended = exit.map_or_else(String::new, |e| e.status.to_string());
-            collector.warnings.push(format!(
-                "only {decoded} of {} frames could be decoded ({ended})",
-                description.packets
-            ));
+            collector
+                .warnings
+                .push(format!("only {decoded} of {} frames could be decoded ({ended})", description.packets));
         }
         collector.warnings.extend(plan::thinned(self.keep.len(), self.in_range));
         collector.finish(None).ok_or_else(|| no_frames(&message))
@@ -320,10 +296,6 @@ fn filters(description: &Description) -> String {
             None => ":in_color_matrix=bt601",
         });
     }
-    filters.push_str(if description.hdr.is_some() {
-        ",format=rgb48le"
-    } else {
-        ",format=rgb24"
-    });
+    filters.push_str(if description.hdr.is_some() { ",format=rgb48le" } else { ",format=rgb24" });
     filters
 }

@@ -56,11 +56,7 @@ impl Config {
         let count = *rest.first()?;
         rest = &rest[1..];
         sets(&mut rest, count)?;
-        Some(Self {
-            length_size,
-            headers,
-            sps: sps?,
-        })
+        Some(Self { length_size, headers, sps: sps? })
     }
 
     /// Fails for streams that the decoder does not take.
@@ -83,19 +79,13 @@ impl Config {
 
     /// What a decoder of this stream must know.
     pub fn setup(&self) -> Setup {
-        Setup {
-            size: (self.sps.width, self.sps.height),
-            headers: self.headers.clone(),
-        }
+        Setup { size: (self.sps.width, self.sps.height), headers: self.headers.clone() }
     }
 
     /// Writes a sample with start codes to `out`. `None` when its lengths do not add up.
     pub fn annex_b(&self, sample: &[u8], out: &mut Vec<u8>) -> Option<SampleKind> {
         out.clear();
-        let mut kind = SampleKind {
-            disposable: true,
-            resizes: None,
-        };
+        let mut kind = SampleKind { disposable: true, resizes: None };
         let (mut rest, mut slices) = (sample, 0);
         while !rest.is_empty() {
             let (length, tail) = rest.split_at_checked(self.length_size)?;
@@ -111,9 +101,7 @@ impl Config {
                 }
                 7 => {
                     let size = Sps::parse(nal).map(|s| (s.width, s.height))?;
-                    kind.resizes = kind
-                        .resizes
-                        .or((size != (self.sps.width, self.sps.height)).then_some(size));
+                    kind.resizes = kind.resizes.or((size != (self.sps.width, self.sps.height)).then_some(size));
                     continue;
                 }
                 _ => {}

@@ -38,12 +38,7 @@ impl H264 {
         // would leak the decoder's images.
         let settings = DecoderConfig::new().flush_after_decode(Flush::NoFlush);
         let decoder = Decoder::with_api_config(OpenH264API::from_source(), settings).ok()?;
-        Some(Self {
-            decoder,
-            setup,
-            fresh: true,
-            joined: Vec::new(),
-        })
+        Some(Self { decoder, setup, fresh: true, joined: Vec::new() })
     }
 
     /// Decodes one frame (with start codes), behind the parameter sets when it is `fresh`.
@@ -112,11 +107,7 @@ pub fn serve(limits: &[OsString], input: impl Read, output: impl Write) -> io::R
             "two limits were expected, bytes and seconds: this is a part of minute4d that is not to be started by hand";
         return Err(io::Error::new(ErrorKind::InvalidInput, what));
     };
-    let allowed = Allowed {
-        memory_bytes,
-        cpu_s,
-        idle_s: 0,
-    };
+    let allowed = Allowed { memory_bytes, cpu_s, idle_s: 0 };
     if let Some(line) = limits.get(2..).filter(|line| !line.is_empty()) {
         return Err(become_program(line, &allowed));
     }

@@ -46,11 +46,7 @@ impl<'a> Engine<'a> {
     pub fn here(setup: Setup, matrix: YuvMatrix) -> Option<Self> {
         let size = setup.size;
         let (decoder, done) = (Box::new(H264::new(setup)?), VecDeque::new());
-        Some(Self {
-            place: Place::Here { decoder, done },
-            matrix,
-            size,
-        })
+        Some(Self { place: Place::Here { decoder, done }, matrix, size })
     }
 
     /// Decodes in a process of its own.
@@ -61,19 +57,9 @@ impl<'a> Engine<'a> {
         allowed: Allowed,
         progress: &'a dyn Progress,
     ) -> Result<Self, Refusal> {
-        let start = Start {
-            talks: true,
-            bare: false,
-        };
+        let start = Start { talks: true, bare: false };
         let mut command = program.command(&allowed);
-        let child = Child::start(
-            &mut command,
-            start,
-            allowed,
-            MESSAGE_BYTES,
-            Box::new(|_| true),
-            progress,
-        );
+        let child = Child::start(&mut command, start, allowed, MESSAGE_BYTES, Box::new(|_| true), progress);
         let mut child = child.map_err(Refusal::Start)?;
         child.send(setup.write());
         let mut hello = [0; wire::MAGIC.len() + 1];
@@ -82,14 +68,9 @@ impl<'a> Engine<'a> {
         }
         let [magic @ .., ready] = hello;
         match (magic == wire::MAGIC, ready) {
-            (true, 1) => Ok(Self {
-                place: Place::There {
-                    child,
-                    memory_bytes: allowed.memory_bytes,
-                },
-                matrix,
-                size: setup.size,
-            }),
+            (true, 1) => {
+                Ok(Self { place: Place::There { child, memory_bytes: allowed.memory_bytes }, matrix, size: setup.size })
+            }
             (true, 0) => Err(Refusal::Setup),
             _ => Err(Refusal::Halt(answer("it does not answer as minute4d's decoder does"))),
         }
@@ -148,9 +129,7 @@ impl<'a> Engine<'a> {
                 let strides = [self.size.0, self.size.0.div_ceil(2)];
                 Ok(self.matrix.image_420(self.size, [y, u, v], strides).map(Some))
             }
-            wire::NO_MEMORY => Err(Halt::Failed(DecoderEnd::Memory {
-                limit_mb: memory_bytes >> 20,
-            })),
+            wire::NO_MEMORY => Err(Halt::Failed(DecoderEnd::Memory { limit_mb: memory_bytes >> 20 })),
             other => Err(answer(&format!("its answer {other} is none of minute4d's decoder"))),
         }
     }

@@ -59,9 +59,7 @@ pub fn read(
     let shown = presentation(track);
     if shown.is_empty() {
         let samples = track.samples.len();
-        return Err(no_frames(&format!(
-            "its video track has {samples} samples and none is shown"
-        )));
+        return Err(no_frames(&format!("its video track has {samples} samples and none is shown")));
     }
     let times: Vec<f64> = shown.iter().map(|s| s.time_s).collect();
     let kept = plan::select(&times, options)?;
@@ -69,16 +67,8 @@ pub fn read(
 
     let sps = &config.sps;
     let colours = entry.colours;
-    let matrix = if sps.matrix == 2 {
-        colours.map_or(2, |c| c.matrix)
-    } else {
-        sps.matrix
-    };
-    let transfer = if sps.transfer == 2 {
-        colours.map_or(2, |c| c.transfer)
-    } else {
-        sps.transfer
-    };
+    let matrix = if sps.matrix == 2 { colours.map_or(2, |c| c.matrix) } else { sps.matrix };
+    let transfer = if sps.transfer == 2 { colours.map_or(2, |c| c.transfer) } else { sps.transfer };
     let full_range = sps.full_range.or(colours.and_then(|c| c.full_range)).unwrap_or(false);
     let range = if full_range { Range::Full } else { Range::Limited };
     let Some(matrix) = YuvMatrix::from_code(matrix, sps.height, range) else {
@@ -108,9 +98,7 @@ pub fn read(
     };
     run.frames(file, &track.samples, &shown, &kept, progress)?;
 
-    let Run {
-        mut collector, damaged, ..
-    } = run;
+    let Run { mut collector, damaged, .. } = run;
     if collector.len() == 0 {
         let what = format!("H.264 of which none of {} frames could be decoded here", kept.len());
         return Ok(Outcome::Unsupported(Unsupported(what)));
@@ -134,15 +122,10 @@ pub fn read(
     }
     if let Some(hdr) = hdr {
         let name = hdr.name();
-        collector
-            .warnings
-            .push(format!("high dynamic range ({name}) was tone-mapped to sRGB"));
+        collector.warnings.push(format!("high dynamic range ({name}) was tone-mapped to sRGB"));
     }
     collector.warnings.extend(plan::thinned(kept.len(), inside));
-    collector
-        .finish(None)
-        .map(Outcome::Decoded)
-        .ok_or_else(|| no_frames("none was kept"))
+    collector.finish(None).map(Outcome::Decoded).ok_or_else(|| no_frames("none was kept"))
 }
 
 /// Starts the decoder; `None` when OpenH264 cannot be set up.
@@ -162,26 +145,13 @@ fn engine<'a>(
         frames: track.samples.len() as u64,
         bytes: track.samples.iter().map(|s| u64::from(s.size)).sum(),
     };
-    match Engine::there(
-        program,
-        &config.setup(),
-        matrix,
-        options.decoder.allowed(work),
-        progress,
-    ) {
+    match Engine::there(program, &config.setup(), matrix, options.decoder.allowed(work), progress) {
         Ok(engine) => Ok(Some(engine)),
         Err(Refusal::Setup) => Ok(None),
         Err(Refusal::Halt(halt)) => Err(halt.fault(DECODER)),
         Err(Refusal::Start(e)) => {
-            let what = format!(
-                "the decoder program {} cannot be started ({e})",
-                program.program.display()
-            );
-            Err(Fault::Content {
-                kind: ErrorKind::Io,
-                what,
-                hint: "install the program again".into(),
-            })
+            let what = format!("the decoder program {} cannot be started ({e})", program.program.display());
+            Err(Fault::Content { kind: ErrorKind::Io, what, hint: "install the program again".into() })
         }
     }
 }
@@ -306,9 +276,7 @@ fn coded_bytes(file: &mut File, sample: &Sample, bytes: &mut Vec<u8>) -> io::Res
         return Ok(false);
     }
     bytes.resize(sample.size as usize, 0);
-    let read = file
-        .seek(SeekFrom::Start(sample.offset))
-        .and_then(|_| file.read_exact(bytes));
+    let read = file.seek(SeekFrom::Start(sample.offset)).and_then(|_| file.read_exact(bytes));
     match read {
         Ok(()) => Ok(true),
         Err(e) if matches!(e.kind(), io::ErrorKind::UnexpectedEof | io::ErrorKind::InvalidInput) => Ok(false),

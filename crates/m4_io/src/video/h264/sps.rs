@@ -106,10 +106,7 @@ impl Sps {
         let unit_y = if chroma_format == 1 { 2 * fields } else { fields };
         let side = |blocks: u32, unit: u32, a: u32, b: u32| {
             let cropped = a.checked_add(b)?.checked_mul(unit)?;
-            blocks
-                .checked_mul(16)?
-                .checked_sub(cropped)
-                .filter(|&n| n > 0 && n <= 16_384)
+            blocks.checked_mul(16)?.checked_sub(cropped).filter(|&n| n > 0 && n <= 16_384)
         };
         let mut sps = Self {
             profile,
@@ -186,11 +183,7 @@ pub fn undelayed(nal: &[u8]) -> Option<Vec<u8>> {
             let sampling = [false, true, false, true, true, false, false];
             let tail = std::iter::from_fn(|| bits.bit());
             let all: Vec<bool> = id.into_iter().chain(sampling).chain(tail).collect();
-            let byte = |bits: &[bool]| {
-                bits.iter()
-                    .enumerate()
-                    .fold(0u8, |b, (i, &bit)| b | u8::from(bit) << (7 - i))
-            };
+            let byte = |bits: &[bool]| bits.iter().enumerate().fold(0u8, |b, (i, &bit)| b | u8::from(bit) << (7 - i));
             let mut bytes: Vec<u8> = all.chunks(8).map(byte).collect();
             while bytes.last() == Some(&0) {
                 bytes.pop();
@@ -292,10 +285,7 @@ mod tests {
             0x00, 0x03, 0x00, 0x02, 0x00, 0x00, 0x03, 0x00, 0x60, 0x1e, 0x30, 0x63, 0x08, 0xc0,
         ];
         let sps = Sps::parse(&nal).unwrap();
-        assert_eq!(
-            (sps.profile, sps.width, sps.height, sps.progressive),
-            (100, 480, 360, true)
-        );
+        assert_eq!((sps.profile, sps.width, sps.height, sps.progressive), (100, 480, 360, true));
         assert_eq!((sps.chroma_format, sps.bit_depth), (1, 8));
         assert_eq!((sps.transfer, sps.matrix, sps.full_range), (1, 1, Some(false)));
         assert_eq!(sps.pixel_aspect, Some(1.0));
@@ -315,19 +305,8 @@ mod tests {
         ];
         let sps = Sps::parse(&nal).unwrap();
         let quick = undelayed(&nal).unwrap();
-        assert_eq!(
-            Sps {
-                profile: 77,
-                ..Sps::parse(&quick).unwrap()
-            },
-            sps
-        );
-        assert!(
-            quick
-                .windows(3)
-                .all(|w| w != [0, 0, 0] && w != [0, 0, 1] && w != [0, 0, 2]),
-            "{quick:x?}"
-        );
+        assert_eq!(Sps { profile: 77, ..Sps::parse(&quick).unwrap() }, sps);
+        assert!(quick.windows(3).all(|w| w != [0, 0, 0] && w != [0, 0, 1] && w != [0, 0, 2]), "{quick:x?}");
     }
 
     #[test]
@@ -336,10 +315,7 @@ mod tests {
         let mut bits = Bits::new(&[0b1010_0110, 0b0100_0010, 0b1000_0000]);
         assert_eq!((0..5).map(|_| bits.ue().unwrap()).collect::<Vec<_>>(), [0, 1, 2, 3, 4]);
         let mut bits = Bits::new(&[0b1010_0110, 0b0100_0010, 0b1000_0000]);
-        assert_eq!(
-            (0..5).map(|_| bits.se().unwrap()).collect::<Vec<_>>(),
-            [0, 1, -1, 2, -2]
-        );
+        assert_eq!((0..5).map(|_| bits.se().unwrap()).collect::<Vec<_>>(), [0, 1, -1, 2, -2]);
         assert_eq!(Bits::new(&[0, 0, 3, 1]).bits(24), Some(1));
         assert_eq!(escape(&[0, 0, 1, 0, 0, 0, 4]), [0, 0, 3, 1, 0, 0, 3, 0, 4]);
         assert_eq!(Bits::new(&[0; 9]).ue(), None);

@@ -11,9 +11,7 @@ pub type Kind = [u8; 4];
 
 /// For messages.
 pub fn name(kind: Kind) -> String {
-    kind.iter()
-        .map(|&b| if b.is_ascii_graphic() { char::from(b) } else { '?' })
-        .collect()
+    kind.iter().map(|&b| if b.is_ascii_graphic() { char::from(b) } else { '?' }).collect()
 }
 
 /// True when bytes 4..8 of a file are a box type that MP4 and QuickTime files start with.
@@ -45,10 +43,7 @@ pub fn read_moov(file: &mut (impl Read + Seek), len: u64) -> Result<Vec<u8>, Mp4
             size => (8, size),
         };
         if size < head {
-            return Err(Mp4Error::Bad(format!(
-                "box {:?} at byte {at} says that it is {size} bytes long",
-                name(kind)
-            )));
+            return Err(Mp4Error::Bad(format!("box {:?} at byte {at} says that it is {size} bytes long", name(kind))));
         }
         let end = at.checked_add(size).filter(|&end| end <= len);
         if kind == *b"moov" {
@@ -60,10 +55,7 @@ pub fn read_moov(file: &mut (impl Read + Seek), len: u64) -> Result<Vec<u8>, Mp4
             };
             let body = end - at - head;
             if body > MAX_INDEX_BYTES {
-                return Err(Mp4Error::Bad(format!(
-                    "its index (moov box) is {} MiB long",
-                    body >> 20
-                )));
+                return Err(Mp4Error::Bad(format!("its index (moov box) is {} MiB long", body >> 20)));
             }
             let mut bytes = vec![0; body as usize];
             file.read_exact(&mut bytes)?;
@@ -99,10 +91,7 @@ pub fn children(body: &[u8]) -> impl Iterator<Item = (Kind, &[u8])> {
         let short = u32::from_be_bytes([header[0], header[1], header[2], header[3]]) as usize;
         let (head, size) = match short {
             0 => (8, rest.len()),
-            1 => (
-                16,
-                usize::try_from(u64::from_be_bytes(*rest.get(8..)?.first_chunk()?)).ok()?,
-            ),
+            1 => (16, usize::try_from(u64::from_be_bytes(*rest.get(8..)?.first_chunk()?)).ok()?),
             size => (8, size),
         };
         let inside = rest.get(head..size)?;
@@ -113,9 +102,7 @@ pub fn children(body: &[u8]) -> impl Iterator<Item = (Kind, &[u8])> {
 
 /// The first box of a kind inside of a body.
 pub fn child<'a>(body: &'a [u8], kind: &Kind) -> Option<Body<'a>> {
-    children(body)
-        .find(|(k, _)| k == kind)
-        .map(|(kind, bytes)| Body { kind, bytes })
+    children(body).find(|(k, _)| k == kind).map(|(kind, bytes)| Body { kind, bytes })
 }
 
 /// What is inside of a box, read from the front.

@@ -43,32 +43,15 @@ impl Timeline {
                 // The duration was rounded to ticks of the movie: a frame that starts within one of
                 // the end belongs to what was cut away.
                 let to = from + (length_s - 1.0 / movie) * track * edit.rate;
-                let to = if edit.duration == 0 {
-                    f64::INFINITY
-                } else {
-                    to.max(from + 1.0)
-                };
-                parts.push(Part {
-                    from,
-                    to,
-                    shown_at,
-                    rate: edit.rate,
-                });
+                let to = if edit.duration == 0 { f64::INFINITY } else { to.max(from + 1.0) };
+                parts.push(Part { from, to, shown_at, rate: edit.rate });
             }
             shown_at += length_s;
         }
         if parts.is_empty() {
-            parts.push(Part {
-                from: f64::NEG_INFINITY,
-                to: f64::INFINITY,
-                shown_at: 0.0,
-                rate: 1.0,
-            });
+            parts.push(Part { from: f64::NEG_INFINITY, to: f64::INFINITY, shown_at: 0.0, rate: 1.0 });
         }
-        Self {
-            parts,
-            ticks_per_s: track,
-        }
+        Self { parts, ticks_per_s: track }
     }
 
     /// Seconds at which the frame of composition time `ticks` is shown (first); `None` when it is cut
@@ -86,11 +69,7 @@ mod tests {
     use super::{Edit, Timeline};
 
     fn edit(duration: u64, media_time: i64, rate: f64) -> Edit {
-        Edit {
-            duration,
-            media_time,
-            rate,
-        }
+        Edit { duration, media_time, rate }
     }
 
     #[test]

@@ -65,9 +65,7 @@ impl Movie {
         let scale = mvhd.u32()?;
         let mut left = len;
         let traks = children(&moov).filter(|(kind, _)| kind == b"trak");
-        let tracks: Vec<Track> = traks
-            .map(|(_, body)| track(body, scale, &mut left))
-            .collect::<Result<_, _>>()?;
+        let tracks: Vec<Track> = traks.map(|(_, body)| track(body, scale, &mut left)).collect::<Result<_, _>>()?;
         let empty = tracks.iter().all(|t| t.samples.is_empty());
         if empty && child(&moov, b"mvex").is_some() {
             return Err(Mp4Error::Fragmented);
@@ -77,10 +75,7 @@ impl Movie {
 
     /// The video track with the most samples.
     pub fn video(&self) -> Option<&Track> {
-        let videos = self
-            .tracks
-            .iter()
-            .filter(|t| &t.handler == b"vide" && !t.entries.is_empty());
+        let videos = self.tracks.iter().filter(|t| &t.handler == b"vide" && !t.entries.is_empty());
         // `max_by_key` takes the last of equals, a file's first track is its main one.
         videos.rev().max_by_key(|t| t.samples.len())
     }
@@ -116,22 +111,14 @@ fn track(trak: &[u8], movie_scale: u32, left: &mut u64) -> Result<Track, Mp4Erro
         let mut stsd = required(stbl, b"stsd", "the sample table")?;
         stsd.version()?;
         stsd.u32()?;
-        entries = children(stsd.bytes)
-            .filter_map(|(kind, body)| entry(kind, body))
-            .collect();
+        entries = children(stsd.bytes).filter_map(|(kind, body)| entry(kind, body)).collect();
         list = samples(stbl, left)?;
     }
     let edits = match child(trak, b"edts").and_then(|edts| child(edts.bytes, b"elst")) {
         Some(elst) => edit_list(elst)?,
         None => Vec::new(),
     };
-    Ok(Track {
-        handler,
-        matrix,
-        timeline: Timeline::new(&edits, movie_scale, scale),
-        entries,
-        samples: list,
-    })
+    Ok(Track { handler, matrix, timeline: Timeline::new(&edits, movie_scale, scale), entries, samples: list })
 }
 
 fn edit_list(mut elst: Body<'_>) -> Result<Vec<Edit>, Mp4Error> {
@@ -147,11 +134,7 @@ fn edit_list(mut elst: Body<'_>) -> Result<Vec<Edit>, Mp4Error> {
         } else {
             (u64::from(elst.u32()?), i64::from(elst.i32()?))
         };
-        edits.push(Edit {
-            duration,
-            media_time,
-            rate: f64::from(elst.i32()?) / 65536.0,
-        });
+        edits.push(Edit { duration, media_time, rate: f64::from(elst.i32()?) / 65536.0 });
     }
     Ok(edits)
 }
@@ -176,10 +159,5 @@ fn entry(codec: Kind, body: &[u8]) -> Option<SampleEntry> {
         let aspect = f64::from(pasp.u32().ok()?) / f64::from(pasp.u32().ok()?);
         (0.1..=10.0).contains(&aspect).then_some(aspect)
     });
-    Some(SampleEntry {
-        codec,
-        avcc: child(inside, b"avcC").map(|b| b.bytes.to_vec()),
-        colours,
-        pixel_aspect,
-    })
+    Some(SampleEntry { codec, avcc: child(inside, b"avcC").map(|b| b.bytes.to_vec()), colours, pixel_aspect })
 }

@@ -43,24 +43,14 @@ impl<'a> Sizes<'a> {
         let constant = stsz.u32()?;
         if constant == 0 {
             let count = stsz.count(4)?;
-            return Ok(Self {
-                count,
-                constant,
-                each: stsz.bytes,
-            });
+            return Ok(Self { count, constant, each: stsz.bytes });
         }
         let count = stsz.u32()? as usize;
         let Some(rest) = left.checked_sub((count as u64).saturating_mul(u64::from(constant))) else {
-            return Err(Mp4Error::Bad(format!(
-                "{count} samples of {constant} bytes are more than the file has"
-            )));
+            return Err(Mp4Error::Bad(format!("{count} samples of {constant} bytes are more than the file has")));
         };
         *left = rest;
-        Ok(Self {
-            count,
-            constant,
-            each: &[],
-        })
+        Ok(Self { count, constant, each: &[] })
     }
 
     fn get(&self, i: usize) -> u32 {
@@ -106,11 +96,7 @@ fn place(stbl: &[u8], sizes: &Sizes<'_>, samples: &mut Vec<Sample>) -> Result<()
         }
     }
     if samples.len() < sizes.count {
-        return Err(Mp4Error::Bad(format!(
-            "its index places {} of {} samples",
-            samples.len(),
-            sizes.count
-        )));
+        return Err(Mp4Error::Bad(format!("its index places {} of {} samples", samples.len(), sizes.count)));
     }
     Ok(())
 }
@@ -132,10 +118,7 @@ fn time(stbl: &[u8], samples: &mut [Sample]) -> Result<(), Mp4Error> {
         next = next.saturating_add(count).min(samples.len());
     }
     if next < samples.len() {
-        return Err(Mp4Error::Bad(format!(
-            "its index times {next} of {} samples",
-            samples.len()
-        )));
+        return Err(Mp4Error::Bad(format!("its index times {next} of {} samples", samples.len())));
     }
     let Some(mut ctts) = child(stbl, b"ctts") else {
         return Ok(());

@@ -32,14 +32,8 @@ const BATCH: usize = 32;
 /// The middle of a block, from its first pixel.
 const MIDDLE: [f32; 2] = [0.5 * (BLOCK_WIDTH - 1) as f32, 0.5 * (BAND_ROWS - 1) as f32];
 /// Lanes of the moments of `omega`, [`Sums`].
-const EVEN: [usize; 6] = [
-    Sums::WEIGHT,
-    Sums::FIRST[0],
-    Sums::FIRST[1],
-    Sums::SECOND[0],
-    Sums::SECOND[1],
-    Sums::SECOND[2],
-];
+const EVEN: [usize; 6] =
+    [Sums::WEIGHT, Sums::FIRST[0], Sums::FIRST[1], Sums::SECOND[0], Sums::SECOND[1], Sums::SECOND[2]];
 /// For each pixel of each tile of a block: `1, X, Y, XX, XY, YY` in their lanes.
 static MOMENTS: [[[f32; 16]; PIXELS]; BLOCK_TILES] = moments();
 
@@ -70,12 +64,7 @@ const fn unit(lane: usize) -> [f32; 16] {
     out[lane] = 1.0;
     out
 }
-const UNITS: [[f32; 16]; 4] = [
-    unit(Sums::RGB[0]),
-    unit(Sums::RGB[1]),
-    unit(Sums::RGB[2]),
-    unit(Sums::DEPTH),
-];
+const UNITS: [[f32; 16]; 4] = [unit(Sums::RGB[0]), unit(Sums::RGB[1]), unit(Sums::RGB[2]), unit(Sums::DEPTH)];
 
 /// Adds up a band's gradient: `sums[i]` for its splat `i`; returns the gradient with respect to the
 /// background. `used` is what [`forward`](super::forward()) left.
@@ -132,32 +121,18 @@ fn band_backward<S: Simd, const EXTRA: bool>(
     // blocks look splats and pixels up out of order: read in order they come into the cache much
     // faster, and there they stay for the band
     band.touch(rows);
-    for plane in g
-        .rgb
-        .iter()
-        .chain(&g.d_rgb)
-        .chain([&g.transmittance, &g.depth, &g.d_alpha, &g.d_depth])
-    {
+    for plane in g.rgb.iter().chain(&g.d_rgb).chain([&g.transmittance, &g.depth, &g.d_alpha, &g.d_depth]) {
         touch(plane.iter().step_by(16).copied());
     }
     let zero = all(s, 0.0);
     let mut background = [zero; 3];
     let mut replayed = used.replay();
     let mut records = [Record::default(); CHUNK];
-    let mut stages = Stages {
-        alpha: [[0.0; PIXELS]; BATCH],
-        along: [[0.0; PIXELS]; BATCH],
-        pairs: [[0.0; PIXELS]; BATCH],
-    };
+    let mut stages =
+        Stages { alpha: [[0.0; PIXELS]; BATCH], along: [[0.0; PIXELS]; BATCH], pairs: [[0.0; PIXELS]; BATCH] };
     let mut totals = [Sums::default(); CHUNK];
     for block in 0..place.blocks() {
-        let mut states = [State {
-            t: zero,
-            behind: zero,
-            rgb: [zero; 3],
-            alpha: zero,
-            depth: zero,
-        }; BLOCK_TILES];
+        let mut states = [State { t: zero, behind: zero, rgb: [zero; 3], alpha: zero, depth: zero }; BLOCK_TILES];
         for (tile, state) in states.iter_mut().enumerate() {
             *state = fresh::<S, EXTRA>(s, place, block, tile, g, &mut background);
         }
@@ -236,11 +211,7 @@ fn fresh<S: Simd, const EXTRA: bool>(
 /// What the pairs of each pixel of a tile are multiplied with.
 #[inline(always)]
 fn table<S: Simd, const EXTRA: bool>(s: S, tile: usize, state: &State<S>) -> [f32x16<S>; PIXELS] {
-    let rgb: [[f32; PIXELS]; 3] = [
-        state.rgb[0].to_array(),
-        state.rgb[1].to_array(),
-        state.rgb[2].to_array(),
-    ];
+    let rgb: [[f32; PIXELS]; 3] = [state.rgb[0].to_array(), state.rgb[1].to_array(), state.rgb[2].to_array()];
     let depth: [f32; PIXELS] = state.depth.to_array();
     let mut out = [all(s, 0.0); PIXELS];
     for p in 0..PIXELS {
@@ -314,12 +285,7 @@ fn replay<S: Simd>(s: S, len: usize, state: &mut State<S>, stages: &mut Stages) 
 fn add_sums<S: Simd>(s: S, batch: &[u8], stages: &Stages, table: &[f32x16<S>; PIXELS], totals: &mut [Sums; CHUNK]) {
     for (&place, row) in batch.iter().zip(&stages.pairs) {
         let pair = |p: usize| -> f32x16<S> { f64x8::splat(s, row[p]).bitcast() };
-        let mut sum = [
-            pair(0) * table[0],
-            pair(1) * table[1],
-            pair(2) * table[2],
-            pair(3) * table[3],
-        ];
+        let mut sum = [pair(0) * table[0], pair(1) * table[1], pair(2) * table[2], pair(3) * table[3]];
         for p in (4..PIXELS).step_by(4) {
             for k in 0..4 {
                 sum[k] = pair(p + k).mul_add(table[p + k], sum[k]);
@@ -363,11 +329,8 @@ fn add_centred<S: Simd>(s: S, dx: f32x16<S>, dy: f32x16<S>, total: &[f32; 16], s
     let form = |x: &[f32; 16], y: &[f32; 16]| f32x16::from_slice(s, x) * dx + f32x16::from_slice(s, y) * dy;
     // dx, dy, dx dx, dx dy, dy dy
     let one = const { lanes([(X, 1.0), (Y, 1.0)]) };
-    let of_weight = form(
-        &const { lanes([(X, 1.0), (XX, 1.0), (XY, 1.0)]) },
-        &const { lanes([(Y, 1.0), (YY, 1.0)]) },
-    ) * (form(&const { lanes([(XX, 1.0)]) }, &const { lanes([(XY, 1.0), (YY, 1.0)]) })
-        + f32x16::from_slice(s, &one));
+    let of_weight = form(&const { lanes([(X, 1.0), (XX, 1.0), (XY, 1.0)]) }, &const { lanes([(Y, 1.0), (YY, 1.0)]) })
+        * (form(&const { lanes([(XX, 1.0)]) }, &const { lanes([(XY, 1.0), (YY, 1.0)]) }) + f32x16::from_slice(s, &one));
     let of_x = form(&const { lanes([(XX, -2.0)]) }, &const { lanes([(XY, -1.0)]) });
     let of_y = form(&const { lanes([(XY, -1.0)]) }, &const { lanes([(YY, -2.0)]) });
     let mut moved = f32x16::from_slice(s, total).mul_add(f32x16::from_slice(s, &SIGNS), f32x16::from_slice(s, sum));

@@ -59,12 +59,7 @@ fn band_forward<S: Simd, const DEPTH: bool>(
     let mut records = [Record::default(); CHUNK];
     let zero = all(s, 0.0);
     for block in 0..place.blocks() {
-        let mut states = [State {
-            t: zero,
-            left: all(s, 1.0),
-            rgb: [zero; 3],
-            depth: zero,
-        }; BLOCK_TILES];
+        let mut states = [State { t: zero, left: all(s, 1.0), rgb: [zero; 3], depth: zero }; BLOCK_TILES];
         for (tile, state) in states.iter_mut().enumerate() {
             state.t = f32x16::from_slice(s, &place.window(block, tile).fresh(1.0, T_FLOOR));
         }
@@ -116,12 +111,7 @@ fn tile_forward<S: Simd, const DEPTH: bool>(
     pixels: &Pixels<S>,
     state: &mut State<S>,
 ) -> (usize, bool) {
-    let State {
-        mut t,
-        mut left,
-        mut rgb,
-        mut depth,
-    } = *state;
+    let State { mut t, mut left, mut rgb, mut depth } = *state;
     let (mut count, mut finished) = (0, false);
     let mut alphas = [[0.0; 16]; BATCH];
     for batch in list.chunks(BATCH) {

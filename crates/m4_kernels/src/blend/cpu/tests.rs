@@ -16,11 +16,7 @@ use crate::{
 };
 use m4_core::CounterRng;
 
-const PLACE: BandPlace = BandPlace {
-    top: 32,
-    rows: 13,
-    width: 45,
-};
+const PLACE: BandPlace = BandPlace { top: 32, rows: 13, width: 45 };
 
 fn random_records(n: usize, log_opacity: f64) -> Vec<Record> {
     let mut rng = CounterRng::new(5, n as u64, 0);
@@ -57,9 +53,7 @@ fn spans(record: &Record, everything: bool) -> [u32; BAND_TILES] {
             })
         };
         let mut tiles = (0..tiles_x).filter(|&tile| everything || reached(tile));
-        tiles
-            .next()
-            .map_or(0, |first| span(first, tiles.next_back().unwrap_or(first) + 1))
+        tiles.next().map_or(0, |first| span(first, tiles.next_back().unwrap_or(first) + 1))
     })
 }
 
@@ -74,11 +68,7 @@ fn run(level: SimdLevel, records: &[Record], everything: bool, extra: bool) -> (
     let mut planes = vec![vec![0.0f32; n]; 5];
     let mut used = Used::default();
     let [r, g, b, t, z] = planes.get_disjoint_mut([0, 1, 2, 3, 4]).unwrap();
-    let mut out = BandPlanes {
-        rgb: [r, g, b],
-        transmittance: t,
-        depth: if extra { z } else { &mut [] },
-    };
+    let mut out = BandPlanes { rgb: [r, g, b], transmittance: t, depth: if extra { z } else { &mut [] } };
     dispatch!(level.level(), s => forward(s, &band, &rows, PLACE, [0.3, 0.2, 0.1], &mut out, &mut used));
     let gradient = |k: u64| -> Vec<f32> {
         let mut rng = CounterRng::new(6, k, 0);
@@ -116,10 +106,7 @@ fn tiles_that_a_splat_does_not_reach_may_be_left_out() {
                 let (all, all_background, all_used) = run(level, &records, true, extra);
                 assert!(some == all && some_background == all_background, "{name}");
                 assert!(some.iter().all(|v| v.is_finite()), "{name}");
-                assert!(
-                    some_used > n && 2 * some_used < all_used,
-                    "{name}: {some_used} of {all_used}"
-                );
+                assert!(some_used > n && 2 * some_used < all_used, "{name}: {some_used} of {all_used}");
             }
         }
     }

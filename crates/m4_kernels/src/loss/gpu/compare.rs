@@ -49,14 +49,7 @@ impl Loss {
             frame.worth,
             frame.wide,
         );
-        tally.frame(
-            gpu,
-            &self.sums,
-            self.size.tiles(),
-            3 * self.size.pixels(),
-            index,
-            lambda,
-        );
+        tally.frame(gpu, &self.sums, self.size.tiles(), 3 * self.size.pixels(), index, lambda);
     }
 
     /// The gradient of what was compared last, with respect to `image`.

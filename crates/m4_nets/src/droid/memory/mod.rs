@@ -236,16 +236,11 @@ impl<'a> DroidMemory<'a> {
     }
 
     fn scratch_failed(&self, reason: io::Error) -> DroidError {
-        DroidError::Scratch {
-            folder: self.store.folder().clone(),
-            reason,
-        }
+        DroidError::Scratch { folder: self.store.folder().clone(), reason }
     }
 }
 
 /// The numbers of a tensor, in 32 bits.
 fn read<const D: usize>(values: Tensor<D>) -> Result<Vec<f32>, DroidError> {
-    values
-        .try_into_vec_as()
-        .map_err(|error| DroidError::Device(error.to_string()))
+    values.try_into_vec_as().map_err(|error| DroidError::Device(error.to_string()))
 }

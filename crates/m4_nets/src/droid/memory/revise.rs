@@ -95,10 +95,7 @@ impl DroidMemory<'_> {
             }
         }
         let shared = update.agg.of_mean(sum.div_scalar(n));
-        Ok(SourceUpdate {
-            eta: read(update.agg.eta(shared.clone()))?,
-            shared,
-        })
+        Ok(SourceUpdate { eta: read(update.agg.eta(shared.clone()))?, shared })
     }
 
     /// `disparity` `[h * w]` of the frame that `update` is of, at the size of the image: `[8 h * 8 w]`.
@@ -109,10 +106,7 @@ impl DroidMemory<'_> {
     pub fn upsampled(&self, update: &SourceUpdate, disparity: &[f32]) -> Result<Vec<f32>, DroidError> {
         let [_, _, h, w] = update.shared.dims();
         if disparity.len() != h * w {
-            return Err(DroidError::Disparity {
-                got: disparity.len(),
-                expected: h * w,
-            });
+            return Err(DroidError::Disparity { got: disparity.len(), expected: h * w });
         }
         let disparity = tensor(disparity.to_vec(), [h, w], &self.net.device).cast(DType::F32);
         let mask = self.net.net.update.agg.upmask(update.shared.clone());
@@ -140,11 +134,7 @@ impl DroidMemory<'_> {
             let target = edge.target_px.iter().map(Vec::len);
             let mut sizes = edge.projected_px.iter().map(|p| p.len()).chain(target);
             if let Some(got) = sizes.find(|&n| n != w * h) {
-                return Err(DroidError::Plane {
-                    id: edge.id,
-                    got,
-                    expected: w * h,
-                });
+                return Err(DroidError::Plane { id: edge.id, got, expected: w * h });
             }
         }
         Ok(())

@@ -140,12 +140,8 @@ impl<K: Copy + Eq + Hash> Store<K> {
         }
         self.make_room(bytes.len())?;
         self.clock += 1;
-        let entry = self.entries.entry(key).or_insert(Entry {
-            size: bytes.len(),
-            memory: None,
-            place: None,
-            written: false,
-        });
+        let entry =
+            self.entries.entry(key).or_insert(Entry { size: bytes.len(), memory: None, place: None, written: false });
         entry.written = false;
         if bytes.len() > self.budget {
             return self.write(key, &bytes);

@@ -6,11 +6,7 @@ use crate::droid::tests::{Fixture, agree, network};
 use m4_testkit::{formula, formula_input};
 
 fn options(budget_bytes: usize, storage: Storage) -> MemoryOptions {
-    MemoryOptions {
-        budget_bytes,
-        storage,
-        scratch: std::env::temp_dir(),
-    }
+    MemoryOptions { budget_bytes, storage, scratch: std::env::temp_dir() }
 }
 
 /// A memory of the images of the fixture, which are added when they are needed.
@@ -33,16 +29,9 @@ const N: usize = 16 * 24;
 
 /// Half a pixel from where pixels are.
 fn start() -> Planes {
-    let projected = [
-        (0..N).map(|i| (i % 24) as f32 + 0.5).collect::<Vec<_>>(),
-        (0..N).map(|i| (i / 24) as f32 + 0.5).collect(),
-    ];
-    Planes {
-        target: projected.clone(),
-        projected,
-        weight: [vec![], vec![]],
-        still: vec![],
-    }
+    let projected =
+        [(0..N).map(|i| (i % 24) as f32 + 0.5).collect::<Vec<_>>(), (0..N).map(|i| (i / 24) as f32 + 0.5).collect()];
+    Planes { target: projected.clone(), projected, weight: [vec![], vec![]], still: vec![] }
 }
 
 fn revise(memory: &mut DroidMemory<'_>, source: usize, ids: &[usize], planes: &mut [Planes]) -> SourceUpdate {
@@ -82,9 +71,7 @@ fn run(memory: &mut DroidMemory<'_>, limit: Option<f32>) -> (Vec<Planes>, Vec<f3
         }
         let last = |of: &dyn Fn(&Planes, usize, usize) -> f32| -> Vec<f32> {
             let edges = planes.iter();
-            edges
-                .flat_map(|p| (0..2 * N).map(move |i| of(p, i % 2, i / 2)))
-                .collect()
+            edges.flat_map(|p| (0..2 * N).map(move |i| of(p, i % 2, i / 2))).collect()
         };
         let delta = last(&|p, c, i| p.target[c][i] - p.projected[c][i]);
         let weight = last(&|p, c, i| p.weight[c][i]);
@@ -170,10 +157,7 @@ fn motion_equals_one_update_from_rest() {
     let update = &net.net.update;
     let hidden = update.advance(&net.gru, hidden, net.gru.context(context), corr, Some(zeros));
     let delta = read(update.delta(hidden)).unwrap();
-    let want = (0..N)
-        .map(|i| f64::from(delta[i]).hypot(f64::from(delta[N + i])))
-        .sum::<f64>()
-        / N as f64;
+    let want = (0..N).map(|i| f64::from(delta[i]).hypot(f64::from(delta[N + i]))).sum::<f64>() / N as f64;
     assert!((got - want).abs() < 1e-9 * want && want > 0.0, "{got}, not {want}");
 }
 
@@ -198,24 +182,11 @@ fn requests_that_make_no_sense_are_refused() {
         memory.revise_source(source, &mut edges).unwrap_err()
     };
     assert!(matches!(attempt(0, &[5], N), DroidError::UnknownEdge { id: 5 }));
-    assert!(matches!(
-        attempt(0, &[1], N),
-        DroidError::WrongEdge { id: 1, source_frame: 1 }
-    ));
+    assert!(matches!(attempt(0, &[1], N), DroidError::WrongEdge { id: 1, source_frame: 1 }));
     assert!(matches!(attempt(0, &[0, 0], N), DroidError::WrongEdge { id: 0, .. }));
     assert!(matches!(attempt(0, &[], N), DroidError::NoEdges { source_frame: 0 }));
     let error = attempt(0, &[0], N - 1);
-    assert!(
-        matches!(
-            error,
-            DroidError::Plane {
-                got: 383,
-                expected: 384,
-                ..
-            }
-        ),
-        "{error}"
-    );
+    assert!(matches!(error, DroidError::Plane { got: 383, expected: 384, .. }), "{error}");
     let error = attempt(0, &[2], N);
     assert!(matches!(error, DroidError::Image { frame: 7, .. }), "{error}");
     memory.leave(0);
@@ -234,13 +205,7 @@ fn non_finite_positions_do_not_panic() {
     planes[0].projected[0][8] = -1e30;
     let update = revise(&mut memory, 0, &[0], &mut planes);
     assert!(update.eta.iter().all(|x| x.is_finite() && *x > 0.0));
-    assert!(
-        planes[0]
-            .still
-            .iter()
-            .chain(&planes[0].weight[0])
-            .all(|x| x.is_finite())
-    );
+    assert!(planes[0].still.iter().chain(&planes[0].weight[0]).all(|x| x.is_finite()));
     assert!(planes[0].target[0][5].is_nan() && planes[0].target[0][7].is_finite());
 }
 

@@ -317,10 +317,7 @@ impl<'a> Machine<'a> {
                 Value::Array(self.arrays.len() - 1)
             }
             (Name::DType, [Value::Text(name), ..]) => {
-                self.types.push(Type {
-                    is_f32: *name == "f4",
-                    is_little_endian: false,
-                });
+                self.types.push(Type { is_f32: *name == "f4", is_little_endian: false });
                 Value::Type(self.types.len() - 1)
             }
             _ => return Err(self.refused("a call that arrays do not need")),
@@ -341,13 +338,7 @@ impl<'a> Machine<'a> {
             }
             (
                 Value::Array(array),
-                &[
-                    Value::Int(_),
-                    Value::Tuple(shape),
-                    Value::Type(of),
-                    Value::Bool(by_columns),
-                    Value::Bytes(bytes),
-                ],
+                &[Value::Int(_), Value::Tuple(shape), Value::Type(of), Value::Bool(by_columns), Value::Bytes(bytes)],
             ) => {
                 let numbers = self.types[of];
                 if by_columns || !numbers.is_f32 || !numbers.is_little_endian {

@@ -81,11 +81,7 @@ impl Shape {
             _ => Self::Narrow,
         }
         #[cfg(not(any(target_arch = "x86", target_arch = "x86_64")))]
-        if level.is_fallback() {
-            Self::Narrow
-        } else {
-            Self::Middle
-        }
+        if level.is_fallback() { Self::Narrow } else { Self::Middle }
     }
 
     const fn outputs(self) -> usize {
@@ -153,11 +149,7 @@ fn with_level(level: Level, parts: &[&[f32]], n: usize, [h, w]: [usize; 2], filt
         let tasks = sums[..count * groups * outputs * GROUP].par_chunks_mut(outputs * GROUP);
         tasks.enumerate().for_each(|(task, sums)| {
             sums.fill(0.0);
-            let image = Padded {
-                values: &padded[task / groups * room..][..room],
-                plane,
-                taps: &taps,
-            };
+            let image = Padded { values: &padded[task / groups * room..][..room], plane, taps: &taps };
             let (from, c) = (task % groups * GROUP, filter.channels);
             dispatch!(level, s => match shape {
                 Shape::Wide => group::<_, 8, 3>(s, &image, from, &packed, c, depth, sums),
@@ -285,11 +277,8 @@ mod tests {
     fn levels() -> Vec<Level> {
         let best = Level::new();
         #[cfg(target_arch = "x86_64")]
-        let all = [
-            best.as_sse2().map(|t| t.level()),
-            best.as_avx2().map(|t| t.level()),
-            best.as_avx512().map(|t| t.level()),
-        ];
+        let all =
+            [best.as_sse2().map(|t| t.level()), best.as_avx2().map(|t| t.level()), best.as_avx512().map(|t| t.level())];
         #[cfg(not(target_arch = "x86_64"))]
         let all = [Some(best)];
         all.into_iter().flatten().collect()
@@ -319,22 +308,13 @@ mod tests {
 
     #[test]
     fn every_level_agrees_with_the_definition() {
-        for (channels, out, kernel, [h, w]) in [
-            (70, 13, [3, 3], [7, 31]),
-            (9, 8, [7, 7], [12, 20]),
-            (300, 3, [1, 1], [5, 5]),
-        ] {
+        for (channels, out, kernel, [h, w]) in
+            [(70, 13, [3, 3], [7, 31]), (9, 8, [7, 7], [12, 20]), (300, 3, [1, 1], [5, 5])]
+        {
             let x = formula_input("x", 0.1, 1.0, channels * h * w);
             let weight = formula_input("w", 0.0, 0.1, out * channels * kernel[0] * kernel[1]);
             let bias = formula_input("b", 0.0, 1.0, out);
-            let filter = Filter {
-                weight: &weight,
-                bias: Some(&bias),
-                out,
-                channels,
-                kernel,
-                beyond: Beyond::Nothing,
-            };
+            let filter = Filter { weight: &weight, bias: Some(&bias), out, channels, kernel, beyond: Beyond::Nothing };
             let want = by_definition(&x, [h, w], &filter);
             let largest = want.iter().fold(0.0, |m: f64, x| m.max(x.abs()));
             assert!(largest > 0.5);
@@ -343,10 +323,7 @@ mod tests {
                 assert_eq!(got.len(), want.len());
                 let errors = got.iter().zip(&want).map(|(a, b)| (f64::from(*a) - b).abs());
                 let error = errors.fold(0.0, |m: f64, x| if x.is_nan() { f64::NAN } else { m.max(x) });
-                assert!(
-                    error < 3e-6 * largest,
-                    "{level:?} {kernel:?}: {error:.1e} of {largest:.1e}"
-                );
+                assert!(error < 3e-6 * largest, "{level:?} {kernel:?}: {error:.1e} of {largest:.1e}");
             }
         }
     }
@@ -356,14 +333,7 @@ mod tests {
         let (channels, out, n, h, w) = (40, 20, 7, 30, 41);
         let x = formula_input("x", 0.1, 1.0, n * channels * h * w);
         let weight = formula_input("w", 0.0, 0.1, out * channels * 9);
-        let filter = Filter {
-            weight: &weight,
-            bias: None,
-            out,
-            channels,
-            kernel: [3, 3],
-            beyond: Beyond::Nothing,
-        };
+        let filter = Filter { weight: &weight, bias: None, out, channels, kernel: [3, 3], beyond: Beyond::Nothing };
         let with = |threads| {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
             pool.install(|| convolve(&[&x], n, [h, w], &filter))

@@ -26,11 +26,7 @@ pub fn convolve_edges(x: Tensor<4>, conv: &Conv2d) -> Tensor<4> {
 }
 
 fn with<const P: usize>(parts: [Tensor<4>; P], conv: &Conv2d, beyond: Beyond) -> Tensor<4> {
-    if is_for_kernel(&parts, conv) {
-        on_processor(parts, conv, beyond)
-    } else {
-        by_burn(parts.to_vec(), conv, beyond)
-    }
+    if is_for_kernel(&parts, conv) { on_processor(parts, conv, beyond) } else { by_burn(parts.to_vec(), conv, beyond) }
 }
 
 fn by_burn(mut parts: Vec<Tensor<4>>, conv: &Conv2d, beyond: Beyond) -> Tensor<4> {
@@ -125,10 +121,7 @@ mod tests {
             let largest = want.iter().fold(0.0_f32, |m, x| m.max(x.abs()));
             let error = got.iter().zip(&want).fold(0.0_f32, |m, (a, b)| m.max((a - b).abs()));
             assert!(got.iter().all(|x| x.is_finite()) && got.len() == want.len());
-            assert!(
-                largest > 0.1 && error < 3e-6 * largest,
-                "{out} {kernel:?}: {error:.1e} of {largest}"
-            );
+            assert!(largest > 0.1 && error < 3e-6 * largest, "{out} {kernel:?}: {error:.1e} of {largest}");
         }
     }
 
@@ -149,9 +142,6 @@ mod tests {
         let device = cpu();
         let layer = conv([4, 4], 3, 2, true, &device);
         assert!(!is_for_kernel(&[Tensor::zeros([1, 4, 8, 8], &device)], &layer));
-        assert_eq!(
-            convolve([Tensor::zeros([1, 4, 8, 8], &device)], &layer).dims(),
-            [1, 4, 4, 4]
-        );
+        assert_eq!(convolve([Tensor::zeros([1, 4, 8, 8], &device)], &layer).dims(), [1, 4, 4, 4]);
     }
 }

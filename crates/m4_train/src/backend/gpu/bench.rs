@@ -33,12 +33,7 @@ impl Bench {
     pub fn new(gpu: Gpu, scene: BenchScene) -> Result<Self, GpuError> {
         let adam = AdamState::new(&scene.splats);
         let trainer = GpuTrainer::new(gpu.clone(), &scene.splats, &adam, [&scene.target], usize::MAX)?;
-        let mut bench = Self {
-            rates: vec![RATE; scene.splats.columns().len()],
-            trainer,
-            gpu,
-            scene,
-        };
+        let mut bench = Self { rates: vec![RATE; scene.splats.columns().len()], trainer, gpu, scene };
         // the first round may leave entries out and then makes room for them; the second has them all
         for _ in 0..2 {
             (0..bench.views()).try_for_each(|view| bench.step(view))?;
@@ -66,8 +61,7 @@ impl Bench {
             adam: AdamConfig::default(),
             psnr: false,
         };
-        self.trainer
-            .step(&[StepView::new(0, &self.scene.views[view])], &settings)
+        self.trainer.step(&[StepView::new(0, &self.scene.views[view])], &settings)
     }
 
     /// Waits, and returns the statistics of the steps since the last call.
@@ -148,13 +142,8 @@ impl Bench {
         let (entries, gpu) = (self.trainer.work.size.entries, self.gpu);
         drop(self.trainer);
         let first = &self.scene.views[0].camera.intrinsics;
-        let size = Size {
-            n: self.scene.splats.n(),
-            width: first.width,
-            height: first.height,
-            entries,
-            training: false,
-        };
+        let size =
+            Size { n: self.scene.splats.n(), width: first.width, height: first.height, entries, training: false };
         Ok(Drawing {
             splats: DeviceSplats::upload(&gpu, &self.scene.splats)?,
             work: Work::new(&gpu, size)?,

@@ -1,8 +1,5 @@
 //! Sums for the least-squares fit of colours: the residual of a splat's pixels, and the weight of the splat in them.
-#![expect(
-    clippy::collapsible_if,
-    reason = "kernels are expanded: conditions at compile time stand alone"
-)]
+#![expect(clippy::collapsible_if, reason = "kernels are expanded: conditions at compile time stand alone")]
 
 use super::GpuTrainer;
 use super::trainer::TRAINING;
@@ -36,22 +33,13 @@ impl GpuTrainer {
             self.add_colours(view, &sums, 0);
             if with_weight {
                 let ones = 3 * self.work.size.pixels();
-                fill_ones::launch(
-                    &gpu.client,
-                    cubes(ones, 256),
-                    units(),
-                    self.work.gradient.arg(),
-                    ones as u32,
-                );
+                fill_ones::launch(&gpu.client, cubes(ones, 256), units(), self.work.gradient.arg(), ones as u32);
                 self.add_colours(view, &sums, 3 * n);
             }
         }
         let sums = sums.read_floats(&gpu.client, TRAINING)?;
         let planes = |kind: usize| [0, 1, 2].map(|k| sums[(3 * kind + k) * n..][..n].to_vec());
-        Ok(ColourSums {
-            residual: planes(0),
-            weight: if with_weight { planes(1) } else { Default::default() },
-        })
+        Ok(ColourSums { residual: planes(0), weight: if with_weight { planes(1) } else { Default::default() } })
     }
 
     /// Image minus frame becomes the gradient.
@@ -73,8 +61,7 @@ impl GpuTrainer {
     /// Adds the gradient of the constant coefficients to three planes of `sums`.
     fn add_colours(&mut self, view: &View, sums: &Buffer, first: usize) {
         let n = self.splats.n;
-        self.work
-            .backward(&self.gpu, &self.splats, &self.gradients, view.mip, false, false, None);
+        self.work.backward(&self.gpu, &self.splats, &self.gradients, view.mip, false, false, None);
         add_touched::launch(
             &self.gpu.client,
             cubes(n, 256),

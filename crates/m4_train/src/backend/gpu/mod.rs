@@ -50,23 +50,14 @@ impl GpuBackend {
     }
 
     fn trainer(&mut self) -> Result<&mut GpuTrainer, BackendError> {
-        self.trainer
-            .as_mut()
-            .ok_or_else(|| BackendError("the GPU was asked to work before it had splats".to_owned()))
+        self.trainer.as_mut().ok_or_else(|| BackendError("the GPU was asked to work before it had splats".to_owned()))
     }
 
     /// Bytes for frames on the device, those that fit beside everything else. The others are sent when they are used.
     fn budget(&self, splats: &Splats, frames: &[Target]) -> Result<usize, GpuError> {
         let size = frames.first().map_or((0, 0), |f| (f.width(), f.height()));
         let plan = |frames, entries| {
-            let plan = Plan::training(
-                splats.n_static(),
-                splats.n_dynamic(),
-                splats.layout(),
-                size,
-                frames,
-                entries,
-            );
+            let plan = Plan::training(splats.n_static(), splats.n_dynamic(), splats.layout(), size, frames, entries);
             if self.batches { plan.with_batches() } else { plan }
         };
         let entries = Plan::first_entries(splats.n());

@@ -37,10 +37,7 @@ impl GpuTrainer {
     /// Renders a frame, compares it, and leaves the gradients of the splats.
     fn frame_gradient(&mut self, step: &StepView<'_>, lambda: f32) -> Result<(), GpuError> {
         let target = self.frames.get(&self.gpu, step.frame)?;
-        self.draw(&View {
-            with_depth: false,
-            ..*step.view
-        })?;
+        self.draw(&View { with_depth: false, ..*step.view })?;
         let (shown, exposure) = self.corrected(step.frame);
         let (gpu, gradient) = (&self.gpu, &self.work.gradient);
         self.loss.compare(gpu, &shown, &target, 0, lambda, &self.tally);
@@ -50,15 +47,7 @@ impl GpuTrainer {
         }
         let gpu = &self.gpu;
         let camera = step.camera.then(|| self.cameras.next(gpu, step.frame, self.splats.n));
-        self.work.backward(
-            gpu,
-            &self.splats,
-            &self.gradients,
-            step.view.mip,
-            false,
-            false,
-            camera.as_ref(),
-        );
+        self.work.backward(gpu, &self.splats, &self.gradients, step.view.mip, false, false, camera.as_ref());
         if step.camera {
             self.cameras.add_up(gpu);
         }

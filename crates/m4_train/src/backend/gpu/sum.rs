@@ -15,10 +15,7 @@ pub(crate) struct Batch {
 
 impl Batch {
     fn new(gpu: &Gpu, splats: &DeviceSplats) -> Self {
-        Self {
-            gradients: splats.like(gpu),
-            touched: Buffer::empty(&gpu.client, splats.n),
-        }
+        Self { gradients: splats.like(gpu), touched: Buffer::empty(&gpu.client, splats.n) }
     }
 }
 
@@ -26,11 +23,7 @@ impl GpuTrainer {
     /// What the first frame left becomes the sum.
     pub(crate) fn start_sum(&mut self) {
         let (n, n_static) = (self.splats.n, self.splats.n_static);
-        if !self
-            .batch
-            .as_ref()
-            .is_some_and(|b| b.gradients.n == n && b.gradients.n_static == n_static)
-        {
+        if !self.batch.as_ref().is_some_and(|b| b.gradients.n == n && b.gradients.n_static == n_static) {
             self.batch = Some(Batch::new(&self.gpu, &self.splats));
         }
         self.swap_sum();
@@ -69,14 +62,7 @@ impl GpuTrainer {
                 columns.len() as u32,
             );
         }
-        unite::launch(
-            client,
-            cubes(n, 256),
-            units(),
-            batch.touched.arg(),
-            self.work.touched.arg(),
-            n as u32,
-        );
+        unite::launch(client, cubes(n, 256), units(), batch.touched.arg(), self.work.touched.arg(), n as u32);
     }
 }
 

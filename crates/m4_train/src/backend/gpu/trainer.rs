@@ -145,10 +145,7 @@ impl GpuTrainer {
 
     /// Makes room for a frame of `wanted` entries, and a quarter more.
     fn make_room(&mut self, wanted: usize) -> Result<(), GpuError> {
-        self.make(Size {
-            entries: wanted + wanted / 4,
-            ..self.work.size
-        })
+        self.make(Size { entries: wanted + wanted / 4, ..self.work.size })
     }
 
     /// Memory for `size`, where it is another one.
@@ -201,13 +198,7 @@ impl GpuTrainer {
         let Size { width, height, .. } = self.work.size;
         let pixels = width * height;
         let plane = |k: usize| image[k * pixels..(k + 1) * pixels].to_vec();
-        Ok(Frame {
-            width,
-            height,
-            rgb: [plane(0), plane(1), plane(2)],
-            transmittance: plane(3),
-            depth: Vec::new(),
-        })
+        Ok(Frame { width, height, rgb: [plane(0), plane(1), plane(2)], transmittance: plane(3), depth: Vec::new() })
     }
 
     /// Waits, and copies splats and the optimiser's state back.
@@ -282,10 +273,7 @@ impl GpuTrainer {
     pub fn replace_splats(&mut self, splats: &Splats) -> Result<(), GpuError> {
         self.splats = DeviceSplats::upload(&self.gpu, splats)?;
         self.gradients = self.splats.like(&self.gpu);
-        self.make(Size {
-            n: splats.n(),
-            ..self.work.size
-        })
+        self.make(Size { n: splats.n(), ..self.work.size })
     }
 }
 
@@ -301,11 +289,7 @@ fn uploaded(gpu: &Gpu, adam: &AdamState) -> Result<DeviceAdam, GpuError> {
 /// A row of the log of cameras.
 fn camera(row: [f64; 10]) -> CameraGradient {
     let [tx, ty, tz, rx, ry, rz, fx, fy, cx, cy] = row;
-    CameraGradient {
-        tau: [tx, ty, tz],
-        omega: [rx, ry, rz],
-        intrinsics: [fx, fy, cx, cy],
-    }
+    CameraGradient { tau: [tx, ty, tz], omega: [rx, ry, rz], intrinsics: [fx, fy, cx, cy] }
 }
 
 /// The state is that of these splats.

@@ -79,20 +79,8 @@ impl Mask {
                 threshold,
             ),
             Some(quantile) => {
-                let Quantile {
-                    place,
-                    pairs,
-                    sort,
-                    count,
-                } = quantile;
-                bits::launch(
-                    client,
-                    cubes(pixels, 256),
-                    units(),
-                    self.errors.arg(),
-                    pairs.keys.arg(),
-                    pixels as u32,
-                );
+                let Quantile { place, pairs, sort, count } = quantile;
+                bits::launch(client, cubes(pixels, 256), units(), self.errors.arg(), pairs.keys.arg(), pixels as u32);
                 let sorted = sort.run(client, pairs, count, 32);
                 cut_of_quantile::launch(
                     client,

@@ -60,10 +60,7 @@ impl GpuTrainer {
         rows.shape(&client, &self.splats, &splats, share);
         self.splats = splats;
         self.gradients = self.splats.like(&self.gpu);
-        self.make(Size {
-            n: next,
-            ..self.work.size
-        })?;
+        self.make(Size { n: next, ..self.work.size })?;
         Ok(grown)
     }
 
@@ -83,13 +80,6 @@ impl GpuTrainer {
             // no range, no pruning by score
             false => Buffer::floats(client, &[0.0, 0.0]),
         };
-        Ok(outcomes::Outcomes::new(
-            client,
-            &self.splats,
-            rules,
-            &grows,
-            &scores,
-            &range,
-        ))
+        Ok(outcomes::Outcomes::new(client, &self.splats, rules, &grows, &scores, &range))
     }
 }

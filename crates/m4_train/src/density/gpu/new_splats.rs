@@ -1,8 +1,5 @@
 //! Writes the next rows, including clones and split halves.
-#![expect(
-    clippy::collapsible_if,
-    reason = "kernels are expanded: conditions at compile time stand alone"
-)]
+#![expect(clippy::collapsible_if, reason = "kernels are expanded: conditions at compile time stand alone")]
 
 use super::outcomes::{Outcomes, birth_of, stay_of};
 use cubecl::prelude::*;

@@ -1,8 +1,5 @@
 //! The outcome of density control for each splat: the rows that it keeps and adds, and their totals.
-#![expect(
-    clippy::collapsible_if,
-    reason = "kernels are expanded: conditions at compile time stand alone"
-)]
+#![expect(clippy::collapsible_if, reason = "kernels are expanded: conditions at compile time stand alone")]
 
 use crate::backend::DensityStats;
 use crate::config::{PruneRule, SplitSize};
@@ -90,13 +87,7 @@ impl Outcomes {
     pub fn read(&self, client: &Client, doing: &'static str) -> Result<(DensityStats, usize), GpuError> {
         let counts = self.counts.read_words(client, doing)?;
         let [cloned, split, pruned, next, n_static] = [0, 1, 2, 3, 4].map(|k: usize| counts[k] as usize);
-        let grown = DensityStats {
-            cloned,
-            split,
-            pruned,
-            n_static,
-            n_dynamic: next - n_static,
-        };
+        let grown = DensityStats { cloned, split, pruned, n_static, n_dynamic: next - n_static };
         Ok((grown, next))
     }
 }
@@ -125,9 +116,7 @@ pub(super) fn birth_of(i: u32, n: u32, n_static: u32) -> u32 {
 fn largest(geometry: &[f32], i: u32, n: u32, #[comptime] isotropic: bool) -> f32 {
     let mut log = geometry[(3u32 * n + i) as usize];
     if comptime!(!isotropic) {
-        log = log
-            .max(geometry[(4u32 * n + i) as usize])
-            .max(geometry[(5u32 * n + i) as usize]);
+        log = log.max(geometry[(4u32 * n + i) as usize]).max(geometry[(5u32 * n + i) as usize]);
     }
     log.exp()
 }

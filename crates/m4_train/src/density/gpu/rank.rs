@@ -67,15 +67,7 @@ impl Rank {
             PruneRule::WithOpacity { quantile, .. } => (false, quantile.clamp(0.0, 1.0)),
         };
         let range = Buffer::empty(client, 2);
-        prune_keys::launch(
-            client,
-            cubes(self.n, 256),
-            units(),
-            scores.arg(),
-            self.pairs.keys.arg(),
-            n,
-            literal,
-        );
+        prune_keys::launch(client, cubes(self.n, 256), units(), scores.arg(), self.pairs.keys.arg(), n, literal);
         let sorted = self.sort.run(client, &self.pairs, &self.count, 32);
         find_range::launch(
             client,

@@ -39,16 +39,10 @@ impl GpuTrainer {
             self.draw(view)?;
             let target = self.frames.get(&gpu, *frame)?;
             let (shown, _) = self.corrected(*frame);
-            self.loss
-                .compare(&gpu, &shown, &target, index, settings.lambda_ssim, &tally);
+            self.loss.compare(&gpu, &shown, &target, index, settings.lambda_ssim, &tally);
             mask.find(&gpu, &shown, &target, settings.threshold);
-            let frame = FrameScore {
-                errors: &mask.errors,
-                cut: &mask.cut,
-                tally: &tally.buffer,
-                loss: LOSSES + index,
-                share,
-            };
+            let frame =
+                FrameScore { errors: &mask.errors, cut: &mask.cut, tally: &tally.buffer, loss: LOSSES + index, share };
             add(&gpu, &self.work, &self.splats, &frame, &scores);
         }
         Ok(scores)

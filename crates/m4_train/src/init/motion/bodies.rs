@@ -15,11 +15,7 @@ pub(crate) fn bodies(points: impl Iterator<Item = [f32; 3]>, gap: f32) -> Vec<us
     for (cell, &i) in &of_cell {
         for step in 0..27 {
             let [x, y, z] = [step % 3 - 1, step / 3 % 3 - 1, step / 9 - 1];
-            let other = [
-                cell[0].saturating_add(x),
-                cell[1].saturating_add(y),
-                cell[2].saturating_add(z),
-            ];
+            let other = [cell[0].saturating_add(x), cell[1].saturating_add(y), cell[2].saturating_add(z)];
             if let Some(&j) = of_cell.get(&other) {
                 let (a, b) = (root(&mut parent, i), root(&mut parent, j));
                 parent[a.max(b)] = a.min(b);
@@ -61,10 +57,7 @@ mod tests {
 
     #[test]
     fn infinite_and_nan_positions_do_not_panic() {
-        let got = bodies(
-            [[f32::NAN; 3], [1e30, -1e30, 0.0], [f32::INFINITY; 3]].into_iter(),
-            1e-3,
-        );
+        let got = bodies([[f32::NAN; 3], [1e30, -1e30, 0.0], [f32::INFINITY; 3]].into_iter(), 1e-3);
         assert_eq!(got.len(), 3);
     }
 }

@@ -87,10 +87,7 @@ impl Field {
     /// The same displacement once more, at points of the keyframe that this motion leads to.
     fn onward(&self, at: &[[f32; 3]]) -> Vec<[f32; 3]> {
         let back = self.inverse().places(at);
-        at.iter()
-            .zip(back)
-            .map(|(p, q)| [0, 1, 2].map(|k| 2.0 * p[k] - q[k]))
-            .collect()
+        at.iter().zip(back).map(|(p, q)| [0, 1, 2].map(|k| 2.0 * p[k] - q[k])).collect()
     }
 
     /// Where points among the nodes go: by the motions of the three nearest nodes, weighted by the inverse
@@ -147,13 +144,8 @@ mod tests {
         nalgebra::{UnitQuaternion, Vector3},
     };
 
-    const BY: Registration = Registration {
-        colour_scale: 0.1,
-        reach: 0.1,
-        neighbours: 16,
-        rounds: 15,
-        picture_rounds: 0,
-    };
+    const BY: Registration =
+        Registration { colour_scale: 0.1, reach: 0.1, neighbours: 16, rounds: 15, picture_rounds: 0 };
 
     /// Points of a unit cube, with colours that change smoothly over it.
     fn cloud() -> Centroids {
@@ -162,9 +154,7 @@ mod tests {
         for _ in 0..600 {
             let p = [0, 1, 2].map(|_| rng.uniform() as f32);
             still.xyz.push(p);
-            still
-                .rgb
-                .push([0, 1, 2].map(|k| 0.5 + 0.4 * (5.0 * p[k] + k as f32).sin()));
+            still.rgb.push([0, 1, 2].map(|k| 0.5 + 0.4 * (5.0 * p[k] + k as f32).sin()));
             still.edge.push(0.05);
         }
         still
@@ -181,12 +171,7 @@ mod tests {
     }
 
     fn between(clouds: &[Centroids], sees: &(dyn Fn([f32; 3]) -> bool + Sync)) -> Vec<Fields> {
-        let view = |c| View {
-            nodes: c,
-            points: c,
-            frame: None,
-            sees,
-        };
+        let view = |c| View { nodes: c, points: c, frame: None, sees };
         fields(&clouds.iter().map(view).collect::<Vec<_>>(), None, &BY, &Silent).unwrap()
     }
 
@@ -209,16 +194,10 @@ mod tests {
         let found = between(&clouds, &|_| true);
         for (i, f) in found.iter().enumerate().skip(1) {
             let ahead = f.forward.places(&clouds[i].xyz);
-            let good = ahead
-                .iter()
-                .zip(&clouds[i + 1].xyz)
-                .filter(|(a, b)| distance(**a, **b) < 0.01);
+            let good = ahead.iter().zip(&clouds[i + 1].xyz).filter(|(a, b)| distance(**a, **b) < 0.01);
             assert!(good.count() > 560, "forward from {i}");
             let back = f.backward.places(&clouds[i + 1].xyz);
-            let good = back
-                .iter()
-                .zip(&clouds[i].xyz)
-                .filter(|(a, b)| distance(**a, **b) < 0.01);
+            let good = back.iter().zip(&clouds[i].xyz).filter(|(a, b)| distance(**a, **b) < 0.01);
             assert!(good.count() > 560, "back to {i}");
         }
     }
@@ -245,11 +224,7 @@ mod tests {
         let field = &found[2].forward;
         let leaving: Vec<[f32; 3]> = clouds[2].xyz.iter().copied().filter(|p| p[0] > 0.8).collect();
         let places = field.places(&leaving);
-        let off: f32 = leaving
-            .iter()
-            .zip(&places)
-            .map(|(p, q)| distance([p[0] + 0.1, p[1], p[2]], *q))
-            .sum();
+        let off: f32 = leaving.iter().zip(&places).map(|(p, q)| distance([p[0] + 0.1, p[1], p[2]], *q)).sum();
         assert!(off / (leaving.len() as f32) < 0.02, "{}", off / leaving.len() as f32);
         // and what is out already follows
         let nodes: Vec<u32> = (0..field.nodes.len() as u32).collect();

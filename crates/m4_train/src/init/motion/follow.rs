@@ -37,11 +37,7 @@ impl Ways<'_> {
         if places.is_empty() {
             return None;
         }
-        let shifts = places
-            .iter()
-            .zip(&ends)
-            .map(|(p, q)| [0, 1, 2].map(|k| q[k] - p[k]))
-            .collect();
+        let shifts = places.iter().zip(&ends).map(|(p, q)| [0, 1, 2].map(|k| q[k] - p[k])).collect();
         let tree = ImmutableKdTree::<f32, 3>::new_from_slice(&places).ok()?;
         let reach = self.reach.max(SPACING * spacing(&tree, &places));
         Some(Follow { tree, shifts, reach })
@@ -55,10 +51,7 @@ fn spacing(tree: &ImmutableKdTree<f32, 3>, places: &[[f32; 3]]) -> f32 {
         .par_iter()
         .filter_map(|p| {
             let near = tree.query(p).nearest_n::<SquaredEuclidean<f32>>(TWO).execute();
-            near.iter()
-                .map(|n| n.distance)
-                .max_by(f32::total_cmp)
-                .filter(|_| near.len() > 1)
+            near.iter().map(|n| n.distance).max_by(f32::total_cmp).filter(|_| near.len() > 1)
         })
         .collect();
     m4_core::median(&mut squares).map_or(0.0, f32::sqrt)
@@ -68,11 +61,7 @@ impl Follow {
     /// Where a place went and how much that counts: the shift of those of the nearest tracks that differs least from the others'.
     /// `None` where no track is near.
     pub fn ask(&self, p: [f32; 3]) -> Option<([f32; 3], f32)> {
-        let near = self
-            .tree
-            .query(&p)
-            .nearest_n::<SquaredEuclidean<f32>>(NEAREST)
-            .execute();
+        let near = self.tree.query(&p).nearest_n::<SquaredEuclidean<f32>>(NEAREST).execute();
         let near = near.into_iter().filter(|n| n.distance <= self.reach * self.reach);
         let near: Vec<(Vector3<f32>, f32)> = near
             .map(|n| {
@@ -81,11 +70,7 @@ impl Follow {
             })
             .collect();
         let off = |a: &Vector3<f32>| near.iter().map(|(b, w)| w * (a - b).norm()).sum::<f32>();
-        let middle = near
-            .iter()
-            .map(|(a, _)| (a, off(a)))
-            .min_by(|a, b| a.1.total_cmp(&b.1))?
-            .0;
+        let middle = near.iter().map(|(a, _)| (a, off(a))).min_by(|a, b| a.1.total_cmp(&b.1))?.0;
         Some(((Vector3::from(p) + middle).into(), 1.0))
     }
 }
@@ -108,11 +93,7 @@ mod tests {
     #[test]
     fn one_wrong_track_is_outvoted_and_far_tracks_have_no_weight() {
         let tracks = row();
-        let ways = Ways {
-            tracks: &tracks,
-            frames: &[0, 1],
-            reach: 0.05,
-        };
+        let ways = Ways { tracks: &tracks, frames: &[0, 1], reach: 0.05 };
         let follow = ways.between(0, 1).unwrap();
         let (to, weight) = follow.ask([0.2, 0.05, 0.0]).unwrap();
         assert!((to[0] - 1.2).abs() < 1e-6 && to[1] == 0.05 && weight > 0.0, "{to:?}");
@@ -125,11 +106,7 @@ mod tests {
     #[test]
     fn a_single_track_moves_points_within_reach() {
         let tracks = Tracks::new(2, 1, vec![[0.0; 3], [0.0, 1.0, 0.0]], vec![true; 2]).unwrap();
-        let ways = Ways {
-            tracks: &tracks,
-            frames: &[0, 1],
-            reach: 0.5,
-        };
+        let ways = Ways { tracks: &tracks, frames: &[0, 1], reach: 0.5 };
         let follow = ways.between(0, 1).unwrap();
         assert_eq!(follow.ask([0.3, 0.0, 0.0]), Some(([0.3, 1.0, 0.0], 1.0)));
         assert_eq!(follow.ask([0.6, 0.0, 0.0]), None);

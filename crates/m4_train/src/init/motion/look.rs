@@ -114,11 +114,8 @@ impl Look {
         }
         let n = patch.len() as f64;
         let sum = |f: &dyn Fn(&Texel) -> f64| patch.iter().map(f).sum::<f64>();
-        let [xx, xy, yy] = [
-            sum(&|t| t.slope[0] * t.slope[0]),
-            sum(&|t| t.slope[0] * t.slope[1]),
-            sum(&|t| t.slope[1] * t.slope[1]),
-        ];
+        let [xx, xy, yy] =
+            [sum(&|t| t.slope[0] * t.slope[0]), sum(&|t| t.slope[0] * t.slope[1]), sum(&|t| t.slope[1] * t.slope[1])];
         let damping = n * NOISE * NOISE;
         let (a, d) = (xx + damping, yy + damping);
         let determinant = a * d - xy * xy;
@@ -173,10 +170,7 @@ mod tests {
         };
         CaptureFrame {
             name: String::new(),
-            camera: Camera {
-                intrinsics: Intrinsics::centred(60, 40, 50.0),
-                c2w: Se3::identity(),
-            },
+            camera: Camera { intrinsics: Intrinsics::centred(60, 40, 50.0), c2w: Se3::identity() },
             t: 0.0,
             rgb: Plane::from_fn(60, 40, |x, y| {
                 let v = texture(x as f64 - shift[0], y as f64 - shift[1]);
@@ -204,22 +198,10 @@ mod tests {
             assert!((u - x - 1.3).hypot(v - y + 0.7) < 0.1, "({x}, {y}) went to ({u}, {v})");
             assert!((z - 2.0).abs() < 1e-5 && trust > 0.5);
         }
-        assert!(
-            here.follow(&there, place(10.0, 20.0), place(10.0, 20.0)).is_none(),
-            "a static pixel"
-        );
-        assert!(
-            here.follow(&there, place(1.0, 20.0), place(1.0, 20.0)).is_none(),
-            "at the border"
-        );
-        assert!(
-            here.follow(&there, place(30.0, 20.0), place(90.0, 20.0)).is_none(),
-            "outside"
-        );
-        assert!(
-            here.follow(&there, place(30.0, 20.0), [0.0, 0.0, -1.0]).is_none(),
-            "behind"
-        );
+        assert!(here.follow(&there, place(10.0, 20.0), place(10.0, 20.0)).is_none(), "a static pixel");
+        assert!(here.follow(&there, place(1.0, 20.0), place(1.0, 20.0)).is_none(), "at the border");
+        assert!(here.follow(&there, place(30.0, 20.0), place(90.0, 20.0)).is_none(), "outside");
+        assert!(here.follow(&there, place(30.0, 20.0), [0.0, 0.0, -1.0]).is_none(), "behind");
     }
 
     #[test]
@@ -228,10 +210,7 @@ mod tests {
         let p = a.camera.unproject(40.0, 20.0, 2.0);
         let p = [p.x as f32, p.y as f32, p.z as f32];
         assert!(a.follow(&a, p, p).unwrap().1 < 1e-3);
-        let without = CaptureFrame {
-            mask: None,
-            ..frame([0.0; 2], true)
-        };
+        let without = CaptureFrame { mask: None, ..frame([0.0; 2], true) };
         assert!(Look::new(&without).is_none());
     }
 }

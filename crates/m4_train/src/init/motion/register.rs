@@ -33,13 +33,7 @@ impl Registration {
     /// What the first splats are made with (our rules); `reach` in world units. Three rounds of frames: +0.14 dB inside moving
     /// parts, difference of colour after one frame down by a fifth (docs/decisions/0004).
     pub fn with_reach(reach: f32) -> Self {
-        Self {
-            colour_scale: 0.1,
-            reach,
-            neighbours: 20,
-            rounds: 15,
-            picture_rounds: 3,
-        }
+        Self { colour_scale: 0.1, reach, neighbours: 20, rounds: 15, picture_rounds: 3 }
     }
 }
 
@@ -104,10 +98,7 @@ pub(crate) fn register(
         .collect();
     for round in 0..by.rounds {
         let wanted = wanted(nodes, &motion, |_, place, rgb| {
-            let n = tree
-                .query(&joint(place, rgb, by))
-                .nearest_one::<SquaredEuclidean<f32>>()
-                .execute();
+            let n = tree.query(&joint(place, rgb, by)).nearest_one::<SquaredEuclidean<f32>>().execute();
             let match_ = to.points.xyz[n.item as usize];
             (to.sees)(place).then(|| (match_, 1.0 / (1.0 + n.distance).powi(2)))
         });

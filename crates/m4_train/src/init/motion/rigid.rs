@@ -16,11 +16,7 @@ pub(crate) type Pair = (Vector3<f32>, Vector3<f32>, f32);
 impl Rigid {
     /// A shift that takes `from` to `to`.
     pub fn shift(from: [f32; 3], to: [f32; 3]) -> Self {
-        Self {
-            rotation: UnitQuaternion::identity(),
-            from: from.into(),
-            to: to.into(),
-        }
+        Self { rotation: UnitQuaternion::identity(), from: from.into(), to: to.into() }
     }
 
     /// The rigid motion that fits `pairs` best in the least squares; `None` if their weight is 0.
@@ -70,11 +66,7 @@ impl Rigid {
 
     /// The motion back.
     pub fn inverse(&self) -> Self {
-        Self {
-            rotation: self.rotation.inverse(),
-            from: self.to,
-            to: self.from,
-        }
+        Self { rotation: self.rotation.inverse(), from: self.to, to: self.from }
     }
 
     /// Returns the transformed point.

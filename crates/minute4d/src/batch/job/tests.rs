@@ -24,14 +24,7 @@ fn install(script: &str, program: &Path) {
     let text = program.with_extension("txt");
     fs::write(&text, script).unwrap();
     let mut command = Command::new("install");
-    assert!(
-        command
-            .args(["-m", "755"])
-            .args([&text, program])
-            .status()
-            .unwrap()
-            .success()
-    );
+    assert!(command.args(["-m", "755"]).args([&text, program]).status().unwrap().success());
 }
 
 /// Never asks to stop.
@@ -60,10 +53,7 @@ impl Batch {
         };
         let manifest = Manifest {
             results: results.to_str().unwrap().to_owned(),
-            run: Arguments {
-                settings: "a = 1\n".to_owned(),
-                arguments: Vec::new(),
-            },
+            run: Arguments { settings: "a = 1\n".to_owned(), arguments: Vec::new() },
             jobs: vec![job],
         };
         Self { dir, manifest }
@@ -89,12 +79,8 @@ impl Batch {
     }
 
     fn again(&self, retry_failed: bool) -> JobEnd {
-        let tools = Tools {
-            program: self.path("program"),
-            arguments: Vec::new(),
-            hash: &hash,
-            host: "here".to_owned(),
-        };
+        let tools =
+            Tools { program: self.path("program"), arguments: Vec::new(), hash: &hash, host: "here".to_owned() };
         run_job(&self.manifest, 0, retry_failed, &tools, &Patient).unwrap()
     }
 
@@ -137,17 +123,9 @@ fn only_bad_input_is_a_permanent_failure() {
     let again = batch.run("finish");
     assert_eq!((again.outcome, again.seconds), (Outcome::Failed, None));
     assert_eq!(batch.calls(), calls + 1, "it is not run again");
-    assert_eq!(
-        batch.retry_failed("finish").outcome,
-        Outcome::Done,
-        "unless that is asked for"
-    );
+    assert_eq!(batch.retry_failed("finish").outcome, Outcome::Done, "unless that is asked for");
     let again = batch.retry_failed("exit 65");
-    assert_eq!(
-        (again.outcome, again.seconds),
-        (Outcome::Done, None),
-        "what is done stays"
-    );
+    assert_eq!((again.outcome, again.seconds), (Outcome::Done, None), "what is done stays");
     assert_eq!(batch.calls(), calls + 2);
 }
 
@@ -156,38 +134,21 @@ fn bad_input_needs_a_run_that_used_nothing_older_and_the_bytes_that_were_planned
     let batch = Batch::new();
     assert_eq!(batch.run("begin; kill -KILL $$").outcome, Outcome::Retryable);
     let end = batch.run("[ -e \"$out/run.json\" ] && exit 65; finish");
-    assert_eq!(
-        (end.outcome, batch.calls()),
-        (Outcome::Done, 3),
-        "what was left was bad: {end:?}"
-    );
+    assert_eq!((end.outcome, batch.calls()), (Outcome::Done, 3), "what was left was bad: {end:?}");
 
     let batch = Batch::new();
     let end = batch.run("mv \"$clip\" \"$clip.away\"; exit 65");
     assert_eq!(end.outcome, Outcome::Retryable, "{end:?}");
     let end = batch.run("finish");
-    assert_eq!(
-        (end.outcome, batch.calls()),
-        (Outcome::Retryable, 1),
-        "there is no input: {end:?}"
-    );
+    assert_eq!((end.outcome, batch.calls()), (Outcome::Retryable, 1), "there is no input: {end:?}");
     fs::remove_dir_all(batch.path("results")).unwrap();
     let end = batch.run("finish");
-    assert!(
-        end.outcome == Outcome::Retryable && end.reason.contains("not mounted"),
-        "{end:?}"
-    );
-    assert!(
-        !batch.path("results").exists(),
-        "nothing is written where disks are not mounted"
-    );
+    assert!(end.outcome == Outcome::Retryable && end.reason.contains("not mounted"), "{end:?}");
+    assert!(!batch.path("results").exists(), "nothing is written where disks are not mounted");
     fs::create_dir_all(batch.path("results/.state")).unwrap();
     fs::write(batch.path("clip.mp4"), "others").unwrap();
     let end = batch.run("finish");
-    assert!(
-        end.outcome == Outcome::Retryable && end.reason.contains("not what was planned"),
-        "{end:?}"
-    );
+    assert!(end.outcome == Outcome::Retryable && end.reason.contains("not what was planned"), "{end:?}");
     fs::rename(batch.path("clip.mp4.away"), batch.path("clip.mp4")).unwrap();
     assert_eq!(batch.run("finish").outcome, Outcome::Done);
 }
@@ -197,10 +158,7 @@ fn disk_failures_and_foreign_folders_are_not_counted_against_the_clip() {
     let batch = Batch::new();
     fs::create_dir_all(batch.path("results/clip")).unwrap();
     let end = batch.run("finish");
-    assert!(
-        end.outcome == Outcome::Retryable && end.reason.contains("was not created by"),
-        "{end:?}"
-    );
+    assert!(end.outcome == Outcome::Retryable && end.reason.contains("was not created by"), "{end:?}");
     fs::remove_dir(batch.path("results/clip")).unwrap();
     let place = batch.path("results/.work");
     fs::write(&place, "no folder").unwrap();

@@ -44,22 +44,12 @@ pub fn plan(plan: &Plan<'_>) -> Result<Manifest, BatchError> {
     let mut jobs = Vec::with_capacity(named.len());
     for (((_, input), id), path) in named.into_iter().zip(ids).zip(paths) {
         let blake3 = (plan.hash)(&path).map_err(|reason| BatchError::read(&path)(io::Error::other(reason)))?;
-        jobs.push(Job {
-            output: text(&layout.result(&id))?,
-            id,
-            input,
-            bytes: size(&path)?,
-            blake3,
-        });
+        jobs.push(Job { output: text(&layout.result(&id))?, id, input, bytes: size(&path)?, blake3 });
     }
     jobs.sort_by(|a, b| a.id.cmp(&b.id));
     let states = layout.states();
     fs::create_dir_all(&states).map_err(BatchError::write(&states))?;
-    Ok(Manifest {
-        results: text(plan.results)?,
-        run: plan.run.clone(),
-        jobs,
-    })
+    Ok(Manifest { results: text(plan.results)?, run: plan.run.clone(), jobs })
 }
 
 fn text(path: &Path) -> Result<String, BatchError> {
@@ -71,11 +61,7 @@ fn text(path: &Path) -> Result<String, BatchError> {
 
 /// The name of a clip: that of its file without the extension, or of its folder.
 fn name(path: &Path) -> String {
-    let name = if path.is_dir() {
-        path.file_name()
-    } else {
-        path.file_stem()
-    };
+    let name = if path.is_dir() { path.file_name() } else { path.file_stem() };
     name.map_or_else(String::new, |n| n.to_string_lossy().into_owned())
 }
 
@@ -98,9 +84,8 @@ fn size(path: &Path) -> Result<u64, BatchError> {
 }
 
 /// Extensions of files in folders that are taken for videos; a file that is named itself may have any.
-const VIDEOS: [&str; 15] = [
-    "mp4", "mov", "m4v", "mkv", "webm", "avi", "mpg", "mpeg", "mts", "m2ts", "ts", "3gp", "wmv", "flv", "ogv",
-];
+const VIDEOS: [&str; 15] =
+    ["mp4", "mov", "m4v", "mkv", "webm", "avi", "mpg", "mpeg", "mts", "m2ts", "ts", "3gp", "wmv", "flv", "ogv"];
 /// Extensions of images: a folder of these is a clip.
 const IMAGE_EXTENSIONS: [&str; 3] = ["png", "jpg", "jpeg"];
 /// Lists of posed frames: a folder with one is a capture, and so a clip.
@@ -159,9 +144,7 @@ fn nothing(given: &str, recursive: bool) -> BatchError {
 fn add(path: &Path, recursive: bool, found: &mut BTreeSet<PathBuf>) -> Result<(), BatchError> {
     // `canonicalize` follows links, so that a clip that is named twice is one clip.
     let path = fs::canonicalize(path).map_err(|e| match e.kind() {
-        io::ErrorKind::NotFound | io::ErrorKind::NotADirectory => BatchError::Missing {
-            path: path.to_path_buf(),
-        },
+        io::ErrorKind::NotFound | io::ErrorKind::NotADirectory => BatchError::Missing { path: path.to_path_buf() },
         _ => BatchError::read(path)(e),
     })?;
     if !path.is_dir() {
@@ -181,9 +164,7 @@ fn clips_of(folder: &Path, recursive: bool) -> Result<Vec<PathBuf>, BatchError> 
     let (mut videos, mut folders, mut images) = (Vec::new(), Vec::new(), false);
     for entry in fs::read_dir(folder).map_err(BatchError::read(folder))? {
         let path = entry.map_err(BatchError::read(folder))?.path();
-        let name = path
-            .file_name()
-            .map_or_else(String::new, |n| n.to_string_lossy().into_owned());
+        let name = path.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned());
         if name.starts_with('.') {
             continue;
         }
@@ -226,38 +207,22 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let root = fs::canonicalize(dir.path()).unwrap();
         let at = |name: &str| root.join(name).to_str().unwrap().to_owned();
-        for name in [
-            "v/b.mp4",
-            "v/a.MOV",
-            "v/notes.txt",
-            "v/.c.mp4",
-            "v/in/d.mkv",
-            "v/pics/1.png",
-            "v/cap/transforms.json",
-        ] {
+        for name in
+            ["v/b.mp4", "v/a.MOV", "v/notes.txt", "v/.c.mp4", "v/in/d.mkv", "v/pics/1.png", "v/cap/transforms.json"]
+        {
             touch(&root.join(name));
         }
         let found = |given: &[String], recursive: bool| -> Vec<String> {
             let all = inputs(given, recursive).unwrap();
-            all.iter()
-                .map(|p| p.strip_prefix(&root).unwrap().display().to_string().replace('\\', "/"))
-                .collect()
+            all.iter().map(|p| p.strip_prefix(&root).unwrap().display().to_string().replace('\\', "/")).collect()
         };
         assert_eq!(found(&[at("v")], false), ["v/a.MOV", "v/b.mp4"]);
         let all = ["v/a.MOV", "v/b.mp4", "v/cap", "v/in/d.mkv", "v/pics"];
         assert_eq!(found(&[at("v")], true), all);
         assert_eq!(found(&[at("v/pics")], false), ["v/pics"], "images are a clip");
         assert_eq!(found(&[at("v/b.mp4"), at("v/in/../b.mp4")], false), ["v/b.mp4"]);
-        assert_eq!(
-            found(&[at("v/notes.txt")], false),
-            ["v/notes.txt"],
-            "a named file is always a clip"
-        );
-        fs::write(
-            root.join("list"),
-            format!("# clips\n{}\n\n{}\n", at("v/b.mp4"), at("v/in")),
-        )
-        .unwrap();
+        assert_eq!(found(&[at("v/notes.txt")], false), ["v/notes.txt"], "a named file is always a clip");
+        fs::write(root.join("list"), format!("# clips\n{}\n\n{}\n", at("v/b.mp4"), at("v/in"))).unwrap();
         assert_eq!(found(&[format!("@{}", at("list"))], false), ["v/b.mp4", "v/in/d.mkv"]);
 
         let message = |given: &str| inputs(&[given.to_owned()], false).unwrap_err().to_string();

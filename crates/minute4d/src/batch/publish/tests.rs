@@ -25,9 +25,7 @@ fn read(folder: &Path) -> String {
 
 /// Nothing is on its way in or out.
 fn is_calm(root: &Path) -> bool {
-    [".incoming", ".outgoing"]
-        .iter()
-        .all(|left| fs::read_dir(root.join(left)).map_or(0, Iterator::count) == 0)
+    [".incoming", ".outgoing"].iter().all(|left| fs::read_dir(root.join(left)).map_or(0, Iterator::count) == 0)
 }
 
 #[test]
@@ -60,10 +58,7 @@ fn only_finished_and_complete_results_are_published() {
         write_run(&work, "scene", "finished");
         spoil();
         let got = publish(&layout, "a", "k", "here").unwrap();
-        assert!(
-            matches!(&got, Published::Bad(message) if message.contains(words)),
-            "{words}: {got:?}"
-        );
+        assert!(matches!(&got, Published::Bad(message) if message.contains(words)), "{words}: {got:?}");
         assert!(!layout.result("a").exists() && !work.exists() && is_calm(dir.path()));
     };
     bad(&|| write_run(&work, "scene", "stopped"), "stopped");

@@ -113,11 +113,7 @@ impl Report {
         Self {
             jobs: clips.len(),
             counts,
-            seconds: clips
-                .iter()
-                .filter(|c| c.state == ClipState::Done)
-                .filter_map(|c| c.seconds)
-                .sum(),
+            seconds: clips.iter().filter(|c| c.state == ClipState::Done).filter_map(|c| c.seconds).sum(),
             clips,
         }
     }
@@ -140,9 +136,7 @@ impl Report {
                 or_dash(clip.splats.map(|n| n.to_string())),
                 or_dash(clip.psnr_db.map(|p| format!("{p:.2}"))),
                 or_dash(clip.peak_memory_bytes.map(|b| (b / 1_000_000).to_string())),
-                [&clip.host, &clip.reason]
-                    .map(|text| text.as_deref().unwrap_or("-"))
-                    .join("  "),
+                [&clip.host, &clip.reason].map(|text| text.as_deref().unwrap_or("-")).join("  "),
             );
         }
         text += &format!("\n{}\n", self.sums());

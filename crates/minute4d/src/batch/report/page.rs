@@ -24,9 +24,8 @@ pub fn page(report: &Report, title: &str) -> String {
 /// A template with what `value` says instead of each `{{name}}`.
 fn fill(template: &str, value: impl Fn(&str) -> String) -> String {
     let (mut text, mut rest) = (String::new(), template);
-    while let Some((before, (name, after))) = rest
-        .split_once("{{")
-        .and_then(|(before, after)| Some((before, after.split_once("}}")?)))
+    while let Some((before, (name, after))) =
+        rest.split_once("{{").and_then(|(before, after)| Some((before, after.split_once("}}")?)))
     {
         text += before;
         text += &value(name);
@@ -41,10 +40,7 @@ fn card(clip: &ClipReport) -> String {
         ("PSNR", clip.psnr_db.map(|p| format!("{p:.2} dB"))),
         ("splats", clip.splats.map(|n| n.to_string())),
         ("time", clip.seconds.map(|s| format!("{s:.1} s"))),
-        (
-            "memory",
-            clip.peak_memory_bytes.map(|b| format!("{} MB", b / 1_000_000)),
-        ),
+        ("memory", clip.peak_memory_bytes.map(|b| format!("{} MB", b / 1_000_000))),
         ("machine", clip.host.clone()),
         ("reason", clip.reason.clone()),
         ("input", Some(clip.input.clone())),
@@ -64,10 +60,7 @@ fn poster(clip: &ClipReport) -> Option<String> {
     let small = clip.state == ClipState::Done && fs::metadata(&path).is_ok_and(|m| m.len() <= LARGEST);
     let bytes = small.then(|| fs::read(&path).ok()).flatten()?;
     let alt = escape(&format!("a frame of {} and its re-render", clip.id));
-    Some(format!(
-        "<img alt=\"{alt}\" src=\"data:image/jpeg;base64,{}\">",
-        STANDARD.encode(bytes)
-    ))
+    Some(format!("<img alt=\"{alt}\" src=\"data:image/jpeg;base64,{}\">", STANDARD.encode(bytes)))
 }
 
 /// Text that means nothing but itself.

@@ -52,10 +52,7 @@ fn the_page_holds_everything_and_escapes_it() {
     ];
     let page = page(&Report::of(clips), "my \"clips\" {{clips}}");
     assert_eq!(page.matches("data:image/jpeg;base64,/9j/").count(), 1);
-    assert!(
-        !page.contains("<script") && page.contains("&lt;script&gt;alert(&#39;{{id}}&#39;)"),
-        "{page}"
-    );
+    assert!(!page.contains("<script") && page.contains("&lt;script&gt;alert(&#39;{{id}}&#39;)"), "{page}");
     assert!(
         page.contains("my &quot;clips&quot; {{clips}}") && page.contains("h&lt;1&gt;") && page.contains("30.12 dB")
     );

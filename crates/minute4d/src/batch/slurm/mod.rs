@@ -64,9 +64,7 @@ impl Script<'_> {
         }
         let job = [utf8(self.program)?, "batch", "run", "--manifest", utf8(self.manifest)?];
         let job: Vec<String> = job.into_iter().map(shell).collect::<Result<_, _>>()?;
-        text += &BODY
-            .replace("@JOB@", &job.join(" "))
-            .replace("@RESTARTS@", &RESTARTS.to_string());
+        text += &BODY.replace("@JOB@", &job.join(" ")).replace("@RESTARTS@", &RESTARTS.to_string());
         Ok(text)
     }
 }
@@ -111,10 +109,7 @@ exit "$code"
 "#;
 
 fn utf8(path: &Path) -> Result<&str, BatchError> {
-    path.to_str().ok_or_else(|| BatchError::Text {
-        text: path.display().to_string(),
-        reason: "it is not UTF-8",
-    })
+    path.to_str().ok_or_else(|| BatchError::Text { text: path.display().to_string(), reason: "it is not UTF-8" })
 }
 
 /// A word of a directive, in quotes where it needs them.
@@ -125,20 +120,13 @@ fn directive_text(text: &str) -> Result<String, BatchError> {
             reason: "a line of #SBATCH cannot hold quotes, backslashes or a line end",
         });
     }
-    Ok(if text.contains([' ', '\t', '#']) {
-        format!("\"{text}\"")
-    } else {
-        text.to_owned()
-    })
+    Ok(if text.contains([' ', '\t', '#']) { format!("\"{text}\"") } else { text.to_owned() })
 }
 
 /// A word that the shell takes as it is.
 fn shell(word: &str) -> Result<String, BatchError> {
     if word.contains('\0') {
-        return Err(BatchError::Text {
-            text: word.to_owned(),
-            reason: "no argument can hold a zero byte",
-        });
+        return Err(BatchError::Text { text: word.to_owned(), reason: "no argument can hold a zero byte" });
     }
     let plain = |c: char| c.is_ascii_alphanumeric() || "/._-=+:,@%".contains(c);
     Ok(if !word.is_empty() && word.chars().all(plain) {
@@ -155,22 +143,14 @@ const DEFAULT_ARRAY: usize = 1001;
 #[must_use]
 pub fn largest_array() -> usize {
     let told = Command::new("scontrol").args(["show", "config"]).output();
-    let text = told
-        .ok()
-        .filter(|o| o.status.success())
-        .and_then(|o| String::from_utf8(o.stdout).ok());
+    let text = told.ok().filter(|o| o.status.success()).and_then(|o| String::from_utf8(o.stdout).ok());
     text.as_deref().and_then(max_array_size).unwrap_or(DEFAULT_ARRAY)
 }
 
 /// `MaxArraySize`, which is one more than the highest index: as many tasks as it says fit.
 fn max_array_size(config: &str) -> Option<usize> {
     let line = config.lines().find_map(|l| l.trim().strip_prefix("MaxArraySize"))?;
-    line.trim_start()
-        .strip_prefix('=')?
-        .trim()
-        .parse()
-        .ok()
-        .filter(|&n| n > 0)
+    line.trim_start().strip_prefix('=')?.trim().parse().ok().filter(|&n| n > 0)
 }
 
 /// Submits the script as the array `tasks` of the jobs from `first` on, asks Slurm for it again, and gives its number.
@@ -189,11 +169,7 @@ pub fn submit(script: &Path, first: usize, tasks: &str) -> Result<String, BatchE
     let answer = call("sbatch", &arguments, script)?;
     // The cluster's name follows where there are several.
     let id = answer.trim().split(';').next().unwrap_or_default().to_owned();
-    let refused = |program, message| BatchError::Refused {
-        program,
-        message,
-        script: script.to_path_buf(),
-    };
+    let refused = |program, message| BatchError::Refused { program, message, script: script.to_path_buf() };
     if id.is_empty() || !id.chars().all(|c| c.is_ascii_digit()) {
         let message = format!("it answered {answer:?}, which is not a job id");
         return Err(refused("sbatch", message));
@@ -255,16 +231,10 @@ mod tests {
         ] {
             assert!(text.lines().any(|l| l == line), "{line}\n{text}");
         }
-        assert!(
-            text.contains(r"--manifest '/data/my jobs/it'\''s.jsonl' --index "),
-            "{text}"
-        );
+        assert!(text.contains(r"--manifest '/data/my jobs/it'\''s.jsonl' --index "), "{text}");
         let arrays = |jobs: usize| script(&options, program, jobs).arrays();
         let array = |first: usize, tasks: &str| (first, format!("{tasks}%64"));
-        assert_eq!(
-            large.arrays(),
-            [array(0, "0-1000"), array(1001, "0-1000"), array(2002, "0-0")]
-        );
+        assert_eq!(large.arrays(), [array(0, "0-1000"), array(1001, "0-1000"), array(2002, "0-0")]);
         assert_eq!(arrays(3), [array(0, "0-2")]);
         assert!(arrays(0).is_empty());
         let bad = ["--partition=a\n#SBATCH --uid=0".to_owned()];
@@ -284,10 +254,7 @@ mod tests {
         let write = |name: &str, text: &str| {
             let (text_file, path) = (dir.path().join(format!("{name}.txt")), dir.path().join(name));
             fs::write(&text_file, format!("#!/bin/bash\n{text}\n")).unwrap();
-            let status = Command::new("install")
-                .args(["-m", "755"])
-                .args([&text_file, &path])
-                .status();
+            let status = Command::new("install").args(["-m", "755"]).args([&text_file, &path]).status();
             assert!(status.unwrap().success());
             path
         };
@@ -302,11 +269,7 @@ mod tests {
             .arg(&file)
             .arg("1001")
             .env("PATH", path)
-            .envs([
-                ("SLURM_ARRAY_JOB_ID", "42"),
-                ("SLURM_ARRAY_TASK_ID", "7"),
-                ("SLURM_RESTART_COUNT", restarts),
-            ])
+            .envs([("SLURM_ARRAY_JOB_ID", "42"), ("SLURM_ARRAY_TASK_ID", "7"), ("SLURM_RESTART_COUNT", restarts)])
             .stderr(std::process::Stdio::null())
             .spawn()
             .unwrap();
@@ -315,13 +278,7 @@ mod tests {
                 assert!(child.try_wait().unwrap().is_none(), "it ended too soon");
                 std::thread::sleep(std::time::Duration::from_millis(10));
             }
-            assert!(
-                Command::new("kill")
-                    .args(["-TERM", &child.id().to_string()])
-                    .status()
-                    .unwrap()
-                    .success()
-            );
+            assert!(Command::new("kill").args(["-TERM", &child.id().to_string()]).status().unwrap().success());
         }
         let code = child.wait().unwrap().code();
         (code, fs::read_to_string(&heard).unwrap_or_default())
@@ -332,19 +289,11 @@ mod tests {
     fn the_script_ends_as_its_job_does() {
         assert_eq!(drive("exit 0", "0", false), (Some(0), String::new()));
         assert_eq!(drive("exit 65", "0", false), (Some(65), String::new()));
-        for retryable in [
-            "exit 75",
-            "kill -KILL $$",
-            "case \"$*\" in *' --index 1008') exit 75;; esac",
-        ] {
+        for retryable in ["exit 75", "kill -KILL $$", "case \"$*\" in *' --index 1008') exit 75;; esac"] {
             let (code, heard) = drive(retryable, "3", false);
             assert_eq!((code, heard.trim()), (Some(0), "requeue 42_7"), "{retryable}");
         }
-        assert_eq!(
-            drive("exit 75", "20", false),
-            (Some(75), String::new()),
-            "enough is enough"
-        );
+        assert_eq!(drive("exit 75", "20", false), (Some(75), String::new()), "enough is enough");
         let cancelled = drive_in("CANCELLED", "exit 75", "0", false);
         assert_eq!(cancelled, (Some(75), String::new()), "a cancelled job is not requeued");
     }

@@ -59,14 +59,7 @@ pub enum Protocol {
 
 impl Protocol {
     /// All variants.
-    pub const ALL: [Self; 6] = [
-        Self::Holdout,
-        Self::Instant4d,
-        Self::Rodygs,
-        Self::Dycheck,
-        Self::Nvidia,
-        Self::Davis,
-    ];
+    pub const ALL: [Self; 6] = [Self::Holdout, Self::Instant4d, Self::Rodygs, Self::Dycheck, Self::Nvidia, Self::Davis];
 
     /// Returns the name on the command line.
     #[must_use]
@@ -185,10 +178,7 @@ mod tests {
     fn names_are_read_back_and_tasks_follow_from_the_frames() {
         for protocol in Protocol::ALL {
             assert_eq!(protocol.name().parse(), Ok(protocol));
-            assert_eq!(
-                serde_json::to_string(&protocol).unwrap(),
-                format!("{:?}", protocol.name())
-            );
+            assert_eq!(serde_json::to_string(&protocol).unwrap(), format!("{:?}", protocol.name()));
             let rules = protocol.rules();
             assert_eq!(rules.protocol, protocol);
             let novel = rules.frames == FrameRule::TestSplit;
@@ -204,10 +194,7 @@ mod tests {
     /// Expected values: numpy 2, `np.linspace(0, n - 1, int(n * 0.85)).astype(int)`.
     #[test]
     fn the_split_of_instant4d_is_that_of_numpy() {
-        assert_eq!(
-            linspace(20, 17),
-            [0, 1, 2, 3, 4, 5, 7, 8, 9, 10, 11, 13, 14, 15, 16, 17, 19]
-        );
+        assert_eq!(linspace(20, 17), [0, 1, 2, 3, 4, 5, 7, 8, 9, 10, 11, 13, 14, 15, 16, 17, 19]);
         assert_eq!(held_out(Protocol::Instant4d, 6), [4]);
         assert_eq!(held_out(Protocol::Instant4d, 12), [5, 10]);
         assert_eq!(held_out(Protocol::Instant4d, 13), [5, 11]);

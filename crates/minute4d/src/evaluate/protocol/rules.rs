@@ -110,11 +110,7 @@ static TABLE: [Rules; 6] = [
         title: "every eighth frame of DyCheck's camera 0 held out (RoDyGS)",
         frames: FrameRule::Every { every: 8, offset: 4 },
         size_px: DYCHECK_2X,
-        refine: Some(RefineRule {
-            steps: 1000,
-            lr: 5e-5,
-            start: StartPose::NearestTraining,
-        }),
+        refine: Some(RefineRule { steps: 1000, lr: 5e-5, start: StartPose::NearestTraining }),
         note: "RoDyGS estimates poses of the training frames alone and finds those of the held-out ones by refinement",
         ..HELD_OUT
     },
@@ -130,11 +126,7 @@ static TABLE: [Rules; 6] = [
         inside: &[Metric::Psnr(PsnrKind::Joint), Metric::Ssim(SsimKind::DycheckMasked)],
         lpips: &[LpipsRule::Alex],
         headline: Some("psnr_joint_masked"),
-        refine: Some(RefineRule {
-            steps: 30,
-            lr: 3e-3,
-            start: StartPose::Given,
-        }),
+        refine: Some(RefineRule { steps: 30, lr: 3e-3, start: StartPose::Given }),
         note: "older papers average 5 scenes at the full size, newer ones 7 at half of it; SSIM over 11 px windows that lie wholly inside",
     },
     Rules {
@@ -149,11 +141,7 @@ static TABLE: [Rules; 6] = [
         inside: &[],
         lpips: &[LpipsRule::Alex],
         headline: Some("psnr_eight_bit"),
-        refine: Some(RefineRule {
-            steps: 100,
-            lr: 3e-4,
-            start: StartPose::Given,
-        }),
+        refine: Some(RefineRule { steps: 100, lr: 3e-4, start: StartPose::Given }),
         note: "the view at time 0 is the first training image; scores are given with it, as the result bundle has it, and without",
     },
     Rules {

@@ -89,19 +89,13 @@ impl MonoClip {
         let unidepth = unidepth.map(|net| Metric::UniDepth(Box::new(net)));
         let networks = Networks {
             metric: moge.or(unidepth),
-            relative: load(Part::DepthAnything, plan, device, |path, on| {
-                DepthAnything::load(path, on)
-            })?,
+            relative: load(Part::DepthAnything, plan, device, |path, on| DepthAnything::load(path, on))?,
         };
         if networks.metric.is_none() && networks.relative.is_none() {
             return Ok(None);
         }
         let name = [Part::Moge, Part::Unidepth, Part::DepthAnything];
-        let name: Vec<&str> = name
-            .into_iter()
-            .filter(|&p| plan.frontend.has(p))
-            .map(Part::name)
-            .collect();
+        let name: Vec<&str> = name.into_iter().filter(|&p| plan.frontend.has(p)).map(Part::name).collect();
         let name = name.join("+");
         let (mut metric_m, mut relative, mut fovs) = (Vec::new(), Vec::new(), Vec::new());
         for (frame, image) in images.iter().enumerate() {
@@ -121,10 +115,7 @@ impl MonoClip {
                     let measured = measured.transpose().map_err(failed)?;
                     let disparity = networks.relative.as_ref().map(|n| n.disparity(image));
                     let disparity = disparity.transpose().map_err(|e| failed(Box::new(e)))?;
-                    let made = (
-                        measured.map(|(depth_m, fov_rad)| (limited(depth_m), fov_rad)),
-                        disparity.map(limited),
-                    );
+                    let made = (measured.map(|(depth_m, fov_rad)| (limited(depth_m), fov_rad)), disparity.map(limited));
                     steps.store(&step, &made);
                     made
                 }
@@ -161,10 +152,8 @@ impl Metric {
         focal_px: Option<f64>,
         device: &Compute,
     ) -> Result<(Plane<f32>, Option<f64>), Box<dyn std::error::Error + Send + Sync>> {
-        let moge = MoGeOptions {
-            tokens: (device.device == cpu()).then_some(PROCESSOR_TOKENS),
-            known_focal_px: focal_px,
-        };
+        let moge =
+            MoGeOptions { tokens: (device.device == cpu()).then_some(PROCESSOR_TOKENS), known_focal_px: focal_px };
         match self {
             Self::MoGe(net) => of_moge(net.infer(image, &moge), image),
             Self::UniDepth(net) => {

@@ -33,10 +33,8 @@ impl FlowSource for RaftSource {
     }
 
     fn both(&self, a: &FlowImage<'_>, b: &FlowImage<'_>) -> Result<(Flow, Flow), FlowError> {
-        self.measure(&image(a), &image(b)).map_err(|error| FlowError::Source {
-            source_name: RAFT.to_owned(),
-            reason: Box::new(error),
-        })
+        self.measure(&image(a), &image(b))
+            .map_err(|error| FlowError::Source { source_name: RAFT.to_owned(), reason: Box::new(error) })
     }
 }
 
@@ -52,12 +50,7 @@ pub struct RaftPairs {
 
 impl RaftPairs {
     pub fn new(net: Raft, iterations: usize) -> Self {
-        Self {
-            net,
-            iterations,
-            there: HashMap::new(),
-            back: HashMap::new(),
-        }
+        Self { net, iterations, there: HashMap::new(), back: HashMap::new() }
     }
 
     fn measure(&mut self, pair: FramePair, a: &RgbImage, b: &RgbImage) -> Result<[Flow; 2], m4_nets::FlowError> {

@@ -45,14 +45,8 @@ pub enum Part {
 
 impl Part {
     /// Every part.
-    pub const ALL: [Self; 6] = [
-        Self::Megasam,
-        Self::Classical,
-        Self::Raft,
-        Self::Moge,
-        Self::Unidepth,
-        Self::DepthAnything,
-    ];
+    pub const ALL: [Self; 6] =
+        [Self::Megasam, Self::Classical, Self::Raft, Self::Moge, Self::Unidepth, Self::DepthAnything];
 
     /// As options and records name it.
     #[must_use]
@@ -125,11 +119,7 @@ impl Frontend {
         parts.sort_unstable();
         for (k, a) in parts.iter().enumerate() {
             if let Some(b) = parts[k + 1..].iter().find(|b| b.task() == a.task()) {
-                return Err(UnknownFrontend::Twice {
-                    first: a.name(),
-                    second: b.name(),
-                    task: a.task(),
-                });
+                return Err(UnknownFrontend::Twice { first: a.name(), second: b.name(), task: a.task() });
             }
         }
         Ok(Self { parts })
@@ -195,17 +185,8 @@ mod tests {
     fn words_are_front_ends() {
         let named = |text: &str| text.parse::<Frontend>();
         assert!(named("auto").unwrap().is_auto());
-        assert_eq!(
-            named("raft+moge").unwrap(),
-            Frontend::of(vec![Part::Moge, Part::Raft]).unwrap()
-        );
-        for text in [
-            "auto",
-            "classical",
-            "raft+moge",
-            "megasam",
-            "megasam+raft+unidepth+depth-anything",
-        ] {
+        assert_eq!(named("raft+moge").unwrap(), Frontend::of(vec![Part::Moge, Part::Raft]).unwrap());
+        for text in ["auto", "classical", "raft+moge", "megasam", "megasam+raft+unidepth+depth-anything"] {
             assert_eq!(named(text).unwrap().to_string(), text);
         }
         for wrong in ["", "megasan", "gmflow", "auto+moge", "moge+", "MOGE"] {

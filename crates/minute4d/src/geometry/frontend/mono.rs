@@ -51,10 +51,7 @@ impl MonoDepth for MonoClip {
     fn depth(&self, frame: usize, _: &RgbImage) -> Result<Option<MonoMap<'_>>, MonoError> {
         let map = |kind, planes: &'_ Option<Vec<Plane<f32>>>| -> Option<MonoMap<'_>> {
             let values = planes.as_ref()?.get(frame)?;
-            Some(MonoMap {
-                kind,
-                values: Cow::Owned(values.clone()),
-            })
+            Some(MonoMap { kind, values: Cow::Owned(values.clone()) })
         };
         let relative = map(MonoKind::AffineDisparity, &self.relative);
         Ok(relative.or_else(|| map(MonoKind::UpToScale, &self.metric_m)))

@@ -68,13 +68,7 @@ fn names(part: Part) -> &'static [&'static str] {
         Part::Megasam => &["megasam"],
         Part::Classical => &[],
         Part::Raft => &["raft-things"],
-        Part::Moge => &[
-            "moge-2-l-normal",
-            "moge-2-l",
-            "moge-2-b-normal",
-            "moge-2-b",
-            "moge-2-s-normal",
-        ],
+        Part::Moge => &["moge-2-l-normal", "moge-2-l", "moge-2-b-normal", "moge-2-b", "moge-2-s-normal"],
         Part::Unidepth => &["unidepth-v2-l"],
         Part::DepthAnything => &["depth-anything-v1-l", "depth-anything-v1-b", "depth-anything-v1-s"],
     }
@@ -85,13 +79,8 @@ fn names(part: Part) -> &'static [&'static str] {
 const FLOWS: [Part; 2] = [Part::Raft, Part::Classical];
 /// The depth methods, best first.
 #[cfg(feature = "nets")]
-const DEPTHS: [&[Part]; 5] = [
-    &[Part::Moge],
-    &[Part::Unidepth, Part::DepthAnything],
-    &[Part::Unidepth],
-    &[Part::DepthAnything],
-    &[],
-];
+const DEPTHS: [&[Part]; 5] =
+    [&[Part::Moge], &[Part::Unidepth, Part::DepthAnything], &[Part::Unidepth], &[Part::DepthAnything], &[]];
 
 /// Finds what `asked` needs. `auto` is `classical` on the processor, by measurement (docs/geometry.md, "Front ends"); on a GPU it is
 /// `megasam` where the weights of all of its parts are here.
@@ -118,12 +107,7 @@ pub fn plan(asked: &Frontend, device: DeviceChoice) -> Result<Plan, Error> {
     let (mut used, mut files) = (Vec::new(), Vec::new());
     for part in parts {
         let Some(first) = names(part).first() else { continue };
-        let missing = |source| {
-            Error::from(NetworkError::Weights {
-                method: NetworkMethod::FrontEnd(part),
-                source,
-            })
-        };
+        let missing = |source| Error::from(NetworkError::Weights { method: NetworkMethod::FrontEnd(part), source });
         let store = store.as_ref().map_err(|_| missing(WeightsError::NoFolder))?;
         let Some((entry, path)) = find(store, part) else {
             let entry = weights::find(first).map_err(missing)?;
@@ -143,13 +127,7 @@ pub fn plan(asked: &Frontend, device: DeviceChoice) -> Result<Plan, Error> {
             network.weights, network.licence
         ));
     }
-    Ok(Plan {
-        cameras: cameras(&frontend),
-        frontend,
-        used,
-        notes,
-        files,
-    })
+    Ok(Plan { cameras: cameras(&frontend), frontend, used, notes, files })
 }
 
 /// Finds what `asked` needs.
@@ -161,14 +139,9 @@ pub fn plan(asked: &Frontend, device: DeviceChoice) -> Result<Plan, Error> {
 pub fn plan(asked: &Frontend, _: DeviceChoice) -> Result<Plan, Error> {
     let network = Part::ALL.into_iter().find(|&p| p != Part::Classical && asked.has(p));
     match network {
-        Some(part) => Err(NetworkError::NotBuilt {
-            method: NetworkMethod::FrontEnd(part),
-        }
-        .into()),
+        Some(part) => Err(NetworkError::NotBuilt { method: NetworkMethod::FrontEnd(part) }.into()),
         None => Ok(Plan {
-            frontend: Frontend {
-                parts: vec![Part::Classical],
-            },
+            frontend: Frontend { parts: vec![Part::Classical] },
             cameras: Cameras::Corners,
             used: Vec::new(),
             notes: Vec::new(),
@@ -184,11 +157,7 @@ fn has_gpu(device: DeviceChoice) -> Result<bool, Error> {
 
 #[cfg(feature = "nets")]
 fn cameras(frontend: &Frontend) -> Cameras {
-    if frontend.has(Part::Megasam) {
-        Cameras::Megasam
-    } else {
-        Cameras::Corners
-    }
+    if frontend.has(Part::Megasam) { Cameras::Megasam } else { Cameras::Corners }
 }
 
 /// The parts of `asked` with a flow, and with a depth where the tracking network wants one.
@@ -200,28 +169,20 @@ fn complete(asked: &Frontend, here: &dyn Fn(Part) -> bool, notes: &mut Vec<Strin
         let flow = FLOWS.into_iter().find(|&flow| tracked && here(flow));
         parts.push(flow.unwrap_or(Part::Classical));
     }
-    let has_depth = DEPTHS
-        .iter()
-        .flat_map(|depth| depth.iter())
-        .any(|&depth| asked.has(depth));
+    let has_depth = DEPTHS.iter().flat_map(|depth| depth.iter()).any(|&depth| asked.has(depth));
     if tracked && !has_depth {
         let depth = DEPTHS.iter().find(|depth| depth.iter().all(|&part| here(part)));
         parts.extend(depth.into_iter().flat_map(|depth| depth.iter()));
     }
     if tracked && parts.len() != asked.parts.len() {
         let chosen: Vec<&str> = parts[asked.parts.len()..].iter().map(|p| p.name()).collect();
-        let depth = parts
-            .iter()
-            .any(|p| matches!(p.task(), "metric depth" | "relative depth"));
+        let depth = parts.iter().any(|p| matches!(p.task(), "metric depth" | "relative depth"));
         let without = if depth {
             ""
         } else {
             ", and no depth from one image (`minute4d weights add moge-2-l FILE` installs one)"
         };
-        notes.push(format!(
-            "megasam takes {}{without}: that is what is here",
-            chosen.join(", ")
-        ));
+        notes.push(format!("megasam takes {}{without}: that is what is here", chosen.join(", ")));
     }
     parts
 }
@@ -272,10 +233,7 @@ mod tests {
         let (all, notes) = parts("megasam", &[Raft, Moge, Unidepth, DepthAnything]);
         assert_eq!(all, "megasam+raft+moge");
         assert!(notes[0].contains("raft, moge"), "{notes:?}");
-        assert_eq!(
-            parts("megasam", &[Unidepth, DepthAnything]).0,
-            "megasam+classical+unidepth+depth-anything"
-        );
+        assert_eq!(parts("megasam", &[Unidepth, DepthAnything]).0, "megasam+classical+unidepth+depth-anything");
         let (few, notes) = parts("megasam", &[]);
         assert_eq!(few, "megasam+classical");
         assert!(notes[0].contains("no depth"), "{notes:?}");

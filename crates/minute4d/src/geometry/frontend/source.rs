@@ -59,18 +59,14 @@ mod networks {
 
     pub fn unusable(part: Part) -> impl Fn(LoadError) -> Error {
         move |source| {
-            Error::from(NetworkError::Load {
-                method: NetworkMethod::FrontEnd(part),
-                source: Box::new(source),
-            })
+            Error::from(NetworkError::Load { method: NetworkMethod::FrontEnd(part), source: Box::new(source) })
         }
     }
 
     impl Plan {
         fn raft(&self, device: &NetworkDevice) -> Result<Option<Raft>, Error> {
             let file = self.file(Part::Raft);
-            file.map(|path| Raft::load(path, &device.device).map_err(unusable(Part::Raft)))
-                .transpose()
+            file.map(|path| Raft::load(path, &device.device).map_err(unusable(Part::Raft))).transpose()
         }
 
         pub(super) fn flow_network(

@@ -101,21 +101,12 @@ fn the_tracker_runs_the_specified_number_of_updates() {
         entered: 0,
         left: 0,
     };
-    let lens = Pinhole {
-        fx: 14.0,
-        fy: 14.0,
-        cx: 7.5,
-        cy: 7.5,
-    };
+    let lens = Pinhole { fx: 14.0, fy: 14.0, cx: 7.5, cy: 7.5 };
     let mut frontend = Frontend::new(size.grid(), lens, settings);
     let mut expected = 0;
     let mut keyframes = 0;
     for frame in 0..FRAMES {
-        let input = FrameInput {
-            frame,
-            time_s: frame as f64 / 30.0,
-            sensor: vec![0.5; size.grid().len()],
-        };
+        let input = FrameInput { frame, time_s: frame as f64 / 30.0, sensor: vec![0.5; size.grid().len()] };
         let said = frontend.submit(&input, frame + 1 == FRAMES, &mut source).unwrap();
         match said {
             Submitted::Skipped => {}
@@ -139,17 +130,9 @@ fn the_tracker_runs_the_specified_number_of_updates() {
         assert_eq!(frontend.keyframes.len(), keyframes);
         assert!(frontend.graph.active.iter().all(|e| e.age <= MAX_AGE + 3));
     }
-    assert!(
-        frontend.is_initialised() && expected > 3 * settings.initial_updates,
-        "nothing was tracked"
-    );
+    assert!(frontend.is_initialised() && expected > 3 * settings.initial_updates, "nothing was tracked");
     frontend.finish(&mut source).unwrap();
-    assert!(
-        source.entered > 0 && source.entered == source.left,
-        "{} {}",
-        source.entered,
-        source.left
-    );
+    assert!(source.entered > 0 && source.entered == source.left, "{} {}", source.entered, source.left);
 }
 
 #[test]
@@ -157,11 +140,8 @@ fn a_clip_goes_all_the_way_and_gives_the_same_bits_again() {
     let frames = clip();
     let images: Vec<&RgbImage> = frames.iter().collect();
     let times: Vec<f64> = (0..FRAMES).map(|k| k as f64 / 30.0).collect();
-    let mut settings = MegasamSettings {
-        tracking_pixels: (SIDE * SIDE) as f64,
-        tracker: few(),
-        ..MegasamSettings::default()
-    };
+    let mut settings =
+        MegasamSettings { tracking_pixels: (SIDE * SIDE) as f64, tracker: few(), ..MegasamSettings::default() };
     settings.cvd_steps = [3, 4];
     let size = TrackingSize::new((SIDE, SIDE), settings.tracking_pixels).unwrap();
     let search = m4_geometry::classical::dense::InverseSearch;
@@ -187,11 +167,7 @@ fn a_clip_goes_all_the_way_and_gives_the_same_bits_again() {
     assert_eq!(a.lens, b.lens);
     for k in 0..FRAMES {
         assert_eq!(a.c2w[k], b.c2w[k], "frame {k}");
-        assert_eq!(
-            (&a.depth[k], &a.static_confidence[k]),
-            (&b.depth[k], &b.static_confidence[k]),
-            "frame {k}"
-        );
+        assert_eq!((&a.depth[k], &a.static_confidence[k]), (&b.depth[k], &b.static_confidence[k]), "frame {k}");
         assert!(a.depth[k].data().iter().all(|z| z.is_finite() && *z > 0.0));
         assert!(a.static_confidence[k].data().iter().all(|m| (0.0..=1.0).contains(m)));
     }
@@ -205,52 +181,25 @@ fn the_published_loop_of_network_and_adjustment_is_met() {
     let all = SafeTensors::deserialize(&bytes).unwrap();
     let doubles = |name: &str| -> Vec<f64> {
         let data = all.tensor(name).unwrap();
-        data.data()
-            .as_chunks::<8>()
-            .0
-            .iter()
-            .map(|b| f64::from_le_bytes(*b))
-            .collect()
+        data.data().as_chunks::<8>().0.iter().map(|b| f64::from_le_bytes(*b)).collect()
     };
     let singles = |name: &str| -> Vec<f32> {
         let data = all.tensor(name).unwrap();
-        data.data()
-            .as_chunks::<4>()
-            .0
-            .iter()
-            .map(|b| f32::from_le_bytes(*b))
-            .collect()
+        data.data().as_chunks::<4>().0.iter().map(|b| f32::from_le_bytes(*b)).collect()
     };
     let whole = |name: &str| -> Vec<usize> {
         let data = all.tensor(name).unwrap();
-        data.data()
-            .as_chunks::<8>()
-            .0
-            .iter()
-            .map(|b| i64::from_le_bytes(*b) as usize)
-            .collect()
+        data.data().as_chunks::<8>().0.iter().map(|b| i64::from_le_bytes(*b) as usize).collect()
     };
     let images = images(&all);
     let references: Vec<&RgbImage> = images.iter().collect();
-    let size = TrackingSize {
-        full: (192, 128),
-        scaled: (192, 128),
-        cropped: (192, 128),
-    };
-    let exact = MemoryOptions {
-        storage: Storage::F32,
-        ..memory(100)
-    };
+    let size = TrackingSize { full: (192, 128), scaled: (192, 128), cropped: (192, 128) };
+    let exact = MemoryOptions { storage: Storage::F32, ..memory(100) };
     let mut source = NetworkCorrespondence::new(network(), &references, None, size, exact);
     let grid = Grid { width: 24, height: 16 };
     let poses = |name: &str| -> Vec<Se3<f64>> {
         let values = doubles(name);
-        values
-            .as_chunks::<7>()
-            .0
-            .iter()
-            .map(Se3::from_translation_quaternion)
-            .collect()
+        values.as_chunks::<7>().0.iter().map(Se3::from_translation_quaternion).collect()
     };
     let planes = |name: &str| -> Vec<Vec<f32>> {
         let single = |plane: &[f64]| plane.iter().map(|&d| d as f32).collect();
@@ -259,12 +208,7 @@ fn the_published_loop_of_network_and_adjustment_is_met() {
     let k = doubles("intrinsics");
     let mut geometry = Geometry {
         grid,
-        lens: Pinhole {
-            fx: k[0],
-            fy: k[1],
-            cx: k[2],
-            cy: k[3],
-        },
+        lens: Pinhole { fx: k[0], fy: k[1], cx: k[2], cy: k[3] },
         poses: poses("poses"),
         disparity: planes("disps"),
         sensor: planes("disps_sens"),
@@ -278,45 +222,22 @@ fn the_published_loop_of_network_and_adjustment_is_met() {
     let at = |pair: &(usize, usize), graph: &FactorGraph| graph.active.iter().position(|e| e.ends() == *pair).unwrap();
     source.change(&graph.take_changes()).unwrap();
     let mut eta = vec![vec![1e-6_f32; grid.len()]; frames.len()];
-    let options = DbaOptions {
-        prior_alpha: Some(0.05),
-        min_depth: 0.2,
-        ..DbaOptions::default()
-    };
+    let options = DbaOptions { prior_alpha: Some(0.05), min_depth: 0.2, ..DbaOptions::default() };
     for step in 0..3 {
         revise(&geometry, &mut graph, &mut eta, &mut source);
         let in_order: Vec<usize> = pairs.iter().map(|pair| at(pair, &graph)).collect();
-        let m: Vec<f32> = in_order
-            .iter()
-            .flat_map(|&e| graph.active[e].static_confidence.clone())
-            .collect();
-        assert_close(
-            &m,
-            &singles(&format!("it{step}_m")),
-            1e-4,
-            &format!("step {step}: static confidence"),
-        );
+        let m: Vec<f32> = in_order.iter().flat_map(|&e| graph.active[e].static_confidence.clone()).collect();
+        assert_close(&m, &singles(&format!("it{step}_m")), 1e-4, &format!("step {step}: static confidence"));
         let edges: Vec<&Factor<f32>> = graph.active.iter().map(|e| &e.factor).collect();
-        let damped: Vec<Vec<f32>> = eta
-            .iter()
-            .map(|plane| plane.iter().map(|e| e + 1e-7).collect())
-            .collect();
-        let problem = Problem {
-            edges: &edges,
-            eta: &damped,
-        };
+        let damped: Vec<Vec<f32>> = eta.iter().map(|plane| plane.iter().map(|e| e + 1e-7).collect()).collect();
+        let problem = Problem { edges: &edges, eta: &damped };
         adjust(&mut geometry, &problem, 1..frames.len(), &options).unwrap();
         for (frame, (got, want)) in geometry.poses.iter().zip(poses(&format!("it{step}_poses"))).enumerate() {
             let off = (got.matrix() - want.matrix()).amax();
             assert!(off < 1e-5, "step {step}, frame {frame}: pose off by {off}");
         }
         let want = planes(&format!("it{step}_disps")).concat();
-        assert_close(
-            &geometry.disparity.concat(),
-            &want,
-            1e-4,
-            &format!("step {step}: disparity"),
-        );
+        assert_close(&geometry.disparity.concat(), &want, 1e-4, &format!("step {step}: disparity"));
     }
     let target: Vec<f32> = pairs
         .iter()
@@ -343,9 +264,7 @@ fn images(all: &SafeTensors<'_>) -> Vec<RgbImage> {
         panic!("no images");
     };
     let at = |k: usize, c: usize, x: usize, y: usize| tensor.data()[((k * 3 + c) * h + y) * w + x];
-    (0..n)
-        .map(|k| Plane::from_fn(w, h, |x, y| [at(k, 2, x, y), at(k, 1, x, y), at(k, 0, x, y)]))
-        .collect()
+    (0..n).map(|k| Plane::from_fn(w, h, |x, y| [at(k, 2, x, y), at(k, 1, x, y), at(k, 0, x, y)])).collect()
 }
 
 /// Asks for all edges at once, from where `geometry` projects pixels.
@@ -362,11 +281,7 @@ fn revise(geometry: &Geometry<f32>, graph: &mut FactorGraph, eta: &mut [Vec<f32>
         }
         planes
     };
-    let mut revision = Revision {
-        grid,
-        edges: Vec::new(),
-        sources: Vec::new(),
-    };
+    let mut revision = Revision { grid, edges: Vec::new(), sources: Vec::new() };
     let mut ranges: Vec<(usize, usize)> = Vec::new();
     for (k, edge) in graph.active.iter_mut().enumerate() {
         let (i, j) = edge.ends();
@@ -382,19 +297,10 @@ fn revise(geometry: &Geometry<f32>, graph: &mut FactorGraph, eta: &mut [Vec<f32>
             static_confidence: &mut edge.static_confidence,
         });
     }
-    let ends: Vec<usize> = ranges
-        .iter()
-        .skip(1)
-        .map(|r| r.1)
-        .chain([revision.edges.len()])
-        .collect();
+    let ends: Vec<usize> = ranges.iter().skip(1).map(|r| r.1).chain([revision.edges.len()]).collect();
     let mut eta: Vec<Option<&mut Vec<f32>>> = eta.iter_mut().map(Some).collect();
     for ((frame, begin), end) in ranges.into_iter().zip(ends) {
-        revision.sources.push(SourceRevision {
-            frame,
-            edges: begin..end,
-            damping: eta[frame].take().unwrap(),
-        });
+        revision.sources.push(SourceRevision { frame, edges: begin..end, damping: eta[frame].take().unwrap() });
     }
     source.revise(&mut revision).unwrap();
     for edge in &mut revision.edges {

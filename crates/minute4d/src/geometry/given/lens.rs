@@ -49,10 +49,7 @@ pub fn read(given: &str, size: (usize, usize)) -> Result<Intrinsics, Error> {
     let lens = match numbers(given) {
         Some(numbers) => of_numbers(&numbers, size).map_err(bad)?,
         None => {
-            let bytes = fs::read(given).map_err(|source| Error::Read {
-                path: given.into(),
-                source,
-            })?;
+            let bytes = fs::read(given).map_err(|source| Error::Read { path: given.into(), source })?;
             let file: File = serde_json::from_slice(&bytes).map_err(|e| bad(format!("it is not such JSON ({e})")))?;
             of_file(&file, size).map_err(bad)?
         }
@@ -76,14 +73,7 @@ fn of_numbers(numbers: &[f64], (width, height): (usize, usize)) -> Result<Intrin
     let &[fx, fy, cx, cy] = numbers else {
         return Err(format!("{} numbers where 4 were expected", numbers.len()));
     };
-    Ok(Intrinsics {
-        width,
-        height,
-        fx,
-        fy,
-        cx,
-        cy,
-    })
+    Ok(Intrinsics { width, height, fx, fy, cx, cy })
 }
 
 fn of_file(file: &File, size: (usize, usize)) -> Result<Intrinsics, String> {

@@ -45,10 +45,7 @@ impl Sources {
             }
             hash::of_path(path).map(Some)
         };
-        let lens_file = options
-            .intrinsics
-            .as_deref()
-            .filter(|text| lens::numbers(text).is_none());
+        let lens_file = options.intrinsics.as_deref().filter(|text| lens::numbers(text).is_none());
         Ok(Self {
             intrinsics: of("--intrinsics", lens_file.map(Path::new))?,
             poses: of("--poses", options.poses.as_deref())?,
@@ -110,12 +107,7 @@ impl Given {
             let message = format!("the depth maps in {} are 0 (unknown) everywhere", path.display());
             return Err(Refusal::bad_input(message).into());
         }
-        Ok(Self {
-            lens,
-            cameras,
-            masks,
-            depth,
-        })
+        Ok(Self { lens, cameras, masks, depth })
     }
 
     /// Names of what was given, for the record.
@@ -126,11 +118,7 @@ impl Given {
             ("masks", self.masks.is_some()),
             ("depth", self.depth.is_some()),
         ];
-        given
-            .iter()
-            .filter(|(_, is)| *is)
-            .map(|(name, _)| (*name).to_owned())
-            .collect()
+        given.iter().filter(|(_, is)| *is).map(|(name, _)| (*name).to_owned()).collect()
     }
 }
 
@@ -208,11 +196,7 @@ impl Clip {
         } else {
             None
         };
-        Ok(Self {
-            frames: video.frames.len(),
-            size: video.frames.first().map_or((0, 0), |f| f.rgb.size()),
-            source,
-        })
+        Ok(Self { frames: video.frames.len(), size: video.frames.first().map_or((0, 0), |f| f.rgb.size()), source })
     }
 
     /// The file in `folder` for every frame: by the names of the frames where they have names, else by order.

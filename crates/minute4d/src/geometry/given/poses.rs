@@ -24,10 +24,7 @@ pub fn read(
         cameras.sort_by(|a, b| a.1.total_cmp(&b.1));
         cameras.into_iter().map(|(camera, _)| camera).collect()
     } else {
-        let text = fs::read_to_string(path).map_err(|source| Error::Read {
-            path: path.to_path_buf(),
-            source,
-        })?;
+        let text = fs::read_to_string(path).map_err(|source| Error::Read { path: path.to_path_buf(), source })?;
         let bad = |(line, what): (usize, String)| {
             Refusal::bad_input(format!(
                 "{}, line {line}: {what}; each line is `t tx ty tz qx qy qz qw`, camera to world",
@@ -70,16 +67,13 @@ fn trajectory_lines(text: &str) -> Result<Vec<Se3<f64>>, (usize, String)> {
         let [t, pose @ ..] = numbers.as_slice() else {
             return Err(bad("no number".to_owned()));
         };
-        let pose: [f64; 7] = pose
-            .try_into()
-            .map_err(|_| bad(format!("{} numbers where 8 were expected", numbers.len())))?;
+        let pose: [f64; 7] =
+            pose.try_into().map_err(|_| bad(format!("{} numbers where 8 were expected", numbers.len())))?;
         if !numbers.iter().all(|v| v.is_finite()) {
             return Err(bad("a number is not finite".to_owned()));
         }
         if *t <= last {
-            return Err(bad(format!(
-                "its time {t} is not after {last}, that of the line before"
-            )));
+            return Err(bad(format!("its time {t} is not after {last}, that of the line before")));
         }
         last = *t;
         let norm = pose[3..].iter().map(|q| q * q).sum::<f64>().sqrt();

@@ -32,12 +32,7 @@ impl Bullet {
         let all = [freeze_s, (source_s - freeze_s).max(0.0)];
         // Slowing down over e seconds covers e / 2 seconds of the source.
         let ease_s = all.map(|s| config.ease_s.min(2.0 * s).max(0.0));
-        let mut bullet = Self {
-            freeze_s,
-            played_s: all,
-            ease_s,
-            hold_s: options.hold_s.unwrap_or(config.hold_s),
-        };
+        let mut bullet = Self { freeze_s, played_s: all, ease_s, hold_s: options.hold_s.unwrap_or(config.hold_s) };
         if let Some(seconds) = options.seconds {
             let short = seconds - bullet.seconds();
             let kept = source_s + short;
@@ -101,20 +96,13 @@ impl Bullet {
         let phase = TAU * round * round * (3.0 - 2.0 * round);
         let side = side_rad(region, options, config);
         let (side, up) = (side * phase.sin(), side.abs() * config.up_share * (2.0 * phase).sin());
-        Stop {
-            camera: orbit(&region.stop.camera, &region.pivot(), side, up),
-            ..region.stop
-        }
+        Stop { camera: orbit(&region.stop.camera, &region.pivot(), side, up), ..region.stop }
     }
 }
 
 /// Seconds of the source in `s` seconds after standing still, with speed growing evenly for `ease_s`.
 fn eased(s: f64, ease_s: f64) -> f64 {
-    if s < ease_s {
-        s * s / (2.0 * ease_s)
-    } else {
-        s - 0.5 * ease_s
-    }
+    if s < ease_s { s * s / (2.0 * ease_s) } else { s - 0.5 * ease_s }
 }
 
 /// Greatest turn to either side that is good for the scene, radians, or what was asked for.
@@ -143,8 +131,5 @@ pub fn looking(centre: Vector3<f64>, target: &Vector3<f64>, down: &Vector3<f64>)
         let least = ahead.iamin();
         Vector3::ith(least, 1.0).cross(&ahead).normalize()
     };
-    Se3 {
-        rotation: Matrix3::from_columns(&[across, ahead.cross(&across), ahead]),
-        translation: centre,
-    }
+    Se3 { rotation: Matrix3::from_columns(&[across, ahead.cross(&across), ahead]), translation: centre }
 }

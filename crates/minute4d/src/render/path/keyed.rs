@@ -33,11 +33,7 @@ enum Interpolation {
     /// Position and direction apart.
     Poses(PoseSpline),
     /// Every keyframe looks at a point: so does every camera between.
-    Targets {
-        centres: Spline<3>,
-        targets: Spline<3>,
-        downs: Spline<3>,
-    },
+    Targets { centres: Spline<3>, targets: Spline<3>, downs: Spline<3> },
 }
 
 impl KeyedPath {
@@ -79,10 +75,7 @@ impl KeyedPath {
         let (width, height) = self.size;
         let focal_px = self.zoom.at(time).x.exp() * height as f64;
         Stop {
-            camera: Camera {
-                intrinsics: Intrinsics::centred(width, height, focal_px),
-                c2w: self.way.at(time),
-            },
+            camera: Camera { intrinsics: Intrinsics::centred(width, height, focal_px), c2w: self.way.at(time) },
             t: straight(&self.clock, time).clamp(0.0, self.last_frame),
             exposure: Exposure::IDENTITY,
         }
@@ -102,11 +95,7 @@ impl Interpolation {
             .collect();
         if let Some(looks) = looks {
             let part = |k: usize| Spline::new(times.to_vec(), looks.iter().map(|look| look[k]).collect());
-            return Self::Targets {
-                centres: part(0),
-                targets: part(1),
-                downs: part(2),
-            };
+            return Self::Targets { centres: part(0), targets: part(1), downs: part(2) };
         }
         let poses = order.iter().map(|i| match keys[*i].pose {
             KeyPose::C2w(pose) => pose,
@@ -118,11 +107,7 @@ impl Interpolation {
     fn at(&self, time: f64) -> m4_core::Se3<f64> {
         match self {
             Self::Poses(poses) => poses.at(time),
-            Self::Targets {
-                centres,
-                targets,
-                downs,
-            } => looking(centres.at(time), &targets.at(time), &downs.at(time)),
+            Self::Targets { centres, targets, downs } => looking(centres.at(time), &targets.at(time), &downs.at(time)),
         }
     }
 }
@@ -145,15 +130,7 @@ fn nodes(keys: &[Keyframe], period: Option<f64>) -> (Vec<usize>, Vec<f64>) {
 /// Downwards in the images of the source, on the whole.
 fn mean_down(source: &SourcePath) -> Vector3<f64> {
     let (first, last) = source.span();
-    let down = |share: f64| {
-        source
-            .at(first + (last - first) * share)
-            .camera
-            .c2w
-            .rotation
-            .column(1)
-            .into_owned()
-    };
+    let down = |share: f64| source.at(first + (last - first) * share).camera.c2w.rotation.column(1).into_owned();
     let sum = (0..=8).fold(Vector3::zeros(), |sum, i| sum + down(f64::from(i) / 8.0));
     if sum.norm() > 1e-3 { sum.normalize() } else { down(0.0) }
 }

@@ -110,28 +110,18 @@ impl CameraPath {
             fps,
             at: anchor(job, &span(scene))?,
         };
-        Ok(Plan {
-            stops: made.stops(self, painter)?,
-            fps,
-        })
+        Ok(Plan { stops: made.stops(self, painter)?, fps })
     }
 
     fn own_fps(&self, scene: &Scene) -> f64 {
         let own = source_fps(scene);
-        if *self == Self::Train || own >= SMOOTH_FPS {
-            own
-        } else {
-            super::DEFAULT_FPS
-        }
+        if *self == Self::Train || own >= SMOOTH_FPS { own } else { super::DEFAULT_FPS }
     }
 }
 
 /// The duration of a scene.
 pub fn span(scene: &Scene) -> Span {
-    Span {
-        time_frames: scene.time_frames,
-        duration_s: scene.duration_s,
-    }
+    Span { time_frames: scene.time_frames, duration_s: scene.duration_s }
 }
 
 /// The moment that was asked for, frames: where to start, or where time is frozen.
@@ -199,9 +189,7 @@ impl Maker<'_> {
         let seconds = self.options.seconds.unwrap_or(own_s);
         let pace = if seconds > 0.0 { own_s / seconds } else { 0.0 };
         let n = open_frames(seconds, self.fps)?;
-        Ok((0..n)
-            .map(|i| stop(self.source.moment(pace * i as f64 / self.fps)))
-            .collect())
+        Ok((0..n).map(|i| stop(self.source.moment(pace * i as f64 / self.fps))).collect())
     }
 
     fn stabilised(&self, painter: &mut Painter<'_>) -> Result<Vec<Stop>, Refusal> {
@@ -252,43 +240,28 @@ impl Maker<'_> {
 }
 
 fn stop_of(frame: &m4_core::SourceFrame) -> Stop {
-    Stop {
-        camera: frame.camera,
-        t: frame.t,
-        exposure: frame.exposure,
-    }
+    Stop { camera: frame.camera, t: frame.t, exposure: frame.exposure }
 }
 
 fn file(path: &Path, scene: &Scene, job: &RenderJob) -> Result<Plan, Error> {
     if path.extension().is_none() && !path.exists() {
         let (name, words) = (path.display().to_string(), WORDS.join(", "));
-        return Err(Refusal::usage(format!(
-            "there is no camera path {name:?}; write {words}, or the name of a file"
-        ))
-        .into());
+        return Err(
+            Refusal::usage(format!("there is no camera path {name:?}; write {words}, or the name of a file")).into()
+        );
     }
     match trajectory::load(path, scene.time_frames)? {
         Trajectory::Listed(listed) => {
             if job.options.seconds.is_some() {
                 return Err(unused("--seconds", &path.display().to_string(), &[]).into());
             }
-            let stops = listed.into_iter().map(|(camera, t)| Stop {
-                camera,
-                t,
-                exposure: Exposure::IDENTITY,
-            });
-            Ok(Plan {
-                stops: stops.collect(),
-                fps: job.fps.unwrap_or_else(|| source_fps(scene)),
-            })
+            let stops = listed.into_iter().map(|(camera, t)| Stop { camera, t, exposure: Exposure::IDENTITY });
+            Ok(Plan { stops: stops.collect(), fps: job.fps.unwrap_or_else(|| source_fps(scene)) })
         }
         Trajectory::Keyed(keyed) => {
             let source = SourcePath::new(scene, &path.display().to_string())?;
             let through = KeyedPath::new(&keyed, &source, &span(scene))?;
-            let fps = job
-                .fps
-                .or(keyed.fps)
-                .unwrap_or_else(|| CameraPath::Source.own_fps(scene));
+            let fps = job.fps.or(keyed.fps).unwrap_or_else(|| CameraPath::Source.own_fps(scene));
             let seconds = job.options.seconds.unwrap_or(through.seconds);
             let pace = if seconds > 0.0 { through.seconds / seconds } else { 0.0 };
             let n = if through.closed {
@@ -298,10 +271,7 @@ fn file(path: &Path, scene: &Scene, job: &RenderJob) -> Result<Plan, Error> {
             } else {
                 1
             };
-            Ok(Plan {
-                stops: (0..n).map(|i| through.at(pace * i as f64 / fps)).collect(),
-                fps,
-            })
+            Ok(Plan { stops: (0..n).map(|i| through.at(pace * i as f64 / fps)).collect(), fps })
         }
     }
 }

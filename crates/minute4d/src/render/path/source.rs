@@ -40,12 +40,7 @@ impl SourcePath {
             Some(duration_s) if duration_s > 0.0 && last > 0.0 => last / duration_s,
             _ => DEFAULT_FPS,
         };
-        Ok(Self {
-            poses: PoseSpline::new(times.clone(), poses),
-            frames,
-            times,
-            frames_per_s,
-        })
+        Ok(Self { poses: PoseSpline::new(times.clone(), poses), frames, times, frames_per_s })
     }
 
     /// First and last moment, frames.
@@ -73,25 +68,14 @@ impl SourcePath {
     pub fn at(&self, t: f64) -> Stop {
         let last = self.times.len() - 1;
         let next = self.times.partition_point(|time| *time <= t).min(last);
-        let before = if self.times[next] <= t {
-            next
-        } else {
-            next.saturating_sub(1)
-        };
+        let before = if self.times[next] <= t { next } else { next.saturating_sub(1) };
         let (a, b) = (&self.frames[before], &self.frames[next]);
         let gap = self.times[next] - self.times[before];
-        let u = if gap > 0.0 {
-            ((t - self.times[before]) / gap).clamp(0.0, 1.0)
-        } else {
-            0.0
-        };
+        let u = if gap > 0.0 { ((t - self.times[before]) / gap).clamp(0.0, 1.0) } else { 0.0 };
         let size = &self.frames[0].camera.intrinsics;
         let lens = |frame: &SourceFrame| frame.camera.intrinsics.resized(size.width, size.height);
         Stop {
-            camera: Camera {
-                intrinsics: between_lenses(&lens(a), &lens(b), u),
-                c2w: self.poses.at(t),
-            },
+            camera: Camera { intrinsics: between_lenses(&lens(a), &lens(b), u), c2w: self.poses.at(t) },
             t,
             exposure: between_exposures(&a.exposure, &b.exposure, u),
         }
@@ -100,13 +84,7 @@ impl SourcePath {
 
 fn between_lenses(a: &Intrinsics, b: &Intrinsics, u: f64) -> Intrinsics {
     let mix = |x: f64, y: f64| x + (y - x) * u;
-    Intrinsics {
-        fx: mix(a.fx, b.fx),
-        fy: mix(a.fy, b.fy),
-        cx: mix(a.cx, b.cx),
-        cy: mix(a.cy, b.cy),
-        ..*a
-    }
+    Intrinsics { fx: mix(a.fx, b.fx), fy: mix(a.fy, b.fy), cx: mix(a.cx, b.cx), cy: mix(a.cy, b.cy), ..*a }
 }
 
 fn between_exposures(a: &Exposure, b: &Exposure, u: f64) -> Exposure {
@@ -163,9 +141,7 @@ pub fn stabilised(source: &SourcePath, how: &Smoothing) -> PoseSpline {
         let way = limited(way, how.stray) * how.strength;
         let turn = limited(turn, how.stray_rad) * how.strength;
         Se3 {
-            rotation: (turns[i] * UnitQuaternion::from_scaled_axis(turn))
-                .to_rotation_matrix()
-                .into_inner(),
+            rotation: (turns[i] * UnitQuaternion::from_scaled_axis(turn)).to_rotation_matrix().into_inner(),
             translation: poses[i].translation + way,
         }
     });

@@ -24,22 +24,15 @@ fn clip(path: &Path, format: SourceFormat, options: &ImportOptions) -> Outcome {
 
 /// A file of a fixture.
 fn plain(name: &'static str, format: SourceFormat, source: &str, file: &str) -> Reader {
-    let reader = among(name, &format!("import/{source}"), file, move |p| {
-        clip(p, format, &ImportOptions::default())
-    });
+    let reader = among(name, &format!("import/{source}"), file, move |p| clip(p, format, &ImportOptions::default()));
     let wrap = if file.ends_with(".png") { Wrap::Png } else { Wrap::Plain };
     Reader { wrap, ..reader }
 }
 
 /// A file of a fixture whose images lie elsewhere.
 fn with_images(name: &'static str, format: SourceFormat, source: &str, file: &str) -> Reader {
-    let options = ImportOptions {
-        images: Some(fixture("import/clip/images")),
-        ..ImportOptions::default()
-    };
-    among(name, &format!("import/{source}"), file, move |p| {
-        clip(p, format, &options)
-    })
+    let options = ImportOptions { images: Some(fixture("import/clip/images")), ..ImportOptions::default() };
+    among(name, &format!("import/{source}"), file, move |p| clip(p, format, &options))
 }
 
 /// A member of an archive of a fixture.
@@ -48,56 +41,24 @@ fn member(name: &'static str, format: SourceFormat, source: &str, file: &str, in
 }
 
 pub fn rows() -> Vec<Reader> {
-    [
-        cameras_of_tools(),
-        archives_of_tools(),
-        megasam(),
-        phones(),
-        data_sets(),
-        side_files(),
-    ]
-    .into_iter()
-    .flatten()
-    .collect()
+    [cameras_of_tools(), archives_of_tools(), megasam(), phones(), data_sets(), side_files()]
+        .into_iter()
+        .flatten()
+        .collect()
 }
 
 fn cameras_of_tools() -> Vec<Reader> {
     vec![
-        with_images(
-            "import-colmap-cameras-txt",
-            Colmap,
-            "colmap_text",
-            "sparse/0/cameras.txt",
-        ),
+        with_images("import-colmap-cameras-txt", Colmap, "colmap_text", "sparse/0/cameras.txt"),
         with_images("import-colmap-images-txt", Colmap, "colmap_text", "sparse/0/images.txt"),
-        with_images(
-            "import-colmap-cameras-bin",
-            Colmap,
-            "colmap_binary",
-            "sparse/0/cameras.bin",
-        ),
-        with_images(
-            "import-colmap-images-bin",
-            Colmap,
-            "colmap_binary",
-            "sparse/0/images.bin",
-        ),
+        with_images("import-colmap-cameras-bin", Colmap, "colmap_binary", "sparse/0/cameras.bin"),
+        with_images("import-colmap-images-bin", Colmap, "colmap_binary", "sparse/0/images.bin"),
         plain("import-colmap-opencv", Colmap, "colmap_opencv", "sparse/0/cameras.txt"),
-        plain(
-            "import-colmap-fisheye",
-            Colmap,
-            "colmap_fisheye",
-            "sparse/0/cameras.bin",
-        ),
+        plain("import-colmap-fisheye", Colmap, "colmap_fisheye", "sparse/0/cameras.bin"),
         plain("import-nerfstudio", Nerfstudio, "nerfstudio", "transforms.json"),
         plain("import-nerfstudio-depth", Nerfstudio, "nerfstudio", "depth/2.png"),
         plain("import-nerfstudio-mask", Nerfstudio, "nerfstudio", "masks/2.png"),
-        plain(
-            "import-nerfstudio-image",
-            Nerfstudio,
-            "nerfstudio",
-            "images/frame_2.jpg",
-        ),
+        plain("import-nerfstudio-image", Nerfstudio, "nerfstudio", "images/frame_2.jpg"),
         beside_clip("import-instant4d", "transforms.json"),
         beside_clip("import-instant4d-depth", "depth_2.npy"),
     ]
@@ -105,19 +66,11 @@ fn cameras_of_tools() -> Vec<Reader> {
 
 /// The same with the images that its list names beside it.
 fn beside_clip(name: &'static str, file: &str) -> Reader {
-    let options = ImportOptions {
-        reach: Reach::Anywhere,
-        ..ImportOptions::default()
-    };
+    let options = ImportOptions { reach: Reach::Anywhere, ..ImportOptions::default() };
     let reader = among(name, "import/instant4d", file, move |p| clip(p, Nerfstudio, &options));
-    let Around::Fixtures(mut all) = reader.around else {
-        panic!("{} is among no fixtures", reader.name)
-    };
+    let Around::Fixtures(mut all) = reader.around else { panic!("{} is among no fixtures", reader.name) };
     all.push(("import/clip".to_owned(), "clip".to_owned()));
-    Reader {
-        around: Around::Fixtures(all),
-        ..reader
-    }
+    Reader { around: Around::Fixtures(all), ..reader }
 }
 
 fn megasam() -> Vec<Reader> {
@@ -159,35 +112,11 @@ fn archives_of_tools() -> Vec<Reader> {
 fn phones() -> Vec<Reader> {
     vec![
         plain("import-record3d", Record3d, "record3d/clip.r3d", ""),
-        member(
-            "import-record3d-metadata",
-            Record3d,
-            "record3d/clip.r3d",
-            "",
-            "metadata",
-        ),
-        member(
-            "import-record3d-depth",
-            Record3d,
-            "record3d/clip.r3d",
-            "",
-            "rgbd/1.depth",
-        ),
-        member(
-            "import-record3d-confidence",
-            Record3d,
-            "record3d/clip.r3d",
-            "",
-            "rgbd/1.conf",
-        ),
+        member("import-record3d-metadata", Record3d, "record3d/clip.r3d", "", "metadata"),
+        member("import-record3d-depth", Record3d, "record3d/clip.r3d", "", "rgbd/1.depth"),
+        member("import-record3d-confidence", Record3d, "record3d/clip.r3d", "", "rgbd/1.conf"),
         member("import-record3d-image", Record3d, "record3d/clip.r3d", "", "rgbd/1.jpg"),
-        member(
-            "import-record3d-large",
-            Record3d,
-            "record3d/large.r3d",
-            "",
-            "rgbd/0.depth",
-        ),
+        member("import-record3d-large", Record3d, "record3d/large.r3d", "", "rgbd/0.depth"),
     ]
 }
 
@@ -205,16 +134,11 @@ fn without_splits(reader: Reader) -> Reader {
 }
 
 fn data_sets() -> Vec<Reader> {
-    let annotation = among(
-        "import-davis-annotation",
-        "import/davis",
-        "Annotations/480p/ball/00001.png",
-        |p| {
-            let folder = p.join("JPEGImages/480p/ball");
-            let read = davis::read_clip(&folder, &VideoOptions::default(), &Silent);
-            Outcome::of(read, |clip| valid::video(&clip.video))
-        },
-    );
+    let annotation = among("import-davis-annotation", "import/davis", "Annotations/480p/ball/00001.png", |p| {
+        let folder = p.join("JPEGImages/480p/ball");
+        let read = davis::read_clip(&folder, &VideoOptions::default(), &Silent);
+        Outcome::of(read, |clip| valid::video(&clip.video))
+    });
     vec![
         without_splits(plain("import-dycheck-dataset", Dycheck, "dycheck", "dataset.json")),
         without_splits(plain("import-dycheck-metadata", Dycheck, "dycheck", "metadata.json")),
@@ -226,28 +150,20 @@ fn data_sets() -> Vec<Reader> {
         plain("import-nvidia-poses", Nvidia, "nvidia", "poses_bounds.npy"),
         plain("import-nvidia-disparity", Nvidia, "nvidia", "disp/001.npy"),
         plain("import-nvidia-mask", Nvidia, "nvidia", "motion_masks/001.png"),
-        Reader {
-            wrap: Wrap::Png,
-            ..annotation
-        },
+        Reader { wrap: Wrap::Png, ..annotation },
     ]
 }
 
 /// A valid clip with side files.
 fn beside(change: impl FnOnce(&mut ImportOptions)) -> Outcome {
-    let mut options = ImportOptions {
-        depth_unit: Some(0.0005),
-        ..ImportOptions::default()
-    };
+    let mut options = ImportOptions { depth_unit: Some(0.0005), ..ImportOptions::default() };
     change(&mut options);
     clip(&fixture("import/record3d/clip.r3d"), Record3d, &options)
 }
 
 /// A file that `set` makes the depth, masks or tracks of the clip.
 fn given(name: &'static str, source: &str, file: &str, set: fn(&mut ImportOptions, PathBuf)) -> Reader {
-    among(name, &format!("import/side/{source}"), file, move |p| {
-        beside(|o| set(o, p.to_path_buf()))
-    })
+    among(name, &format!("import/side/{source}"), file, move |p| beside(|o| set(o, p.to_path_buf())))
 }
 
 fn tracks(options: &mut ImportOptions, path: PathBuf) {
@@ -263,12 +179,7 @@ fn masks(options: &mut ImportOptions, path: PathBuf) {
 }
 
 fn contents(files: &'static [&'static str]) -> impl Fn() -> Vec<Vec<u8>> + Send + Sync {
-    move || {
-        files
-            .iter()
-            .map(|f| fixture_bytes(&format!("import/side/{f}")))
-            .collect()
-    }
+    move || files.iter().map(|f| fixture_bytes(&format!("import/side/{f}"))).collect()
 }
 
 fn one_map(path: &Path) -> Outcome {
@@ -283,50 +194,28 @@ fn side_files() -> Vec<Reader> {
     let seen = |p: &Path| Outcome::of(read_mask(p, false), |_| None);
     let jpegs = || vec![fixture_bytes("import/nerfstudio/images/frame_1.jpg")];
     vec![
-        alone("side-exr", "a.exr", contents(exrs), move |p| {
-            Outcome::of(decode_exr(&bytes(p)), valid::map)
-        }),
-        alone("side-pfm", "a.pfm", contents(pfms), move |p| {
-            Outcome::of(decode_pfm(&bytes(p)), valid::map)
-        }),
+        alone("side-exr", "a.exr", contents(exrs), move |p| Outcome::of(decode_exr(&bytes(p)), valid::map)),
+        alone("side-pfm", "a.pfm", contents(pfms), move |p| Outcome::of(decode_pfm(&bytes(p)), valid::map)),
         alone(
             "side-depth",
             "a",
             contents(&["depth_exr/frame9.exr", "depth_pfm/frame8.pfm", "depth_npy/frame8.npy"]),
             one_map,
         ),
-        Reader {
-            wrap: Wrap::Png,
-            ..alone("side-depth-png", "a.png", contents(&["depth_png/frame8.png"]), one_map)
-        },
+        Reader { wrap: Wrap::Png, ..alone("side-depth-png", "a.png", contents(&["depth_png/frame8.png"]), one_map) },
         given("side-depth-stack", "depth.npz", "", depth),
-        within(
-            "side-depth-stack-array",
-            "depths.npy",
-            given("", "depth.npz", "", depth),
-        ),
+        within("side-depth-stack-array", "depths.npy", given("", "depth.npz", "", depth)),
         given("side-depth-folder", "depth_npy", "frame9.npy", depth),
-        Reader {
-            wrap: Wrap::Png,
-            ..alone("side-mask-png", "a.png", contents(pngs), seen)
-        },
+        Reader { wrap: Wrap::Png, ..alone("side-mask-png", "a.png", contents(pngs), seen) },
         alone("side-mask-jpeg", "a.jpg", jpegs, seen),
         given("side-mask-stack", "masks.npz", "", masks),
         within("side-mask-stack-array", "masks.npy", given("", "masks.npz", "", masks)),
         given("side-tracks-tapip3d", "tapip3d.npz", "", tracks),
         within("side-tracks-coords", "coords.npy", given("", "tapip3d.npz", "", tracks)),
-        within(
-            "side-tracks-cameras",
-            "extrinsics.npy",
-            given("", "tapip3d.npz", "", tracks),
-        ),
+        within("side-tracks-cameras", "extrinsics.npy", given("", "tapip3d.npz", "", tracks)),
         within("side-tracks-colours", "colors.npy", given("", "world.npz", "", tracks)),
         given("side-tracks-cotracker", "cotracker.npz", "", tracks),
-        within(
-            "side-tracks-pixels",
-            "tracks.npy",
-            given("", "cotracker.npz", "", tracks),
-        ),
+        within("side-tracks-pixels", "tracks.npy", given("", "cotracker.npz", "", tracks)),
         given("side-tracks-spatracker", "spatracker.npz", "", tracks),
     ]
 }

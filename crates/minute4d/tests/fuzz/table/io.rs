@@ -20,26 +20,14 @@ use std::path::{Path, PathBuf};
 const MAX_ARRAY_BYTES: u64 = 64 << 20;
 
 pub fn rows() -> Vec<Reader> {
-    [
-        images(),
-        arrays(),
-        paths(),
-        captures(),
-        scenes(),
-        videos(),
-        splats(),
-        colmap_points(),
-    ]
-    .into_iter()
-    .flatten()
-    .collect()
+    [images(), arrays(), paths(), captures(), scenes(), videos(), splats(), colmap_points()]
+        .into_iter()
+        .flatten()
+        .collect()
 }
 
 fn png(reader: Reader) -> Reader {
-    Reader {
-        wrap: Wrap::Png,
-        ..reader
-    }
+    Reader { wrap: Wrap::Png, ..reader }
 }
 
 fn images() -> Vec<Reader> {
@@ -50,19 +38,10 @@ fn images() -> Vec<Reader> {
             with_exif(&fixture_bytes("import/davis/JPEGImages/480p/ball/00001.jpg")),
         ]
     };
-    let pngs = || {
-        vec![
-            made::image("a.png"),
-            fixture_bytes("import/side/masks_palette/frame8.png"),
-        ]
-    };
+    let pngs = || vec![made::image("a.png"), fixture_bytes("import/side/masks_palette/frame8.png")];
     let depths = || vec![fixture_bytes("import/side/depth_png/frame8.png")];
-    let greys = || {
-        vec![
-            fixture_bytes("import/nvidia/motion_masks/001.png"),
-            fixture_bytes("import/side/depth_png/frame8.png"),
-        ]
-    };
+    let greys =
+        || vec![fixture_bytes("import/nvidia/motion_masks/001.png"), fixture_bytes("import/side/depth_png/frame8.png")];
     let read_rgb = |p: &Path| Outcome::of(image::read_rgb(p), |_| None);
     let photo = |p: &Path| {
         Outcome::of(image::read_photo(p), |photo| {
@@ -90,12 +69,8 @@ fn images() -> Vec<Reader> {
         png(alone("io-png-depth", "a.png", depths, depth)),
         png(alone("io-png-ids", "a.png", greys, ids)),
         png(alone("io-png-ids-bytes", "a.png", greys, ids_of_bytes)),
-        png(alone("io-png-mask", "a.png", greys, |p| {
-            Outcome::of(image::read_mask(p), |_| None)
-        })),
-        alone("io-jpeg-grey", "a.jpg", jpegs, |p| {
-            Outcome::of(image::read_grey(p), |_| None)
-        }),
+        png(alone("io-png-mask", "a.png", greys, |p| Outcome::of(image::read_mask(p), |_| None))),
+        alone("io-jpeg-grey", "a.jpg", jpegs, |p| Outcome::of(image::read_grey(p), |_| None)),
     ]
 }
 
@@ -129,12 +104,7 @@ fn arrays() -> Vec<Reader> {
     let bytes = |p: &Path| Outcome::of(npy(p, true), |_| None);
     vec![
         alone("io-npy", "a.npy", npys, numbers),
-        alone(
-            "io-npy-bytes",
-            "a.npy",
-            || vec![members("tracks/numpy.npz")[1].1.clone()],
-            bytes,
-        ),
+        alone("io-npy-bytes", "a.npy", || vec![members("tracks/numpy.npz")[1].1.clone()], bytes),
         among("io-npz", "tracks/numpy.npz", "", |p| Outcome::of(npz(p), |_| None)),
         alone(
             "io-tracks",
@@ -142,16 +112,8 @@ fn arrays() -> Vec<Reader> {
             || vec![made::written("t.npz", |p| tracks::write(p, &made::tracks()))],
             |p| Outcome::of(tracks::read(p, 2, MAX_ARRAY_BYTES), valid::tracks),
         ),
-        within(
-            "io-tracks-coords",
-            "coords.npy",
-            among("", "tracks/numpy.npz", "", numpy_tracks),
-        ),
-        within(
-            "io-tracks-visibs",
-            "visibs.npy",
-            among("", "tracks/numpy.npz", "", numpy_tracks),
-        ),
+        within("io-tracks-coords", "coords.npy", among("", "tracks/numpy.npz", "", numpy_tracks)),
+        within("io-tracks-visibs", "visibs.npy", among("", "tracks/numpy.npz", "", numpy_tracks)),
     ]
 }
 
@@ -198,9 +160,7 @@ fn paths() -> Vec<Reader> {
         ];
         texts.map(|t| t.as_bytes().to_vec()).to_vec()
     };
-    vec![alone("io-camera-path", "path.json", seeds, |p| {
-        Outcome::of(trajectory::load(p, 11), valid::trajectory)
-    })]
+    vec![alone("io-camera-path", "path.json", seeds, |p| Outcome::of(trajectory::load(p, 11), valid::trajectory))]
 }
 
 /// A row for one file of a capture of ours.
@@ -283,10 +243,7 @@ fn videos() -> Vec<Reader> {
         vec![ours, fixture_bytes("import/vipe/rgb/dog.mp4")]
     };
     let read = |p: &Path| Outcome::of(video::read(p, &own_video(), &Silent), valid::video);
-    vec![
-        alone("io-mp4", "a.mp4", seeds, read),
-        png(among("io-video-folder", "import/clip/images", "00002.png", read)),
-    ]
+    vec![alone("io-mp4", "a.mp4", seeds, read), png(among("io-video-folder", "import/clip/images", "00002.png", read))]
 }
 
 fn colmap_points() -> Vec<Reader> {
@@ -310,11 +267,8 @@ const DEGREES: [usize; 2] = [0, 2];
 fn splats() -> Vec<Reader> {
     let clips = || {
         let one = |degree| {
-            let encoded = fourdgs::encode(
-                Path::new("a.4dgs"),
-                &made::scene(degree),
-                &fourdgs::FourdgsConfig::default(),
-            );
+            let encoded =
+                fourdgs::encode(Path::new("a.4dgs"), &made::scene(degree), &fourdgs::FourdgsConfig::default());
             encoded.unwrap_or_else(|e| panic!("a valid clip: {e}")).0
         };
         DEGREES.map(one).to_vec()
@@ -326,12 +280,8 @@ fn splats() -> Vec<Reader> {
         all
     };
     vec![
-        alone("formats-4dgs", "a.4dgs", clips, |p| {
-            Outcome::of(fourdgs::read(p), |found| valid::scene(&found.scene))
-        }),
-        alone("formats-ply", "a.ply", instants, |p| {
-            Outcome::of(ply::read(p), |found| valid::scene(&found.scene))
-        }),
+        alone("formats-4dgs", "a.4dgs", clips, |p| Outcome::of(fourdgs::read(p), |found| valid::scene(&found.scene))),
+        alone("formats-ply", "a.ply", instants, |p| Outcome::of(ply::read(p), |found| valid::scene(&found.scene))),
     ]
 }
 

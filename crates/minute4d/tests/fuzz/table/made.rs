@@ -22,11 +22,7 @@ pub fn written<T, E: fmt::Display>(name: &str, write: impl FnOnce(&Path) -> Resu
 /// Few splats, of harmonics of that degree.
 pub fn scene(sh_degree: usize) -> Scene {
     random_scene(&SceneSpec {
-        layout: SplatLayout {
-            isotropic: false,
-            sh_degree,
-            time_degree: 0,
-        },
+        layout: SplatLayout { isotropic: false, sh_degree, time_degree: 0 },
         n_static: 3,
         n_dynamic: 4,
         time_frames: 5,
@@ -38,15 +34,10 @@ pub fn scene(sh_degree: usize) -> Scene {
 pub fn clip() -> Capture {
     let frame = |i: usize| CaptureFrame {
         name: format!("{i}.png"),
-        camera: Camera {
-            intrinsics: Intrinsics::centred(12, 8, 14.0),
-            c2w: Se3::identity(),
-        },
+        camera: Camera { intrinsics: Intrinsics::centred(12, 8, 14.0), c2w: Se3::identity() },
         t: i as f64,
         rgb: Plane::from_fn(12, 8, |x, y| [x as u8 * 9, y as u8 * 7, i as u8]),
-        depth: Some(CompactDepth::from(Plane::from_fn(12, 8, |x, y| {
-            1.0 + (x + y) as f32 * 0.1
-        }))),
+        depth: Some(CompactDepth::from(Plane::from_fn(12, 8, |x, y| 1.0 + (x + y) as f32 * 0.1))),
         mask: Some(CompactMask::from_fn(12, 8, |x, y| x > y)),
         motion: Some(Plane::from_fn(12, 8, |x, _| x as u8 * 20)),
         instances: Some(CompactIds::from(&Plane::from_fn(12, 8, |x, _| u16::from(x > 5)))),

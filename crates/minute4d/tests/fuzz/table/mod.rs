@@ -18,10 +18,7 @@ use std::path::Path;
 
 /// Every reader, in the order of the crates; names are unique.
 pub fn readers() -> Vec<Reader> {
-    [io::rows(), import::rows(), program::rows()]
-        .into_iter()
-        .flatten()
-        .collect()
+    [io::rows(), import::rows(), program::rows()].into_iter().flatten().collect()
 }
 
 /// The families of readers: what their names begin with, in the order of the alphabet.
@@ -59,11 +56,7 @@ fn among(
 ) -> Reader {
     let base = source.rsplit('/').next().unwrap_or(source);
     let of = |from: &str| {
-        if file.is_empty() {
-            from.to_owned()
-        } else {
-            format!("{from}/{file}")
-        }
+        if file.is_empty() { from.to_owned() } else { format!("{from}/{file}") }
     };
     let seed = of(source);
     Reader {
@@ -82,11 +75,7 @@ fn within(name: &'static str, member: &'static str, of: Reader) -> Reader {
     let archive = match &of.around {
         Around::Fixtures(all) => {
             let (from, to) = &all[0];
-            if of.file == *to {
-                from.clone()
-            } else {
-                format!("{from}{}", &of.file[to.len()..])
-            }
+            if of.file == *to { from.clone() } else { format!("{from}{}", &of.file[to.len()..]) }
         }
         _ => panic!("{name} is within no fixture"),
     };
@@ -96,10 +85,7 @@ fn within(name: &'static str, member: &'static str, of: Reader) -> Reader {
         wrap,
         seeds: Box::new(move |_| {
             let all = members(&archive);
-            all.into_iter()
-                .filter(|(n, _)| n == member)
-                .map(|(_, bytes)| bytes)
-                .collect()
+            all.into_iter().filter(|(n, _)| n == member).map(|(_, bytes)| bytes).collect()
         }),
         ..of
     }

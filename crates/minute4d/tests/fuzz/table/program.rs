@@ -15,9 +15,7 @@ pub fn rows() -> Vec<Reader> {
             Outcome::of(read, |_| None)
         }),
         below("program-run-record", "run.json", runs, |p| usable(RunRecord::read(p))),
-        below("program-geometry-record", "geometry.json", geometries, |p| {
-            usable(GeometryRecord::read(p))
-        }),
+        below("program-geometry-record", "geometry.json", geometries, |p| usable(GeometryRecord::read(p))),
         alone("batch-manifest", "jobs.jsonl", manifests, |p| {
             Outcome::of(Manifest::read(p), |read| {
                 let same = read.jobs.iter().map(|job| job.id.to_lowercase());
@@ -39,11 +37,7 @@ fn below(
     seeds: fn() -> Vec<Vec<u8>>,
     call: impl Fn(&Path) -> Outcome + Send + Sync + 'static,
 ) -> Reader {
-    Reader {
-        given: String::new(),
-        around: Around::Nothing,
-        ..alone(name, file, seeds, call)
-    }
+    Reader { given: String::new(), around: Around::Nothing, ..alone(name, file, seeds, call) }
 }
 
 fn json(value: &impl Serialize) -> Vec<u8> {
@@ -60,10 +54,7 @@ fn settings() -> Vec<Vec<u8>> {
 }
 
 fn input() -> Input {
-    Input {
-        path: "a clip.mp4".to_owned(),
-        blake3: "00".repeat(32),
-    }
+    Input { path: "a clip.mp4".to_owned(), blake3: "00".repeat(32) }
 }
 
 fn runs() -> Vec<Vec<u8>> {
@@ -153,9 +144,7 @@ fn records() -> Vec<Vec<u8>> {
         host: "node".to_owned(),
         when_s: 1_700_000_000,
     };
-    [JobOutcome::Failed, JobOutcome::Retryable]
-        .map(|outcome| json(&record(outcome)))
-        .to_vec()
+    [JobOutcome::Failed, JobOutcome::Retryable].map(|outcome| json(&record(outcome))).to_vec()
 }
 
 fn marks() -> Vec<Vec<u8>> {

@@ -82,10 +82,7 @@ fn hash(path: &Path) -> Result<String, String> {
 
 impl From<BatchError> for Failure {
     fn from(error: BatchError) -> Self {
-        Self {
-            code: Category::from(error.kind()).exit_code(),
-            reason: chain(&error),
-        }
+        Self { code: Category::from(error.kind()).exit_code(), reason: chain(&error) }
     }
 }
 
@@ -111,21 +108,13 @@ fn submit_jobs(args: &BatchSubmit, output: &Output) -> Result<(), Failure> {
     // Slurm silently drops logs for a folder that does not exist.
     std::fs::create_dir_all(&logs).map_err(failed(&logs))?;
     atomic::write(&file, text.as_bytes()).map_err(failed(&file))?;
-    output.note(&format!(
-        "{} jobs in {} array(s); logs in {}",
-        manifest.jobs.len(),
-        arrays.len(),
-        logs.display()
-    ));
+    output.note(&format!("{} jobs in {} array(s); logs in {}", manifest.jobs.len(), arrays.len(), logs.display()));
     let mut ids = Vec::new();
     if !args.dry_run {
         for (first, tasks) in &arrays {
             ids.push(submit(&file, *first, tasks)?);
         }
-        output.note(&format!(
-            "`minute4d batch status --manifest {}` shows their progress",
-            path.display()
-        ));
+        output.note(&format!("`minute4d batch status --manifest {}` shows their progress", path.display()));
     }
     let text = match args.dry_run {
         true => file.display().to_string(),
@@ -143,14 +132,9 @@ fn status(args: &BatchStatus, output: &Output) -> Result<(), Failure> {
     let manifest = Manifest::read(&args.manifest)?;
     let mut report = Report::read(&manifest)?;
     if let Some(path) = &args.html {
-        let title = args
-            .manifest
-            .file_stem()
-            .map_or_else(String::new, |n| n.to_string_lossy().into_owned());
-        atomic::write(path, page(&report, &title).as_bytes()).map_err(|source| Error::Write {
-            path: path.clone(),
-            source,
-        })?;
+        let title = args.manifest.file_stem().map_or_else(String::new, |n| n.to_string_lossy().into_owned());
+        atomic::write(path, page(&report, &title).as_bytes())
+            .map_err(|source| Error::Write { path: path.clone(), source })?;
         output.note(&format!("overview of all clips written to {}", path.display()));
     }
     let table = report.table(args.failed);
@@ -163,11 +147,5 @@ fn status(args: &BatchStatus, output: &Output) -> Result<(), Failure> {
 
 /// Returns the absolute path.
 fn absolute(path: &Path) -> Result<PathBuf, Failure> {
-    std::path::absolute(path).map_err(|source| {
-        Error::Read {
-            path: path.to_path_buf(),
-            source,
-        }
-        .into()
-    })
+    std::path::absolute(path).map_err(|source| Error::Read { path: path.to_path_buf(), source }.into())
 }

@@ -82,14 +82,9 @@ pub fn run(args: &BatchPlan, output: &Output) -> Result<(), Failure> {
 /// file next to the manifest and read back; a difference is an error.
 fn arguments(args: &BatchPlan, settings: &Settings, manifest: &Path) -> Result<Arguments, Failure> {
     let text = settings.to_toml()?;
-    let failed = |source| minute4d::Error::Write {
-        path: manifest.to_path_buf(),
-        source,
-    };
+    let failed = |source| minute4d::Error::Write { path: manifest.to_path_buf(), source };
     let mut file = AtomicFile::create(manifest).map_err(failed)?;
-    file.write_all(text.as_bytes())
-        .and_then(|()| file.sync())
-        .map_err(failed)?;
+    file.write_all(text.as_bytes()).and_then(|()| file.sync()).map_err(failed)?;
     let again = Layers::default().file(file.temporary_path())?.finish()?;
     if again != *settings {
         return Err(minute4d::Error::Internal {
@@ -105,19 +100,13 @@ fn arguments(args: &BatchPlan, settings: &Settings, manifest: &Path) -> Result<A
     if args.training.reach.allow_outside {
         arguments.push("--allow-outside".to_owned());
     }
-    Ok(Arguments {
-        settings: text,
-        arguments,
-    })
+    Ok(Arguments { settings: text, arguments })
 }
 
 /// Makes the paths in the settings absolute, since jobs may start in another folder.
 fn make_paths_absolute(settings: &mut Settings) -> Result<(), Failure> {
     let geometry = &mut settings.geometry;
-    for path in [&mut geometry.poses, &mut geometry.masks, &mut geometry.depth]
-        .into_iter()
-        .flatten()
-    {
+    for path in [&mut geometry.poses, &mut geometry.masks, &mut geometry.depth].into_iter().flatten() {
         *path = absolute(path)?;
     }
     // The value holds numbers, unless a file of that name exists.

@@ -41,9 +41,7 @@ pub fn run(args: &BatchRun, common: &Common, output: &Output) -> Result<(), Fail
     };
     let tools = Tools {
         program: program()?,
-        arguments: common
-            .threads
-            .map_or_else(Vec::new, |n| vec!["--threads".to_owned(), n.to_string()]),
+        arguments: common.threads.map_or_else(Vec::new, |n| vec!["--threads".to_owned(), n.to_string()]),
         hash: &hash,
         host: System::host_name().unwrap_or_else(|_| "unknown".to_owned()),
     };
@@ -59,10 +57,7 @@ pub fn run(args: &BatchRun, common: &Common, output: &Output) -> Result<(), Fail
         Outcome::Failed => Category::BadInput.exit_code(),
         // Ctrl-C keeps its own code, so that the scheduler does not run the job again.
         Outcome::Retryable => {
-            let pressed = output
-                .stop()
-                .code()
-                .filter(|&code| code == Category::Stopped.exit_code());
+            let pressed = output.stop().code().filter(|&code| code == Category::Stopped.exit_code());
             pressed.unwrap_or(Category::TryAgain.exit_code())
         }
     };
@@ -76,10 +71,7 @@ fn batch_failure(error: BatchError) -> Failure {
         BatchError::Manifest { .. } => Category::BadSettings,
         _ => return error.into(),
     };
-    Failure {
-        code: category.exit_code(),
-        ..error.into()
-    }
+    Failure { code: category.exit_code(), ..error.into() }
 }
 
 fn describe(id: &str, end: &JobEnd) -> String {
@@ -87,10 +79,9 @@ fn describe(id: &str, end: &JobEnd) -> String {
         (Outcome::Done, Some(seconds)) => format!("{id}: done in {}", duration(seconds)),
         (Outcome::Done, None) => format!("{id}: already done"),
         (Outcome::Failed, Some(_)) => format!("{id} failed permanently: {}", end.reason),
-        (Outcome::Failed, None) => format!(
-            "{id} failed permanently before and is not run again without --retry-failed: {}",
-            end.reason
-        ),
+        (Outcome::Failed, None) => {
+            format!("{id} failed permanently before and is not run again without --retry-failed: {}", end.reason)
+        }
         (Outcome::Retryable, _) => format!("{id} should be retried: {}", end.reason),
     }
 }

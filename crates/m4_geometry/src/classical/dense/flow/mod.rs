@@ -118,21 +118,11 @@ pub(crate) struct ScaledFrame {
 impl ScaledFrame {
     pub fn new(image: &RgbImage, (width, height): (usize, usize)) -> Self {
         let (rgb, grey) = rgb_and_grey(image, width, height);
-        Self {
-            width,
-            height,
-            rgb,
-            grey,
-        }
+        Self { width, height, rgb, grey }
     }
 
     pub fn flow_image(&self) -> FlowImage<'_> {
-        FlowImage {
-            width: self.width,
-            height: self.height,
-            rgb: &self.rgb,
-            grey: &self.grey,
-        }
+        FlowImage { width: self.width, height: self.height, rgb: &self.rgb, grey: &self.grey }
     }
 }
 

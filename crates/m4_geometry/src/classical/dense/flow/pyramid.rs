@@ -75,14 +75,7 @@ impl Level {
             row[BORDER + width..].fill(source[width - 1]);
         }
         let (dx, dy) = gradient(width, height, &image);
-        Self {
-            width,
-            height,
-            image,
-            padded,
-            dx,
-            dy,
-        }
+        Self { width, height, image, padded, dx, dy }
     }
 }
 

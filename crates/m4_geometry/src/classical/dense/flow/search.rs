@@ -41,17 +41,9 @@ fn positions(n: usize, size: usize) -> Vec<usize> {
 pub(super) fn search(a: &Level, b: &Level, start: &Flow) -> Flow {
     let size = PATCH_PX.min(a.width).min(a.height);
     let (xs, ys) = (positions(a.width, size), positions(a.height, size));
-    let mut search = Search {
-        a,
-        b,
-        size,
-        difference: vec![0.0; size * size],
-    };
-    let patches: Vec<Patch> = ys
-        .iter()
-        .flat_map(|&y| xs.iter().map(move |&x| (x, y)))
-        .map(|(x, y)| Patch::new(a, x, y, size))
-        .collect();
+    let mut search = Search { a, b, size, difference: vec![0.0; size * size] };
+    let patches: Vec<Patch> =
+        ys.iter().flat_map(|&y| xs.iter().map(move |&x| (x, y))).map(|(x, y)| Patch::new(a, x, y, size)).collect();
     let centre = (size / 2) as f32 - 0.5;
     let mut flow: Vec<[f32; 2]> = patches
         .iter()
@@ -68,11 +60,8 @@ pub(super) fn search(a: &Level, b: &Level, start: &Flow) -> Flow {
         for k in 0..patches.len() {
             let i = if backwards { patches.len() - 1 - k } else { k };
             let (column, row) = (i % columns, i / columns);
-            let side = if backwards {
-                (column + 1 < columns).then(|| i + 1)
-            } else {
-                column.checked_sub(1).map(|_| i - 1)
-            };
+            let side =
+                if backwards { (column + 1 < columns).then(|| i + 1) } else { column.checked_sub(1).map(|_| i - 1) };
             let vertical = if backwards {
                 (row + 1 < ys.len()).then(|| i + columns)
             } else {
@@ -117,12 +106,7 @@ impl Patch {
         let damp = 0.01 * (xx + yy) + 1e-3 * n;
         let det = (xx + damp) * (yy + damp) - xy * xy;
         let inverse = (xx + yy > 0.5 * n).then(|| [(yy + damp) / det, -xy / det, (xx + damp) / det]);
-        Self {
-            x,
-            y,
-            inverse,
-            sum: [sx, sy],
-        }
+        Self { x, y, inverse, sum: [sx, sy] }
     }
 }
 

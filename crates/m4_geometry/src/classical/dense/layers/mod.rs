@@ -103,10 +103,7 @@ fn dynamic_layers(w: usize, h: usize, moving: &[u8], labels: &[u32], ranks: &[us
         for rank in pixels.iter().filter_map(|&p| rank(p)) {
             *count.entry(rank).or_default() += 1;
         }
-        let most = count
-            .into_iter()
-            .max_by_key(|&(rank, n)| (n, rank))
-            .map_or(0, |(rank, _)| rank);
+        let most = count.into_iter().max_by_key(|&(rank, n)| (n, rank)).map_or(0, |(rank, _)| rank);
         for p in pixels {
             out[p as usize] = 1 + rank(p).unwrap_or(most);
         }

@@ -71,11 +71,7 @@ impl Occluders {
         }
         let smoother = Smoother::new(cw, ch, &colours(clip, shots, &camera), SIGMA);
         let (score, _) = smoother.fill(&value, &weight, LAMBDA);
-        let occludes = score
-            .iter()
-            .zip(&covered)
-            .map(|(s, covered)| *s > 0.0 && !covered)
-            .collect();
+        let occludes = score.iter().zip(&covered).map(|(s, covered)| *s > 0.0 && !covered).collect();
         Self { camera, occludes }
     }
 
@@ -86,9 +82,7 @@ impl Occluders {
         }
         let there = Pair::new(camera, &self.camera);
         let k = &self.camera.intrinsics;
-        (0..w * h)
-            .map(|p| on_sphere(&there, p, w, (k.width, k.height)).is_some_and(|q| self.occludes[q]))
-            .collect()
+        (0..w * h).map(|p| on_sphere(&there, p, w, (k.width, k.height)).is_some_and(|q| self.occludes[q])).collect()
     }
 }
 
@@ -143,10 +137,7 @@ fn crossings(clip: &Clip<'_>, i: usize) -> Vec<(usize, f32)> {
                 }
                 let (ix, iy) = ((inside % w) as f32, (inside / w) as f32);
                 let still = camera.project(ix, iy, 1.0);
-                let (u, v) = (
-                    flow.forward.u[inside] - (still.x - ix),
-                    flow.forward.v[inside] - (still.y - iy),
-                );
+                let (u, v) = (flow.forward.u[inside] - (still.x - ix), flow.forward.v[inside] - (still.y - iy));
                 most = most.max((u * dx as f32 + v * dy as f32).abs());
             }
             if most >= LEAST_STEP_PX {
@@ -162,10 +153,8 @@ fn colours(clip: &Clip<'_>, shots: &[Shot], canvas: &Camera) -> Vec<[u8; 3]> {
     let (w, h) = (clip.width, clip.height);
     let k = &canvas.intrinsics;
     let count = SAMPLES.min(shots.len());
-    let chosen: Vec<(&Shot, Pair)> = (0..count)
-        .map(|s| s * shots.len() / count)
-        .map(|i| (&shots[i], Pair::new(canvas, &clip.cameras[i])))
-        .collect();
+    let chosen: Vec<(&Shot, Pair)> =
+        (0..count).map(|s| s * shots.len() / count).map(|i| (&shots[i], Pair::new(canvas, &clip.cameras[i]))).collect();
     let mut seen: Vec<[u8; 3]> = Vec::with_capacity(count);
     (0..k.width * k.height)
         .map(|q| {

@@ -82,8 +82,7 @@ fn observe(clip: &Clip<'_>, labels: &[Vec<u32>], t: usize, beside: &mut BTreeMap
     }
     let neighbours = [
         clip.flows.get(t).map(|f| (t + 1, &f.forward, &f.forward_round_trip)),
-        t.checked_sub(1)
-            .map(|s| (s, &clip.flows[s].backward, &clip.flows[s].backward_round_trip)),
+        t.checked_sub(1).map(|s| (s, &clip.flows[s].backward, &clip.flows[s].backward_round_trip)),
     ];
     for (to, flow, trip) in neighbours.into_iter().flatten() {
         let motion = motions(label, flow, trip);
@@ -110,7 +109,5 @@ fn motions(label: &[u32], flow: &Flow, trip: &[f32]) -> BTreeMap<u32, [f32; 2]> 
         v.push(flow.v[p]);
     }
     let median = |v: &mut Vec<f32>| quantile(v, 0.5).unwrap_or(0.0);
-    all.into_iter()
-        .map(|(l, [mut u, mut v])| (l, [median(&mut u), median(&mut v)]))
-        .collect()
+    all.into_iter().map(|(l, [mut u, mut v])| (l, [median(&mut u), median(&mut v)])).collect()
 }

@@ -72,10 +72,7 @@ fn flow(t: usize, to: usize) -> (Flow, Vec<f32>) {
 }
 
 fn world() -> World {
-    let camera = Camera {
-        intrinsics: Intrinsics::centred(W, H, 90.0),
-        c2w: Se3::identity(),
-    };
+    let camera = Camera { intrinsics: Intrinsics::centred(W, H, 90.0), c2w: Se3::identity() };
     let things = |t: usize| (0..W * H).map(move |p| thing((p % W) as isize, p / W, t));
     let shot = |t: usize| {
         let image = Plane::from_fn(W, H, |x, y| match thing(x as isize, y, t) {
@@ -84,11 +81,7 @@ fn world() -> World {
             Thing::Back => [60, 200, 60],
             Thing::Pole => [20, 20, 60],
         });
-        let range = Range {
-            least: 1.0,
-            step: 1.0,
-            count: 1,
-        };
+        let range = Range { least: 1.0, step: 1.0, count: 1 };
         Shot {
             frame: WorkingFrame::new(&image, &camera, W, H),
             census: Vec::new(),
@@ -98,11 +91,7 @@ fn world() -> World {
         }
     };
     let dynamic = |thing: Thing| {
-        if matches!(thing, Thing::Front | Thing::Back) {
-            255
-        } else {
-            0
-        }
+        if matches!(thing, Thing::Front | Thing::Back) { 255 } else { 0 }
     };
     World {
         cameras: vec![camera; FRAMES],
@@ -112,12 +101,7 @@ fn world() -> World {
         flows: (1..FRAMES)
             .map(|t| {
                 let ((forward, forward_round_trip), (backward, backward_round_trip)) = (flow(t - 1, t), flow(t, t - 1));
-                FlowPair {
-                    forward,
-                    backward,
-                    forward_round_trip,
-                    backward_round_trip,
-                }
+                FlowPair { forward, backward, forward_round_trip, backward_round_trip }
             })
             .collect(),
     }
@@ -138,9 +122,7 @@ fn layers_follow_occlusion() {
     // In units of the background's.
     let least_and_most = |t: usize, of: Thing| {
         let found = (0..W * H).filter(|&p| thing((p % W) as isize, p / W, t) == of);
-        found
-            .map(|p| out[t][p] / world.background[t][p])
-            .fold((f32::MAX, f32::MIN), |(a, b), d| (a.min(d), b.max(d)))
+        found.map(|p| out[t][p] / world.background[t][p]).fold((f32::MAX, f32::MIN), |(a, b), d| (a.min(d), b.max(d)))
     };
     let (first, step) = (1.0 + MARGIN, 1.0 + STEP);
     for t in 0..FRAMES {
@@ -149,19 +131,12 @@ fn layers_follow_occlusion() {
         assert!(dynamic.0 > 0.999 * first, "frame {t}: {dynamic:?}");
         let pole = least_and_most(t, Thing::Pole);
         let nearest = dynamic.1.max(least_and_most(t, Thing::Front).1);
-        assert!(
-            pole.0 > 0.999 * step * nearest,
-            "frame {t}: {pole:?}, dynamic {nearest}"
-        );
+        assert!(pole.0 > 0.999 * step * nearest, "frame {t}: {pole:?}, dynamic {nearest}");
     }
     // They overlap in frames 9 to 12; at the very outline labels are a few pixels off.
     let median = |t: usize, of: Thing| {
         let found = (0..W * H).filter(|&p| thing((p % W) as isize, p / W, t) == of);
-        quantile(
-            &mut found.map(|p| out[t][p] / world.background[t][p]).collect::<Vec<_>>(),
-            0.5,
-        )
-        .unwrap_or(0.0)
+        quantile(&mut found.map(|p| out[t][p] / world.background[t][p]).collect::<Vec<_>>(), 0.5).unwrap_or(0.0)
     };
     for t in 9..13 {
         let (front, back) = (median(t, Thing::Front), median(t, Thing::Back));
@@ -171,14 +146,8 @@ fn layers_follow_occlusion() {
 
 #[test]
 fn turning_camera_sees_one_background_surface() {
-    let camera = Camera {
-        intrinsics: Intrinsics::centred(W, H, 90.0),
-        c2w: Se3::identity(),
-    };
-    let turned = Camera {
-        c2w: camera.c2w.retract(&Vector6::new(0.0, 0.0, 0.0, 0.02, 0.1, 0.0)),
-        ..camera
-    };
+    let camera = Camera { intrinsics: Intrinsics::centred(W, H, 90.0), c2w: Se3::identity() };
+    let turned = Camera { c2w: camera.c2w.retract(&Vector6::new(0.0, 0.0, 0.0, 0.02, 0.1, 0.0)), ..camera };
     for camera in [camera, turned] {
         for (p, disparity) in sphere(&camera).into_iter().enumerate() {
             let point = camera.unproject((p % W) as f64, (p / W) as f64, 1.0 / f64::from(disparity));

@@ -102,10 +102,7 @@ impl MonoDepth for SensorDepth {
     }
 
     fn depth(&self, frame: usize, _: &RgbImage) -> Result<Option<MonoMap<'_>>, MonoError> {
-        Ok(self.maps.get(frame).map(|map| MonoMap {
-            kind: MonoKind::Metric,
-            values: Cow::Borrowed(map),
-        }))
+        Ok(self.maps.get(frame).map(|map| MonoMap { kind: MonoKind::Metric, values: Cow::Borrowed(map) }))
     }
 }
 
@@ -150,10 +147,7 @@ impl Mono {
                 _ => f32::NAN,
             }
         };
-        Ok(Some(FrameDepth {
-            kind: map.kind,
-            values: (0..width * height).map(value).collect(),
-        }))
+        Ok(Some(FrameDepth { kind: map.kind, values: (0..width * height).map(value).collect() }))
     }
 
     /// The known disparity of a frame, NaN where it is unknown.
@@ -195,13 +189,7 @@ impl Mono {
             .map(|p| (f64::from(known.values[p]), f64::from(disparity[p])))
             .collect();
         let fit = Fit::of(&pairs, known.kind == MonoKind::AffineDisparity)?;
-        Some(
-            known
-                .values
-                .iter()
-                .map(|&v| fit.disparity(v).unwrap_or(f32::NAN))
-                .collect(),
-        )
+        Some(known.values.iter().map(|&v| fit.disparity(v).unwrap_or(f32::NAN)).collect())
     }
 
     /// What is measured, and weakly, where nothing is and nothing moves, what is aligned.
@@ -324,10 +312,7 @@ impl Fit {
     /// Nothing was measured: a middle disparity of 1, as a scene is placed whose depth nothing says.
     pub fn to_distance_one(relative: &mut [f64]) -> Option<Self> {
         let middle = median(relative)?;
-        (middle > 0.0).then_some(Self {
-            scale: 1.0 / middle,
-            shift: 0.0,
-        })
+        (middle > 0.0).then_some(Self { scale: 1.0 / middle, shift: 0.0 })
     }
 
     /// The disparity, `None` beyond infinity.

@@ -35,19 +35,14 @@ impl MonoDepth for Synthetic {
                 MonoKind::AffineDisparity => factor * (d - 0.15),
             }
         });
-        Ok(Some(MonoMap {
-            kind: self.0,
-            values: Cow::Owned(values),
-        }))
+        Ok(Some(MonoMap { kind: self.0, values: Cow::Owned(values) }))
     }
 }
 
 fn mono(source: &dyn MonoDepth) -> Mono {
     let image = Plane::filled(2 * W, 2 * H, [0; 3]);
     let read = |i| Mono::read(source, i, &image, (W, H)).unwrap();
-    Mono {
-        frames: (0..2).map(read).collect(),
-    }
+    Mono { frames: (0..2).map(read).collect() }
 }
 
 fn moving() -> Vec<u8> {
@@ -73,9 +68,7 @@ fn relative_depth_is_aligned_within_two_per_cent_whatever_its_kind() {
     for kind in [MonoKind::UpToScale, MonoKind::AffineDisparity] {
         let (mono, measured, moving) = (mono(&Synthetic(kind)), measured(), moving());
         for i in 0..2 {
-            let aligned = mono
-                .aligned(i, &measured.disparity, &measured.confidence, Some(&moving))
-                .unwrap();
+            let aligned = mono.aligned(i, &measured.disparity, &measured.confidence, Some(&moving)).unwrap();
             for (p, d) in aligned.iter().enumerate() {
                 assert_eq!(d.is_nan(), p % W == 3, "{kind:?} {p}");
                 assert!(d.is_nan() || (d / disparity(p) - 1.0).abs() < 0.02, "{kind:?} {p}: {d}");
@@ -91,10 +84,7 @@ fn relative_depth_is_aligned_within_two_per_cent_whatever_its_kind() {
             let mut out = background.clone();
             mono.place_moving(
                 i,
-                &Measured {
-                    confidence: vec![0.0; W * H],
-                    ..measured.clone()
-                },
+                &Measured { confidence: vec![0.0; W * H], ..measured.clone() },
                 &background,
                 &moving,
                 &mut out,
@@ -131,10 +121,7 @@ fn metric_depth_is_taken_as_it_is() {
             let want = if known { disparity(p) } else { 0.1 };
             assert!((out[p] / want - 1.0).abs() < 1e-6, "{p}");
         }
-        assert!(
-            mono.aligned(1, &measured.disparity, &measured.confidence, None)
-                .is_none()
-        );
+        assert!(mono.aligned(1, &measured.disparity, &measured.confidence, None).is_none());
     }
 }
 
@@ -161,10 +148,7 @@ fn inverted_relief_is_not_used() {
 
         fn depth(&self, _: usize, _: &RgbImage) -> Result<Option<MonoMap<'_>>, MonoError> {
             let values = Plane::from_fn(W, H, |x, y| self.0 * disparity(y * W + x));
-            Ok(Some(MonoMap {
-                kind: MonoKind::AffineDisparity,
-                values: Cow::Owned(values),
-            }))
+            Ok(Some(MonoMap { kind: MonoKind::AffineDisparity, values: Cow::Owned(values) }))
         }
     }
     let measured = measured();

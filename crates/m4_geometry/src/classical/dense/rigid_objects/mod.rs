@@ -77,11 +77,7 @@ pub(super) fn place<'s>(
     })?;
     let bodies: Vec<_> = bodies.into_iter().flatten().collect();
     let scales = scale::settle(&bodies.iter().map(|(_, _, reading)| reading).collect::<Vec<_>>());
-    let mut scales: Vec<Vec<f32>> = bodies
-        .iter()
-        .zip(&scales)
-        .map(|((t, _, _), s)| vec![*s; t.parts.len()])
-        .collect();
+    let mut scales: Vec<Vec<f32>> = bodies.iter().zip(&scales).map(|((t, _, _), s)| vec![*s; t.parts.len()]).collect();
     if falling && let Some(ground) = ground::find(clip) {
         fall(clip, &ground, &bodies, &mut scales);
     }
@@ -115,11 +111,7 @@ fn fall(
         .iter()
         .zip(&*scales)
         .map(|((_, shape, _), scale)| {
-            scale
-                .iter()
-                .enumerate()
-                .map(|(k, s)| 1.0 / f64::from(typical(shape, k).unwrap_or(1.0) * s))
-                .collect()
+            scale.iter().enumerate().map(|(k, s)| 1.0 / f64::from(typical(shape, k).unwrap_or(1.0) * s)).collect()
         })
         .collect();
     let tracklets: Vec<&Tracklet> = bodies.iter().map(|(t, _, _)| *t).collect();

@@ -50,14 +50,10 @@ impl Shape {
 
     /// The pixels of a frame with a value, and the value.
     pub fn known<'a>(&'a self, clip: &'a Clip<'_>, k: usize) -> impl Iterator<Item = (u32, f32)> + 'a {
-        self.disparity[k]
-            .iter()
-            .enumerate()
-            .filter(|(_, d)| **d > 0.0)
-            .map(move |(g, d)| {
-                let (x, y) = (g % self.grid.width * BLOCK_PX, g / self.grid.width * BLOCK_PX);
-                ((y * clip.width + x) as u32, *d)
-            })
+        self.disparity[k].iter().enumerate().filter(|(_, d)| **d > 0.0).map(move |(g, d)| {
+            let (x, y) = (g % self.grid.width * BLOCK_PX, g / self.grid.width * BLOCK_PX);
+            ((y * clip.width + x) as u32, *d)
+        })
     }
 }
 
@@ -70,10 +66,7 @@ fn ray(camera: &Camera, x: usize, y: usize) -> Vector3<f64> {
 /// Adjusts one part; `before` is the disparity that it was believed to have.
 pub(super) fn reconstruct(clip: &Clip<'_>, tracklet: &Tracklet, before: &[Vec<f32>]) -> Option<Shape> {
     let (w, h) = (clip.width, clip.height);
-    let grid = Grid {
-        width: w.div_ceil(BLOCK_PX),
-        height: h.div_ceil(BLOCK_PX),
-    };
+    let grid = Grid { width: w.div_ceil(BLOCK_PX), height: h.div_ceil(BLOCK_PX) };
     let inside = Inside::of(clip, tracklet);
     let edges = factors(clip, tracklet, &inside, grid);
     let frames = tracklet.parts.len();
@@ -82,11 +75,7 @@ pub(super) fn reconstruct(clip: &Clip<'_>, tracklet: &Tracklet, before: &[Vec<f3
             (0..grid.len())
                 .map(|g| {
                     let (x, y) = (g % grid.width * BLOCK_PX, g / grid.width * BLOCK_PX);
-                    if inside.at(k, x as f32, y as f32, w, h) {
-                        before[tracklet.first + k][y * w + x]
-                    } else {
-                        0.0
-                    }
+                    if inside.at(k, x as f32, y as f32, w, h) { before[tracklet.first + k][y * w + x] } else { 0.0 }
                 })
                 .collect()
         })
@@ -102,49 +91,31 @@ pub(super) fn reconstruct(clip: &Clip<'_>, tracklet: &Tracklet, before: &[Vec<f3
         pose.translation *= f64::from(unit);
         pose
     };
-    let sensor: Vec<Vec<f32>> = sensor
-        .into_iter()
-        .map(|s| s.into_iter().map(|d| d / unit).collect())
-        .collect();
+    let sensor: Vec<Vec<f32>> = sensor.into_iter().map(|s| s.into_iter().map(|d| d / unit).collect()).collect();
     let k = clip.cameras[tracklet.first].intrinsics;
     let mut geometry = Geometry {
         grid,
         lens: Pinhole::of_image(k.fx, k.fy, k.cx, k.cy, BLOCK_PX as f64),
-        poses: clip.cameras[tracklet.first..tracklet.first + frames]
-            .iter()
-            .map(scaled)
-            .collect(),
-        disparity: sensor
-            .iter()
-            .map(|s| s.iter().map(|d| if *d > 0.0 { *d } else { 1.0 }).collect())
-            .collect(),
+        poses: clip.cameras[tracklet.first..tracklet.first + frames].iter().map(scaled).collect(),
+        disparity: sensor.iter().map(|s| s.iter().map(|d| if *d > 0.0 { *d } else { 1.0 }).collect()).collect(),
         sensor,
     };
     let eta = vec![vec![1.0f32; grid.len()]; frames];
     let refs: Vec<&_> = edges.iter().collect();
-    let problem = Problem {
-        edges: &refs,
-        eta: &eta,
-    };
+    let problem = Problem { edges: &refs, eta: &eta };
     let options = DbaOptions {
         free: Free::Poses,
         iterations: POSE_ITERATIONS,
         lm: 1e-4,
         ep: 1e-4,
         prior_alpha: Some(f64::from(PRIOR)),
-        robust: Robust::Cauchy {
-            scale_px: f64::from(NOISE_PX) / BLOCK_PX as f64,
-        },
+        robust: Robust::Cauchy { scale_px: f64::from(NOISE_PX) / BLOCK_PX as f64 },
         min_depth: 0.1,
         #[cfg(test)]
         python_twin: false,
     };
     adjust(&mut geometry, &problem, 1..frames, &options).ok()?;
-    let options = DbaOptions {
-        free: Free::PosesAndDepth,
-        iterations: ITERATIONS,
-        ..options
-    };
+    let options = DbaOptions { free: Free::PosesAndDepth, iterations: ITERATIONS, ..options };
     let report = adjust(&mut geometry, &problem, 1..frames, &options).ok()?;
     if report.failed == report.iterations {
         return None;
@@ -153,12 +124,7 @@ pub(super) fn reconstruct(clip: &Clip<'_>, tracklet: &Tracklet, before: &[Vec<f3
         .disparity
         .iter()
         .zip(&geometry.sensor)
-        .map(|(d, s)| {
-            d.iter()
-                .zip(s)
-                .map(|(d, s)| if *s > 0.0 { d * unit } else { 0.0 })
-                .collect()
-        })
+        .map(|(d, s)| d.iter().zip(s).map(|(d, s)| if *s > 0.0 { d * unit } else { 0.0 }).collect())
         .collect();
     for d in &mut disparity {
         tilt(grid.width, d);
@@ -290,17 +256,11 @@ fn chain(clip: &Clip<'_>, tracklet: &Tracklet, inside: &Inside, grid: Grid, k: u
         }
         at = next;
         if SPANS.contains(&span) {
-            let weight: Vec<f32> = miss
-                .iter()
-                .map(|m| if m.is_finite() { 1.0 / (1.0 + m * m) } else { 0.0 })
-                .collect();
+            let weight: Vec<f32> = miss.iter().map(|m| if m.is_finite() { 1.0 / (1.0 + m * m) } else { 0.0 }).collect();
             out.push(Factor {
                 source: k,
                 target: at,
-                target_px: [
-                    px.iter().map(|x| x / block).collect(),
-                    py.iter().map(|y| y / block).collect(),
-                ],
+                target_px: [px.iter().map(|x| x / block).collect(), py.iter().map(|y| y / block).collect()],
                 weight: [weight.clone(), weight],
             });
         }

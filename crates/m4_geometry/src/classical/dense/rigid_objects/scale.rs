@@ -54,11 +54,7 @@ pub(super) fn read(clip: &Clip<'_>, tracklet: &Tracklet, shape: &Shape) -> Optio
     // Nothing but the right factor makes a part stay where it is while the camera passes it.
     let still =
         in_place(clip, tracklet, shape).filter(|e| e.rest < STILL_REST && e.factor as f32 > bound / STILL_RANGE);
-    Some(Reading {
-        typical,
-        bound,
-        known: still.map(|e| e.factor as f32).or(touch),
-    })
+    Some(Reading { typical, bound, known: still.map(|e| e.factor as f32).or(touch) })
 }
 
 /// The factors of all parts. What neither stands nor stays, because it flies, is taken to be about as near as what does: a
@@ -78,11 +74,7 @@ pub(super) fn standing(clip: &Clip<'_>, tracklet: &Tracklet, shape: &Shape, k: u
 
 /// Fills what is not known between what is, evenly in ratios, and carries the first and the last on.
 pub(super) fn between(known: &[Option<f32>], out: &mut [f32]) {
-    let at: Vec<(usize, f32)> = known
-        .iter()
-        .enumerate()
-        .filter_map(|(k, v)| v.map(|v| (k, v)))
-        .collect();
+    let at: Vec<(usize, f32)> = known.iter().enumerate().filter_map(|(k, v)| v.map(|v| (k, v))).collect();
     for (k, out) in out.iter_mut().enumerate() {
         let next = at.partition_point(|(i, _)| *i < k);
         let (before, after) = (next.checked_sub(1).and_then(|i| at.get(i)), at.get(next));
@@ -157,10 +149,7 @@ pub(super) fn in_place(clip: &Clip<'_>, tracklet: &Tracklet, shape: &Shape) -> O
     without_mean(&mut v);
     let dot = |a: &[Vector3<f64>], b: &[Vector3<f64>]| -> f64 { a.iter().zip(b).map(|(a, b)| a.dot(b)).sum() };
     let (cc, cv, vv) = (dot(&c, &c), dot(&c, &v), dot(&v, &v));
-    (cc > 0.0 && vv > 0.0).then(|| Estimate {
-        factor: -cv / cc,
-        rest: ((vv - cv * cv / cc).max(0.0) / vv).sqrt(),
-    })
+    (cc > 0.0 && vv > 0.0).then(|| Estimate { factor: -cv / cc, rest: ((vv - cv * cv / cc).max(0.0) / vv).sqrt() })
 }
 
 fn without_mean(values: &mut [Vector3<f64>]) {

@@ -17,14 +17,7 @@ fn camera(t: usize) -> Camera {
     let a = 0.08 * t as f64;
     Camera {
         intrinsics: Intrinsics::centred(W, H, 130.0),
-        c2w: Se3::identity().retract(&Vector6::new(
-            0.9 * a.sin(),
-            -0.1 * a,
-            0.3 * (1.0 - a.cos()),
-            0.0,
-            0.02 * a,
-            0.0,
-        )),
+        c2w: Se3::identity().retract(&Vector6::new(0.9 * a.sin(), -0.1 * a, 0.3 * (1.0 - a.cos()), 0.0, 0.02 * a, 0.0)),
     }
 }
 
@@ -41,11 +34,7 @@ fn background(camera: &Camera, x: f64, y: f64) -> f64 {
     let (c, far) = (camera.centre(), camera.unproject(x, y, 1.0));
     let ray = far - c;
     let wall = (6.0 - c.z) / ray.z;
-    let ground = if ray.y > 1e-9 {
-        (1.0 - c.y) / ray.y
-    } else {
-        f64::INFINITY
-    };
+    let ground = if ray.y > 1e-9 { (1.0 - c.y) / ray.y } else { f64::INFINITY };
     1.0 / wall.min(ground)
 }
 
@@ -95,22 +84,13 @@ fn world(disc: &Disc) -> World {
     };
     let flow = |a: usize, b: usize| {
         let (u, v) = (0..W * H).map(|p| moved(a, b, p)).unzip();
-        Flow {
-            width: W,
-            height: H,
-            u,
-            v,
-        }
+        Flow { width: W, height: H, u, v }
     };
     let map = |f: &dyn Fn(usize, usize) -> f64| -> Vec<Vec<f32>> {
-        (0..FRAMES)
-            .map(|t| (0..W * H).map(|p| f(t, p) as f32).collect())
-            .collect()
+        (0..FRAMES).map(|t| (0..W * H).map(|p| f(t, p) as f32).collect()).collect()
     };
     World {
-        moving: (0..FRAMES)
-            .map(|t| (0..W * H).map(|p| if part(t, p).is_some() { 255 } else { 0 }).collect())
-            .collect(),
+        moving: (0..FRAMES).map(|t| (0..W * H).map(|p| if part(t, p).is_some() { 255 } else { 0 }).collect()).collect(),
         background: map(&|t, p| behind(t, p)),
         truth: map(&|t, p| part(t, p).unwrap_or_else(|| behind(t, p))),
         flows: (0..FRAMES - 1)
@@ -166,12 +146,7 @@ fn errors_with(disc: &Disc, guess: impl Fn(usize) -> f32, falling: bool) -> (f32
 
 #[test]
 fn spinning_wheel_stays_in_place_only_at_its_true_depth() {
-    let disc = Disc {
-        ball: false,
-        radius: 0.5,
-        middle: |_| Vector3::new(0.3, -0.1, 3.0),
-        turn_rad: 0.15,
-    };
+    let disc = Disc { ball: false, radius: 0.5, middle: |_| Vector3::new(0.3, -0.1, 3.0), turn_rad: 0.15 };
     let (before, after) = errors(&disc, |t| 1.2 + 0.1 * (t as f32).sin());
     assert!(before > 0.15 && after < 0.03, "{before} {after}");
 }

@@ -67,10 +67,8 @@ pub(in super::super) fn follow(clip: &Clip<'_>) -> Vec<Tracklet> {
                 let Some(mut tracklet) = tracklet else { continue };
                 let b = there[a];
                 let mutual = b > 0 && back[b - 1] == a + 1;
-                let (old, new) = (
-                    before.pixels[a].len() as f32,
-                    now.pixels.get(b.wrapping_sub(1)).map_or(0, Vec::len) as f32,
-                );
+                let (old, new) =
+                    (before.pixels[a].len() as f32, now.pixels.get(b.wrapping_sub(1)).map_or(0, Vec::len) as f32);
                 let alike = new > old / GROWTH && new < old * GROWTH;
                 if mutual && alike && tracklet.parts.len() < LONGEST {
                     tracklet.parts.push(now.pixels[b - 1].clone());
@@ -82,10 +80,7 @@ pub(in super::super) fn follow(clip: &Clip<'_>) -> Vec<Tracklet> {
         }
         for (k, slot) in next.iter_mut().enumerate() {
             if slot.is_none() && now.pixels[k].len() >= least {
-                *slot = Some(Tracklet {
-                    first: t,
-                    parts: vec![now.pixels[k].clone()],
-                });
+                *slot = Some(Tracklet { first: t, parts: vec![now.pixels[k].clone()] });
             }
         }
         open = next;
@@ -108,15 +103,8 @@ pub(super) fn regions(clip: &Clip<'_>) -> Vec<Components> {
     let (w, h) = (clip.width, clip.height);
     let parts: Vec<Components> = clip.moving.iter().map(|m| Components::of(w, h, m)).collect();
     let least = ((LEAST_SHARE * (w * h) as f32) as usize).max(1);
-    let (later, earlier) = rayon::join(
-        || carry(clip, &parts, least, true),
-        || carry(clip, &parts, least, false),
-    );
-    parts
-        .into_iter()
-        .zip(later.iter().zip(&earlier))
-        .map(|(parts, (a, b))| pairs(w, h, &parts, a, b, least))
-        .collect()
+    let (later, earlier) = rayon::join(|| carry(clip, &parts, least, true), || carry(clip, &parts, least, false));
+    parts.into_iter().zip(later.iter().zip(&earlier)).map(|(parts, (a, b))| pairs(w, h, &parts, a, b, least)).collect()
 }
 
 /// Labels (`[height][width]` by frame, 0 outside the masks) carried from one end of the clip to the other.
@@ -191,10 +179,7 @@ fn next(
                 all += 1;
             }
         }
-        let first = votes
-            .iter()
-            .max_by_key(|(l, n)| (**n, u32::MAX - **l))
-            .map(|(l, n)| (*l, *n));
+        let first = votes.iter().max_by_key(|(l, n)| (**n, u32::MAX - **l)).map(|(l, n)| (*l, *n));
         let alone = first.is_some_and(|(_, n)| n as f32 >= ALL_BUT * all as f32);
         // What was apart for a moment only is a flaw of the masks.
         let kept = |l: u32, n: usize| {
@@ -243,11 +228,7 @@ fn new(fresh: &mut u32) -> u32 {
 /// Gives every pixel of a part without a label that of the nearest that has one.
 fn flood(w: usize, h: usize, parts: &Components, k: usize, labels: &mut [u32]) {
     let part = k as u32 + 1;
-    let mut open: VecDeque<usize> = parts.pixels[k]
-        .iter()
-        .map(|&p| p as usize)
-        .filter(|&p| labels[p] > 0)
-        .collect();
+    let mut open: VecDeque<usize> = parts.pixels[k].iter().map(|&p| p as usize).filter(|&p| labels[p] > 0).collect();
     while let Some(p) = open.pop_front() {
         let (x, y) = (p % w, p / w);
         for ny in y.saturating_sub(1)..(y + 2).min(h) {

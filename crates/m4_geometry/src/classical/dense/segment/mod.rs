@@ -137,9 +137,8 @@ pub(crate) fn prompt(width: usize, height: usize, part: impl Fn(usize) -> bool +
 
 /// Column and row of the centre of the first pixel of the box around `pixels`, then of the last.
 pub(crate) fn box_of(pixels: impl Iterator<Item = (usize, usize)>) -> [f32; 4] {
-    let ends = pixels.fold([usize::MAX, usize::MAX, 0, 0], |[x0, y0, x1, y1], (x, y)| {
-        [x0.min(x), y0.min(y), x1.max(x), y1.max(y)]
-    });
+    let ends = pixels
+        .fold([usize::MAX, usize::MAX, 0, 0], |[x0, y0, x1, y1], (x, y)| [x0.min(x), y0.min(y), x1.max(x), y1.max(y)]);
     ends.map(|v| v as f32 + 0.5)
 }
 
@@ -165,10 +164,10 @@ pub(crate) fn points_apart(width: usize, height: usize, inner: &[f32], count: us
         .collect();
     let mut out = Vec::new();
     for _ in 0..count {
-        let deepest = depth.iter().enumerate().fold(
-            (0, 0.0),
-            |best: (usize, f32), (p, &d)| if d > best.1 { (p, d) } else { best },
-        );
+        let deepest = depth
+            .iter()
+            .enumerate()
+            .fold((0, 0.0), |best: (usize, f32), (p, &d)| if d > best.1 { (p, d) } else { best });
         if deepest.1 <= 0.0 {
             break;
         }

@@ -18,17 +18,12 @@ pub fn sharpen(
 ) -> Result<Vec<u8>, SegmentError> {
     let (width, height) = size;
     let parts = Components::of(width, height, coarse);
-    let large: Vec<usize> = (0..parts.pixels.len())
-        .filter(|&k| parts.pixels[k].len() >= LEAST_PART_PX)
-        .collect();
+    let large: Vec<usize> = (0..parts.pixels.len()).filter(|&k| parts.pixels[k].len() >= LEAST_PART_PX).collect();
     let of = |k: usize| prompt(width, height, |p| parts.label[p] as usize == k + 1);
     let prompts: Vec<_> = large.iter().map(|&k| of(k)).collect();
     let found = checked_masks(segmenter, image, size, &prompts)?;
-    let taken: Vec<(usize, &SegmentMask)> = large
-        .into_iter()
-        .zip(&found)
-        .filter(|(k, mask)| means_the_same(mask, &parts.pixels[*k]))
-        .collect();
+    let taken: Vec<(usize, &SegmentMask)> =
+        large.into_iter().zip(&found).filter(|(k, mask)| means_the_same(mask, &parts.pixels[*k])).collect();
     let mut out = coarse.to_vec();
     for &(k, _) in &taken {
         for &p in &parts.pixels[k] {
@@ -80,11 +75,7 @@ mod tests {
                 let [x, y] = prompt.points_px[0];
                 let colour = image[(x as usize, y as usize)];
                 SegmentMask {
-                    logits: image
-                        .data()
-                        .iter()
-                        .map(|c| if *c == colour { 3.0 } else { -3.0 })
-                        .collect(),
+                    logits: image.data().iter().map(|c| if *c == colour { 3.0 } else { -3.0 }).collect(),
                     quality: f32::from(colour[0]) / 255.0,
                 }
             };
@@ -105,10 +96,7 @@ mod tests {
             _: (usize, usize),
             _: &[SegmentPrompt],
         ) -> Result<Vec<SegmentMask>, SegmentError> {
-            let mask = SegmentMask {
-                logits: vec![0.0; self.1],
-                quality: 1.0,
-            };
+            let mask = SegmentMask { logits: vec![0.0; self.1], quality: 1.0 };
             Ok(vec![mask; self.0])
         }
     }
@@ -176,27 +164,12 @@ mod tests {
         let (x, y) = (GOOD.0 as usize, GOOD.1 as usize);
         let shifted = |by: i32, radius: i32| drawn(|x, y| disc(x, y, (GOOD.0 + by, GOOD.1), radius));
         let (discs, corner) = (two_discs(), (SIZE.0 - 1, SIZE.1 - 1));
-        let (unsure, at) = (
-            drawn(|x, y| disc(x, y, UNSURE, 6)),
-            (UNSURE.0 as usize - 7, UNSURE.1 as usize),
-        );
+        let (unsure, at) = (drawn(|x, y| disc(x, y, UNSURE, 6)), (UNSURE.0 as usize - 7, UNSURE.1 as usize));
         for (what, image, coarse, at, wanted) in [
             ("overlap 0.7", &discs, shifted(2, 8), (x - 8, y), true),
             ("overlap 0.5", &discs, shifted(4, 8), (x - 8, y), false),
-            (
-                "overlap 0.05",
-                &discs,
-                drawn(|x, y| disc(x, y, LARGE, 5)),
-                corner,
-                false,
-            ),
-            (
-                "overlap 0.98",
-                &discs,
-                drawn(|x, y| x >= 30 && y < SIZE.1 - 1),
-                corner,
-                true,
-            ),
+            ("overlap 0.05", &discs, drawn(|x, y| disc(x, y, LARGE, 5)), corner, false),
+            ("overlap 0.98", &discs, drawn(|x, y| x >= 30 && y < SIZE.1 - 1), corner, true),
             // red over 255
             ("quality 0.71", &image(8, 181), unsure.clone(), at, true),
             ("quality 0.69", &image(8, 176), unsure, at, false),

@@ -98,12 +98,7 @@ impl<'a> Lower<'a> {
 fn dot(a: &[f64], b: &[f64]) -> f64 {
     let mut sums = [0.0_f64; 8];
     let (a_chunks, b_chunks) = (a.chunks_exact(8), b.chunks_exact(8));
-    let tail: f64 = a_chunks
-        .remainder()
-        .iter()
-        .zip(b_chunks.remainder())
-        .map(|(x, y)| x * y)
-        .sum();
+    let tail: f64 = a_chunks.remainder().iter().zip(b_chunks.remainder()).map(|(x, y)| x * y).sum();
     for (x, y) in a_chunks.zip(b_chunks) {
         for k in 0..8 {
             sums[k] += x[k] * y[k];
@@ -123,11 +118,7 @@ mod tests {
         for i in 0..n {
             for j in 0..=i {
                 if i - j < 6 || i == n - 1 {
-                    let value = if i == j {
-                        20.0 + i as f64
-                    } else {
-                        ((i * 7 + j * 3) as f64).sin()
-                    };
+                    let value = if i == j { 20.0 + i as f64 } else { ((i * 7 + j * 3) as f64).sin() };
                     (a[i * n + j], a[j * n + i]) = (value, value);
                 }
             }
@@ -140,10 +131,7 @@ mod tests {
         let within =
             |a: &[f64]| -> Vec<f64> { (0..n).flat_map(|i| a[i * n + first(i)..=i * n + i].to_vec()).collect() };
         assert_eq!(within(&a)[envelope.at(10, 7)], a[10 * n + 7]);
-        let got = Lower::new(&envelope, within(&a))
-            .factorise()
-            .expect("positive definite")
-            .solve(&b);
+        let got = Lower::new(&envelope, within(&a)).factorise().expect("positive definite").solve(&b);
         assert!(got.iter().zip(&want).all(|(x, y)| (x - y).abs() < 1e-10));
         a[0] = -1.0;
         assert!(Lower::new(&envelope, within(&a)).factorise().is_none());

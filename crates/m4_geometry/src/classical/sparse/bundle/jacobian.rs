@@ -65,10 +65,7 @@ mod tests {
 
     #[test]
     fn derivatives_match_central_differences() {
-        let pose = Se3 {
-            rotation: exp_so3(&Vector3::new(0.3, -0.5, 0.2)),
-            translation: Vector3::new(0.2, -0.4, 3.0),
-        };
+        let pose = Se3 { rotation: exp_so3(&Vector3::new(0.3, -0.5, 0.2)), translation: Vector3::new(0.2, -0.4, 3.0) };
         let (x, focal, at) = (Vector3::new(0.7, -0.3, 1.1), 420.0_f64, [30.0, -12.0]);
         // A huge scale makes all weights 1.
         let j = Jacobian::new(&pose, &x, focal, at, 1e9);
@@ -79,10 +76,7 @@ mod tests {
             d[k] = h;
             let (a, b) = (at_pose(&pose.retract(&d)), at_pose(&pose.retract(&-d)));
             for i in 0..2 {
-                assert!(
-                    ((a[i] - b[i]) / (2.0 * h) - j.pose[(i, k)]).abs() < 1e-4,
-                    "pose {k} {i}"
-                );
+                assert!(((a[i] - b[i]) / (2.0 * h) - j.pose[(i, k)]).abs() < 1e-4, "pose {k} {i}");
             }
         }
         for k in 0..3 {
@@ -91,10 +85,7 @@ mod tests {
             let a = project(&pose, &(x + d), focal, at).expect("in front");
             let b = project(&pose, &(x - d), focal, at).expect("in front");
             for i in 0..2 {
-                assert!(
-                    ((a[i] - b[i]) / (2.0 * h) - j.point[(i, k)]).abs() < 1e-4,
-                    "point {k} {i}"
-                );
+                assert!(((a[i] - b[i]) / (2.0 * h) - j.point[(i, k)]).abs() < 1e-4, "point {k} {i}");
             }
         }
         let (a, b) = (

@@ -99,11 +99,7 @@ impl Bundle {
             let trial_cost = trial.cost(options);
             let predicted = system.predicted_gain(self, &jacobians, &step, &point_steps);
             if trial_cost.is_finite() && trial_cost < cost {
-                let ratio = if predicted > 0.0 {
-                    (cost - trial_cost) / predicted
-                } else {
-                    0.5
-                };
+                let ratio = if predicted > 0.0 { (cost - trial_cost) / predicted } else { 0.5 };
                 let small = (cost - trial_cost) < options.tolerance * cost;
                 (*self, cost) = (trial, trial_cost);
                 damping = (damping * (1.0 - (2.0 * ratio - 1.0).powi(3)).max(1.0 / 3.0)).max(1e-12);
@@ -120,10 +116,7 @@ impl Bundle {
                 }
             }
         }
-        BundleReport {
-            cost: cost / self.observations.len().max(1) as f64,
-            log_focal_sigma,
-        }
+        BundleReport { cost: cost / self.observations.len().max(1) as f64, log_focal_sigma }
     }
 
     /// Sum of losses.
@@ -137,10 +130,7 @@ impl Bundle {
                     .iter()
                     .map(|o| {
                         let r = project(&self.poses[o.pose], &self.points[o.point], focal, o.at);
-                        loss(
-                            r.map_or(BEHIND_PX * BEHIND_PX, |r| r[0] * r[0] + r[1] * r[1]),
-                            options.cauchy_px,
-                        )
+                        loss(r.map_or(BEHIND_PX * BEHIND_PX, |r| r[0] * r[0] + r[1] * r[1]), options.cauchy_px)
                     })
                     .sum()
             })
@@ -235,34 +225,15 @@ mod tests {
         for (point, x) in points.iter().enumerate() {
             for (pose, w2c) in poses.iter().enumerate() {
                 let p = w2c.transform(x);
-                let off = if observations.len() % 10 == 9 {
-                    30.0 * rng.normal()
-                } else {
-                    0.0
-                };
-                observations.push(Observation {
-                    pose,
-                    point,
-                    at: [400.0 * p.x / p.z + off, 400.0 * p.y / p.z],
-                });
+                let off = if observations.len() % 10 == 9 { 30.0 * rng.normal() } else { 0.0 };
+                observations.push(Observation { pose, point, at: [400.0 * p.x / p.z + off, 400.0 * p.y / p.z] });
             }
         }
-        Bundle {
-            poses,
-            points,
-            log_focal: 400.0_f64.ln(),
-            observations,
-        }
+        Bundle { poses, points, log_focal: 400.0_f64.ln(), observations }
     }
 
     fn options(free_focal: bool) -> BundleOptions {
-        BundleOptions {
-            cauchy_px: 1.0,
-            iterations: 60,
-            tolerance: 1e-9,
-            free_focal,
-            free_poses: true,
-        }
+        BundleOptions { cauchy_px: 1.0, iterations: 60, tolerance: 1e-9, free_focal, free_poses: true }
     }
 
     #[test]
@@ -280,17 +251,10 @@ mod tests {
         let report = bundle.adjust(&options(true), &Silent);
         assert!((bundle.focal() / 400.0 - 1.0).abs() < 2e-3, "{}", bundle.focal());
         let fit = Sim3::umeyama(&bundle.points, &truth.points).expect("a cloud");
-        let worst = bundle
-            .points
-            .iter()
-            .zip(&truth.points)
-            .map(|(a, b)| (fit.transform(a) - b).norm())
-            .fold(0.0, f64::max);
+        let worst =
+            bundle.points.iter().zip(&truth.points).map(|(a, b)| (fit.transform(a) - b).norm()).fold(0.0, f64::max);
         assert!(worst < 0.02, "{worst}");
-        assert!(
-            report.log_focal_sigma > 1e-4 && report.log_focal_sigma < 0.05,
-            "{report:?}"
-        );
+        assert!(report.log_focal_sigma > 1e-4 && report.log_focal_sigma < 0.05, "{report:?}");
         assert_eq!(bundle.poses[0], truth.poses[0]);
     }
 
@@ -300,10 +264,7 @@ mod tests {
         bundle.log_focal += 0.05;
         let before = bundle.cost(&options(false)) / bundle.observations.len() as f64;
         let (focal, poses) = (bundle.log_focal, bundle.poses.clone());
-        let held = BundleOptions {
-            free_poses: false,
-            ..options(false)
-        };
+        let held = BundleOptions { free_poses: false, ..options(false) };
         let report = bundle.adjust(&held, &Silent);
         assert!(report.cost < before && report.log_focal_sigma.is_infinite());
         assert_eq!((bundle.log_focal, &bundle.poses), (focal, &poses));
@@ -311,12 +272,7 @@ mod tests {
 
     #[test]
     fn nothing_to_adjust_is_no_error() {
-        let mut bundle = Bundle {
-            poses: Vec::new(),
-            points: Vec::new(),
-            log_focal: 6.0,
-            observations: Vec::new(),
-        };
+        let mut bundle = Bundle { poses: Vec::new(), points: Vec::new(), log_focal: 6.0, observations: Vec::new() };
         assert_eq!(bundle.adjust(&options(true), &Silent).cost, 0.0);
     }
 }

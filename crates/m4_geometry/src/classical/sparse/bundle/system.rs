@@ -145,13 +145,7 @@ pub(super) fn reduce(
         sum.matrix[envelope.at(i, i)] += damping * sum.diagonal[i] + 1e-12;
     }
     let Part { matrix, rhs, .. } = sum;
-    Reduced {
-        envelope,
-        pose_columns,
-        focal_column,
-        matrix,
-        rhs,
-    }
+    Reduced { envelope, pose_columns, focal_column, matrix, rhs }
 }
 
 /// Poses are coupled where one point is seen by both; all are coupled to the focal length.
@@ -164,11 +158,7 @@ fn envelope(
 ) -> Envelope {
     let mut first: Vec<usize> = (0..n).map(|row| row - row % 6).collect();
     for run in runs {
-        let columns = || {
-            bundle.observations[run.clone()]
-                .iter()
-                .filter_map(|o| pose_columns[o.pose])
-        };
+        let columns = || bundle.observations[run.clone()].iter().filter_map(|o| pose_columns[o.pose]);
         let Some(least) = columns().min() else { continue };
         for row in columns().flat_map(|c| c..c + 6) {
             first[row] = first[row].min(least);

@@ -41,29 +41,16 @@ pub(super) fn gradient_term(
             continue;
         }
         let weight = weight / (frames * (width - 2) * (height - 2)) as f64;
-        let Scratch {
-            off: small_off,
-            log_initial: small_initial,
-            pull: small_pull,
-            rows,
-        } = &mut *scratch;
+        let Scratch { off: small_off, log_initial: small_initial, pull: small_pull, rows } = &mut *scratch;
         for row in &mut *rows {
             row.resize(shape.width, 0.0);
         }
         if interval == 1 {
-            let scale = Scale {
-                stride: shape.stride,
-                width,
-                height,
-            };
+            let scale = Scale { stride: shape.stride, width, height };
             loss += one_scale(scale, weight, off, log_initial, pull, rows);
             continue;
         }
-        let scale = Scale {
-            stride: width,
-            width,
-            height,
-        };
+        let scale = Scale { stride: width, width, height };
         let at = |x: usize, y: usize| (y * interval + interval / 2) * shape.stride + x * interval + interval / 2;
         for (small, plane) in [(&mut *small_off, off), (&mut *small_initial, log_initial)] {
             small.clear();

@@ -140,9 +140,7 @@ impl Frame {
                 out[x] = ln(seen[x]);
             }
         }
-        scratch
-            .surface
-            .weighted_normals(shape, &self.seen, &self.edge_weight, &mut self.initial_normals);
+        scratch.surface.weighted_normals(shape, &self.seen, &self.edge_weight, &mut self.initial_normals);
         for plane in &mut self.moments {
             plane.fill(0.0);
         }
@@ -160,10 +158,7 @@ impl Frame {
 
         let mut total = 0.0;
         for y in 0..h {
-            let (seen, initial) = (
-                &self.seen[shape.tap_row(y)..][..w],
-                &self.log_initial[y * shape.stride..][..w],
-            );
+            let (seen, initial) = (&self.seen[shape.tap_row(y)..][..w], &self.log_initial[y * shape.stride..][..w]);
             let off = &mut scratch.off[y * shape.stride..][..w];
             for x in 0..w {
                 off[x] = initial[x] - ln(seen[x]);
@@ -285,11 +280,7 @@ impl Rate {
     pub fn new(learning_rate: f64, step: usize, epsilon: f64) -> Self {
         let step = i32::try_from(step).unwrap_or(i32::MAX);
         let [first, second] = DECAY.map(|beta| 1.0 - beta.powi(step));
-        Self {
-            rate: learning_rate / first,
-            root: 1.0 / second.sqrt(),
-            epsilon,
-        }
+        Self { rate: learning_rate / first, root: 1.0 / second.sqrt(), epsilon }
     }
 
     /// One variable in double precision.

@@ -85,11 +85,7 @@ impl<'a> Descent<'a> {
         Self {
             level,
             shape,
-            scratch: Pool {
-                shape,
-                normal_lens,
-                free: Mutex::default(),
-            },
+            scratch: Pool { shape, normal_lens, free: Mutex::default() },
             pairs,
             motions: pairs.pairs().iter().map(|&p| Motion::new(&lens, w2c, p)).collect(),
             rounds: rounds(w2c.len(), pairs.pairs()),
@@ -130,10 +126,7 @@ impl<'a> Descent<'a> {
             .par_iter_mut()
             .map(|frame| scratch.lend(|scratch| dispatch!(level.level(), _s => frame.step(&step, scratch))))
             .collect();
-        Ok(Report {
-            loss: pair_scale * sums.loss + losses.iter().sum::<f64>(),
-            count: sums.count,
-        })
+        Ok(Report { loss: pair_scale * sums.loss + losses.iter().sum::<f64>(), count: sums.count })
     }
 
     /// The terms of the pairs, round by round.
@@ -145,16 +138,9 @@ impl<'a> Descent<'a> {
             let mut work: Vec<Work<'_>> = Vec::with_capacity(round.len());
             for task in round {
                 let frame = &mut self.frames[task.source];
-                let own = [
-                    std::mem::take(&mut frame.by_disparity),
-                    std::mem::take(&mut frame.by_uncertainty),
-                ];
+                let own = [std::mem::take(&mut frame.by_disparity), std::mem::take(&mut frame.by_uncertainty)];
                 let target = |&k: &usize| std::mem::take(&mut self.frames[self.pairs.pairs()[k].target].scatter);
-                work.push(Work {
-                    task,
-                    own,
-                    targets: task.pairs.iter().map(target).collect(),
-                });
+                work.push(Work { task, own, targets: task.pairs.iter().map(target).collect() });
             }
             let (frames, motions, pairs) = (&self.frames, &self.motions, self.pairs);
             let sums: Vec<Result<Sums, PairError>> = work
@@ -246,21 +232,14 @@ pub(super) struct Task {
 /// Rounds of tasks. Tasks of a round share no target, so each may add to its targets' gradients without waiting;
 /// rounds follow one another, so every sum has one order on any number of threads.
 pub(super) fn rounds(frames: usize, pairs: &[FramePair]) -> Vec<Vec<Task>> {
-    let mut tasks: Vec<Task> = (0..frames)
-        .map(|source| Task {
-            source,
-            pairs: Vec::new(),
-        })
-        .collect();
+    let mut tasks: Vec<Task> = (0..frames).map(|source| Task { source, pairs: Vec::new() }).collect();
     for (index, pair) in pairs.iter().enumerate() {
         tasks[pair.source].pairs.push(index);
     }
     let mut rounds: Vec<(Vec<Task>, HashSet<usize>)> = Vec::new();
     for task in tasks.into_iter().filter(|t| !t.pairs.is_empty()) {
         let targets: Vec<usize> = task.pairs.iter().map(|&k| pairs[k].target).collect();
-        let free = rounds
-            .iter_mut()
-            .find(|(_, taken)| targets.iter().all(|t| !taken.contains(t)));
+        let free = rounds.iter_mut().find(|(_, taken)| targets.iter().all(|t| !taken.contains(t)));
         match free {
             Some((tasks, taken)) => {
                 tasks.push(task);
@@ -281,13 +260,7 @@ mod tests {
     #[test]
     fn every_pair_is_in_one_round_and_rounds_share_no_target() {
         let mut pairs = pair_list(60);
-        let back: Vec<FramePair> = pairs
-            .iter()
-            .map(|p| FramePair {
-                source: p.target,
-                target: p.source,
-            })
-            .collect();
+        let back: Vec<FramePair> = pairs.iter().map(|p| FramePair { source: p.target, target: p.source }).collect();
         for both in [false, true] {
             if both {
                 pairs.extend(&back);

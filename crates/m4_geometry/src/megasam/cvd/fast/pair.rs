@@ -136,20 +136,13 @@ fn finish(
         by_uncertainty[x] = errors[x] - log_weight * count[x] / uncertainty[x];
     }
     for at in (0..n).step_by(LANES) {
-        let (u, error, count) = (
-            &uncertainty[at..at + LANES],
-            &errors[at..at + LANES],
-            &count[at..at + LANES],
-        );
+        let (u, error, count) = (&uncertainty[at..at + LANES], &errors[at..at + LANES], &count[at..at + LANES]);
         for k in 0..LANES {
             losses[k] += u[k] * error[k] - log_weight * count[k] * ln(u[k]);
             counts[k] += count[k];
         }
     }
-    Sums {
-        loss: losses.iter().map(|&l| f64::from(l)).sum(),
-        count: counts.iter().map(|&c| f64::from(c)).sum(),
-    }
+    Sums { loss: losses.iter().map(|&l| f64::from(l)).sum(), count: counts.iter().map(|&c| f64::from(c)).sum() }
 }
 
 /// Where the row lands: the flow term, and indices and weights of the taps.
@@ -173,10 +166,7 @@ fn reproject<S: Simd>(
     let lanes: f32x16<S> = f32x16::from_slice(s, &std::array::from_fn::<f32, LANES, _>(|k| k as f32));
     let (width, height) = (all(shape.width as f32), all(shape.height as f32));
     let (unit, half) = (all(unit_px), all(w_flow));
-    let (tap_stride, origin) = (
-        i32x16::splat(s, shape.tap_stride as i32),
-        i32x16::splat(s, shape.origin() as i32),
-    );
+    let (tap_stride, origin) = (i32x16::splat(s, shape.tap_stride as i32), i32x16::splat(s, shape.origin() as i32));
     let (xs, ys) = codes.split_at(shape.stride);
     for at in (0..shape.stride).step_by(LANES) {
         let (mut cx, mut cy, mut counts) = ([0.0f32; LANES], [0.0f32; LANES], [0.0f32; LANES]);
@@ -188,25 +178,15 @@ fn reproject<S: Simd>(
         }
         let x = lanes + all(at as f32);
         let depth = f32x16::from_slice(s, &rows.depth[at..at + LANES]);
-        let turned = [
-            along[0].mul_add(x, base[0]),
-            along[1].mul_add(x, base[1]),
-            along[2].mul_add(x, base[2]),
-        ];
+        let turned = [along[0].mul_add(x, base[0]), along[1].mul_add(x, base[1]), along[2].mul_add(x, base[2])];
         let z = turned[2].mul_add(depth, shift[2]);
         let counts = z.simd_gt(all(0.1)).select(f32x16::from_slice(s, &counts), zero);
         // where it does not count z may be anything, and must not make infinities
         let z = counts.simd_gt(zero).select(z, one);
         let far = z.simd_gt(all(1e3));
         let inverse = one / far.select(all(1e3), z);
-        let (u, v) = (
-            turned[0].mul_add(depth, shift[0]) * inverse,
-            turned[1].mul_add(depth, shift[1]) * inverse,
-        );
-        let (qx, qy) = (
-            f32x16::from_slice(s, &cx).mul_add(unit, x),
-            f32x16::from_slice(s, &cy).mul_add(unit, all(y)),
-        );
+        let (u, v) = (turned[0].mul_add(depth, shift[0]) * inverse, turned[1].mul_add(depth, shift[1]) * inverse);
+        let (qx, qy) = (f32x16::from_slice(s, &cx).mul_add(unit, x), f32x16::from_slice(s, &cy).mul_add(unit, all(y)));
         let (ex, ey) = (u - qx, v - qy);
         let (sx, sy) = (sign(s, ex), sign(s, ey));
         let fall = far.select(zero, turned[2]);

@@ -24,12 +24,7 @@ pub(super) struct Shape {
 impl Shape {
     pub fn new(width: usize, height: usize) -> Self {
         let stride = crate::megasam::cvd::pairs::stride(width);
-        Self {
-            width,
-            height,
-            stride,
-            tap_stride: stride + 2 * LEFT,
-        }
+        Self { width, height, stride, tap_stride: stride + 2 * LEFT }
     }
 
     pub fn pixels(&self) -> usize {

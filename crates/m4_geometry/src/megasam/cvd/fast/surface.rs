@@ -100,20 +100,7 @@ impl Scratch {
         let ([la, lm, lb], [sa, _, sb], [ya, _, yb]) =
             (shifted3(&self.ray_x, w), shifted3(sum_z, w), shifted3(sum_y, w));
         let ([fa, fm, fb], [ga, gm, gb]) = (shifted3(fall_z, w), shifted3(fall_y, w));
-        slope_rows(
-            la,
-            lm,
-            lb,
-            sa,
-            sb,
-            fa,
-            fm,
-            fb,
-            &mut x0[..w],
-            &mut x2[..w],
-            &mut y0[..w],
-            &mut y2[..w],
-        );
+        slope_rows(la, lm, lb, sa, sb, fa, fm, fb, &mut x0[..w], &mut x2[..w], &mut y0[..w], &mut y2[..w]);
         let (x1, y1) = (&mut x1[..w], &mut y1[..w]);
         for x in 0..w {
             x1[x] = 0.125 * (yb[x] - ya[x]);
@@ -244,13 +231,7 @@ impl Scratch {
 /// A row of `w + 4` as five rows of `w`.
 #[inline(always)]
 fn shifted5(row: &[f32], w: usize) -> [&[f32]; 5] {
-    [
-        &row[..w],
-        &row[1..w + 1],
-        &row[2..w + 2],
-        &row[3..w + 3],
-        &row[4..w + 4],
-    ]
+    [&row[..w], &row[1..w + 1], &row[2..w + 2], &row[3..w + 3], &row[4..w + 4]]
 }
 
 /// A row of `w + 2` as three rows of `w`.
@@ -335,11 +316,7 @@ fn add_scaled(out: &mut [f32], row: &[f32], factor: f32) {
 
 #[inline(always)]
 fn cross(a: [f32; 3], b: [f32; 3]) -> [f32; 3] {
-    [
-        a[1] * b[2] - a[2] * b[1],
-        a[2] * b[0] - a[0] * b[2],
-        a[0] * b[1] - a[1] * b[0],
-    ]
+    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
 
 /// At least 1e-12, as the definition has it.

@@ -29,12 +29,7 @@ pub struct FramePair {
 /// on. Steps as long as the clip or longer have no pairs.
 #[must_use]
 pub fn pair_list(frames: usize) -> Vec<FramePair> {
-    let of_step = |step: usize| {
-        (step..frames).map(move |target| FramePair {
-            source: target - step,
-            target,
-        })
-    };
+    let of_step = |step: usize| (step..frames).map(move |target| FramePair { source: target - step, target });
     STEPS.into_iter().flat_map(of_step).collect()
 }
 
@@ -46,12 +41,7 @@ pub const MAX_ROUND_TRIP_PX: f32 = 1.0;
 pub fn halved(flow: &Flow) -> Flow {
     let (width, height) = ((flow.width / 2).max(1), (flow.height / 2).max(1));
     let (sx, sy) = (flow.width as f32 / width as f32, flow.height as f32 / height as f32);
-    let mut out = Flow {
-        width,
-        height,
-        u: Vec::with_capacity(width * height),
-        v: Vec::with_capacity(width * height),
-    };
+    let mut out = Flow { width, height, u: Vec::with_capacity(width * height), v: Vec::with_capacity(width * height) };
     for row in 0..height {
         let y = ((row as f32 + 0.5) * sy - 0.5).clamp(0.0, (flow.height - 1) as f32);
         for column in 0..width {
@@ -74,11 +64,7 @@ fn sample(width: usize, height: usize, plane: &[f32], x: f32, y: f32) -> f32 {
     let (x0, y0) = (x0 as isize, y0 as isize);
     let tap = |x: isize, y: isize| {
         let inside = x >= 0 && y >= 0 && x < width as isize && y < height as isize;
-        if inside {
-            plane[y as usize * width + x as usize]
-        } else {
-            0.0
-        }
+        if inside { plane[y as usize * width + x as usize] } else { 0.0 }
     };
     let top = tap(x0, y0) * (1.0 - fx) + tap(x0 + 1, y0) * fx;
     let bottom = tap(x0, y0 + 1) * (1.0 - fx) + tap(x0 + 1, y0 + 1) * fx;
@@ -112,9 +98,7 @@ pub fn consistency_mask(there: &Flow, back: &Flow) -> Vec<bool> {
         x >= 0.0 && y >= 0.0 && x <= (w - 1) as f32 && y <= (h - 1) as f32
     };
     let errors = round_trip_px(there, back).into_iter().enumerate();
-    errors
-        .map(|(i, error)| error < MAX_ROUND_TRIP_PX && inside(i))
-        .collect()
+    errors.map(|(i, error)| error < MAX_ROUND_TRIP_PX && inside(i)).collect()
 }
 
 #[cfg(test)]

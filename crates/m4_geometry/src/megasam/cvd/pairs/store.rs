@@ -177,9 +177,7 @@ impl CompactFlow {
     /// Encodes planes of `[height][width]`, which the caller has checked. A flow that is not finite does not count.
     pub(super) fn encode(width: usize, height: usize, x: &[f32], y: &[f32], mask: &[bool]) -> Self {
         let counts = |i: usize| mask[i] && x[i].is_finite() && y[i].is_finite();
-        let largest = (0..width * height)
-            .filter(|&i| counts(i))
-            .fold(0.0f32, |m, i| m.max(x[i].abs()).max(y[i].abs()));
+        let largest = (0..width * height).filter(|&i| counts(i)).fold(0.0f32, |m, i| m.max(x[i].abs()).max(y[i].abs()));
         let unit_px = if largest > 0.0 { largest / 32_767.0 } else { 1.0 };
         let stride = stride(width);
         let mut codes = vec![0; 2 * stride * height];
@@ -226,10 +224,7 @@ mod tests {
         let mut store = PairStore::new(SIZE.0, SIZE.1, budget);
         for k in 0..5 {
             let (flow, mask) = field(k as u64);
-            let pair = FramePair {
-                source: k,
-                target: k + 1,
-            };
+            let pair = FramePair { source: k, target: k + 1 };
             store.push(pair, &flow, &mask).unwrap();
         }
         store

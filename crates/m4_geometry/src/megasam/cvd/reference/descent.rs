@@ -19,11 +19,7 @@ impl<T: Real> Adam<T> {
     /// Nothing seen yet.
     #[must_use]
     pub fn new(len: usize) -> Self {
-        Self {
-            m: vec![T::zero(); len],
-            v: vec![T::zero(); len],
-            steps: 0,
-        }
+        Self { m: vec![T::zero(); len], v: vec![T::zero(); len], steps: 0 }
     }
 
     /// One step; what is not a number in `gradient` counts as 0.
@@ -34,11 +30,7 @@ impl<T: Real> Adam<T> {
         let root = T::of(second.sqrt());
         let [b1, b2] = DECAY.map(T::of);
         for i in 0..x.len() {
-            let g = if gradient[i].f64().is_nan() {
-                T::zero()
-            } else {
-                gradient[i]
-            };
+            let g = if gradient[i].f64().is_nan() { T::zero() } else { gradient[i] };
             self.m[i] = b1 * self.m[i] + (T::one() - b1) * g;
             self.v[i] = b2 * self.v[i] + (T::one() - b2) * g * g;
             x[i] -= rate * self.m[i] / (self.v[i].sqrt() / root + T::of(ADAM_EPSILON));
@@ -64,10 +56,7 @@ pub struct Trajectory<T> {
 /// The disparity that the first stage looks at: `initial e^log_scale + shift` of each frame, inside its limits.
 #[must_use]
 pub fn seen_disparity<T: Real>(initial: &[T], log_scale: &[T], shift: &[T]) -> Vec<T> {
-    affine(initial, log_scale, shift)
-        .into_iter()
-        .map(|d| clamp(d, DISPARITY))
-        .collect()
+    affine(initial, log_scale, shift).into_iter().map(|d| clamp(d, DISPARITY)).collect()
 }
 
 fn affine<T: Real>(initial: &[T], log_scale: &[T], shift: &[T]) -> Vec<T> {
@@ -83,9 +72,7 @@ pub fn descend<T: Real>(problem: &Problem<T>, uncertainty: &[T], steps: [usize; 
     let mut problem = problem.clone();
     let (frames, n) = (problem.frames(), problem.width * problem.height);
     let start = problem.initial.clone();
-    let weights = start
-        .chunks_exact(n)
-        .map(|d| edge_weight(problem.width, problem.height, d));
+    let weights = start.chunks_exact(n).map(|d| edge_weight(problem.width, problem.height, d));
     problem.edge_weight = weights.flatten().collect();
     problem.initial = start.iter().map(|&d| clamp(d, DISPARITY)).collect();
     let mut out = Trajectory {
@@ -115,10 +102,8 @@ pub fn descend<T: Real>(problem: &Problem<T>, uncertainty: &[T], steps: [usize; 
         adam[2].step(&mut out.uncertainty, &gradient, LEARNING_RATE[0]);
     }
     out.disparity = affine(&start, &out.log_scale, &out.shift);
-    problem.initial = affine(&problem.initial, &out.log_scale, &out.shift)
-        .into_iter()
-        .map(|d| clamp(d, DISPARITY))
-        .collect();
+    problem.initial =
+        affine(&problem.initial, &out.log_scale, &out.shift).into_iter().map(|d| clamp(d, DISPARITY)).collect();
     let mut adam = [Adam::new(start.len()), Adam::new(start.len())];
     for _ in 0..steps[1] {
         let seen: Vec<T> = out.disparity.iter().map(|&d| clamp(d, DISPARITY)).collect();
@@ -136,7 +121,5 @@ pub fn descend<T: Real>(problem: &Problem<T>, uncertainty: &[T], steps: [usize; 
 /// A gradient with 0 where the variable is past its limits.
 fn gated<T: Real>(x: &[T], gradient: &[T], limits: [f64; 2]) -> Vec<T> {
     let pairs = x.iter().zip(gradient);
-    pairs
-        .map(|(&x, &g)| if within(x, limits) { g } else { T::zero() })
-        .collect()
+    pairs.map(|(&x, &g)| if within(x, limits) { g } else { T::zero() }).collect()
 }

@@ -55,11 +55,7 @@ pub struct Term<T> {
 
 impl<T: Real> Term<T> {
     fn zero(len: usize) -> Self {
-        Self {
-            value: T::zero(),
-            disparity: vec![T::zero(); len],
-            uncertainty: vec![T::zero(); len],
-        }
+        Self { value: T::zero(), disparity: vec![T::zero(); len], uncertainty: vec![T::zero(); len] }
     }
 
     fn add(&mut self, weight: f64, other: &Self) {

@@ -62,8 +62,7 @@ fn surface<T: Real>(width: usize, height: usize, lens: &Pinhole<T>, disparity: &
     let along = [true, false].map(|along_x| {
         let at = |p| {
             let taps = sobel(width, height, p, along_x);
-            taps.into_iter()
-                .fold(Vector3::zeros(), |s: Vector3<T>, (i, k)| s + points[i] * T::of(k))
+            taps.into_iter().fold(Vector3::zeros(), |s: Vector3<T>, (i, k)| s + points[i] * T::of(k))
         };
         (0..n).map(at).collect::<Vec<_>>()
     });
@@ -105,8 +104,7 @@ pub fn edge_weight<T: Real>(width: usize, height: usize, disparity: &[T]) -> Vec
     let at = |p| {
         let slope = |along_x| {
             let taps = sobel(width, height, p, along_x);
-            taps.into_iter()
-                .fold(T::zero(), |s, (i, k)| s + disparity[i] * T::of(8.0 * k))
+            taps.into_iter().fold(T::zero(), |s, (i, k)| s + disparity[i] * T::of(8.0 * k))
         };
         let (x, y): (T, T) = (slope(true), slope(false));
         let alpha = (-T::of(10.0) * (x * x + y * y).sqrt()).exp();
@@ -134,11 +132,7 @@ pub fn normal_loss<T: Real>(problem: &Problem<T>, disparity: &[T]) -> Term<T> {
             let cosine = unit.dot(&wanted[p]);
             term.value += weight * (T::one() - cosine);
             // of the unit vector with respect to the vector; a vector that was too short has no length to lose
-            let lost = if size > T::of(1e-12) {
-                unit * cosine
-            } else {
-                Vector3::zeros()
-            };
+            let lost = if size > T::of(1e-12) { unit * cosine } else { Vector3::zeros() };
             let normal = (lost - wanted[p]) * (weight / size);
             let along = [found.along[1][p].cross(&normal), normal.cross(&found.along[0][p])];
             for (along, along_x) in along.iter().zip([true, false]) {

@@ -37,12 +37,7 @@ fn taps<T: Real>(width: usize, height: usize, x: T, y: T) -> [Option<(usize, T)>
         inside.then(|| (y as usize * width + x as usize, weight))
     };
     let one = T::one();
-    [
-        tap(0, 0, (one - fx) * (one - fy)),
-        tap(1, 0, fx * (one - fy)),
-        tap(0, 1, (one - fx) * fy),
-        tap(1, 1, fx * fy),
-    ]
+    [tap(0, 0, (one - fx) * (one - fy)), tap(1, 0, fx * (one - fy)), tap(0, 1, (one - fx) * fy), tap(1, 1, fx * fy)]
 }
 
 /// The ratio and the flow term: means over all pixels of all pairs that count and land in front of the camera.
@@ -72,27 +67,16 @@ pub fn pair_losses<T: Real>(problem: &Problem<T>, disparity: &[T], uncertainty: 
                 continue;
             }
             count += T::one();
-            let depth_gradient = if within(d, DISPARITY) {
-                -depth * depth
-            } else {
-                T::zero()
-            };
+            let depth_gradient = if within(d, DISPARITY) { -depth * depth } else { T::zero() };
             let log_term = log_weight * (T::one() / u).ln();
 
             // where it lands
             let divisor = clamp(x.z, DIVISOR);
             let (qx, qy) = (px + pair.x[p], py + pair.y[p]);
-            let image = [
-                (lens.fx * x.x + lens.cx * x.z) / divisor,
-                (lens.fy * x.y + lens.cy * x.z) / divisor,
-            ];
+            let image = [(lens.fx * x.x + lens.cx * x.z) / divisor, (lens.fy * x.y + lens.cy * x.z) / divisor];
             let slope = |focal: T, centre: T, turned_a: T, image_a: T| {
                 let direct = (focal * turned_a + centre * turned.z) / divisor;
-                let through_divisor = if within(x.z, DIVISOR) {
-                    image_a * turned.z / divisor
-                } else {
-                    T::zero()
-                };
+                let through_divisor = if within(x.z, DIVISOR) { image_a * turned.z / divisor } else { T::zero() };
                 direct - through_divisor
             };
             let (ex, ey) = (image[0] - qx, image[1] - qy);

@@ -17,16 +17,8 @@ fn compacted(budget: usize) -> (PairStore, Problem<f64>) {
     let mut problem: Problem<f64> = problem(&Golden::load("cvd/losses.safetensors"));
     let mut store = PairStore::new(SIZE.0, SIZE.1, budget);
     for (k, pair) in problem.pairs.iter_mut().enumerate() {
-        let flow = Flow {
-            width: SIZE.0,
-            height: SIZE.1,
-            u: f32s(&pair.x),
-            v: f32s(&pair.y),
-        };
-        let of = FramePair {
-            source: pair.source,
-            target: pair.target,
-        };
+        let flow = Flow { width: SIZE.0, height: SIZE.1, u: f32s(&pair.x), v: f32s(&pair.y) };
+        let of = FramePair { source: pair.source, target: pair.target };
         store.push(of, &flow, &pair.mask).unwrap();
         let mut buffer = CompactFlow::default();
         let field = store.flow(k, &mut buffer).unwrap();
@@ -78,13 +70,7 @@ fn loss_and_gradients_are_those_of_the_definition() {
     let only = |k: usize| {
         let mut w = [0.0; 5];
         w[k] = 1.0;
-        Weights {
-            ratio: w[0],
-            flow: w[1],
-            scale_invariant: w[2],
-            gradient: w[3],
-            normal: w[4],
-        }
+        Weights { ratio: w[0], flow: w[1], scale_invariant: w[2], gradient: w[3], normal: w[4] }
     };
     let names = ["ratio", "flow", "si", "grad", "normal"];
     on_every_level(&SimdLevel::available(), SimdLevel::name, &LEVELS, |level| {
@@ -176,11 +162,7 @@ fn fast_descent_matches_the_reference() {
     let Course { losses, .. } = run(&mut fast, 16, steps, &Silent).unwrap();
     let (first, last) = (want.losses[0][0], want.losses[1][59]);
     assert!(last < 0.8 * first, "{first} {last}");
-    assert!(
-        (losses[1][59] - last).abs() < 1e-3 * last,
-        "{} for {last}",
-        losses[1][59]
-    );
+    assert!((losses[1][59] - last).abs() < 1e-3 * last, "{} for {last}", losses[1][59]);
     let a = Agreement::of(&flat(fast.disparity()), &want.disparity);
     assert!(a.relative_l2 < 1e-2, "{a:?}");
 }

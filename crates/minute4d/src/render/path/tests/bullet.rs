@@ -8,11 +8,7 @@ use crate::render::{Moment, Stop};
 #[test]
 fn bullet_path_freezes_time_while_the_camera_orbits() {
     let scene = scene(0.0);
-    let at = PathOptions {
-        at: Some(Moment::Seconds(1.2)),
-        hold_s: Some(2.0),
-        ..NONE
-    };
+    let at = PathOptions { at: Some(Moment::Seconds(1.2)), hold_s: Some(2.0), ..NONE };
     let all = stops(&scene, CameraPath::Bullet, at, 30.0);
     // 3 s of the source, 2 s still, and half of twice 0.4 s for slowing down.
     assert_eq!(all.len(), 1 + (5.4f64 * 30.0).round() as usize);
@@ -40,26 +36,14 @@ fn bullet_path_freezes_time_while_the_camera_orbits() {
 fn bullet_path_has_the_requested_length() {
     let config = PathConfig::default();
     let of = |seconds: f64, hold_s: Option<f64>| {
-        let options = PathOptions {
-            seconds: Some(seconds),
-            hold_s,
-            ..NONE
-        };
+        let options = PathOptions { seconds: Some(seconds), hold_s, ..NONE };
         Bullet::new(1.2, 3.0, &options, &config)
     };
     for seconds in [5.0, 7.4, 20.0] {
-        assert!(
-            (of(seconds, None).unwrap().seconds() - seconds).abs() < 1e-9,
-            "{seconds}"
-        );
+        assert!((of(seconds, None).unwrap().seconds() - seconds).abs() < 1e-9, "{seconds}");
     }
     assert!((of(4.0, Some(1.0)).unwrap().seconds() - 4.0).abs() < 1e-9);
-    assert!(
-        of(4.2, None)
-            .unwrap_err()
-            .to_string()
-            .contains("--seconds 4.2 leaves no time")
-    );
+    assert!(of(4.2, None).unwrap_err().to_string().contains("--seconds 4.2 leaves no time"));
     let cut = of(6.0, None).unwrap();
     let (first, last) = (cut.at(0.0).0, cut.at(6.0).0);
     assert!(first > 0.1 && last < 2.9 && first < 1.2 && last > 1.2, "{first} {last}");

@@ -10,10 +10,7 @@ fn keyed(text: &str, job: &RenderJob) -> Result<Plan, Error> {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("path.json");
     std::fs::write(&path, text).unwrap();
-    let job = RenderJob {
-        path: CameraPath::File(path),
-        ..job.clone()
-    };
+    let job = RenderJob { path: CameraPath::File(path), ..job.clone() };
     plan_of(&scene(0.0), &job)
 }
 
@@ -38,23 +35,14 @@ fn keyed_path_meets_keyframes_and_keeps_targets_centred() {
     // Frozen for a second, then at half speed: two seconds of the path are one of the scene.
     assert!((a.t - 10.0).abs() < 1e-9 && (b.t - 10.0).abs() < 1e-9 && (c.t - 20.0).abs() < 1e-9);
     let half = RenderJob {
-        options: PathOptions {
-            seconds: Some(1.5),
-            ..NONE
-        },
+        options: PathOptions { seconds: Some(1.5), ..NONE },
         size: Some((33, 21)),
         ..RenderJob::new(CameraPath::Train)
     };
     let quick = keyed(text, &half).unwrap();
     assert_eq!(quick.stops.len(), 16);
     assert!((quick.stops[5].camera.centre() - b.camera.centre()).norm() < 1e-9);
-    assert_eq!(
-        (
-            quick.stops[0].camera.intrinsics.width,
-            quick.stops[0].camera.intrinsics.height
-        ),
-        (33, 21)
-    );
+    assert_eq!((quick.stops[0].camera.intrinsics.width, quick.stops[0].camera.intrinsics.height), (33, 21));
 }
 
 #[test]
@@ -78,15 +66,9 @@ fn moments_of_keyframes_lie_in_the_scene() {
     let text = r#"{"format": "minute4d-path", "version": 1, "keyframes": [
         {"time_s": 0, "position": [0, 0, 0], "look_at": [0, 0, 2], "scene_s": 4}]}"#;
     let error = keyed(text, &RenderJob::new(CameraPath::Train)).unwrap_err();
-    assert!(
-        error.to_string().contains("4s") && error.to_string().contains("outside"),
-        "{error}"
-    );
+    assert!(error.to_string().contains("4s") && error.to_string().contains("outside"), "{error}");
     let unnamed = text.replace(", \"scene_s\": 4", "");
-    assert_eq!(
-        keyed(&unnamed, &RenderJob::new(CameraPath::Train)).unwrap().stops.len(),
-        1
-    );
+    assert_eq!(keyed(&unnamed, &RenderJob::new(CameraPath::Train)).unwrap().stops.len(), 1);
     // Time continues to the end of the scene, and stays there.
     let long = r#"{"format": "minute4d-path", "version": 1, "fps": 1, "keyframes": [
         {"time_s": 0, "position": [0, 0, 0], "look_at": [0, 0, 2], "speed": 2},

@@ -19,24 +19,12 @@ fn scene(tremble: f64) -> Scene {
         let mut rng = CounterRng::new(7, 0, i);
         let k = i as f64 / 30.0;
         let mut noise = || tremble * (rng.uniform() - 0.5);
-        let twist = Vector6::new(
-            0.4 * k + noise(),
-            0.1 * k * k + noise(),
-            noise(),
-            noise(),
-            0.3 * k + noise(),
-            noise(),
-        );
+        let twist =
+            Vector6::new(0.4 * k + noise(), 0.1 * k * k + noise(), noise(), noise(), 0.3 * k + noise(), noise());
         SourceFrame {
-            camera: Camera {
-                intrinsics: Intrinsics::centred(64, 48, 50.0 + k),
-                c2w: Se3::identity().retract(&twist),
-            },
+            camera: Camera { intrinsics: Intrinsics::centred(64, 48, 50.0 + k), c2w: Se3::identity().retract(&twist) },
             t: i as f64,
-            exposure: Exposure {
-                offset: [k as f32; 3],
-                ..Exposure::IDENTITY
-            },
+            exposure: Exposure { offset: [k as f32; 3], ..Exposure::IDENTITY },
         }
     });
     Scene {
@@ -50,11 +38,7 @@ fn scene(tremble: f64) -> Scene {
     }
 }
 
-const LAYOUT: SplatLayout = SplatLayout {
-    isotropic: false,
-    sh_degree: 0,
-    time_degree: 0,
-};
+const LAYOUT: SplatLayout = SplatLayout { isotropic: false, sh_degree: 0, time_degree: 0 };
 
 fn plan_of(scene: &Scene, job: &RenderJob) -> Result<Plan, Error> {
     let mut painter = Painter::new(scene, SimdLevel::detect().unwrap());
@@ -62,11 +46,7 @@ fn plan_of(scene: &Scene, job: &RenderJob) -> Result<Plan, Error> {
 }
 
 fn stops(scene: &Scene, path: CameraPath, options: PathOptions, fps: f64) -> Vec<Stop> {
-    let job = RenderJob {
-        options,
-        fps: Some(fps),
-        ..RenderJob::new(path)
-    };
+    let job = RenderJob { options, fps: Some(fps), ..RenderJob::new(path) };
     plan_of(scene, &job).unwrap().stops
 }
 
@@ -74,15 +54,8 @@ fn difference(a: &Stop, b: &Stop) -> f64 {
     (a.camera.c2w.matrix() - b.camera.c2w.matrix()).norm()
 }
 
-const NONE: PathOptions = PathOptions {
-    seconds: None,
-    at: None,
-    amount: None,
-    degrees: None,
-    smooth_s: None,
-    strength: None,
-    hold_s: None,
-};
+const NONE: PathOptions =
+    PathOptions { seconds: None, at: None, amount: None, degrees: None, smooth_s: None, strength: None, hold_s: None };
 
 #[test]
 fn the_source_goes_through_its_cameras_at_their_times() {
@@ -99,23 +72,14 @@ fn the_source_goes_through_its_cameras_at_their_times() {
     assert_eq!(dense.len(), 91);
     for (i, frame) in scene.source.iter().enumerate() {
         let stop = &dense[3 * i];
-        assert!(
-            (stop.camera.c2w.matrix() - frame.camera.c2w.matrix()).norm() < 1e-9,
-            "{i}"
-        );
+        assert!((stop.camera.c2w.matrix() - frame.camera.c2w.matrix()).norm() < 1e-9, "{i}");
         assert!((stop.t - frame.t).abs() < 1e-9);
     }
     let between = &dense[1];
-    assert!(
-        (between.exposure.offset[0] - 1.0 / 90.0).abs() < 1e-6,
-        "exposure goes along"
-    );
+    assert!((between.exposure.offset[0] - 1.0 / 90.0).abs() < 1e-6, "exposure goes along");
     // At its own rate it is the training path, and twice as long it is twice as slow.
     assert_eq!(stops(&scene, CameraPath::Source, NONE, 10.0).len(), 31);
-    let slow = PathOptions {
-        seconds: Some(6.0),
-        ..NONE
-    };
+    let slow = PathOptions { seconds: Some(6.0), ..NONE };
     let slow = stops(&scene, CameraPath::Source, slow, 10.0);
     assert_eq!(slow.len(), 61);
     assert!((slow[10].t - 5.0).abs() < 1e-9);
@@ -127,10 +91,7 @@ fn the_source_goes_through_its_cameras_at_their_times() {
 fn one_time_gives_one_image() {
     let scene = scene(0.0);
     for path in [CameraPath::Train, CameraPath::Source, CameraPath::Stabilised] {
-        let at = PathOptions {
-            at: Some(Moment::Seconds(1.25)),
-            ..NONE
-        };
+        let at = PathOptions { at: Some(Moment::Seconds(1.25)), ..NONE };
         let one = stops(&scene, path, at, 30.0);
         assert_eq!(one.len(), 1);
         assert!((one[0].t - 12.5).abs() < 1e-9);
@@ -156,10 +117,7 @@ fn times_without_cameras_and_cameras_without_times() {
 /// Sum of the squared third differences of the positions and of the directions.
 fn jerk(stops: &[Stop]) -> f64 {
     let third = |f: &dyn Fn(&Stop) -> Vector3<f64>| {
-        stops
-            .windows(4)
-            .map(|w| (f(&w[3]) - f(&w[2]) * 3.0 + f(&w[1]) * 3.0 - f(&w[0])).norm_squared())
-            .sum::<f64>()
+        stops.windows(4).map(|w| (f(&w[3]) - f(&w[2]) * 3.0 + f(&w[1]) * 3.0 - f(&w[0])).norm_squared()).sum::<f64>()
     };
     third(&|s| s.camera.centre()) + third(&|s| s.camera.c2w.rotation.column(2).into_owned())
 }
@@ -179,10 +137,7 @@ fn the_stabilised_source_trembles_a_hundred_times_less_and_stays_near() {
         assert!(turn.to_degrees() < config.stray_deg);
         assert_eq!((a.t, a.exposure), (b.t, b.exposure));
     }
-    let off = PathOptions {
-        strength: Some(0.0),
-        ..NONE
-    };
+    let off = PathOptions { strength: Some(0.0), ..NONE };
     let same = stops(&scene, CameraPath::Stabilised, off, 30.0);
     for (a, b) in source.iter().zip(&same) {
         // Between its samples the smoothed path is interpolated again.
@@ -201,12 +156,7 @@ fn steady_source_is_unchanged() {
         };
     }
     let source = SourcePath::new(&scene, "source").unwrap();
-    let how = Smoothing {
-        sigma_s: 0.5,
-        strength: 1.0,
-        stray: 1.0,
-        stray_rad: 1.0,
-    };
+    let how = Smoothing { sigma_s: 0.5, strength: 1.0, stray: 1.0, stray_rad: 1.0 };
     let smooth = stabilised(&source, &how);
     for i in 0..=60 {
         let t = f64::from(i) * 0.5;
@@ -218,10 +168,7 @@ fn steady_source_is_unchanged() {
 #[test]
 fn a_path_starts_where_time_is_frozen() {
     let scene = scene(0.0);
-    let job = RenderJob {
-        time: TimePath::Freeze(Moment::Frames(20.0)),
-        ..RenderJob::new(CameraPath::Swing)
-    };
+    let job = RenderJob { time: TimePath::Freeze(Moment::Frames(20.0)), ..RenderJob::new(CameraPath::Swing) };
     let plan = plan_of(&scene, &job).unwrap();
     assert!(plan.stops.iter().all(|s| s.t == 20.0));
     assert!((plan.stops[0].camera.c2w.matrix() - scene.source[20].camera.c2w.matrix()).norm() < 1e-12);
@@ -234,10 +181,7 @@ fn a_path_starts_where_time_is_frozen() {
 fn endless_paths_are_refused() {
     let scene = scene(0.0);
     let job = RenderJob {
-        options: PathOptions {
-            seconds: Some(3600.0),
-            ..NONE
-        },
+        options: PathOptions { seconds: Some(3600.0), ..NONE },
         fps: Some(240.0),
         ..RenderJob::new(CameraPath::Swing)
     };
@@ -252,8 +196,5 @@ fn words_are_paths_and_the_rest_are_files() {
         assert!(!matches!(CameraPath::named(word), CameraPath::File(_)));
     }
     let error = plan_of(&scene(0.0), &RenderJob::new(CameraPath::named("swingg"))).unwrap_err();
-    assert!(
-        error.to_string().contains("swingg") && error.to_string().contains("bullet"),
-        "{error}"
-    );
+    assert!(error.to_string().contains("swingg") && error.to_string().contains("bullet"), "{error}");
 }

@@ -53,12 +53,7 @@ fn of_one(object: &RigidObject<'_>, ground: &Ground, g: f64) -> Vec<Flight> {
     let mut cost = vec![0.0f64; n + 1];
     let mut last: Vec<Option<(usize, Parabola)>> = vec![None; n + 1];
     for end in 1..=n {
-        cost[end] = cost[end - 1]
-            + if object.observations[end - 1].whole {
-                AFOOT
-            } else {
-                UNSEEN
-            };
+        cost[end] = cost[end - 1] + if object.observations[end - 1].whole { AFOOT } else { UNSEEN };
         for first in end.saturating_sub(LONGEST)..(end + 1).saturating_sub(SHORTEST) {
             let Some(parabola) = Parabola::fit(object, (first, end), ground, g) else {
                 continue;

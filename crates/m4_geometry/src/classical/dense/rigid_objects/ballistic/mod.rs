@@ -79,13 +79,7 @@ pub(super) fn depths(
         }
         out
     };
-    Some(
-        objects
-            .iter()
-            .zip(&flights)
-            .map(|(object, f)| along(object, f))
-            .collect(),
-    )
+    Some(objects.iter().zip(&flights).map(|(object, f)| along(object, f)).collect())
 }
 
 /// Whether a part keeps its size from flight to flight; two things whose images touch may not.
@@ -179,8 +173,5 @@ fn outline(clip: &Clip<'_>, tracklet: &Tracklet, k: usize, own: &mut [bool]) -> 
     for &p in pixels {
         own[p as usize] = false;
     }
-    Outline {
-        middle: sum / pixels.len().max(1) as f64,
-        clear: !border && (shared as f64) < SHARED * edge as f64,
-    }
+    Outline { middle: sum / pixels.len().max(1) as f64, clear: !border && (shared as f64) < SHARED * edge as f64 }
 }

@@ -61,11 +61,7 @@ impl Parabola {
     ) -> Option<Self> {
         let (mut a, mut still, mut fall) = (Matrix6::zeros(), Vector6::zeros(), Vector6::zeros());
         let mut rows = Vec::new();
-        for (i, z) in z
-            .iter()
-            .enumerate()
-            .filter(|(i, _)| object.observations[first + i].whole)
-        {
+        for (i, z) in z.iter().enumerate().filter(|(i, _)| object.observations[first + i].whole) {
             let k = first + i;
             let t = k as f64 - middle;
             let c = object.cameras[k].centre();
