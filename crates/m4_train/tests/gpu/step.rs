@@ -5,7 +5,7 @@ use m4_core::{SplatLayout, Splats};
 use m4_kernels::{
     FrameGradient, Gradients, Renderer, SimdLevel, View,
     adam::cpu::{AdamConfig, AdamState, step},
-    bench::{Bench as Host, Kernel, SceneConfig},
+    bench::{Bench as HostBench, Kernel, SceneConfig},
     cover,
     loss::cpu::{LossScratch, Target, loss},
 };
@@ -175,7 +175,7 @@ fn frames_of_several_sizes_and_none_are_refused() {
 fn a_bench_times_every_kernel_and_lowers_the_loss() {
     let Some(gpu) = gpu("the bench") else { return };
     let config = SceneConfig { splats: 3000, width: 96, height: 72, ..SceneConfig::default() };
-    let mut host = Host::new(SimdLevel::best(), &config).unwrap();
+    let mut host = HostBench::new(SimdLevel::best(), &config).unwrap();
     let counts = host.count(0);
     let mut bench = Bench::new(gpu.clone(), host.into_scene()).unwrap();
     let entries = bench.entries(0).unwrap();

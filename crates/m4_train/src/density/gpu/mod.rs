@@ -19,6 +19,7 @@ use crate::{
     density::Scores,
 };
 use cubecl::prelude::Client;
+use error_mask::Mask;
 use m4_kernels::{
     View,
     gpu::{
