@@ -21,20 +21,17 @@ pub struct Intrinsics {
 
 impl Intrinsics {
     /// Square pixels, principal point in the middle.
-    #[must_use]
     pub fn centred(width: usize, height: usize, focal_px: f64) -> Self {
         Self { width, height, fx: focal_px, fy: focal_px, cx: width as f64 / 2.0, cy: height as f64 / 2.0 }
     }
 
     /// The same field of view on an image of another size.
-    #[must_use]
     pub fn resized(&self, width: usize, height: usize) -> Self {
         let (sx, sy) = (width as f64 / self.width as f64, height as f64 / self.height as f64);
         Self { width, height, fx: self.fx * sx, fy: self.fy * sy, cx: self.cx * sx, cy: self.cy * sy }
     }
 
     /// Horizontal field of view, radians.
-    #[must_use]
     pub fn horizontal_fov_rad(&self) -> f64 {
         2.0 * (self.width as f64 / (2.0 * self.fx)).atan()
     }
@@ -51,20 +48,17 @@ pub struct Camera {
 
 impl Camera {
     /// World to camera.
-    #[must_use]
     pub fn w2c(&self) -> Se3<f64> {
         self.c2w.inverse()
     }
 
     /// The camera's centre in the world.
-    #[must_use]
     pub fn centre(&self) -> Vector3<f64> {
         self.c2w.translation
     }
 
     /// Pixel coordinates (centre of the first pixel: 0, 0) and z-depth of a world point; the pixel
     /// means nothing where the depth is not above 0.
-    #[must_use]
     pub fn project(&self, world: &Vector3<f64>) -> ([f64; 2], f64) {
         let k = &self.intrinsics;
         let p = self.w2c().transform(world);
@@ -73,7 +67,6 @@ impl Camera {
 
     /// The world point at pixel coordinates `(u, v)` (centre of the first pixel: 0, 0) and z-depth `z`
     /// (Minute4D Eq. 4).
-    #[must_use]
     pub fn unproject(&self, u: f64, v: f64, z: f64) -> Vector3<f64> {
         let k = &self.intrinsics;
         let p = Vector3::new((u + 0.5 - k.cx) / k.fx * z, (v + 0.5 - k.cy) / k.fy * z, z);
@@ -81,7 +74,6 @@ impl Camera {
     }
 
     /// The same camera with an image of another size.
-    #[must_use]
     pub fn resized(&self, width: usize, height: usize) -> Self {
         Self { intrinsics: self.intrinsics.resized(width, height), c2w: self.c2w }
     }

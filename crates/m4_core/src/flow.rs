@@ -15,21 +15,18 @@ pub struct Flow {
 
 impl Flow {
     /// No displacement.
-    #[must_use]
     pub fn zero(width: usize, height: usize) -> Self {
         Self { width, height, u: vec![0.0; width * height], v: vec![0.0; width * height] }
     }
 
     /// Bilinear value at `(x, y)`, clamped to the image.
     #[inline]
-    #[must_use]
     pub fn at(&self, x: f32, y: f32) -> (f32, f32) {
         let mix = |p: &[f32]| bilinear(self.width, self.height, p, x, y);
         (mix(&self.u), mix(&self.v))
     }
 
     /// The same flow on an image of another size.
-    #[must_use]
     pub fn resized(&self, width: usize, height: usize) -> Self {
         let (sx, sy) = (width as f32 / self.width as f32, height as f32 / self.height as f32);
         let mut out = Self::zero(width, height);
@@ -45,7 +42,6 @@ impl Flow {
 
 /// Index of the upper left pixel of the 2x2 cell around `(x, y)` and the weights of its right and lower pixels.
 #[inline]
-#[must_use]
 pub fn bilinear_cell(width: usize, height: usize, x: f32, y: f32) -> (usize, f32, f32) {
     // A NaN becomes 0 in `max`, so the index is always inside.
     let x = x.max(0.0).min((width - 1) as f32);
@@ -56,7 +52,6 @@ pub fn bilinear_cell(width: usize, height: usize, x: f32, y: f32) -> (usize, f32
 
 /// Bilinear value of a plane `[height][width]`, both sides at least 2, at `(x, y)`, clamped to the image.
 #[inline]
-#[must_use]
 pub fn bilinear(width: usize, height: usize, plane: &[f32], x: f32, y: f32) -> f32 {
     let (i, wx, wy) = bilinear_cell(width, height, x, y);
     let top = plane[i] * (1.0 - wx) + plane[i + 1] * wx;

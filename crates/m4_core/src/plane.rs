@@ -1,6 +1,4 @@
-//! A dense two-dimensional array, row by row.
-
-use crate::ShapeError;
+//! A dense two-dimensional array, row by row, and the error of lengths that do not agree.
 
 /// `height` rows of `width` values.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
@@ -30,11 +28,7 @@ impl<T> TryFrom<Written<T>> for Plane<T> {
 }
 
 impl<T> Plane<T> {
-    /// Takes `data`, `[height][width]`.
-    ///
-    /// # Errors
-    ///
-    /// [`ShapeError`] if `data` does not hold `width * height` values.
+    /// Takes `data`, `[height][width]`. Fails with [`ShapeError`] if `data` does not hold `width * height` values.
     pub fn from_vec(width: usize, height: usize, data: Vec<T>) -> Result<Self, ShapeError> {
         ShapeError::check("plane", width * height, data.len())?;
         Ok(Self { width, height, data })
@@ -47,25 +41,21 @@ impl<T> Plane<T> {
     }
 
     /// Columns.
-    #[must_use]
     pub fn width(&self) -> usize {
         self.width
     }
 
     /// Rows.
-    #[must_use]
     pub fn height(&self) -> usize {
         self.height
     }
 
     /// `(width, height)`.
-    #[must_use]
     pub fn size(&self) -> (usize, usize) {
         (self.width, self.height)
     }
 
     /// All values, row by row.
-    #[must_use]
     pub fn data(&self) -> &[T] {
         &self.data
     }
@@ -82,7 +72,6 @@ impl<T> Plane<T> {
     }
 
     /// Row `y`.
-    #[must_use]
     pub fn row(&self, y: usize) -> &[T] {
         &self.data[y * self.width..(y + 1) * self.width]
     }
@@ -117,5 +106,24 @@ impl<T> std::ops::Index<(usize, usize)> for Plane<T> {
 impl<T> std::ops::IndexMut<(usize, usize)> for Plane<T> {
     fn index_mut(&mut self, (x, y): (usize, usize)) -> &mut T {
         &mut self.data[y * self.width + x]
+    }
+}
+
+/// Two lengths that must agree do not.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("{what} has {found} entries where {expected} were expected")]
+pub struct ShapeError {
+    /// The column or plane at fault.
+    pub what: &'static str,
+    /// The length that the rest of the data implies.
+    pub expected: usize,
+    /// The length that was found.
+    pub found: usize,
+}
+
+impl ShapeError {
+    /// Fails unless `found == expected`. Fails with [`ShapeError`] naming `what` when the lengths differ.
+    pub fn check(what: &'static str, expected: usize, found: usize) -> Result<(), Self> {
+        if found == expected { Ok(()) } else { Err(Self { what, expected, found }) }
     }
 }

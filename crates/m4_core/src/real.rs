@@ -1,4 +1,4 @@
-//! The scalar that every reference kernel is generic over.
+//! The scalar that every reference kernel is generic over, and order statistics of it.
 
 use nalgebra::RealField;
 use std::cmp::Ordering;
@@ -41,5 +41,33 @@ impl Real for f64 {
 
     fn order(&self, other: &Self) -> Ordering {
         self.total_cmp(other)
+    }
+}
+
+/// Returns the value of the nearest rank below which a share `q` (0..=1) of `values` lies; `None` if there are none. Reorders `values`.
+pub fn quantile<T: Real>(values: &mut [T], q: f64) -> Option<T> {
+    let last = values.len().checked_sub(1)?;
+    let rank = (q * last as f64).round() as usize;
+    Some(*values.select_nth_unstable_by(rank.min(last), T::order).1)
+}
+
+/// Returns the middle value, the upper one of two; `None` if there are none. Reorders `values`.
+pub fn median<T: Real>(values: &mut [T]) -> Option<T> {
+    quantile(values, 0.5)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{median, quantile};
+
+    #[test]
+    fn quantiles_are_values_of_the_nearest_rank() {
+        let values = [4.0_f32, 1.0, 3.0, 2.0];
+        assert_eq!([0.0, 0.3, 0.9, 1.0].map(|q| quantile(&mut values.clone(), q)), [1.0, 2.0, 4.0, 4.0].map(Some));
+        for n in 1..9 {
+            let mut values: Vec<f64> = (0..n).rev().map(f64::from).collect();
+            assert_eq!(median(&mut values), Some(f64::from(n / 2)), "{n}");
+        }
+        assert_eq!(median::<f64>(&mut []), None);
     }
 }

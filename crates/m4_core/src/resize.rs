@@ -1,4 +1,4 @@
-//! Resizes images as Pillow does, which networks were trained with: the filter is as wide as a new pixel where images become
+//! Dilation of masks, and resizing of images as Pillow does it, which networks were trained with: the filter is as wide as a new pixel where images become
 //! smaller, works along rows and then along columns, and is rounded to bytes after each. In whole numbers, as Pillow's, so that
 //! the bytes are the same.
 
@@ -73,7 +73,6 @@ fn mixed<'a>(weights: &[i32], pixels: impl Iterator<Item = &'a [u8; 3]>) -> [u8;
 }
 
 /// The image at `width` x `height` pixels; `None` if a side of the one or the other is zero.
-#[must_use]
 pub fn resize_rgb(image: &RgbImage, width: usize, height: usize, filter: ResizeFilter) -> Option<RgbImage> {
     if image.size() == (width, height) {
         return Some(image.clone());
@@ -105,9 +104,30 @@ fn along_rows(image: &RgbImage, width: usize, filter: ResizeFilter) -> RgbImage 
     out
 }
 
+/// Returns the greatest value within `radius` pixels, in the larger of the two directions, of each pixel of a mask
+/// `[height][width]`: a dilation by a square of side `2 radius + 1`.
+pub fn dilated<T: Copy + Ord>(mask: &[T], width: usize, height: usize, radius: usize) -> Vec<T> {
+    let reach = |i: usize, n: usize| i.saturating_sub(radius)..(i + radius + 1).min(n);
+    let mut rows = mask.to_vec();
+    for (out, row) in rows.chunks_mut(width.max(1)).zip(mask.chunks(width.max(1))) {
+        for (x, out) in out.iter_mut().enumerate() {
+            *out = row[reach(x, width)].iter().copied().max().unwrap_or(*out);
+        }
+    }
+    let mut out = rows.clone();
+    for y in 0..height {
+        for other in reach(y, height) {
+            for x in 0..width {
+                out[y * width + x] = out[y * width + x].max(rows[other * width + x]);
+            }
+        }
+    }
+    out
+}
+
 #[cfg(test)]
 mod tests {
-    use super::{ResizeFilter, resize_rgb};
+    use super::{ResizeFilter, dilated, resize_rgb};
     use crate::Plane;
 
     #[test]
@@ -134,5 +154,17 @@ mod tests {
         let image = Plane::filled(4, 4, [9; 3]);
         assert!(resize_rgb(&image, 0, 4, ResizeFilter::Triangle).is_none());
         assert!(resize_rgb(&Plane::filled(0, 0, [0; 3]), 4, 4, ResizeFilter::Triangle).is_none());
+    }
+
+    #[test]
+    fn dilation_is_a_square_that_stays_inside() {
+        let mut mask = vec![false; 5 * 4];
+        mask[0] = true;
+        mask[2 * 5 + 4] = true;
+        let wide = dilated(&mask, 5, 4, 1);
+        let got: Vec<usize> = (0..20).filter(|&i| wide[i]).collect();
+        assert_eq!(got, [0, 1, 5, 6, 8, 9, 13, 14, 18, 19]);
+        assert_eq!(dilated(&mask, 5, 4, 0), mask);
+        assert_eq!(dilated::<u8>(&[], 0, 0, 3), []);
     }
 }

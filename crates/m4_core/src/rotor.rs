@@ -1,9 +1,8 @@
 //! Pairs of unit quaternions as rotations of space-time (docs/spec/optimiser.md 1.2).
 //!
-//! A space-time vector in storage order `(x, y, z, t)` is the quaternion `t + x i + y j + z k`; the
-//! rotor pair `(l, r)` acts as `v -> l v conj(r)`. With `l == r` the time axis stays where it is and
-//! the rest is the spatial rotation of [`crate::quat`]; any other pair tilts the time axis, which is
-//! a velocity.
+//! A space-time vector in storage order `(x, y, z, t)` is the quaternion `t + x i + y j + z k`; the rotor pair `(l, r)`
+//! acts as `v -> l v conj(r)`. With `l == r` the time axis stays where it is and the rest is the spatial rotation of
+//! [`crate::quat`]; any other pair tilts the time axis, which is a velocity.
 
 use crate::Real;
 use nalgebra::{Matrix4, Vector4};
@@ -35,8 +34,7 @@ pub fn rotation<T: Real>(l: &Vector4<T>, r: &Vector4<T>) -> Matrix4<T> {
     to_storage_order(&(left(&l.normalize()) * right_conj(&r.normalize())))
 }
 
-/// Gradients with respect to the unnormalised `l` and `r`, given `g` with respect to
-/// [`rotation`]`(l, r)`.
+/// Gradients with respect to the unnormalised `l` and `r`, given `g` with respect to [`rotation`]`(l, r)`.
 pub fn rotation_vjp<T: Real>(l: &Vector4<T>, r: &Vector4<T>, g: &Matrix4<T>) -> (Vector4<T>, Vector4<T>) {
     let (l_unit, r_unit) = (l.normalize(), r.normalize());
     let g = to_quaternion_order(g);

@@ -16,7 +16,6 @@ pub struct Sim3 {
 
 impl Sim3 {
     /// The similarity that moves nothing.
-    #[must_use]
     pub fn identity() -> Self {
         Self { scale: 1.0, rotation: Matrix3::identity(), translation: Vector3::zeros() }
     }
@@ -26,7 +25,6 @@ impl Sim3 {
     /// Points on a line leave the rotation about that line undetermined: one of the minimisers is
     /// returned. `None` when the slices differ in length, hold fewer than two points, hold a value
     /// that is not finite, or when either set has no extent.
-    #[must_use]
     pub fn umeyama(source: &[Vector3<f64>], target: &[Vector3<f64>]) -> Option<Self> {
         if source.len() != target.len() || source.len() < 2 {
             return None;
@@ -62,20 +60,17 @@ impl Sim3 {
     }
 
     /// The image of a point.
-    #[must_use]
     pub fn transform(&self, x: &Vector3<f64>) -> Vector3<f64> {
         self.rotation * x * self.scale + self.translation
     }
 
     /// The image of a camera-to-world pose: its centre is moved, its axes are turned. Depths seen
     /// from the camera must be multiplied by [`Self::scale`].
-    #[must_use]
     pub fn transform_pose(&self, c2w: &Se3<f64>) -> Se3<f64> {
         Se3 { rotation: self.rotation * c2w.rotation, translation: self.transform(&c2w.translation) }
     }
 
     /// The similarity that undoes this one.
-    #[must_use]
     pub fn inverse(&self) -> Self {
         let (rotation, scale) = (self.rotation.transpose(), 1.0 / self.scale);
         Self { scale, rotation, translation: -(rotation * self.translation * scale) }

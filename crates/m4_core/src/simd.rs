@@ -25,10 +25,7 @@ pub struct SimdLevel(Level);
 
 impl SimdLevel {
     /// The level that [`ENV`] names, or else the best one.
-    ///
-    /// # Errors
-    ///
-    /// [`SimdLevelError`] if the variable names a level that this machine does not have.
+    /// Fails with [`SimdLevelError`] if the variable names a level that this machine does not have.
     pub fn detect() -> Result<Self, SimdLevelError> {
         match std::env::var(ENV) {
             Ok(name) if !name.is_empty() => Self::named(&name),
@@ -37,16 +34,11 @@ impl SimdLevel {
     }
 
     /// The best level of this machine, whatever the environment says.
-    #[must_use]
     pub fn best() -> Self {
         Self(Level::new())
     }
 
-    /// The level of that [`name`](Self::name).
-    ///
-    /// # Errors
-    ///
-    /// [`SimdLevelError`] if this machine does not have it.
+    /// The level of that [`name`](Self::name). Fails with [`SimdLevelError`] if this machine does not have it.
     pub fn named(name: &str) -> Result<Self, SimdLevelError> {
         let all = Self::available();
         all.iter()
@@ -56,7 +48,6 @@ impl SimdLevel {
     }
 
     /// Every level that this machine has, the baseline of its architecture first.
-    #[must_use]
     pub fn available() -> Vec<Self> {
         let best = Level::new();
         #[cfg(target_arch = "x86_64")]

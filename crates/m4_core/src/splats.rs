@@ -27,31 +27,26 @@ pub struct SplatLayout {
 
 impl SplatLayout {
     /// Spatial harmonics a colour channel: `(sh_degree + 1)^2`.
-    #[must_use]
     pub fn sh_terms(&self) -> usize {
         (self.sh_degree + 1) * (self.sh_degree + 1)
     }
 
     /// Colour coefficients per channel: spatial terms times temporal terms, temporal index major.
-    #[must_use]
     pub fn colour_terms(&self) -> usize {
         self.sh_terms() * (self.time_degree + 1)
     }
 
     /// Columns that every splat has.
-    #[must_use]
     pub fn shared_columns(&self) -> usize {
         self.column(Column::TimeMean)
     }
 
     /// All columns, those of dynamic splats included.
-    #[must_use]
     pub fn columns(&self) -> usize {
         self.shared_columns() + 5
     }
 
     /// Index of the first (for vectors: the x or w) column of a parameter.
-    #[must_use]
     pub fn column(&self, column: Column) -> usize {
         let shape = if self.isotropic { 1 } else { 3 + 4 };
         match column {
@@ -67,25 +62,13 @@ impl SplatLayout {
     }
 
     /// The columns of a parameter; empty for the quaternion of isotropic splats.
-    #[must_use]
     pub fn range(&self, column: Column) -> Range<usize> {
         let start = self.column(column);
+        let (scales, quats) = if self.isotropic { (1, 0) } else { (3, 4) };
         let len = match column {
             Column::Mean | Column::Velocity => 3,
-            Column::LogScale => {
-                if self.isotropic {
-                    1
-                } else {
-                    3
-                }
-            }
-            Column::Quat => {
-                if self.isotropic {
-                    0
-                } else {
-                    4
-                }
-            }
+            Column::LogScale => scales,
+            Column::Quat => quats,
             Column::Colour => 3 * self.colour_terms(),
             Column::Opacity | Column::TimeMean | Column::LogTimeSd => 1,
         };
@@ -139,7 +122,6 @@ impl Clone for Splats {
 
 impl Splats {
     /// Splats with every parameter 0.
-    #[must_use]
     pub fn zeros(layout: SplatLayout, n_static: usize, n_dynamic: usize) -> Self {
         let shared = layout.shared_columns();
         let columns = (0..layout.columns())
@@ -149,10 +131,7 @@ impl Splats {
     }
 
     /// Takes columns in the order of [`SplatLayout::column`].
-    ///
-    /// # Errors
-    ///
-    /// [`ShapeError`] if a column is missing or has the wrong length.
+    /// Fails with [`ShapeError`] if a column is missing or has the wrong length.
     pub fn from_columns(
         layout: SplatLayout,
         n_static: usize,
@@ -169,31 +148,26 @@ impl Splats {
     }
 
     /// Which columns there are.
-    #[must_use]
     pub fn layout(&self) -> SplatLayout {
         self.layout
     }
 
     /// The number of them.
-    #[must_use]
     pub fn n(&self) -> usize {
         self.n_static + self.n_dynamic
     }
 
     /// Number of splats without time parameters: rows `0..n_static` of the shared columns.
-    #[must_use]
     pub fn n_static(&self) -> usize {
         self.n_static
     }
 
     /// Number of splats with time parameters: row `i` of a time column is row `n_static + i` of the others.
-    #[must_use]
     pub fn n_dynamic(&self) -> usize {
         self.n_dynamic
     }
 
     /// Every column.
-    #[must_use]
     pub fn columns(&self) -> &[Vec<f32>] {
         &self.columns
     }
@@ -204,7 +178,6 @@ impl Splats {
     }
 
     /// Column `offset` of a parameter.
-    #[must_use]
     pub fn column(&self, column: Column, offset: usize) -> &[f32] {
         &self.columns[self.layout.column(column) + offset]
     }
@@ -215,10 +188,7 @@ impl Splats {
     }
 
     /// The rows named, in that order; a row may be named more than once. Static rows must come first.
-    ///
-    /// # Errors
-    ///
-    /// [`ShapeError`] if a row does not exist or a static row follows a dynamic one.
+    /// Fails with [`ShapeError`] if a row does not exist or a static row follows a dynamic one.
     pub fn gather(&self, rows: &[u32]) -> Result<Self, ShapeError> {
         let (n_static, n_dynamic) = self.check_rows(rows)?;
         let mut columns = Vec::with_capacity(self.columns.len());
@@ -230,12 +200,8 @@ impl Splats {
         Ok(Self { layout: self.layout, n_static, n_dynamic, columns })
     }
 
-    /// Becomes [`gather`](Self::gather) of itself, one column after the other: with memory for one more
-    /// column instead of all.
-    ///
-    /// # Errors
-    ///
-    /// As [`gather`](Self::gather); nothing is changed then.
+    /// Becomes [`gather`](Self::gather) of itself, one column after the other: with memory for one more column instead
+    /// of all. Fails as [`gather`](Self::gather); nothing is changed then.
     pub fn rearrange(&mut self, rows: &[u32]) -> Result<(), ShapeError> {
         let (n_static, n_dynamic) = self.check_rows(rows)?;
         let mut columns = std::mem::take(&mut self.columns);
@@ -271,7 +237,6 @@ impl Splats {
     }
 
     /// True when every parameter is a finite number.
-    #[must_use]
     pub fn is_finite(&self) -> bool {
         self.columns.iter().flatten().all(|v| v.is_finite())
     }

@@ -46,35 +46,30 @@ pub type TrainState<'a> = BTreeMap<String, StateTensor<'a>>;
 
 impl<'a> StateTensor<'a> {
     /// A vector of 32-bit floats.
-    #[must_use]
     pub fn f32(data: impl Into<Cow<'a, [f32]>>) -> Self {
         let data = data.into();
         Self::F32 { shape: vec![data.len()], data }
     }
 
     /// A vector of 32-bit unsigned integers.
-    #[must_use]
     pub fn u32(data: impl Into<Cow<'a, [u32]>>) -> Self {
         let data = data.into();
         Self::U32 { shape: vec![data.len()], data }
     }
 
     /// A vector of bytes.
-    #[must_use]
     pub fn u8(data: impl Into<Cow<'a, [u8]>>) -> Self {
         let data = data.into();
         Self::U8 { shape: vec![data.len()], data }
     }
 
     /// A vector of 64-bit floats.
-    #[must_use]
     pub fn f64(data: impl Into<Cow<'a, [f64]>>) -> Self {
         let data = data.into();
         Self::F64 { shape: vec![data.len()], data }
     }
 
     /// The same array, borrowed from this one.
-    #[must_use]
     pub fn view(&self) -> StateTensor<'_> {
         let shape = self.shape().to_vec();
         match self {
@@ -86,7 +81,6 @@ impl<'a> StateTensor<'a> {
     }
 
     /// Extent of each axis, outermost first.
-    #[must_use]
     pub fn shape(&self) -> &[usize] {
         match self {
             Self::F32 { shape, .. } | Self::U32 { shape, .. } | Self::U8 { shape, .. } | Self::F64 { shape, .. } => {
@@ -96,7 +90,6 @@ impl<'a> StateTensor<'a> {
     }
 
     /// Number of values.
-    #[must_use]
     pub fn len(&self) -> usize {
         match self {
             Self::F32 { data, .. } => data.len(),
@@ -107,16 +100,12 @@ impl<'a> StateTensor<'a> {
     }
 
     /// True when it holds none.
-    #[must_use]
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
 
     /// Fails unless the shape and the number of values agree.
-    ///
-    /// # Errors
-    ///
-    /// [`ShapeError`] when they do not, or when the product of the shape overflows.
+    /// Fails with [`ShapeError`] when they do not, or when the product of the shape overflows.
     pub fn check(&self) -> Result<(), ShapeError> {
         let expected = self.shape().iter().try_fold(1usize, |n, &extent| n.checked_mul(extent));
         ShapeError::check("state tensor", expected.unwrap_or(usize::MAX), self.len())

@@ -52,10 +52,7 @@ impl TryFrom<Written> for Tracks {
 impl Tracks {
     /// `count` tracks over `frames` frames: places `[frames][count]` and whether the point was seen there, `[frames][count]`.
     /// Places that are not known, in whole or in part, count as not seen.
-    ///
-    /// # Errors
-    ///
-    /// [`ShapeError`] when a length is not `frames * count`.
+    /// Fails with [`ShapeError`] when a length is not `frames * count`.
     pub fn new(frames: usize, count: usize, xyz: Vec<[f32; 3]>, mut visible: Vec<bool>) -> Result<Self, ShapeError> {
         let expected = frames.saturating_mul(count);
         ShapeError::check("places of tracks", expected, xyz.len())?;
@@ -66,69 +63,53 @@ impl Tracks {
         Ok(Self { frames, count, xyz, visible, rgb: None, confidence: None })
     }
 
-    /// The same with a colour per track, sRGB.
-    ///
-    /// # Errors
-    ///
-    /// [`ShapeError`] when there is not one per track.
+    /// The same with a colour per track, sRGB. Fails with [`ShapeError`] when there is not one per track.
     pub fn with_colours(self, rgb: Vec<[u8; 3]>) -> Result<Self, ShapeError> {
         ShapeError::check("colours of tracks", self.count, rgb.len())?;
         Ok(Self { rgb: Some(rgb), ..self })
     }
 
     /// The same with the confidence of each position, 0..1, `[frames][count]`, stored in steps of 1/255; NaN counts as 0.
-    ///
-    /// # Errors
-    ///
-    /// [`ShapeError`] when there is not one per place.
+    /// Fails with [`ShapeError`] when there is not one per place.
     pub fn with_confidence(self, confidence: &[f32]) -> Result<Self, ShapeError> {
         // a NaN becomes 0 in the cast
         self.with_confidence_steps(confidence.iter().map(|c| (255.0 * c).round() as u8).collect())
     }
 
     /// The same with the confidence of each position, `[frames][count]`, 0 to 255.
-    ///
-    /// # Errors
-    ///
-    /// [`ShapeError`] when there is not one per place.
+    /// Fails with [`ShapeError`] when there is not one per place.
     pub fn with_confidence_steps(self, steps: Vec<u8>) -> Result<Self, ShapeError> {
         ShapeError::check("confidence of tracks", self.xyz.len(), steps.len())?;
         Ok(Self { confidence: Some(steps), ..self })
     }
 
     /// Number of frames.
-    #[must_use]
     pub fn frames(&self) -> usize {
         self.frames
     }
 
     /// Number of tracks.
-    #[must_use]
     pub fn count(&self) -> usize {
         self.count
     }
 
     /// Places `[frames][count]`, world units; NaN where unknown.
-    #[must_use]
     pub fn xyz(&self) -> &[[f32; 3]] {
         &self.xyz
     }
 
     /// `[frames][count]`: whether the point was seen.
-    #[must_use]
     pub fn visible(&self) -> &[bool] {
         &self.visible
     }
 
     /// One sRGB colour per track, where the tracker gave colours.
-    #[must_use]
     pub fn colours(&self) -> Option<&[[u8; 3]]> {
         self.rgb.as_deref()
     }
 
     /// Confidence of the position of a track in a frame, 0..1; without confidence from the tracker, 1 where the point was visible and
     /// else 0.
-    #[must_use]
     pub fn confidence(&self, frame: usize, track: usize) -> f32 {
         if frame >= self.frames || track >= self.count {
             return 0.0;
@@ -141,13 +122,11 @@ impl Tracks {
     }
 
     /// Confidence of each position, `[frames][count]`, 0 to 255, if the tracker gave it.
-    #[must_use]
     pub fn confidence_steps(&self) -> Option<&[u8]> {
         self.confidence.as_deref()
     }
 
     /// Position of a track in a frame; `None` where it is unknown, or beyond the last frame or track.
-    #[must_use]
     pub fn place(&self, frame: usize, track: usize) -> Option<[f32; 3]> {
         if frame >= self.frames || track >= self.count {
             return None;
@@ -165,10 +144,7 @@ impl Tracks {
     }
 
     /// The same tracks over frames in another order: frame `i` of the result is frame `order[i]` of these.
-    ///
-    /// # Errors
-    ///
-    /// [`ShapeError`] when `order` names a frame that is missing.
+    /// Fails with [`ShapeError`] when `order` names a frame that is missing.
     pub fn in_order(&self, order: &[usize]) -> Result<Self, ShapeError> {
         if let Some(&frame) = order.iter().find(|&&i| i >= self.frames) {
             return Err(ShapeError { what: "frames of tracks", expected: self.frames, found: frame + 1 });

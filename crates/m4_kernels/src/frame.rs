@@ -1,4 +1,4 @@
-//! The inputs and outputs of one frame, shared by all versions of the kernels.
+//! The inputs and outputs of one frame, shared by all versions of the kernels, and statistics of training steps.
 
 use m4_core::{Camera, Splats};
 
@@ -58,20 +58,6 @@ pub struct CameraGradient {
     pub intrinsics: [f64; 4],
 }
 
-/// What [`crate::Renderer::backward`] works out beside the gradient of the splats: nothing, unless asked for.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct Wanted {
-    /// [`Gradients::camera`], to correct poses and focal lengths.
-    pub camera: bool,
-    /// [`Gradients::means2d`].
-    pub means2d: bool,
-}
-
-impl Wanted {
-    /// Everything there is.
-    pub const ALL: Self = Self { camera: true, means2d: true };
-}
-
 /// The gradient of a loss with respect to splats and camera.
 #[derive(Debug, Clone, Default)]
 pub struct Gradients {
@@ -79,10 +65,7 @@ pub struct Gradients {
     pub columns: Vec<Vec<f32>>,
     /// `[n]`: 1 where the splat reached a pixel of this frame, else 0.
     pub touched: Vec<u8>,
-    /// x and y, `[n]` each: gradient with respect to the projected centre, pixels, the densification
-    /// statistic of 3DGS; rows that are not `touched` hold arbitrary values. Empty unless [`Wanted::means2d`].
-    pub means2d: [Vec<f32>; 2],
-    /// With respect to the camera; 0 unless [`Wanted::camera`].
+    /// With respect to the camera; 0 unless asked for.
     pub camera: CameraGradient,
     /// With respect to the background colour.
     pub background: [f32; 3],
@@ -91,21 +74,41 @@ pub struct Gradients {
 impl Gradients {
     /// Makes room for the gradients of `splats` alone, all untouched.
     pub fn reset(&mut self, splats: &Splats) {
-        self.resize(splats, Wanted::default());
+        self.resize(splats);
         self.touched.fill(0);
     }
 
     /// Makes room for the gradients of `splats`; what the rows hold is anything.
-    pub(crate) fn resize(&mut self, splats: &Splats, wanted: Wanted) {
+    pub(crate) fn resize(&mut self, splats: &Splats) {
         self.columns.resize_with(splats.columns().len(), Vec::new);
         for (gradient, column) in self.columns.iter_mut().zip(splats.columns()) {
             gradient.resize(column.len(), 0.0);
         }
         self.touched.resize(splats.n(), 0);
-        for gradient in &mut self.means2d {
-            gradient.resize(if wanted.means2d { splats.n() } else { 0 }, 0.0);
-        }
         self.camera = CameraGradient::default();
         self.background = [0.0; 3];
     }
+}
+
+/// What training steps found since the last time that they were asked.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct StepStats {
+    /// Steps; the rest is unspecified where there were none.
+    pub steps: usize,
+    /// Frames rendered: as many per step as a batch has.
+    pub frames: usize,
+    /// Mean of the absolute differences over channels, pixels and frames; not finite if an image was not.
+    pub l1: f64,
+    /// Mean structural similarity.
+    pub ssim: f64,
+    /// PSNR of the frame rendered last, dB, colours clamped to 0..1, at most 100; NaN where it was not measured.
+    pub psnr: f64,
+    /// Splats that a step moved, mean.
+    pub touched: f64,
+    /// Gradients of the cameras that were requested, in the order of the views, each with the number of its frame.
+    pub cameras: Vec<(usize, CameraGradient)>,
+    /// Gradients of the exposures that were requested, likewise: rows of the matrix, each followed by its offset.
+    pub exposures: Vec<(usize, [f64; 12])>,
+    /// No step moved a parameter to NaN or infinity.
+    pub splats_are_finite: bool,
 }

@@ -52,10 +52,8 @@ mod order;
 mod renderer;
 mod simd;
 mod stage;
-mod stats;
 
-pub use frame::{CameraGradient, Frame, FrameGradient, Gradients, View, Wanted};
+pub use frame::{CameraGradient, Frame, FrameGradient, Gradients, StepStats, View};
 pub use m4_core::{SIMD_ENV, SimdLevel, SimdLevelError};
 pub use order::morton_order;
 pub use renderer::{FrameStats, Renderer};
-pub use stats::StepStats;

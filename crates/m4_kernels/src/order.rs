@@ -6,7 +6,6 @@ use rayon::prelude::*;
 /// Rows in the order that makes neighbours in the image neighbours in memory: static splats first,
 /// along a Morton curve; dynamic splats by coarse time (64 slots between the first and the last
 /// `time_mean`), along a Morton curve within each slot. Give it to [`Splats::gather`].
-#[must_use]
 pub fn morton_order(splats: &Splats) -> Vec<u32> {
     let axes: [&[f32]; 3] = std::array::from_fn(|k| splats.column(Column::Mean, k));
     let times = splats.column(Column::TimeMean, 0);

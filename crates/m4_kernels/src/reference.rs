@@ -3,16 +3,10 @@
 //! Strings the reference kernels together without tiles, threads or SIMD: each pixel looks at every
 //! splat. This is what the twins are checked against; nothing outside tests calls it.
 
-mod exposure;
-mod types;
-
-pub use exposure::{expose, expose_vjp};
-pub use types::{Geometry, SceneGradient, Setup, Splat, splats_of};
-
 use crate::{
     blend::{
         ALPHA_MIN,
-        reference::{BlendGradient, CHANNELS, Cutoff, Ellipse, Image, blend, blend_vjp, blend_vjp_replay, walk},
+        reference::{BlendGradient, CHANNELS, Cutoff, Ellipse, Image, blend, blend_vjp, walk},
     },
     project::reference::{PinholeGradient, Projected, project, project_vjp},
     score::reference::score,
@@ -24,6 +18,9 @@ use crate::{
     tile_binning::reference::depth_order,
 };
 use m4_core::{Real, nalgebra::Vector2};
+pub use types::{Geometry, SceneGradient, Setup, Splat, splats_of};
+
+mod types;
 
 /// What was computed for one splat that is in the frame.
 #[derive(Debug, Clone)]
@@ -44,15 +41,6 @@ pub struct Rendered<T: Real> {
     /// The rows of [`Self::ellipses`] among the splats given.
     pub rows: Vec<usize>,
     drawn: Vec<Drawn<T>>,
-}
-
-/// Which of two equal forms of the compositing gradient to use.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum BackwardForm {
-    /// [`blend_vjp`].
-    BackToFront,
-    /// [`blend_vjp_replay`].
-    Replay,
 }
 
 fn sigmoid<T: Real>(x: T) -> T {
@@ -114,14 +102,9 @@ pub fn backward<T: Real, C: Cutoff>(
     setup: &Setup<T>,
     rendered: &Rendered<T>,
     g: &[[T; CHANNELS]],
-    form: BackwardForm,
 ) -> SceneGradient<T> {
-    let BlendGradient { splats: ellipses, background } = match form {
-        BackwardForm::BackToFront => {
-            blend_vjp::<T, C>(&rendered.ellipses, setup.width, setup.height, &setup.background, g)
-        }
-        BackwardForm::Replay => blend_vjp_replay::<T, C>(&rendered.ellipses, &rendered.image, g),
-    };
+    let BlendGradient { splats: ellipses, background } =
+        blend_vjp::<T, C>(&rendered.ellipses, setup.width, setup.height, &setup.background, g);
     let mut out = SceneGradient {
         splats: splats.iter().map(Splat::zero_like).collect(),
         touched: touched::<T, C>(splats.len(), rendered),
@@ -193,4 +176,28 @@ pub fn score_splats<T: Real>(n: usize, rendered: &Rendered<T>, weight: &[T]) -> 
         out[row] = score;
     }
     out
+}
+
+/// `c' = M c + b` for the colours of every pixel, `[M | b]` row by row (docs/spec/optimiser.md 8.4).
+pub fn expose<T: Real>(pixels: &[[T; CHANNELS]], exposure: &[[T; 4]; 3]) -> Vec<[T; 3]> {
+    pixels.iter().map(|p| exposure.map(|row| row[0] * p[0] + row[1] * p[1] + row[2] * p[2] + row[3])).collect()
+}
+
+/// Gradients with respect to the colours of every pixel and the exposure, given `g` with respect to [`expose`].
+pub fn expose_vjp<T: Real>(
+    pixels: &[[T; CHANNELS]],
+    exposure: &[[T; 4]; 3],
+    g: &[[T; 3]],
+) -> (Vec<[T; 3]>, [[T; 4]; 3]) {
+    let mut d_exposure = [[T::zero(); 4]; 3];
+    let d_pixels = pixels.iter().zip(g).map(|(p, g)| {
+        for (row, &g) in d_exposure.iter_mut().zip(g) {
+            for k in 0..3 {
+                row[k] += g * p[k];
+            }
+            row[3] += g;
+        }
+        std::array::from_fn(|k| exposure[0][k] * g[0] + exposure[1][k] * g[1] + exposure[2][k] * g[2])
+    });
+    (d_pixels.collect(), d_exposure)
 }

@@ -1,7 +1,7 @@
 //! The renderer on the CPU: splats to an image, and gradients back.
 
 use crate::{
-    CameraGradient, Frame, FrameGradient, Gradients, SimdLevel, View, Wanted,
+    CameraGradient, Frame, FrameGradient, Gradients, SimdLevel, View,
     blend::{
         cpu::{self as blend, Sums, Used},
         planes::{BandGradient, BandPlace, BandPlanes},
@@ -54,9 +54,8 @@ struct BandWork {
 
 /// Draws splats and takes the gradient of what it drew; keeps its memory from frame to frame.
 ///
-/// Work is cut into fixed chunks of rows and fixed bands of the image, whose results are joined in
-/// order: same splats, view and level, same bits, on any number of threads. It runs on rayon's
-/// current pool.
+/// Work is cut into fixed chunks of rows and fixed bands of the image, whose results are joined in order: same splats,
+/// view and level, same bits, on any number of threads. It runs on rayon's current pool.
 #[derive(Debug)]
 pub struct Renderer {
     level: SimdLevel,
@@ -72,7 +71,6 @@ pub struct Renderer {
 
 impl Renderer {
     /// A renderer without memory yet.
-    #[must_use]
     pub fn new(level: SimdLevel) -> Self {
         Self {
             level,
@@ -87,7 +85,6 @@ impl Renderer {
     }
 
     /// The instructions it runs on.
-    #[must_use]
     pub fn level(&self) -> SimdLevel {
         self.level
     }
@@ -175,23 +172,17 @@ impl Renderer {
     }
 
     /// What the last call of [`render`](Self::render) drew.
-    #[must_use]
     pub fn frame(&self) -> &Frame {
         &self.frame
     }
 
-    /// The gradient of a loss with respect to splats and camera, given that with respect to the frame
-    /// drawn last.
-    ///
-    /// # Panics
-    ///
-    /// If `splats` are not as many as those drawn, or a plane of `gradient` has another size than the
-    /// frame. Planes for alpha and depth may be empty (no gradient); depth needs
-    /// [`View::with_depth`].
-    pub fn backward(&mut self, splats: &Splats, gradient: &FrameGradient, wanted: Wanted, out: &mut Gradients) {
+    /// The gradient of a loss with respect to splats and camera, given that with respect to the frame drawn last.
+    /// Panics if `splats` are not as many as those drawn, or a plane of `gradient` has another size than the frame.
+    /// Planes for alpha and depth may be empty (no gradient); depth needs [`View::with_depth`].
+    pub fn backward(&mut self, splats: &Splats, gradient: &FrameGradient, with_camera: bool, out: &mut Gradients) {
         let start = Instant::now();
         self.check(splats.n());
-        out.resize(splats, wanted);
+        out.resize(splats);
         self.blend_backward(gradient);
         let blended = Instant::now();
         for work in &self.bands {
@@ -199,7 +190,7 @@ impl Renderer {
                 *sum += v as f32;
             }
         }
-        self.project_backward(splats, wanted.camera, out);
+        self.project_backward(splats, with_camera, out);
         self.stats.blend_backward = blended - start;
         self.stats.project_backward = blended.elapsed();
     }
@@ -274,11 +265,7 @@ impl Renderer {
     /// Adds to `out[i]` the sum of `weight` over the pixels that splat `i` was composited on, times
     /// its temporal marginal ([`crate::score`]); of the frame drawn last.
     ///
-    /// `weight` is `[height][width]`, `out` is `[n]`.
-    ///
-    /// # Panics
-    ///
-    /// If `weight` or `out` has another length than that.
+    /// `weight` is `[height][width]`, `out` is `[n]`. Panics if `weight` or `out` has another length than that.
     pub fn score(&mut self, weight: &[f32], out: &mut [f32]) {
         self.check(out.len());
         assert_eq!(weight.len(), self.frame.transmittance.len(), "score: one weight a pixel");
@@ -300,7 +287,6 @@ impl Renderer {
     }
 
     /// How much work the frame drawn last was.
-    #[must_use]
     pub fn stats(&self) -> FrameStats {
         // counted when asked for: training does not ask
         FrameStats {
@@ -337,7 +323,6 @@ fn split<'a>(chunks: &[Chunk], n_static: usize, out: &'a mut Gradients) -> Vec<C
     // columns of dynamic splats are shorter: they start at the first dynamic row
     let shared: Vec<bool> = columns.iter().map(|c| c.len() == n).collect();
     let mut touched = out.touched.as_mut_slice();
-    let mut means2d = out.means2d.each_mut().map(Vec::as_mut_slice);
     let mut parts = Vec::with_capacity(chunks.len());
     for chunk in chunks {
         let len = chunk.rows.len();
@@ -349,11 +334,7 @@ fn split<'a>(chunks: &[Chunk], n_static: usize, out: &'a mut Gradients) -> Vec<C
                 column.split_off_mut(..take).unwrap_or_default()
             })
             .collect();
-        parts.push(ChunkGradient {
-            columns: part,
-            touched: touched.split_off_mut(..len).unwrap_or_default(),
-            means2d: means2d.each_mut().map(|m| m.split_off_mut(..len).unwrap_or_default()),
-        });
+        parts.push(ChunkGradient { columns: part, touched: touched.split_off_mut(..len).unwrap_or_default() });
     }
     parts
 }

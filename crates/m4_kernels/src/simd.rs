@@ -15,54 +15,15 @@ pub(crate) fn all<S: Simd>(s: S, value: f32) -> f32x16<S> {
 /// `each!(3, k => f(k))` is `[f(0), f(1), f(2)]`. As `std::array::from_fn`, but certain to be compiled
 /// for the vector instructions of the function it stands in: a closure need not be.
 macro_rules! each {
-    (2, $i:ident => $value:expr) => {
-        [
-            {
-                let $i = 0;
-                $value
-            },
-            {
-                let $i = 1;
-                $value
-            },
-        ]
+    (@at $i:ident, $value:expr; $($k:literal)*) => {
+        [$({
+            let $i = $k;
+            $value
+        }),*]
     };
-    (3, $i:ident => $value:expr) => {
-        [
-            {
-                let $i = 0;
-                $value
-            },
-            {
-                let $i = 1;
-                $value
-            },
-            {
-                let $i = 2;
-                $value
-            },
-        ]
-    };
-    (4, $i:ident => $value:expr) => {
-        [
-            {
-                let $i = 0;
-                $value
-            },
-            {
-                let $i = 1;
-                $value
-            },
-            {
-                let $i = 2;
-                $value
-            },
-            {
-                let $i = 3;
-                $value
-            },
-        ]
-    };
+    (2, $i:ident => $value:expr) => { each!(@at $i, $value; 0 1) };
+    (3, $i:ident => $value:expr) => { each!(@at $i, $value; 0 1 2) };
+    (4, $i:ident => $value:expr) => { each!(@at $i, $value; 0 1 2 3) };
     ($n:expr, $i:ident => $value:expr) => {{
         let mut out = [{
             let $i = 0;
@@ -97,9 +58,8 @@ pub(crate) fn load<S: Simd>(s: S, column: &[f32], at: usize, fill: f32) -> f32x1
 /// Rows that are fetched together, see [`touch`].
 pub(crate) const FETCH_ROWS: usize = 8 * LANES;
 
-/// Reads one value of each cache line of `column[at..at + FETCH_ROWS]`. More columns than the processor
-/// follows on its own come into the cache much faster in such bunches of independent reads than line by
-/// line when they are needed.
+/// Reads one value of each cache line of `column[at..at + FETCH_ROWS]`. More columns than the processor follows on its
+/// own come into the cache much faster in such bunches of independent reads than line by line when they are needed.
 #[inline(always)]
 pub(crate) fn touch(column: &[f32], at: usize) {
     let rows = &column[at.min(column.len())..column.len().min(at + FETCH_ROWS)];

@@ -23,8 +23,6 @@ mod colour_fit;
 mod error;
 mod metrics;
 mod pace;
-mod pick;
-mod rates;
 mod refine;
 mod scale;
 mod schedule;

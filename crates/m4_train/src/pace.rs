@@ -8,7 +8,7 @@ use crate::{
     scale::SceneScale,
     trainer::{ARCS_AT, Trainer},
 };
-use m4_core::{Capture, Column, Splats};
+use m4_core::{Capture, Column, Splats, median};
 use m4_kernels::{SimdLevel, adam::cpu::AdamState};
 use rayon::prelude::*;
 use std::time::Instant;
@@ -27,10 +27,7 @@ const LEAST: usize = 50;
 /// The number of iterations that take `seconds` on rayon's current pool, or on a `backend`: trial steps on a copy of `splats` with what density control may add,
 /// and on one that is split into segments of arcs besides, which the second half of a run has. A multiple of 10, at least 50. Unlike everything else in this crate it depends on the machine: with the number that it returns,
 /// training is a function of its inputs again.
-///
-/// # Errors
-///
-/// As [`Trainer::new`] and [`Trainer::run`].
+/// Fails as [`Trainer::new`] and [`Trainer::run`].
 pub fn affordable_iterations(
     capture: &Capture,
     splats: &Splats,
@@ -132,8 +129,7 @@ fn trial(
     };
     steps(WARM_UP)?;
     let mut times = parts.into_iter().map(&mut steps).collect::<Result<Vec<f64>, _>>()?;
-    let middle = times.len() / 2;
-    Ok(*times.select_nth_unstable_by(middle, f64::total_cmp).1)
+    Ok(median(&mut times).unwrap_or(0.0))
 }
 
 #[cfg(test)]

@@ -1,6 +1,6 @@
 //! The size of the scene, in the unit of its poses.
 
-use m4_core::{Capture, nalgebra::Vector3};
+use m4_core::{Capture, median, nalgebra::Vector3};
 
 /// Lengths that rates and thresholds are measured in.
 #[derive(Debug, Clone, PartialEq)]
@@ -19,7 +19,6 @@ pub struct SceneScale {
 
 impl SceneScale {
     /// Measures a capture of at least one frame.
-    #[must_use]
     pub fn of(capture: &Capture) -> Self {
         let n = capture.frames.len().max(1);
         let centres: Vec<Vector3<f64>> = capture.frames.iter().map(|f| f.camera.centre()).collect();
@@ -29,12 +28,7 @@ impl SceneScale {
         for depth in capture.frames.iter().filter_map(|f| f.depth.as_ref()) {
             depths.extend(depth.every(37).filter(|z| z.is_finite() && *z > 0.0));
         }
-        let middle = depths.len() / 2;
-        let median_depth = if depths.is_empty() {
-            if cameras > 0.0 { cameras } else { 1.0 }
-        } else {
-            f64::from(*depths.select_nth_unstable_by(middle, f32::total_cmp).1)
-        };
+        let median_depth = median(&mut depths).map_or(if cameras > 0.0 { cameras } else { 1.0 }, f64::from);
         let focal: f64 = capture.frames.iter().map(|f| 0.5 * (f.camera.intrinsics.fx + f.camera.intrinsics.fy)).sum();
         Self {
             extent: cameras.max(0.1 * median_depth) as f32,
@@ -46,7 +40,6 @@ impl SceneScale {
     }
 
     /// Distance to the nearest of [`Self::centres`].
-    #[must_use]
     pub fn nearest_camera(&self, p: [f32; 3]) -> f32 {
         let square = |c: &[f32; 3]| (0..3).map(|k| (c[k] - p[k]) * (c[k] - p[k])).sum::<f32>();
         self.centres.iter().map(square).fold(f32::INFINITY, f32::min).sqrt()

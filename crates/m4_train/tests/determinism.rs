@@ -2,6 +2,7 @@
 #![expect(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
 
 use crate::common::{disturbed, video};
+use crate::on_threads;
 use m4_core::{Capture, Silent, Splats, StateTensor};
 use m4_kernels::SimdLevel;
 use m4_train::{DensityConfig, TrainConfig, TrainError, Trainer};
@@ -24,6 +25,19 @@ fn config(iterations: usize) -> TrainConfig {
     config
 }
 
+/// Two frames per step and a fit of colours besides.
+fn batched(iterations: usize) -> TrainConfig {
+    let mut config = TrainConfig::fast();
+    config.iterations = iterations;
+    config.batch = 2;
+    config.colour_fit_rounds = 2;
+    config.density = DensityConfig { from: 10, every: 10, prune_every: 20, ..DensityConfig::fast() };
+    config.refine.poses = true;
+    config.refine.exposure = true;
+    config.refine.from = 5;
+    config
+}
+
 fn finish(trainer: &mut Trainer<'_>) -> Splats {
     trainer.run(&Silent, &mut |_| {}).unwrap();
     trainer.splats().clone()
@@ -36,32 +50,33 @@ fn start(capture: &Capture, splats: Splats, config: TrainConfig) -> Trainer<'_> 
 #[test]
 fn threads_do_not_change_a_bit() {
     let (scene, capture) = video();
-    let run = |threads| {
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        pool.install(|| finish(&mut start(&capture, disturbed(&scene, 2), config(100))))
-    };
-    let (one, two) = (run(1), run(2));
-    assert_ne!(one.n(), scene.splats.n(), "density control did something");
-    assert_eq!(one.n(), two.n());
-    assert!(bits(&one) == bits(&two));
+    for config in [config(100), batched(40)] {
+        let run = |threads| on_threads(threads, || finish(&mut start(&capture, disturbed(&scene, 2), config.clone())));
+        let (one, two) = (run(1), run(2));
+        assert_ne!(one.n(), scene.splats.n(), "density control did something");
+        assert_eq!(one.n(), two.n());
+        assert!(bits(&one) == bits(&two));
+    }
 }
 
 #[test]
 fn a_resumed_run_ends_with_the_bits_of_an_uninterrupted_one() {
     let (scene, capture) = video();
-    let mut whole = start(&capture, disturbed(&scene, 3), config(200));
-    finish(&mut whole);
-
-    let mut half = start(&capture, disturbed(&scene, 3), config(200));
-    half.run_until(100, &Silent, &mut |_| {}).unwrap();
-    let (saved, state) = (half.scene(), half.state());
-    let mut rest = Trainer::resume(&capture, saved.splats, &state, config(200), SimdLevel::best()).unwrap();
-    assert_eq!(rest.iteration(), 100);
-    finish(&mut rest);
-
-    assert!(bits(whole.splats()) == bits(rest.splats()));
-    assert_eq!(whole.state(), rest.state());
-    assert_eq!(whole.scene(), rest.scene());
+    for (config, stops) in [(config(200), &[100][..]), (batched(60), &[30, 37])] {
+        let mut whole = start(&capture, disturbed(&scene, 3), config.clone());
+        finish(&mut whole);
+        for &stop in stops {
+            let mut half = start(&capture, disturbed(&scene, 3), config.clone());
+            half.run_until(stop, &Silent, &mut |_| {}).unwrap();
+            let (saved, state) = (half.scene(), half.state());
+            let mut rest = Trainer::resume(&capture, saved.splats, &state, config.clone(), SimdLevel::best()).unwrap();
+            assert_eq!(rest.iteration(), stop);
+            finish(&mut rest);
+            assert!(bits(whole.splats()) == bits(rest.splats()), "stopped at {stop}");
+            assert_eq!(whole.state(), rest.state());
+            assert_eq!(whole.scene(), rest.scene());
+        }
+    }
 }
 
 #[test]

@@ -92,53 +92,6 @@ fn a_batch_looks_at_the_frames_that_as_many_steps_would() {
     }
 }
 
-/// Everything of this page at once.
-fn everything(iterations: usize) -> TrainConfig {
-    let mut config = TrainConfig::fast();
-    config.iterations = iterations;
-    config.batch = 2;
-    config.colour_fit_rounds = 2;
-    config.density = DensityConfig { from: 10, every: 10, prune_every: 20, ..DensityConfig::fast() };
-    config.refine.poses = true;
-    config.refine.exposure = true;
-    config.refine.from = 5;
-    config
-}
-
-fn bits(splats: &Splats) -> Vec<u32> {
-    splats.columns().iter().flatten().map(|v| v.to_bits()).collect()
-}
-
-#[test]
-fn threads_do_not_change_a_bit() {
-    let (scene, capture) = video();
-    let run = |threads| {
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        pool.install(|| {
-            let mut trainer = start(&capture, disturbed(&scene, 2), everything(40));
-            trainer.run(&Silent, &mut |_| {}).unwrap();
-            bits(trainer.splats())
-        })
-    };
-    assert!(run(1) == run(2));
-}
-
-#[test]
-fn a_resumed_run_ends_with_the_bits_of_an_uninterrupted_one() {
-    let (scene, capture) = video();
-    let mut whole = start(&capture, disturbed(&scene, 3), everything(60));
-    whole.run(&Silent, &mut |_| {}).unwrap();
-    for stop in [30, 37] {
-        let mut half = start(&capture, disturbed(&scene, 3), everything(60));
-        half.run_until(stop, &Silent, &mut |_| {}).unwrap();
-        let (saved, state) = (half.scene(), half.state());
-        let mut rest = Trainer::resume(&capture, saved.splats, &state, everything(60), SimdLevel::best()).unwrap();
-        rest.run(&Silent, &mut |_| {}).unwrap();
-        assert!(bits(whole.splats()) == bits(rest.splats()), "stopped at {stop}");
-        assert_eq!(whole.state(), rest.state());
-    }
-}
-
 #[test]
 fn fitted_colours_are_nearer_to_the_video_and_touch_nothing_else() {
     let (scene, capture) = video();

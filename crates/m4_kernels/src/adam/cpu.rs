@@ -47,7 +47,6 @@ pub struct AdamState {
 
 impl AdamState {
     /// Nothing seen yet.
-    #[must_use]
     pub fn new(splats: &Splats) -> Self {
         let zero = Splats::zeros(splats.layout(), splats.n_static(), splats.n_dynamic());
         Self { m: zero.clone(), v: zero, step: vec![0; splats.n()] }
@@ -73,12 +72,8 @@ impl AdamState {
 /// share stays in the first-level cache.
 const CHUNK_ROWS: usize = 8192;
 
-/// One step of every splat that `gradients` touch (of every splat unless `config.sparse`).
-/// `lr` holds one learning rate per column, in the order of [`Splats::columns`].
-///
-/// # Panics
-///
-/// If `lr`, `gradients` or `state` do not fit `splats`.
+/// One step of every splat that `gradients` touch (of every splat unless `config.sparse`). `lr` holds one learning rate
+/// per column, in the order of [`Splats::columns`]. Panics if `lr`, `gradients` or `state` do not fit `splats`.
 pub fn step(
     level: SimdLevel,
     splats: &mut Splats,

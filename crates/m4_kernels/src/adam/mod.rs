@@ -6,9 +6,8 @@
 //! x -= rate (m / (1 - beta1^count)) / (sqrt(v / (1 - beta2^count)) + epsilon)
 //! ```
 //!
-//! Rows that are not touched keep parameter, moments and count as they are: a splat that is seen in
-//! one frame of twenty is not dragged on by old momentum in the other nineteen. `count` is the value
-//! *after* this step's increment.
+//! Rows that are not touched keep parameter, moments and count as they are: a splat that is seen in one frame of twenty
+//! is not dragged on by old momentum in the other nineteen. `count` is the value *after* this step's increment.
 
 pub mod cpu;
 #[cfg(feature = "gpu")]

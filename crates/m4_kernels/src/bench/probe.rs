@@ -45,7 +45,6 @@ pub struct Probe {
 impl Probe {
     /// Measures for about a tenth of a second; `bytes` is the size of both arrays, all threads together.
     /// Give it what a step moves: what fits a cache moves at the speed of that cache.
-    #[must_use]
     pub fn run(level: SimdLevel, bytes: usize) -> Self {
         let threads = rayon::current_num_threads();
         let len = (bytes / (2 * size_of::<f32>() * threads)).max(1024);
@@ -122,7 +121,7 @@ fn chains<S: Simd, const N: usize>(s: S, factor: f32) -> f32 {
 
 #[cfg(test)]
 mod tests {
-    use super::{PEAK_EVALUATIONS, Probe};
+    use super::Probe;
     use crate::SimdLevel;
 
     #[test]
@@ -131,13 +130,6 @@ mod tests {
             let probe = Probe::run(level, 1 << 20);
             assert!((1e8..1e14).contains(&probe.bytes_per_s), "{level}: {probe:?}");
             assert!((1e8..1e14).contains(&probe.operations_per_s), "{level}: {probe:?}");
-        }
-    }
-
-    #[test]
-    fn wider_vectors_have_higher_peaks() {
-        for pair in PEAK_EVALUATIONS.windows(2) {
-            assert!(pair[0].forward < pair[1].forward && pair[0].backward < pair[1].backward);
         }
     }
 }

@@ -2,7 +2,7 @@
 
 use super::{Counts, Kernel, SceneKind, scene, useful_evaluations};
 use crate::{
-    FrameGradient, Gradients, Renderer, SimdLevel, View, Wanted,
+    FrameGradient, Gradients, Renderer, SimdLevel, View,
     adam::cpu::{self as adam, AdamConfig, AdamState},
     loss::cpu::{self as photometric, LossScratch, Target},
     morton_order,
@@ -49,11 +49,7 @@ pub struct BenchScene {
 }
 
 impl BenchScene {
-    /// The scene of `config`.
-    ///
-    /// # Errors
-    ///
-    /// [`ShapeError`] if the kernels contradict one another; not on any `config`.
+    /// The scene of `config`. Fails with [`ShapeError`] if the kernels contradict one another; not on any `config`.
     pub fn new(config: &SceneConfig) -> Result<Self, ShapeError> {
         let SceneConfig { width, height, kind, .. } = *config;
         let splats = scene::splats(config.splats, (width, height), kind, config.sh_degree.min(3));
@@ -90,11 +86,7 @@ pub struct Bench {
 }
 
 impl Bench {
-    /// Ready for the first step.
-    ///
-    /// # Errors
-    ///
-    /// As [`BenchScene::new`].
+    /// Ready for the first step. Fails as [`BenchScene::new`].
     pub fn new(level: SimdLevel, config: &SceneConfig) -> Result<Self, ShapeError> {
         let scene = BenchScene::new(config)?;
         Ok(Self {
@@ -116,7 +108,6 @@ impl Bench {
     }
 
     /// Views to step or render.
-    #[must_use]
     pub fn views(&self) -> usize {
         self.scene.views.len()
     }
@@ -145,7 +136,7 @@ impl Bench {
         let (target, gradient) = (&self.scene.target, &mut self.gradient.rgb);
         let loss = photometric::loss(self.level, target, &frame.rgb, LAMBDA_SSIM, &mut self.scratch, gradient);
         let photo = drawn.elapsed();
-        self.renderer.backward(&self.scene.splats, &self.gradient, Wanted::default(), &mut self.gradients);
+        self.renderer.backward(&self.scene.splats, &self.gradient, false, &mut self.gradients);
         let backward = Instant::now();
         adam::step(
             self.level,
@@ -183,13 +174,13 @@ impl Bench {
             &mut self.scratch,
             &mut self.gradient.rgb,
         );
-        self.renderer.backward(splats, &self.gradient, Wanted::default(), &mut self.gradients);
+        self.renderer.backward(splats, &self.gradient, false, &mut self.gradients);
         let stats = self.renderer.stats();
         let (first, rest) = self.gradients.touched.split_at(splats.n_static());
         Counts {
             pixels,
             splats: splats.n(),
-            alive: [splats.n_static(), super::count::alive(splats, view.t)],
+            alive: [splats.n_static(), super::work::alive(splats, view.t)],
             visible: stats.visible,
             touched: [first, rest].map(|part| part.iter().filter(|&&t| t != 0).count()),
             pairs: stats.pairs,

@@ -1,11 +1,10 @@
 //! Blends tile lists into an image (Minute4D Eq. 3): one cube per tile, one unit per pixel.
-use crate::gpu::eye::BACKGROUND;
-use crate::project::gpu::RECORD;
+
+use crate::{gpu::vector::BACKGROUND, project::gpu::RECORD};
 use cubecl::prelude::*;
 use std::f32::consts::LN_2;
 
 pub(crate) mod backward;
-pub(crate) mod pixels;
 
 const ALPHA_MAX: f32 = super::ALPHA_MAX as f32;
 pub(crate) const LOG2_ALPHA_MIN: f32 = super::LOG2_ALPHA_MIN as f32;
@@ -113,5 +112,36 @@ pub(crate) fn blend(
         if comptime!(with_depth) {
             image[4 * pixels + at] = depth;
         }
+    }
+}
+
+/// Fills `out`: red, green, blue, all that is blended along the gradient, depth; planes.
+#[cube(launch)]
+pub(crate) fn pixels(
+    image: &[f32],
+    gradient: &[f32],
+    out: &mut [f32],
+    count: u32,
+    #[comptime] with_alpha: bool,
+    #[comptime] with_depth: bool,
+) {
+    let i = ABSOLUTE_POS as u32;
+    if i < count {
+        let at = i as usize;
+        let n = count as usize;
+        let (r, g, b) = (gradient[at], gradient[n + at], gradient[2 * n + at]);
+        let mut all = r * image[at] + g * image[n + at] + b * image[2 * n + at];
+        if comptime!(with_alpha) {
+            all -= gradient[3 * n + at] * image[3 * n + at];
+        }
+        if comptime!(with_depth) {
+            let d = gradient[4 * n + at];
+            all += d * image[4 * n + at];
+            out[4 * n + at] = d;
+        }
+        out[at] = r;
+        out[n + at] = g;
+        out[2 * n + at] = b;
+        out[3 * n + at] = all;
     }
 }

@@ -13,9 +13,8 @@
 //! Channels are red, green, blue, z-depth and 1 (whose sum is alpha, `1 - T`); the background adds to
 //! the colours alone. An alpha that was cut at [`ALPHA_MAX`] passes no gradient to opacity and shape.
 //!
-//! The gradient comes in two forms that agree to rounding: back to front, and the *replay* form,
-//! front to back with one scalar per pixel (`sigma = <g, C>` less what was seen so far), which needs the
-//! final image alone.
+//! The reference takes the gradient back to front; the twins *replay*, front to back with one scalar per pixel
+//! (`sigma = <g, C>` less what was seen so far), which needs the final image alone and agrees to rounding.
 
 pub(crate) mod cpu;
 #[cfg(feature = "gpu")]

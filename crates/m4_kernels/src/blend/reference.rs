@@ -90,7 +90,6 @@ pub struct Ellipse<T: Real> {
 
 impl<T: Real> Ellipse<T> {
     /// All 0: where a gradient starts.
-    #[must_use]
     pub fn zero() -> Self {
         Self { centre: Vector2::zeros(), conic: Matrix2::zeros(), opacity: T::zero(), channels: [T::zero(); CHANNELS] }
     }
@@ -224,7 +223,8 @@ fn add_background<T: Real>(out: &mut [T; 3], transmittance: T, g: &[T; CHANNELS]
 }
 
 /// Gradient with respect to splats and background, given `g`, `[height * width]`, with respect to
-/// [`Image::pixels`]: the classical form, back to front.
+/// [`Image::pixels`], back to front. The twins go front to back from the final image and one scalar per pixel
+/// (docs/spec/optimiser.md 1.7), which is the same gradient.
 pub fn blend_vjp<T: Real, C: Cutoff>(
     splats: &[Ellipse<T>],
     width: usize,
@@ -249,28 +249,6 @@ pub fn blend_vjp<T: Real, C: Cutoff>(
                 suffix[k] += c.transmittance * c.alpha * splat.channels[k];
             }
         }
-    }
-    out
-}
-
-/// The same gradient front to back: needs the final `image` and one scalar per pixel (docs/spec/optimiser.md 1.7).
-pub fn blend_vjp_replay<T: Real, C: Cutoff>(
-    splats: &[Ellipse<T>],
-    image: &Image<T>,
-    g: &[[T; CHANNELS]],
-) -> BlendGradient<T> {
-    let mut out = BlendGradient { splats: vec![Ellipse::zero(); splats.len()], background: [T::zero(); 3] };
-    for (pixel, (g, value)) in g.iter().zip(&image.pixels).enumerate() {
-        let mut sigma = dot(g, value);
-        let BlendGradient { splats: sums, .. } = &mut out;
-        let last = walk::<T, C>(splats, pixel % image.width, pixel / image.width, |c| {
-            let splat = &splats[c.index];
-            let own = dot(&splat.channels, g);
-            sigma -= c.transmittance * c.alpha * own;
-            let d_alpha = c.transmittance * own - sigma / (T::one() - c.alpha);
-            accumulate(&mut sums[c.index], splat, &c, d_alpha, g);
-        });
-        add_background(&mut out.background, last, g);
     }
     out
 }

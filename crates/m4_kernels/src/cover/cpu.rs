@@ -9,10 +9,7 @@ use rayon::prelude::*;
 const CHUNK_ROWS: usize = 8192;
 
 /// Adds the gradient of the dynamic splats that `gradients` touch, with this `weight`.
-///
-/// # Panics
-///
-/// If `gradients` are not those of `splats`.
+/// Panics if `gradients` are not those of `splats`.
 pub fn add(splats: &Splats, gradients: &mut Gradients, weight: f32) {
     let n_static = splats.n_static();
     let opacity = &splats.column(Column::Opacity, 0)[n_static..];

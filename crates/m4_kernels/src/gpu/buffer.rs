@@ -14,14 +14,12 @@ pub struct Buffer {
 
 impl Buffer {
     /// Room for `len` numbers (at least one), which hold anything.
-    #[must_use]
     pub fn empty(client: &Client, len: usize) -> Self {
         let len = len.max(1);
         Self { handle: client.empty(4 * len), len }
     }
 
     /// A copy of `values`.
-    #[must_use]
     pub fn floats(client: &Client, values: &[f32]) -> Self {
         if values.is_empty() {
             return Self::empty(client, 1);
@@ -30,7 +28,6 @@ impl Buffer {
     }
 
     /// `len` zeros.
-    #[must_use]
     pub fn zeros(client: &Client, len: usize) -> Self {
         let out = Self::empty(client, len);
         out.clear(client);
@@ -43,7 +40,6 @@ impl Buffer {
     }
 
     /// A copy of `values`.
-    #[must_use]
     pub fn words(client: &Client, values: &[u32]) -> Self {
         if values.is_empty() {
             return Self::empty(client, 1);
@@ -52,7 +48,6 @@ impl Buffer {
     }
 
     /// Numbers.
-    #[must_use]
     #[expect(clippy::len_without_is_empty, reason = "there is at least one number")]
     pub fn len(&self) -> usize {
         self.len
@@ -60,27 +55,18 @@ impl Buffer {
 
     /// Returns the argument for a kernel.
     #[expect(unsafe_code, reason = "the runtime takes the length on trust")]
-    #[must_use]
     pub fn arg(&self) -> BufferArg {
         // SAFETY: `handle` was made with room for `len` numbers of four bytes, and neither changes.
         unsafe { BufferArg::from_raw_parts(self.handle.clone(), self.len) }
     }
 
-    /// Waits for what was asked for and copies it to the host.
-    ///
-    /// # Errors
-    ///
-    /// [`GpuError`] if the device failed.
+    /// Waits for what was asked for and copies it to the host. Fails with [`GpuError`] if the device failed.
     pub fn read_floats(&self, client: &Client, doing: &'static str) -> Result<Vec<f32>, GpuError> {
         let bytes = client.read_one(self.handle.clone()).map_err(|error| failed(doing, &error))?;
         Ok(f32::from_bytes(&bytes)[..self.len].to_vec())
     }
 
-    /// Waits for what was asked for and copies it to the host.
-    ///
-    /// # Errors
-    ///
-    /// [`GpuError`] if the device failed.
+    /// Waits for what was asked for and copies it to the host. Fails with [`GpuError`] if the device failed.
     pub fn read_words(&self, client: &Client, doing: &'static str) -> Result<Vec<u32>, GpuError> {
         let bytes = client.read_one(self.handle.clone()).map_err(|error| failed(doing, &error))?;
         Ok(u32::from_bytes(&bytes)[..self.len].to_vec())
@@ -88,7 +74,6 @@ impl Buffer {
 }
 
 /// As many cubes as `n` things take where each does `per`. One dimension ends at 65,535.
-#[must_use]
 pub fn cubes(n: usize, per: usize) -> CubeCount {
     let count = u32::try_from(n.div_ceil(per).max(1)).unwrap_or(u32::MAX);
     let y = count.div_ceil(65_535);
@@ -96,7 +81,6 @@ pub fn cubes(n: usize, per: usize) -> CubeCount {
 }
 
 /// Cubes of 256 units in a row.
-#[must_use]
 pub fn units() -> CubeDim {
     CubeDim::new_1d(256)
 }

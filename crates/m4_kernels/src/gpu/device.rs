@@ -1,14 +1,14 @@
-//! Lists GPUs and opens one.
+//! Lists GPUs, opens one, and reports the memory that it holds.
 
-use crate::gpu::GpuError;
-use cubecl::{
-    Device,
-    device::{WgpuBackend, WgpuDevice, WgpuDeviceKind},
-    prelude::Client,
-    wgpu::{
-        AutoGraphicsApi, RuntimeOptions, try_init_setup,
-        wgpu::{self, DeviceType},
-    },
+use crate::{bench::Probe, gpu::GpuError};
+use cubecl::Device;
+use cubecl::MemoryScope;
+use cubecl::device::{WgpuBackend, WgpuDevice, WgpuDeviceKind};
+use cubecl::prelude::Client;
+use cubecl::profile::TimingMethod;
+use cubecl::wgpu::{
+    AutoGraphicsApi, RuntimeOptions, try_init_setup,
+    wgpu::{self, DeviceType},
 };
 use serde::Serialize;
 
@@ -75,7 +75,6 @@ pub enum Runtime {
 
 impl Adapter {
     /// Returns the runtime's name.
-    #[must_use]
     pub fn runtime(&self) -> Runtime {
         let (slot, nth) = match self.place {
             Place::Wgpu(slot, nth) => (slot, nth),
@@ -106,7 +105,6 @@ const SHARED_BYTES: u32 = 13_840;
 /// The adapters of this machine in the order of their index, on the first of Vulkan, Metal and DX12 that has more than
 /// software; where none has, software on the first that has any. Before them those of CUDA, in a build with the feature
 /// `cuda`: a GPU can be there twice. Empty without a driver.
-#[must_use]
 pub fn adapters() -> Vec<Adapter> {
     #[cfg(feature = "cuda")]
     let mut all = crate::gpu::cuda::adapters();
@@ -121,7 +119,6 @@ pub fn adapters() -> Vec<Adapter> {
 
 /// What CUDA needs at run time and this machine does not have, and how to get it; `None` if it is all there, and in builds
 /// without the feature `cuda`.
-#[must_use]
 pub fn missing_for_cuda() -> Option<String> {
     #[cfg(feature = "cuda")]
     return crate::gpu::cuda::missing();
@@ -190,7 +187,6 @@ pub(crate) fn unfit(max_units: u32, max_shared_bytes: u32) -> Option<String> {
 
 /// The best adapter that is fit and more than software: discrete before integrated before virtual, and the
 /// first of those.
-#[must_use]
 pub fn best(adapters: &[Adapter]) -> Option<&Adapter> {
     let rank = |a: &&Adapter| match a.kind {
         AdapterKind::Discrete => 0,
@@ -230,10 +226,7 @@ impl std::fmt::Debug for Gpu {
 
 impl Gpu {
     /// Starts the adapter that `choice` names.
-    ///
-    /// # Errors
-    ///
-    /// [`GpuError::NoAdapter`] if there is none, [`GpuError::NotStarted`] if it is unfit or its driver refuses.
+    /// Fails with [`GpuError::NoAdapter`] if there is none, [`GpuError::NotStarted`] if it is unfit or its driver refuses.
     pub fn open(choice: Choice) -> Result<Self, GpuError> {
         let all = adapters();
         let (wanted, adapter) = match choice {
@@ -273,16 +266,11 @@ impl Gpu {
     }
 
     /// The kind.
-    #[must_use]
     pub fn adapter(&self) -> &Adapter {
         &self.adapter
     }
 
-    /// Whether a buffer of `bytes` is allowed.
-    ///
-    /// # Errors
-    ///
-    /// [`GpuError::TooLarge`] if it is not.
+    /// Whether a buffer of `bytes` is allowed. Fails with [`GpuError::TooLarge`] if it is not.
     pub fn fits(&self, what: &'static str, bytes: usize) -> Result<(), GpuError> {
         let limit = self.adapter.max_buffer_bytes as usize;
         if bytes <= limit {
@@ -296,11 +284,7 @@ impl Gpu {
         })
     }
 
-    /// Waits for everything that was asked for.
-    ///
-    /// # Errors
-    ///
-    /// [`GpuError::Failed`] with what went wrong on the way.
+    /// Waits for everything that was asked for. Fails with [`GpuError::Failed`] with what went wrong on the way.
     pub fn wait(&self, doing: &'static str) -> Result<(), GpuError> {
         block_on(self.client.sync()).map_err(|error| failed(doing, &error))
     }
@@ -331,5 +315,41 @@ pub(crate) mod tests {
                 None
             }
         }
+    }
+}
+
+/// Memory of the device that is this process's, bytes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct DeviceMemory {
+    /// Of buffers that are in use now.
+    pub in_use: u64,
+    /// Taken from the driver: buffers, what is kept for those to come, staging. It rarely shrinks, so that it is close
+    /// to the most that was ever taken.
+    pub reserved: u64,
+}
+
+impl Gpu {
+    /// What the runtime says that this process holds on the device.
+    pub fn memory(&self) -> DeviceMemory {
+        let usage = self.client.memory_report(MemoryScope::Device).usage();
+        DeviceMemory { in_use: usage.bytes_in_use, reserved: usage.bytes_reserved }
+    }
+
+    /// Gives what is in no buffer back to the driver, as far as the runtime does.
+    /// Fails with [`GpuError::Failed`] if the device failed.
+    pub fn give_back(&self) -> Result<(), GpuError> {
+        let doing = "giving memory back";
+        self.wait(doing)?;
+        self.client.memory_cleanup().map_err(|error| failed(doing, &error))
+    }
+
+    /// What the device can do at most, measured now, on 256 MB. Fails with [`GpuError`] if the device failed.
+    pub fn probe(&self) -> Result<Probe, GpuError> {
+        crate::gpu::timing::probe(self)
+    }
+
+    /// Whether kernels are timed by the device's own clock.
+    pub fn has_own_clock(&self) -> bool {
+        self.client.properties().timing_method == TimingMethod::Device
     }
 }

@@ -67,10 +67,7 @@ pub struct Frames {
 
 impl Frames {
     /// Packs `frames`. Those that fit into `budget_bytes` go to the device for good, in their order.
-    ///
-    /// # Errors
-    ///
-    /// [`GpuError`] if there are none, they differ in size, or one does not fit.
+    /// Fails with [`GpuError`] if there are none, they differ in size, or one does not fit.
     pub fn new<T: Borrow<Target>>(
         gpu: &Gpu,
         frames: impl IntoIterator<Item = T>,
@@ -99,17 +96,12 @@ impl Frames {
     }
 
     /// How many of them stay on the device.
-    #[must_use]
     pub fn resident(&self) -> usize {
         let there = |frame: &&Stored| matches!(frame.place, Place::Device(_));
         self.list.iter().filter(there).count()
     }
 
-    /// Frame `index`, uploaded if it is missing.
-    ///
-    /// # Errors
-    ///
-    /// [`GpuError`] if there is no such frame.
+    /// Frame `index`, uploaded if it is missing. Fails with [`GpuError`] if there is no such frame.
     pub fn get(&self, gpu: &Gpu, index: usize) -> Result<DeviceFrame, GpuError> {
         let frame = self.stored(index)?;
         Ok(DeviceFrame { samples: frame.place.get(gpu), worth: frame.worth, wide: frame.wide })

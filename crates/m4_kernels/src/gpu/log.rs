@@ -56,11 +56,7 @@ impl<const N: usize> Log<N> {
         );
     }
 
-    /// Waits, and returns frames and rows in the order of the views.
-    ///
-    /// # Errors
-    ///
-    /// [`GpuError`] if the device failed.
+    /// Waits, and returns frames and rows in the order of the views. Fails with [`GpuError`] if the device failed.
     pub fn take(&mut self, gpu: &Gpu, doing: &'static str) -> Result<Vec<(usize, [f64; N])>, GpuError> {
         let frames = std::mem::take(&mut self.frames);
         let mut values = Vec::new();

@@ -19,7 +19,6 @@ const SLOT_BITS: u32 = 8;
 
 /// The rows of `splats` in the order of memory: static splats along a Morton curve, then dynamic ones by coarse time, along a
 /// Morton curve within each slot of time.
-#[must_use]
 pub fn morton_order(gpu: &Gpu, splats: &DeviceSplats) -> Buffer {
     let (n, n_static) = (splats.n, splats.n_static);
     let client = &gpu.client;

@@ -4,9 +4,9 @@ use crate::gpu::scan::Scan;
 use crate::gpu::sort::Sort;
 use crate::gpu::splats::parts;
 use crate::gpu::work::{CHECKPOINT, Size};
-use crate::gpu::{Gpu, GpuError, eye::EYE, tally::LOSSES};
+use crate::gpu::{Gpu, GpuError, tally::LOSSES, vector::EYE};
 use crate::project::gpu::RECORD;
-use crate::tile_binning::gpu::reach::{REACH, TILE};
+use crate::tile_binning::gpu::{REACH, TILE};
 use m4_core::SplatLayout;
 
 /// Entries of tiles that memory is first made for: this many a splat, and at least as many as [`LEAST_ENTRIES`]. Of a video
@@ -48,7 +48,6 @@ impl Plan {
     /// Training of `n_static` and `n_dynamic` splats on `frames` images of `size` (columns, rows) that stay on the
     /// device, eight bits per channel, with room for `entries` entries of tile lists ([`first_entries`](Self::first_entries) at first; a
     /// trainer makes more where a frame has more).
-    #[must_use]
     pub fn training(
         n_static: usize,
         n_dynamic: usize,
@@ -88,7 +87,6 @@ impl Plan {
     }
 
     /// Drawing of this many splats into images of `size`, as [`training`](Self::training).
-    #[must_use]
     pub fn drawing(
         n_static: usize,
         n_dynamic: usize,
@@ -111,47 +109,37 @@ impl Plan {
     }
 
     /// Entries of tile lists that memory is first made for; a trainer and a renderer make more where a frame has more.
-    #[must_use]
     pub fn first_entries(splats: usize) -> usize {
         (FIRST_ENTRIES * splats).max(LEAST_ENTRIES)
     }
 
     /// The parts: splats, moments, gradients, and so on.
-    #[must_use]
     pub fn parts(&self) -> &[Part] {
         &self.parts
     }
 
     /// All parts together, bytes.
-    #[must_use]
     pub fn total(&self) -> u64 {
         self.parts.iter().map(|part| part.bytes).sum()
     }
 
     /// What one frame takes, bytes; 0 for drawing.
-    #[must_use]
     pub fn frame_bytes(&self) -> u64 {
         self.frame_bytes
     }
 
     /// All but the frames, bytes.
-    #[must_use]
     pub fn without_frames(&self) -> u64 {
         self.total() - self.frame_bytes * self.frames as u64
     }
 
     /// The bytes that `limit_bytes` leaves for frames, 0 if it leaves none: with less than all of them need, frames are
     /// to be sent to the device as they are used.
-    #[must_use]
     pub fn frames_budget(&self, limit_bytes: u64) -> u64 {
         limit_bytes.saturating_sub(self.without_frames())
     }
 
-    /// Whether everything fits into `limit_bytes`.
-    ///
-    /// # Errors
-    ///
-    /// [`GpuError::OverLimit`] with the size of every part.
+    /// Whether everything fits into `limit_bytes`. Fails with [`GpuError::OverLimit`] with the size of every part.
     pub fn check(&self, limit_bytes: u64) -> Result<(), GpuError> {
         if self.total() <= limit_bytes {
             return Ok(());
@@ -165,10 +153,7 @@ impl Plan {
     }
 
     /// Whether the device allows buffers as large as the largest of each part.
-    ///
-    /// # Errors
-    ///
-    /// [`GpuError::TooLarge`] with the part whose buffer is not allowed.
+    /// Fails with [`GpuError::TooLarge`] with the part whose buffer is not allowed.
     pub fn check_buffers(&self, gpu: &Gpu) -> Result<(), GpuError> {
         self.parts.iter().try_for_each(|part| gpu.fits(part.what, part.largest as usize))
     }
@@ -278,11 +263,5 @@ mod tests {
         assert_eq!(plan.frames_budget(ten), 10 * plan.frame_bytes());
         assert_eq!(plan.frames_budget(1000), 0);
         assert!(plan.frames_budget(u64::MAX) > 500 * plan.frame_bytes());
-    }
-
-    #[test]
-    fn drawing_takes_less_than_training() {
-        let drawing = Plan::drawing(20_000, 80_000, LAYOUT, (480, 360), Plan::first_entries(100_000));
-        assert!(drawing.total() * 3 < plan(0).total(), "{drawing} for {}", plan(0));
     }
 }

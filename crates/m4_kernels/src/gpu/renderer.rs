@@ -16,20 +16,12 @@ pub struct Renderer {
 }
 
 impl Renderer {
-    /// Copies `splats` to the device.
-    ///
-    /// # Errors
-    ///
-    /// [`GpuError::TooLarge`] if they do not fit into its buffers.
+    /// Copies `splats` to the device. Fails with [`GpuError::TooLarge`] if they do not fit into its buffers.
     pub fn new(gpu: Gpu, splats: &Splats) -> Result<Self, GpuError> {
         Ok(Self { splats: DeviceSplats::upload(&gpu, splats)?, gpu, work: None })
     }
 
-    /// The image of `view`.
-    ///
-    /// # Errors
-    ///
-    /// [`GpuError`] if it does not fit or the device fails.
+    /// The image of `view`. Fails with [`GpuError`] if it does not fit or the device fails.
     pub fn render(&mut self, view: &View) -> Result<Frame, GpuError> {
         self.draw(view, false)?;
         let k = &view.camera.intrinsics;
@@ -46,16 +38,9 @@ impl Renderer {
         })
     }
 
-    /// The gradient of a loss with respect to the splats, given that with respect to the image of `view`; that of
-    /// the camera and of the background are left 0.
-    ///
-    /// # Errors
-    ///
-    /// As [`render`](Self::render).
-    ///
-    /// # Panics
-    ///
-    /// If the planes of the gradient are not as long as the image (those of alpha and depth may be empty).
+    /// The gradient of a loss with respect to the splats, given that with respect to the image of `view`; that of the
+    /// camera and of the background are left 0. Fails as [`render`](Self::render). Panics if the planes of the gradient
+    /// are not as long as the image (those of alpha and depth may be empty).
     pub fn backward(&mut self, view: &View, gradient: &FrameGradient, out: &mut Gradients) -> Result<(), GpuError> {
         self.draw(view, true)?;
         let pixels = view.camera.intrinsics.width * view.camera.intrinsics.height;

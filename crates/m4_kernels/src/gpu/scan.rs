@@ -107,7 +107,6 @@ pub struct Scan {
 
 impl Scan {
     /// Memory for `n` numbers.
-    #[must_use]
     pub fn new(client: &Client, n: usize) -> Self {
         let blocks = if n <= IN_ONE { 1 } else { n.div_ceil(BLOCK) };
         let above = (blocks > 1).then(|| (Buffer::empty(client, blocks), Box::new(Self::new(client, blocks))));
@@ -115,7 +114,6 @@ impl Scan {
     }
 
     /// The numbers in each of its buffers.
-    #[must_use]
     pub fn lengths(n: usize) -> Vec<usize> {
         let blocks = if n <= IN_ONE { 1 } else { n.div_ceil(BLOCK) };
         let mut out = vec![blocks];
@@ -143,7 +141,6 @@ impl Scan {
     }
 
     /// One number: the sum of everything.
-    #[must_use]
     pub fn total(&self) -> &Buffer {
         self.above.as_ref().map_or(&self.totals, |(_, above)| above.total())
     }

@@ -111,7 +111,6 @@ pub struct Pairs {
 
 impl Pairs {
     /// Room for `len` pairs.
-    #[must_use]
     pub fn empty(client: &Client, len: usize) -> Self {
         Self { keys: Buffer::empty(client, len), values: Buffer::empty(client, len) }
     }
@@ -119,7 +118,6 @@ impl Pairs {
 
 impl Sort {
     /// Memory for `capacity` pairs.
-    #[must_use]
     pub fn new(client: &Client, capacity: usize) -> Self {
         let digits = DIGITS * capacity.div_ceil(BLOCK).max(1);
         Self {
@@ -132,7 +130,6 @@ impl Sort {
     }
 
     /// The numbers in each of its buffers.
-    #[must_use]
     pub fn lengths(capacity: usize) -> Vec<usize> {
         let digits = DIGITS * capacity.div_ceil(BLOCK).max(1);
         let mut out = vec![digits, digits, capacity, capacity];
@@ -178,7 +175,6 @@ impl Sort {
     }
 
     /// Where [`run`](Self::run) left what it sorted.
-    #[must_use]
     pub fn result<'a>(&'a self, pairs: &'a Pairs, bits: u32) -> &'a Pairs {
         if bits.div_ceil(4).is_multiple_of(2) { pairs } else { &self.other }
     }

@@ -1,8 +1,13 @@
-//! Splats on the device.
+//! Splats on the device, and the gather of their rows into a new order.
 
-use crate::gpu::buffer::Buffer;
-use crate::gpu::{Gpu, GpuError};
-use crate::project::gpu::Spec;
+use crate::{
+    gpu::{
+        Gpu, GpuError,
+        buffer::{Buffer, cubes, units},
+    },
+    project::gpu::Spec,
+};
+use cubecl::prelude::*;
 use m4_core::{Column, SplatLayout, Splats};
 use std::ops::Range;
 
@@ -25,7 +30,6 @@ pub struct DeviceSplats {
 }
 
 /// The columns of each buffer.
-#[must_use]
 pub fn parts(layout: SplatLayout) -> [Range<usize>; 3] {
     let colour = layout.range(Column::Colour);
     [0..colour.start, colour, layout.shared_columns()..layout.columns()]
@@ -33,16 +37,11 @@ pub fn parts(layout: SplatLayout) -> [Range<usize>; 3] {
 
 impl DeviceSplats {
     /// Geometry, colours, time.
-    #[must_use]
     pub fn buffers(&self) -> [&Buffer; 3] {
         [&self.geometry, &self.colour, &self.time]
     }
 
-    /// Copies `splats` to the device.
-    ///
-    /// # Errors
-    ///
-    /// [`GpuError`] if they do not fit.
+    /// Copies `splats` to the device. Fails with [`GpuError`] if they do not fit.
     pub fn upload(gpu: &Gpu, splats: &Splats) -> Result<Self, GpuError> {
         let [geometry, colour, time] = parts(splats.layout()).map(|range| splats.columns()[range].concat());
         for (what, len) in [("the geometry of the splats", geometry.len()), ("the colours of the splats", colour.len())]
@@ -60,17 +59,12 @@ impl DeviceSplats {
     }
 
     /// Room for as many numbers as `self` has; they are anything.
-    #[must_use]
     pub fn like(&self, gpu: &Gpu) -> Self {
         let empty = |buffer: &Buffer| Buffer::empty(&gpu.client, buffer.len());
         Self { geometry: empty(&self.geometry), colour: empty(&self.colour), time: empty(&self.time), ..self.clone() }
     }
 
-    /// Waits, and copies them back.
-    ///
-    /// # Errors
-    ///
-    /// [`GpuError`] if the device failed.
+    /// Waits, and copies them back. Fails with [`GpuError`] if the device failed.
     pub fn download(&self, gpu: &Gpu, doing: &'static str) -> Result<Splats, GpuError> {
         let mut out = Splats::zeros(self.layout, self.n_static, self.n - self.n_static);
         let mut columns: Vec<&mut [f32]> = out.columns_mut().collect();
@@ -94,5 +88,82 @@ impl DeviceSplats {
             time_terms: self.layout.time_degree as u32 + 1,
             mip,
         }
+    }
+}
+
+/// In place of a row for splats that start from nothing.
+pub const NOTHING: u32 = u32::MAX;
+
+/// The numbers of `from` that `rows` names, one per splat: `n` of them, 0 for [`NOTHING`].
+pub fn gathered_words(gpu: &Gpu, from: &Buffer, rows: &Buffer, n: usize) -> Buffer {
+    let to = Buffer::empty(&gpu.client, n);
+    gather_words::launch(&gpu.client, cubes(n, 256), units(), from.arg(), rows.arg(), to.arg(), n as u32);
+    to
+}
+
+/// The rows of `from` that `rows` names: `n` of them, the first `n_static` static; zeros for [`NOTHING`].
+pub fn gathered(gpu: &Gpu, from: &DeviceSplats, rows: &Buffer, (n, n_static): (usize, usize)) -> DeviceSplats {
+    let columns = parts(from.layout).map(|range| range.len());
+    let old = [(from.n, 0), (from.n, 0), (from.n - from.n_static, from.n_static)];
+    let new = [(n, 0), (n, 0), (n - n_static, n_static)];
+    let buffers = from.buffers();
+    let [geometry, colour, time] = [0, 1, 2].map(|k| {
+        let ((old, old_first), (new, new_first)) = (old[k], new[k]);
+        let to = Buffer::empty(&gpu.client, columns[k] * new);
+        if columns[k] * new > 0 {
+            gather_columns::launch(
+                &gpu.client,
+                cubes(new, 256),
+                units(),
+                buffers[k].arg(),
+                rows.arg(),
+                to.arg(),
+                columns[k] as u32,
+                old as u32,
+                old_first as u32,
+                new as u32,
+                new_first as u32,
+            );
+        }
+        to
+    });
+    DeviceSplats { geometry, colour, time, layout: from.layout, n, n_static }
+}
+
+/// `columns` columns of `old` rows, the first of which is splat `old_first`, become columns of `new` rows.
+#[cube(launch)]
+fn gather_columns(
+    from: &[f32],
+    rows: &[u32],
+    to: &mut [f32],
+    columns: u32,
+    old: u32,
+    old_first: u32,
+    new: u32,
+    new_first: u32,
+) {
+    let i = ABSOLUTE_POS as u32;
+    if i < new {
+        let row = rows[(new_first + i) as usize];
+        for c in 0u32..columns {
+            let mut value = 0.0f32;
+            if row != NOTHING {
+                value = from[(c * old + row - old_first) as usize];
+            }
+            to[(c * new + i) as usize] = value;
+        }
+    }
+}
+
+#[cube(launch)]
+fn gather_words(from: &[u32], rows: &[u32], to: &mut [u32], n: u32) {
+    let i = ABSOLUTE_POS;
+    if i < n as usize {
+        let row = rows[i];
+        let mut value = 0u32;
+        if row != NOTHING {
+            value = from[row as usize];
+        }
+        to[i] = value;
     }
 }

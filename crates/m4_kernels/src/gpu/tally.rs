@@ -80,10 +80,7 @@ impl Tally {
     }
 
     /// Waits, returns the statistics and the most tile entries that a frame wanted, and starts again.
-    ///
-    /// # Errors
-    ///
-    /// [`GpuError`] if the device failed.
+    /// Fails with [`GpuError`] if the device failed.
     pub fn take(&mut self, gpu: &Gpu, doing: &'static str) -> Result<(StepStats, usize), GpuError> {
         let words = self.buffer.read_words(&gpu.client, doing)?;
         self.buffer = Self::fresh(gpu, words.len() - LOSSES);

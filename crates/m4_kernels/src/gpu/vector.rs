@@ -1,7 +1,10 @@
-//! Vectors of three numbers.
-
+//! Vectors of three numbers, and a camera at an instant in the form that the kernels read.
 #![expect(missing_docs, reason = "`cube` generates items beside those that it is written at")]
 
+use crate::{
+    View,
+    project::{NEAR_MIN, jacobian_limits},
+};
 use cubecl::prelude::*;
 
 /// A vector or a row of a matrix.
@@ -55,4 +58,46 @@ pub(crate) fn times(a: &V3, b: &V3) -> V3 {
 #[cube]
 pub(crate) fn transposed(r0: &V3, r1: &V3, r2: &V3, v: &V3) -> V3 {
     v3(r0.x * v.x + r1.x * v.y + r2.x * v.z, r0.y * v.x + r1.y * v.y + r2.y * v.z, r0.z * v.x + r1.z * v.y + r2.z * v.z)
+}
+
+/// Where each number lies: the rotation from world to camera takes 0 to 8, row by row.
+pub(crate) const CENTRE: usize = 9;
+pub(crate) const FOCAL: usize = 12;
+/// Principal point, the centre of the first pixel at 0.
+pub(crate) const MIDDLE: usize = 14;
+/// Within which the Jacobian is evaluated.
+pub(crate) const LIMITS: usize = 16;
+pub(crate) const TIME: usize = 20;
+pub(crate) const INVERSE_PERIOD: usize = 21;
+pub(crate) const NEAR: usize = 22;
+pub(crate) const SIZE: usize = 23;
+pub(crate) const BACKGROUND: usize = 25;
+/// How many numbers there are.
+pub(crate) const EYE: usize = 28;
+
+/// `view` in the order of the constants.
+pub(crate) fn eye(view: &View) -> [f32; EYE] {
+    let k = &view.camera.intrinsics;
+    let (w2c, centre) = (view.camera.w2c(), view.camera.centre());
+    let mut out = [0.0; EYE];
+    for i in 0..9 {
+        out[i] = w2c.rotation[(i / 3, i % 3)] as f32;
+    }
+    let mut put = |at: usize, values: &[f64]| {
+        for (to, &v) in out[at..].iter_mut().zip(values) {
+            *to = v as f32;
+        }
+    };
+    put(CENTRE, &[centre.x, centre.y, centre.z]);
+    put(FOCAL, &[k.fx, k.fy]);
+    put(MIDDLE, &[k.cx - 0.5, k.cy - 0.5]);
+    put(LIMITS, &jacobian_limits(k));
+    put(TIME, &[view.t]);
+    // a period of 0 means none: the harmonics are static
+    let period = f64::from(view.period);
+    put(INVERSE_PERIOD, &[if period > 0.0 { 1.0 / period } else { 0.0 }]);
+    put(NEAR, &[f64::from(view.near).max(NEAR_MIN)]);
+    put(SIZE, &[k.width as f64, k.height as f64]);
+    put(BACKGROUND, &view.background.map(f64::from));
+    out
 }

@@ -1,16 +1,16 @@
 //! The memory and the kernel launches of one frame.
 
-use crate::blend::gpu::{self as blend, backward as blend_backward, pixels};
+use crate::blend::gpu::{self as blend, backward as blend_backward};
 use crate::gpu::buffer::{Buffer, cubes, units};
-use crate::gpu::eye::eye;
 use crate::gpu::scan::Scan;
 use crate::gpu::sort::{Pairs, Sort};
 use crate::gpu::splats::DeviceSplats;
-use crate::gpu::stopwatch::Stopwatch;
+use crate::gpu::timing::Stopwatch;
+use crate::gpu::vector::eye;
 use crate::gpu::{Gpu, GpuError};
 use crate::project::gpu::{RECORD, project, project_backward};
 use crate::tile_binning::gpu as tile_binning;
-use crate::tile_binning::gpu::reach::{REACH, TILE};
+use crate::tile_binning::gpu::{REACH, TILE};
 use crate::{View, bench::Kernel};
 use cubecl::prelude::{CubeCount, CubeDim};
 
@@ -40,19 +40,16 @@ impl Size {
     }
 
     /// Tiles of the image.
-    #[must_use]
     pub fn tiles(&self) -> usize {
         self.across() * self.height.div_ceil(TILE)
     }
 
     /// Pixels of the image.
-    #[must_use]
     pub fn pixels(&self) -> usize {
         self.width * self.height
     }
 
     /// Buckets at most.
-    #[must_use]
     pub fn buckets(&self) -> usize {
         self.entries / BUCKET + self.tiles()
     }
@@ -104,11 +101,7 @@ pub struct Work {
 }
 
 impl Work {
-    /// Buffers for frames of `size`.
-    ///
-    /// # Errors
-    ///
-    /// [`GpuError`] if a buffer is larger than the device allows.
+    /// Buffers for frames of `size`. Fails with [`GpuError`] if a buffer is larger than the device allows.
     pub fn new(gpu: &Gpu, size: Size) -> Result<Self, GpuError> {
         let client = &gpu.client;
         let (n, tiles, pixels, entries) = (size.n, size.tiles(), size.pixels(), size.entries);
@@ -167,12 +160,8 @@ impl Work {
         })
     }
 
-    /// Becomes memory for frames of `size`. What was there is given up first: both at once would be twice as much. After an
-    /// error there is room for nothing.
-    ///
-    /// # Errors
-    ///
-    /// [`GpuError`] if a buffer is larger than the device allows.
+    /// Becomes memory for frames of `size`. What was there is given up first: both at once would be twice as much.
+    /// After an error there is room for nothing. Fails with [`GpuError`] if a buffer is larger than the device allows.
     pub fn remake(&mut self, gpu: &Gpu, size: Size) -> Result<(), GpuError> {
         let nothing = Size { n: 0, width: 1, height: 1, entries: 1, training: false };
         *self = Self::new(gpu, nothing)?;
@@ -319,7 +308,7 @@ impl Work {
         let (width, height) = (size.width as u32, size.height as u32);
         // all since the image was drawn
         self.stopwatch.lap(gpu, Kernel::Photo);
-        pixels::pixels::launch(
+        blend::pixels::launch(
             client,
             cubes(size.pixels(), 256),
             units(),
@@ -376,11 +365,7 @@ impl Work {
         self.stopwatch.lap(gpu, Kernel::ProjectBackward);
     }
 
-    /// How many entries the frame drawn last wanted.
-    ///
-    /// # Errors
-    ///
-    /// [`GpuError`] if the device failed.
+    /// How many entries the frame drawn last wanted. Fails with [`GpuError`] if the device failed.
     pub fn entries(&self, gpu: &Gpu, doing: &'static str) -> Result<usize, GpuError> {
         Ok(self.count.total().read_words(&gpu.client, doing)?[0] as usize)
     }
@@ -402,10 +387,7 @@ impl Work {
     }
 
     /// The largest number of entries that a frame wanted since this memory was made.
-    ///
-    /// # Errors
-    ///
-    /// [`GpuError`] if the device failed.
+    /// Fails with [`GpuError`] if the device failed.
     pub fn peak(&self, gpu: &Gpu, doing: &'static str) -> Result<usize, GpuError> {
         Ok(self.peak.read_words(&gpu.client, doing)?[0] as usize)
     }

@@ -1,13 +1,17 @@
 //! L1 + SSIM and its gradient: one cube per tile of 16x16 pixels and channel.
-
 #![expect(missing_docs, reason = "`cube` generates items beside those that it is written at")]
 
-use super::window;
+use crate::{
+    gpu::{
+        Gpu,
+        buffer::{Buffer, units},
+        frames::DeviceFrame,
+        tally::Tally,
+        work::Size,
+    },
+    loss::window,
+};
 use cubecl::prelude::*;
-
-mod compare;
-
-pub use compare::Loss;
 
 const SSIM_C1: f32 = super::SSIM_C1 as f32;
 const SSIM_C2: f32 = super::SSIM_C2 as f32;
@@ -252,5 +256,68 @@ pub(crate) fn gradient(
         }
         let count = 3.0f32 * f32::cast_from(width * height);
         gradient[plane + at] = ((1.0f32 - lambda) * sign - lambda * similarity) / count;
+    }
+}
+
+/// Memory for frames of one size.
+#[derive(Debug)]
+pub struct Loss {
+    size: Size,
+    /// SSIM's derivatives, three planes per channel.
+    slopes: Buffer,
+    /// Three sums per tile and channel.
+    sums: Buffer,
+}
+
+impl Loss {
+    /// Memory for frames of `size`.
+    pub fn new(gpu: &Gpu, size: Size) -> Self {
+        Self {
+            size,
+            slopes: Buffer::empty(&gpu.client, 9 * size.pixels()),
+            sums: Buffer::empty(&gpu.client, 9 * size.tiles()),
+        }
+    }
+
+    /// A cube a tile and channel.
+    fn cubes(&self) -> CubeCount {
+        CubeCount::Static(self.size.tiles() as u32, 3, 1)
+    }
+
+    /// Compares `image` with `frame` and adds the sums to `tally`, the loss as that of view `index`. `lambda` is the share of
+    /// SSIM.
+    pub fn compare(&self, gpu: &Gpu, image: &Buffer, frame: &DeviceFrame, index: usize, lambda: f32, tally: &Tally) {
+        similarity::launch(
+            &gpu.client,
+            self.cubes(),
+            units(),
+            image.arg(),
+            frame.samples.arg(),
+            self.slopes.arg(),
+            self.sums.arg(),
+            self.size.width as u32,
+            self.size.height as u32,
+            frame.worth,
+            frame.wide,
+        );
+        tally.frame(gpu, &self.sums, self.size.tiles(), 3 * self.size.pixels(), index, lambda);
+    }
+
+    /// The gradient of what was compared last, with respect to `image`.
+    pub fn gradient(&self, gpu: &Gpu, image: &Buffer, frame: &DeviceFrame, lambda: f32, out: &Buffer) {
+        gradient::launch(
+            &gpu.client,
+            self.cubes(),
+            units(),
+            image.arg(),
+            frame.samples.arg(),
+            self.slopes.arg(),
+            out.arg(),
+            self.size.width as u32,
+            self.size.height as u32,
+            lambda,
+            frame.worth,
+            frame.wide,
+        );
     }
 }

@@ -12,7 +12,7 @@
 //!
 //! The windowed means of `x^2` and `y^2` occur as a sum alone, hence seven blurs, not eight.
 
-use super::{SSIM_C1, SSIM_C2, WINDOW, target::Target, window};
+use super::{SSIM_C1, SSIM_C2, WINDOW, cpu::Target, window};
 use crate::simd::{LANES, all, each, load, store, turn};
 use fearless_simd::{Simd, f32x16, mask32x16, prelude::*};
 use fearless_simd_macros::simd;
@@ -131,8 +131,7 @@ struct Frame<S: Simd> {
     width: usize,
     /// Blocks of columns.
     blocks: usize,
-    /// Lines of a row in a ring: odd, so that the rows of a block do not compete for the same lines of the
-    /// cache.
+    /// Lines of a row in a ring: odd, so that the rows of a block do not compete for the same lines of the cache.
     stride: usize,
     /// Rows are counted from the first that a block reads; the image's first row is this one.
     above: isize,
@@ -193,8 +192,7 @@ impl<S: Simd> Frame<S> {
     }
 }
 
-/// Writes the gradient of the rows, `[rows][width]`, and returns the sums of `|x - y|` and of SSIM over
-/// them.
+/// Writes the gradient of the rows, `[rows][width]`, and returns the sums of `|x - y|` and of SSIM over them.
 #[simd]
 pub(super) fn run<S: Simd>(s: S, segment: &Segment<'_>, buffers: &mut Buffers, out: &mut [f32]) -> [f64; 2] {
     let f = Frame::new(s, segment);

@@ -182,8 +182,7 @@ pub(crate) struct LensGradient<S: Simd> {
     pub(crate) focal: [f32x16<S>; 2],
 }
 
-/// The gradient with respect to place and shape; lanes whose moments are 0 get 0 as long as their
-/// ellipse is finite.
+/// The gradient with respect to place and shape; lanes whose moments are 0 get 0 as long as their ellipse is finite.
 #[inline(always)]
 pub(crate) fn backward<S: Simd, const ISO: bool>(
     s: S,

@@ -23,8 +23,7 @@ pub(crate) mod cpu;
 pub(crate) mod gpu;
 pub mod reference;
 
-/// The smallest near plane, world units: a splat at depth 0 or behind has no image, whatever the view
-/// says.
+/// The smallest near plane, world units: a splat at depth 0 or behind has no image, whatever the view says.
 pub const NEAR_MIN: f64 = 1e-6;
 
 /// Added to both diagonal entries of the image covariance, pixels squared (3DGS; a Gaussian of half
@@ -39,7 +38,6 @@ pub const JACOBIAN_CLAMP: f64 = 1.3;
 /// Each side reaches past its own image edge by `JACOBIAN_CLAMP - 1` times the half field of view's
 /// tangent, so a centred principal point gives `JACOBIAN_CLAMP * tan(half field of view)` on every
 /// side and an off-centre one keeps the same margin.
-#[must_use]
 pub fn jacobian_limits(k: &Intrinsics) -> [f64; 4] {
     let (width, height) = (k.width as f64, k.height as f64);
     let margin = JACOBIAN_CLAMP - 1.0;

@@ -20,7 +20,6 @@ pub struct Pinhole<T: Real> {
 
 impl<T: Real> Pinhole<T> {
     /// `camera`, rounded to `T`.
-    #[must_use]
     pub fn new(camera: &Camera) -> Self {
         let (w2c, k) = (camera.w2c(), &camera.intrinsics);
         Self {
@@ -31,7 +30,6 @@ impl<T: Real> Pinhole<T> {
     }
 
     /// The camera's centre in the world.
-    #[must_use]
     pub fn centre(&self) -> Vector3<T> {
         self.w2c.inverse().translation
     }
@@ -74,7 +72,6 @@ pub struct PinholeGradient<T: Real> {
 
 impl<T: Real> PinholeGradient<T> {
     /// No change.
-    #[must_use]
     pub fn zero() -> Self {
         Self { tau: Vector3::zeros(), omega: Vector3::zeros(), intrinsics: Vector4::zeros() }
     }
@@ -87,7 +84,6 @@ impl<T: Real> PinholeGradient<T> {
     }
 
     /// In the precision of the twins.
-    #[must_use]
     pub fn to_camera_gradient(&self) -> CameraGradient {
         CameraGradient {
             tau: self.tau.map(Real::f64).into(),

@@ -58,7 +58,6 @@ pub struct Setup<T: Real> {
 
 impl<T: Real> Setup<T> {
     /// `view`, rounded to `T`.
-    #[must_use]
     pub fn new(view: &View) -> Self {
         Self {
             camera: Pinhole::new(&view.camera),
@@ -90,7 +89,6 @@ pub struct SceneGradient<T: Real> {
 
 impl<T: Real> Splat<T> {
     /// Every parameter 0, same form.
-    #[must_use]
     pub fn zero_like(&self) -> Self {
         let geometry = match &self.geometry {
             Geometry::Gaussian(g) => Geometry::Gaussian(Gaussian {
@@ -121,7 +119,6 @@ impl<T: Real> Splat<T> {
 
     /// Every parameter in the order of [`Splats::columns`]; the time columns only of dynamic splats.
     /// Empty for the rotor form, which has no columns.
-    #[must_use]
     pub fn parameters(&self) -> Vec<T> {
         let Geometry::Gaussian(g) = &self.geometry else {
             return Vec::new();
@@ -143,7 +140,6 @@ impl<T: Real> Splat<T> {
 
 impl<T: Real> SceneGradient<T> {
     /// As the columns of [`Splats`] with `n_static` static splats first; for the velocity form.
-    #[must_use]
     pub fn columns(&self, layout: SplatLayout, n_static: usize) -> Vec<Vec<T>> {
         let mut columns = vec![Vec::new(); layout.columns()];
         for (row, splat) in self.splats.iter().enumerate() {
@@ -158,7 +154,6 @@ impl<T: Real> SceneGradient<T> {
 }
 
 /// The rows of `splats`, one by one.
-#[must_use]
 pub fn splats_of<T: Real>(splats: &Splats) -> Vec<Splat<T>> {
     let layout = splats.layout();
     let at = |column: Column, offset: usize, row: usize| T::of(f64::from(splats.column(column, offset)[row]));

@@ -4,8 +4,8 @@
 use crate::blend::gpu::LOG2_ALPHA_MIN;
 use crate::gpu::Gpu;
 use crate::gpu::buffer::{Buffer, cubes, units};
-use crate::gpu::eye::TIME;
 use crate::gpu::splats::DeviceSplats;
+use crate::gpu::vector::TIME;
 use crate::gpu::work::Work;
 use crate::project::gpu::RECORD;
 use crate::slice::gpu::life;

@@ -101,8 +101,7 @@ pub fn shade<T: Real>(coefficients: &[[T; 3]], sight: &Sight<T>) -> [T; 3] {
     raw(coefficients, sight).map(|c| if c > T::zero() { c } else { T::zero() })
 }
 
-/// Gradient with respect to coefficients, offset and `time_mean`, given that with respect to
-/// [`shade()`].
+/// Gradient with respect to coefficients, offset and `time_mean`, given that with respect to [`shade()`].
 pub fn shade_vjp<T: Real>(coefficients: &[[T; 3]], sight: &Sight<T>, g: &[T; 3]) -> ShadeGradient<T> {
     let value = raw(coefficients, sight);
     let live: [T; 3] = std::array::from_fn(|c| if value[c] > T::zero() { g[c] } else { T::zero() });

@@ -1,7 +1,6 @@
 //! Slices a 4D splat at one instant.
 //!
-//! Specification: docs/spec/optimiser.md 1.3 to 1.5. With `dt = t - time_mean` in frames and
-//! `w = exp(2 log_time_sd)`:
+//! Specification: docs/spec/optimiser.md 1.3 to 1.5. With `dt = t - time_mean` in frames and `w = exp(2 log_time_sd)`:
 //!
 //! ```text
 //! m(t) = mean + velocity dt        world units

@@ -8,8 +8,7 @@
 //! after the other: neighbours in memory are neighbours in the image, so a group reaches few bands,
 //! and the length of the loops is guessed right far more often.
 
-mod backward;
-mod forward;
+mod passes;
 
 use crate::{
     blend::cpu::Sums,
@@ -62,7 +61,6 @@ pub(crate) struct Chunk {
 pub(crate) struct ChunkGradient<'a> {
     pub(crate) columns: Vec<&'a mut [f32]>,
     pub(crate) touched: &'a mut [u8],
-    pub(crate) means2d: [&'a mut [f32]; 2],
 }
 
 /// One chunk's share of the camera's gradient: `tau`, `omega`, `fx, fy, cx, cy`.
@@ -103,10 +101,10 @@ impl Chunk {
     #[inline(always)]
     pub(crate) fn forward<S: Simd>(&mut self, s: S, c: &Columns<'_>, eye: &Eye, out: &mut [Row]) {
         match (self.dynamic, c.layout.isotropic) {
-            (false, false) => forward::chunk::<S, false, false>(s, self, c, eye, out),
-            (false, true) => forward::chunk::<S, false, true>(s, self, c, eye, out),
-            (true, false) => forward::chunk::<S, true, false>(s, self, c, eye, out),
-            (true, true) => forward::chunk::<S, true, true>(s, self, c, eye, out),
+            (false, false) => passes::chunk_forward::<S, false, false>(s, self, c, eye, out),
+            (false, true) => passes::chunk_forward::<S, false, true>(s, self, c, eye, out),
+            (true, false) => passes::chunk_forward::<S, true, false>(s, self, c, eye, out),
+            (true, true) => passes::chunk_forward::<S, true, true>(s, self, c, eye, out),
         }
     }
 
@@ -123,10 +121,10 @@ impl Chunk {
     ) -> CameraSums {
         out.touched.fill(0);
         match (self.dynamic, c.layout.isotropic) {
-            (false, false) => backward::chunk::<S, false, false>(s, self, c, eye, sums, with_camera, out),
-            (false, true) => backward::chunk::<S, false, true>(s, self, c, eye, sums, with_camera, out),
-            (true, false) => backward::chunk::<S, true, false>(s, self, c, eye, sums, with_camera, out),
-            (true, true) => backward::chunk::<S, true, true>(s, self, c, eye, sums, with_camera, out),
+            (false, false) => passes::chunk_backward::<S, false, false>(s, self, c, eye, sums, with_camera, out),
+            (false, true) => passes::chunk_backward::<S, false, true>(s, self, c, eye, sums, with_camera, out),
+            (true, false) => passes::chunk_backward::<S, true, false>(s, self, c, eye, sums, with_camera, out),
+            (true, true) => passes::chunk_backward::<S, true, true>(s, self, c, eye, sums, with_camera, out),
         }
     }
 

@@ -38,8 +38,7 @@ impl Order {
         &mut self.keys[at]
     }
 
-    /// Key of number `index` at a depth, which is above 0: then its bits are in the order of
-    /// depths.
+    /// Key of number `index` at a depth, which is above 0: then its bits are in the order of depths.
     #[inline(always)]
     pub(super) fn key(depth: f32, index: u32) -> u64 {
         u64::from(depth.to_bits()) << 32 | u64::from(index)

@@ -5,7 +5,6 @@ use crate::blend::reference::{Ellipse, Hard, reach};
 use m4_core::Real;
 
 /// Columns and rows of tiles.
-#[must_use]
 pub fn grid(width: usize, height: usize) -> (usize, usize) {
     (width.div_ceil(TILE), height.div_ceil(TILE))
 }

@@ -3,7 +3,6 @@
 
 #![expect(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
 
-mod edge_cases;
 mod twins;
 
 use m4_kernels::gpu::{Choice, Gpu};

@@ -7,7 +7,7 @@ use m4_core::{
 use m4_kernels::{
     View,
     blend::reference::{CHANNELS, Cutoff, Hard, Smooth},
-    reference::{BackwardForm, Geometry, Setup, Splat, backward, render, splats_of},
+    reference::{Geometry, Setup, Splat, backward, render, splats_of},
     slice::reference::{Gaussian, Life, Shape},
 };
 use m4_testkit::{
@@ -64,13 +64,7 @@ fn check_scene(name: &str, splats: &Splats, view: &View) -> usize {
     let (splats, setup) = (splats_of::<f64>(splats), Setup::<f64>::new(view));
     let weights = weights(3, setup.width * setup.height);
     let rendered = render::<f64, Smooth>(&splats, &setup);
-    let forms = [BackwardForm::BackToFront, BackwardForm::Replay]
-        .map(|form| backward::<f64, Smooth>(&splats, &setup, &rendered, &weights, form));
-    for g in &forms {
-        let [got, want] = [g, &forms[0]].map(|g| g.splats.iter().flat_map(Splat::parameters).collect::<Vec<_>>());
-        assert_gradient(&format!("{name}: replay"), &got, &want, 1e-9);
-    }
-    let g = &forms[0];
+    let g = backward::<f64, Smooth>(&splats, &setup, &rendered, &weights);
 
     // each parameter over all splats, on its own scale
     let x: Vec<Vec<f64>> = splats.iter().map(Splat::parameters).collect();
@@ -177,12 +171,10 @@ fn behind_an_opaque_stack_there_is_exactly_nothing() {
     let (splats, setup) = (splats_of::<f64>(&splats), Setup::new(&view(front_camera(10, 10), false)));
     let rendered = render::<f64, Hard>(&splats, &setup);
     assert!(rendered.rows.contains(&6));
-    for form in [BackwardForm::BackToFront, BackwardForm::Replay] {
-        let g = backward::<f64, Hard>(&splats, &setup, &rendered, &weights(3, 100), form);
-        assert!(g.touched[0] && !g.touched[6]);
-        assert!(g.splats[6].parameters().iter().all(|&v| v == 0.0));
-        assert!(g.splats[0].parameters().iter().any(|&v| v != 0.0));
-    }
+    let g = backward::<f64, Hard>(&splats, &setup, &rendered, &weights(3, 100));
+    assert!(g.touched[0] && !g.touched[6]);
+    assert!(g.splats[6].parameters().iter().all(|&v| v == 0.0));
+    assert!(g.splats[0].parameters().iter().any(|&v| v != 0.0));
     // the pixels stop before their transmittance falls under the bound
     assert!(rendered.image.transmittance.iter().all(|&t| (1e-4..1.0).contains(&t)));
 }

@@ -2,9 +2,9 @@
 
 use m4_core::{Camera, Column, CounterRng, Splats};
 use m4_kernels::{
-    Frame, FrameGradient, Gradients, Renderer, SimdLevel, View, Wanted,
+    Frame, FrameGradient, Gradients, Renderer, SimdLevel, View,
     blend::reference::{CHANNELS, Hard},
-    reference::{BackwardForm, Rendered, SceneGradient, Setup, Splat, backward, render, score_splats, splats_of},
+    reference::{Rendered, SceneGradient, Setup, Splat, backward, render, score_splats, splats_of},
 };
 use m4_testkit::{Flips, assert_gradient, assert_image};
 
@@ -70,7 +70,7 @@ impl Expected {
     }
 
     pub fn gradient(&self, g: &FrameGradient) -> SceneGradient<f64> {
-        backward::<f64, Hard>(&self.splats, &self.setup, &self.rendered, &per_pixel(g), BackwardForm::BackToFront)
+        backward::<f64, Hard>(&self.splats, &self.setup, &self.rendered, &per_pixel(g))
     }
 
     pub fn score(&self, weight: &[f32]) -> Vec<f64> {
@@ -110,15 +110,6 @@ pub fn parameter(gradients: &Gradients, splats: &Splats, column: Column) -> Vec<
     out
 }
 
-/// The gradient with respect to the projected centres, row by row, 0 where nothing was touched.
-pub fn means2d(got: &Gradients) -> Vec<f64> {
-    let [x, y] = &got.means2d;
-    (0..got.touched.len())
-        .flat_map(|i| if got.touched[i] != 0 { [x[i], y[i]] } else { [0.0; 2] })
-        .map(f64::from)
-        .collect()
-}
-
 /// Fails unless every gradient is within `tolerance` of the reference.
 pub fn assert_gradients(name: &str, got: &Gradients, want: &SceneGradient<f64>, splats: &Splats, tolerance: f64) {
     let check = |what: &str, got: &[f64], want: &[f64]| {
@@ -129,9 +120,6 @@ pub fn assert_gradients(name: &str, got: &Gradients, want: &SceneGradient<f64>, 
         let want = columns[splats.layout().range(column)].concat();
         check(&format!("{column:?}"), &parameter(got, splats, column), &want);
     }
-    let means = means2d(got);
-    let want_means: Vec<f64> = want.means2d.iter().flat_map(|m| [m.x, m.y]).collect();
-    check("means2d", &means, &want_means);
     let camera = want.camera.to_camera_gradient();
     check("tau", &got.camera.tau, &camera.tau);
     check("omega", &got.camera.omega, &camera.omega);
@@ -150,7 +138,7 @@ pub fn compare(name: &str, level: SimdLevel, splats: &Splats, view: &View, toler
     assert_frame(&name, renderer.render(splats, view), &expected.rendered);
     let g = frame_gradient(5, view);
     let mut gradients = Gradients::default();
-    renderer.backward(splats, &g, Wanted::ALL, &mut gradients);
+    renderer.backward(splats, &g, true, &mut gradients);
     assert_gradients(&name, &gradients, &expected.gradient(&g), splats, tolerance);
 
     // positive weights, as errors are

@@ -4,21 +4,14 @@
 //! time, so rotating objects fray between the frames. Once velocities are trained, those of neighbouring splats give the angular velocity of
 //! the surface; a splat that deviates from its arc by more than half its size becomes three with shorter lifetimes, which together
 //! are as opaque as it was.
-//!
-//! | file | what it does |
-//! |---|---|
-//! | `rotation` | estimates the angular velocity from the velocities of neighbours |
-//! | `segments` | computes the parameters of the three segments |
 
-mod rotation;
 mod segments;
 
 use crate::density::rearrange;
 use m4_core::{Column, ShapeError, Splats, nalgebra::Vector3};
 use m4_kernels::adam::cpu::AdamState;
 use rayon::prelude::*;
-use rotation::{Neighbourhood, angular_velocity};
-use segments::{OFFSETS, Shares, become_segment};
+use segments::{Neighbourhood, OFFSETS, Shares, angular_velocity, become_segment};
 
 /// A splat is split if, one standard deviation of its lifetime from the middle, it deviates from its arc by more than this share of its
 /// size. 0.25 does no better and splits a third more, 1 gains half as much (docs/decisions/0007).
@@ -32,10 +25,7 @@ const MAX_SPLIT: usize = 300_000;
 ///
 /// The middle segment keeps the state of the optimiser; the other two start from nothing. The other splats are unchanged, to
 /// the bit, and stay in their order.
-///
-/// # Errors
-///
-/// [`ShapeError`] if `adam` does not belong to `splats`; nothing is changed then.
+/// Fails with [`ShapeError`] if `adam` does not belong to `splats`; nothing is changed then.
 pub(crate) fn split(splats: &mut Splats, adam: &mut AdamState, rotating: &[RotatingSplat]) -> Result<(), ShapeError> {
     ShapeError::check("optimiser state", splats.n(), adam.step.len())?;
     let n_static = splats.n_static();

@@ -1,20 +1,24 @@
 //! Training steps on the CPU.
 
-use super::{
-    Backend, BackendError, ColourSums, DensityRound, DensityStats, FrameStore, ScoreSettings, StepSettings, StepView,
-    batch::add_touched, pixels,
-};
 use crate::{
+    backend::{
+        Backend, BackendError, ColourSums, DensityRound, DensityStats, FrameStore, ScoreSettings, StepSettings,
+        StepView, pixels,
+    },
     colour_fit::add_seen,
     density::{ScoreInput, Scores, apply, rearrange, score},
     metrics::psnr,
     refine::{expose, exposure_gradient, pull_back},
 };
 use m4_core::{Capture, Column, Exposure, ShapeError, SplatLayout, Splats};
-use m4_kernels::adam::cpu::{AdamState, step as adam_step};
-use m4_kernels::cover;
-use m4_kernels::loss::cpu::{LossScratch, Target, loss};
-use m4_kernels::{FrameGradient, Gradients, Renderer, SimdLevel, StepStats, View, Wanted, morton_order};
+use m4_kernels::{
+    FrameGradient, Gradients, Renderer, SimdLevel, StepStats, View,
+    adam::cpu::{AdamState, step as adam_step},
+    cover,
+    loss::cpu::{LossScratch, Target, loss},
+    morton_order,
+};
+use rayon::prelude::*;
 
 /// Splats, frames and scratch memory in host memory.
 #[derive(Debug)]
@@ -37,7 +41,6 @@ pub struct CpuBackend<'a> {
 
 impl<'a> CpuBackend<'a> {
     /// Without splats. Of the frames of `capture` at most `cache_mb` megabytes are kept in the form that the loss needs.
-    #[must_use]
     pub fn new(capture: &'a Capture, cache_mb: usize, level: SimdLevel) -> Self {
         let nothing = nothing();
         Self {
@@ -85,8 +88,7 @@ impl<'a> CpuBackend<'a> {
     }
 
     fn backward(&mut self, camera: bool) {
-        let wanted = Wanted { camera, ..Wanted::default() };
-        self.renderer.backward(&self.splats, &self.frame_gradient, wanted, &mut self.gradients);
+        self.renderer.backward(&self.splats, &self.frame_gradient, camera, &mut self.gradients);
     }
 
     /// Leaves image minus target as the gradient.
@@ -259,5 +261,64 @@ impl Backend for CpuBackend<'_> {
             }
         }
         Ok(sums)
+    }
+}
+
+/// Rows a task.
+const CHUNK_ROWS: usize = 8192;
+
+/// Adds the rows that `other` touches to `sum`: gradients of the same splats, of two frames. What was touched by either
+/// is touched then; sums of camera and background stay those of `sum`.
+/// `n_static` rows lack the columns of time.
+///
+/// Each value is one addition, so the order of the calls alone decides the bits.
+pub(crate) fn add_touched(sum: &mut Gradients, other: &Gradients, n_static: usize) {
+    let n = sum.touched.len();
+    let (old, new) = (&sum.touched, &other.touched);
+    for (column, g) in sum.columns.iter_mut().zip(&other.columns) {
+        let first = if column.len() == n { 0 } else { n_static };
+        let flags = old[first..].par_chunks(CHUNK_ROWS).zip(new[first..].par_chunks(CHUNK_ROWS));
+        let values = column.par_chunks_mut(CHUNK_ROWS).zip(g.par_chunks(CHUNK_ROWS));
+        values.zip(flags).for_each(|((column, g), (old, new))| {
+            // of a long video most chunks lie in other frames
+            if new.iter().all(|&t| t == 0) {
+                return;
+            }
+            for (((a, &g), &old), &new) in column.iter_mut().zip(g).zip(old).zip(new) {
+                // rows that are not touched hold anything, NaN included
+                let before = if old == 0 { 0.0 } else { *a };
+                let more = if new == 0 { 0.0 } else { g };
+                *a = before + more;
+            }
+        });
+    }
+    for (a, &b) in sum.touched.iter_mut().zip(&other.touched) {
+        *a |= b;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::add_touched;
+    use m4_kernels::Gradients;
+
+    #[test]
+    fn batch_gradients_sum_over_touched_rows_only() {
+        let gradients = |shared: [f32; 4], late: [f32; 2], touched: [u8; 4]| Gradients {
+            columns: vec![shared.to_vec(), late.to_vec()],
+            touched: touched.to_vec(),
+            ..Gradients::default()
+        };
+        let nan = f32::NAN;
+        let mut sum = gradients([1.0, nan, 3.0, nan], [3.5, nan], [1, 0, 1, 0]);
+        let other = gradients([10.0, 20.0, nan, nan], [nan, nan], [1, 1, 0, 0]);
+        add_touched(&mut sum, &other, 2);
+        assert_eq!(sum.touched, [1, 1, 1, 0]);
+        assert_eq!(sum.columns[0][..3], [11.0, 20.0, 3.0]);
+        assert_eq!(sum.columns[1][0], 3.5);
+        let again = gradients([0.0; 4], [0.25, 8.0], [0, 0, 1, 1]);
+        add_touched(&mut sum, &again, 2);
+        assert_eq!(sum.columns[1], [3.75, 8.0]);
+        assert_eq!(sum.touched, [1; 4]);
     }
 }

@@ -4,7 +4,6 @@
 //! schedules, corrections of cameras and exposures, and checkpoints. Steps may return before they are done: their statistics are
 //! read now and then ([`Backend::stats`]). Both backends compute the same definitions; last digits differ.
 
-mod batch;
 mod cpu;
 mod frames;
 #[cfg(feature = "gpu")]
@@ -46,7 +45,6 @@ pub struct StepView<'a> {
 
 impl<'a> StepView<'a> {
     /// The gradient of the splats alone.
-    #[must_use]
     pub fn new(frame: usize, view: &'a View) -> Self {
         Self { frame, view, camera: false, exposure: false }
     }
@@ -126,7 +124,6 @@ pub struct DensityStats {
 
 impl DensityStats {
     /// True when the splats are what they were.
-    #[must_use]
     pub fn changes_nothing(&self) -> bool {
         self.cloned + self.split + self.pruned == 0
     }
@@ -143,90 +140,45 @@ pub trait Backend: std::fmt::Debug {
     /// True if steps are done when they return, so that reading statistics and splats costs no waiting.
     fn is_synchronous(&self) -> bool;
 
-    /// Takes all frames, of one size: once, before the first splats.
-    ///
-    /// # Errors
-    ///
-    /// [`BackendError`].
+    /// Takes all frames, of one size: once, before the first splats. Fails with [`BackendError`].
     fn set_frames(&mut self, frames: Vec<Target>) -> Result<(), BackendError>;
 
-    /// Takes the correction of every frame's colours: from here on `matrix rgb + offset` is compared with the
-    /// frame. Without a call nothing is corrected.
-    ///
-    /// # Errors
-    ///
-    /// [`BackendError`].
+    /// Takes the correction of every frame's colours: from here on `matrix rgb + offset` is compared with the frame.
+    /// Without a call nothing is corrected. Fails with [`BackendError`].
     fn set_exposures(&mut self, exposures: &[Exposure]) -> Result<(), BackendError>;
 
-    /// Takes splats and the optimiser's state.
-    ///
-    /// # Errors
-    ///
-    /// [`BackendError`].
+    /// Takes splats and the optimiser's state. Fails with [`BackendError`].
     fn upload(&mut self, splats: &Splats, adam: AdamState) -> Result<(), BackendError>;
 
     /// Gives splats and the optimiser's state back, as they are after all steps; an [`upload`](Self::upload) comes before the next step.
-    ///
-    /// # Errors
-    ///
-    /// [`BackendError`].
+    /// Fails with [`BackendError`].
     fn take(&mut self) -> Result<(Splats, AdamState), BackendError>;
 
-    /// A copy of the splats as they are after all steps.
-    ///
-    /// # Errors
-    ///
-    /// [`BackendError`].
+    /// A copy of the splats as they are after all steps. Fails with [`BackendError`].
     fn splats(&mut self) -> Result<Splats, BackendError>;
 
-    /// Takes other values for the same rows; the optimiser's state stays.
-    ///
-    /// # Errors
-    ///
-    /// [`BackendError`].
+    /// Takes other values for the same rows; the optimiser's state stays. Fails with [`BackendError`].
     fn set_splats(&mut self, splats: &Splats) -> Result<(), BackendError>;
 
     /// Lays splats and the optimiser's state out as [`m4_kernels::morton_order`] does, or nearly so.
-    ///
-    /// # Errors
-    ///
-    /// [`BackendError`].
+    /// Fails with [`BackendError`].
     fn reorder(&mut self) -> Result<(), BackendError>;
 
     /// Renders and compares each frame, and moves every splat that was seen along the sum of the gradients. May return
-    /// before it is done.
-    ///
-    /// # Errors
-    ///
-    /// [`BackendError`].
+    /// before it is done. Fails with [`BackendError`].
     fn step(&mut self, views: &[StepView<'_>], settings: &StepSettings<'_>) -> Result<(), BackendError>;
 
-    /// Waits for all steps and returns their statistics since the last call.
-    ///
-    /// # Errors
-    ///
-    /// [`BackendError`].
+    /// Waits for all steps and returns their statistics since the last call. Fails with [`BackendError`].
     fn stats(&mut self) -> Result<StepStats, BackendError>;
 
-    /// Both scores of every splat over some frames, as [`crate::density`] defines them.
-    ///
-    /// # Errors
-    ///
-    /// [`BackendError`].
+    /// Both scores of every splat over some frames, as [`crate::density`] defines them. Fails with [`BackendError`].
     fn score(&mut self, views: &[(usize, View)], settings: &ScoreSettings) -> Result<Scores, BackendError>;
 
     /// A whole round of density control, as [`crate::density::apply`] of the round's plan does it. Where nothing would be
     /// left, nothing changes. `None` from a backend that does not support this round: the trainer then asks for scores and decides.
-    ///
-    /// # Errors
-    ///
-    /// [`BackendError`].
+    /// Fails with [`BackendError`].
     fn densify(&mut self, round: &DensityRound<'_>) -> Result<Option<DensityStats>, BackendError>;
 
-    /// Sums for the fit of colours over some frames.
-    ///
-    /// # Errors
-    ///
-    /// [`BackendError`].
+    /// Sums for the fit of colours over some frames. Fails with [`BackendError`].
     fn colour_sums(&mut self, views: &[(usize, View)], with_weight: bool) -> Result<ColourSums, BackendError>;
 }

@@ -1,5 +1,4 @@
-//! Settings of loss-guided density control (section 3.3 of the paper, equations 6 to 10;
-//! docs/spec/optimiser.md 4).
+//! Settings of loss-guided density control (section 3.3 of the paper, equations 6 to 10; docs/spec/optimiser.md 4).
 
 /// How an error map is brought to 0..1 before it is compared with the threshold.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -16,8 +15,7 @@ pub enum ErrorRange {
 /// Which splats the prune score removes.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum PruneRule {
-    /// Every splat above the threshold; scores min-max normalised over all splats (paper eq. 10, to
-    /// the letter).
+    /// Every splat above the threshold; scores min-max normalised over all splats (paper eq. 10, to the letter).
     Literal,
     /// Those above the threshold whose opacity is also low; scores normalised over the splats that have one,
     /// clipped at a quantile (docs/spec/optimiser.md 4.4).
@@ -77,8 +75,7 @@ pub struct DensityConfig {
     pub error_threshold: f32,
     /// How errors are normalised.
     pub error_range: ErrorRange,
-    /// Score above which a splat is cloned or split (raw sums of error, mean over the frames). Paper:
-    /// tau_den = 0.001.
+    /// Score above which a splat is cloned or split (raw sums of error, mean over the frames). Paper: tau_den = 0.001.
     pub densify_threshold: f32,
     /// Normalised score above which a splat is pruned. Paper: tau_pru = 0.009.
     pub prune_threshold: f32,
@@ -120,7 +117,6 @@ impl Default for DensityConfig {
 
 impl DensityConfig {
     /// The recommended reading of docs/spec/optimiser.md 4.4.
-    #[must_use]
     pub fn fast() -> Self {
         Self {
             enabled: true,
@@ -147,7 +143,6 @@ impl DensityConfig {
     /// Equations 6 to 10 to the letter where they can be read, else as the code they derive from:
     /// p(t) with peak 1, footprints of composited pixels, raw sums, both rounds every 100 iterations to
     /// the end. The cap on the number of splats is a guard for memory and ours.
-    #[must_use]
     pub fn faithful() -> Self {
         Self {
             error_range: ErrorRange::MinMax,

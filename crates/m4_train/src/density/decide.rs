@@ -1,8 +1,12 @@
-//! Turns scores into decisions: a pure function, so that it can be tested on synthetic scores.
+//! Turns scores into decisions and those into the rows of the next set of splats: pure functions, so that they can be
+//! tested on synthetic scores.
 
-use super::error_mask::quantile;
-use super::{Origin, Plan, Scores};
-use crate::config::{DensityConfig, PruneRule};
+use crate::{
+    SceneScale,
+    config::{DensityConfig, PruneRule, SplitSize},
+    density::{Scores, score::quantile},
+};
+use m4_core::{Column, Splats};
 
 /// What a decision looks at besides the scores; all `[n]`.
 #[derive(Debug, Clone, Copy)]
@@ -28,7 +32,6 @@ pub struct Decision {
 
 impl Decision {
     /// How many of `n` splats may be cloned or split: each makes one splat more.
-    #[must_use]
     pub fn budget(&self, config: &DensityConfig, n: usize) -> usize {
         ((f64::from(config.budget) * n as f64) as usize).min(self.max_splats.saturating_sub(n))
     }
@@ -39,7 +42,6 @@ impl Decision {
 /// A splat is densified when its score is above the threshold and among the best `budget`; ties go to
 /// the lower row. Pruned are splats of low opacity and, when due, those that the score rule names; in the literal rule a splat may be cloned and pruned in one round, then its clone
 /// takes its place.
-#[must_use]
 pub fn decide(config: &DensityConfig, due: Decision, splats: SplatView<'_>, scores: &Scores) -> Plan {
     let n = splats.opacity.len();
     let grows = if due.densify { best(config, &scores.densify, n, due.budget(config, n)) } else { vec![false; n] };
@@ -119,6 +121,89 @@ fn pruned_by_score(config: &DensityConfig, opacity: &[f32], scores: &[f32]) -> V
             }
         })
         .collect()
+}
+
+/// What a round goes by.
+#[derive(Debug, Clone, Copy)]
+pub struct Rules<'a> {
+    /// Thresholds and budgets.
+    pub config: &'a DensityConfig,
+    /// What is due.
+    pub due: Decision,
+    /// Splats of a lower opacity go; instead of that of [`config`](Self::config).
+    pub min_opacity: f32,
+    /// The lengths that sizes are measured in.
+    pub scale: &'a SceneScale,
+}
+
+impl Rules<'_> {
+    /// What becomes of `splats` with these scores, `[n]` each.
+    pub fn plan(&self, splats: &Splats, scores: &Scores) -> Plan {
+        let mut config = self.config.clone();
+        config.min_opacity = self.min_opacity;
+        let n = splats.n();
+        let scales = splats.layout().range(Column::LogScale).len();
+        let largest: Vec<f32> = (0..n)
+            .map(|i| (0..scales).map(|k| splats.column(Column::LogScale, k)[i]).fold(f32::NEG_INFINITY, f32::max).exp())
+            .collect();
+        let mean = |i: usize| [0, 1, 2].map(|k| splats.column(Column::Mean, k)[i]);
+        let limit = |i: usize| match config.split_size {
+            SplitSize::Extent { share } => share * self.scale.extent,
+            SplitSize::Pixels { pixels } => pixels * self.scale.nearest_camera(mean(i)) / self.scale.focal_px,
+        };
+        let large: Vec<bool> = (0..n).map(|i| largest[i] > limit(i)).collect();
+        let opacity: Vec<f32> = splats.column(Column::Opacity, 0).iter().map(|&l| 1.0 / (1.0 + (-l).exp())).collect();
+        let view = SplatView { n_static: splats.n_static(), opacity: &opacity, large: &large };
+        decide(&config, self.due, view, scores)
+    }
+}
+
+/// Where a row of the next set comes from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Origin {
+    /// It is the splat it was.
+    Kept,
+    /// It is the splat it was, and a clone of it exists now.
+    Cloned,
+    /// A copy of a splat.
+    Clone,
+    /// One of the two children of a splat that is gone.
+    Child(u8),
+}
+
+impl Origin {
+    /// True for rows whose optimiser state starts from nothing.
+    #[must_use]
+    pub fn is_new(self) -> bool {
+        matches!(self, Self::Clone | Self::Child(_))
+    }
+}
+
+/// The next set of splats: static rows first.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Plan {
+    /// The row of the old set that each row is taken from.
+    pub rows: Vec<u32>,
+    /// What becomes of it.
+    pub origins: Vec<Origin>,
+    /// Splats that were cloned.
+    pub cloned: usize,
+    /// Splats that were split.
+    pub split: usize,
+    /// Splats that were pruned.
+    pub pruned: usize,
+}
+
+impl Plan {
+    /// True where the row is new splat, `[rows]`.
+    pub fn is_new(&self) -> Vec<bool> {
+        self.origins.iter().map(|o| o.is_new()).collect()
+    }
+
+    /// True when the next set is the old one.
+    pub fn changes_nothing(&self) -> bool {
+        self.cloned + self.split + self.pruned == 0
+    }
 }
 
 #[cfg(test)]

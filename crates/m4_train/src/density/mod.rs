@@ -2,33 +2,24 @@
 //!
 //! | file | what it does |
 //! |---|---|
-//! | `error_mask` | error map to masked error |
-//! | `score` | masked errors of K frames to two scores per splat |
-//! | `rules` | what a round goes by |
-//! | `decide` | scores to the splats to clone, split and prune |
-//! | `plan` | decisions to rows: which splats the next set is made of |
+//! | `score` | error map to masked error; masked errors of K frames to two scores per splat |
+//! | `decide` | the rules of a round; scores to the splats to clone, split and prune; decisions to the rows of the next set |
 //! | `new_splats` | the parameters of clones and children |
 //!
-//! Readings where the paper is open (docs/spec/optimiser.md 4.4): p(t) is the marginal with peak 1; a splat's
-//! footprint are the pixels that it is composited on; scores are raw sums of error. Both scores are
-//! taken from the same state of the splats; new splats are never pruned in the round that made them,
-//! nor are parents of clones.
+//! Readings where the paper is open (docs/spec/optimiser.md 4.4): p(t) is the marginal with peak 1; a splat's footprint
+//! are the pixels that it is composited on; scores are raw sums of error. Both scores are taken from the same state of
+//! the splats; new splats are never pruned in the round that made them, nor are parents of clones.
 
 mod decide;
-mod error_mask;
 #[cfg(feature = "gpu")]
 mod gpu;
 mod new_splats;
-mod plan;
-mod rules;
 mod score;
 
-pub use decide::{Decision, SplatView, decide};
-pub use error_mask::masked_error;
+pub use decide::{Decision, Origin, Plan, Rules, SplatView, decide};
 pub use new_splats::apply;
 pub(crate) use new_splats::rearrange;
-pub use plan::{Origin, Plan};
-pub use rules::Rules;
+pub use score::masked_error;
 pub(crate) use score::{ScoreInput, score};
 
 /// The two scores of every splat.

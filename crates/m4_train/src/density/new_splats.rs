@@ -3,7 +3,7 @@
 use super::{Origin, Plan};
 use crate::{
     config::{CloneOpacity, DensityConfig, SplitPlacement},
-    pick::purpose,
+    schedule::purpose,
 };
 use m4_core::{
     Column, CounterRng, ShapeError, Splats,
@@ -17,16 +17,12 @@ const SPLIT_FACTOR: f32 = 1.6;
 
 /// Carries a plan out: splats and optimiser state become the next ones, in place.
 ///
-/// Clones are copies; with [`CloneOpacity::Share`] parent and clone pass together the light that the
-/// parent passed. Children of a split lie as [`SplitPlacement`] says; drawn ones are taken from the splat's Gaussian, in space and (dynamic
-/// splats) in time: `dt ~ N(0, w)`, `x = v dt + Q diag(s) e`; their scales, that in time included, are
-/// the parent's over 1.6. The draws depend on `seed`, `iteration` and the parent's row alone.
-/// Survivors keep their optimiser state, new splats start from nothing.
-///
-/// # Errors
-///
-/// [`ShapeError`] if the plan names rows that do not exist, or a static row after a dynamic one; nothing is
-/// changed then.
+/// Clones are copies; with [`CloneOpacity::Share`] parent and clone pass together the light that the parent passed.
+/// Children of a split lie as [`SplitPlacement`] says; drawn ones are taken from the splat's Gaussian, in space and
+/// (dynamic splats) in time: `dt ~ N(0, w)`, `x = v dt + Q diag(s) e`; their scales, that in time included, are the
+/// parent's over 1.6. The draws depend on `seed`, `iteration` and the parent's row alone. Survivors keep their
+/// optimiser state, new splats start from nothing. Fails with [`ShapeError`] if the plan names rows that do not exist,
+/// or a static row after a dynamic one; nothing is changed then.
 pub fn apply(
     config: &DensityConfig,
     plan: &Plan,

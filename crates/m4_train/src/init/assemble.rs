@@ -5,9 +5,8 @@ use crate::init::{
     carry::{CARRY_MARGIN, CARRY_REACH_PIXELS, Carry, MOST_CARRIED, Moving, hidden, is_seen},
     change::changes,
     cloud::{Clouds, Pixels, clouds},
-    error::stopped,
-    motion::{Fields, NODE_PIXELS, REACH_PIXELS, Registration, View, Ways, fields},
-    paths::Paths,
+    config::stopped,
+    motion::{Fields, KeyframeTracks, NODE_PIXELS, Paths, REACH_PIXELS, View, fields},
     shell::{Shell, shell},
     tracked::{self, Known},
     voxel::{Centroids, Grid, pixels_for},
@@ -26,13 +25,9 @@ const SHELL_RADIUS: f32 = 2.0;
 
 /// The first splats of a capture.
 ///
-/// Frames without a mask stand still everywhere; frames without depth are skipped. Static splats
-/// come first; dynamic ones are in order of time.
-///
-/// # Errors
-///
-/// [`InitError`] if a setting is out of range, the capture has no frame or no usable depth, a camera
-/// is not finite, or `progress` asked to stop.
+/// Frames without a mask are static everywhere; frames without depth are skipped. Static splats come first; dynamic
+/// ones are in order of time. Fails with [`InitError`] if a setting is out of range, the capture has no frame or no
+/// usable depth, a camera is not finite, or `progress` asked to stop.
 pub fn initialise(capture: &Capture, config: &InitConfig, progress: &dyn Progress) -> Result<Splats, InitError> {
     config.check()?;
     if let Some(tracks) = capture.tracks.as_ref().filter(|t| t.frames() != capture.frames.len()) {
@@ -48,11 +43,12 @@ pub fn initialise(capture: &Capture, config: &InitConfig, progress: &dyn Progres
     let grid = |pixels| Grid::new(config.cells, pixels, focal_px, median_depth, &centres, origin);
     let points = |pixels: &Pixels| pixels.cloud(capture);
 
-    let static_pixels = pixels_for(config.max_static, MIN_PIXELS, |p| grid(p).occupied_by(&clouds.standing, points));
-    let standing_grid = grid(static_pixels);
-    let standing = standing_grid.merge_all(&clouds.standing, points);
+    let static_pixels =
+        pixels_for(config.max_static, MIN_PIXELS, |p| grid(p).occupied_by(&clouds.static_points, points));
+    let static_grid = grid(static_pixels);
+    let static_points = static_grid.merge_all(&clouds.static_points, points);
     stopped(progress)?;
-    progress.update("voxels", 1, 3, &format!("{} static", standing.xyz.len()));
+    progress.update("voxels", 1, 3, &format!("{} static", static_points.xyz.len()));
 
     let count = |p| {
         let grid = grid(p);
@@ -62,7 +58,7 @@ pub fn initialise(capture: &Capture, config: &InitConfig, progress: &dyn Progres
     let moving: Vec<(f64, Centroids)> =
         clouds.moving.par_iter().map(|k| (capture.frames[k.frame].t, moving_grid.merge(&points(k)))).collect();
     stopped(progress)?;
-    progress.update("voxels", 2, 3, &format!("{} static", standing.xyz.len()));
+    progress.update("voxels", 2, 3, &format!("{} static", static_points.xyz.len()));
 
     let fields = motions(capture, config, &clouds, &moving, &grid, progress)?;
     let frames: Vec<usize> = clouds.moving.iter().map(|k| k.frame).collect();
@@ -99,12 +95,12 @@ pub fn initialise(capture: &Capture, config: &InitConfig, progress: &dyn Progres
             if config.change_threshold <= 0.0 {
                 return Tints::default();
             }
-            let found = changes(&capture.frames[frame], config, &standing_grid, &standing);
+            let found = changes(&capture.frames[frame], config, &static_grid, &static_points);
             Tints { darker: tint_grid.merge(&found.darker), brighter: tint_grid.merge(&found.brighter) }
         })
         .collect();
     let shell = shell(capture, config.shell_splats, SHELL_RADIUS * clouds.far_depth as f32);
-    let parts = Parts { standing, shell, moving, paths, hidden, tracked, tints };
+    let parts = Parts { static_points, shell, moving, paths, hidden, tracked, tints };
     let splats = assemble(capture, config, &parts);
     let note = format!("{} static, {} dynamic", splats.n_static(), splats.n_dynamic());
     progress.update("voxels", 3, 3, &note);
@@ -121,7 +117,7 @@ struct Tints {
 
 /// Everything that splats are made of.
 struct Parts {
-    standing: Centroids,
+    static_points: Centroids,
     shell: Shell,
     /// Time and points, one per keyframe.
     moving: Vec<(f64, Centroids)>,
@@ -153,8 +149,7 @@ fn motions(
             let coarse_grid = grid(NODE_PIXELS);
             let coarse = clouds.moving.par_iter().map(|k| coarse_grid.merge(&k.cloud(capture)));
             let coarse: Vec<Centroids> = coarse.collect();
-            let reach = f64::from(REACH_PIXELS) * clouds.median_depth / clouds.focal_px;
-            let by = Registration::with_reach(reach as f32);
+            let reach = (f64::from(REACH_PIXELS) * clouds.median_depth / clouds.focal_px) as f32;
             let frames = || clouds.moving.iter().map(|k| &capture.frames[k.frame]);
             let sees: Vec<_> = frames().map(|frame| move |p| is_seen(frame, p, HIDDEN_BEHIND)).collect();
             let keyframes: Vec<View<'_>> = frames()
@@ -162,12 +157,12 @@ fn motions(
                 .map(|(i, frame)| View { nodes: &coarse[i], points: &moving[i].1, frame: Some(frame), sees: &sees[i] })
                 .collect();
             let frames: Vec<usize> = clouds.moving.iter().map(|k| k.frame).collect();
-            let ways = capture.tracks.as_ref().filter(|_| tracks).map(|tracks| Ways {
+            let tracks = capture.tracks.as_ref().filter(|_| tracks).map(|tracks| KeyframeTracks {
                 tracks,
                 frames: &frames,
-                reach: by.reach,
+                reach,
             });
-            fields(&keyframes, ways, &by, progress)
+            fields(&keyframes, tracks, reach, progress)
         }
     }
 }
@@ -183,12 +178,12 @@ fn assemble(capture: &Capture, config: &InitConfig, parts: &Parts) -> Splats {
     let unseen = || parts.hidden.iter().chain(&parts.tracked);
     let n_hidden: usize = unseen().map(|m| m.points.xyz.len()).sum();
     let n_tints: usize = parts.tints.iter().map(|t| t.darker.xyz.len() + t.brighter.xyz.len()).sum();
-    let n_standing = parts.standing.xyz.len() + parts.shell.xyz.len();
-    let n_static = if config.static_fade { 0 } else { n_standing };
-    let mut splats = Splats::zeros(layout, n_static, n_standing - n_static + n_moving + n_hidden + n_tints);
+    let n_background = parts.static_points.xyz.len() + parts.shell.xyz.len();
+    let n_static = if config.static_fade { 0 } else { n_background };
+    let mut splats = Splats::zeros(layout, n_static, n_background - n_static + n_moving + n_hidden + n_tints);
 
     let mut writer = Writer { splats: &mut splats, config, row: 0 };
-    writer.surface(&parts.standing);
+    writer.surface(&parts.static_points);
     writer.shell(&parts.shell);
     let times: Vec<f64> = parts.moving.iter().map(|(t, _)| *t).collect();
     if config.static_fade {

@@ -7,7 +7,7 @@
 
 use crate::init::{
     InitError,
-    error::stopped,
+    config::stopped,
     motion::{Field, Fields, bodies},
     voxel::{Centroids, Grid},
 };

@@ -1,13 +1,13 @@
 //! Changes of brightness without motion: shadows, reflections, lamps.
 //!
-//! A mask knows things that move; their shadows fall on things that do not. A pixel of standing
+//! A mask knows things that move; their shadows fall on things that do not. A pixel of static
 //! surface is compared with the mean colour of its voxel over all frames; where a whole patch of the
 //! frame is darker or brighter than that mean, thin dark or bright splats are laid over the surface for
 //! the time of the frame. They tint the surface instead of repainting it, so few suffice.
 
 use crate::init::{
     InitConfig,
-    cloud::{Cloud, standing_pixels},
+    cloud::{Cloud, visit_static_pixels},
     voxel::{Centroids, Grid},
 };
 use m4_core::CaptureFrame;
@@ -41,7 +41,7 @@ pub(crate) fn changes(frame: &CaptureFrame, config: &InitConfig, grid: &Grid, vo
     let mut difference = vec![f32::NAN; gw * gh];
     let mut mean = vec![0.0f32; gw * gh];
     let mut points = vec![[0.0f64; 3]; gw * gh];
-    standing_pixels(frame, config, STEP, &mut |x, y, p, rgb| {
+    visit_static_pixels(frame, config, STEP, &mut |x, y, p, rgb| {
         let at = [p.x as f32, p.y as f32, p.z as f32];
         if let Some(i) = voxels.find(grid, at) {
             let k = (y / STEP) * gw + x / STEP;

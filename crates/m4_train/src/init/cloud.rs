@@ -1,6 +1,6 @@
 //! Unprojects depth maps to coloured points in the world.
 
-use crate::init::{InitConfig, InitError, error::stopped, free_space};
+use crate::init::{InitConfig, InitError, config::stopped, free_space};
 use m4_core::{Capture, CaptureFrame, CompactMask, DepthMap, Progress, dilated, nalgebra::Vector3};
 use rayon::prelude::*;
 
@@ -31,7 +31,7 @@ pub(crate) struct Pixels {
     /// Which frame of the capture it is.
     pub frame: usize,
     /// Pixels of its depth map that are points.
-    pub kept: CompactMask,
+    pub mask: CompactMask,
 }
 
 impl Pixels {
@@ -42,10 +42,10 @@ impl Pixels {
         let Some(depth) = &frame.depth else { return out };
         let ((w, h), (rgb_w, rgb_h)) = (depth.size(), frame.rgb.size());
         let camera = frame.camera.resized(w, h);
-        let count = self.kept.count();
+        let count = self.mask.count();
         out.xyz.reserve_exact(count);
         out.rgb.reserve_exact(count);
-        for (x, y) in self.kept.set_pixels() {
+        for (x, y) in self.mask.set_pixels() {
             let p = camera.unproject(x as f64, y as f64, f64::from(depth.at(x, y)));
             out.push(p, frame.rgb[((2 * x + 1) * rgb_w / (2 * w), (2 * y + 1) * rgb_h / (2 * h))]);
         }
@@ -57,7 +57,7 @@ impl Pixels {
 #[derive(Debug)]
 pub(crate) struct Clouds {
     /// The static part, in the frames that it is taken from.
-    pub standing: Vec<Pixels>,
+    pub static_points: Vec<Pixels>,
     /// The dynamic part, one per keyframe, in order of time; keyframes without moving pixels included.
     pub moving: Vec<Pixels>,
     /// Median z-depth of the sampled pixels, world units.
@@ -83,12 +83,12 @@ pub(crate) fn clouds(capture: &Capture, config: &InitConfig, progress: &dyn Prog
         return Err(InitError::NoDepth { frames: capture.frames.len() });
     }
     let picked = with_depth.len().min(config.static_frames);
-    let standing_rank: Vec<usize> = (0..picked)
+    let static_rank: Vec<usize> = (0..picked)
         .map(|i| if picked == 1 { with_depth.len() / 2 } else { i * (with_depth.len() - 1) / (picked - 1) })
         .collect();
 
     let mut out = Clouds {
-        standing: Vec::new(),
+        static_points: Vec::new(),
         moving: Vec::new(),
         median_depth: 0.0,
         near_depth: 0.0,
@@ -104,17 +104,17 @@ pub(crate) fn clouds(capture: &Capture, config: &InitConfig, progress: &dyn Prog
             .par_iter()
             .enumerate()
             .map(|(i, &frame)| {
-                let standing = standing_rank.binary_search(&(b * BATCH + i)).is_ok();
-                look_at(&capture.frames[frame], config, standing)
+                let static_points = static_rank.binary_search(&(b * BATCH + i)).is_ok();
+                classify_pixels(&capture.frames[frame], config, static_points)
             })
             .collect();
         for (i, part) in parts.into_iter().enumerate() {
             depths.extend_from_slice(&part.depths);
             out.focal_px += part.focal_px / with_depth.len() as f64;
             let frame = batch[i];
-            let pixels = |kept| Pixels { frame, kept };
-            points += part.standing.as_ref().map_or(0, CompactMask::count);
-            out.standing.extend(part.standing.map(pixels));
+            let pixels = |mask| Pixels { frame, mask };
+            points += part.static_points.as_ref().map_or(0, CompactMask::count);
+            out.static_points.extend(part.static_points.map(pixels));
             out.moving.extend(part.moving.map(pixels));
         }
         let note = format!("{points} points");
@@ -126,13 +126,10 @@ pub(crate) fn clouds(capture: &Capture, config: &InitConfig, progress: &dyn Prog
             first_frame: capture.frames[with_depth[0]].name.clone(),
         });
     }
-    free_space::clear(capture, &mut out.standing, config, progress)?;
-    let middle = depths.len() / 2;
-    out.median_depth = f64::from(*depths.select_nth_unstable_by(middle, f32::total_cmp).1);
-    let near = (depths.len() - 1) / 100;
-    out.near_depth = f64::from(*depths.select_nth_unstable_by(near, f32::total_cmp).1);
-    let far = (depths.len() - 1) * 99 / 100;
-    out.far_depth = f64::from(*depths.select_nth_unstable_by(far, f32::total_cmp).1);
+    free_space::clear(capture, &mut out.static_points, config, progress)?;
+    let last = depths.len() - 1;
+    let mut at = |rank: usize| f64::from(*depths.select_nth_unstable_by(rank, f32::total_cmp).1);
+    (out.median_depth, out.near_depth, out.far_depth) = (at(last.div_ceil(2)), at(last / 100), at(last * 99 / 100));
     Ok(out)
 }
 
@@ -147,7 +144,7 @@ fn camera_is_usable(frame: &CaptureFrame) -> bool {
 /// What one frame contributes.
 struct Part {
     /// Static pixels that are points, where they are asked for.
-    standing: Option<CompactMask>,
+    static_points: Option<CompactMask>,
     /// Dynamic pixels that are points; `None` without depth.
     moving: Option<CompactMask>,
     /// Every 16th usable depth, for the median.
@@ -155,8 +152,8 @@ struct Part {
     focal_px: f64,
 }
 
-fn look_at(frame: &CaptureFrame, config: &InitConfig, want_standing: bool) -> Part {
-    let mut part = Part { standing: None, moving: None, depths: Vec::new(), focal_px: 0.0 };
+fn classify_pixels(frame: &CaptureFrame, config: &InitConfig, want_static: bool) -> Part {
+    let mut part = Part { static_points: None, moving: None, depths: Vec::new(), focal_px: 0.0 };
     let Some(depth) = &frame.depth else { return part };
     let depth = &depth.to_map();
     let (w, h) = depth.size();
@@ -167,10 +164,10 @@ fn look_at(frame: &CaptureFrame, config: &InitConfig, want_standing: bool) -> Pa
     let sampled = (0..w * h).step_by(16).filter(|&i| usable[i]);
     part.depths = sampled.map(|i| depth.data()[i]).collect();
     let moves = moving_pixels(frame, w, h);
-    if want_standing {
+    if want_static {
         let near_moving = dilated(&moves, w, h, config.mask_margin_px);
         let still = |i: usize| usable[i] && !near_moving[i];
-        part.standing = Some(CompactMask::from_fn(w, h, |x, y| still(y * w + x)));
+        part.static_points = Some(CompactMask::from_fn(w, h, |x, y| still(y * w + x)));
     }
     let moving = |i: usize| usable[i] && moves[i];
     part.moving = Some(CompactMask::from_fn(w, h, |x, y| moving(y * w + x)));
@@ -179,7 +176,7 @@ fn look_at(frame: &CaptureFrame, config: &InitConfig, want_standing: bool) -> Pa
 
 /// Calls `visit(x, y, world point, colour)` for every `step`-th pixel of every `step`-th row of the depth
 /// map that is static and is not near a moving one.
-pub(crate) fn standing_pixels(
+pub(crate) fn visit_static_pixels(
     frame: &CaptureFrame,
     config: &InitConfig,
     step: usize,

@@ -1,6 +1,5 @@
-//! What differs between initialisations, each with its source; constants stand beside the code that uses them.
-
-use crate::init::InitError;
+//! What differs between initialisations, each with its source, and their errors; constants stand beside the code that uses
+//! them.
 
 /// How large a voxel is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -23,7 +22,7 @@ pub enum TimeSpread {
         factor: f32,
     },
     /// Variance `D / (10 (B - 1))` in the reference's time units, that is a standard deviation of
-    /// `sqrt((B - 1) / (10 D))` frames; standing points get variance `D`, that is
+    /// `sqrt((B - 1) / (10 D))` frames; static points get variance `D`, that is
     /// `(B - 1) / sqrt(D)` frames, about the time `D / 3` (Instant4D; docs/spec/optimiser.md 2.4, decision D7).
     Reference {
         /// Length `D` of the reference's time axis: 3 for DyCheck and DAVIS, 1 for NVIDIA.
@@ -76,13 +75,13 @@ pub struct InitConfig {
     pub max_dynamic: usize,
     /// Constant or depth-proportional voxels.
     pub cells: CellSize,
-    /// Standing points are taken from at most this many frames, evenly spread. 24 frames of 480 x 360
+    /// Static points are taken from at most this many frames, evenly spread. 24 frames of 480 x 360
     /// are 4 million points, which is what 150 MB hold; twice as many bring nothing (measured).
     pub static_frames: usize,
-    /// Standing points within this many pixels of a moving one are dropped: masks are never exact,
+    /// Static points within this many pixels of a moving one are dropped: masks are never exact,
     /// and a moving pixel taken for wall stays on the wall (our rule).
     pub mask_margin_px: usize,
-    /// Standing points that are nearer by more than this share than what several other frames see there are dropped: depth that
+    /// Static points that are nearer by more than this share than what several other frames see there are dropped: depth that
     /// smears over edges (docs/spec/optimiser.md 2.6 has 5 % for tracked points; measured on whole held-out views: +0.3 and +0.45 dB from frames at
     /// 1.5 %, less at 3 %, none lost with true depth). 0 for none.
     pub free_space: f32,
@@ -92,15 +91,14 @@ pub struct InitConfig {
     pub carry_keyframes: usize,
     /// Points of tracks.
     pub tracked: TrackedInit,
-    /// A patch of standing surface whose brightness differs by more than this (0..1) from its mean over
+    /// A patch of static surface whose brightness differs by more than this (0..1) from its mean over
     /// all frames gets splats of its own for that time: moving shadows (our rule). 0 for none.
     pub change_threshold: f32,
-    /// Splats on a shell behind everything, coloured by what was seen in their direction (our rule). 0
-    /// for none.
+    /// Splats on a shell behind everything, coloured by what was seen in their direction (our rule). 0 for none.
     pub shell_splats: usize,
     /// One scale a splat and no rotation (the paper's choice, as Instant4D; docs/spec/optimiser.md 1.5).
     pub isotropic: bool,
-    /// Standing points become rows with time parameters that fade towards the ends, as in the
+    /// Static points become rows with time parameters that fade towards the ends, as in the
     /// reference (docs/spec/optimiser.md 2.4); else they have no time at all.
     pub static_fade: bool,
     /// Opacity at the start, 0..1. Reference 0.1; docs/spec/optimiser.md 2.5 recommends 0.5; 0.97 with small splats is
@@ -124,7 +122,6 @@ impl Default for InitConfig {
 
 impl InitConfig {
     /// Static splats without time, dynamic ones in velocity form, anisotropic (docs/spec/optimiser.md 9, D1).
-    #[must_use]
     pub fn fast() -> Self {
         Self {
             max_static: 80_000,
@@ -148,7 +145,6 @@ impl InitConfig {
 
     /// The paper's letter, read as Instant4D (docs/spec/optimiser.md 1.5 and 2): isotropic, no velocity, every
     /// splat with a time span, opacity 0.1, constant voxels, scale of the plain 3-NN distance.
-    #[must_use]
     pub fn faithful() -> Self {
         Self {
             max_static: 60_000,
@@ -170,11 +166,7 @@ impl InitConfig {
         }
     }
 
-    /// Refuses values that no run can use.
-    ///
-    /// # Errors
-    ///
-    /// [`InitError::BadSetting`] naming the first field out of range.
+    /// Refuses values that no run can use. Fails with [`InitError::BadSetting`] naming the first field out of range.
     pub fn check(&self) -> Result<(), InitError> {
         let need = |ok: bool, field, value: &dyn ToString, expected| {
             if ok {
@@ -200,6 +192,67 @@ impl InitConfig {
         let opacity = self.opacity;
         need(opacity > 0.0 && opacity < 1.0, "opacity", &opacity, "between 0 and 1, both excluded")
     }
+}
+
+/// What was wrong with a capture or the settings.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum InitError {
+    /// The capture has no frame at all.
+    #[error("the capture has no frames; nothing can be initialised from it")]
+    NoFrames,
+    /// No frame has depth.
+    #[error(
+        "none of the {frames} frames has a depth map, and splats start from depth; run the geometry stage first, or give \
+         `depth_file_path` for the frames"
+    )]
+    NoDepth {
+        /// Frames of the capture.
+        frames: usize,
+    },
+    /// Depth exists but not one pixel of it is usable.
+    #[error(
+        "no usable depth in {frames} depth maps: every pixel is 0, not finite, or beside a jump of depth (first depth map: frame \
+         {first_frame:?}); check the unit of the depth files"
+    )]
+    EmptyDepth {
+        /// Frames with depth that were read.
+        frames: usize,
+        /// The first of them.
+        first_frame: String,
+    },
+    /// A pose is not a number.
+    #[error("the camera of frame {frame:?} has a focal length that is not above 0, or a pose that is NaN or infinite")]
+    BadCamera {
+        /// The frame at fault.
+        frame: String,
+    },
+    /// The tracks are not of these frames.
+    #[error("the capture has {frames} frames but its tracks {tracks}; compute tracks of these frames, or remove them")]
+    Tracks {
+        /// Frames of the capture.
+        frames: usize,
+        /// Frames of the tracks.
+        tracks: usize,
+    },
+    /// A setting is out of range.
+    #[error("setting `{field}` is {value}, which is not {expected}")]
+    BadSetting {
+        /// Name of the field of `InitConfig`.
+        field: &'static str,
+        /// Its contents.
+        value: String,
+        /// The allowed values.
+        expected: &'static str,
+    },
+    /// The user asked to stop.
+    #[error("stopped before the first splats were complete")]
+    Stopped,
+}
+
+/// Fails once the user asked to stop.
+pub(crate) fn stopped(progress: &dyn m4_core::Progress) -> Result<(), InitError> {
+    if progress.cancelled() { Err(InitError::Stopped) } else { Ok(()) }
 }
 
 #[cfg(test)]

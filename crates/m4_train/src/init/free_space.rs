@@ -6,7 +6,7 @@
 use crate::init::{
     InitConfig, InitError,
     cloud::{Pixels, is_depth, moving_pixels},
-    error::stopped,
+    config::stopped,
 };
 use m4_core::{Camera, Capture, CompactMask, Progress, nalgebra::Vector3};
 use rayon::prelude::*;
@@ -16,29 +16,25 @@ const WITNESSES: usize = 8;
 /// Fewest of them that must see through it.
 const LEAST: u8 = 2;
 
-/// Drops the points that at least [`LEAST`] other frames, and more than agree with them, see through: that are nearer than the
-/// depth there and around by more than `config.free_space` of it.
-///
-/// # Errors
-///
-/// [`InitError::Stopped`].
+/// Drops the points that at least [`LEAST`] other frames, and more than agree with them, see through: that are nearer
+/// than the depth there and around by more than `config.free_space` of it. Fails with [`InitError::Stopped`].
 pub(crate) fn clear(
     capture: &Capture,
-    standing: &mut [Pixels],
+    static_points: &mut [Pixels],
     config: &InitConfig,
     progress: &dyn Progress,
 ) -> Result<(), InitError> {
     if config.free_space == 0.0 {
         return Ok(());
     }
-    let frames: Vec<usize> = standing.iter().map(|s| s.frame).collect();
-    standing.par_iter_mut().enumerate().try_for_each(|(at, pixels)| {
+    let frames: Vec<usize> = static_points.iter().map(|s| s.frame).collect();
+    static_points.par_iter_mut().enumerate().try_for_each(|(at, pixels)| {
         stopped(progress)?;
         let votes = votes(capture, pixels, &witnesses(&frames, at), config);
         let mut votes = votes.into_iter();
-        let (w, h) = pixels.kept.size();
-        let kept = &pixels.kept;
-        pixels.kept = CompactMask::from_fn(w, h, |x, y| {
+        let (w, h) = pixels.mask.size();
+        let kept = &pixels.mask;
+        pixels.mask = CompactMask::from_fn(w, h, |x, y| {
             kept.at(x, y) && votes.next().is_none_or(|v| v.through < LEAST || v.through <= v.agree)
         });
         Ok(())
@@ -68,7 +64,7 @@ fn votes(capture: &Capture, pixels: &Pixels, witnesses: &[usize], config: &InitC
     let (w, h) = depth.size();
     let camera = frame.camera.resized(w, h);
     let points: Vec<Vector3<f64>> =
-        pixels.kept.set_pixels().map(|(x, y)| camera.unproject(x as f64, y as f64, depth.at(x, y).into())).collect();
+        pixels.mask.set_pixels().map(|(x, y)| camera.unproject(x as f64, y as f64, depth.at(x, y).into())).collect();
     let mut out = vec![Votes::default(); points.len()];
     for &other in witnesses {
         let Some(witness) = Witness::of(capture, other, config) else {
@@ -182,10 +178,10 @@ mod tests {
         let config = InitConfig { free_space: 0.0, ..InitConfig::fast() };
         let mut clouds = clouds(capture, &config, &Silent).unwrap();
         let config = InitConfig { free_space, ..config };
-        clear(capture, &mut clouds.standing, &config, &Silent).unwrap();
-        let kept = &clouds.standing[2].kept;
+        clear(capture, &mut clouds.static_points, &config, &Silent).unwrap();
+        let mask = &clouds.static_points[2].mask;
         let all = (0..SIZE.0 * SIZE.1).map(|i| (i % SIZE.0, i / SIZE.0));
-        all.filter(|&(x, y)| !kept.at(x, y)).collect()
+        all.filter(|&(x, y)| !mask.at(x, y)).collect()
     }
 
     #[test]

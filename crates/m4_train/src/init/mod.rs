@@ -1,12 +1,11 @@
 //! Initialisation: turns posed frames with depth and motion masks into the initial splats.
 //!
-//! [`initialise`] back-projects the depth of every frame, keeps static and dynamic points
-//! apart, replaces the points of each voxel by their centroid and gives every centroid the size,
-//! opacity and time span that the optimiser starts from
+//! [`initialise`] back-projects the depth of every frame, keeps static and dynamic points apart, replaces the points of
+//! each voxel by their centroid and gives every centroid the size, opacity and time span that the optimiser starts from
 //! (docs/spec/optimiser.md 2).
 //!
 //! ```text
-//! cloud (depth -> points) -> free_space (what other frames see through goes) -> voxel (points -> centroids) -> spacing (neighbours -> discs) -> assemble
+//! cloud (depth -> points) -> free_space (what other frames see through goes) -> voxel (points -> centroids) -> write (neighbours -> discs) -> assemble
 //!                                                        -> motion (keyframe to keyframe)
 //! carry (what a keyframe cannot see, from those that can)    tracked (what tracks know of it)
 //! change (moving shadows on static parts)    shell (something behind everything)
@@ -20,16 +19,12 @@ mod carry;
 mod change;
 mod cloud;
 mod config;
-mod error;
 mod free_space;
 mod motion;
-mod paths;
 mod shell;
-mod spacing;
 mod tracked;
 mod voxel;
 mod write;
 
 pub use assemble::initialise;
-pub use config::{CellSize, InitConfig, TimeSpread, TrackedInit, VelocityInit};
-pub use error::InitError;
+pub use config::{CellSize, InitConfig, InitError, TimeSpread, TrackedInit, VelocityInit};

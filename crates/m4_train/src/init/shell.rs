@@ -24,9 +24,8 @@ pub(crate) struct Shell {
 
 /// `count` splats, evenly over a sphere of `radius` around the cameras.
 ///
-/// A cell's colour is the mean of what was seen in its direction: of pixels without a surface (depth 0)
-/// where there were any, else of all. Directions never seen take the distance-weighted mean of the
-/// nearest that were.
+/// A cell's colour is the mean of what was seen in its direction: of pixels without a surface (depth 0) where there
+/// were any, else of all. Directions never seen take the distance-weighted mean of the nearest that were.
 pub(crate) fn shell(capture: &Capture, count: usize, radius: f32) -> Shell {
     if count == 0 || capture.frames.is_empty() {
         return Shell::default();

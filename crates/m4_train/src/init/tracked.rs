@@ -54,9 +54,12 @@ pub(crate) fn tracked(known: &Known<'_>, config: &InitConfig) -> Vec<Moving> {
     };
     let every = known.capture.frames.len().div_ceil(CAMERAS).max(1);
     let cameras: Vec<&CaptureFrame> = known.capture.frames.iter().step_by(every).collect();
-    let ways: Vec<Way> = (0..tracks.count()).into_par_iter().map(|k| Way::of(known.capture, tracks, k)).collect();
-    let mut out: Vec<Vec<Sample>> =
-        (0..known.frames.len()).into_par_iter().map(|i| samples(known, tracks, &ways, &cameras, i, config)).collect();
+    let summaries: Vec<TrackSummary> =
+        (0..tracks.count()).into_par_iter().map(|k| TrackSummary::of(known.capture, tracks, k)).collect();
+    let mut out: Vec<Vec<Sample>> = (0..known.frames.len())
+        .into_par_iter()
+        .map(|i| samples(known, tracks, &summaries, &cameras, i, config))
+        .collect();
     let total: usize = out.iter().map(Vec::len).sum();
     if total > config.tracked.most {
         // thinned everywhere alike
@@ -83,15 +86,15 @@ fn collect(samples: Vec<Sample>, grid: &Grid) -> Moving {
     out
 }
 
-/// What a track is like over the whole clip.
-struct Way {
+/// A track over the whole clip.
+struct TrackSummary {
     /// The median length of its steps, world units per frame.
     step: f32,
     /// 0..1; `None` where it was never seen and the tracker says nothing.
     rgb: Option<[f32; 3]>,
 }
 
-impl Way {
+impl TrackSummary {
     fn of(capture: &Capture, tracks: &Tracks, track: usize) -> Self {
         let places = (0..tracks.frames()).filter_map(|t| Some((t, tracks.place(t, track)?)));
         let places: Vec<(usize, [f32; 3])> = places.collect();
@@ -99,8 +102,8 @@ impl Way {
         let step = m4_core::median(&mut steps).unwrap_or(0.0);
         let seen = places.iter().filter(|(t, _)| tracks.visible()[t * tracks.count() + track]);
         let colours: Vec<[u8; 3]> = seen.filter_map(|&(t, p)| colour(&capture.frames[t], p)).collect();
-        let told = || Some(tracks.colours()?[track].map(|c| f32::from(c) / 255.0));
-        Self { step, rgb: robust_mean(&colours).or_else(told) }
+        let given = || Some(tracks.colours()?[track].map(|c| f32::from(c) / 255.0));
+        Self { step, rgb: robust_mean(&colours).or_else(given) }
     }
 }
 
@@ -136,7 +139,7 @@ fn robust_mean(colours: &[[u8; 3]]) -> Option<[f32; 3]> {
 fn samples(
     known: &Known<'_>,
     tracks: &Tracks,
-    ways: &[Way],
+    summaries: &[TrackSummary],
     cameras: &[&CaptureFrame],
     i: usize,
     config: &InitConfig,
@@ -146,12 +149,12 @@ fn samples(
     let mut carried: Vec<(i16, u64)> = known.carried[i].points.xyz.iter().map(|&p| known.grid.key(p)).collect();
     carried.sort_unstable();
     let mut out: Vec<Sample> = Vec::new();
-    for (k, way) in ways.iter().enumerate() {
-        let (Some(xyz), Some(rgb)) = (tracks.place(at, k), way.rgb) else {
+    for (k, summary) in summaries.iter().enumerate() {
+        let (Some(xyz), Some(rgb)) = (tracks.place(at, k), summary.rgb) else {
             continue;
         };
         let own = !config.tracked.seen && is_seen(frame, xyz, CARRY_MARGIN);
-        if own || !is_plausible(known, tracks, (k, way), (at, xyz), cameras) {
+        if own || !is_plausible(known, tracks, (k, summary), (at, xyz), cameras) {
             continue;
         }
         let key = known.grid.key(xyz);
@@ -176,7 +179,7 @@ fn mean(cell: &[Sample]) -> Sample {
 fn is_plausible(
     known: &Known<'_>,
     tracks: &Tracks,
-    (track, way): (usize, &Way),
+    (track, summary): (usize, &TrackSummary),
     (at, xyz): (usize, [f32; 3]),
     cameras: &[&CaptureFrame],
 ) -> bool {
@@ -194,7 +197,7 @@ fn is_plausible(
     }
     let before = (0..at).rev().find_map(|t| Some((t, tracks.place(t, track)?)));
     let after = (at + 1..tracks.frames()).find_map(|t| Some((t, tracks.place(t, track)?)));
-    let most = (JUMP * way.step).max(SMALL_STEP * known.median_depth as f32);
+    let most = (JUMP * summary.step).max(SMALL_STEP * known.median_depth as f32);
     [before, after].into_iter().flatten().all(|other| speed((at, xyz), other) <= most)
 }
 

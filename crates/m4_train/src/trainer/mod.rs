@@ -1,8 +1,6 @@
 //! The training loop.
 
-mod arcs;
-mod colour;
-mod density;
+mod periodic;
 mod save;
 mod step;
 
@@ -11,20 +9,20 @@ use crate::{
     backend::{Backend, CpuBackend},
     config::TrainConfig,
     metrics::Totals,
-    pick::Picker,
-    rates::RateBasis,
     refine::Refinement,
     scale::SceneScale,
+    schedule::Picker,
+    schedule::RateBasis,
     state::{Reader, read_adam, read_refinement},
 };
 use cpu_time::ProcessTime;
-use m4_core::{Capture, Column, Progress, Splats, TrainState};
+use m4_core::{Capture, Column, Progress, Splats, TrainState, median};
 use m4_kernels::adam::cpu::AdamState;
 use m4_kernels::{SimdLevel, View, morton_order};
 use std::time::Instant;
 use step::StepReport;
 
-pub(crate) use arcs::ARCS_AT;
+pub(crate) use periodic::ARCS_AT;
 
 /// Splats nearer than this share of the median depth are not drawn. The reference has 0.2 scene units whatever the scale
 /// (docs/spec/optimiser.md 1.6).
@@ -58,7 +56,7 @@ pub struct Trainer<'a> {
     /// Static and dynamic splats, wherever they are.
     counts: (usize, usize),
     /// When splats were last copied to go back to.
-    kept: Instant,
+    saved: Instant,
     /// What the last steps found.
     last: StepReport,
     /// Frames, one per frame of the capture.
@@ -82,28 +80,15 @@ pub struct Trainer<'a> {
 }
 
 impl<'a> Trainer<'a> {
-    /// A run that starts from `splats`.
-    ///
-    /// # Errors
-    ///
-    /// [`TrainError`] if a setting is out of range, the capture has no frames, or the splats are none or
-    /// not finite.
+    /// A run that starts from `splats`. Fails with [`TrainError`] if a setting is out of range, the capture has no
+    /// frames, or the splats are none or not finite.
     pub fn new(
         capture: &'a Capture,
         splats: Splats,
         config: TrainConfig,
         level: SimdLevel,
     ) -> Result<Self, TrainError> {
-        config.check()?;
-        if capture.frames.is_empty() {
-            return Err(TrainError::NoFrames);
-        }
-        if splats.n() == 0 {
-            return Err(TrainError::NoSplats);
-        }
-        if !splats.is_finite() {
-            return Err(TrainError::BadSplats);
-        }
+        check_start(capture, &splats, &config)?;
         let splats = splats.gather(&morton_order(&splats))?;
         let adam = AdamState::new(&splats);
         let basis = RateBasis {
@@ -116,14 +101,10 @@ impl<'a> Trainer<'a> {
         Ok(Self::assemble(capture, splats, adam, basis, background, first_splats, config, level))
     }
 
-    /// A run that resumes from [`state`](Self::state); `splats` are those of the scene saved with it.
-    /// Capture and settings must be those of the saved run, else the result is not that of an
-    /// uninterrupted one; the number of iterations is taken from the saved run.
-    ///
-    /// # Errors
-    ///
-    /// [`TrainError`] as [`new`](Self::new), or if the state lacks a part or belongs to other splats or
-    /// another capture.
+    /// A run that resumes from [`state`](Self::state); `splats` are those of the scene saved with it. Capture and
+    /// settings must be those of the saved run, else the result is not that of an uninterrupted one; the number of
+    /// iterations is taken from the saved run. Fails with [`TrainError`] as [`new`](Self::new), or if the state lacks a
+    /// part or belongs to other splats or another capture.
     pub fn resume(
         capture: &'a Capture,
         splats: Splats,
@@ -131,16 +112,7 @@ impl<'a> Trainer<'a> {
         config: TrainConfig,
         level: SimdLevel,
     ) -> Result<Self, TrainError> {
-        config.check()?;
-        if capture.frames.is_empty() {
-            return Err(TrainError::NoFrames);
-        }
-        if splats.n() == 0 {
-            return Err(TrainError::NoSplats);
-        }
-        if !splats.is_finite() {
-            return Err(TrainError::BadSplats);
-        }
+        check_start(capture, &splats, &config)?;
         let reader = Reader(state);
         let adam = read_adam(&reader, &splats)?;
         let basis = RateBasis { time_sd: reader.f32("train/time_sd", 1)?[0], time_frames: capture.time_frames };
@@ -172,7 +144,7 @@ impl<'a> Trainer<'a> {
             is_uploaded: false,
             is_current: true,
             counts: (splats.n_static(), splats.n_dynamic()),
-            kept: Instant::now(),
+            saved: Instant::now(),
             last: StepReport::NONE,
             times: capture.frames.iter().map(|f| f.t).collect(),
             time_frames: capture.time_frames,
@@ -195,10 +167,7 @@ impl<'a> Trainer<'a> {
     }
 
     /// Trains to the last iteration of the settings, see [`run_until`](Self::run_until).
-    ///
-    /// # Errors
-    ///
-    /// As [`run_until`](Self::run_until).
+    /// Fails as [`run_until`](Self::run_until).
     pub fn run(
         &mut self,
         progress: &dyn Progress,
@@ -209,10 +178,7 @@ impl<'a> Trainer<'a> {
 
     /// Trains until `iteration` steps are taken in all (at most those of the settings): for saving in
     /// between. `metrics` gets an event every [`TrainConfig::metrics_every`] steps and at the end.
-    ///
-    /// # Errors
-    ///
-    /// [`TrainError::Diverged`] when the loss or a parameter is no longer finite; the trainer then has the last
+    /// Fails with [`TrainError::Diverged`] when the loss or a parameter is no longer finite; the trainer then has the last
     /// splats that were, and an optimiser that starts from nothing. [`TrainError::Device`] when a device failed, likewise.
     pub fn run_until(
         &mut self,
@@ -256,13 +222,11 @@ impl<'a> Trainer<'a> {
     }
 
     /// Steps of the whole run.
-    #[must_use]
     pub fn iterations(&self) -> usize {
         self.config.iterations
     }
 
     /// Steps taken.
-    #[must_use]
     pub fn iteration(&self) -> usize {
         self.iteration
     }
@@ -270,10 +234,7 @@ impl<'a> Trainer<'a> {
     /// Takes steps on `backend` from here on instead of the CPU. The result depends on it as on a SIMD level: the same device gives
     /// the same bits, another one last digits of its own.
     /// With corrections of cameras or exposures every step waits for the device.
-    ///
-    /// # Errors
-    ///
-    /// [`TrainError::Device`] if the backend that was used before fails to give its splats back.
+    /// Fails with [`TrainError::Device`] if the backend that was used before fails to give its splats back.
     pub fn use_backend(&mut self, backend: Box<dyn Backend + 'a>) -> Result<(), TrainError> {
         self.synchronize()?;
         self.backend = backend;
@@ -287,13 +248,11 @@ impl<'a> Trainer<'a> {
     }
 
     /// The splats as they are.
-    #[must_use]
     pub fn splats(&self) -> &Splats {
         &self.splats
     }
 
     /// The lengths that rates are measured in.
-    #[must_use]
     pub fn scale(&self) -> &SceneScale {
         &self.scale
     }
@@ -334,14 +293,23 @@ impl<'a> Trainer<'a> {
     }
 }
 
+/// Refuses what no run can start from.
+fn check_start(capture: &Capture, splats: &Splats, config: &TrainConfig) -> Result<(), TrainError> {
+    config.check()?;
+    Err(if capture.frames.is_empty() {
+        TrainError::NoFrames
+    } else if splats.n() == 0 {
+        TrainError::NoSplats
+    } else if !splats.is_finite() {
+        TrainError::BadSplats
+    } else {
+        return Ok(());
+    })
+}
+
 /// Median standard deviation in time, frames; 1 without dynamic splats.
 fn median_time_sd(splats: &Splats) -> f32 {
-    let mut sd = splats.column(Column::LogTimeSd, 0).to_vec();
-    if sd.is_empty() {
-        return 1.0;
-    }
-    let middle = sd.len() / 2;
-    sd.select_nth_unstable_by(middle, f32::total_cmp).1.exp()
+    median(&mut splats.column(Column::LogTimeSd, 0).to_vec()).map_or(1.0, f32::exp)
 }
 
 /// The mean colour of pixels without depth where there are enough of them, else black.

@@ -6,7 +6,6 @@ use m4_core::{Scene, SourceFrame, Splats, StateTensor, TrainState};
 
 impl Trainer<'_> {
     /// What a renderer needs, as a copy.
-    #[must_use]
     pub fn scene(&self) -> Scene {
         self.scene_of(self.splats.clone())
     }
@@ -50,7 +49,6 @@ impl Trainer<'_> {
     }
 
     /// What [`resume`](Self::resume) needs beside the scene; large arrays are borrowed.
-    #[must_use]
     pub fn state(&self) -> TrainState<'_> {
         let mut state = TrainState::new();
         let mut put = |name: &str, tensor| state.insert(name.to_owned(), tensor);

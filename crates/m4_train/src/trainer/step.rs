@@ -4,8 +4,8 @@ use super::Trainer;
 use crate::{
     TrainError,
     backend::{Backend, BackendError, StepSettings, StepView, targets},
-    rates::rates,
     schedule,
+    schedule::rates,
 };
 use m4_core::Exposure;
 use m4_kernels::{View, adam::cpu::AdamState};
@@ -139,11 +139,11 @@ impl Trainer<'_> {
         }
         self.report()?;
         let pause = Duration::try_from_secs_f32(self.config.keep_every_s).unwrap_or(Duration::MAX);
-        if !last && !self.backend.is_synchronous() && self.kept.elapsed() < pause {
+        if !last && !self.backend.is_synchronous() && self.saved.elapsed() < pause {
             return Ok(());
         }
         self.download()?;
-        self.kept = Instant::now();
+        self.saved = Instant::now();
         Ok(())
     }
 
@@ -160,10 +160,7 @@ impl Trainer<'_> {
     }
 
     /// Brings everything back from the backend.
-    ///
-    /// # Errors
-    ///
-    /// [`TrainError::Device`] if it failed; the trainer then has the last good splats.
+    /// Fails with [`TrainError::Device`] if it failed; the trainer then has the last good splats.
     pub(super) fn synchronize(&mut self) -> Result<(), TrainError> {
         if self.is_uploaded {
             let (splats, adam) = self.ask(|backend| backend.take())?;

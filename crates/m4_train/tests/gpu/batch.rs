@@ -1,12 +1,12 @@
 //! Steps of several frames, with the gradients of cameras and exposures.
 
 use crate::gpu;
-use crate::step::{LAMBDA, LAYOUT, columns, image, start};
+use crate::step::{LAMBDA, LAYOUT, columns, image, settings, start};
 use m4_core::{Exposure, Splats};
 use m4_kernels::adam::cpu::{AdamConfig, AdamState, step};
 use m4_kernels::gpu::GpuError;
 use m4_kernels::loss::cpu::{LossScratch, Target, loss};
-use m4_kernels::{CameraGradient, FrameGradient, Gradients, Renderer, SimdLevel, View, Wanted};
+use m4_kernels::{CameraGradient, FrameGradient, Gradients, Renderer, SimdLevel, View};
 use m4_testkit::assert_gradient;
 use m4_train::backend::gpu::GpuTrainer;
 use m4_train::backend::{StepSettings, StepView};
@@ -72,8 +72,7 @@ fn on_the_cpu(splats: &Splats, views: &[(Target, View)], rates: &[f32]) -> Host 
         }
         g.rgb = pulled_back(CASTS.get(frame), &g.rgb);
         let mut out = Gradients::default();
-        let wanted = Wanted { camera: true, ..Wanted::default() };
-        renderer.backward(splats, &g, wanted, &mut out);
+        renderer.backward(splats, &g, true, &mut out);
         cameras.push(out.camera);
         for (to, from) in sum.columns.iter_mut().zip(&out.columns) {
             let first = splats.n() - to.len();
@@ -95,8 +94,7 @@ fn a_batched_step_matches_the_cpu() {
     let rates = vec![1e-4; LAYOUT.columns()];
     let late = View { t: 6.5, ..view };
     let views = [(image(0), view), (image(2), late), (image(1), View { t: 0.5, ..view })];
-    let settings =
-        StepSettings { lambda_ssim: LAMBDA, cover: 0.0, rates: &rates, adam: AdamConfig::default(), psnr: true };
+    let settings = settings(&rates);
     for chosen in [&views[..], &views[1..2], &views[..1]] {
         let want = on_the_cpu(&splats, chosen, &rates);
         let frames = chosen.iter().map(|(frame, _)| frame);
@@ -142,8 +140,7 @@ fn missing_frames_are_errors() {
     let (splats, view) = start();
     let mut trainer = GpuTrainer::new(gpu, &splats, &AdamState::new(&splats), [image(0)], usize::MAX).unwrap();
     let rates = vec![0.0; LAYOUT.columns()];
-    let settings =
-        StepSettings { lambda_ssim: LAMBDA, cover: 0.0, rates: &rates, adam: AdamConfig::default(), psnr: true };
+    let settings = settings(&rates);
     let missing = trainer.step(&[StepView::new(1, &view)], &settings).unwrap_err();
     assert!(missing.to_string().contains("no frame 1"), "{missing}");
     trainer.step(&[], &settings).unwrap();

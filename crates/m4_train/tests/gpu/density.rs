@@ -1,14 +1,14 @@
 //! Rounds of density control: the same splats are cloned, split and pruned as on the CPU.
 
 use crate::gpu;
-use crate::step::{LAMBDA, LAYOUT, columns, image, start};
+use crate::step::{LAMBDA, LAYOUT, columns, image, settings, start};
 use m4_core::{Column, SplatLayout, Splats};
 use m4_kernels::View;
-use m4_kernels::adam::cpu::{AdamConfig, AdamState};
+use m4_kernels::adam::cpu::AdamState;
 use m4_kernels::gpu::Gpu;
 use m4_testkit::{SceneSpec, random_splats};
 use m4_train::backend::gpu::GpuTrainer;
-use m4_train::backend::{DensityRound, DensityStats, ScoreSettings, StepSettings, StepView};
+use m4_train::backend::{DensityRound, DensityStats, ScoreSettings, StepView};
 use m4_train::config::{CloneOpacity, ErrorRange, PruneRule, SplitSize};
 use m4_train::density::{Decision, Origin, Rules, apply};
 use m4_train::{DensityConfig, SceneScale};
@@ -18,8 +18,7 @@ const SCORES: ScoreSettings =
 
 fn step(trainer: &mut GpuTrainer, view: &View) {
     let rates = vec![1e-3; trainer.download_splats().unwrap().layout().columns()];
-    let settings =
-        StepSettings { lambda_ssim: LAMBDA, cover: 0.0, rates: &rates, adam: AdamConfig::default(), psnr: true };
+    let settings = settings(&rates);
     trainer.step(&[StepView::new(0, view)], &settings).unwrap();
 }
 

@@ -4,12 +4,9 @@
 #![expect(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
 
 mod batch;
-mod bench;
-mod colour;
 #[path = "../common/mod.rs"]
 mod common;
 mod density;
-mod reorder;
 mod room;
 mod score;
 mod step;

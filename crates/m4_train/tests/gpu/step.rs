@@ -3,14 +3,17 @@
 use crate::gpu;
 use m4_core::{SplatLayout, Splats};
 use m4_kernels::{
-    FrameGradient, Gradients, Renderer, SimdLevel, View, Wanted,
+    FrameGradient, Gradients, Renderer, SimdLevel, View,
     adam::cpu::{AdamConfig, AdamState, step},
+    bench::{Bench as HostBench, Kernel, SceneConfig},
     cover,
     loss::cpu::{LossScratch, Target, loss},
 };
 use m4_testkit::{SceneSpec, assert_gradient, random_camera, random_splats};
-use m4_train::backend::gpu::GpuTrainer;
-use m4_train::backend::{StepSettings, StepView};
+use m4_train::backend::{
+    StepSettings, StepView,
+    gpu::{Bench, GpuTrainer},
+};
 
 pub const LAYOUT: SplatLayout = SplatLayout { isotropic: false, sh_degree: 1, time_degree: 0 };
 pub const SIZE: (usize, usize) = (75, 50);
@@ -32,6 +35,11 @@ pub fn start() -> (Splats, View) {
     let spec = SceneSpec { layout: LAYOUT, n_static: 300, n_dynamic: 200, ..SceneSpec::default() };
     let view = View { camera, t: 4.0, background: [0.3; 3], near: 0.01, mip: true, period: 10.0, with_depth: false };
     (random_splats(11, &camera, &spec), view)
+}
+
+/// Steps of [`LAMBDA`] without cover.
+pub fn settings(rates: &[f32]) -> StepSettings<'_> {
+    StepSettings { lambda_ssim: LAMBDA, cover: 0.0, rates, adam: AdamConfig::default(), psnr: true }
 }
 
 struct Host {
@@ -57,7 +65,7 @@ fn on_the_cpu(frames: &[Target], config: &AdamConfig, rates: &[f32], steps: usiz
         let terms = loss(SimdLevel::best(), target, &drawn.rgb, LAMBDA, &mut scratch, &mut out.rgb);
         (l1, ssim) = (l1 + terms.l1 / steps as f64, ssim + terms.ssim / steps as f64);
         psnr = shown(&drawn.rgb, target);
-        renderer.backward(&splats, &out, Wanted::default(), &mut gradients);
+        renderer.backward(&splats, &out, false, &mut gradients);
         touched += gradients.touched.iter().filter(|&&t| t == 1).count() as f64 / steps as f64;
         cover::cpu::add(&splats, &mut gradients, COVER / (SIZE.0 * SIZE.1) as f32);
         step(SimdLevel::best(), &mut splats, &gradients, &mut adam, config, rates);
@@ -124,8 +132,7 @@ fn splats_may_be_replaced() {
     let fewer = splats.gather(&(0..400).collect::<Vec<u32>>()).unwrap();
     trainer.replace(&fewer, &AdamState::new(&fewer)).unwrap();
     let rates = vec![0.0; LAYOUT.columns()];
-    let settings =
-        StepSettings { lambda_ssim: LAMBDA, cover: 0.0, rates: &rates, adam: AdamConfig::default(), psnr: true };
+    let settings = settings(&rates);
     trainer.step(&[StepView::new(0, &view)], &settings).unwrap();
     let (got, adam) = trainer.download().unwrap();
     assert_eq!(got, fewer, "rates of 0");
@@ -143,8 +150,7 @@ fn non_finite_parameters_are_reported() {
     let mut trainer = GpuTrainer::new(gpu, &splats, &AdamState::new(&splats), [image(0)], usize::MAX).unwrap();
     let mut rates = vec![0.0; LAYOUT.columns()];
     rates[4] = f32::INFINITY;
-    let settings =
-        StepSettings { lambda_ssim: LAMBDA, cover: 0.0, rates: &rates, adam: AdamConfig::default(), psnr: true };
+    let settings = settings(&rates);
     trainer.step(&[StepView::new(0, &view)], &settings).unwrap();
     let stats = trainer.stats().unwrap();
     assert!(stats.l1.is_finite() && !stats.splats_are_finite);
@@ -163,4 +169,32 @@ fn frames_of_several_sizes_and_none_are_refused() {
     let mixed = GpuTrainer::new(gpu.clone(), &splats, &adam, [half, image(0)], 0).unwrap_err();
     assert!(mixed.to_string().contains("frame 1 has 75 x 50"), "{mixed}");
     assert!(GpuTrainer::new(gpu, &splats, &adam, Vec::<Target>::new(), 0).is_err());
+}
+
+#[test]
+fn a_bench_times_every_kernel_and_lowers_the_loss() {
+    let Some(gpu) = gpu("the bench") else { return };
+    let config = SceneConfig { splats: 3000, width: 96, height: 72, ..SceneConfig::default() };
+    let mut host = HostBench::new(SimdLevel::best(), &config).unwrap();
+    let counts = host.count(0);
+    let mut bench = Bench::new(gpu.clone(), host.into_scene()).unwrap();
+    let entries = bench.entries(0).unwrap();
+    assert!(entries >= counts.visible && entries <= bench.room(), "{entries} for {counts:?}");
+    // larger tiles, so fewer entries, of which each is at most 16 of the CPU's
+    assert!(entries < counts.pairs && 16 * entries > counts.pairs, "{entries} for {counts:?}");
+    let laps = bench.laps(0).unwrap();
+    for (kernel, lap) in Kernel::ALL.iter().zip(laps) {
+        assert!(!lap.is_zero(), "{} took no time", kernel.name());
+    }
+    let first = bench.stats().unwrap();
+    for _ in 0..8 {
+        bench.step(0).unwrap();
+    }
+    let last = bench.stats().unwrap();
+    assert!(last.steps == 8 && last.l1 < first.l1, "{last:?} after {first:?}");
+    let mut drawing = bench.into_drawing().unwrap();
+    let laps = drawing.laps(0).unwrap();
+    for (kernel, lap) in Kernel::ALL.iter().zip(laps) {
+        assert_eq!(lap.is_zero(), !kernel.renders(), "{}: {lap:?}", kernel.name());
+    }
 }

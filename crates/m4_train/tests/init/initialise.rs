@@ -1,5 +1,6 @@
 //! Initialisation of a synthetic capture: a wall, and a square that slides in front of it.
 
+use crate::on_threads;
 use m4_core::{
     Camera, Capture, CaptureFrame, Column, CompactMask, Intrinsics, Plane, Se3, Silent, Splats, nalgebra::Vector3,
 };
@@ -65,7 +66,7 @@ fn mean(splats: &Splats, row: usize) -> [f32; 3] {
 }
 
 #[test]
-fn standing_and_moving_points_are_kept_apart() {
+fn static_and_dynamic_points_are_separated() {
     let splats = initialise(&capture(8), &fast(), &Silent).unwrap();
     assert!(splats.is_finite());
     assert!((1000..=2000).contains(&splats.n_static()), "{} static", splats.n_static());
@@ -99,7 +100,7 @@ fn the_faithful_profile_has_one_scale_and_fades_everything() {
     assert!(splats.column(Column::Velocity, 0).iter().all(|&v| v == 0.0));
     let opacity = splats.column(Column::Opacity, 0)[0];
     assert!((1.0 / (1.0 + (-opacity).exp()) - 0.1).abs() < 1e-6);
-    // standing: variance D = 3 of a time axis of length 3, that is 7 / sqrt(3) frames about a third of it
+    // static: variance D = 3 of a time axis of length 3, that is 7 / sqrt(3) frames about a third of it
     let (mean, sd) = (splats.column(Column::TimeMean, 0), splats.column(Column::LogTimeSd, 0));
     assert!((mean[0] - 7.0 / 3.0).abs() < 1e-5 && (sd[0].exp() - 7.0 / 3.0f32.sqrt()).abs() < 1e-4);
     // moving: sqrt(7 / 30) frames
@@ -149,7 +150,7 @@ fn the_shell_lies_behind_everything() {
 }
 
 #[test]
-fn without_masks_everything_stands_still() {
+fn without_masks_everything_is_static() {
     let mut capture = capture(3);
     for frame in &mut capture.frames {
         frame.mask = None;
@@ -199,10 +200,7 @@ fn lifetimes_reach_over_missing_frames() {
 #[test]
 fn threads_do_not_change_a_bit() {
     let capture = capture(5);
-    let run = |threads| {
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        pool.install(|| initialise(&capture, &fast(), &Silent).unwrap())
-    };
+    let run = |threads| on_threads(threads, || initialise(&capture, &fast(), &Silent).unwrap());
     let (one, three) = (run(1), run(3));
     for (a, b) in one.columns().iter().zip(three.columns()) {
         assert!(a.iter().zip(b).all(|(a, b)| a.to_bits() == b.to_bits()));

@@ -1,5 +1,6 @@
 //! The completed cloud: a square slides behind a pillar, and tracks know where it is meanwhile.
 
+use crate::on_threads;
 use m4_core::{Camera, Capture, CaptureFrame, Column, CompactMask, Intrinsics, Plane, Se3, Silent, Splats, Tracks};
 use m4_train::init::{InitConfig, TrackedInit, VelocityInit, initialise};
 
@@ -183,8 +184,7 @@ fn implausible_track_points_are_dropped() {
 #[test]
 fn threads_do_not_change_a_bit() {
     let run = |threads| {
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        pool.install(|| {
+        on_threads(threads, || {
             let config = InitConfig {
                 carry_keyframes: 24,
                 velocity: InitConfig::fast().velocity,

@@ -1,5 +1,6 @@
 //! Initialisation of a capture that brings tracks: a plain band across the image, whose motion no image shows.
 
+use crate::on_threads;
 use m4_core::{
     Camera, Capture, CaptureFrame, Column, CompactMask, Intrinsics, Plane, Se3, ShapeError, Silent, Splats, Tracks,
 };
@@ -57,7 +58,7 @@ fn config() -> InitConfig {
     }
 }
 
-/// The configuration with or without a word for tracks.
+/// The configuration with or without tracks.
 fn with_tracks(on: bool) -> InitConfig {
     let mut config = config();
     if let VelocityInit::Register { tracks } = &mut config.velocity {
@@ -81,8 +82,8 @@ fn same_bits(a: &Splats, b: &Splats) -> bool {
 fn points_move_as_the_tracks_near_them_do() {
     let alone = initialise(&capture(None), &with_tracks(true), &Silent).unwrap();
     assert!(speed(&alone) < 0.2 * SPEED, "nothing in the images shows the motion: {}", speed(&alone));
-    let told = initialise(&capture(Some(tracks(BAND).unwrap())), &with_tracks(true), &Silent).unwrap();
-    let v = told.column(Column::Velocity, 0);
+    let tracked = initialise(&capture(Some(tracks(BAND).unwrap())), &with_tracks(true), &Silent).unwrap();
+    let v = tracked.column(Column::Velocity, 0);
     assert!(v.len() > 500);
     let good = v.iter().filter(|v| (**v - SPEED).abs() < 0.1 * SPEED).count();
     assert!(good * 10 > v.len() * 8, "{good} of {} have the speed of the tracks", v.len());
@@ -95,15 +96,14 @@ fn tracks_that_are_far_or_not_wanted_change_nothing() {
     assert!(same_bits(&alone, &far));
     let unwanted = initialise(&capture(Some(tracks(BAND).unwrap())), &with_tracks(false), &Silent).unwrap();
     assert!(same_bits(&alone, &unwanted));
-    let told = initialise(&capture(Some(tracks(BAND).unwrap())), &with_tracks(true), &Silent).unwrap();
-    assert!(!same_bits(&alone, &told));
+    let tracked = initialise(&capture(Some(tracks(BAND).unwrap())), &with_tracks(true), &Silent).unwrap();
+    assert!(!same_bits(&alone, &tracked));
 }
 
 #[test]
 fn threads_do_not_change_a_bit() {
     let run = |threads| {
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        pool.install(|| initialise(&capture(Some(tracks(BAND).unwrap())), &with_tracks(true), &Silent).unwrap())
+        on_threads(threads, || initialise(&capture(Some(tracks(BAND).unwrap())), &with_tracks(true), &Silent).unwrap())
     };
     assert!(same_bits(&run(1), &run(3)));
 }

@@ -14,7 +14,7 @@ use crate::render::{Painter, view};
 use crate::{Error, Observer};
 use m4_core::{Camera, Scene, nalgebra::Vector6};
 use m4_eval::image::PlanarImage;
-use m4_kernels::{FrameGradient, Gradients, Renderer, SimdLevel, Wanted};
+use m4_kernels::{FrameGradient, Gradients, Renderer, SimdLevel};
 use serde::Serialize;
 
 const BETA1: f64 = 0.9;
@@ -112,8 +112,7 @@ impl<'a> Refiner<'a> {
                 (2.0 * share * off) as f32
             }));
         }
-        let wanted = Wanted { camera: true, means2d: false };
-        self.renderer.backward(splats, &self.gradient, wanted, &mut self.gradients);
+        self.renderer.backward(splats, &self.gradient, true, &mut self.gradients);
         let c = &self.gradients.camera;
         let [a, b, d] = c.tau;
         let [e, f, g] = c.omega;

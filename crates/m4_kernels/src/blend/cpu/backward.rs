@@ -1,14 +1,12 @@
 //! The backward pass, from pixels to splats: the replay form (docs/spec/optimiser.md 1.7), front to back.
 //!
-//! Sums over pixels are products of matrices. For a splat on a tile there are two rows of sixteen
-//! numbers, `omega` and the weight `w`; the sums wanted are those of `omega` times `1, X, Y, XX, XY,
-//! YY` and of `w` times the gradients of the channels. So the rows are stored interleaved, and for each
-//! pixel the pair `(omega, w)` is loaded into all lanes and multiplied with a row of a table that has
-//! `1, v_red, X, v_green, Y, v_blue, ...` of that pixel: sixteen multiplications and additions, no
-//! shuffles, and the sums of a splat come out side by side, as [`Sums`] wants them.
+//! Sums over pixels are products of matrices. For a splat on a tile there are two rows of sixteen numbers, `omega` and
+//! the weight `w`; the sums wanted are those of `omega` times `1, X, Y, XX, XY, YY` and of `w` times the gradients of
+//! the channels. So the rows are stored interleaved, and for each pixel the pair `(omega, w)` is loaded into all lanes
+//! and multiplied with a row of a table that has `1, v_red, X, v_green, Y, v_blue, ...` of that pixel: sixteen
+//! multiplications and additions, no shuffles, and the sums of a splat come out side by side, as [`Sums`] wants them.
 //!
-//! `X` and `Y` count from the middle of the block; the sums are moved to the splat's centre once a
-//! block.
+//! `X` and `Y` count from the middle of the block; the sums are moved to the splat's centre once a block.
 
 use super::{BLOCK_TILES, CHUNK, COLUMN, Copies, Pixels, ROW, Sums, T_FLOOR, Used, alpha, copy, step};
 use crate::{

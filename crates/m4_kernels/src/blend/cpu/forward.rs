@@ -1,12 +1,13 @@
-//! The forward pass, from splats to pixels (Minute4D Eq. 3).
+//! The passes from near to far: splats to pixels (Minute4D Eq. 3), and sums of a map of weights over the pixels that each
+//! splat is blended on (Minute4D Eq. 9).
 
-use super::{BATCH, CHUNK, Copies, Pixels, Shares, T_FLOOR, Used, alpha, copy, step};
 use crate::{
     blend::{
         T_MIN,
+        cpu::{BATCH, CHUNK, Copies, Pixels, Shares, T_FLOOR, Used, alpha, copy, step},
         planes::{BandPlace, BandPlanes},
     },
-    simd::{all, all3},
+    simd::{all, all3, each},
     tile_binning::{
         cpu::{BLOCK_TILES, Band, Record},
         handover::Row,
@@ -142,4 +143,53 @@ fn tile_forward<S: Simd, const DEPTH: bool>(
     }
     *state = State { t, left, rgb, depth };
     (count, finished)
+}
+
+/// Fills `scores[i]`, one per splat of the band: the weights of the pixels that it is blended on.
+#[inline(always)]
+pub(crate) fn score<S: Simd>(
+    s: S,
+    band: &Band,
+    rows: &[Row],
+    place: BandPlace,
+    used: &Used,
+    weight: &[f32],
+    scores: &mut Vec<f32>,
+) {
+    band_score(s, band, rows, place, used, weight, scores);
+}
+
+#[simd]
+fn band_score<S: Simd>(
+    s: S,
+    band: &Band,
+    rows: &[Row],
+    place: BandPlace,
+    used: &Used,
+    weight: &[f32],
+    scores: &mut Vec<f32>,
+) {
+    scores.clear();
+    scores.resize(band.splats(), 0.0);
+    let (zero, floor) = (all(s, 0.0), all(s, T_FLOOR));
+    let mut replay = used.replay();
+    let mut records = [Record::default(); CHUNK];
+    for block in 0..place.blocks() {
+        let mut t: [f32x16<S>; BLOCK_TILES] =
+            each!(BLOCK_TILES, tile => f32x16::from_slice(s, &place.window(block, tile).fresh(1.0, T_FLOOR)));
+        for chunk in band.list(block)[..used.walked[block] as usize].chunks(CHUNK) {
+            copy(chunk, rows, &mut records);
+            for (tile, list) in replay.chunk().into_iter().enumerate() {
+                let pixels = Pixels::new(s, place, block, tile);
+                let weight = place.window(block, tile).load(s, weight);
+                for &place in list {
+                    let place = place as usize % CHUNK;
+                    let step = step(s, alpha(s, &records[place], &pixels), t[tile]);
+                    let sum = step.weight.simd_gt(zero).select(weight, zero);
+                    scores[chunk[place].index()] += sum.reduce_sum();
+                    t[tile] = step.t.max(floor);
+                }
+            }
+        }
+    }
 }

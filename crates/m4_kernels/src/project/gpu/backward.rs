@@ -1,8 +1,8 @@
 //! Turns the sums of the tiles into gradients of the parameters.
 
 use super::{LOW_PASS, RECORD, Spec, ellipse, offset_of, opacity_logit, row, sight};
-use crate::gpu::eye::{FOCAL, INVERSE_PERIOD, TIME};
 use crate::gpu::log::write_parts;
+use crate::gpu::vector::{FOCAL, INVERSE_PERIOD, TIME};
 use crate::gpu::vector::{add_scaled, dot, scaled, times, transposed, v3};
 use crate::shade::gpu::shade_backward;
 use crate::slice::gpu::{life, quat_backward, shape};

@@ -26,10 +26,7 @@ pub struct Bench {
 
 impl Bench {
     /// Copies `scene` to the device, and makes room for the tile lists of all its views.
-    ///
-    /// # Errors
-    ///
-    /// [`GpuError`] if it does not fit or the device fails.
+    /// Fails with [`GpuError`] if it does not fit or the device fails.
     pub fn new(gpu: Gpu, scene: BenchScene) -> Result<Self, GpuError> {
         let adam = AdamState::new(&scene.splats);
         let trainer = GpuTrainer::new(gpu.clone(), &scene.splats, &adam, [&scene.target], usize::MAX)?;
@@ -43,16 +40,12 @@ impl Bench {
     }
 
     /// Views to step or draw.
-    #[must_use]
     pub fn views(&self) -> usize {
         self.scene.views.len()
     }
 
     /// One training step on view `view`; returns before the device is done.
-    ///
-    /// # Errors
-    ///
-    /// [`GpuError`] if there is no room for its tile lists, or the device failed.
+    /// Fails with [`GpuError`] if there is no room for its tile lists, or the device failed.
     pub fn step(&mut self, view: usize) -> Result<(), GpuError> {
         let settings = StepSettings {
             lambda_ssim: LAMBDA_SSIM,
@@ -65,20 +58,14 @@ impl Bench {
     }
 
     /// Waits, and returns the statistics of the steps since the last call.
-    ///
-    /// # Errors
-    ///
-    /// [`GpuError`] if the device failed since.
+    /// Fails with [`GpuError`] if the device failed since.
     pub fn stats(&mut self) -> Result<StepStats, GpuError> {
         self.trainer.stats()
     }
 
     /// One training step on view `view`, each kernel timed on its own: by the device's clock, or, where
     /// [`own_clock`](Self::own_clock) is false, by waiting for the device after it.
-    ///
-    /// # Errors
-    ///
-    /// [`GpuError`] if the device fails or cannot be timed.
+    /// Fails with [`GpuError`] if the device fails or cannot be timed.
     pub fn laps(&mut self, view: usize) -> Result<Laps, GpuError> {
         self.gpu.wait(DOING)?;
         self.trainer.work.stopwatch.start(&self.gpu);
@@ -88,56 +75,37 @@ impl Bench {
     }
 
     /// Whether kernels are timed by the device's own clock.
-    #[must_use]
     pub fn own_clock(&self) -> bool {
         self.gpu.has_own_clock()
     }
 
-    /// Entries of the tile lists of view `view`.
-    ///
-    /// # Errors
-    ///
-    /// [`GpuError`] if the device failed.
+    /// Entries of the tile lists of view `view`. Fails with [`GpuError`] if the device failed.
     pub fn entries(&mut self, view: usize) -> Result<usize, GpuError> {
         self.step(view)?;
         self.trainer.work.entries(&self.gpu, DOING)
     }
 
     /// Entries of tile lists that there is room for.
-    #[must_use]
     pub fn room(&self) -> usize {
         self.trainer.room()
     }
 
-    /// The image drawn last.
-    ///
-    /// # Errors
-    ///
-    /// [`GpuError`] if the device failed.
+    /// The image drawn last. Fails with [`GpuError`] if the device failed.
     pub fn frame(&self) -> Result<Frame, GpuError> {
         self.trainer.frame()
     }
 
-    /// Waits for everything that was asked for.
-    ///
-    /// # Errors
-    ///
-    /// [`GpuError`] if the device failed.
+    /// Waits for everything that was asked for. Fails with [`GpuError`] if the device failed.
     pub fn wait(&self) -> Result<(), GpuError> {
         self.gpu.wait(DOING)
     }
 
     /// What the runtime says that it holds.
-    #[must_use]
     pub fn memory(&self) -> DeviceMemory {
         self.gpu.memory()
     }
 
-    /// Goes on with drawing alone.
-    ///
-    /// # Errors
-    ///
-    /// [`GpuError`] if it does not fit or the device fails.
+    /// Goes on with drawing alone. Fails with [`GpuError`] if it does not fit or the device fails.
     pub fn into_drawing(self) -> Result<Drawing, GpuError> {
         let (entries, gpu) = (self.trainer.work.size.entries, self.gpu);
         drop(self.trainer);
@@ -166,7 +134,6 @@ pub struct Drawing {
 
 impl Drawing {
     /// Views to draw.
-    #[must_use]
     pub fn views(&self) -> usize {
         self.views.len()
     }
@@ -177,10 +144,7 @@ impl Drawing {
     }
 
     /// Draws view `view`, each kernel timed on its own, as [`Bench::laps`] does.
-    ///
-    /// # Errors
-    ///
-    /// [`GpuError`] if the device fails or cannot be timed.
+    /// Fails with [`GpuError`] if the device fails or cannot be timed.
     pub fn laps(&mut self, view: usize) -> Result<Laps, GpuError> {
         self.gpu.wait(DOING)?;
         self.work.stopwatch.start(&self.gpu);
@@ -188,20 +152,12 @@ impl Drawing {
         self.work.stopwatch.stop(&self.gpu)
     }
 
-    /// Draws view `view` and copies the image to the host.
-    ///
-    /// # Errors
-    ///
-    /// [`GpuError`] if the device fails.
+    /// Draws view `view` and copies the image to the host. Fails with [`GpuError`] if the device fails.
     pub fn read(&mut self, view: usize) -> Result<Frame, GpuError> {
         self.reader.render(&self.views[view])
     }
 
-    /// Waits for everything that was asked for.
-    ///
-    /// # Errors
-    ///
-    /// [`GpuError`] if the device failed.
+    /// Waits for everything that was asked for. Fails with [`GpuError`] if the device failed.
     pub fn wait(&self) -> Result<(), GpuError> {
         self.gpu.wait(DOING)
     }

@@ -1,9 +1,7 @@
 //! Training steps on a GPU.
 
 mod bench;
-mod colour;
 mod exposure;
-mod step;
 mod sum;
 mod trainer;
 
@@ -38,7 +36,6 @@ pub struct GpuBackend {
 
 impl GpuBackend {
     /// Steps of `batch` frames on `gpu`, within `max_vram_mb`.
-    #[must_use]
     pub fn new(gpu: Gpu, max_vram_mb: Option<usize>, batch: usize) -> Self {
         Self {
             gpu,

@@ -5,10 +5,10 @@ use super::sum::Batch;
 use m4_core::{Exposure, ShapeError, Splats};
 use m4_kernels::gpu::buffer::Buffer;
 use m4_kernels::gpu::frames::Frames;
-use m4_kernels::gpu::gather::{gathered, gathered_words};
 use m4_kernels::gpu::log::Log;
 use m4_kernels::gpu::morton::morton_order;
 use m4_kernels::gpu::splats::DeviceSplats;
+use m4_kernels::gpu::splats::{gathered, gathered_words};
 use m4_kernels::gpu::tally::Tally;
 use m4_kernels::gpu::work::{Size, Work};
 use m4_kernels::gpu::{Gpu, GpuError, Plan};
@@ -48,10 +48,7 @@ pub struct GpuTrainer {
 impl GpuTrainer {
     /// Copies everything to the device; of the `frames`, which have one size, those that fit into `budget_bytes`. The
     /// others stay here, three bytes per pixel, and are uploaded when they are used.
-    ///
-    /// # Errors
-    ///
-    /// [`GpuError`] if frames differ in size or there are none, if it does not fit, or if the device fails.
+    /// Fails with [`GpuError`] if frames differ in size or there are none, if it does not fit, or if the device fails.
     pub fn new<T: Borrow<Target>>(
         gpu: Gpu,
         splats: &Splats,
@@ -92,13 +89,11 @@ impl GpuTrainer {
     }
 
     /// The device.
-    #[must_use]
     pub fn gpu(&self) -> &Gpu {
         &self.gpu
     }
 
     /// Splats on the device.
-    #[must_use]
     pub fn n(&self) -> usize {
         self.splats.n
     }
@@ -166,10 +161,7 @@ impl GpuTrainer {
 
     /// Waits, and returns the statistics of the steps since the last call, by one small read. Makes room for more tile entries where
     /// frames had more than there was room for; those left out were the farthest.
-    ///
-    /// # Errors
-    ///
-    /// [`GpuError`] if the device failed since.
+    /// Fails with [`GpuError`] if the device failed since.
     pub fn stats(&mut self) -> Result<StepStats, GpuError> {
         let (mut stats, entries) = self.tally.take(&self.gpu, TRAINING)?;
         let cameras = self.cameras.take(&self.gpu, TRAINING)?;
@@ -183,16 +175,11 @@ impl GpuTrainer {
     }
 
     /// Tile entries that there is room for.
-    #[must_use]
     pub fn room(&self) -> usize {
         self.work.size.entries
     }
 
-    /// The image drawn last.
-    ///
-    /// # Errors
-    ///
-    /// [`GpuError`] if the device failed since.
+    /// The image drawn last. Fails with [`GpuError`] if the device failed since.
     pub fn frame(&self) -> Result<Frame, GpuError> {
         let image = self.work.image.read_floats(&self.gpu.client, TRAINING)?;
         let Size { width, height, .. } = self.work.size;
@@ -201,11 +188,7 @@ impl GpuTrainer {
         Ok(Frame { width, height, rgb: [plane(0), plane(1), plane(2)], transmittance: plane(3), depth: Vec::new() })
     }
 
-    /// Waits, and copies splats and the optimiser's state back.
-    ///
-    /// # Errors
-    ///
-    /// [`GpuError`] if the device failed since.
+    /// Waits, and copies splats and the optimiser's state back. Fails with [`GpuError`] if the device failed since.
     pub fn download(&self) -> Result<(Splats, AdamState), GpuError> {
         Ok((self.download_splats()?, self.download_adam()?))
     }
@@ -230,20 +213,12 @@ impl GpuTrainer {
         };
     }
 
-    /// Waits, and copies the splats back.
-    ///
-    /// # Errors
-    ///
-    /// [`GpuError`] if the device failed since.
+    /// Waits, and copies the splats back. Fails with [`GpuError`] if the device failed since.
     pub fn download_splats(&self) -> Result<Splats, GpuError> {
         self.splats.download(&self.gpu, TRAINING)
     }
 
-    /// Waits, and copies the optimiser's state back.
-    ///
-    /// # Errors
-    ///
-    /// [`GpuError`] if the device failed since.
+    /// Waits, and copies the optimiser's state back. Fails with [`GpuError`] if the device failed since.
     pub fn download_adam(&self) -> Result<AdamState, GpuError> {
         let mut step = self.adam.steps.read_words(&self.gpu.client, TRAINING)?;
         step.truncate(self.splats.n);
@@ -255,21 +230,14 @@ impl GpuTrainer {
     }
 
     /// Goes on with other splats and another state of the optimiser.
-    ///
-    /// # Errors
-    ///
-    /// [`GpuError`] if they do not fit, or not together; the trainer is not to be used after that.
+    /// Fails with [`GpuError`] if they do not fit, or not together; the trainer is not to be used after that.
     pub fn replace(&mut self, splats: &Splats, adam: &AdamState) -> Result<(), GpuError> {
         check(splats, adam)?;
         self.adam = uploaded(&self.gpu, adam)?;
         self.replace_splats(splats)
     }
 
-    /// Uploads `splats` and makes what depends on their number.
-    ///
-    /// # Errors
-    ///
-    /// [`GpuError`] if they do not fit.
+    /// Uploads `splats` and makes what depends on their number. Fails with [`GpuError`] if they do not fit.
     pub fn replace_splats(&mut self, splats: &Splats) -> Result<(), GpuError> {
         self.splats = DeviceSplats::upload(&self.gpu, splats)?;
         self.gradients = self.splats.like(&self.gpu);

@@ -3,7 +3,6 @@
 //! | file | what it does |
 //! |---|---|
 //! | `error_mask` | the pixels whose error counts |
-//! | `score` | masked errors of some frames to two scores per splat |
 //! | `rank` | scores to the best that may grow, and the range that prune scores are measured in |
 //! | `outcomes` | the rows that each splat keeps and adds, and their number |
 //! | `new_splats` | the next rows, and the parameters of clones and halves |
@@ -11,31 +10,39 @@
 //! Rows are laid out by one exclusive sum: static splats that stay, then the new ones, then the same of dynamic splats. All
 //! that is read back is how many there are.
 
+use crate::{
+    backend::{
+        DensityRound, DensityStats, ScoreSettings,
+        gpu::{GpuTrainer, TRAINING},
+    },
+    config::CloneOpacity,
+    density::Scores,
+};
+use cubecl::prelude::Client;
+use error_mask::Mask;
+use m4_kernels::{
+    View,
+    gpu::{
+        GpuError,
+        buffer::Buffer,
+        splats::gathered,
+        tally::{LOSSES, Tally},
+        work::Size,
+    },
+    score::gpu::{FrameScore, add},
+};
+
 mod error_mask;
 mod new_splats;
 mod outcomes;
 mod rank;
-mod score;
-
-use crate::backend::gpu::{GpuTrainer, TRAINING};
-use crate::backend::{DensityRound, DensityStats};
-use crate::config::CloneOpacity;
-use cubecl::prelude::Client;
-use m4_kernels::gpu::GpuError;
-use m4_kernels::gpu::buffer::Buffer;
-use m4_kernels::gpu::gather::gathered;
-use m4_kernels::gpu::work::Size;
 
 impl GpuTrainer {
-    /// Clones, splits and prunes splats by the rules of `round`. Halves always lie along the longest axis. Survivors keep the optimiser's state, new splats start from
-    /// nothing. Rows are in their old order, static before dynamic, the new ones after those that stay; halves lie 0.6
-    /// standard deviations to both sides along the longest axis, 0.8 as long there. Where nothing would be left, nothing
-    /// changes.
-    ///
-    /// # Errors
-    ///
-    /// [`GpuError`] if there is no such frame, if there is no room, or if the device failed; the trainer is not to be used
-    /// after that.
+    /// Clones, splits and prunes splats by the rules of `round`. Halves always lie along the longest axis. Survivors
+    /// keep the optimiser's state, new splats start from nothing. Rows are in their old order, static before dynamic,
+    /// the new ones after those that stay; halves lie 0.6 standard deviations to both sides along the longest axis, 0.8
+    /// as long there. Where nothing would be left, nothing changes. Fails with [`GpuError`] if there is no such frame,
+    /// if there is no room, or if the device failed; the trainer is not to be used after that.
     pub fn densify(&mut self, round: &DensityRound<'_>) -> Result<DensityStats, GpuError> {
         let n = self.splats.n;
         let unchanged = DensityStats {
@@ -81,5 +88,39 @@ impl GpuTrainer {
             false => Buffer::floats(client, &[0.0, 0.0]),
         };
         Ok(outcomes::Outcomes::new(client, &self.splats, rules, &grows, &scores, &range))
+    }
+}
+
+impl GpuTrainer {
+    /// Renders each view of a frame, by its number, and adds up the errors on the footprints of the splats.
+    /// Fails with [`GpuError`] if there is no such frame, if there is no room for the tile entries, or if the device failed.
+    pub fn score(&mut self, views: &[(usize, View)], settings: &ScoreSettings) -> Result<Scores, GpuError> {
+        let n = self.splats.n;
+        let scores = self.scores(views, settings)?;
+        let mut both = scores.read_floats(&self.gpu.client, TRAINING)?;
+        both.truncate(2 * n);
+        let prune = both.split_off(n);
+        Ok(Scores { densify: both, prune })
+    }
+
+    /// [`score`](Self::score), left on the device: `[2][n]`.
+    pub(crate) fn scores(&mut self, views: &[(usize, View)], settings: &ScoreSettings) -> Result<Buffer, GpuError> {
+        let n = self.splats.n;
+        let gpu = self.gpu.clone();
+        let tally = Tally::new(&gpu, views.len(), 0);
+        let scores = Buffer::zeros(&gpu.client, 2 * n);
+        let mask = Mask::new(&gpu, self.work.size.pixels(), settings.range);
+        let share = 1.0 / views.len().max(1) as f32;
+        for (index, (frame, view)) in views.iter().enumerate() {
+            self.draw(view)?;
+            let target = self.frames.get(&gpu, *frame)?;
+            let (shown, _) = self.corrected(*frame);
+            self.loss.compare(&gpu, &shown, &target, index, settings.lambda_ssim, &tally);
+            mask.find(&gpu, &shown, &target, settings.threshold);
+            let frame =
+                FrameScore { errors: &mask.errors, cut: &mask.cut, tally: &tally.buffer, loss: LOSSES + index, share };
+            add(&gpu, &self.work, &self.splats, &frame, &scores);
+        }
+        Ok(scores)
     }
 }

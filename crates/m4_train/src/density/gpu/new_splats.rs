@@ -4,8 +4,8 @@
 use super::outcomes::{Outcomes, birth_of, stay_of};
 use cubecl::prelude::*;
 use m4_kernels::gpu::buffer::{Buffer, cubes, units};
-use m4_kernels::gpu::gather::NOTHING;
 use m4_kernels::gpu::splats::DeviceSplats;
+use m4_kernels::gpu::splats::NOTHING;
 use m4_kernels::gpu::vector::{dot, v3};
 use m4_kernels::slice::gpu::shape;
 

@@ -1,11 +1,15 @@
-//! Motion fields between keyframes, which can be evaluated anywhere.
+//! Motion fields between keyframes, and the velocity and bend of the paths of their points.
 
-use super::follow::Ways;
-use super::look::Look;
-use super::register::{Registration, View, register};
-
-use super::rigid::Rigid;
-use crate::init::{InitError, error::stopped};
+use crate::init::{
+    InitError,
+    config::stopped,
+    motion::{
+        patches::PatchImage,
+        register::{KeyframeTracks, View, register},
+        rigid::Rigid,
+    },
+    voxel::Centroids,
+};
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use m4_core::{
     Progress,
@@ -30,28 +34,24 @@ pub(crate) struct Fields {
     pub backward: Field,
 }
 
-/// Motions between every keyframe and the next; `ways` is what tracks know of them.
-///
-/// # Errors
-///
-/// [`InitError::Stopped`].
+/// Motions between every keyframe and the next; refined by `tracks`. Fails with [`InitError::Stopped`].
 pub(crate) fn fields(
     keyframes: &[View<'_>],
-    ways: Option<Ways<'_>>,
-    by: &Registration,
+    tracks: Option<KeyframeTracks<'_>>,
+    reach: f32,
     progress: &dyn Progress,
 ) -> Result<Vec<Fields>, InitError> {
     let mut out: Vec<Fields> = Vec::new();
-    let look = |view: &View<'_>| view.frame.and_then(Look::new);
+    let patches = |view: &View<'_>| view.frame.and_then(PatchImage::new);
     // two images at a time: all of them would be most of the memory of a run
-    let mut ahead = keyframes.first().and_then(look);
+    let mut ahead = keyframes.first().and_then(patches);
     for (i, pair) in keyframes.windows(2).enumerate() {
         stopped(progress)?;
         progress.update("motions", i, keyframes.len() - 1, "");
         let (a, b) = (&pair[0], &pair[1]);
-        let behind = std::mem::replace(&mut ahead, look(b));
-        let follow = |from, to| ways.and_then(|w| w.between(from, to));
-        let looks = behind.as_ref().zip(ahead.as_ref());
+        let behind = std::mem::replace(&mut ahead, patches(b));
+        let shifts_between = |from, to| tracks.and_then(|w| w.between(from, to));
+        let images = behind.as_ref().zip(ahead.as_ref());
         // What moved on goes on moving: the last motion is a good first guess.
         let guess = match out.last() {
             Some(last) => shifts(&a.nodes.xyz, &last.forward.onward(&a.nodes.xyz)),
@@ -59,12 +59,12 @@ pub(crate) fn fields(
         };
         let forward = Field {
             nodes: a.nodes.xyz.clone(),
-            motion: register(a, b, looks.map(|(a, b)| [a, b]), follow(i, i + 1), guess, by),
+            motion: register(a, b, images.map(|(a, b)| [a, b]), shifts_between(i, i + 1), guess, reach),
         };
         let guess = shifts(&b.nodes.xyz, &forward.inverse().places(&b.nodes.xyz));
         let backward = Field {
             nodes: b.nodes.xyz.clone(),
-            motion: register(b, a, looks.map(|(a, b)| [b, a]), follow(i + 1, i), guess, by),
+            motion: register(b, a, images.map(|(a, b)| [b, a]), shifts_between(i + 1, i), guess, reach),
         };
         out.push(Fields { forward, backward });
     }
@@ -131,21 +131,58 @@ impl Field {
     }
 }
 
+/// Motion of the points of a keyframe.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Paths {
+    /// World units per frame: half the displacement from the keyframe before to the one after; one side at the ends; 0 for a
+    /// lone keyframe.
+    pub velocity: Vec<[f32; 3]>,
+    /// Distance between the path and the straight line one keyframe away, across the viewing ray of the keyframe, world units. Along
+    /// the ray, depth is too uncertain to tell; 0 at the ends.
+    pub bend: Vec<f32>,
+}
+
+impl Paths {
+    /// Of the points of keyframe `i` of `moving` (time in frames, points), seen from `centre`; `fields` leads from each keyframe
+    /// to the next.
+    pub fn of(moving: &[(f64, Centroids)], fields: &[Fields], i: usize, centre: &Vector3<f64>) -> Self {
+        let (t, points) = &moving[i];
+        // a keyframe of the same instant, from another camera, says nothing of velocities
+        let side = |field: &Field, other: f64| -> Option<(f32, Vec<Vector3<f32>>)> {
+            let gap = (other - t) as f32;
+            let places = (gap != 0.0).then(|| field.places(&points.xyz))?;
+            let pairs = places.iter().zip(&points.xyz);
+            Some((gap, pairs.map(|(q, p)| (Vector3::from(*q) - Vector3::from(*p)) / gap).collect()))
+        };
+        let before = i.checked_sub(1).and_then(|j| side(&fields[j].backward, moving[j].0));
+        let after = moving.get(i + 1).and_then(|next| side(&fields[i].forward, next.0));
+        let straight =
+            |v: Vec<Vector3<f32>>| Self { bend: vec![0.0; v.len()], velocity: v.into_iter().map(Into::into).collect() };
+        match (before, after) {
+            (Some((back, a)), Some((ahead, b))) => {
+                let gap = 0.5 * (ahead - back);
+                let centre = centre.cast::<f32>();
+                let bend = a.iter().zip(&b).zip(&points.xyz).map(|((a, b), p)| {
+                    let ray = Vector3::from(*p) - centre;
+                    let off = (b - a) * (0.5 * gap);
+                    (off - ray * (off.dot(&ray) / ray.norm_squared().max(f32::MIN_POSITIVE))).norm()
+                });
+                Self { bend: bend.collect(), velocity: a.iter().zip(&b).map(|(a, b)| (0.5 * (a + b)).into()).collect() }
+            }
+            (Some((_, v)), None) | (None, Some((_, v))) => straight(v),
+            (None, None) => straight(vec![Vector3::zeros(); points.xyz.len()]),
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
-    use super::{Field, Fields, fields};
-    use crate::init::{
-        motion::rigid::Rigid,
-        motion::{Registration, View},
-        voxel::Centroids,
-    };
+    use super::{Field, Fields, Paths, Rigid, View, fields};
+    use crate::init::voxel::Centroids;
     use m4_core::{
         CounterRng, Silent,
         nalgebra::{UnitQuaternion, Vector3},
     };
-
-    const BY: Registration =
-        Registration { colour_scale: 0.1, reach: 0.1, neighbours: 16, rounds: 15, picture_rounds: 0 };
 
     /// Points of a unit cube, with colours that change smoothly over it.
     fn cloud() -> Centroids {
@@ -172,7 +209,7 @@ mod tests {
 
     fn between(clouds: &[Centroids], sees: &(dyn Fn([f32; 3]) -> bool + Sync)) -> Vec<Fields> {
         let view = |c| View { nodes: c, points: c, frame: None, sees };
-        fields(&clouds.iter().map(view).collect::<Vec<_>>(), None, &BY, &Silent).unwrap()
+        fields(&clouds.iter().map(view).collect::<Vec<_>>(), None, 0.1, &Silent).unwrap()
     }
 
     fn turn(p: [f32; 3], rad: f32) -> [f32; 3] {
@@ -207,11 +244,11 @@ mod tests {
     fn points_that_leave_the_image_follow_their_neighbours() {
         let still = cloud();
         let all = [0.0f32, 0.1, 0.2, 0.3].map(|x| moved(&still, |p| [p[0] + x, p[1], p[2]]));
-        let in_picture = |p: &[f32; 3]| p[0] < 0.9;
+        let in_image = |p: &[f32; 3]| p[0] < 0.9;
         let clouds: Vec<Centroids> = all
             .iter()
             .map(|c| {
-                let keep: Vec<usize> = (0..600).filter(|&i| in_picture(&c.xyz[i])).collect();
+                let keep: Vec<usize> = (0..600).filter(|&i| in_image(&c.xyz[i])).collect();
                 Centroids {
                     xyz: keep.iter().map(|&i| c.xyz[i]).collect(),
                     rgb: keep.iter().map(|&i| c.rgb[i]).collect(),
@@ -220,7 +257,7 @@ mod tests {
                 }
             })
             .collect();
-        let found = between(&clouds, &|p| in_picture(&p));
+        let found = between(&clouds, &|p| in_image(&p));
         let field = &found[2].forward;
         let leaving: Vec<[f32; 3]> = clouds[2].xyz.iter().copied().filter(|p| p[0] > 0.8).collect();
         let places = field.places(&leaving);
@@ -250,5 +287,34 @@ mod tests {
         let places = found[0].forward.places(&[[0.5; 3]]);
         assert!(distance(places[0], [0.5; 3]) < 1e-5);
         assert!(found[1].forward.nodes.is_empty());
+    }
+
+    fn to(from: [f32; 3], to: [f32; 3]) -> Field {
+        Field { nodes: vec![from], motion: vec![Rigid::shift(from, to)] }
+    }
+
+    fn paths(steps: [[f32; 3]; 3], times: [f64; 3]) -> Paths {
+        let [a, b, c] = steps;
+        let point = |xyz| Centroids { xyz: vec![xyz], rgb: vec![[0.5; 3]], edge: vec![0.1], key: vec![(0, 0)] };
+        let between = |a, b| Fields { forward: to(a, b), backward: to(b, a) };
+        let moving = [(times[0], point(a)), (times[1], point(b)), (times[2], point(c))];
+        Paths::of(&moving, &[between(a, b), between(b, c)], 1, &Vector3::zeros())
+    }
+
+    #[test]
+    fn a_circle_bends_by_its_radius_times_half_the_squared_angle() {
+        // before the camera, 0.1 rad from keyframe to keyframe, which are 4 frames apart
+        let at = |k: f32| [2.0 * (0.1 * k).sin(), 2.0 * (0.1 * k).cos() - 2.0, 10.0];
+        let found = paths([at(-1.0), at(0.0), at(1.0)], [0.0, 4.0, 8.0]);
+        assert!((found.bend[0] - 2.0 * 0.1 * 0.1 / 2.0).abs() < 1e-4, "{found:?}");
+        let v = Vector3::from(found.velocity[0]);
+        assert!((v - Vector3::new(2.0 * 0.1f32.sin() / 4.0, 0.0, 0.0)).norm() < 1e-5, "{found:?}");
+    }
+
+    #[test]
+    fn a_line_does_not_bend_and_depth_that_jumps_does_not_count() {
+        assert!(paths([[0.0; 3], [1.0, 0.0, 5.0], [2.0, 0.0, 10.0]], [0.0, 1.0, 2.0]).bend[0] < 1e-5);
+        let jump = paths([[0.0, 0.0, 9.0], [0.0, 0.0, 10.0], [0.0, 0.0, 9.0]], [0.0, 1.0, 2.0]);
+        assert!(jump.bend[0] < 1e-5, "{jump:?}");
     }
 }

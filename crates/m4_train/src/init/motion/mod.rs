@@ -2,21 +2,17 @@
 //!
 //! ```text
 //! register (two keyframes -> a rigid motion around each point) -> field (motion at any place)
-//! follow (what tracks of the capture say, where there are any)
-//! look (their images -> where patches went)
-//! bodies (what hangs together moves together, seen or not)
+//! KeyframeTracks (shifts of the tracks of the capture), patches (Lucas-Kanade between their images)
+//! bodies (points that hang together move together, visible or not)
 //! ```
 
-mod bodies;
 mod field;
-mod follow;
-mod look;
+mod patches;
 mod register;
 mod rigid;
 
-pub(crate) use bodies::bodies;
-pub(crate) use field::{Field, Fields, fields};
-pub(crate) use follow::Ways;
-pub(crate) use register::{NODE_PIXELS, REACH_PIXELS, Registration, View};
+pub(crate) use field::{Field, Fields, Paths, fields};
+pub(crate) use register::{KeyframeTracks, NODE_PIXELS, REACH_PIXELS, View};
 #[cfg(test)]
 pub(crate) use rigid::Rigid;
+pub(crate) use rigid::bodies;

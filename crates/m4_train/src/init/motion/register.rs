@@ -1,45 +1,31 @@
-//! Registers the dynamic points of two keyframes.
+//! Registers the dynamic points of two keyframes, with the help of the capture's tracks.
 
-use super::follow::Follow;
-use super::look::Look;
-use super::rigid::Rigid;
-use crate::init::voxel::Centroids;
+use crate::init::{
+    motion::{patches::PatchImage, rigid::Rigid},
+    voxel::Centroids,
+};
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
-use m4_core::{CaptureFrame, nalgebra::Vector3};
+use m4_core::{CaptureFrame, Tracks, nalgebra::Vector3};
 use rayon::prelude::*;
 use std::num::NonZero;
 
-/// The parameters of the registration.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Registration {
-    /// A difference of colour of this size counts as much as a displacement of one `reach`.
-    pub colour_scale: f32,
-    /// Length over which places compete with colours, world units.
-    pub reach: f32,
-    /// Points that move together as one rigid piece, in the last rounds.
-    pub neighbours: usize,
-    /// Rounds of match and fit.
-    pub rounds: usize,
-    /// Rounds in which the images say where points went.
-    pub picture_rounds: usize,
-}
-
+/// A difference of colour of this size counts as much as a displacement of one `reach` (our rules, as the next three).
+const COLOUR_SCALE: f32 = 0.1;
+/// Points that move together as one rigid piece, in the last rounds.
+const NEIGHBOURS: usize = 20;
+/// Rounds of match and fit.
+const ROUNDS: usize = 15;
+/// Rounds that track patches of the images: +0.14 dB inside moving parts, difference of colour after one frame down by a fifth
+/// (docs/decisions/0004).
+const IMAGE_ROUNDS: usize = 3;
 /// Spacing of the points that are registered, pixels at the median depth (our rule).
 pub(crate) const NODE_PIXELS: f32 = 4.0;
-/// [`Registration::reach`], pixels at the median depth (our rule).
+/// Length over which places compete with colours, pixels at the median depth (our rule).
 pub(crate) const REACH_PIXELS: f32 = 8.0;
 
-impl Registration {
-    /// What the first splats are made with (our rules); `reach` in world units. Three rounds of frames: +0.14 dB inside moving
-    /// parts, difference of colour after one frame down by a fifth (docs/decisions/0004).
-    pub fn with_reach(reach: f32) -> Self {
-        Self { colour_scale: 0.1, reach, neighbours: 20, rounds: 15, picture_rounds: 3 }
-    }
-}
-
 /// Coordinates in which a match is the nearest point: place over reach, colour over its scale.
-fn joint(p: [f32; 3], rgb: [f32; 3], by: &Registration) -> [f32; 6] {
-    let (a, b) = (1.0 / by.reach, 1.0 / by.colour_scale);
+fn joint(p: [f32; 3], rgb: [f32; 3], reach: f32) -> [f32; 6] {
+    let (a, b) = (1.0 / reach, 1.0 / COLOUR_SCALE);
     [p[0] * a, p[1] * a, p[2] * a, rgb[0] * b, rgb[1] * b, rgb[2] * b]
 }
 
@@ -53,35 +39,35 @@ pub(crate) struct View<'a> {
     pub nodes: &'a Centroids,
     /// Points that nodes of other keyframes are brought onto.
     pub points: &'a Centroids,
-    /// Its frame, for a look at the image; `None` to do without.
+    /// Its frame, for tracking patches; `None` to do without.
     pub frame: Option<&'a CaptureFrame>,
     /// Whether it would see a place.
     pub sees: &'a (dyn Fn([f32; 3]) -> bool + Sync),
 }
 
-/// A motion for every node of `from`, that brings them onto `to`, starting from `guess`.
+/// A motion for every node of `from`, that brings them onto `to`, starting from `guess`; `reach` in world units.
 ///
 /// Each round matches every displaced node to the nearest point of `to` in place and colour; then the motion of
 /// a node is the rigid one that fits what the matches of its neighbours ask for, matches of unlike colour or far
 /// away weighing little, and nodes that go where they cannot be seen nothing at all. Neighbourhoods shrink from
-/// round to round: large pieces first, then their parts. Then tracks have their word, `follow`, on nodes that are near any; in the last
-/// rounds the images, `looks`, say where nodes went, which is exact to a fraction of a pixel.
+/// round to round: large pieces first, then their parts. Then nodes near `tracks` are moved with them; the last
+/// rounds track patches of `images`, which is exact to a fraction of a pixel.
 pub(crate) fn register(
     from: &View<'_>,
     to: &View<'_>,
-    looks: Option<[&Look; 2]>,
-    follow: Option<Follow>,
+    images: Option<[&PatchImage; 2]>,
+    tracks: Option<TrackShifts>,
     guess: Vec<Rigid>,
-    by: &Registration,
+    reach: f32,
 ) -> Vec<Rigid> {
     let nodes = from.nodes;
     let mut motion = guess;
     let colours = to.points.xyz.iter().zip(&to.points.rgb);
-    let targets: Vec<[f32; 6]> = colours.map(|(p, c)| joint(*p, *c, by)).collect();
+    let targets: Vec<[f32; 6]> = colours.map(|(p, c)| joint(*p, *c, reach)).collect();
     let (Ok(tree), Ok(places), Some(count)) = (
         ImmutableKdTree::<f32, 6>::new_from_slice(&targets),
         ImmutableKdTree::<f32, 3>::new_from_slice(&nodes.xyz),
-        NonZero::new((FIRST * by.neighbours).min(nodes.xyz.len())),
+        NonZero::new((FIRST * NEIGHBOURS).min(nodes.xyz.len())),
     ) else {
         return motion;
     };
@@ -96,25 +82,25 @@ pub(crate) fn register(
             found.into_iter().map(|n| n.item).collect()
         })
         .collect();
-    for round in 0..by.rounds {
+    for round in 0..ROUNDS {
         let wanted = wanted(nodes, &motion, |_, place, rgb| {
-            let n = tree.query(&joint(place, rgb, by)).nearest_one::<SquaredEuclidean<f32>>().execute();
+            let n = tree.query(&joint(place, rgb, reach)).nearest_one::<SquaredEuclidean<f32>>().execute();
             let match_ = to.points.xyz[n.item as usize];
             (to.sees)(place).then(|| (match_, 1.0 / (1.0 + n.distance).powi(2)))
         });
         // from FIRST to 1 in the first two thirds of the rounds
-        let left = 1.0 - (1.5 * round as f32 / by.rounds as f32).min(1.0);
-        let pieces = by.neighbours as f32 * (FIRST as f32).powf(left);
+        let left = 1.0 - (1.5 * round as f32 / ROUNDS as f32).min(1.0);
+        let pieces = NEIGHBOURS as f32 * (FIRST as f32).powf(left);
         motion = fitted(nodes, &motion, &near, &wanted, pieces as usize);
     }
-    if let Some(follow) = follow {
-        let wanted = wanted(nodes, &motion, |p, _, _| follow.ask(p));
-        motion = fitted(nodes, &motion, &near, &wanted, by.neighbours);
+    if let Some(tracks) = tracks {
+        let wanted = wanted(nodes, &motion, |p, _, _| tracks.shifted(p));
+        motion = fitted(nodes, &motion, &near, &wanted, NEIGHBOURS);
     }
-    if let Some([here, there]) = looks {
-        for _ in 0..by.picture_rounds {
-            let wanted = wanted(nodes, &motion, |p, place, _| here.follow(there, p, place));
-            motion = fitted(nodes, &motion, &near, &wanted, by.neighbours);
+    if let Some([from, to]) = images {
+        for _ in 0..IMAGE_ROUNDS {
+            let wanted = wanted(nodes, &motion, |p, place, _| from.track(to, p, place));
+            motion = fitted(nodes, &motion, &near, &wanted, NEIGHBOURS);
         }
     }
     motion
@@ -138,7 +124,7 @@ fn wanted(
         .collect()
 }
 
-/// The rigid motion of the `pieces` nearest nodes of each; where they say nothing, the one before.
+/// The rigid motion of the `pieces` nearest nodes of each; without weights, the one before.
 fn fitted(
     nodes: &Centroids,
     motion: &[Rigid],
@@ -156,4 +142,112 @@ fn fitted(
             Rigid::fit(pairs, before.rotation).unwrap_or(*before)
         })
         .collect()
+}
+
+/// Tracks that are asked about one place.
+const NEAREST: NonZero<usize> = NonZero::new(6).unwrap();
+/// Tracks of another body are farther away than this many times what tracks lie apart.
+const SPACING: f32 = 3.0;
+
+/// The tracks of a capture at its keyframes.
+#[derive(Clone, Copy)]
+pub(crate) struct KeyframeTracks<'a> {
+    pub tracks: &'a Tracks,
+    /// The frame of each keyframe.
+    pub frames: &'a [usize],
+    /// Tracks this close speak for a place, however densely they lie, world units.
+    pub reach: f32,
+}
+
+/// Shifts of tracks from one keyframe to another.
+pub(crate) struct TrackShifts {
+    tree: ImmutableKdTree<f32, 3>,
+    shifts: Vec<[f32; 3]>,
+    /// Tracks farther away than this do not speak for a place, world units.
+    reach: f32,
+}
+
+impl KeyframeTracks<'_> {
+    /// The shifts from keyframe `from` to keyframe `to`; `None` where no track knows both.
+    pub fn between(&self, from: usize, to: usize) -> Option<TrackShifts> {
+        let (from, to) = (*self.frames.get(from)?, *self.frames.get(to)?);
+        let known = |k: usize| Some((self.tracks.place(from, k)?, self.tracks.place(to, k)?));
+        let (places, ends): (Vec<[f32; 3]>, Vec<[f32; 3]>) = (0..self.tracks.count()).filter_map(known).unzip();
+        if places.is_empty() {
+            return None;
+        }
+        let shifts = places.iter().zip(&ends).map(|(p, q)| [0, 1, 2].map(|k| q[k] - p[k])).collect();
+        let tree = ImmutableKdTree::<f32, 3>::new_from_slice(&places).ok()?;
+        let reach = self.reach.max(SPACING * spacing(&tree, &places));
+        Some(TrackShifts { tree, shifts, reach })
+    }
+}
+
+/// The median distance of a place to its nearest neighbour; 0 for a lone one.
+fn spacing(tree: &ImmutableKdTree<f32, 3>, places: &[[f32; 3]]) -> f32 {
+    const TWO: NonZero<usize> = NonZero::new(2).unwrap();
+    let mut squares: Vec<f32> = places
+        .par_iter()
+        .filter_map(|p| {
+            let near = tree.query(p).nearest_n::<SquaredEuclidean<f32>>(TWO).execute();
+            near.iter().map(|n| n.distance).max_by(f32::total_cmp).filter(|_| near.len() > 1)
+        })
+        .collect();
+    m4_core::median(&mut squares).map_or(0.0, f32::sqrt)
+}
+
+impl TrackShifts {
+    /// Where a place went and how much that counts: the shift of those of the nearest tracks that differs least from the others'.
+    /// `None` where no track is near.
+    pub fn shifted(&self, p: [f32; 3]) -> Option<([f32; 3], f32)> {
+        let near = self.tree.query(&p).nearest_n::<SquaredEuclidean<f32>>(NEAREST).execute();
+        let near = near.into_iter().filter(|n| n.distance <= self.reach * self.reach);
+        let near: Vec<(Vector3<f32>, f32)> = near
+            .map(|n| {
+                let weight = 1.0 / (n.distance.sqrt() + 0.1 * self.reach);
+                (self.shifts[n.item as usize].into(), weight)
+            })
+            .collect();
+        let off = |a: &Vector3<f32>| near.iter().map(|(b, w)| w * (a - b).norm()).sum::<f32>();
+        let middle = near.iter().map(|(a, _)| (a, off(a))).min_by(|a, b| a.1.total_cmp(&b.1))?.0;
+        Some(((Vector3::from(p) + middle).into(), 1.0))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::KeyframeTracks;
+    use m4_core::Tracks;
+
+    /// A row of tracks 0.1 apart that move by 1 along x in every frame, but for the third, which is wrong.
+    fn row() -> Tracks {
+        let place = |t: usize, k: usize| {
+            let speed = if k == 2 { -3.0 } else { 1.0 };
+            [0.1 * k as f32 + speed * t as f32, 0.0, 0.0]
+        };
+        let xyz = (0..2).flat_map(|t| (0..8).map(move |k| place(t, k))).collect();
+        Tracks::new(2, 8, xyz, vec![true; 16]).unwrap()
+    }
+
+    #[test]
+    fn one_wrong_track_is_outvoted_and_far_tracks_have_no_weight() {
+        let tracks = row();
+        let tracks = KeyframeTracks { tracks: &tracks, frames: &[0, 1], reach: 0.05 };
+        let shifts = tracks.between(0, 1).unwrap();
+        let (to, weight) = shifts.shifted([0.2, 0.05, 0.0]).unwrap();
+        assert!((to[0] - 1.2).abs() < 1e-6 && to[1] == 0.05 && weight > 0.0, "{to:?}");
+        assert_eq!(shifts.shifted([0.2, 0.5, 0.0]), None);
+        let (back, _) = tracks.between(1, 0).unwrap().shifted([1.5, 0.0, 0.0]).unwrap();
+        assert!((back[0] - 0.5).abs() < 1e-6);
+        assert!(tracks.between(0, 2).is_none());
+    }
+
+    #[test]
+    fn a_single_track_moves_points_within_reach() {
+        let tracks = Tracks::new(2, 1, vec![[0.0; 3], [0.0, 1.0, 0.0]], vec![true; 2]).unwrap();
+        let tracks = KeyframeTracks { tracks: &tracks, frames: &[0, 1], reach: 0.5 };
+        let shifts = tracks.between(0, 1).unwrap();
+        assert_eq!(shifts.shifted([0.3, 0.0, 0.0]), Some(([0.3, 1.0, 0.0], 1.0)));
+        assert_eq!(shifts.shifted([0.6, 0.0, 0.0]), None);
+    }
 }

@@ -1,11 +1,12 @@
-//! The schedule of density control and its inputs.
+//! What is due after some steps: density control, the split of rotating splats into arcs, the fit of colours.
 
-use super::Trainer;
 use crate::{
-    TrainError,
+    TrainError, arcs,
     backend::{DensityRound, ScoreSettings},
+    colour_fit::correct,
     density::{Decision, Rules, apply},
-    pick::purpose,
+    schedule::purpose,
+    trainer::Trainer,
 };
 use m4_core::CounterRng;
 use m4_kernels::View;
@@ -82,5 +83,53 @@ impl Trainer<'_> {
         let mut rng = CounterRng::new(self.config.seed, purpose::DENSIFY_FRAMES, self.iteration as u64);
         let picked = rng.sample(self.times.len(), self.config.density.frames);
         picked.into_iter().map(|f| (f, self.view(f))).collect()
+    }
+}
+
+impl Trainer<'_> {
+    /// Solves for the colours; weights are measured once.
+    pub(super) fn fit_colours(&mut self) -> Result<(), TrainError> {
+        let views: Vec<(usize, View)> = (0..self.times.len()).map(|frame| (frame, self.view(frame))).collect();
+        self.prepare()?;
+        self.download()?;
+        let mut weight = Default::default();
+        for round in 0..self.config.colour_fit_rounds {
+            let sums = self.ask(|backend| backend.colour_sums(&views, round == 0))?;
+            if round == 0 {
+                weight = sums.weight;
+            }
+            let mut splats = self.splats.clone();
+            correct(&mut splats, &sums.residual, &weight);
+            self.ask(|backend| backend.set_splats(&splats))?;
+            // as they are there; not yet checked, as `download` does
+            self.splats = splats;
+        }
+        self.is_current = false;
+        self.download()
+    }
+}
+
+/// Share of the run after which rotating splats are split: velocities are trained by then, and the segments are trained from then on.
+/// Earlier gains no more and makes more steps slower (docs/decisions/0007).
+pub(crate) const ARCS_AT: f64 = 0.5;
+
+impl Trainer<'_> {
+    /// Splits rotating splats if this iteration is the one for it; on the CPU whatever the backend, since it happens once in a run.
+    pub(super) fn arc_round(&mut self) -> Result<(), TrainError> {
+        if !self.config.arcs || self.iteration != (ARCS_AT * self.config.iterations as f64) as usize {
+            return Ok(());
+        }
+        self.download()?;
+        let rotating = arcs::rotating(&self.splats);
+        if rotating.is_empty() {
+            return Ok(());
+        }
+        self.synchronize()?;
+        let before = self.splats.n();
+        arcs::split(&mut self.splats, &mut self.adam, &rotating)?;
+        // density control may add as many as before
+        self.first_splats += self.splats.n() - before;
+        self.prepare()?;
+        self.reorder()
     }
 }

@@ -1,4 +1,4 @@
-//! The representation of a frame for patch tracking.
+//! Tracks patches from one image to another.
 
 use m4_core::{Camera, CaptureFrame, DepthMap, Plane};
 
@@ -6,7 +6,7 @@ use m4_core::{Camera, CaptureFrame, DepthMap, Plane};
 const RADIUS: i32 = 3;
 /// Values that a patch must have at least: a third of the pixels, in three colours.
 const LEAST: usize = 49;
-/// Noise of a smoothed image, 0..1: less contrast than this is nothing to follow.
+/// Noise of a smoothed image, 0..1: less contrast than this is nothing to track.
 const NOISE: f64 = 0.01;
 /// A mean difference of this size between a patch and its match halves the trust in it.
 const UNLIKE: f64 = 0.05;
@@ -19,7 +19,7 @@ const DEPTH_JUMP: f64 = 0.05;
 
 /// Smoothed image, depth and mask of one frame, all of the size of the image.
 #[derive(Debug, Clone)]
-pub(crate) struct Look {
+pub(crate) struct PatchImage {
     camera: Camera,
     /// Red, green, blue, 0..1.
     rgb: [Plane<f32>; 3],
@@ -35,7 +35,7 @@ struct Texel {
     slope: [f64; 2],
 }
 
-impl Look {
+impl PatchImage {
     /// `None` without depth or mask: then nothing moves there.
     pub fn new(frame: &CaptureFrame) -> Option<Self> {
         let (depth, mask) = (frame.depth.as_ref()?, frame.mask.as_ref()?);
@@ -98,17 +98,17 @@ impl Look {
     }
 
     /// Where `p`, a point that this frame sees, is in the frame `to`, which is expected to see it at `guess`; and
-    /// how much that can be trusted, 0..1. World units. `None` where it is not seen or has nothing to follow.
+    /// how much that can be trusted, 0..1. World units. `None` where it is not seen or has nothing to track.
     ///
-    /// The patch around `p` is followed by the method of Lucas and Kanade (1981) in its inverse form, moving pixels
+    /// The patch around `p` is tracked by the method of Lucas and Kanade (1981) in its inverse form, moving pixels
     /// alone, all three colours; the depth map of `to` says how far away it is.
-    pub fn follow(&self, to: &Self, p: [f32; 3], guess: [f32; 3]) -> Option<([f32; 3], f32)> {
-        let (here, z) = self.camera.project(&p.map(f64::from).into());
+    pub fn track(&self, to: &Self, p: [f32; 3], guess: [f32; 3]) -> Option<([f32; 3], f32)> {
+        let (centre, z) = self.camera.project(&p.map(f64::from).into());
         let (start, expected) = to.camera.project(&guess.map(f64::from).into());
-        if z <= 0.0 || expected <= 0.0 || !self.holds(here) || !to.holds(start) {
+        if z <= 0.0 || expected <= 0.0 || !self.holds(centre) || !to.holds(start) {
             return None;
         }
-        let patch = self.patch(here);
+        let patch = self.patch(centre);
         if patch.len() < LEAST {
             return None;
         }
@@ -159,7 +159,7 @@ fn smooth(plane: &Plane<f32>) -> Plane<f32> {
 
 #[cfg(test)]
 mod tests {
-    use super::Look;
+    use super::PatchImage;
     use m4_core::{Camera, CaptureFrame, CompactMask, Intrinsics, Plane, Se3};
 
     /// A textured wall at depth 2 that moves by `shift` pixels; the left third is static.
@@ -185,32 +185,32 @@ mod tests {
     }
 
     #[test]
-    fn a_patch_is_followed_to_a_tenth_of_a_pixel() {
+    fn a_patch_is_tracked_to_a_tenth_of_a_pixel() {
         let (a, b) = (frame([0.0; 2], false), frame([1.3, -0.7], false));
-        let (here, there) = (Look::new(&a).unwrap(), Look::new(&b).unwrap());
+        let (from, to) = (PatchImage::new(&a).unwrap(), PatchImage::new(&b).unwrap());
         let place = |x: f64, y: f64| {
             let p = a.camera.unproject(x, y, 2.0);
             [p.x as f32, p.y as f32, p.z as f32]
         };
         for (x, y) in [(30.0, 20.0), (41.0, 15.0), (36.5, 25.0)] {
-            let (q, trust) = here.follow(&there, place(x, y), place(x, y)).unwrap();
+            let (q, trust) = from.track(&to, place(x, y), place(x, y)).unwrap();
             let ([u, v], z) = b.camera.project(&q.map(f64::from).into());
             assert!((u - x - 1.3).hypot(v - y + 0.7) < 0.1, "({x}, {y}) went to ({u}, {v})");
             assert!((z - 2.0).abs() < 1e-5 && trust > 0.5);
         }
-        assert!(here.follow(&there, place(10.0, 20.0), place(10.0, 20.0)).is_none(), "a static pixel");
-        assert!(here.follow(&there, place(1.0, 20.0), place(1.0, 20.0)).is_none(), "at the border");
-        assert!(here.follow(&there, place(30.0, 20.0), place(90.0, 20.0)).is_none(), "outside");
-        assert!(here.follow(&there, place(30.0, 20.0), [0.0, 0.0, -1.0]).is_none(), "behind");
+        assert!(from.track(&to, place(10.0, 20.0), place(10.0, 20.0)).is_none(), "a static pixel");
+        assert!(from.track(&to, place(1.0, 20.0), place(1.0, 20.0)).is_none(), "at the border");
+        assert!(from.track(&to, place(30.0, 20.0), place(90.0, 20.0)).is_none(), "outside");
+        assert!(from.track(&to, place(30.0, 20.0), [0.0, 0.0, -1.0]).is_none(), "behind");
     }
 
     #[test]
     fn a_flat_wall_is_not_trusted() {
-        let a = Look::new(&frame([0.0; 2], true)).unwrap();
+        let a = PatchImage::new(&frame([0.0; 2], true)).unwrap();
         let p = a.camera.unproject(40.0, 20.0, 2.0);
         let p = [p.x as f32, p.y as f32, p.z as f32];
-        assert!(a.follow(&a, p, p).unwrap().1 < 1e-3);
+        assert!(a.track(&a, p, p).unwrap().1 < 1e-3);
         let without = CaptureFrame { mask: None, ..frame([0.0; 2], true) };
-        assert!(Look::new(&without).is_none());
+        assert!(PatchImage::new(&without).is_none());
     }
 }
