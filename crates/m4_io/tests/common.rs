@@ -5,6 +5,7 @@ use m4_testkit::{Need, skip};
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::Mutex;
+use tempfile::TempDir;
 
 /// The example clip: 96 frames, 480x360, 24 per second, H.264 High with B-frames.
 pub fn pinwheel() -> PathBuf {
@@ -128,6 +129,13 @@ impl Progress for Heard {
     fn cancelled(&self) -> bool {
         false
     }
+}
+
+/// A temporary folder, and the path of a file in it.
+pub fn temporary(name: &str) -> (TempDir, PathBuf) {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join(name);
+    (dir, path)
 }
 
 /// `fixtures/NAME`.

@@ -17,12 +17,11 @@
 //!
 //! `v000_t000` is the view of the first training image: results compare only if both or neither count it.
 
-use crate::dataset::files::images::{self, StoredImage, of_file};
-use crate::dataset::files::{Inside, clock};
-use crate::dataset::llff::{self, Pose};
-use crate::dataset::side::depth::known;
-use crate::dataset::side::mask::read_mask;
-use crate::dataset::{FrameSource, ImportOptions, Lens, ListedFrame, Listing};
+use super::files::{Inside, StoredImage, given_fps, resized, stored_image};
+use super::llff::{self, Pose};
+use super::side::depth::known;
+use super::side::mask::read_mask;
+use super::{FrameSource, ImportOptions, Lens, ListedFrame, Listing};
 use crate::error::AtPath;
 use crate::files::{listed, stem};
 use crate::npy::Numbers;
@@ -40,7 +39,7 @@ pub(crate) fn detect(path: &Path) -> bool {
 pub(crate) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress) -> Result<Listing, ReadError> {
     let poses = llff::read_bounds(&path.join("poses_bounds.npy"))?;
     let n = poses.len();
-    let fps = clock::fps(options).at(path)?;
+    let fps = given_fps(options).at(path)?;
     let folder = image_folder(path, options)?;
     let inside = Inside::of(path, options);
     let images = inside.files(as_many(&folder, EXTENSIONS, "images", n)?)?;
@@ -110,8 +109,8 @@ fn as_many(folder: &Path, extensions: &[&str], what: &str, n: usize) -> Result<V
 }
 
 fn frame(image: &Path, pose: &Pose, t: f64, camera_index: Option<u32>) -> Result<ListedFrame, ReadError> {
-    let StoredImage { size, rgb } = of_file(image)?;
-    let k = images::resized(&pose.camera.intrinsics, size).at(image)?;
+    let StoredImage { size, rgb } = stored_image(image)?;
+    let k = resized(&pose.camera.intrinsics, size).at(image)?;
     Ok(ListedFrame { camera_index, ..ListedFrame::new(stem(image), Lens::pinhole(k), pose.camera.c2w, t, rgb) })
 }
 

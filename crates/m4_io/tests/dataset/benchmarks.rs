@@ -1,7 +1,7 @@
 //! Clips of DAVIS, NVIDIA and DyCheck, compared with what `oracles/import_formats_b.py` wrote them from.
 
-use super::truth_b::*;
-use crate::dataset::support::{Heard, copied, edit, fixture, refused, refuses, says};
+use super::truth::*;
+use crate::dataset::{Heard, copied, edit, fixture, refused, refuses, says};
 use m4_core::Silent;
 use m4_io::dataset::davis::{detect, read_clip};
 use m4_io::dataset::dycheck::covisible;

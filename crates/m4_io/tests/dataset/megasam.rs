@@ -1,11 +1,10 @@
 //! Files of MegaSaM, as numpy writes them; damaged ones are refused.
 
-use crate::dataset::support::{Heard, fixture as any_fixture, says};
+use crate::dataset::{Heard, fixture as any_fixture, says};
 use m4_core::{Capture, Intrinsics, Progress, Se3, Silent, exp_so3, nalgebra::Vector3};
-use m4_io::ErrorKind;
-use m4_io::ReadError;
 use m4_io::dataset::ImportOptions;
 use m4_io::dataset::SourceFormat::Megasam;
+use m4_io::{ErrorKind, ReadError};
 use std::fs;
 use std::path::{Path, PathBuf};
 
