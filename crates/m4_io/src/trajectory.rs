@@ -267,8 +267,12 @@ fn keyed(file: &KeyFile) -> Result<Keyed, BadPath> {
         .map(|(i, key)| key.keyframe(file.axes).map_err(|what| (i, what).into()))
         .collect();
     let keyframes = keyframes?;
-    check_order(&keyframes)?;
     for (i, pair) in keyframes.windows(2).enumerate() {
+        let [earlier, later] = [pair[0].time_s, pair[1].time_s];
+        if later <= earlier {
+            let what = format!("its time, {later} s, is not behind that of the one before, {earlier} s");
+            return Err((i + 1, what).into());
+        }
         if pair[0].speed.is_some() && pair[1].scene.is_some() {
             let what = "it has a speed, but the next keyframe says which moment of the scene is seen there; give one of the two";
             return Err((i, what.to_owned()).into());
@@ -294,10 +298,13 @@ impl Key {
         if let Some(speed) = self.speed.filter(|v| !(-MAX_SPEED..=MAX_SPEED).contains(v)) {
             return Err(format!("speed = {speed}; at most {MAX_SPEED} was expected"));
         }
+        if let Some(fov) = self.fov_y_deg.filter(|v| !(*v > 0.0 && *v < 180.0)) {
+            return Err(format!("fov_y_deg = {fov}; 0 to 180 degrees were expected"));
+        }
         Ok(Keyframe {
             time_s: self.time_s,
             pose: self.pose(axes)?,
-            fov_y_deg: self.fov_y_deg.map(|v| fov("fov_y_deg", v)).transpose()?,
+            fov_y_deg: self.fov_y_deg,
             scene: match (self.scene_s, self.scene_frame) {
                 (None, None) => None,
                 (Some(s), None) => Some(SceneTime::Seconds(s)),
@@ -340,25 +347,4 @@ fn vector(key: &str, values: &[f64]) -> Result<Vector3<f64>, String> {
     let fits = [x, y, z].iter().all(|v| v.is_finite() && v.abs() <= MAX_COORDINATE);
     fits.then(|| Vector3::new(x, y, z))
         .ok_or_else(|| format!("{key} = [{x}, {y}, {z}]; numbers up to {MAX_COORDINATE:e} were expected"))
-}
-
-/// A vertical field of view, degrees.
-fn fov(key: &str, value: f64) -> Result<f64, String> {
-    if value > 0.0 && value < 180.0 {
-        Ok(value)
-    } else {
-        Err(format!("{key} = {value}; 0 to 180 degrees were expected"))
-    }
-}
-
-/// Refuses keyframes that do not come one after the other.
-fn check_order(keyframes: &[Keyframe]) -> Result<(), (usize, String)> {
-    let mut earlier = f64::NEG_INFINITY;
-    for (i, key) in keyframes.iter().enumerate() {
-        if key.time_s <= earlier {
-            return Err((i, format!("its time, {} s, is not behind that of the one before, {earlier} s", key.time_s)));
-        }
-        earlier = key.time_s;
-    }
-    Ok(())
 }

@@ -98,7 +98,7 @@ fn a_nerfstudio_file_without_times_or_centre_is_read_with_a_warning() {
     let dir = tempfile::tempdir().unwrap();
     for i in 0..3 {
         let path = dir.path().join(format!("images/frame_{i}.png"));
-        m4_io::image::write_rgb(&path, &Plane::filled(40, 30, [i; 3])).unwrap();
+        write_rgb(&path, &Plane::filled(40, 30, [i; 3])).unwrap();
     }
     let frame = |i: usize| {
         format!(
@@ -113,7 +113,7 @@ fn a_nerfstudio_file_without_times_or_centre_is_read_with_a_warning() {
         frame(1),
         frame(2)
     );
-    std::fs::write(dir.path().join("transforms.json"), text).unwrap();
+    fs::write(dir.path().join("transforms.json"), text).unwrap();
     let heard = Heard::default();
     let got = read(dir.path(), Split::Train, &CaptureOptions::default(), &heard).unwrap();
     assert_eq!(got.frames.iter().map(|f| f.t).collect::<Vec<_>>(), [0.0, 1.0, 2.0]);

@@ -357,11 +357,9 @@ pub(super) fn unit_of_depth(
             seen.extend(map.every(STRIDE).filter(|&z| z > 0.0));
         }
     }
-    if seen.is_empty() {
+    let Some(median) = m4_core::median(&mut seen).map(f64::from) else {
         return Ok(None);
-    }
-    let middle = seen.len() / 2;
-    let median = f64::from(*seen.select_nth_unstable_by(middle, f32::total_cmp).1);
+    };
     if options.depth_unit.is_some() {
         let unit = depth::unit(options, 1.0).at(root)?;
         let metric = median * unit < NO_METRES;

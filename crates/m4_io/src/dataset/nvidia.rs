@@ -21,6 +21,7 @@ use super::files::{Inside, StoredImage, given_fps, resized, stored_image};
 use super::llff::{self, Pose};
 use super::side::depth::known;
 use super::side::mask::read_mask;
+use super::side::one_a_frame;
 use super::{FrameSource, ImportOptions, Lens, ListedFrame, Listing};
 use crate::error::AtPath;
 use crate::files::{listed, stem};
@@ -42,10 +43,10 @@ pub(crate) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress
     let fps = given_fps(options).at(path)?;
     let folder = image_folder(path, options)?;
     let inside = Inside::of(path, options);
-    let images = inside.files(as_many(&folder, EXTENSIONS, "images", n)?)?;
+    let images = inside.files(one_a_frame(&folder, EXTENSIONS, "images", n)?)?;
     let optional = |name: &str, extensions: &[&str], what: &str| -> Result<Option<Vec<PathBuf>>, ReadError> {
         let folder = path.join(name);
-        let listed = || inside.files(as_many(&folder, extensions, what, n)?);
+        let listed = || inside.files(one_a_frame(&folder, extensions, what, n)?);
         folder.is_dir().then(listed).transpose()
     };
     let masks = optional("motion_masks", &["png"], "masks")?;
@@ -97,15 +98,6 @@ fn image_folder(path: &Path, options: &ImportOptions) -> Result<PathBuf, ReadErr
         let what = named[0].display().to_string();
         Fault::missing(what, "choose a factor whose images exist (the option factor)").at(path)
     })
-}
-
-fn as_many(folder: &Path, extensions: &[&str], what: &str, n: usize) -> Result<Vec<PathBuf>, ReadError> {
-    let files = listed(folder, extensions)?;
-    if files.len() == n {
-        return Ok(files);
-    }
-    let what = format!("{} {what} for {n} poses of poses_bounds.npy", files.len());
-    Err(Fault::bad(what, "give one for each pose").at(folder))
 }
 
 fn frame(image: &Path, pose: &Pose, t: f64, camera_index: Option<u32>) -> Result<ListedFrame, ReadError> {

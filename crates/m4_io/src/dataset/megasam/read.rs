@@ -101,7 +101,10 @@ impl Input {
         let planar = matches!(self.from, Storage::Folder(_));
         let limit_bytes = self.limit_bytes;
         let images = self.array("images")?;
-        check_bytes(&images)?;
+        if images.number != Number::U8 {
+            let what = format!("the array `images` holds numbers of type {:?}", images.number);
+            return Err(Fault::bad(what, "save it as uint8"));
+        }
         let clip = match (images.shape.as_slice(), planar) {
             (&[frames, h, w, 3], false) | (&[frames, 3, h, w], true) if frames * h * w > 0 => {
                 Clip { frames, size: (w, h) }
@@ -289,13 +292,6 @@ fn check_shape(name: &str, array: &Array<'_>, expected: &[usize], is: &str) -> R
         return Ok(());
     }
     Err(shape_error(name, array, &format!("{is} = {expected:?}")))
-}
-
-fn check_bytes(images: &Array<'_>) -> Result<(), Fault> {
-    if images.number == Number::U8 {
-        return Ok(());
-    }
-    Err(Fault::bad(format!("the array `images` holds numbers of type {:?}", images.number), "save it as uint8"))
 }
 
 fn check_floats(name: &str, array: &Array<'_>) -> Result<(), Fault> {

@@ -7,7 +7,7 @@ use ::fourdgs::provenance::Provenance;
 use ::fourdgs::records::{POSE_TO_RIG, POSE_TO_SCENE, TRAJECTORY_LINEAR};
 use ::fourdgs::{Camera as View, CoordinateFrame, Metadata, RigTrajectory, SensorCalibration};
 use m4_core::nalgebra::{Quaternion, Rotation3, UnitQuaternion, Vector3};
-use m4_core::{Camera, Column, Exposure, Intrinsics, Scene, Se3, SourceFrame};
+use m4_core::{Camera, Column, Exposure, Intrinsics, Scene, Se3, SourceFrame, median};
 use std::collections::BTreeMap;
 
 /// Name of the rig, its sensor and the frame of the world.
@@ -110,11 +110,7 @@ fn median_depth(scene: &Scene, camera: &Camera) -> f64 {
         .map(|i| (Vector3::new(f64::from(x[i]), f64::from(y[i]), f64::from(z[i])) - centre).dot(&axis))
         .filter(|&d| d > 0.0)
         .collect();
-    if depths.is_empty() {
-        return 1.0;
-    }
-    let middle = depths.len() / 2;
-    *depths.select_nth_unstable_by(middle, f64::total_cmp).1
+    median(&mut depths).unwrap_or(1.0)
 }
 
 /// The cameras of a file: those of its first pinhole sensor, one per pose of its rig.

@@ -26,14 +26,13 @@ mod tensor;
 
 pub use read::{SceneFile, read};
 
+use super::VerifiedFile;
 use crate::WriteError;
-use crate::atomic::AtomicFile;
 use m4_core::{Scene, TrainState};
 use read::fault;
 use safetensors::tensor::{Metadata, TensorInfo};
 use std::collections::{BTreeMap, HashMap};
-use std::fs::File;
-use std::io::{BufReader, Read, Write};
+use std::io::Write;
 use std::path::Path;
 use tensor::{Facts, Header, KEY, Source, Sources, VERSION, checksum, source_to_arrays, splats_to_arrays};
 
@@ -103,17 +102,12 @@ fn save(path: &Path, arrays: &Sources<'_>, header: String) -> Result<(), WriteEr
     order.sort_by(|(a_name, a), (b_name, b)| b.dtype().cmp(&a.dtype()).then(a_name.cmp(b_name)));
     let head = head(&order, header).map_err(bad)?;
 
-    let mut file = AtomicFile::create(path).map_err(io)?;
+    let mut file = VerifiedFile::create(path).map_err(io)?;
     file.write_all(&head).map_err(io)?;
     for (_, array) in &order {
         array.pieces(|piece| file.write_all(piece)).map_err(io)?;
     }
-    file.sync().map_err(io)?;
-    match holds(file.temporary_path(), &head, &order) {
-        Ok(true) => file.commit().map_err(io),
-        Ok(false) => Err(WriteError::verify(path, "it holds other values")),
-        Err(e) => Err(WriteError::verify(path, e)),
-    }
+    file.publish(path).map(|_| ())
 }
 
 /// The head of a safetensors file: its length in 8 bytes, then JSON, padded so that arrays start at a multiple of 8.
@@ -134,22 +128,4 @@ fn head(arrays: &[(&String, &Source<'_>)], header: String) -> Result<Vec<u8>, St
     let mut head = (json.len() as u64).to_le_bytes().to_vec();
     head.append(&mut json);
     Ok(head)
-}
-
-/// True if the file holds these bytes, bit by bit, and no more.
-fn holds(path: &Path, head: &[u8], arrays: &[(&String, &Source<'_>)]) -> std::io::Result<bool> {
-    let mut file = BufReader::new(File::open(path)?);
-    let mut buffer = Vec::new();
-    let mut same = true;
-    let mut compare = |piece: &[u8]| {
-        buffer.resize(piece.len(), 0);
-        file.read_exact(&mut buffer)?;
-        same &= buffer == piece;
-        Ok::<(), std::io::Error>(())
-    };
-    compare(head)?;
-    for (_, array) in arrays {
-        array.pieces(&mut compare)?;
-    }
-    Ok(same && file.read(&mut [0])? == 0)
 }
