@@ -1,8 +1,8 @@
 //! Decoders in processes of their own: the same images, and errors of the clip where they fail.
 
 #[cfg(unix)]
-use crate::common::temporary;
-use crate::common::{ffmpeg, have_ffmpeg, pinwheel, script};
+use crate::common::script;
+use crate::common::{ffmpeg, have_ffmpeg, pinwheel, says, temporary};
 use m4_core::{CounterRng, Plane, Progress, Silent, Video};
 use m4_io::video::{DecoderEnd, DecoderLimits, DecoderProgram, Mp4Writer, VideoOptions, read, read_with};
 use m4_io::{ErrorKind, Fault, ReadError};
@@ -34,9 +34,7 @@ fn failure(result: Result<Video, ReadError>, words: &[&str]) -> DecoderEnd {
     let Err(error) = result else { panic!("it was decoded") };
     let text = error.to_string();
     assert_eq!(error.kind(), ErrorKind::Unavailable, "{text}");
-    for word in words {
-        assert!(text.contains(word), "{word:?} is not in: {text}");
-    }
+    says(&text, words);
     match error.fault {
         Fault::Decoder { how, .. } => how,
         other => panic!("{other:?}"),

@@ -1,6 +1,6 @@
 //! Tracks: what is written comes back, and what is damaged is refused with a reason.
 
-use crate::common::{says, temporary};
+use crate::common::{npy, says, temporary};
 use m4_core::{Camera, Capture, CaptureFrame, Intrinsics, Plane, Se3, Silent, Tracks};
 use m4_io::capture::{self, CaptureOptions, Split, TRACKS_FILE};
 use m4_io::tracks::{read, write};
@@ -60,15 +60,6 @@ fn a_file_of_numpy_is_read() {
     assert_eq!(got.place(2, 1), None);
     assert_eq!(got.visible(), [true, false, true, true, true, false]);
     assert_eq!(got.colours(), None);
-}
-
-fn npy(descr: &str, shape: &str, bytes: &[u8]) -> Vec<u8> {
-    let text = format!("{{'descr': '{descr}', 'fortran_order': False, 'shape': {shape}, }}\n");
-    let mut out = b"\x93NUMPY\x01\x00".to_vec();
-    out.extend((text.len() as u16).to_le_bytes());
-    out.extend(text.as_bytes());
-    out.extend(bytes);
-    out
 }
 
 fn archive(members: &[(&str, Vec<u8>)]) -> Vec<u8> {

@@ -5,8 +5,8 @@
 //! Annotations/480p/NAME/00000.png     a palette image: the number of the object that each pixel shows, 0 for none
 //! ```
 //!
-//! A [`Listing`](crate::dataset::Listing) is of posed frames, which these are not: [`read_clip`] gives what the estimation of geometry starts
-//! from, a video, and its masks of objects. Source: the README of davischallenge/davis-2017.
+//! A [`Listing`](crate::dataset::Listing) is of posed frames, which these are not: [`read_clip`] gives what the estimation of
+//! geometry starts from, a video, and its masks of objects. Source: the README of davischallenge/davis-2017.
 
 use super::files::image_size;
 use super::side::mask::read_mask;

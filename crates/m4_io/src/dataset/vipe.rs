@@ -11,8 +11,10 @@
 //! ```
 //!
 //! **What is converted.** Poses are OpenCV's and depth is z-depth: nothing is turned. Principal points are taken as they are, from the
-//! image's corner: ViPE starts from half of the width and counts pixels from their centres, as MegaSaM does (see [`super::megasam`]). The dynamic part is what ViPE was told to look for (people, animals, vehicles, ...): every instance but those whose
-//! phrase is `sky`. Metric, as ViPE's depth is. Frames of the clip without a pose are left out and keep their place in time.
+//! image's corner: ViPE starts from half of the width and counts pixels from their centres, as MegaSaM does (see
+//! [`super::megasam`]). The dynamic part is what ViPE was told to look for (people, animals, vehicles, ...): every instance
+//! but those whose phrase is `sky`. Metric, as ViPE's depth is. Frames of the clip without a pose are left out and keep their
+//! place in time.
 //!
 //! Source: `vipe/utils/io.py` of NVIDIA's repository (Apache-2.0).
 

@@ -73,6 +73,11 @@ fn decode(path: &Path) -> Result<DynamicImage, Fault> {
     DynamicImage::from_decoder(open(path)?).map_err(damaged)
 }
 
+fn decode_bytes(bytes: &[u8], most_pixels: u64) -> Result<DynamicImage, Fault> {
+    let decoder = checked(Cursor::new(bytes), bytes.len() as u64, most_pixels)?;
+    DynamicImage::from_decoder(decoder).map_err(damaged)
+}
+
 fn bad(reason: String) -> Fault {
     Fault::bad(format!("the image is damaged ({reason})"), "export it again")
 }
@@ -99,8 +104,7 @@ pub fn size(path: &Path) -> Result<(usize, usize), ReadError> {
 
 /// Decodes a colour image of an archive, at most `most_pixels`, as [`read_rgb`]; `name` is for messages.
 pub fn decode_rgb(bytes: &[u8], name: &Path, most_pixels: u64) -> Result<RgbImage, ReadError> {
-    let decoder = checked(Cursor::new(bytes), bytes.len() as u64, most_pixels).at(name)?;
-    DynamicImage::from_decoder(decoder).map_err(damaged).and_then(rgb).at(name)
+    decode_bytes(bytes, most_pixels).and_then(rgb).at(name)
 }
 
 /// Reads a colour image; grey becomes colour, 16 bits become 8, transparency becomes black.
@@ -168,9 +172,8 @@ pub fn read_ids(path: &Path) -> Result<CompactIds, ReadError> {
 
 /// As [`read_ids`], of a file in memory; `path` is for messages. Fails if it is not a greyscale PNG.
 pub fn ids_of_bytes(path: &Path, bytes: &[u8]) -> Result<CompactIds, ReadError> {
-    let decoder = checked(Cursor::new(bytes), bytes.len() as u64, u64::MAX).at(path)?;
-    let image = DynamicImage::from_decoder(decoder).map_err(damaged).at(path)?;
-    ids(image, bytes.starts_with(b"\x89PNG")).at(path)
+    let is_png = bytes.starts_with(b"\x89PNG");
+    decode_bytes(bytes, u64::MAX).and_then(|image| ids(image, is_png)).at(path)
 }
 
 fn ids(image: DynamicImage, is_png: bool) -> Result<CompactIds, Fault> {

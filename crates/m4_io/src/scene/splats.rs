@@ -118,8 +118,9 @@ const LEAST_MARGINAL: f64 = 0.05;
 
 /// The splats that time `t` (frames) sees, all of them static: means moved along their velocities,
 /// opacities times the marginal in time, the harmonics of time summed up. Splats that time has faded
-/// to a marginal of 0.05 or an opacity below 1/255 are left out, as they are when the scene is rendered. Isotropic splats get three equal scales and no rotation.
-/// `period_frames` is that of the harmonics of time (docs/spec/optimiser.md 1.8: the length of the clip).
+/// to a marginal of 0.05 or an opacity below 1/255 are left out, as they are when the scene is rendered. Isotropic splats get
+/// three equal scales and no rotation. `period_frames` is that of the harmonics of time (docs/spec/optimiser.md 1.8: the
+/// length of the clip).
 #[must_use]
 pub fn instant(splats: &Splats, t: f64, period_frames: f64) -> Splats {
     let from = splats.layout();

@@ -183,8 +183,8 @@ const MOVES_FROM: f64 = 1e-3;
 
 /// Places `[frames][tracks][3]` through `w2c`, one per frame, to the world of `frames`.
 ///
-/// Each place is seen from its frame's camera there, scaled, and put before our camera. The scale is how far our cameras spread over how
-/// far those spread; 1 where either is static.
+/// Each place is seen from its frame's camera there, scaled, and put before our camera. The scale is how far our cameras
+/// spread over how far those spread; 1 where either is static.
 pub(super) fn to_our_world(
     xyz: &mut [f64],
     tracks: usize,
@@ -238,8 +238,8 @@ fn spread(places: &[Vector3<f64>]) -> f64 {
 const STEPS: usize = 100;
 const FOUND_WITHIN: f64 = 1e-6;
 
-/// Places `[frames][tracks][3]` of `[frames][tracks][2]` pixels (centre of the first: 0, 0), whose depth is looked up, or `[3]`: pixels and
-/// z-depth. Pixels are of images of `size`, or of those of the frames. NaN where depth is not known.
+/// Places `[frames][tracks][3]` of `[frames][tracks][2]` pixels (centre of the first: 0, 0), whose depth is looked up, or
+/// `[3]`: pixels and z-depth. Pixels are of images of `size`, or of those of the frames. NaN where depth is not known.
 pub(super) fn lift(
     tracks: &Numbers,
     frames: &[ListedFrame],

@@ -114,8 +114,8 @@ const PER_SPLAT: u64 = 2 * 76 + 100;
 const PER_SYMBOL: u64 = 12;
 
 /// Refuses a file whose records claim more than it may ask for. The decoder of the `fourdgs` crate stops at half a gigabyte,
-/// whatever the size of the file; streams with one constant row let a kilobyte ask for that much. Whatever does not parse is left to the decoder, which refuses it at
-/// that place without having allocated for what follows.
+/// whatever the size of the file; streams with one constant row let a kilobyte ask for that much. Whatever does not parse is
+/// left to the decoder, which refuses it at that place without having allocated for what follows.
 fn budget(bytes: &[u8]) -> Result<(), Fault> {
     let allowed = FREE + PER_BYTE * bytes.len() as u64;
     let (mut kept, mut largest) = (0u64, 0u64);

@@ -239,8 +239,8 @@ pub fn rows<'a>(yuv: &'a DecodedYUV<'_>, which: usize, size: (usize, usize)) -> 
 /// `limits` are the arguments behind those. On Linux the limits of memory, time, files, processes and core dumps are set
 /// before the first byte is read, for the whole process, and it can gain no privileges. Where a command line follows the
 /// limits, the process becomes that program instead of decoding.
-/// Fails when the program cannot be executed, when the limits cannot be set, when the input is not that of [`crate::video::read()`], or when one of the two pipes
-/// breaks. Damaged video is no error here: it is answered.
+/// Fails when the program cannot be executed, when the limits cannot be set, when the input is not that of
+/// [`crate::video::read()`], or when one of the two pipes breaks. Damaged video is no error here: it is answered.
 pub fn serve(limits: &[OsString], input: impl Read, output: impl Write) -> io::Result<()> {
     let number = |i: usize| limits.get(i)?.to_str()?.parse().ok();
     let (Some(memory_bytes), Some(cpu_s)) = (number(0), number(1)) else {
