@@ -105,10 +105,6 @@ impl Default for CaptureOptions {
 /// [this module](self); frames come sorted by time, poses in OpenCV axes, lens distortion is removed.
 ///
 /// What was assumed (missing times) is reported to `progress`.
-///
-/// # Errors
-///
-/// [`ReadError`], which names the file and the frame at fault.
 pub fn read(
     path: &Path,
     split: Split,
@@ -136,20 +132,15 @@ fn list_of_frames(path: &Path, split: Split) -> PathBuf {
     if split == Split::Train && !named.exists() && lone.exists() { lone } else { named }
 }
 
-/// Steps that the nearest percent of all depths should have at least: rounding then costs at most
-/// 0.25 % of the depth.
+/// Steps that the nearest percent of all depths should have at least: rounding costs at most 0.25 % of the depth.
 const MIN_STEPS: f64 = 200.0;
 
 /// Writes one split of a capture to `folder` in the layout of [this module](self): images, masks
 /// and depth as PNG, so that colours and masks come back bit by bit and poses too.
 ///
-/// The list of frames is removed first and written last: a folder that was left half-way is not
-/// taken for a capture. `progress` hears of depths that 16 bits cannot hold.
-///
-/// # Errors
-///
-/// [`WriteError`] when the file system refuses, a pose or time is NaN, or the caller
-/// asked to stop.
+/// The list of frames is removed first and written last: a folder that was left half-way is not taken for a capture.
+/// `progress` hears of depths that 16 bits cannot hold. Fails when the file system refuses, a pose or time is NaN, or the
+/// caller asked to stop.
 pub fn write(folder: &Path, capture: &Capture, split: Split, progress: &dyn Progress) -> Result<(), WriteError> {
     let list = folder.join(split.file_name());
     let io = |e| WriteError::io(&list, e);
@@ -261,8 +252,7 @@ fn images(folder: &Path, frame: &CaptureFrame, entry: &Frame, unit: f64) -> Resu
     Ok(far)
 }
 
-/// Scene units per step of the depth maps that [`write()`] makes: the finest with which the farthest depth fits, unless the near would become
-/// coarse; then the far is clipped.
+/// Scene units per step of depth maps: the finest with which the farthest depth fits, unless the near would become coarse.
 pub(crate) fn depth_unit(capture: &Capture) -> f64 {
     let mut known: Vec<f32> = capture
         .frames

@@ -1,8 +1,8 @@
 //! Errors of reading and writing.
 
 use crate::reach::OutsideError;
-use crate::shortened;
 use crate::video::DecoderEnd;
+use std::fmt::{self, Display, Write as _};
 use std::io;
 use std::path::{Path, PathBuf};
 
@@ -89,8 +89,7 @@ pub enum Fault {
     /// Another file that it names cannot be read.
     #[error(transparent)]
     File(#[from] Box<ReadError>),
-    /// The process that decodes it crashed, was killed, hung, or took more than it may. That may be the machine's fault as well as
-    /// the file's.
+    /// The process that decodes it failed, perhaps by the fault of the machine.
     #[error("{decoder} failed: {how}; {}", how.advice())]
     Decoder {
         /// Which decoder, for people.
@@ -126,7 +125,7 @@ impl Fault {
     }
 
     /// It ends too early or contradicts itself.
-    pub(crate) fn damaged(what: impl std::fmt::Display) -> Self {
+    pub(crate) fn damaged(what: impl Display) -> Self {
         Self::bad(format!("it is damaged: {what}"), "copy or export it again")
     }
 
@@ -288,9 +287,64 @@ impl WriteError {
     }
 }
 
+/// Letters of a quotation at most.
+const MAX_LETTERS: usize = 400;
+
+/// What a message quotes of a file, which may be megabytes: whole where it is short, else its start and its end.
+#[must_use]
+pub fn shortened(part: impl Display) -> String {
+    let mut out = Quotation::default();
+    // writing to it does not fail
+    let _ = write!(out, "{part}");
+    out.finish()
+}
+
+/// The start of a text and its end, however long it is.
+#[derive(Default)]
+struct Quotation {
+    start: String,
+    end: String,
+    letters: usize,
+}
+
+impl fmt::Write for Quotation {
+    fn write_str(&mut self, text: &str) -> fmt::Result {
+        for letter in text.chars() {
+            self.letters += 1;
+            if self.letters <= MAX_LETTERS / 2 {
+                self.start.push(letter);
+            } else {
+                self.end.push(letter);
+            }
+        }
+        if self.end.len() > 16 * MAX_LETTERS {
+            self.end = last(&self.end, MAX_LETTERS / 2).to_owned();
+        }
+        Ok(())
+    }
+}
+
+impl Quotation {
+    fn finish(mut self) -> String {
+        if self.letters <= MAX_LETTERS {
+            self.start.push_str(&self.end);
+        } else {
+            self.start.push_str(" ... ");
+            self.start.push_str(last(&self.end, MAX_LETTERS / 2));
+        }
+        self.start
+    }
+}
+
+/// Returns the last characters of a text.
+fn last(text: &str, letters: usize) -> &str {
+    let from = text.char_indices().rev().nth(letters.saturating_sub(1));
+    &text[from.map_or(0, |(at, _)| at)..]
+}
+
 #[cfg(test)]
 mod tests {
-    use super::Fault;
+    use super::{Fault, shortened};
     use std::path::Path;
 
     #[test]
@@ -302,5 +356,19 @@ mod tests {
                 && message.ends_with("is not a number; correct it")
         );
         assert!(message.chars().count() < 600, "{message}");
+    }
+
+    #[test]
+    fn short_text_stays_and_long_text_keeps_start_and_end() {
+        for n in [0, 1, 3, 399, 400] {
+            let text = "ü".repeat(n);
+            assert_eq!(shortened(&text), text);
+        }
+        let long = format!("start{}end; do this", "9ü".repeat(1_000_000));
+        let message = shortened(&long);
+        assert!(message.starts_with("start9ü9ü") && message.ends_with("9üend; do this"), "{message}");
+        assert_eq!(message.chars().count(), 405);
+        // in pieces, as a formatter hands it over
+        assert_eq!(shortened(format_args!("{}{}{}", &long[..8], &long[8..899], &long[899..])), message);
     }
 }

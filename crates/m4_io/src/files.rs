@@ -99,8 +99,7 @@ pub(crate) fn first_bytes<const N: usize>(path: &Path) -> Vec<u8> {
     start
 }
 
-/// Calls `one` for each of `frames` and its index, in parallel, with progress; what it returns, in order, or the first error, which is
-/// `stopped` where the caller asked to stop.
+/// Calls `one` for each of `frames` and its index, in parallel; the results in order, or the first error (`stopped`).
 pub(crate) fn in_parallel<T: Sync, U: Send, E: Send>(
     phase: &str,
     frames: &[T],

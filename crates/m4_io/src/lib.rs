@@ -1,10 +1,9 @@
 //! Readers and writers for the types of m4_core: video, images, captures, data sets of other tools, scene files.
 //!
-//! Everything that comes from outside is checked here, once: counts in headers against the size of
-//! the file before anything is allocated, numbers for being numbers, sizes for agreeing. Axes and
-//! units are converted here too, so that the rest of the program knows one convention
-//! ([`m4_core`]). Every error names the file, what is wrong with it and what to do next, and has
-//! its [`ErrorKind`]. Files are written atomically ([`atomic`]).
+//! Everything that comes from outside is checked here, once: counts in headers against the size of the file before anything
+//! is allocated, numbers for being numbers, sizes for agreeing. Axes and units are converted here too, so that the rest of
+//! the program knows one convention ([`m4_core`]). Every error names the file, what is wrong with it and what to do next,
+//! and has its [`ErrorKind`]. Files are written atomically ([`atomic`]).
 #![forbid(unsafe_code)]
 
 pub mod atomic;
@@ -21,7 +20,5 @@ pub mod video;
 mod error;
 mod files;
 mod pose;
-mod shortened;
 
-pub use error::{ErrorKind, Fault, ReadError, WriteError, WriteFault};
-pub use shortened::shortened;
+pub use error::{ErrorKind, Fault, ReadError, WriteError, WriteFault, shortened};

@@ -39,8 +39,7 @@ impl Axes {
     }
 }
 
-/// The rigid motion of the rows of a 3x4 or 4x4 matrix; `name` is for messages. A rotation that is off by what printing with few
-/// digits does is made orthonormal.
+/// The rigid motion of the rows of a 3x4 or 4x4 matrix, made orthonormal if printed digits cost that; `name` is for messages.
 pub(crate) fn of_rows<R: AsRef<[f64]>>(name: &str, rows: &[R]) -> Result<Se3<f64>, Fault> {
     let bad = |what: String| Err(Fault::bad(format!("{name} {what}"), HINT));
     let width = rows.iter().map(|r| r.as_ref().len()).find(|&n| n != 4).unwrap_or(4);
@@ -75,8 +74,7 @@ pub(crate) fn of_rows<R: AsRef<[f64]>>(name: &str, rows: &[R]) -> Result<Se3<f64
     })
 }
 
-/// Newton's iteration for the orthogonal polar factor, `R <- (R + R^-T) / 2`: it converges
-/// quadratically, so three steps take an error of 2e-3 under rounding.
+/// Newton's iteration for the orthogonal polar factor: three steps take an error of 2e-3 under rounding (quadratic).
 fn nearest_rotation(m: &Matrix3<f64>) -> Matrix3<f64> {
     (0..3).fold(*m, |r, _| match r.try_inverse() {
         Some(inverse) => (r + inverse.transpose()) * 0.5,
@@ -106,8 +104,7 @@ pub(crate) fn of_quaternion(place: [f64; 3], [w, x, y, z]: [f64; 4]) -> Result<S
     // false for NaN
     let is_unit = (length - 1.0).abs() <= UNIT_WITHIN;
     if !is_unit {
-        let what = format!("the quaternion of the camera has length {length:.4}; 1 was expected");
-        return Err(Fault::bad(what, HINT));
+        return Err(Fault::bad(format!("the quaternion of the camera has length {length:.4}; 1 was expected"), HINT));
     }
     Ok(Se3 {
         rotation: UnitQuaternion::new_normalize(q).to_rotation_matrix().into_inner(),

@@ -55,11 +55,7 @@ impl Bounds {
         }
     }
 
-    /// Whether `file` may be read. What does not exist or cannot be found may: reading it says why it cannot be.
-    ///
-    /// # Errors
-    ///
-    /// [`OutsideError`] for a file that lies elsewhere, by its name or by links.
+    /// Refuses a file that lies elsewhere, by its name or by links; what does not exist may be read, which says why it fails.
     pub fn check(&self, file: &Path) -> Result<(), Box<OutsideError>> {
         if self.reach == Reach::Anywhere {
             return Ok(());

@@ -22,10 +22,6 @@ use zip::{CompressionMethod, DateTime, ZipWriter};
 const HINT: &str = "give the tracks of this clip, or remove `tracks_path` from the list of frames";
 
 /// Reads the tracks of a clip of `frames` frames; each array may take `limit_bytes`.
-///
-/// # Errors
-///
-/// [`ReadError`]: the file cannot be read, is no such archive, is of another clip, or is too large.
 pub fn read(path: &Path, frames: usize, limit_bytes: u64) -> Result<Tracks, ReadError> {
     inner(path, frames, limit_bytes).at(path)
 }
@@ -72,8 +68,7 @@ fn inner(path: &Path, frames: usize, limit_bytes: u64) -> Result<Tracks, Fault> 
 }
 
 fn unfit(name: &str, array: &Array<'_>, expected: &str) -> Fault {
-    let what = format!("its array `{name}` has shape {:?} where {expected} was expected", array.shape);
-    Fault::bad(what, HINT)
+    Fault::bad(format!("its array `{name}` has shape {:?} where {expected} was expected", array.shape), HINT)
 }
 
 /// The bytes of an array that must have this shape and one of these types of a byte.
@@ -97,10 +92,6 @@ fn of_bytes(
 }
 
 /// Writes tracks, atomically; the same tracks give the same bytes.
-///
-/// # Errors
-///
-/// Error of the operating system.
 pub fn write(path: &Path, tracks: &Tracks) -> io::Result<()> {
     let (frames, count) = (tracks.frames() as u64, tracks.count() as u64);
     let mut zip = ZipWriter::new(Cursor::new(Vec::new()));

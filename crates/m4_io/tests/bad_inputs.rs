@@ -1,12 +1,11 @@
 //! Bad clips, images and scene files: every message names the file, what is wrong, and what to do; nothing panics.
 
-use crate::common::{Stop, pinwheel, says};
+use crate::common::{Stop, pinwheel, says, temporary};
 use m4_core::{CounterRng, Plane, Silent};
-use m4_io::ErrorKind;
 use m4_io::image::{read_depth, read_rgb, write_depth, write_mask, write_rgb};
 use m4_io::scene::safetensors;
-use m4_io::trajectory;
 use m4_io::video::{self, VideoOptions};
+use m4_io::{ErrorKind, trajectory};
 use std::path::{Path, PathBuf};
 use tempfile::TempDir;
 
@@ -188,8 +187,7 @@ fn folders_without_images_or_of_several_sizes_are_refused() {
 
 #[test]
 fn malformed_images_are_refused() {
-    let dir = tempfile::tempdir().unwrap();
-    let path = dir.path().join("a.png");
+    let (_dir, path) = temporary("a.png");
     let error = read_rgb(&path).unwrap_err();
     assert_eq!(error.kind(), ErrorKind::NotFound);
     std::fs::write(&path, "GIF89a and so on").unwrap();
@@ -225,8 +223,7 @@ fn depth_maps_must_be_16_bit_greyscale() {
 
 #[test]
 fn malformed_scene_files_are_refused() {
-    let dir = tempfile::tempdir().unwrap();
-    let path = dir.path().join("scene.safetensors");
+    let (_dir, path) = temporary("scene.safetensors");
     assert_eq!(safetensors::read(&path).unwrap_err().kind(), ErrorKind::NotFound);
     let text = |bytes: &[u8], words: &[&str]| {
         std::fs::write(&path, bytes).unwrap();

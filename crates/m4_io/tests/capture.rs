@@ -1,11 +1,17 @@
-//! Captures: what is written comes back, and the benchmark scenes are read as they are meant.
+//! Captures: what is written comes back, the benchmark scenes are read as they are meant, and captures with faults or that name
+//! files outside of their folder are refused.
 
-use crate::common::Heard;
-use m4_core::{
-    Camera, Capture, CaptureFrame, CompactIds, CompactMask, Intrinsics, Plane, Se3, Silent, nalgebra::Vector6,
-};
+use crate::common::{Heard, says};
+use m4_core::nalgebra::Vector6;
+use m4_core::{Camera, Capture, CaptureFrame, CompactIds, CompactMask, Intrinsics, Plane, Se3, Silent};
 use m4_io::capture::{CaptureOptions, Split, read, write};
-use std::path::PathBuf;
+use m4_io::image::{write_mask, write_rgb};
+use m4_io::reach::Reach;
+use m4_io::{ErrorKind, ReadError};
+use serde_json::{Value, json};
+use std::fs;
+use std::path::{Path, PathBuf};
+use tempfile::TempDir;
 
 #[track_caller]
 fn bench(name: &str) -> Option<PathBuf> {
@@ -92,7 +98,7 @@ fn a_nerfstudio_file_without_times_or_centre_is_read_with_a_warning() {
     let dir = tempfile::tempdir().unwrap();
     for i in 0..3 {
         let path = dir.path().join(format!("images/frame_{i}.png"));
-        m4_io::image::write_rgb(&path, &Plane::filled(40, 30, [i; 3])).unwrap();
+        write_rgb(&path, &Plane::filled(40, 30, [i; 3])).unwrap();
     }
     let frame = |i: usize| {
         format!(
@@ -107,7 +113,7 @@ fn a_nerfstudio_file_without_times_or_centre_is_read_with_a_warning() {
         frame(1),
         frame(2)
     );
-    std::fs::write(dir.path().join("transforms.json"), text).unwrap();
+    fs::write(dir.path().join("transforms.json"), text).unwrap();
     let heard = Heard::default();
     let got = read(dir.path(), Split::Train, &CaptureOptions::default(), &heard).unwrap();
     assert_eq!(got.frames.iter().map(|f| f.t).collect::<Vec<_>>(), [0.0, 1.0, 2.0]);
@@ -148,4 +154,172 @@ fn depth_of_the_bench_scenes_agrees_between_frames() {
     assert_eq!(test.time_frames, 96);
     assert!(test.frames.iter().all(|f| f.camera_index.is_some_and(|c| c < 2) && f.depth.is_none()));
     assert!(test.frames.iter().all(|f| (0.0..=95.0).contains(&f.t)));
+}
+
+/// A capture of two frames, as JSON to spoil.
+fn good() -> (TempDir, Value) {
+    let dir = tempfile::tempdir().unwrap();
+    for i in 0..2 {
+        write_rgb(&dir.path().join(format!("{i}.png")), &Plane::filled(20, 10, [i; 3])).unwrap();
+    }
+    let frame = |i: i32| {
+        json!({"file_path": format!("{i}.png"), "time": i,
+               "transform_matrix": [[1, 0, 0, i], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]})
+    };
+    (dir, json!({"fl_x": 30.0, "w": 20, "h": 10, "frames": [frame(0), frame(1)]}))
+}
+
+type Spoil = fn(&mut Value);
+
+#[test]
+fn faults_of_frames_and_keys_are_named() {
+    use ErrorKind::{BadData, NotFound, Unsupported};
+    let cases: [(Spoil, ErrorKind, &[&str]); 20] = [
+        (
+            |j| drop(j["frames"][1].as_object_mut().unwrap().remove("transform_matrix")),
+            BadData,
+            &["frame 1", "1.png", "transform_matrix is missing"],
+        ),
+        (|j| j["frames"][1]["transform_matrix"][0][0] = json!(-1), BadData, &["frame 1", "determinant -1.0"]),
+        (|j| j["frames"][0]["transform_matrix"][0][0] = json!(1.5), BadData, &["frame 0", "determinant 1.5"]),
+        (
+            |j| drop(j["frames"][0]["transform_matrix"].as_array_mut().unwrap().drain(1..)),
+            BadData,
+            &["frame 0", "1 rows of 4", "4 rows of 4"],
+        ),
+        (|j| j["frames"][1]["transform_matrix"][2][1] = json!(null), BadData, &["frame 1", "null"]),
+        (
+            |j| j["frames"][1]["transform_matrix"][3] = json!([4, 5, 6, 1]),
+            BadData,
+            &["frame 1", "[4.0, 5.0, 6.0, 1.0]", "transposed"],
+        ),
+        (|j| j["fl_x"] = json!(-5.0), BadData, &["frame 0", "-5", "above 0"]),
+        (|j| drop(j.as_object_mut().unwrap().remove("fl_x")), BadData, &["frame 0", "fl_x", "missing"]),
+        (|j| j["cx"] = json!(900.0), BadData, &["(900, 5)", "20 x 10"]),
+        (|j| j["camera_model"] = json!("FOV"), Unsupported, &["FOV"]),
+        (|j| j["depth_unit_scale_factor"] = json!(0), BadData, &["depth_unit_scale_factor", "it is 0"]),
+        (|j| j["duration_s"] = json!(-1), BadData, &["duration_s", "it is -1"]),
+        (|j| j["frames"] = json!([]), BadData, &["no frames"]),
+        (|j| j["frames"][1]["time"] = json!(1.5), BadData, &["frame 1", "time = 1.5", "0 (first"]),
+        (|j| j["frames"][1]["time"] = json!("soon"), BadData, &["frame 1", "soon"]),
+        (|j| drop(j["frames"][1].as_object_mut().unwrap().remove("time")), BadData, &["1 of 2 frames have a time"]),
+        (|j| j["frames"][0]["file_path"] = json!("gone.png"), NotFound, &["frame 0", "gone.png"]),
+        (|j| j["w"] = json!(40), BadData, &["0.png", "w = 40", "has 20"]),
+        (|j| j["frames"][1]["depth_file_path"] = json!("0.png"), BadData, &["frame 1", "0.png", "16 bits"]),
+        (|j| j["frames"][1]["mask_path"] = json!("mask/1.png"), NotFound, &["frame 1", "1.png"]),
+    ];
+    let (dir, json) = good();
+    assert_eq!(read_json(dir.path(), &json, Reach::Inside).unwrap().frames.len(), 2);
+    for (spoil, kind, words) in cases {
+        let mut spoilt = json.clone();
+        spoil(&mut spoilt);
+        let error = read_json(dir.path(), &spoilt, Reach::Inside).unwrap_err();
+        assert_eq!(error.kind(), kind, "{error}");
+        says(&error, &[&["transforms_train.json"], words].concat());
+    }
+}
+
+#[test]
+fn malformed_or_missing_lists_of_frames_are_refused() {
+    let (dir, json) = good();
+    let path = dir.path().join("transforms_train.json");
+    fs::write(&path, json.to_string().replace("30.0", "NaN")).unwrap();
+    let failed = || read(&path, Split::Train, &CaptureOptions::default(), &Silent).unwrap_err();
+    says(&failed(), &["line 1", "neither NaN nor Infinity"]);
+    fs::write(&path, &json.to_string()[..200]).unwrap();
+    says(&failed(), &["not the JSON that was expected", "EOF"]);
+    fs::remove_file(&path).unwrap();
+    let error = read(dir.path(), Split::Train, &CaptureOptions::default(), &Silent).unwrap_err();
+    assert_eq!(error.kind(), ErrorKind::NotFound);
+    says(&error, &["transforms_train.json", "a capture is a folder"]);
+}
+
+#[test]
+fn test_views_without_a_training_split() {
+    let (dir, json) = good();
+    fs::write(dir.path().join("transforms_test.json"), json.to_string()).unwrap();
+    let error = read(dir.path(), Split::Test, &CaptureOptions::default(), &Silent).unwrap_err();
+    says(&error, &["transforms_test.json", "transforms_train.json", "time_frames"]);
+}
+
+#[test]
+fn a_capture_that_does_not_fit_in_memory() {
+    let (dir, json) = good();
+    fs::write(dir.path().join("transforms_train.json"), json.to_string()).unwrap();
+    let small = CaptureOptions { max_memory_bytes: 1000, ..CaptureOptions::default() };
+    let error = read(dir.path(), Split::Train, &small, &Silent).unwrap_err();
+    assert_eq!(error.kind(), ErrorKind::Unsupported);
+    says(&error, &["2 frames", "max_memory_bytes"]);
+}
+
+fn read_json(folder: &Path, json: &Value, reach: Reach) -> Result<Capture, ReadError> {
+    fs::write(folder.join("transforms_train.json"), json.to_string()).unwrap();
+    let options = CaptureOptions { reach, ..CaptureOptions::default() };
+    read(folder, Split::Train, &options, &Silent)
+}
+
+/// It is refused by a message that names the list, the place, the file and the way out.
+fn refused(folder: &Path, json: &Value, words: &[&str]) {
+    let error = read_json(folder, json, Reach::Inside).unwrap_err();
+    assert_eq!(error.kind(), ErrorKind::BadData, "{error}");
+    says(&error, &[&["transforms_train.json", "outside of", "--allow-outside"], words].concat());
+}
+
+#[test]
+fn files_outside_the_capture_are_not_read() {
+    let (dir, json) = good();
+    let folder = dir.path().join("set");
+    fs::create_dir(&folder).unwrap();
+    for i in 0..2 {
+        fs::rename(dir.path().join(format!("{i}.png")), folder.join(format!("{i}.png"))).unwrap();
+    }
+    let private = dir.path().join("private.png");
+    write_rgb(&private, &Plane::filled(20, 10, [77; 3])).unwrap();
+    write_mask(&dir.path().join("mask.png"), &Plane::filled(20, 10, 255)).unwrap();
+    read_json(&folder, &json, Reach::Inside).unwrap();
+
+    let original = private.display().to_string();
+    for name in ["../private.png", "../private", "../set/../private.png", original.as_str()] {
+        let mut json = json.clone();
+        json["frames"][1]["file_path"] = json!(name);
+        refused(&folder, &json, &["frame 1", "private.png"]);
+        let got = read_json(&folder, &json, Reach::Anywhere).unwrap();
+        assert_eq!(got.frames[1].rgb[(0, 0)], [77; 3]);
+    }
+    for key in ["depth_file_path", "mask_path", "motion_path", "instance_path"] {
+        let mut json = json.clone();
+        json["frames"][0][key] = json!("../mask.png");
+        refused(&folder, &json, &["frame 0", "mask.png"]);
+    }
+    let mut with_tracks = json.clone();
+    with_tracks["tracks_path"] = json!("../mask.png");
+    refused(&folder, &with_tracks, &["tracks_path", "mask.png"]);
+}
+
+#[cfg(unix)]
+#[test]
+fn links_out_of_the_folder_are_not_followed() {
+    use std::os::unix::fs::symlink;
+    let (dir, json) = good();
+    let folder = dir.path().join("set");
+    fs::create_dir(&folder).unwrap();
+    for i in 0..2 {
+        symlink(dir.path().join(format!("{i}.png")), folder.join(format!("{i}.png"))).unwrap();
+    }
+    refused(&folder, &json, &["frame 0", "set/0.png", "which is"]);
+    assert_eq!(read_json(&folder, &json, Reach::Anywhere).unwrap().frames.len(), 2);
+    // a folder that is reached by a link is the folder itself
+    let alias = dir.path().join("alias");
+    symlink(dir.path(), &alias).unwrap();
+    assert_eq!(read_json(&alias, &json, Reach::Inside).unwrap().frames.len(), 2);
+}
+
+#[test]
+fn permission_to_read_outside_is_not_serialised() {
+    let anywhere = CaptureOptions { reach: Reach::Anywhere, ..CaptureOptions::default() };
+    let text = serde_json::to_string(&anywhere).unwrap();
+    assert!(!text.contains("reach"), "{text}");
+    let again: CaptureOptions = serde_json::from_str(&text).unwrap();
+    assert_eq!(again.reach, Reach::Inside);
+    assert!(serde_json::from_str::<CaptureOptions>(r#"{"reach": "Anywhere"}"#).is_err());
 }

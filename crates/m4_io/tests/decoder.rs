@@ -2,7 +2,7 @@
 
 #[cfg(unix)]
 use crate::common::script;
-use crate::common::{ffmpeg, have_ffmpeg, pinwheel};
+use crate::common::{ffmpeg, have_ffmpeg, pinwheel, says, temporary};
 use m4_core::{CounterRng, Plane, Progress, Silent, Video};
 use m4_io::video::{DecoderEnd, DecoderLimits, DecoderProgram, Mp4Writer, VideoOptions, read, read_with};
 use m4_io::{ErrorKind, Fault, ReadError};
@@ -34,9 +34,7 @@ fn failure(result: Result<Video, ReadError>, words: &[&str]) -> DecoderEnd {
     let Err(error) = result else { panic!("it was decoded") };
     let text = error.to_string();
     assert_eq!(error.kind(), ErrorKind::Unavailable, "{text}");
-    for word in words {
-        assert!(text.contains(word), "{word:?} is not in: {text}");
-    }
+    says(&text, words);
     match error.fault {
         Fault::Decoder { how, .. } => how,
         other => panic!("{other:?}"),
@@ -83,8 +81,7 @@ fn damaged(case: u32, original: &[u8], mdat: usize) -> Vec<u8> {
 fn damaged_clips_never_crash_the_parent() {
     let original = std::fs::read(pinwheel()).unwrap();
     let mdat = original.windows(4).position(|w| w == b"mdat").unwrap();
-    let dir = tempfile::tempdir().unwrap();
-    let path = dir.path().join("clip.mp4");
+    let (_dir, path) = temporary("clip.mp4");
     let part = VideoOptions { end_s: Some(0.7), size: Some(64), ..options(DecoderLimits::default()) };
     let (mut whole_clips, mut with_warnings, mut refused) = (0, 0, 0);
     for case in 0..160 {
@@ -124,8 +121,7 @@ fn damaged_clips_never_crash_the_parent() {
 
 #[test]
 fn a_decoder_without_memory() {
-    let dir = tempfile::tempdir().unwrap();
-    let path = dir.path().join("large.mp4");
+    let (_dir, path) = temporary("large.mp4");
     let mut writer = Mp4Writer::create(&path, 3840, 2160, 24.0).unwrap();
     for i in 0..2 {
         let image = Plane::from_fn(3840, 2160, |x, y| [(x + i) as u8, y as u8, (x ^ y) as u8]);

@@ -1,6 +1,6 @@
 //! glTF and SPZ: bytes worked out by hand, and files taken apart.
 
-use crate::common::says;
+use crate::common::{says, temporary};
 use m4_core::nalgebra::{Matrix3, Vector3, Vector4};
 use m4_core::{Camera, Column, Exposure, Intrinsics, Scene, Se3, SourceFrame, SplatLayout, Splats, quat};
 use m4_io::scene::{gltf, spz};
@@ -105,8 +105,7 @@ fn attribute(json: &Value, bin: &[u8], name: &str, width: usize) -> Vec<Vec<f32>
 
 #[test]
 fn the_numbers_of_two_splats() {
-    let dir = tempfile::tempdir().unwrap();
-    let path = dir.path().join("two.glb");
+    let (_dir, path) = temporary("two.glb");
     let written = gltf::write(&path, &asymmetric_scene(1), 4.0).unwrap();
     let bytes = std::fs::read(&path).unwrap();
     assert_eq!((written.splats, written.bytes), (2, bytes.len() as u64));
@@ -151,8 +150,7 @@ fn the_numbers_of_two_splats() {
 
 #[test]
 fn gltf_holds_the_parameters_of_the_scene() {
-    let dir = tempfile::tempdir().unwrap();
-    let path = dir.path().join("scene.glb");
+    let (_dir, path) = temporary("scene.glb");
     for degree in 0..=3 {
         let scene = random_scene(degree, 100, 150);
         let written = gltf::write(&path, &scene, 7.5).unwrap();
@@ -185,8 +183,7 @@ fn gltf_holds_the_parameters_of_the_scene() {
 
 #[test]
 fn gltf_refuses_instants_without_splats() {
-    let dir = tempfile::tempdir().unwrap();
-    let path = dir.path().join("nothing.glb");
+    let (_dir, path) = temporary("nothing.glb");
     let mut scene = asymmetric_scene(0);
     scene.splats = scene.splats.gather(&[1]).unwrap();
     says(&gltf::write(&path, &scene, 900.0).unwrap_err(), &["no splat is seen at frame 900"]);
@@ -203,8 +200,7 @@ fn unpacked(path: &std::path::Path) -> Vec<u8> {
 
 #[test]
 fn the_bytes_of_two_splats() {
-    let dir = tempfile::tempdir().unwrap();
-    let path = dir.path().join("two.spz");
+    let (_dir, path) = temporary("two.spz");
     let scene = asymmetric_scene(0);
     let written = spz::write(&path, &scene, 4.0).unwrap();
     assert_eq!(written.splats, 2);
@@ -281,8 +277,7 @@ fn taken_apart(path: &std::path::Path) -> Splats {
 
 #[test]
 fn spz_round_trips_within_half_a_quantisation_step() {
-    let dir = tempfile::tempdir().unwrap();
-    let path = dir.path().join("scene.spz");
+    let (_dir, path) = temporary("scene.spz");
     let scene = random_scene(3, 200, 300);
     let written = spz::write(&path, &scene, 7.5).unwrap();
     let expected = m4_io::scene::instant(&scene.splats, 7.5, scene.time_frames as f64);

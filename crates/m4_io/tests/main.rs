@@ -1,8 +1,6 @@
 //! Every test of this crate that works on files, in one program: they share their helpers.
 
 #[cfg(test)]
-mod bad_captures;
-#[cfg(test)]
 mod bad_inputs;
 #[cfg(test)]
 mod capture;

@@ -1,6 +1,6 @@
 //! MP4 files that are written: they play elsewhere, read back here, and are whole or not there.
 
-use crate::common::{have_ffmpeg, pinwheel, psnr, says, times};
+use crate::common::{have_ffmpeg, pinwheel, psnr, says, temporary, times};
 use m4_core::{Plane, Silent, Video};
 use m4_io::ErrorKind;
 use m4_io::video::{Mp4Writer, VideoOptions, read};
@@ -77,8 +77,7 @@ fn the_same_frames_give_the_same_bytes() {
 
 #[test]
 fn mp4_pads_odd_sides_and_accepts_one_frame() {
-    let dir = tempfile::tempdir().unwrap();
-    let path = dir.path().join("odd.mp4");
+    let (_dir, path) = temporary("odd.mp4");
     let image = Plane::from_fn(101, 77, |x, y| [(x * 2) as u8, (y * 3) as u8, 128]);
     let mut writer = Mp4Writer::create(&path, 101, 77, 12.5).unwrap();
     writer.push(&image).unwrap();

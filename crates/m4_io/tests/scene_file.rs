@@ -1,5 +1,6 @@
 //! Scene files: every bit comes back, and no damaged file is taken for a whole one.
 
+use crate::common::temporary;
 use m4_core::{
     Camera, Column, CounterRng, Exposure, Intrinsics, Scene, Se3, SourceFrame, SplatLayout, Splats, StateTensor,
     TrainState, nalgebra::Vector6,
@@ -66,8 +67,7 @@ fn state() -> TrainState<'static> {
 
 #[test]
 fn every_layout_round_trips_exactly() {
-    let dir = tempfile::tempdir().unwrap();
-    let path = dir.path().join("deep/scene.safetensors");
+    let (_dir, path) = temporary("deep/scene.safetensors");
     let pairs = BTreeMap::from([("key".to_owned(), "wert \"ü\"\n".to_owned())]);
     for layout in layouts() {
         for (n_static, n_dynamic) in [(5, 3), (0, 4), (6, 0), (0, 0)] {
@@ -91,8 +91,7 @@ fn every_layout_round_trips_exactly() {
 
 #[test]
 fn scene_arrays_match_documentation() {
-    let dir = tempfile::tempdir().unwrap();
-    let path = dir.path().join("scene.safetensors");
+    let (_dir, path) = temporary("scene.safetensors");
     let layout = layouts().nth(2).unwrap();
     let scene = scene(layout, 5, 3);
     write(&path, &scene, None, &BTreeMap::new()).unwrap();
@@ -111,8 +110,7 @@ fn scene_arrays_match_documentation() {
 
 #[test]
 fn damaged_scene_files_are_refused() {
-    let dir = tempfile::tempdir().unwrap();
-    let path = dir.path().join("scene.safetensors");
+    let (_dir, path) = temporary("scene.safetensors");
     let layout = layouts().next().unwrap();
     write(&path, &scene(layout, 20, 10), Some(&state()), &BTreeMap::new()).unwrap();
     let original = std::fs::read(&path).unwrap();
@@ -150,8 +148,7 @@ fn damaged_scene_files_are_refused() {
 
 #[test]
 fn newer_versions_are_refused() {
-    let dir = tempfile::tempdir().unwrap();
-    let path = dir.path().join("scene.safetensors");
+    let (_dir, path) = temporary("scene.safetensors");
     write(&path, &scene(layouts().next().unwrap(), 1, 1), None, &BTreeMap::new()).unwrap();
     let mut bytes = std::fs::read(&path).unwrap();
     let key = br#"{\"version\":1,"#;

@@ -1,11 +1,10 @@
 //! Tracks: what is written comes back, and what is damaged is refused with a reason.
 
-use crate::common::says;
+use crate::common::{npy, says, temporary};
 use m4_core::{Camera, Capture, CaptureFrame, Intrinsics, Plane, Se3, Silent, Tracks};
-use m4_io::ErrorKind;
-use m4_io::ReadError;
 use m4_io::capture::{self, CaptureOptions, Split, TRACKS_FILE};
 use m4_io::tracks::{read, write};
+use m4_io::{ErrorKind, ReadError};
 use std::fs::{self, File};
 use std::io::{Cursor, Write};
 use std::path::Path;
@@ -33,8 +32,7 @@ fn same(a: &Tracks, b: &Tracks) {
 
 #[test]
 fn tracks_round_trip_exactly() {
-    let dir = tempfile::tempdir().unwrap();
-    let path = dir.path().join("tracks.npz");
+    let (_dir, path) = temporary("tracks.npz");
     let plain = made(5, 7);
     write(&path, &plain).unwrap();
     same(&read(&path, 5, LIMIT).unwrap(), &plain);
@@ -64,15 +62,6 @@ fn a_file_of_numpy_is_read() {
     assert_eq!(got.colours(), None);
 }
 
-fn npy(descr: &str, shape: &str, bytes: &[u8]) -> Vec<u8> {
-    let text = format!("{{'descr': '{descr}', 'fortran_order': False, 'shape': {shape}, }}\n");
-    let mut out = b"\x93NUMPY\x01\x00".to_vec();
-    out.extend((text.len() as u16).to_le_bytes());
-    out.extend(text.as_bytes());
-    out.extend(bytes);
-    out
-}
-
 fn archive(members: &[(&str, Vec<u8>)]) -> Vec<u8> {
     let mut zip = zip::ZipWriter::new(Cursor::new(Vec::new()));
     for (name, bytes) in members {
@@ -83,8 +72,7 @@ fn archive(members: &[(&str, Vec<u8>)]) -> Vec<u8> {
 }
 
 fn refused(bytes: &[u8]) -> ReadError {
-    let dir = tempfile::tempdir().unwrap();
-    let path = dir.path().join("bad.npz");
+    let (_dir, path) = temporary("bad.npz");
     fs::write(&path, bytes).unwrap();
     let error = read(&path, 2, LIMIT).unwrap_err();
     says(&error, &["bad.npz"]);
@@ -137,8 +125,7 @@ fn damaged_files_are_refused_with_a_reason() {
 /// was allowed.
 #[test]
 fn no_damage_makes_it_panic() {
-    let dir = tempfile::tempdir().unwrap();
-    let path = dir.path().join("t.npz");
+    let (_dir, path) = temporary("t.npz");
     write(&path, &made(4, 5)).unwrap();
     let original = fs::read(&path).unwrap();
     let mut refused = 0;

@@ -1,14 +1,13 @@
 //! Camera paths of every layout, against numbers worked out by hand.
 
+use crate::common::{says, temporary};
 use m4_core::Camera;
 use m4_core::nalgebra::{Matrix3, Vector3};
-use m4_io::ErrorKind;
-use m4_io::ReadError;
 use m4_io::trajectory::{self, KeyPose, Keyed, SceneTime, Trajectory};
+use m4_io::{ErrorKind, ReadError};
 
 fn load(text: &str) -> Result<Trajectory, ReadError> {
-    let dir = tempfile::tempdir().unwrap();
-    let path = dir.path().join("path.json");
+    let (_dir, path) = temporary("path.json");
     std::fs::write(&path, text).unwrap();
     trajectory::load(&path, 11)
 }
@@ -30,10 +29,7 @@ fn keyed(text: &str) -> Keyed {
 fn refused(text: &str, words: &[&str]) {
     let error = load(text).unwrap_err();
     assert_eq!(error.kind(), ErrorKind::BadData);
-    let message = error.to_string();
-    for word in words.iter().chain(&["path.json"]) {
-        assert!(message.contains(word), "{word:?} is not in {message:?}");
-    }
+    says(&error, &[&["path.json"], words].concat());
 }
 
 fn matrix(pose: &KeyPose) -> (Matrix3<f64>, Vector3<f64>) {

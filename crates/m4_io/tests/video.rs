@@ -1,6 +1,6 @@
 //! Clips: both decoders, times, sizes, orientation, colours.
 
-use crate::common::{ffmpeg, have_encoder, have_ffmpeg, pinwheel, psnr, times};
+use crate::common::{ffmpeg, have_encoder, have_ffmpeg, pinwheel, psnr, temporary, times};
 use m4_core::{Plane, RgbImage, Silent, Video};
 use m4_io::ErrorKind;
 use m4_io::video::{VideoOptions, read};
@@ -125,8 +125,7 @@ fn with_matrix(from: &Path, matrix: [i32; 4], path: &Path) {
     std::fs::write(path, bytes).unwrap();
 }
 
-/// An image mapped by `x' = a x + c y`, `y' = b x + d y` around its middle: written apart from the
-/// reader's own code.
+/// An image mapped by `x' = a x + c y`, `y' = b x + d y` around its middle: written apart from the reader's own code.
 fn mapped(image: &RgbImage, [a, b, c, d]: [i32; 4]) -> RgbImage {
     let (w, h) = (image.width() as i32, image.height() as i32);
     let (width, height) = ((a * w + c * h).abs(), (b * w + d * h).abs());
@@ -197,8 +196,7 @@ fn without_ffmpeg_the_message_names_the_codec_and_the_way_out() {
     if !have_encoder("libx264") {
         return;
     }
-    let dir = tempfile::tempdir().unwrap();
-    let path = dir.path().join("clip.mp4");
+    let (_dir, path) = temporary("clip.mp4");
     let input = format!("-i {} -frames:v 2", pinwheel().display());
     let mut cases = vec![
         ("-c:v libx264 -pix_fmt yuv420p10le", "10-bit H.264"),

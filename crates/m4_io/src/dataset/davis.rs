@@ -5,11 +5,11 @@
 //! Annotations/480p/NAME/00000.png     a palette image: the number of the object that each pixel shows, 0 for none
 //! ```
 //!
-//! A [`Listing`](crate::dataset::Listing) is of posed frames, which these are not: [`read_clip`] gives what the estimation of geometry starts
-//! from, a video, and its masks of objects. Source: the README of davischallenge/davis-2017.
+//! A [`Listing`](crate::dataset::Listing) is of posed frames, which these are not: [`read_clip`] gives what the estimation of
+//! geometry starts from, a video, and its masks of objects. Source: the README of davischallenge/davis-2017.
 
-use crate::dataset::files::images::size_of;
-use crate::dataset::side::mask::read_mask;
+use super::files::image_size;
+use super::side::mask::read_mask;
 use crate::error::AtPath;
 use crate::files::stem;
 use crate::video::{VideoOptions, image_files, read};
@@ -25,8 +25,7 @@ const FPS: f64 = 24.0;
 pub struct DavisClip {
     /// The images.
     pub video: Video,
-    /// The object that each pixel shows, for each frame of `video`, of the size of the files; `None` for frames without annotation (test
-    /// sets have the first alone, or none).
+    /// The object that each pixel of each frame shows, of the size of the files; `None` for frames without annotation.
     pub instances: Vec<Option<CompactIds>>,
 }
 
@@ -39,10 +38,7 @@ pub fn detect(path: &Path) -> bool {
 
 /// Reads the clip whose images lie in `path`, `ROOT/JPEGImages/RESOLUTION/NAME`; the maps lie in `ROOT/Annotations/RESOLUTION/NAME`.
 /// `options` choose frames and size as for any video; its `folder_fps` is ignored.
-///
-/// # Errors
-///
-/// [`ReadError`]: another layout, images that cannot be read, or a map that has no palette or another size than its image.
+/// Errors: another layout, images that cannot be read, or a map that has no palette or another size than its image.
 pub fn read_clip(path: &Path, options: &VideoOptions, progress: &dyn Progress) -> Result<DavisClip, ReadError> {
     let annotations = annotations(path)?;
     let options = VideoOptions { folder_fps: FPS, ..options.clone() };
@@ -81,7 +77,7 @@ fn map(file: &Path, image: &Path) -> Result<CompactIds, ReadError> {
         let what = "it has no palette, so it does not distinguish objects";
         return Err(Fault::bad(what, "give the annotations as they were published").at(file));
     };
-    let size = size_of(image)?;
+    let size = image_size(image)?;
     if ids.size() != size {
         let ((w, h), (pw, ph)) = (ids.size(), size);
         let what = format!("it is {w} x {h} pixels but its image is {pw} x {ph}");

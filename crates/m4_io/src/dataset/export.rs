@@ -108,8 +108,8 @@ impl Staging {
         self.folder.path()
     }
 
-    /// Gives what was written its place, what is called `list` last; an older `list` goes first, so that a folder that was left half-way is
-    /// none. Files of other names stay. The size of all files, bytes.
+    /// Gives what was written its place, what is called `list` last; an older `list` goes first, so that a folder that was
+    /// left half-way is none. Files of other names stay. The size of all files, bytes.
     pub fn commit(self, list: &str) -> Result<u64, WriteError> {
         let bytes = size(self.folder.path())?;
         remove(&self.out.join(list))?;

@@ -129,11 +129,7 @@ pub struct Undistort {
 }
 
 impl Undistort {
-    /// `None` for a lens without distortion.
-    ///
-    /// # Errors
-    ///
-    /// A lens whose image no pinhole can show: the distortion is not monotone within it.
+    /// `None` for a lens without distortion; fails where no pinhole can show the image (the distortion is not monotone).
     pub fn new(lens: &Lens) -> Result<Option<Self>, Fault> {
         if lens.distortion == Distortion::None {
             return Ok(None);

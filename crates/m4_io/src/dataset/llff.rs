@@ -8,8 +8,7 @@
 use crate::error::AtPath;
 use crate::files::json;
 use crate::npy::Numbers;
-use crate::pose;
-use crate::{Fault, ReadError};
+use crate::{Fault, ReadError, pose};
 use m4_core::{Camera, Capture, CaptureFrame, Intrinsics, Plane};
 use serde::Deserialize;
 use serde::de::IgnoredAny;
@@ -45,8 +44,7 @@ pub(super) fn read_bounds(path: &Path) -> Result<Vec<Pose>, ReadError> {
         let camera = camera(m.map(|r| [r[1], r[0], -r[2]]), &m)?;
         let (near, far) = (row[15], row[16]);
         if !(near > 0.0 && far > near && far.is_finite()) {
-            let what = format!("depth from {near} to {far}; 0 < near < far was expected");
-            return Err(Fault::bad(what, HINT));
+            return Err(Fault::bad(format!("depth from {near} to {far}; 0 < near < far was expected"), HINT));
         }
         Ok(Pose { camera, near, far })
     };
@@ -70,11 +68,7 @@ pub fn detect(path: &Path) -> bool {
     matches!(json(path), Ok(Keys { poses: Some(_), frames: None }))
 }
 
-/// Reads the cameras of a JSON file. The frames have no image (0x0), no depth and no mask; they are named `00000`, `00001`, ...
-///
-/// # Errors
-///
-/// [`ReadError`]: not JSON of that layout, no poses, or one that is no rotation.
+/// Reads the cameras of a JSON file; the frames have no image (0x0), depth or mask and are named `00000`, `00001`, ...
 pub fn read(path: &Path) -> Result<Capture, ReadError> {
     let File { poses } = json(path)?;
     if poses.is_empty() {
@@ -110,12 +104,10 @@ fn camera(axes: [[f64; 3]; 3], m: &[[f64; 5]; 3]) -> Result<Camera, Fault> {
     let [height, width, focal] = [0, 1, 2].map(|i| m[i][4]);
     let side = |v: f64| (v.fract() == 0.0 && (1.0..=65536.0).contains(&v)).then_some(v as usize);
     let (Some(w), Some(h)) = (side(width), side(height)) else {
-        let what = format!("images of {width} x {height} pixels");
-        return Err(Fault::bad(what, HINT));
+        return Err(Fault::bad(format!("images of {width} x {height} pixels"), HINT));
     };
     if !(focal.is_finite() && focal > 0.0) {
-        let what = format!("the focal length {focal}; pixels, above 0, were expected");
-        return Err(Fault::bad(what, HINT));
+        return Err(Fault::bad(format!("the focal length {focal}; pixels, above 0, were expected"), HINT));
     }
     Ok(Camera { intrinsics: Intrinsics::centred(w, h, focal), c2w })
 }

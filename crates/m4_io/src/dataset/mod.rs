@@ -31,12 +31,10 @@ mod vipe;
 mod files;
 mod lens;
 mod listing;
-mod load;
 
 pub use lens::{Distortion, Lens};
-pub use listing::{FrameSource, ImportOptions, Imported, ListedFrame, Listing};
-pub use load::load;
-pub(crate) use load::{load_of, step};
+pub use listing::{FrameSource, ImportOptions, Imported, ListedFrame, Listing, load};
+pub(crate) use listing::{load_of, step};
 
 use crate::{Fault, ReadError};
 use m4_core::Progress;
@@ -99,10 +97,6 @@ pub fn detect(path: &Path) -> Option<SourceFormat> {
 }
 
 /// Reads a file or folder of that format; depth, masks and tracks that the options name take the place of its own.
-///
-/// # Errors
-///
-/// [`ReadError`], which names the file and the place at fault.
 pub fn read(
     path: &Path,
     format: SourceFormat,

@@ -17,12 +17,12 @@
 //!
 //! `v000_t000` is the view of the first training image: results compare only if both or neither count it.
 
-use crate::dataset::files::images::{self, StoredImage, of_file};
-use crate::dataset::files::{Inside, clock};
-use crate::dataset::llff::{self, Pose};
-use crate::dataset::side::depth::known;
-use crate::dataset::side::mask::read_mask;
-use crate::dataset::{FrameSource, ImportOptions, Lens, ListedFrame, Listing};
+use super::files::{Inside, StoredImage, given_fps, resized, stored_image};
+use super::llff::{self, Pose};
+use super::side::depth::known;
+use super::side::mask::read_mask;
+use super::side::one_a_frame;
+use super::{FrameSource, ImportOptions, Lens, ListedFrame, Listing};
 use crate::error::AtPath;
 use crate::files::{listed, stem};
 use crate::npy::Numbers;
@@ -40,13 +40,13 @@ pub(crate) fn detect(path: &Path) -> bool {
 pub(crate) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress) -> Result<Listing, ReadError> {
     let poses = llff::read_bounds(&path.join("poses_bounds.npy"))?;
     let n = poses.len();
-    let fps = clock::fps(options).at(path)?;
+    let fps = given_fps(options).at(path)?;
     let folder = image_folder(path, options)?;
     let inside = Inside::of(path, options);
-    let images = inside.files(as_many(&folder, EXTENSIONS, "images", n)?)?;
+    let images = inside.files(one_a_frame(&folder, EXTENSIONS, "images", n)?)?;
     let optional = |name: &str, extensions: &[&str], what: &str| -> Result<Option<Vec<PathBuf>>, ReadError> {
         let folder = path.join(name);
-        let listed = || inside.files(as_many(&folder, extensions, what, n)?);
+        let listed = || inside.files(one_a_frame(&folder, extensions, what, n)?);
         folder.is_dir().then(listed).transpose()
     };
     let masks = optional("motion_masks", &["png"], "masks")?;
@@ -100,18 +100,9 @@ fn image_folder(path: &Path, options: &ImportOptions) -> Result<PathBuf, ReadErr
     })
 }
 
-fn as_many(folder: &Path, extensions: &[&str], what: &str, n: usize) -> Result<Vec<PathBuf>, ReadError> {
-    let files = listed(folder, extensions)?;
-    if files.len() == n {
-        return Ok(files);
-    }
-    let what = format!("{} {what} for {n} poses of poses_bounds.npy", files.len());
-    Err(Fault::bad(what, "give one for each pose").at(folder))
-}
-
 fn frame(image: &Path, pose: &Pose, t: f64, camera_index: Option<u32>) -> Result<ListedFrame, ReadError> {
-    let StoredImage { size, rgb } = of_file(image)?;
-    let k = images::resized(&pose.camera.intrinsics, size).at(image)?;
+    let StoredImage { size, rgb } = stored_image(image)?;
+    let k = resized(&pose.camera.intrinsics, size).at(image)?;
     Ok(ListedFrame { camera_index, ..ListedFrame::new(stem(image), Lens::pinhole(k), pose.camera.c2w, t, rgb) })
 }
 

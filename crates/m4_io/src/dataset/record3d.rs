@@ -15,9 +15,9 @@
 //! `w x h` and grows with the image. Source: the notes on the format in marek-simonik/record3d, `record3d_utils.py` of
 //! nerfstudio.
 
-use crate::dataset::files::{Inside, Members, clock, images};
-use crate::dataset::side::depth::{kept_where, known};
-use crate::dataset::{FrameSource, ImportOptions, Lens, ListedFrame, Listing};
+use super::files::{Inside, Members, given_fps, in_frames, pinhole, resized};
+use super::side::depth::{kept_where, known};
+use super::{FrameSource, ImportOptions, Lens, ListedFrame, Listing};
 use crate::error::AtPath;
 use crate::files::{first_bytes, parse_json};
 use crate::pose::{self, Axes};
@@ -52,8 +52,7 @@ pub(crate) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress
         return Err(Fault::missing("every rgbd/N.jpg", HINT).at(path));
     };
     if last >= poses {
-        let what = format!("the image rgbd/{last}.jpg has no pose: metadata has {poses}");
-        return Err(Fault::bad(what, HINT).at(path));
+        return Err(Fault::bad(format!("the image rgbd/{last}.jpg has no pose: metadata has {poses}"), HINT).at(path));
     }
     if numbers.len() < poses {
         progress.warn(&format!(
@@ -64,13 +63,13 @@ pub(crate) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress
     }
     // of the first image; `load` compares the others
     let size = image(&members, numbers[0]).at(path)?.size();
-    let given = clock::fps(options).at(path)?;
+    let given = given_fps(options).at(path)?;
     let fps = metadata.fps.or(given);
-    let taken = metadata.clock(&numbers, fps, path)?;
-    let frames = numbers.iter().zip(&taken.t).map(|(&n, &t)| {
+    let (times, duration_s) = metadata.clock(&numbers, fps, path)?;
+    let frames = numbers.iter().zip(&times).map(|(&n, &t)| {
         let place = |cause: Fault| cause.within(path, format!("frame {n}"));
         let k = metadata.intrinsics(n).map_err(place)?;
-        let intrinsics = images::resized(&k, size).map_err(place)?;
+        let intrinsics = resized(&k, size).map_err(place)?;
         let (for_rgb, for_depth) = (Arc::clone(&members), Arc::clone(&members));
         let (dw, dh) = metadata.depth_size();
         let c2w = metadata.c2w(n).map_err(place)?;
@@ -84,7 +83,7 @@ pub(crate) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress
         })
     });
     let train = frames.collect::<Result<_, _>>()?;
-    Ok(Listing { metric: true, ..Listing::of_video(train, numbers.len(), taken.duration_s) })
+    Ok(Listing { metric: true, ..Listing::of_video(train, numbers.len(), duration_s) })
 }
 
 /// The numbers of the images, in order.
@@ -127,13 +126,6 @@ struct Metadata {
     coefficients: Option<Vec<[f64; 4]>>,
     #[serde(rename = "frameTimestamps")]
     timestamps: Option<Vec<f64>>,
-}
-
-/// When frames were taken.
-struct Clock {
-    /// Frames, 0 to the number of frames - 1.
-    t: Vec<f64>,
-    duration_s: Option<f64>,
 }
 
 impl Metadata {
@@ -183,7 +175,7 @@ impl Metadata {
     fn intrinsics(&self, n: usize) -> Result<Intrinsics, Fault> {
         let own = self.coefficients.as_ref().and_then(|c| c.get(n));
         let numbers = own.copied().unwrap_or([self.k[0], self.k[4], self.k[6], self.k[7]]);
-        let k = images::pinhole(numbers, (self.w, self.h));
+        let k = pinhole(numbers, (self.w, self.h));
         Lens::pinhole(k).check()?;
         Ok(k)
     }
@@ -197,8 +189,9 @@ impl Metadata {
         Ok(Axes::OpenGl.to_opencv(&arkit))
     }
 
-    /// When `frames` were taken: by their time stamps, else evenly.
-    fn clock(&self, frames: &[usize], fps: Option<f64>, path: &Path) -> Result<Clock, ReadError> {
+    /// When `frames` were taken, 0 to the number of frames - 1, and the seconds from the first to the last: by their time stamps,
+    /// else evenly.
+    fn clock(&self, frames: &[usize], fps: Option<f64>, path: &Path) -> Result<(Vec<f64>, Option<f64>), ReadError> {
         let bad = |what: String| Err(Fault::bad(what, HINT).within(path, "metadata"));
         let steps = (frames.len() - 1) as f64;
         if let Some(fps) = fps.filter(|v| !(v.is_finite() && *v > 0.0)) {
@@ -206,18 +199,15 @@ impl Metadata {
         }
         let stamps = self.timestamps.as_ref().filter(|s| !s.is_empty());
         let Some(stamps) = stamps else {
-            return Ok(Clock {
-                t: (0..frames.len()).map(|i| i as f64).collect(),
-                duration_s: fps.map(|fps| steps / fps),
-            });
+            return Ok(((0..frames.len()).map(|i| i as f64).collect(), fps.map(|fps| steps / fps)));
         };
         let times: Vec<f64> = frames.iter().filter_map(|&n| stamps.get(n)).copied().collect();
         let apart = times.windows(2).all(|p| p[1] > p[0]) && times.iter().all(|t| t.is_finite());
         if times.len() != frames.len() || !apart {
             return bad("frameTimestamps do not grow from frame to frame".into());
         }
-        let (t, span_s) = clock::in_frames(&times);
-        Ok(Clock { t, duration_s: Some(span_s) })
+        let (t, span_s) = in_frames(&times);
+        Ok((t, Some(span_s)))
     }
 }
 
@@ -255,8 +245,7 @@ fn unpacked(members: &Members, name: &str, expected: usize) -> Result<Option<Vec
         return Err(Fault::bad(format!("{name} cannot be unpacked ({e})"), HINT));
     }
     if out.len() != expected {
-        let what = format!("{name} does not unpack to the {expected} bytes that metadata says");
-        return Err(Fault::bad(what, HINT));
+        return Err(Fault::bad(format!("{name} does not unpack to the {expected} bytes that metadata says"), HINT));
     }
     Ok(Some(out))
 }

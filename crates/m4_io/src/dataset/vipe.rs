@@ -11,19 +11,20 @@
 //! ```
 //!
 //! **What is converted.** Poses are OpenCV's and depth is z-depth: nothing is turned. Principal points are taken as they are, from the
-//! image's corner: ViPE starts from half of the width and counts pixels from their centres, as MegaSaM does (see [`super::megasam`]). The dynamic part is what ViPE was told to look for (people, animals, vehicles, ...): every instance but those whose
-//! phrase is `sky`. Metric, as ViPE's depth is. Frames of the clip without a pose are left out and keep their place in time.
+//! image's corner: ViPE starts from half of the width and counts pixels from their centres, as MegaSaM does (see
+//! [`super::megasam`]). The dynamic part is what ViPE was told to look for (people, animals, vehicles, ...): every instance
+//! but those whose phrase is `sky`. Metric, as ViPE's depth is. Frames of the clip without a pose are left out and keep their
+//! place in time.
 //!
 //! Source: `vipe/utils/io.py` of NVIDIA's repository (Apache-2.0).
 
-use crate::dataset::files::{Inside, Members, clock, images};
-use crate::dataset::side::depth::decode_exr;
-use crate::dataset::{FrameSource, ImportOptions, Lens, ListedFrame, Listing};
+use super::files::{Inside, Members, duration_of, given_fps, pinhole, read_images};
+use super::side::depth::decode_exr;
+use super::{FrameSource, ImportOptions, Lens, ListedFrame, Listing};
 use crate::error::AtPath;
 use crate::files::text;
 use crate::npy::{Array, Npz, Numbers};
-use crate::{Fault, ReadError};
-use crate::{image, pose};
+use crate::{Fault, ReadError, image, pose};
 use m4_core::{CompactDepth, CompactIds, CompactMask, Progress};
 use std::collections::{BTreeMap, HashMap, HashSet};
 use std::path::{Path, PathBuf};
@@ -60,7 +61,7 @@ fn names(run: &Path) -> Vec<String> {
 }
 
 pub(super) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress) -> Result<Listing, ReadError> {
-    clock::fps(options).at(path)?;
+    given_fps(options).at(path)?;
     let (run, name) = match run_of(path) {
         Some(found) => found,
         None => {
@@ -88,11 +89,14 @@ pub(super) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress
         let hint = "give the clip or the folder of its images (images)";
         return Err(Fault::missing("the clip", hint).at(&clip));
     }
-    let images = images::read(&clip, &inside, options, progress)?;
+    let images = read_images(&clip, &inside, options, progress)?;
     let zipped = |folder: &str| -> Result<Option<Arc<Zipped>>, ReadError> {
         let file = inside.file(part(folder, &format!("{name}.zip")))?;
-        let open = file.is_file().then(|| Zipped::open(&file, &inside));
-        Ok(open.transpose()?.map(Arc::new))
+        if !file.is_file() {
+            return Ok(None);
+        }
+        let members = Members::open(&file, inside.clone()).at(&file)?;
+        Ok(Some(Arc::new(Zipped { path: file, members })))
     };
     let (depths, masks) = (zipped("depth")?, zipped("mask")?);
     let still = Arc::new(sky(&part("mask", &format!("{name}.txt")))?);
@@ -102,7 +106,7 @@ pub(super) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress
         return Err(Fault::bad(what, "give the clip of this run").at(&pose_file));
     }
     let last_s = images.times_s.and_then(|times| times.last().copied());
-    let duration_s = clock::duration_of(last_s, time_frames, options, progress);
+    let duration_s = duration_of(last_s, time_frames, options, progress);
     let mut train = Vec::with_capacity(poses.len());
     for (i, image) in images.all.into_iter().enumerate() {
         let Some(matrix) = poses.get(&i) else { continue };
@@ -113,14 +117,12 @@ pub(super) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress
             Fault::missing(format!("the line of frame {i}"), hint).within(&lens_file, "array `inds`")
         })?;
         let member = |zip: &Option<Arc<Zipped>>, extension: &str| -> Result<Option<Member>, ReadError> {
+            let Some(zip) = zip else { return Ok(None) };
             let name = format!("{i:05}.{extension}");
-            match zip {
-                Some(zip) => zip.member(name),
-                None => Ok(None),
-            }
+            Ok(zip.members.has(&name).at(&zip.path)?.then(|| Member { zip: Arc::clone(zip), name }))
         };
         let (depth, mask) = (member(&depths, "exr")?, member(&masks, "png")?);
-        let k = images::pinhole([k[0], k[1], k[2], k[3]], image.size);
+        let k = pinhole([k[0], k[1], k[2], k[3]], image.size);
         train.push(ListedFrame {
             depth: depth.map(|member| FrameSource::new(move || member.depth())),
             mask: mask.clone().map(|member| {
@@ -148,8 +150,7 @@ fn indexed(file: &Path, width: usize) -> Result<(PathBuf, BTreeMap<usize, Vec<f6
             "data has shape {shape:?} and there are {} inds; {width} numbers for each were expected",
             inds.len()
         );
-        let hint = "other camera models have more; run ViPE with a pinhole camera";
-        return Err(Fault::bad(what, hint).at(file));
+        return Err(Fault::bad(what, "other camera models have more; run ViPE with a pinhole camera").at(file));
     }
     let mut all = BTreeMap::new();
     for (index, numbers) in inds.iter().zip(data.chunks_exact(width)) {
@@ -199,18 +200,6 @@ fn sky(path: &Path) -> Result<HashSet<u16>, ReadError> {
 struct Zipped {
     path: PathBuf,
     members: Members,
-}
-
-impl Zipped {
-    fn open(path: &Path, inside: &Inside) -> Result<Self, ReadError> {
-        Ok(Self { path: path.to_path_buf(), members: Members::open(path, inside.clone()).at(path)? })
-    }
-
-    /// The map of that name, if it is there.
-    fn member(self: &Arc<Self>, name: String) -> Result<Option<Member>, ReadError> {
-        let has = self.members.has(&name).at(&self.path)?;
-        Ok(has.then(|| Member { zip: Arc::clone(self), name }))
-    }
 }
 
 /// One map of an archive.

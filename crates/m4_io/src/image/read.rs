@@ -1,6 +1,5 @@
 //! Reads PNG and JPEG files into planes.
 
-use super::exif;
 use crate::error::AtPath;
 use crate::{Fault, ReadError};
 use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader};
@@ -74,6 +73,11 @@ fn decode(path: &Path) -> Result<DynamicImage, Fault> {
     DynamicImage::from_decoder(open(path)?).map_err(damaged)
 }
 
+fn decode_bytes(bytes: &[u8], most_pixels: u64) -> Result<DynamicImage, Fault> {
+    let decoder = checked(Cursor::new(bytes), bytes.len() as u64, most_pixels)?;
+    DynamicImage::from_decoder(decoder).map_err(damaged)
+}
+
 fn bad(reason: String) -> Fault {
     Fault::bad(format!("the image is damaged ({reason})"), "export it again")
 }
@@ -92,31 +96,18 @@ fn plane<T>((width, height): (u32, u32), data: Vec<T>) -> Result<Plane<T>, Fault
     Plane::from_vec(width as usize, height as usize, data).map_err(|e| bad(e.to_string()))
 }
 
-/// Width and height of an image in pixels, from its header.
-///
-/// # Errors
-///
-/// [`ReadError`] if there is no such file or it is not a PNG or JPEG image.
+/// Width and height of a PNG or JPEG image in pixels, from its header.
 pub fn size(path: &Path) -> Result<(usize, usize), ReadError> {
     let (width, height) = open(path).at(path)?.dimensions();
     Ok((width as usize, height as usize))
 }
 
-/// Decodes a colour image that was read from an archive; as [`read_rgb`], at most `most_pixels`. `name` is for messages.
-///
-/// # Errors
-///
-/// [`ReadError`] if it is not a complete PNG or JPEG image, or is larger.
+/// Decodes a colour image of an archive, at most `most_pixels`, as [`read_rgb`]; `name` is for messages.
 pub fn decode_rgb(bytes: &[u8], name: &Path, most_pixels: u64) -> Result<RgbImage, ReadError> {
-    let decoder = checked(Cursor::new(bytes), bytes.len() as u64, most_pixels).at(name)?;
-    DynamicImage::from_decoder(decoder).map_err(damaged).and_then(rgb).at(name)
+    decode_bytes(bytes, most_pixels).and_then(rgb).at(name)
 }
 
 /// Reads a colour image; grey becomes colour, 16 bits become 8, transparency becomes black.
-///
-/// # Errors
-///
-/// [`ReadError`] if there is no such file or it is not a complete PNG or JPEG image.
 pub fn read_rgb(path: &Path) -> Result<RgbImage, ReadError> {
     decode(path).and_then(rgb).at(path)
 }
@@ -131,10 +122,6 @@ pub struct Photo {
 }
 
 /// Reads a colour image with what its EXIF block says about the camera.
-///
-/// # Errors
-///
-/// [`ReadError`] if there is no such file or it is not a complete PNG or JPEG image.
 pub fn read_photo(path: &Path) -> Result<Photo, ReadError> {
     let mut decoder = open(path).at(path)?;
     let (width, height) = decoder.dimensions();
@@ -147,7 +134,7 @@ pub fn read_photo(path: &Path) -> Result<Photo, ReadError> {
     }
     Ok(Photo {
         rgb: rgb(image).at(path)?,
-        focal_px: exif.and_then(|e| exif::focal_px(&e, width as usize, height as usize)),
+        focal_px: exif.and_then(|e| focal_px_of(&e, width as usize, height as usize)),
     })
 }
 
@@ -164,10 +151,6 @@ fn rgb(image: DynamicImage) -> Result<RgbImage, Fault> {
 }
 
 /// Reads a depth map: a greyscale PNG of 16 bits, times `unit` (scene units per step); 0 stays 0 = unknown.
-///
-/// # Errors
-///
-/// [`ReadError`] if there is no such file or it is not a 16-bit greyscale PNG.
 pub fn read_depth(path: &Path, unit: f64) -> Result<CompactDepth, ReadError> {
     match decode(path).at(path)? {
         DynamicImage::ImageLuma16(grey) => {
@@ -181,25 +164,16 @@ pub fn read_depth(path: &Path, unit: f64) -> Result<CompactDepth, ReadError> {
     }
 }
 
-/// Reads object ids per pixel: a greyscale PNG of 8 or 16 bits, whose values are the numbers.
-///
-/// # Errors
-///
-/// [`ReadError`] if there is no such file or it is not a greyscale PNG: JPEG changes numbers.
+/// Reads object ids per pixel: a greyscale PNG of 8 or 16 bits (JPEG changes numbers).
 pub fn read_ids(path: &Path) -> Result<CompactIds, ReadError> {
     let is_png = crate::files::first_bytes::<4>(path) == b"\x89PNG";
     decode(path).and_then(|image| ids(image, is_png)).at(path)
 }
 
-/// As [`read_ids`], of a file in memory; `path` is for messages.
-///
-/// # Errors
-///
-/// [`ReadError`] if it is not a greyscale PNG.
+/// As [`read_ids`], of a file in memory; `path` is for messages. Fails if it is not a greyscale PNG.
 pub fn ids_of_bytes(path: &Path, bytes: &[u8]) -> Result<CompactIds, ReadError> {
-    let decoder = checked(Cursor::new(bytes), bytes.len() as u64, u64::MAX).at(path)?;
-    let image = DynamicImage::from_decoder(decoder).map_err(damaged).at(path)?;
-    ids(image, bytes.starts_with(b"\x89PNG")).at(path)
+    let is_png = bytes.starts_with(b"\x89PNG");
+    decode_bytes(bytes, u64::MAX).and_then(|image| ids(image, is_png)).at(path)
 }
 
 fn ids(image: DynamicImage, is_png: bool) -> Result<CompactIds, Fault> {
@@ -218,27 +192,78 @@ fn ids(image: DynamicImage, is_png: bool) -> Result<CompactIds, Fault> {
 }
 
 /// Reads a mask: set where the image's brightness is at least 128.
-///
-/// # Errors
-///
-/// [`ReadError`] if there is no such file or it is not a complete PNG or JPEG image.
 pub fn read_mask(path: &Path) -> Result<CompactMask, ReadError> {
     Ok(read_grey(path)?.into())
 }
 
 /// Reads the brightness of an image, 0 to 255.
-///
-/// # Errors
-///
-/// [`ReadError`] if there is no such file or it is not a complete PNG or JPEG image.
 pub fn read_grey(path: &Path) -> Result<Plane<u8>, ReadError> {
     let grey = decode(path).at(path)?.into_luma8();
     plane(grey.dimensions(), grey.into_raw()).at(path)
 }
 
+/// Diagonal of a frame of 35 mm film, millimetres: what "35 mm equivalent" focal lengths refer to (CIPA DCG-001).
+const FILM_DIAGONAL_MM: f64 = 43.266_615;
+/// Tag of the pointer to the EXIF part.
+const EXIF_PART: u16 = 0x8769;
+/// Tag `FocalLengthIn35mmFilm`, millimetres.
+const FOCAL_35_MM: u16 = 0xa405;
+
+/// Focal length in pixels by an EXIF block (a TIFF header and directories); `None` where it is missing or damaged.
+fn focal_px_of(exif: &[u8], width: usize, height: usize) -> Option<f64> {
+    let tiff = Tiff::new(exif)?;
+    let part = tiff.find(tiff.u32(4)?, EXIF_PART)?;
+    let entry = tiff.find_entry(tiff.u32(part)?, FOCAL_35_MM)?;
+    let millimetres = match tiff.u16(entry + 2)? {
+        3 => u32::from(tiff.u16(entry + 8)?),
+        4 => tiff.u32(entry + 8)?,
+        _ => return None,
+    };
+    let diagonal_px = (width as f64).hypot(height as f64);
+    (millimetres > 0).then(|| f64::from(millimetres) / FILM_DIAGONAL_MM * diagonal_px)
+}
+
+struct Tiff<'a> {
+    bytes: &'a [u8],
+    little: bool,
+}
+
+impl<'a> Tiff<'a> {
+    fn new(bytes: &'a [u8]) -> Option<Self> {
+        let little = match bytes.get(..4)? {
+            b"II*\0" => true,
+            b"MM\0*" => false,
+            _ => return None,
+        };
+        Some(Self { bytes, little })
+    }
+
+    fn u16(&self, at: usize) -> Option<u16> {
+        let b = *self.bytes.get(at..)?.first_chunk()?;
+        Some(if self.little { u16::from_le_bytes(b) } else { u16::from_be_bytes(b) })
+    }
+
+    fn u32(&self, at: usize) -> Option<u32> {
+        let b = *self.bytes.get(at..)?.first_chunk()?;
+        Some(if self.little { u32::from_le_bytes(b) } else { u32::from_be_bytes(b) })
+    }
+
+    /// Where the entry of `tag` is in the directory at `at`.
+    fn find_entry(&self, at: u32, tag: u16) -> Option<usize> {
+        let at = at as usize;
+        let count = usize::from(self.u16(at)?);
+        (0..count).map(|i| at + 2 + 12 * i).find(|&entry| self.u16(entry) == Some(tag))
+    }
+
+    /// Where the value of `tag` is in the directory at `at`, for values of up to four bytes.
+    fn find(&self, at: u32, tag: u16) -> Option<usize> {
+        Some(self.find_entry(at, tag)? + 8)
+    }
+}
+
 #[cfg(test)]
 mod tests {
-    use super::decode_rgb;
+    use super::{decode_rgb, focal_px_of};
     use crate::ErrorKind;
     use image::{ImageFormat, RgbImage};
     use std::io::Cursor;
@@ -260,5 +285,24 @@ mod tests {
             let error = decode(bytes, most).unwrap_err();
             assert!(error.kind() == kind && error.to_string().contains(says), "{error}");
         }
+    }
+
+    fn block() -> Vec<u8> {
+        let mut tiff = b"II*\0\x08\0\0\0".to_vec();
+        // One entry: the pointer to the part at byte 26.
+        tiff.extend([1, 0, 0x69, 0x87, 4, 0, 1, 0, 0, 0, 26, 0, 0, 0, 0, 0, 0, 0]);
+        // One entry: 26 mm as a short.
+        tiff.extend([1, 0, 0x05, 0xa4, 3, 0, 1, 0, 0, 0, 26, 0, 0, 0, 0, 0, 0, 0]);
+        tiff
+    }
+
+    #[test]
+    fn truncated_exif_blocks_give_no_focal_length() {
+        let whole = block();
+        assert!(focal_px_of(&whole, 40, 30).is_some());
+        for cut in 0..38 {
+            assert_eq!(focal_px_of(&whole[..cut], 40, 30), None, "{cut}");
+        }
+        assert_eq!(focal_px_of(b"Exif\0\0", 40, 30), None);
     }
 }

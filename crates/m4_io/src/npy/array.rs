@@ -85,11 +85,7 @@ impl Array<'static> {
 }
 
 impl<'a> Array<'a> {
-    /// Reads the header. `name` is for messages, `most_bytes` what `reader` can give at most, and `limit_bytes` what the array may take.
-    ///
-    /// # Errors
-    ///
-    /// [`Fault`]: no array, numbers of another type, or more of them than there are bytes for.
+    /// Reads the header; `most_bytes` is what `reader` can give at most, `limit_bytes` what the array may take.
     pub fn open(name: &str, mut reader: impl Read + 'a, most_bytes: u64, limit_bytes: u64) -> Result<Self, Fault> {
         let bad = |why: String| Fault::bad(format!("{name} {why}"), HINT);
         let header = Header::read(&mut reader).map_err(bad)?;
@@ -137,11 +133,7 @@ impl<'a> Array<'a> {
         self.bad(format_args!("cannot be unpacked ({error}); it is damaged or cut off"))
     }
 
-    /// The next `n` bytes: of an array of 8-bit integers its numbers.
-    ///
-    /// # Errors
-    ///
-    /// [`Fault`] if there are fewer.
+    /// The next `n` bytes: of an array of 8-bit integers its numbers. Fails if there are fewer.
     pub fn next_bytes(&mut self, n: usize) -> Result<Vec<u8>, Fault> {
         let mut bytes = Vec::with_capacity(n);
         let read = (&mut self.reader).take(n as u64).read_to_end(&mut bytes);
@@ -152,11 +144,7 @@ impl<'a> Array<'a> {
         Err(self.bad("ends before all of its numbers; it is damaged or cut off"))
     }
 
-    /// The next `n` numbers; integers of 64 bits beyond 2^53 are rounded.
-    ///
-    /// # Errors
-    ///
-    /// [`Fault`] if there are fewer.
+    /// The next `n` numbers; integers of 64 bits beyond 2^53 are rounded. Fails if there are fewer.
     pub fn next_f64(&mut self, n: usize) -> Result<Vec<f64>, Fault> {
         let (number, big_endian) = (self.number, self.big_endian);
         let bytes = self.next_bytes(n.saturating_mul(number.bytes()))?;
@@ -165,10 +153,6 @@ impl<'a> Array<'a> {
     }
 
     /// Makes sure that nothing follows; of an archive this also compares the checksum.
-    ///
-    /// # Errors
-    ///
-    /// [`Fault`].
     pub fn end(&mut self) -> Result<(), Fault> {
         match self.reader.read(&mut [0]) {
             Ok(0) => Ok(()),
@@ -206,8 +190,7 @@ fn in_c_order(bytes: &[u8], shape: &[usize], width: usize) -> Vec<u8> {
 
 #[cfg(test)]
 mod tests {
-    use super::{Array, Number};
-    use crate::npy::Header;
+    use super::Array;
     use crate::{ErrorKind, Fault};
 
     fn npy(descr: &str, fortran: bool, shape: &str, numbers: &[u8]) -> Vec<u8> {
@@ -285,16 +268,5 @@ mod tests {
         assert!(values(&npy("<f4", false, "(2,)", &[0; 9])).is_err());
         let deep = npy("|u1", false, "(1,1,1,1,1,1,1,1,1)", &[0]);
         assert_eq!(refused(&deep, 99).kind(), ErrorKind::BadData);
-    }
-
-    #[test]
-    fn a_written_header_is_read() {
-        let mut bytes = Header::new("|u1", vec![2, 2]).to_bytes();
-        bytes.extend([1, 2, 3, 4]);
-        let mut array = Array::open("the array", bytes.as_slice(), bytes.len() as u64, 99).unwrap();
-        assert_eq!((array.number, array.shape.as_slice()), (Number::U8, &[2, 2][..]));
-        assert_eq!(array.next_bytes(3).unwrap(), [1, 2, 3]);
-        assert!(array.end().is_err());
-        assert!(array.next_bytes(1).is_err(), "the last was taken by the search for the end");
     }
 }

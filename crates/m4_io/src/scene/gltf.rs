@@ -1,5 +1,4 @@
-//! Binary glTF (`.glb`) with `KHR_gaussian_splatting`: one instant, 60 bytes per splat and 12 for each
-//! harmonic, in f32.
+//! Binary glTF (`.glb`) with `KHR_gaussian_splatting`: one instant, 60 bytes per splat and 12 for each harmonic, in f32.
 //!
 //! The splats are the vertices of one primitive of points:
 //!
@@ -19,11 +18,9 @@
 //!
 //! Source: `extensions/2.0/Khronos/KHR_gaussian_splatting` of `KhronosGroup/glTF`.
 
+use super::splats::{sigmoid, turn_splats, unit};
+use super::{C0, Clock, Loss, VerifiedFile, Written, instant};
 use crate::WriteError;
-use crate::scene::common::{Clock, VerifiedFile};
-use crate::scene::rub::turn_splats;
-use crate::scene::splats::{sigmoid, unit};
-use crate::scene::{C0, Loss, Written, instant};
 use m4_core::{Column, Scene, Splats};
 use serde_json::{Map, Value, json};
 use std::io::{self, Write};
@@ -42,12 +39,7 @@ const FLOAT: u32 = 5126;
 const UNSIGNED_BYTE: u32 = 5121;
 const ARRAY_BUFFER: u32 = 34_962;
 
-/// Writes the splats that the instant `t` (frames) sees; the bytes on the disk are compared before the
-/// file gets its name.
-///
-/// # Errors
-///
-/// [`WriteError`]; what was at `path` is then still there.
+/// Writes the splats that the instant `t` (frames) sees; the file gets its name when the bytes on the disk are compared.
 pub fn write(path: &Path, scene: &Scene, t: f64) -> Result<Written, WriteError> {
     let io = |e| WriteError::io(path, e);
     let bad = |what: String| Err(WriteError::bad(path, what));
@@ -65,7 +57,7 @@ pub fn write(path: &Path, scene: &Scene, t: f64) -> Result<Written, WriteError> 
         return bad(format!("splat {splat} holds a NaN or infinite value"));
     }
     let sections = Section::all(splats.layout().sh_degree);
-    let bin = sections.iter().map(Section::width).sum::<u64>() * count as u64;
+    let bin = sections.iter().map(|s| s.layout().2).sum::<u64>() * count as u64;
     let mut json = serde_json::to_vec(&document(scene, t, &splats, &sections)).map_err(|e| io(e.into()))?;
     json.resize(json.len().next_multiple_of(4), b' ');
     let Ok(total) = u32::try_from(12 + 8 + json.len() as u64 + 8 + bin) else {
@@ -98,16 +90,17 @@ fn document(scene: &Scene, t: f64, splats: &Splats, sections: &[Section]) -> Val
     let mut offset = 0;
     let (mut views, mut accessors, mut attributes) = (Vec::new(), Vec::new(), Map::new());
     for (i, section) in sections.iter().enumerate() {
-        let byte_length = n * section.width();
+        let (kind, component_type, width) = section.layout();
+        let byte_length = n * width;
         views.push(json!({ "buffer": 0, "byteOffset": offset, "byteLength": byte_length, "target": ARRAY_BUFFER }));
         offset += byte_length;
         let mut accessor = json!({
             "bufferView": i,
             "byteOffset": 0,
-            "componentType": section.component_type(),
+            "componentType": component_type,
             "normalized": section.name == "COLOR_0",
             "count": n,
-            "type": section.kind(),
+            "type": kind,
         });
         if section.name == "POSITION" {
             let bound = |pick: fn(f32, f32) -> f32| -> Vec<f64> {
@@ -185,29 +178,14 @@ impl Section {
         sections
     }
 
-    /// glTF's name of the element.
-    fn kind(&self) -> &'static str {
+    /// glTF's name of the element, its number of a component's type, and bytes per splat: a multiple of 4, so that every
+    /// array is aligned.
+    fn layout(&self) -> (&'static str, u32, u64) {
         match self.content {
-            Content::Rotation | Content::Fallback => "VEC4",
-            Content::Position | Content::Scale | Content::Harmonic(_) => "VEC3",
-            Content::Opacity => "SCALAR",
-        }
-    }
-
-    /// glTF's number of the type of a component.
-    fn component_type(&self) -> u32 {
-        match self.content {
-            Content::Fallback => UNSIGNED_BYTE,
-            _ => FLOAT,
-        }
-    }
-
-    /// Bytes per splat: a multiple of 4, so that every array is aligned.
-    fn width(&self) -> u64 {
-        match self.content {
-            Content::Rotation => 16,
-            Content::Position | Content::Scale | Content::Harmonic(_) => 12,
-            Content::Opacity | Content::Fallback => 4,
+            Content::Rotation => ("VEC4", FLOAT, 16),
+            Content::Position | Content::Scale | Content::Harmonic(_) => ("VEC3", FLOAT, 12),
+            Content::Opacity => ("SCALAR", FLOAT, 4),
+            Content::Fallback => ("VEC4", UNSIGNED_BYTE, 4),
         }
     }
 

@@ -118,8 +118,9 @@ const LEAST_MARGINAL: f64 = 0.05;
 
 /// The splats that time `t` (frames) sees, all of them static: means moved along their velocities,
 /// opacities times the marginal in time, the harmonics of time summed up. Splats that time has faded
-/// to a marginal of 0.05 or an opacity below 1/255 are left out, as they are when the scene is rendered. Isotropic splats get three equal scales and no rotation.
-/// `period_frames` is that of the harmonics of time (docs/spec/optimiser.md 1.8: the length of the clip).
+/// to a marginal of 0.05 or an opacity below 1/255 are left out, as they are when the scene is rendered. Isotropic splats get
+/// three equal scales and no rotation. `period_frames` is that of the harmonics of time (docs/spec/optimiser.md 1.8: the
+/// length of the clip).
 #[must_use]
 pub fn instant(splats: &Splats, t: f64, period_frames: f64) -> Splats {
     let from = splats.layout();
@@ -221,10 +222,46 @@ pub fn at_peak(splats: &Splats) -> Cow<'_, Splats> {
     Cow::Owned(out)
 }
 
+/// Signs of real spherical harmonics when y and z change theirs: -1 for an odd number of factors y and z.
+const HARMONICS: [f32; 16] = [
+    1.0, // 1
+    -1.0, -1.0, 1.0, // y, z, x
+    -1.0, 1.0, 1.0, -1.0, 1.0, // xy, yz, 2zz-xx-yy, xz, xx-yy
+    -1.0, 1.0, -1.0, -1.0, 1.0, -1.0, 1.0, // y(..), xyz, y(..), z(..), x(..), z(..), x(..)
+];
+
+/// Turns splats; twice is the identity, bit for bit.
+pub(crate) fn turn_splats(splats: &mut Splats) {
+    let layout = splats.layout();
+    for column in [Column::Mean, Column::Velocity] {
+        for k in 1..3 {
+            negate(splats.column_mut(column, k));
+        }
+    }
+    // F R F: the axes of the Gaussian may point either way
+    for k in 2..layout.range(Column::Quat).len() {
+        negate(splats.column_mut(Column::Quat, k));
+    }
+    for term in 0..layout.colour_terms() {
+        if HARMONICS[term % layout.sh_terms()] < 0.0 {
+            for channel in 0..3 {
+                negate(splats.column_mut(Column::Colour, 3 * term + channel));
+            }
+        }
+    }
+}
+
+fn negate(column: &mut [f32]) {
+    for v in column {
+        *v = -*v;
+    }
+}
+
 #[cfg(test)]
 mod tests {
-    use super::{at_peak, instant};
-    use m4_core::{Column, SplatLayout, Splats};
+    use super::{HARMONICS, at_peak, instant, turn_splats};
+    use m4_core::nalgebra::{Vector3, Vector4};
+    use m4_core::{Column, SplatLayout, Splats, quat};
 
     #[test]
     fn instants_evaluate_motion_and_temporal_weight() {
@@ -260,5 +297,57 @@ mod tests {
         assert_eq!(peak.layout().time_degree, 0);
         assert_eq!(peak.column(Column::Colour, 3), &[0.0, 2.75]);
         assert_eq!(peak.column(Column::Velocity, 2), &[7.0]);
+    }
+
+    #[test]
+    fn rotating_splats_rotates_covariance() {
+        let layout = SplatLayout { isotropic: false, sh_degree: 3, time_degree: 0 };
+        let mut splats = Splats::zeros(layout, 1, 0);
+        for (k, v) in [0.9, -0.3, 0.2, 0.4].into_iter().enumerate() {
+            splats.column_mut(Column::Quat, k)[0] = v;
+        }
+        splats.column_mut(Column::Mean, 1)[0] = 2.0;
+        let covariance = |s: &Splats| {
+            let q = Vector4::from_fn(|k, _| f64::from(s.column(Column::Quat, k)[0])).normalize();
+            let r = quat::rotation(&q);
+            r * m4_core::nalgebra::Matrix3::from_diagonal(&Vector3::new(1.0, 4.0, 9.0)) * r.transpose()
+        };
+        let before = covariance(&splats);
+        let mut turned = splats.clone();
+        turn_splats(&mut turned);
+        let f = m4_core::nalgebra::Matrix3::from_diagonal(&Vector3::new(1.0, -1.0, -1.0));
+        assert!((covariance(&turned) - f * before * f).amax() < 1e-6);
+        assert_eq!(turned.column(Column::Mean, 1), &[-2.0]);
+        turn_splats(&mut turned);
+        assert_eq!(turned, splats);
+    }
+
+    #[test]
+    fn harmonics_change_sign_as_their_polynomials_do() {
+        let value = |x: f64, y: f64, z: f64| {
+            let (xx, yy, zz) = (x * x, y * y, z * z);
+            [
+                1.0,
+                y,
+                z,
+                x,
+                x * y,
+                y * z,
+                2.0 * zz - xx - yy,
+                x * z,
+                xx - yy,
+                y * (3.0 * xx - yy),
+                x * y * z,
+                y * (4.0 * zz - xx - yy),
+                z * (2.0 * zz - 3.0 * xx - 3.0 * yy),
+                x * (4.0 * zz - xx - yy),
+                z * (xx - yy),
+                x * (xx - 3.0 * yy),
+            ]
+        };
+        let (here, turned) = (value(0.3, 0.5, 0.7), value(0.3, -0.5, -0.7));
+        for l in 0..16 {
+            assert!((here[l] * f64::from(HARMONICS[l]) - turned[l]).abs() < 1e-12, "{l}");
+        }
     }
 }

@@ -19,11 +19,9 @@
 //!
 //! Source: the README of `nianticlabs/spz`.
 
+use super::splats::{sigmoid, turn_splats, unit};
+use super::{Loss, VerifiedFile, Written, instant};
 use crate::WriteError;
-use crate::scene::common::VerifiedFile;
-use crate::scene::rub::turn_splats;
-use crate::scene::splats::{sigmoid, unit};
-use crate::scene::{Loss, Written, instant};
 use flate2::{Compression, GzBuilder};
 use m4_core::{Column, Scene, Splats};
 use std::io::Write;
@@ -32,16 +30,10 @@ use std::path::Path;
 /// Effort of gzip: that of zlib.
 const GZIP_LEVEL: u32 = 6;
 
-/// Writes the splats that the instant `t` (frames) sees; the bytes on the disk are compared before the
-/// file gets its name.
-///
-/// # Errors
-///
-/// [`WriteError`]; what was at `path` is then still there.
+/// Writes the splats that the instant `t` (frames) sees; the file gets its name when the bytes on the disk are compared.
 pub fn write(path: &Path, scene: &Scene, t: f64) -> Result<Written, WriteError> {
     if !t.is_finite() {
-        let what = format!("t = {t}; a number of frames was expected");
-        return Err(WriteError::bad(path, what));
+        return Err(WriteError::bad(path, format!("t = {t}; a number of frames was expected")));
     }
     let io = |e| WriteError::io(path, e);
     let mut splats = instant(&scene.splats, t, scene.time_frames as f64);
@@ -104,8 +96,7 @@ struct Encoded {
     clipped_harmonics: usize,
 }
 
-/// Packs static splats with three scales and quaternions. Fails with the row of a position that is NaN or
-/// beyond the range of the format.
+/// Packs static splats; fails with the row of a position that is NaN or beyond the range of the format.
 fn encode(splats: &Splats, mip: bool) -> Result<Encoded, String> {
     let n = splats.n();
     let header = Header {
@@ -226,20 +217,10 @@ struct Header {
 }
 
 impl Header {
-    /// Harmonics beyond degree 0, a channel.
-    fn rest_terms(&self) -> usize {
-        let side = usize::from(self.sh_degree) + 1;
-        side * side - 1
-    }
-
-    /// Bytes per splat of positions, alphas, colours, scales, rotations, harmonics.
-    fn widths(&self) -> [usize; 6] {
-        [9, 1, 3, 3, 4, 3 * self.rest_terms()]
-    }
-
-    /// Bytes of all blocks.
+    /// Bytes of all blocks: positions, alphas, colours, scales, rotations, harmonics beyond degree 0.
     fn payload_bytes(&self) -> u64 {
-        u64::from(self.splats) * self.widths().iter().sum::<usize>() as u64
+        let terms = (u64::from(self.sh_degree) + 1).pow(2) - 1;
+        u64::from(self.splats) * (9 + 1 + 3 + 3 + 4 + 3 * terms)
     }
 
     fn to_bytes(self) -> [u8; HEADER_BYTES] {

@@ -27,7 +27,6 @@ mod decoder;
 mod ffmpeg;
 mod h264;
 mod mp4;
-mod orient;
 mod plan;
 mod read;
 mod write;

@@ -149,9 +149,8 @@ pub fn thinned(kept: usize, of: usize) -> Option<String> {
 pub struct VideoOptions {
     /// Keep at most this many frames, evenly spaced from the first to the last. Default: all.
     pub max_frames: Option<usize>,
-    /// Shrink frames so that their longest side has this many pixels; smaller frames stay as they are.
-    /// Default 640, between the 480 of the paper's DyCheck runs and the width of 360p video.
-    /// `None` keeps the size of the file.
+    /// Shrink frames so that their longest side has this many pixels; smaller frames stay as they are. Default 640, between
+    /// the 480 of the paper's DyCheck runs and the width of 360p video. `None` keeps the size of the file.
     pub size: Option<usize>,
     /// Leave out what is shown before, seconds from the first frame. Default: nothing.
     pub start_s: Option<f64>,
@@ -189,8 +188,7 @@ impl Default for VideoOptions {
 
 #[cfg(test)]
 mod tests {
-    use super::VideoOptions;
-    use super::{evenly, select};
+    use super::{VideoOptions, evenly, select};
 
     #[test]
     fn kept_frames_span_the_clip_evenly() {

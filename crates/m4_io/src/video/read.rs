@@ -22,19 +22,11 @@ const UNKNOWN: &str = "its first bytes are those of no known container; give an 
 /// Reads a clip: a video file or a folder of images. Frames come upright (display matrix applied),
 /// in sRGB, in order of time, all of one size; what the user should know is in [`Video::warnings`].
 /// H.264 is decoded by the program of [`super::set_decoder_program`], and in this process where there is none.
-///
-/// # Errors
-///
-/// [`ReadError`], which names the file, what is wrong with it and what to do.
 pub fn read(path: &Path, options: &VideoOptions, progress: &dyn Progress) -> Result<Video, ReadError> {
     read_with(decoder_program(), path, options, progress)
 }
 
 /// As [`read()`], with H.264 decoded, and on Linux ffmpeg started, by the given program, or by this process.
-///
-/// # Errors
-///
-/// As [`read()`].
 pub fn read_with(
     decoder: Option<&DecoderProgram>,
     path: &Path,
@@ -89,14 +81,12 @@ pub(super) fn not_video(reason: &str) -> Fault {
 
 /// There is sound but no image.
 pub(super) fn no_video_track(found: &str) -> Fault {
-    let what = format!("it has no video track ({found})");
-    Fault::bad(what, "a clip filmed with a moving camera is needed")
+    Fault::bad(format!("it has no video track ({found})"), "a clip filmed with a moving camera is needed")
 }
 
 /// Not one frame came out.
 pub(super) fn no_frames(reason: &str) -> Fault {
-    let what = format!("it has no frame that can be decoded: {reason}");
-    Fault::bad(what, "record or export it again")
+    Fault::bad(format!("it has no frame that can be decoded: {reason}"), "record or export it again")
 }
 
 /// The name of a container that only ffmpeg reads, or why the file is none that is known.
@@ -164,8 +154,8 @@ fn mp4(
     let codec = track.entries[0].codec;
     let h264::Unsupported(what) = if matches!(&codec, b"avc1" | b"avc3") {
         match h264::read(file, track, options, decoder, progress)? {
-            h264::Outcome::Decoded(video) => return Ok(video),
-            h264::Outcome::Unsupported(unsupported) => unsupported,
+            Ok(video) => return Ok(video),
+            Err(unsupported) => unsupported,
         }
     } else {
         h264::Unsupported(mp4::codec_name(codec))
@@ -231,10 +221,7 @@ fn other_size(file: &Path, (w, h): (usize, usize), (width, height): (usize, usiz
 }
 
 /// The images (PNG, JPEG) of a folder in natural order: `2.png` before `10.png`; at least one.
-///
-/// # Errors
-///
-/// [`ReadError`] if the folder cannot be read or has none.
+/// Fails if the folder cannot be read or has none.
 pub fn image_files(path: &Path) -> Result<Vec<PathBuf>, ReadError> {
     let files = files::listed(path, &["png", "jpg", "jpeg"])?;
     if files.is_empty() {

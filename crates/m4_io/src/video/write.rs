@@ -47,12 +47,8 @@ impl std::fmt::Debug for Mp4Writer {
 }
 
 impl Mp4Writer {
-    /// Starts a clip of `width` x `height` pixels (odd sides grow by one column or row) at `fps` frames
-    /// a second.
-    ///
-    /// # Errors
-    ///
-    /// [`WriteError`] for sizes or rates that H.264 does not have, and when the file system refuses.
+    /// Starts a clip of `width` x `height` pixels (odd sides grow by one column or row) at `fps` frames a second. Fails for
+    /// sizes or rates that H.264 does not have, and when the file system refuses.
     pub fn create(path: &Path, width: usize, height: usize, fps: f64) -> Result<Self, WriteError> {
         let unsupported = |what: String| WriteError::unsupported(path, what);
         let (even_width, even_height) = (width.next_multiple_of(2), height.next_multiple_of(2));
@@ -93,11 +89,7 @@ impl Mp4Writer {
         Ok(Self { path: path.to_path_buf(), size: (width, height), fps, frames: 0, encoder, matrix, muxer })
     }
 
-    /// Adds a frame.
-    ///
-    /// # Errors
-    ///
-    /// [`WriteError`] if its size is not that of the clip or the encoder fails.
+    /// Adds a frame. Fails if its size is not that of the clip or the encoder fails.
     pub fn push(&mut self, image: &RgbImage) -> Result<(), WriteError> {
         if image.size() != self.size {
             let ((w, h), (width, height)) = (image.size(), self.size);
@@ -121,12 +113,8 @@ impl Mp4Writer {
         Ok(())
     }
 
-    /// Completes the file, decodes it again, and gives it its name.
-    ///
-    /// # Errors
-    ///
-    /// [`WriteError`] if there were no frames, the file system refuses, or the file does not hold
-    /// as many decodable frames as were pushed.
+    /// Completes the file, decodes it again, and gives it its name. Fails if there were no frames, the file system refuses,
+    /// or the file does not hold as many decodable frames as were pushed.
     pub fn finish(self) -> Result<(), WriteError> {
         let Self { path, size, frames, mut muxer, .. } = self;
         if frames == 0 {

@@ -1,7 +1,7 @@
 //! Clips of DAVIS, NVIDIA and DyCheck, compared with what `oracles/import_formats_b.py` wrote them from.
 
-use super::truth_b::*;
-use crate::dataset::support::{Heard, copied, edit, fixture, refused, refuses, says};
+use super::truth::*;
+use crate::dataset::{Heard, copied, edit, fixture, refused, refuses, says};
 use m4_core::Silent;
 use m4_io::dataset::davis::{detect, read_clip};
 use m4_io::dataset::dycheck::covisible;
@@ -120,9 +120,9 @@ fn malformed_nvidia_is_rejected_with_file_and_reason() {
     std::fs::rename(path.join("gt/v000_t004.png"), path.join("gt/v000_t005.png")).unwrap();
     refuses(&path, SourceFormat::Nvidia, &["v000_t005.png", "time 5"]);
     std::fs::remove_file(path.join("motion_masks/002.png")).unwrap();
-    refuses(&path, SourceFormat::Nvidia, &["motion_masks", "4 masks for 5 poses"]);
+    refuses(&path, SourceFormat::Nvidia, &["motion_masks", "4 masks (000.png to 004.png) for 5 training frames"]);
     std::fs::remove_file(path.join("images_2/002.png")).unwrap();
-    refuses(&path, SourceFormat::Nvidia, &["images_2", "4 images for 5 poses"]);
+    refuses(&path, SourceFormat::Nvidia, &["images_2", "4 images (000.png to 004.png) for 5 training frames"]);
     let bytes = std::fs::read(path.join("poses_bounds.npy")).unwrap();
     std::fs::write(path.join("poses_bounds.npy"), &bytes[..bytes.len() - 8]).unwrap();
     refuses(&path, SourceFormat::Nvidia, &["poses_bounds.npy", "damaged or cut off"]);

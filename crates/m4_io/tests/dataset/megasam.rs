@@ -1,11 +1,11 @@
 //! Files of MegaSaM, as numpy writes them; damaged ones are refused.
 
-use crate::dataset::support::{Heard, fixture as any_fixture, says};
+use crate::common::npy;
+use crate::dataset::{Heard, fixture as any_fixture, says};
 use m4_core::{Capture, Intrinsics, Progress, Se3, Silent, exp_so3, nalgebra::Vector3};
-use m4_io::ErrorKind;
-use m4_io::ReadError;
 use m4_io::dataset::ImportOptions;
 use m4_io::dataset::SourceFormat::Megasam;
+use m4_io::{ErrorKind, ReadError};
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -93,12 +93,8 @@ fn options_say_what_the_files_do_not() {
 
 /// Writes a map of motion for the fixture's clip.
 fn motion(path: &Path, frames: usize, value: f32) {
-    let text = format!("{{'descr': '<f4', 'fortran_order': False, 'shape': ({frames}, 2, 3), }}\n");
-    let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
-    bytes.extend((text.len() as u16).to_le_bytes());
-    bytes.extend(text.as_bytes());
-    bytes.extend(value.to_le_bytes().repeat(frames * 6));
-    fs::write(path, bytes).unwrap();
+    let bytes = value.to_le_bytes().repeat(frames * 6);
+    fs::write(path, npy("<f4", &format!("({frames}, 2, 3)"), &bytes)).unwrap();
 }
 
 #[test]

@@ -1,6 +1,6 @@
 //! Sources that name files outside of their folder, or lead to them by links.
 
-use crate::dataset::support::{copied, fixture, refused, refuses, says};
+use crate::dataset::{copied, fixture, refused, refuses, says};
 use m4_core::Silent;
 use m4_io::dataset::SourceFormat::{self, Nerfstudio};
 use m4_io::dataset::{ImportOptions, read};

@@ -1,8 +1,8 @@
 //! `fixtures/import/record3d/clip.r3d` (lenses of 96 x 72 for images of 48 x 36, depth of 24 x 18), and depth, masks and tracks of other
 //! tools for it (`fixtures/import/side`).
 
-use super::truth_b::*;
-use crate::dataset::support::{Heard, edit, fixture, refuses, says};
+use super::truth::*;
+use crate::dataset::{Heard, edit, fixture, refuses, says};
 use m4_core::Silent;
 use m4_io::dataset::side::depth::read_depth;
 use m4_io::dataset::side::mask::read_mask;

@@ -17,23 +17,19 @@
 //!
 //! Source: COLMAP's documentation, "Output Format" and "Camera Models"; the rigs of 3.12 and later leave `images` as it was.
 
-mod binary;
-mod lens;
+mod parse;
 mod tables;
-mod text;
-mod write;
 
-use crate::dataset::files::{Inside, clock, images};
-use crate::dataset::{ImportOptions, ListedFrame, Listing};
+pub use tables::{ColmapCamera, ColmapImage, ColmapPoint, ColmapTables, read_points, read_tables, write};
+
+use super::files::{Inside, duration_s, given_fps, stored_image};
+use super::{Distortion, ImportOptions, Lens, ListedFrame, Listing};
 use crate::error::AtPath;
-use crate::files::below;
-use crate::files::natural;
+use crate::files::{below, natural};
 use crate::{Fault, ReadError};
-use m4_core::Progress;
+use m4_core::{Intrinsics, Progress};
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
-pub use tables::{ColmapCamera, ColmapImage, ColmapPoint, ColmapTables, read_points, read_tables};
-pub use write::write;
 
 /// Whether there is a sparse model in or at `path`.
 pub(super) fn detect(path: &Path) -> bool {
@@ -72,7 +68,7 @@ fn image_folder(
 }
 
 pub(super) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress) -> Result<Listing, ReadError> {
-    clock::fps(options).at(path)?;
+    given_fps(options).at(path)?;
     let folder = model_folder(path).ok_or_else(|| {
         let hint = "a folder with cameras and images, both .bin or both .txt, or one with sparse/0 is needed";
         Fault::missing("a sparse model", hint).at(path)
@@ -83,7 +79,7 @@ pub(super) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress
     let ColmapTables { cameras, mut images } = read_tables(&folder)?;
     let mut lenses = HashMap::new();
     for camera in &cameras {
-        let k = lens::of(camera).map_err(|e| e.within(&folder, format!("camera {}", camera.id)))?;
+        let k = lens_of(camera).map_err(|e| e.within(&folder, format!("camera {}", camera.id)))?;
         lenses.entry(camera.id).or_insert(k);
     }
     images.sort_by(|a, b| natural(&a.name, &b.name));
@@ -100,28 +96,136 @@ pub(super) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress
         let c2w = image.c2w().map_err(at)?;
         let file = below(&images_in, &image.name).map_err(at)?;
         let file = inside.check(file).map_err(at)?;
-        let stored = images::of_file(&file).map_err(|e| at(e.into()))?;
+        let stored = stored_image(&file).map_err(|e| at(e.into()))?;
         lens.check_size(stored.size).map_err(at)?;
-        let t = places.as_ref().map_or(i as f64, |places| places.of[i] as f64);
+        let t = places.as_ref().map_or(i as f64, |(of, _)| of[i] as f64);
         train.push(ListedFrame::new(image.name.clone(), *lens, c2w, t, stored.rgb));
     }
-    let time_frames = places.map_or(train.len(), |places| places.all);
-    let duration_s = clock::duration_s(time_frames, options, progress);
+    let time_frames = places.map_or(train.len(), |(_, all)| all);
+    let duration_s = duration_s(time_frames, options, progress);
     Ok(Listing::of_video(train, time_frames, duration_s))
 }
 
-/// Where frames are in the folder that they were taken from.
-struct Places {
-    of: Vec<usize>,
-    all: usize,
-}
-
-/// The places of the images among all images of their folder; `None` where they lie in several.
-fn places(folder: &Path, images: &[ColmapImage]) -> Option<Places> {
+/// The places of the images among all images of their folder, and how many these are; `None` where they lie in several.
+fn places(folder: &Path, images: &[ColmapImage]) -> Option<(Vec<usize>, usize)> {
     let inner = Path::new(&images.first()?.name).parent()?;
     let files = crate::video::image_files(&folder.join(inner)).ok()?;
     let name = |file: &PathBuf| Some(inner.join(file.file_name()?));
     let index: HashMap<PathBuf, usize> = files.iter().enumerate().filter_map(|(i, f)| Some((name(f)?, i))).collect();
     let of: Option<Vec<usize>> = images.iter().map(|image| index.get(Path::new(&image.name)).copied()).collect();
-    Some(Places { of: of?, all: files.len() })
+    Some((of?, files.len()))
+}
+
+/// Longest side of an image, pixels.
+const MAX_SIDE: u64 = 1 << 16;
+
+/// The lens of a camera.
+fn lens_of(camera: &ColmapCamera) -> Result<Lens, Fault> {
+    let fisheye = |k: [f64; 4]| Distortion::Fisheye { k };
+    let radial = |k1, k2| Distortion::brown(k1, k2, 0.0, 0.0, 0.0);
+    let ([fx, fy, cx, cy], distortion) = match (camera.model.as_str(), camera.parameters.as_slice()) {
+        ("SIMPLE_PINHOLE", &[f, cx, cy]) => ([f, f, cx, cy], Distortion::None),
+        ("PINHOLE", &[fx, fy, cx, cy]) => ([fx, fy, cx, cy], Distortion::None),
+        ("SIMPLE_RADIAL", &[f, cx, cy, k]) => ([f, f, cx, cy], radial(k, 0.0)),
+        ("RADIAL", &[f, cx, cy, k1, k2]) => ([f, f, cx, cy], radial(k1, k2)),
+        ("OPENCV", &[fx, fy, cx, cy, k1, k2, p1, p2]) => ([fx, fy, cx, cy], Distortion::brown(k1, k2, 0.0, p1, p2)),
+        ("FULL_OPENCV", &[fx, fy, cx, cy, k1, k2, p1, p2, k3, k4, k5, k6]) => {
+            let full = Distortion::Brown { radial: [k1, k2, k3, k4, k5, k6], tangential: [p1, p2] };
+            let none = [k1, k2, p1, p2, k3, k4, k5, k6] == [0.0; 8];
+            ([fx, fy, cx, cy], if none { Distortion::None } else { full })
+        }
+        ("SIMPLE_FISHEYE", &[f, cx, cy]) => ([f, f, cx, cy], fisheye([0.0; 4])),
+        ("FISHEYE", &[fx, fy, cx, cy]) => ([fx, fy, cx, cy], fisheye([0.0; 4])),
+        ("SIMPLE_RADIAL_FISHEYE", &[f, cx, cy, k]) => ([f, f, cx, cy], fisheye([k, 0.0, 0.0, 0.0])),
+        ("RADIAL_FISHEYE", &[f, cx, cy, k1, k2]) => ([f, f, cx, cy], fisheye([k1, k2, 0.0, 0.0])),
+        ("OPENCV_FISHEYE", &[fx, fy, cx, cy, k1, k2, k3, k4]) => ([fx, fy, cx, cy], fisheye([k1, k2, k3, k4])),
+        (model, parameters) => {
+            let what = format!("its lens is of the model {model} with {} parameters", parameters.len());
+            let hint = "models of pinholes, RADIAL, OPENCV and their fisheyes are read; undistort the images \
+                          (`colmap image_undistorter`)";
+            return Err(Fault::unsupported(what, hint));
+        }
+    };
+    let side = |px: u64| (1..=MAX_SIDE).contains(&px);
+    if !(side(camera.width) && side(camera.height)) {
+        let what = format!("its images are {} x {} pixels", camera.width, camera.height);
+        return Err(Fault::bad(what, "export the model again"));
+    }
+    let lens = Lens {
+        intrinsics: Intrinsics { width: camera.width as usize, height: camera.height as usize, fx, fy, cx, cy },
+        distortion,
+    };
+    lens.check()?;
+    Ok(lens)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{ColmapCamera, lens_of};
+    use crate::dataset::Distortion;
+    use serde::Deserialize;
+
+    #[derive(Deserialize)]
+    struct Fixture {
+        points: Vec<[f64; 2]>,
+        models: Vec<Case>,
+        opencv: Vec<[f64; 2]>,
+        opencv_fisheye: Vec<[f64; 2]>,
+    }
+
+    #[derive(Deserialize)]
+    struct Case {
+        model: String,
+        parameters: Vec<f64>,
+        pixels: Vec<[f64; 2]>,
+    }
+
+    #[test]
+    fn lens_models_match_pycolmap_and_opencv() {
+        let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../fixtures/import/clip/lenses.json");
+        let fixture: Fixture = serde_json::from_slice(&std::fs::read(path).unwrap()).unwrap();
+        assert_eq!(fixture.models.len(), 11);
+        for case in &fixture.models {
+            let camera = ColmapCamera {
+                id: 1,
+                model: case.model.clone(),
+                width: 48,
+                height: 36,
+                parameters: case.parameters.clone(),
+            };
+            let lens = lens_of(&camera).unwrap();
+            let pinhole = ["SIMPLE_PINHOLE", "PINHOLE"].contains(&case.model.as_str());
+            assert_eq!(lens.distortion == Distortion::None, pinhole, "{}", case.model);
+            let by_opencv = match case.model.as_str() {
+                "OPENCV" => Some(&fixture.opencv),
+                "OPENCV_FISHEYE" => Some(&fixture.opencv_fisheye),
+                _ => None,
+            };
+            assert_eq!(case.pixels.len(), fixture.points.len());
+            for pixels in [Some(&case.pixels), by_opencv].into_iter().flatten() {
+                for ([x, y], [u, v]) in fixture.points.iter().zip(pixels) {
+                    let [a, b] = lens.distortion.distorted(*x, *y);
+                    let k = lens.intrinsics;
+                    let off = (k.fx * a + k.cx - u).abs().max((k.fy * b + k.cy - v).abs());
+                    assert!(off < 1e-9, "{} at ({x}, {y}): {off:e}", case.model);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn other_models_and_sizes_are_refused() {
+        let camera = |model: &str, width, parameters: &[f64]| ColmapCamera {
+            id: 1,
+            model: model.into(),
+            width,
+            height: 36,
+            parameters: parameters.to_vec(),
+        };
+        let refused = |c: &ColmapCamera| lens_of(c).unwrap_err().to_string();
+        assert!(refused(&camera("FOV", 48, &[50.0, 50.0, 24.0, 18.0, 0.9])).contains("FOV"));
+        assert!(refused(&camera("PINHOLE", 48, &[50.0, 24.0, 18.0])).contains("3 parameters"));
+        assert!(refused(&camera("PINHOLE", 1 << 40, &[50.0, 50.0, 24.0, 18.0])).contains("1099511627776 x 36"));
+        assert!(refused(&camera("PINHOLE", 48, &[50.0, f64::NAN, 24.0, 18.0])).contains("NaN"));
+    }
 }

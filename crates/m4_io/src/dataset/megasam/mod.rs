@@ -35,8 +35,8 @@ mod read;
 
 pub(super) use read::list;
 
+use super::ImportOptions;
 use crate::Fault;
-use crate::dataset::ImportOptions;
 use crate::npy::Npz;
 use m4_core::{CompactMask, Progress};
 use std::path::{Path, PathBuf};
@@ -119,8 +119,7 @@ fn mask_of(
     Ok(CompactMask::from_fn(size.0, size.1, |x, y| 1.0 - at(x, y) > tau_motion))
 }
 
-/// For each of `to` pixels its two neighbours of `from` and the weight of the second: bilinear, by the centres of
-/// pixels, edges repeated.
+/// The two neighbours of each of `to` pixels and the weight of the second: bilinear, by pixel centres, edges repeated.
 fn taps(from: usize, to: usize) -> Vec<(usize, usize, f64)> {
     let last = (from - 1) as f64;
     (0..to)

@@ -1,12 +1,11 @@
 //! Reads a file or folder of MegaSaM.
 
 use super::{BLOCK, Stored, candidates, check_polarity, depth_of, find_motion, mask_of};
-use crate::dataset::files::{clock, images};
+use crate::dataset::files::{self, duration_s, given_fps};
 use crate::dataset::{FrameSource, ImportOptions, Lens, ListedFrame, Listing, step};
 use crate::error::AtPath;
 use crate::npy::{Array, Npz, Number};
-use crate::pose;
-use crate::{Fault, ReadError};
+use crate::{Fault, ReadError, pose};
 use m4_core::{CompactMask, DepthMap, Intrinsics, Plane, Progress, RgbImage, Se3};
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
@@ -22,12 +21,10 @@ struct Clip {
     size: (usize, usize),
 }
 
-/// Lists a `.npz` file or a folder of reconstructions; see [the module](super) for what is converted.
-///
-/// What was assumed (the frame rate, a motion map that is missing or looks inverted) is reported to `progress`.
+/// Lists a `.npz` file or a folder of reconstructions; what was assumed is reported to `progress`.
 pub fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress) -> Result<Listing, ReadError> {
     let here = |cause: Fault| cause.at(path);
-    clock::fps(options).map_err(here)?;
+    given_fps(options).map_err(here)?;
     if !(0.0..=1.0).contains(&options.tau_motion) {
         let what = format!("the option tau_motion is {}; a probability, 0 to 1, was expected", options.tau_motion);
         return Err(here(Fault::bad(what, "give another")));
@@ -39,7 +36,7 @@ pub fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress) -> Re
     let images = input.images(clip, progress).map_err(here)?;
     let depths = input.depths(path, clip, progress).map_err(here)?;
     let mut masks = masks(path, clip, options, progress)?.map(Vec::into_iter);
-    let duration_s = clock::duration_s(clip.frames, options, progress);
+    let duration_s = duration_s(clip.frames, options, progress);
     let frames = images.into_iter().zip(depths).zip(cameras).enumerate();
     let frames = frames.map(|(i, ((rgb, depth), (intrinsics, c2w)))| {
         let (mask, motion) = masks.as_mut().and_then(Iterator::next).unzip();
@@ -104,7 +101,10 @@ impl Input {
         let planar = matches!(self.from, Storage::Folder(_));
         let limit_bytes = self.limit_bytes;
         let images = self.array("images")?;
-        check_bytes(&images)?;
+        if images.number != Number::U8 {
+            let what = format!("the array `images` holds numbers of type {:?}", images.number);
+            return Err(Fault::bad(what, "save it as uint8"));
+        }
         let clip = match (images.shape.as_slice(), planar) {
             (&[frames, h, w, 3], false) | (&[frames, 3, h, w], true) if frames * h * w > 0 => {
                 Clip { frames, size: (w, h) }
@@ -284,8 +284,7 @@ fn open(path: &Path, name: &str, limit_bytes: u64) -> Result<Array<'static>, Fau
 }
 
 fn shape_error(name: &str, array: &Array<'_>, expected: &str) -> Fault {
-    let what = format!("the array `{name}` has shape {:?} where {expected} was expected", array.shape);
-    Fault::bad(what, HINT)
+    Fault::bad(format!("the array `{name}` has shape {:?} where {expected} was expected", array.shape), HINT)
 }
 
 fn check_shape(name: &str, array: &Array<'_>, expected: &[usize], is: &str) -> Result<(), Fault> {
@@ -293,14 +292,6 @@ fn check_shape(name: &str, array: &Array<'_>, expected: &[usize], is: &str) -> R
         return Ok(());
     }
     Err(shape_error(name, array, &format!("{is} = {expected:?}")))
-}
-
-fn check_bytes(images: &Array<'_>) -> Result<(), Fault> {
-    if images.number == Number::U8 {
-        return Ok(());
-    }
-    let what = format!("the array `images` holds numbers of type {:?}", images.number);
-    Err(Fault::bad(what, "save it as uint8"))
 }
 
 fn check_floats(name: &str, array: &Array<'_>) -> Result<(), Fault> {
@@ -322,7 +313,7 @@ fn pinhole(numbers: [f64; 4], clip: Clip, array: &str, frame: usize) -> Result<I
             format!("the array `{array}`, frame {frame}: fx fy cx cy are {numbers:?} for images of {w} x {h} pixels");
         return Err(Fault::bad(what, HINT));
     }
-    Ok(images::pinhole(numbers, clip.size))
+    Ok(files::pinhole(numbers, clip.size))
 }
 
 fn plane<T>(w: usize, h: usize, data: Vec<T>) -> Result<Plane<T>, Fault> {

@@ -1,7 +1,7 @@
 //! Converts the entries of the file to frames.
 
-use super::json::{Frame, Transforms, lens_of};
-use crate::dataset::files::{Inside, clock, images};
+use super::{Frame, Transforms, lens_of};
+use crate::dataset::files::{Inside, duration_s, given_fps, stored_image};
 use crate::dataset::side::depth;
 use crate::dataset::{FrameSource, ImportOptions, ListedFrame, Listing};
 use crate::error::AtPath;
@@ -34,7 +34,7 @@ fn files(path: &Path) -> Option<(PathBuf, Option<PathBuf>)> {
 }
 
 pub fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress) -> Result<Listing, ReadError> {
-    clock::fps(options).at(path)?;
+    given_fps(options).at(path)?;
     let (train_file, test_file) = files(path).ok_or_else(|| {
         let hint = "give it or the folder that it is in";
         Fault::missing("transforms.json or transforms_train.json", hint).at(path)
@@ -59,7 +59,7 @@ pub fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress) -> Re
     }
     let duration_s = match train.duration_s()? {
         Some(s) if options.fps.is_none() => Some(s),
-        _ => clock::duration_s(time_frames, options, progress),
+        _ => duration_s(time_frames, options, progress),
     };
     Ok(Listing {
         train: frames,
@@ -85,8 +85,7 @@ pub fn list_capture(
     }
     let held_out = split == capture::Split::Test;
     if held_out && !list.timed {
-        let what = "time of the held-out views";
-        return Err(Fault::missing(what, "add their times, 0 to 1").within(file, "frames"));
+        return Err(Fault::missing("time of the held-out views", "add their times, 0 to 1").within(file, "frames"));
     }
     let time_frames = if held_out { list.time_frames()? } else { list.entries.len() };
     if !list.timed {
@@ -267,7 +266,7 @@ impl List {
         if let Some(undo) = &self.undo {
             c2w = undo.compose(&c2w);
         }
-        let image = images::of_file(&self.image(&entry.file_path, options)?)?;
+        let image = stored_image(&self.image(&entry.file_path, options)?)?;
         let beside = |name: &Option<String>| {
             let file = name.as_ref().map(|name| self.folder.join(name));
             file.map(|file| self.inside.check(file)).transpose()

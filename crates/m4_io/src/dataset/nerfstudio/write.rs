@@ -12,13 +12,12 @@
 //! Poses are in the world of the capture: nerfstudio turns and scales them for itself (`--orientation-method none --center-method none
 //! --auto-scale-poses False` keeps them).
 
-use super::json::{Frame, LensKeys, Transforms, rows};
-use crate::WriteError;
+use super::{Frame, LensKeys, Transforms, rows};
 use crate::capture::{depth_unit, farthest};
 use crate::dataset::colmap::ColmapPoint;
 use crate::dataset::export::{FramePaths, Staging, check, static_points, write_frames};
 use crate::scene::{Loss, Written};
-use crate::trajectory;
+use crate::{WriteError, trajectory};
 use m4_core::{Capture, CaptureFrame, Progress};
 use std::fmt::Write as _;
 use std::fs;
@@ -35,10 +34,7 @@ const MAX_POINTS: usize = 100_000;
 const POSE_WITHIN: f64 = 1e-6;
 
 /// Writes a capture, and held-out views beside it, into the folder `out`, where files of the same names are replaced.
-///
-/// # Errors
-///
-/// [`WriteError`]: nothing is then changed, unless the last renames fail.
+/// On failure nothing is changed, unless the last renames fail.
 pub fn write(
     out: &Path,
     train: &Capture,

@@ -1,7 +1,7 @@
 //! Masks of dynamic regions, one per file, or a stack in an npz archive.
 
 use super::depth::Stack;
-use crate::dataset::files::images::{check_pixels, size_of};
+use crate::dataset::files::{check_pixels, image_size};
 use crate::files::first_bytes;
 use crate::{Fault, image};
 use m4_core::{CompactIds, CompactMask, Plane, Progress};
@@ -26,13 +26,10 @@ pub struct ReadMask {
 
 /// Reads a mask: PNG, set where the number of the palette, the grey value or the colour is not 0; JPEG, set where the brightness
 /// is at least 128. With `invert` the other way round; then instances are not distinguished.
-///
-/// # Errors
-///
-/// [`Fault`]: it cannot be read or is damaged.
+/// Errors: it cannot be read or is damaged.
 pub fn read_mask(path: &Path, invert: bool) -> Result<ReadMask, Fault> {
     if !first_bytes::<4>(path).starts_with(b"\x89PNG") {
-        size_of(path)?;
+        image_size(path)?;
         let grey = image::read_grey(path)?;
         let (w, h) = grey.size();
         return Ok(ReadMask {
@@ -94,8 +91,7 @@ pub(crate) fn read_numbers(path: &Path) -> Result<Numbers, Fault> {
     let mut reader = decoder.read_info().map_err(damaged)?;
     let (width, height) = reader.info().size();
     if width > MAX_SIDE || height > MAX_SIDE {
-        let what = format!("an image of {width} x {height} pixels");
-        return Err(Fault::unsupported(what, "resize it"));
+        return Err(Fault::unsupported(format!("an image of {width} x {height} pixels"), "resize it"));
     }
     let (w, h) = (width as usize, height as usize);
     check_pixels(w, h, file_bytes)?;

@@ -21,23 +21,15 @@ pub mod depth;
 pub mod mask;
 pub mod tracks;
 
-mod depth_files;
-mod places;
-
-use crate::dataset::files::Inside;
-use crate::dataset::{FrameSource, ImportOptions, ListedFrame, Listing};
+use super::files::Inside;
+use super::{FrameSource, ImportOptions, ListedFrame, Listing};
 use crate::error::AtPath;
 use crate::files::listed;
 use crate::{Fault, ReadError};
-use m4_core::{CompactDepth, CompactMask, Progress};
+use m4_core::Progress;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 
-/// Gives the training frames of `listing` the depth, masks and tracks that `options` name, instead of their own.
-///
-/// # Errors
-///
-/// [`ReadError`], which names the folder or file: it cannot be read, or does not hold one map for each frame.
+/// Gives the training frames of `listing` the depth, masks and tracks that `options` name, one map for each frame.
 pub fn attach(listing: &mut Listing, options: &ImportOptions, progress: &dyn Progress) -> Result<(), ReadError> {
     if let Some(path) = &options.depth {
         let unit = depth::unit(options, depth::DEFAULT_UNIT).at(path)?;
@@ -69,11 +61,8 @@ fn attach_depth(
         return Ok(());
     }
     let stack = depth::read_stack(path, frames.len(), unit, options.max_memory_bytes, progress);
-    let stack = stack.at(path)?;
-    let stack: Arc<Vec<CompactDepth>> = Arc::new(stack);
-    for (i, frame) in frames.iter_mut().enumerate() {
-        let stack = Arc::clone(&stack);
-        frame.depth = Some(FrameSource::new(move || Ok(stack[i].clone())));
+    for (frame, map) in frames.iter_mut().zip(stack.at(path)?) {
+        frame.depth = Some(FrameSource::new(move || Ok(map.clone())));
     }
     Ok(())
 }
@@ -105,10 +94,8 @@ fn attach_masks(
         return Ok(());
     }
     let stack = mask::read_stack(path, frames.len(), invert, options.max_memory_bytes, progress);
-    let stack: Arc<Vec<CompactMask>> = Arc::new(stack.at(path)?);
-    for (i, frame) in frames.iter_mut().enumerate() {
-        let stack = Arc::clone(&stack);
-        frame.mask = Some(FrameSource::new(move || Ok(stack[i].clone())));
+    for (frame, mask) in frames.iter_mut().zip(stack.at(path)?) {
+        frame.mask = Some(FrameSource::new(move || Ok(mask.clone())));
         frame.instances = None;
     }
     Ok(())

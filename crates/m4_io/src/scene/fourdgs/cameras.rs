@@ -1,15 +1,14 @@
-//! The cameras of the video as a sensor on a rig, and an initial view for viewers.
+//! What goes into records beside the splats: the cameras of the video as a sensor on a rig, an initial view for viewers, and the
+//! properties of a scene without a field in the format as our own metadata record.
 
 use super::convert::Clip;
-use crate::scene::Loss;
-use crate::scene::usable;
+use crate::scene::{Loss, usable};
 use ::fourdgs::provenance::Provenance;
 use ::fourdgs::records::{POSE_TO_RIG, POSE_TO_SCENE, TRAJECTORY_LINEAR};
-use ::fourdgs::{Camera as View, CoordinateFrame, RigTrajectory, SensorCalibration};
-use m4_core::{
-    Camera, Column, Exposure, Intrinsics, Scene, Se3, SourceFrame,
-    nalgebra::{Quaternion, Rotation3, UnitQuaternion, Vector3},
-};
+use ::fourdgs::{Camera as View, CoordinateFrame, Metadata, RigTrajectory, SensorCalibration};
+use m4_core::nalgebra::{Quaternion, Rotation3, UnitQuaternion, Vector3};
+use m4_core::{Camera, Column, Exposure, Intrinsics, Scene, Se3, SourceFrame, median};
+use std::collections::BTreeMap;
 
 /// Name of the rig, its sensor and the frame of the world.
 const NAME: &str = "source";
@@ -111,11 +110,7 @@ fn median_depth(scene: &Scene, camera: &Camera) -> f64 {
         .map(|i| (Vector3::new(f64::from(x[i]), f64::from(y[i]), f64::from(z[i])) - centre).dot(&axis))
         .filter(|&d| d > 0.0)
         .collect();
-    if depths.is_empty() {
-        return 1.0;
-    }
-    let middle = depths.len() / 2;
-    *depths.select_nth_unstable_by(middle, f64::total_cmp).1
+    median(&mut depths).unwrap_or(1.0)
 }
 
 /// The cameras of a file: those of its first pinhole sensor, one per pose of its rig.
@@ -177,5 +172,56 @@ pub(super) fn up(provenance: &Provenance, coordinate_system: Option<&str>) -> Op
         s if s.starts_with("y-up") => Some(AXES[1]),
         s if s.starts_with("z-up") => Some(AXES[2]),
         _ => None,
+    }
+}
+
+/// Name of the record.
+const RECORD: &str = "minute4d";
+/// Longest clip that is read, frames; more is a damaged number.
+pub(super) const MAX_FRAMES: usize = 100_000;
+
+/// The facts of the record; those that are missing or make no sense are `None`.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub(super) struct Notes {
+    pub time_frames: Option<usize>,
+    pub duration_s: Option<f64>,
+    pub background: Option<[f32; 3]>,
+    pub near: Option<f32>,
+    pub mip: Option<bool>,
+}
+
+/// The metadata record of a scene. Numbers are written so that they come back bit by bit.
+pub(super) fn record(scene: &Scene) -> Metadata {
+    let [r, g, b] = scene.background;
+    let mut entries = BTreeMap::from([
+        ("time_frames".to_owned(), scene.time_frames.to_string()),
+        ("background".to_owned(), format!("{r} {g} {b}")),
+        ("near".to_owned(), scene.near.to_string()),
+        ("mip".to_owned(), scene.mip.to_string()),
+    ]);
+    if let Some(s) = scene.duration_s {
+        entries.insert("duration_s".to_owned(), s.to_string());
+    }
+    Metadata { name: RECORD.to_owned(), entries }
+}
+
+impl Notes {
+    /// The facts in the records of a file.
+    pub(super) fn read(records: &[Metadata]) -> Self {
+        let Some(record) = records.iter().find(|r| r.name == RECORD) else {
+            return Self::default();
+        };
+        let text = |key: &str| record.entries.get(key).map(String::as_str);
+        let colour = |text: &str| {
+            let parts: Vec<f32> = text.split(' ').map_while(|v| v.parse().ok()).collect();
+            <[f32; 3]>::try_from(parts).ok()
+        };
+        Self {
+            time_frames: text("time_frames").and_then(|v| v.parse().ok()).filter(|n| (1..=MAX_FRAMES).contains(n)),
+            duration_s: text("duration_s").and_then(|v| v.parse().ok()).filter(|s: &f64| s.is_finite() && *s >= 0.0),
+            background: text("background").and_then(colour).filter(|c| c.iter().all(|v| v.is_finite())),
+            near: text("near").and_then(|v| v.parse().ok()).filter(|v: &f32| v.is_finite() && *v >= 0.0),
+            mip: text("mip").and_then(|v| v.parse().ok()),
+        }
     }
 }

@@ -17,13 +17,152 @@
 
 mod cameras;
 mod convert;
-mod notes;
 mod read;
-mod verify;
-mod write;
-
 #[cfg(test)]
 mod tests;
 
 pub use read::{parse, read};
-pub use write::{FourdgsConfig, Precision, encode, write};
+
+use super::{Clock, DEFAULT_FPS, Loss, Written, at_peak, check_finite, plural, publish};
+use crate::WriteError;
+use ::fourdgs::quantization::{Bounds, Profile};
+use ::fourdgs::stream_reader::{ReadOptions, read_from};
+use ::fourdgs::{GaussianSet, SceneExtras, WriteOptions, write_to_vec};
+use convert::{Clip, to_set, verify};
+use m4_core::Scene;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::path::Path;
+
+/// How a `.4dgs` file is written.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct FourdgsConfig {
+    /// How fine the grids are that values are rounded to.
+    pub precision: Precision,
+    /// Effort of deflate, 0 to 9. 6: the default of the container's reference encoder.
+    pub compression: u32,
+}
+
+impl Default for FourdgsConfig {
+    fn default() -> Self {
+        Self { precision: Precision::Normal, compression: 6 }
+    }
+}
+
+/// Bounds of the format (section 6): errors of position (in median scales), scale, colour, opacity, moment, duration.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Precision {
+    /// `fine`: 0.02, 0.5 %, 1/510, 0.5 ms, 0.5 %.
+    Fine,
+    /// `default`: 0.05, 2 %, 1/255, 2 ms, 2 %.
+    Normal,
+    /// `coarse`: 0.2, 6 %, 3/255, 8 ms, 6 %.
+    Coarse,
+}
+
+impl Precision {
+    fn profile(self) -> Profile {
+        match self {
+            Self::Fine => Profile::Fine,
+            Self::Normal => Profile::Default,
+            Self::Coarse => Profile::Coarse,
+        }
+    }
+}
+
+/// Writes a scene, atomically. The bytes are decoded and compared before the file takes its name. Fails when the scene has
+/// values that are not finite, the file system refuses, or the bytes do not decode to the scene.
+pub fn write(path: &Path, scene: &Scene, config: &FourdgsConfig) -> Result<Written, WriteError> {
+    let (bytes, losses) = encode(path, scene, config)?;
+    publish(path, &bytes)?;
+    Ok(Written { path: path.to_path_buf(), bytes: bytes.len() as u64, splats: scene.splats.n(), losses })
+}
+
+/// The bytes of the file `path`, decoded and compared with the scene, and what they cannot hold.
+pub fn encode(path: &Path, scene: &Scene, config: &FourdgsConfig) -> Result<(Vec<u8>, Vec<Loss>), WriteError> {
+    check_finite(path, scene)?;
+    let clock = Clock::of(scene);
+    let clip = Clip { step_s: clock.step_s, frames: scene.time_frames.max(1) };
+    let splats = at_peak(&scene.splats);
+    let (set, clipped) = to_set(&splats, &clip);
+    let (provenance, unheld) = cameras::provenance(scene, &clip);
+    let extras = SceneExtras {
+        camera: cameras::view(scene, &clip),
+        metadata: vec![cameras::record(scene)],
+        provenance,
+        ..SceneExtras::default()
+    };
+    let options = WriteOptions {
+        profile: config.precision.profile(),
+        level: config.compression.min(9),
+        write_statistics: true,
+        verify: false,
+        library: concat!("minute4d ", env!("CARGO_PKG_VERSION")).to_owned(),
+        metadata: BTreeMap::from([("color_space".to_owned(), "srgb-rec709-display".to_owned())]),
+        ..WriteOptions::default()
+    };
+    let bad = |e: ::fourdgs::Error| WriteError::bad(path, e.to_string());
+    let bytes = write_to_vec(&set, f64::from(clip.duration_s()), &options, &extras).map_err(bad)?;
+    let bounds = Bounds::for_profile(options.profile, median(&set));
+    decodes_to(&bytes, &set, &bounds).map_err(|reason| WriteError::encode(path, reason))?;
+
+    let mut losses = Vec::new();
+    if clock.assumed {
+        losses.push(Loss::Baked(format!(
+            "seconds, at {DEFAULT_FPS} frames per second: the scene does not know how long it lasts"
+        )));
+    }
+    if scene.splats.layout().time_degree > 0 {
+        losses.push(Loss::Baked(
+            "the harmonics of time: every colour is that in the middle of the splat's lifetime".to_owned(),
+        ));
+    }
+    if scene.mip {
+        losses.push(Loss::Dropped("the Mip filter for other players (minute4d finds it in the metadata)".to_owned()));
+    }
+    losses.extend(unheld);
+    losses.extend(clipped);
+    losses.extend(steps(&bounds, &set, splats.layout().sh_degree));
+    Ok((bytes, losses))
+}
+
+fn decodes_to(bytes: &[u8], set: &GaussianSet, bounds: &Bounds) -> Result<(), String> {
+    let options = ReadOptions { recover_truncated: false, ..ReadOptions::default() };
+    let file = read_from(bytes, &options).map_err(|e| e.to_string())?;
+    verify(set, bounds, &file)
+}
+
+/// The median over all scales, as the container measures its bound of positions by; see `Bounds`.
+fn median(set: &GaussianSet) -> f64 {
+    let mut scales = set.scales.clone();
+    if scales.is_empty() {
+        return 1e-3;
+    }
+    scales.sort_unstable_by(f32::total_cmp);
+    let (low, high) = (scales[(scales.len() - 1) / 2], scales[scales.len() / 2]);
+    if scales.len() % 2 == 1 { f64::from(high) } else { 0.5 * (f64::from(low) + f64::from(high)) }
+}
+
+fn steps(bounds: &Bounds, set: &GaussianSet, sh_degree: usize) -> Vec<Loss> {
+    let percent = |v: f64| format!("{} %", 100.0 * v);
+    let mut all = vec![
+        format!("positions by up to {:.2e} units", bounds.pos),
+        format!("scales by up to {}", percent(bounds.scale_rel)),
+        format!("colours and opacities by up to {:.1}/255", 255.0 * bounds.rgb),
+    ];
+    let moving = set.sigma_t.iter().filter(|s| s.is_finite()).count();
+    if moving > 0 {
+        all.push(format!(
+            "of {}: moments by up to {} ms, durations by up to {}",
+            plural(moving, "moving splat"),
+            1e3 * bounds.time,
+            percent(bounds.sigma_rel)
+        ));
+    }
+    if sh_degree > 0 {
+        all.push("harmonics by up to 0.016".to_owned());
+    }
+    all.into_iter().map(Loss::Quantised).collect()
+}

@@ -1,8 +1,8 @@
 //! Reads a `.4dgs` file as a scene.
 
 use super::cameras;
-use super::convert::{BadField, Clip, from_set};
-use super::notes::{MAX_FRAMES, Notes};
+use super::cameras::{MAX_FRAMES, Notes};
+use super::convert::{Clip, from_set};
 use crate::error::AtPath;
 use crate::files::bytes;
 use crate::scene::{DEFAULT_FPS, Imported, Loss};
@@ -18,27 +18,18 @@ use std::path::Path;
 /// Near plane where the file does not say, world units.
 const NEAR: f32 = 0.01;
 
-/// Reads a file of any writer.
-///
-/// # Errors
-///
-/// [`ReadError`] if the file is missing, damaged, or of a kind that is not known here.
+/// Reads a file of any writer. Fails if the file is missing, damaged, or of a kind that is not known here.
 pub fn read(path: &Path) -> Result<Imported, ReadError> {
     parse(path, &bytes(path, u64::MAX).at(path)?)
 }
 
-/// The scene in the bytes of a file; `path` is for messages alone.
-///
-/// # Errors
-///
-/// As [`read`]. Decoding allocates no more than 48 MiB and 96 bytes per byte of the file.
+/// The scene in the bytes of a file; allocates at most 48 MiB and 96 bytes per byte. `path` is for messages alone.
 pub fn parse(path: &Path, bytes: &[u8]) -> Result<Imported, ReadError> {
     scene_of(bytes).at(path)
 }
 
 fn unsupported(reason: impl Into<String>) -> Fault {
-    let hint = "write it again as .4dgs version 1 with the model gaussian-birth and deflate streams";
-    Fault::unsupported(reason, hint)
+    Fault::unsupported(reason, "write it again as .4dgs version 1 with the model gaussian-birth and deflate streams")
 }
 
 fn scene_of(bytes: &[u8]) -> Result<Imported, Fault> {
@@ -57,10 +48,7 @@ fn scene_of(bytes: &[u8]) -> Result<Imported, Fault> {
     }
     let source = cameras::source(&file.provenance, &clip, &mut losses);
     let up = cameras::up(&file.provenance, file.header.attributes.get("coordinate_system").map(String::as_str));
-    let (splats, changed) = from_set(&file.gaussians, &clip, file.header.cutoff).map_err(|bad| {
-        let BadField { splat, field, value } = bad;
-        Fault::damaged(format!("{field} of splat {splat} is {value}"))
-    })?;
+    let (splats, changed) = from_set(&file.gaussians, &clip, file.header.cutoff).map_err(Fault::damaged)?;
     losses.extend(changed);
     if file.header.attributes.get("color_space").is_some_and(|s| s.starts_with("linear")) {
         losses.push(Loss::Dropped("that its colours are linear light: they are shown as sRGB values".to_owned()));
@@ -118,8 +106,7 @@ fn refused(error: &::fourdgs::Error) -> Fault {
 
 /// Memory that any file may ask for, bytes.
 const FREE: u64 = 48 << 20;
-/// Memory that a byte of the file may ask for besides: splats take 8 to 15 bytes in a file and about 600
-/// while they are decoded.
+/// Memory that a byte of the file may ask for: splats take 8 to 15 bytes there and about 600 while they are decoded.
 const PER_BYTE: u64 = 96;
 /// A splat of a scene, of its chunk before, and of the columns after.
 const PER_SPLAT: u64 = 2 * 76 + 100;
@@ -127,8 +114,8 @@ const PER_SPLAT: u64 = 2 * 76 + 100;
 const PER_SYMBOL: u64 = 12;
 
 /// Refuses a file whose records claim more than it may ask for. The decoder of the `fourdgs` crate stops at half a gigabyte,
-/// whatever the size of the file; streams with one constant row let a kilobyte ask for that much. Whatever does not parse is left to the decoder, which refuses it at
-/// that place without having allocated for what follows.
+/// whatever the size of the file; streams with one constant row let a kilobyte ask for that much. Whatever does not parse is
+/// left to the decoder, which refuses it at that place without having allocated for what follows.
 fn budget(bytes: &[u8]) -> Result<(), Fault> {
     let allowed = FREE + PER_BYTE * bytes.len() as u64;
     let (mut kept, mut largest) = (0u64, 0u64);

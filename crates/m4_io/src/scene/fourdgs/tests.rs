@@ -153,13 +153,13 @@ fn changed_values_fail_verification() {
     let middle = scales.len() / 2;
     let median = 0.5 * (f64::from(scales[middle - 1]) + f64::from(scales[middle]));
     let bounds = Bounds::for_profile(Profile::Default, median);
-    super::verify::check(&set, &bounds, &file).unwrap();
+    super::convert::verify(&set, &bounds, &file).unwrap();
     let tight = Bounds { pos: 0.5 * bounds.pos, ..bounds };
-    assert!(super::verify::check(&set, &tight, &file).unwrap_err().contains("position"));
+    assert!(super::convert::verify(&set, &tight, &file).unwrap_err().contains("position"));
     file.gaussians.mu_t[600] = f32::from_bits(file.gaussians.mu_t[600].to_bits() + 1);
-    assert!(super::verify::check(&set, &bounds, &file).is_err());
+    assert!(super::convert::verify(&set, &bounds, &file).is_err());
     file.gaussians.mu_t.pop();
-    assert!(super::verify::check(&set, &bounds, &file).is_err());
+    assert!(super::convert::verify(&set, &bounds, &file).is_err());
 }
 
 #[test]

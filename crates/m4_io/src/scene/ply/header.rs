@@ -141,8 +141,7 @@ pub(super) struct Table<'a> {
 }
 
 impl<'a> Table<'a> {
-    /// Reads the properties that are `wanted` from `bytes`, which start at the table. The rows are compared
-    /// with the bytes that are there before anything is allocated.
+    /// Reads the `wanted` properties; `bytes` start at the table and are compared with its rows before anything is allocated.
     pub fn read(
         element: &'a Element,
         encoding: Encoding,
@@ -197,8 +196,7 @@ fn text(element: &Element, bytes: &[u8], columns: &mut [Option<Vec<f32>>]) -> Re
         for (property, column) in element.properties.iter().zip(&mut *columns) {
             let number = words.next().and_then(|word| std::str::from_utf8(word).ok()?.parse::<f64>().ok());
             let Some(number) = number else {
-                let what = format!("{} of splat {row} is not a number, or missing", property.name);
-                return Err(Fault::damaged(what));
+                return Err(Fault::damaged(format!("{} of splat {row} is not a number, or missing", property.name)));
             };
             if let Some(column) = column {
                 column.push(number as f32);

@@ -15,25 +15,17 @@
 
 mod header;
 mod read;
-#[cfg(test)]
-mod tests;
-
 pub use read::{parse, read};
 
+use super::splats::Row;
+use super::{Loss, Written, check_finite, instant, plural, publish};
 use crate::WriteError;
-use crate::scene::common::{check_finite, publish};
-use crate::scene::splats::Row;
-use crate::scene::{Loss, Written, instant, plural};
 use m4_core::{Column, Scene, Splats};
 use std::fmt::Write as _;
 use std::fs;
 use std::path::Path;
 
-/// Writes the splats that time `t` (frames) sees, atomically.
-///
-/// # Errors
-///
-/// [`WriteError`] when the scene has values that are not finite, or the file system refuses.
+/// Writes the splats that time `t` (frames) sees, atomically; all values must be finite.
 pub fn write(path: &Path, scene: &Scene, t: f64) -> Result<Written, WriteError> {
     check_finite(path, scene)?;
     let splats = seen(scene, t);
@@ -112,13 +104,9 @@ pub fn frame_name(i: usize) -> String {
     format!("frame_{i:05}.ply")
 }
 
-/// Writes a file for each of `times` (frames) into `folder`, each atomically. Files of a longer
-/// sequence that was there before are removed. `each` is called after every file, and may stop the work by
-/// returning false; the files written until then stay.
-///
-/// # Errors
-///
-/// [`WriteError`] when the scene has values that are not finite, or the file system refuses.
+/// Writes a file for each of `times` (frames) into `folder`, each atomically. Files of a longer sequence that was there
+/// before are removed. `each` is called after every file, and may stop the work by returning false; the files written until
+/// then stay. Fails when the scene has values that are not finite, or the file system refuses.
 pub fn write_sequence(
     folder: &Path,
     scene: &Scene,
@@ -152,4 +140,173 @@ pub fn write_sequence(
     }
     written.losses.extend(unheld(scene));
     Ok(written)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{frame_name, parse, read, write, write_sequence};
+    use crate::ErrorKind;
+    use crate::scene::Loss;
+    use crate::scene::splats::{Row, sigmoid};
+    use m4_core::{Column, Scene, SplatLayout};
+    use m4_testkit::{SceneSpec, random_scene};
+    use serde::Deserialize;
+    use std::collections::HashMap;
+    use std::path::Path;
+
+    fn scene(sh_degree: usize) -> Scene {
+        let scene = random_scene(&SceneSpec {
+            layout: SplatLayout { isotropic: false, sh_degree, time_degree: 0 },
+            n_static: 50,
+            n_dynamic: 70,
+            time_frames: 11,
+            ..SceneSpec::default()
+        });
+        // what a PLY file has no place for
+        Scene { background: [0.0; 3], mip: false, source: Vec::new(), ..scene }
+    }
+
+    #[test]
+    fn ply_instants_round_trip_exactly() {
+        let dir = tempfile::tempdir().unwrap();
+        for sh_degree in 0..=3 {
+            let scene = scene(sh_degree);
+            let path = dir.path().join("a.ply");
+            let written = write(&path, &scene, 4.0).unwrap();
+            let seen = crate::scene::instant(&scene.splats, 4.0, 10.0);
+            assert_eq!((written.splats, written.bytes), (seen.n(), std::fs::metadata(&path).unwrap().len()));
+            assert!(seen.n() > 50 && seen.n() < 120);
+            let back = read(&path).unwrap();
+            assert!(back.losses.is_empty());
+            let mut unit = seen.clone();
+            for i in 0..unit.n() {
+                let row = Row::of(&seen, i);
+                for k in 0..4 {
+                    unit.column_mut(Column::Quat, k)[i] = row.quat[k];
+                }
+            }
+            for c in 0..unit.columns().len() {
+                // a quaternion of length 1 may lose a bit when it is normalised again
+                let close = |a: &f32, b: &f32| (a - b).abs() <= f32::EPSILON * a.abs().max(0.5);
+                let same = unit.columns()[c].iter().zip(&back.scene.splats.columns()[c]);
+                let is_quat = unit.layout().range(Column::Quat).contains(&c);
+                assert!(same.clone().all(|(a, b)| if is_quat { close(a, b) } else { a == b }), "column {c}");
+            }
+        }
+    }
+
+    /// The same file through a reader that is not ours.
+    #[test]
+    fn serde_ply_reads_written_properties() {
+        #[derive(Deserialize)]
+        struct File {
+            vertex: Vec<HashMap<String, f32>>,
+        }
+        let dir = tempfile::tempdir().unwrap();
+        let (path, scene) = (dir.path().join("a.ply"), scene(2));
+        write(&path, &scene, 4.0).unwrap();
+        let file: File = serde_ply::from_reader(std::io::BufReader::new(std::fs::File::open(&path).unwrap())).unwrap();
+        let seen = crate::scene::instant(&scene.splats, 4.0, 10.0);
+        assert_eq!(file.vertex.len(), seen.n());
+        for (i, vertex) in file.vertex.iter().enumerate() {
+            assert_eq!(vertex.len(), 17 + 24);
+            assert_eq!(vertex["y"], seen.column(Column::Mean, 1)[i]);
+            assert_eq!(vertex["nz"], 0.0);
+            assert_eq!(vertex["scale_2"], seen.column(Column::LogScale, 2)[i]);
+            assert_eq!(vertex["opacity"], seen.column(Column::Opacity, 0)[i]);
+            assert_eq!(vertex["f_dc_1"], seen.column(Column::Colour, 1)[i]);
+            // green of the third of eight terms: channel major
+            assert_eq!(vertex["f_rest_10"], seen.column(Column::Colour, 3 * 3 + 1)[i]);
+            let norm: f32 = (0..4).map(|k| vertex[&format!("rot_{k}")].powi(2)).sum();
+            assert!((norm - 1.0).abs() < 1e-6);
+        }
+    }
+
+    #[test]
+    fn sequences_write_one_file_per_frame_and_remove_old_ones() {
+        let dir = tempfile::tempdir().unwrap();
+        let scene = scene(0);
+        write_sequence(dir.path(), &scene, &[0.0, 5.0, 10.0], |_| true).unwrap();
+        let written = write_sequence(dir.path(), &scene, &[0.0, 10.0], |_| true).unwrap();
+        assert!(!dir.path().join(frame_name(2)).exists());
+        let counts: Vec<usize> =
+            (0..2).map(|i| read(&dir.path().join(frame_name(i))).unwrap().scene.splats.n()).collect();
+        assert_eq!(counts.iter().sum::<usize>(), written.splats);
+        assert_eq!(counts[0], crate::scene::instant(&scene.splats, 0.0, 10.0).n());
+        let stopped = write_sequence(dir.path(), &scene, &[0.0, 5.0, 10.0], |done| done < 2).unwrap();
+        assert_eq!(stopped.splats, counts[0] + crate::scene::instant(&scene.splats, 5.0, 10.0).n());
+    }
+
+    #[test]
+    fn ply_property_orders_and_types_are_read() {
+        let at = Path::new("other.ply");
+        // text, other order, one scale, bytes for colours
+        let text = "ply\nformat ascii 1.0\ncomment by hand\nelement vertex 2\nproperty float opacity\nproperty double z\n\
+            property float y\nproperty float x\nproperty float scale_0\nproperty uchar red\nproperty uchar green\n\
+            property uchar blue\nproperty float trbf_center\nend_header\n0 3 2 1 -1 255 0 51 0.5\ninf 6 5 4 -inf 0 0 0 0.5";
+        let found = parse(at, text.as_bytes()).unwrap();
+        let splats = &found.scene.splats;
+        assert_eq!((splats.n_static(), splats.n_dynamic(), found.scene.time_frames), (2, 0, 1));
+        let (first, second) = (Row::of(splats, 0), Row::of(splats, 1));
+        assert_eq!((first.mean, first.log_scale, first.quat), ([1.0, 2.0, 3.0], [-1.0; 3], [1.0, 0.0, 0.0, 0.0]));
+        assert!((splats.column(Column::Colour, 2)[0] - (0.2 - 0.5) / 0.282_094_8).abs() < 1e-5);
+        assert_eq!((sigmoid(second.opacity) as f32, second.log_scale), (1.0, [-20.0; 3]));
+        assert!(matches!(&found.losses[..], [Loss::Dropped(what)] if what.contains("trbf_center")));
+
+        // big-endian, as an importer of another platform writes it
+        let mut bytes = b"ply\nformat binary_big_endian 1.0\nelement vertex 1\n".to_vec();
+        let names = ["rot_3", "rot_2", "rot_1", "rot_0", "f_dc_2", "f_dc_1", "f_dc_0", "opacity"];
+        let more = ["scale_0", "scale_1", "scale_2", "x", "y", "z"];
+        for name in names.iter().chain(&more) {
+            bytes.extend(format!("property float32 {name}\n").bytes());
+        }
+        bytes.extend(b"end_header\n");
+        for v in 1..=14 {
+            bytes.extend((v as f32).to_be_bytes());
+        }
+        let splats = parse(at, &bytes).unwrap().scene.splats;
+        let row = Row::of(&splats, 0);
+        assert_eq!((row.mean, row.log_scale, row.opacity), ([12.0, 13.0, 14.0], [9.0, 10.0, 11.0], 8.0));
+        assert_eq!(splats.column(Column::Colour, 0), &[7.0]);
+        assert!((row.quat[0] - 4.0 / 30f32.sqrt()).abs() < 1e-6);
+    }
+
+    #[test]
+    fn malformed_ply_is_rejected_with_a_reason() {
+        let at = Path::new("other.ply");
+        let head = |count: &str, names: &[&str]| {
+            let properties: String = names.iter().map(|n| format!("property float {n}\n")).collect();
+            format!("ply\nformat binary_little_endian 1.0\nelement vertex {count}\n{properties}end_header\n")
+                .into_bytes()
+        };
+        let all = [
+            "x", "y", "z", "opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3", "f_dc_0",
+            "f_dc_1", "f_dc_2",
+        ];
+        let mut huge = head("4000000000000000000", &all);
+        huge.extend([0; 560]);
+        let error = parse(at, &huge).unwrap_err();
+        assert!(error.to_string().contains("560 bytes"), "{error}");
+
+        let one = |names: &[&str], value: f32| {
+            let mut bytes = head("1", names);
+            bytes.extend(names.iter().flat_map(|_| value.to_le_bytes()));
+            parse(at, &bytes)
+        };
+        assert_eq!(one(&all, 0.5).unwrap().scene.splats.n(), 1);
+        let nan = one(&all, f32::NAN).unwrap_err();
+        assert!(nan.to_string().contains("of splat 0 is NaN"), "{nan}");
+        for left_out in ["x", "opacity", "scale_0", "rot_2", "f_dc_1"] {
+            let names: Vec<&str> = all.into_iter().filter(|n| *n != left_out).collect();
+            assert_eq!(one(&names, 0.5).unwrap_err().kind(), ErrorKind::Unsupported, "{left_out}");
+        }
+        let rest: Vec<String> = (0..5).map(|k| format!("f_rest_{k}")).collect();
+        let names: Vec<&str> = all.into_iter().chain(rest.iter().map(String::as_str)).collect();
+        assert!(one(&names, 0.5).unwrap_err().to_string().contains("5 properties f_rest_"));
+        let flat: Vec<&str> = all.into_iter().filter(|n| *n != "scale_2").collect();
+        assert!(one(&flat, 0.5).unwrap_err().to_string().contains("two scales"));
+        let packed = one(&["packed_position"], 0.5).unwrap_err();
+        assert!(packed.to_string().contains("compressed PLY"));
+        assert!(parse(at, b"\x89PNG").unwrap_err().to_string().contains("not a PLY file"));
+    }
 }

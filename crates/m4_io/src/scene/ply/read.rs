@@ -11,15 +11,10 @@ use std::path::Path;
 
 /// Near plane of a file, which says nothing of it, world units.
 const NEAR: f32 = 0.01;
-/// What an infinite logit or logarithm is read as: an opacity of 1 or 0, a scale of 0. Converters that
-/// take the logarithm of a byte write infinities.
+/// What an infinite logit or logarithm is read as; converters that take the logarithm of a byte write infinities.
 const BEYOND: f32 = 20.0;
 
-/// Reads a file of any writer.
-///
-/// # Errors
-///
-/// [`ReadError`] if the file is missing, damaged, or holds no splats.
+/// Reads a file of any writer. Fails if the file is missing, damaged, or holds no splats.
 pub fn read(path: &Path) -> Result<Imported, ReadError> {
     parse(path, &bytes(path, u64::MAX).at(path)?)
 }
@@ -34,10 +29,6 @@ fn known(name: &str) -> bool {
 }
 
 /// The scene in the bytes of a file; `path` is for messages alone. It has one frame and no cameras.
-///
-/// # Errors
-///
-/// As [`read`].
 pub fn parse(path: &Path, bytes: &[u8]) -> Result<Imported, ReadError> {
     scene_of(bytes).at(path)
 }

@@ -1,7 +1,8 @@
 //! Reads a scene file, and checks the numbers of a scene.
 
-use super::convert::{Arrays, arrays_to_source, arrays_to_splats};
-use super::tensor::{self, Header, KEY, Source, VERSION, Version, checksum};
+use super::tensor::{
+    self, Arrays, Header, KEY, Source, VERSION, Version, arrays_to_source, arrays_to_splats, checksum,
+};
 use crate::error::AtPath;
 use crate::{Fault, ReadError, shortened};
 use m4_core::{Scene, SourceFrame, TrainState, nalgebra::Matrix3};
@@ -31,11 +32,7 @@ pub struct SceneFile {
     pub metadata: BTreeMap<String, String>,
 }
 
-/// Reads a scene file and compares its checksum.
-///
-/// # Errors
-///
-/// [`ReadError`] if the file is missing, damaged, or of a newer format.
+/// Reads a scene file and compares its checksum. Fails if the file is missing, damaged, or of a newer format.
 pub fn read(path: &Path) -> Result<SceneFile, ReadError> {
     file(path).at(path)
 }
@@ -52,8 +49,7 @@ fn file(path: &Path) -> Result<SceneFile, Fault> {
     let views = arrays.iter().map(|(name, array)| (name.clone(), Source::Array(array.view())));
     let found = checksum(&header.scene, &header.metadata, &views.collect()).map_err(Fault::damaged)?;
     if found != header.blake3 {
-        let what = format!("its checksum is {found} where {} was written", shortened(header.blake3));
-        return Err(Fault::damaged(what));
+        return Err(Fault::damaged(format!("its checksum is {found} where {} was written", shortened(header.blake3))));
     }
     scene(header, arrays)
 }
@@ -62,8 +58,7 @@ fn not_scene(reason: String) -> Fault {
     Fault::bad(format!("it is not a scene file: {reason}"), "give the scene.safetensors of a run")
 }
 
-/// The arrays of a safetensors file and the JSON under [`KEY`], one array after the other. Sizes are
-/// compared with the bytes that are there before any array is read.
+/// The arrays of a file and the JSON under [`KEY`]; sizes are compared with the bytes that are there before any is read.
 fn load(path: &Path) -> Result<(Option<String>, Arrays), Fault> {
     let file = File::open(path)?;
     let len = file.metadata()?.len();

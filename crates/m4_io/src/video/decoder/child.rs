@@ -1,8 +1,7 @@
 //! A decoder in a separate process: limited, supervised, and ended with its owner.
 
-use super::end::DecoderEnd;
-use super::messages::{Messages, OnLine};
-use super::{Allowed, launch, rlimits};
+use super::end::{DecoderEnd, Messages, OnLine};
+use super::{Allowed, limits};
 use crate::Fault;
 use m4_core::Progress;
 use std::io::{self, Read, Write};
@@ -79,12 +78,12 @@ impl<'a> Child<'a> {
         progress: &'a dyn Progress,
     ) -> io::Result<Self> {
         command.stdin(if talks { Stdio::piped() } else { Stdio::null() }).stdout(Stdio::piped()).stderr(Stdio::piped());
-        launch::clear_environment(command);
+        super::clear_environment(command);
         // A group of its own: keys pressed in the terminal are for us, and wrappers go down with what they started.
         #[cfg(unix)]
         std::os::unix::process::CommandExt::process_group(command, 0);
         let mut process = command.spawn()?;
-        let limited = rlimits::limit_child(&process, &allowed, bare);
+        let limited = limits::limit_child(&process, &allowed, bare);
         let missing = || io::Error::other("a pipe is not connected");
         let (stdout, stderr) = (process.stdout.take(), process.stderr.take());
         let stdin = process.stdin.take();

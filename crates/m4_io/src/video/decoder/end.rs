@@ -1,59 +1,52 @@
-//! The ways in which a decoder can fail.
+//! The ways in which a decoder can fail, and a bounded part of what it writes to standard error.
 
 use super::Allowed;
-use std::fmt;
+use std::io::{BufRead, BufReader, Read};
 use std::process::ExitStatus;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, Sender, channel};
+use std::sync::{Arc, Mutex, PoisonError};
 
 /// How a process that decodes a video failed.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum DecoderEnd {
     /// It asked for more memory than it may have.
+    #[error("it needed more memory than the {limit_mb} MiB that it may have")]
     Memory {
         /// Address space that it may have, MiB.
         limit_mb: u64,
     },
     /// It computed for longer than it may.
+    #[error("it computed for longer than the {limit_s} s that it may have")]
     Cpu {
         /// Seconds of one core that it may have.
         limit_s: u64,
     },
     /// Nothing came from it.
+    #[error("nothing came from it for {seconds} s")]
     Idle {
         /// Seconds that were waited.
         seconds: u64,
     },
     /// A signal ended it: a crash, or a `kill`.
+    #[error("it was ended by signal {signal}{}", signal_name(*signal).map(|name| format!(" ({name})")).unwrap_or_default())]
     Signal {
         /// Its number.
         signal: i32,
     },
     /// It wrote messages without end.
+    #[error("it wrote more than {read_mb} MiB of messages")]
     Messages {
         /// MiB that were read.
         read_mb: u64,
     },
     /// It ended early, or answered what no decoder answers.
+    #[error("{what}")]
     Answer {
         /// What is known about it.
         what: String,
     },
-}
-
-impl fmt::Display for DecoderEnd {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Memory { limit_mb } => write!(f, "it needed more memory than the {limit_mb} MiB that it may have"),
-            Self::Cpu { limit_s } => write!(f, "it computed for longer than the {limit_s} s that it may have"),
-            Self::Idle { seconds } => write!(f, "nothing came from it for {seconds} s"),
-            Self::Signal { signal } => match signal_name(*signal) {
-                Some(name) => write!(f, "it was ended by signal {signal} ({name})"),
-                None => write!(f, "it was ended by signal {signal}"),
-            },
-            Self::Messages { read_mb } => write!(f, "it wrote more than {read_mb} MiB of messages"),
-            Self::Answer { what } => f.write_str(what),
-        }
-    }
 }
 
 impl DecoderEnd {
@@ -99,8 +92,7 @@ impl DecoderEnd {
     }
 }
 
-/// True for the words with which programs say that memory ran out: of ffmpeg and the C library, of Rust, of C++,
-/// of the tools of GNU, and of the loader of shared libraries.
+/// True for what ffmpeg, the C library, Rust, C++, GNU tools and the loader of libraries say when memory runs out.
 pub fn is_of_memory(line: &str) -> bool {
     let line = line.to_ascii_lowercase();
     [
@@ -144,5 +136,117 @@ fn signal_name(signal: i32) -> Option<&'static str> {
         13 => Some("SIGPIPE, its output was closed"),
         15 => Some("SIGTERM, asked to end"),
         _ => None,
+    }
+}
+
+/// Longest part of a line that is read, bytes.
+const LINE_BYTES: u64 = 8 << 10;
+/// Lines that are kept: the first half and the last half.
+const KEPT_LINES: usize = 16;
+
+/// What is done with a line: true for those worth keeping.
+pub type OnLine = Box<dyn FnMut(&str) -> bool + Send>;
+
+/// Standard error of a child, read by a thread.
+pub struct Messages {
+    shared: Arc<Shared>,
+    end: Receiver<()>,
+    /// Bytes that are read at most.
+    limit_bytes: u64,
+}
+
+#[derive(Default)]
+struct Shared {
+    kept: Mutex<Vec<String>>,
+    too_many: AtomicBool,
+}
+
+impl Messages {
+    /// Starts to read.
+    pub fn read(stderr: impl Read + Send + 'static, limit_bytes: u64, on_line: OnLine) -> Self {
+        let shared = Arc::new(Shared::default());
+        let (sender, end) = channel();
+        let for_thread = Arc::clone(&shared);
+        std::thread::spawn(move || drain(stderr, limit_bytes, on_line, &for_thread, sender));
+        Self { shared, end, limit_bytes }
+    }
+
+    /// MiB that were read, when there were too many.
+    pub fn too_many_mb(&self) -> Option<u64> {
+        self.shared.too_many.load(Ordering::Relaxed).then_some(self.limit_bytes >> 20)
+    }
+
+    /// Closed when all was read.
+    pub fn end(&self) -> &Receiver<()> {
+        &self.end
+    }
+
+    /// The lines that were kept.
+    pub fn kept(&self) -> Vec<String> {
+        let kept = self.shared.kept.lock();
+        kept.unwrap_or_else(PoisonError::into_inner).clone()
+    }
+}
+
+/// Dropping `_end` closes the channel on which the end is waited for.
+fn drain(stderr: impl Read, limit_bytes: u64, mut on_line: OnLine, shared: &Shared, _end: Sender<()>) {
+    let mut stderr = BufReader::new(stderr.take(limit_bytes));
+    let (mut line, mut starts) = (Vec::new(), true);
+    loop {
+        line.clear();
+        match (&mut stderr).take(LINE_BYTES).read_until(b'\n', &mut line) {
+            // A pipe that breaks is a child that ended, which its exit status reports.
+            Ok(0) | Err(_) => break,
+            Ok(_) => {}
+        }
+        let ends = line.last() == Some(&b'\n');
+        // The rest of a line that is too long is no line of its own.
+        if starts {
+            let text = String::from_utf8_lossy(&line);
+            let text = text.trim_end();
+            if !text.is_empty() && on_line(text) {
+                keep(&mut shared.kept.lock().unwrap_or_else(PoisonError::into_inner), text);
+            }
+        }
+        starts = ends;
+    }
+    if stderr.get_ref().limit() == 0 {
+        shared.too_many.store(true, Ordering::Relaxed);
+    }
+}
+
+fn keep(kept: &mut Vec<String>, line: &str) {
+    if kept.len() == KEPT_LINES {
+        kept.remove(KEPT_LINES / 2);
+    }
+    kept.push(line.to_owned());
+}
+
+#[cfg(test)]
+mod tests {
+    use super::Messages;
+    use std::io::{Cursor, Read};
+    use std::time::Duration;
+
+    fn all(input: impl Read + Send + 'static, limit: u64) -> (Vec<String>, Option<u64>) {
+        let messages = Messages::read(input, limit, Box::new(|_| true));
+        assert!(messages.end().recv_timeout(Duration::from_secs(60)).is_err());
+        (messages.kept(), messages.too_many_mb())
+    }
+
+    #[test]
+    fn the_first_and_the_last_lines_are_kept() {
+        let text: String = (0..100).map(|i| format!("line {i}\n")).collect();
+        let (kept, many) = all(Cursor::new(text), 1 << 20);
+        assert_eq!((kept.len(), many), (16, None));
+        assert_eq!((kept[7].as_str(), kept[8].as_str(), kept[15].as_str()), ("line 7", "line 92", "line 99"));
+    }
+
+    #[test]
+    fn messages_without_end_take_no_memory() {
+        let (kept, many) = all(std::io::repeat(b'x'), 3 << 20);
+        assert_eq!((kept.len(), kept[0].len(), many), (1, 8 << 10, Some(3)));
+        let (kept, many) = all(std::io::repeat(b'\n'), 1 << 20);
+        assert_eq!((kept.len(), many), (0, Some(1)));
     }
 }

@@ -1,7 +1,8 @@
-//! The resource limits of a decoder.
+//! The resource limits of a decoder; those of the operating system (`setrlimit`, `prctl`) on Linux only.
 
 use crate::Fault;
 use serde::{Deserialize, Serialize};
+use std::io;
 
 const MIB: u64 = 1 << 20;
 /// Address space of a decoder besides its images: ffmpeg 5.1 with 6 threads maps 0.5 GiB.
@@ -19,9 +20,8 @@ const PIXELS_A_SECOND: u64 = 2_000_000;
 /// Slower than any of them takes a file apart, bytes per second.
 const BYTES_A_SECOND: u64 = 5_000_000;
 
-/// What a process that decodes a video may take before it is ended with
-/// [`Fault::Decoder`]. Memory and seconds are limits of the operating system, on Linux
-/// alone; that something must come from it holds on every system.
+/// What a process that decodes a video may take before it is ended with [`Fault::Decoder`]. Memory and seconds are limits
+/// of the operating system, on Linux alone; that something must come from it holds on every system.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 #[non_exhaustive]
@@ -103,9 +103,126 @@ impl DecoderLimits {
     }
 }
 
+/// Which process limits itself.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Confined {
+    /// Our own decoder, which opens no file and starts nothing.
+    Decoder,
+    /// One that becomes another program now.
+    Program,
+}
+
+/// Bytes that a decoder may write to a file: none has reason to, but wrappers of packages keep small notes.
+#[cfg(target_os = "linux")]
+const FILE_BYTES: u64 = 1 << 20;
+/// Files that another program may have open: many times what ffmpeg has, and one more than where a shell keeps its script.
+#[cfg(target_os = "linux")]
+const FILES: u64 = 256;
+/// Those of our own decoder: its pipes.
+#[cfg(target_os = "linux")]
+const PIPES: u64 = 3;
+/// Processes and threads of the user besides those at the start: ffmpeg takes some fifty, other programs count too.
+#[cfg(target_os = "linux")]
+const MORE_TASKS: u64 = 1024;
+
+#[cfg(target_os = "linux")]
+type Limit = (rustix::process::Resource, u64);
+
+/// Of every decoder. The parent process sets them, too, so they are the same there.
+#[cfg(target_os = "linux")]
+fn limits(allowed: &Allowed) -> [Limit; 4] {
+    use rustix::process::Resource;
+    // Memory last: what follows may need some.
+    [
+        (Resource::Core, 0),
+        (Resource::Fsize, FILE_BYTES),
+        (Resource::Cpu, allowed.cpu_s),
+        (Resource::As, allowed.memory_bytes),
+    ]
+}
+
+#[cfg(target_os = "linux")]
+fn set((resource, value): Limit, set: impl Fn(rustix::process::Rlimit) -> rustix::io::Result<()>) -> io::Result<()> {
+    // What this process itself may not have, its children cannot be given.
+    let most = rustix::process::getrlimit(resource).maximum;
+    let value = Some(most.map_or(value, |most| most.min(value)));
+    // Where both are one, the kernel kills; a signal before that could be ignored.
+    let limit = rustix::process::Rlimit { current: value, maximum: value };
+    Ok(set(limit)?)
+}
+
+/// Sets the limits of a child that was just started. One that does not limit itself (`bare`) is given one of open files too.
+#[cfg(target_os = "linux")]
+pub fn limit_child(child: &std::process::Child, allowed: &Allowed, bare: bool) -> io::Result<()> {
+    use rustix::process::{Pid, Resource, prlimit};
+    let pid = Pid::from_child(child);
+    let files = bare.then_some((Resource::Nofile, FILES));
+    for limit in limits(allowed).into_iter().chain(files) {
+        set(limit, |value| match prlimit(Some(pid), limit.0, value) {
+            // It has ended already, which will be seen.
+            Ok(_) | Err(rustix::io::Errno::SRCH) => Ok(()),
+            Err(e) => Err(e),
+        })?;
+    }
+    Ok(())
+}
+
+/// Sets the limits of this process, and that neither it nor what it becomes can gain privileges (`no_new_privs`).
+#[cfg(target_os = "linux")]
+pub fn limit_self(allowed: &Allowed, confined: Confined) -> io::Result<()> {
+    use rustix::process::{Resource, setrlimit};
+    rustix::thread::set_no_new_privs(true)?;
+    let (files, tasks) = match confined {
+        Confined::Decoder => (PIPES, Some(0)),
+        Confined::Program => (FILES, tasks_of_this_user().map(|n| n + MORE_TASKS)),
+    };
+    let tasks = tasks.map(|n| (Resource::Nproc, n));
+    let own = tasks.into_iter().chain([(Resource::Nofile, files)]);
+    for limit in own.chain(limits(allowed)) {
+        set(limit, |value| setrlimit(limit.0, value))?;
+    }
+    Ok(())
+}
+
+/// No limits: see the module.
+#[cfg(not(target_os = "linux"))]
+pub fn limit_child(_: &std::process::Child, _: &Allowed, _: bool) -> io::Result<()> {
+    Ok(())
+}
+
+/// No limits: see the module.
+#[cfg(not(target_os = "linux"))]
+pub fn limit_self(_: &Allowed, _: Confined) -> io::Result<()> {
+    Ok(())
+}
+
+/// Processes and threads of the user of this process, as `RLIMIT_NPROC` counts them; `None` where `/proc` cannot be read.
+#[cfg(target_os = "linux")]
+fn tasks_of_this_user() -> Option<u64> {
+    let user = rustix::process::getuid().as_raw();
+    let entries = std::fs::read_dir("/proc").ok()?.flatten();
+    let is_process = |name: &str| name.bytes().all(|b| b.is_ascii_digit());
+    let processes = entries.filter(|entry| entry.file_name().to_str().is_some_and(is_process));
+    // One that has ended since it was listed counts no more.
+    let texts = processes.filter_map(|entry| std::fs::read_to_string(entry.path().join("status")).ok());
+    Some(texts.filter_map(|text| threads(&text, user)).sum())
+}
+
+/// Threads of a process by its `status`, if its real user is `user`.
+#[cfg(target_os = "linux")]
+fn threads(status: &str, user: u32) -> Option<u64> {
+    let field = |name: &str| {
+        let line = status.lines().find_map(|line| line.strip_prefix(name))?;
+        line.split_whitespace().next()
+    };
+    (field("Uid:")?.parse() == Ok(user)).then_some(field("Threads:")?.parse().ok())?
+}
+
 #[cfg(test)]
 mod tests {
     use super::{DecoderLimits, Work};
+    #[cfg(target_os = "linux")]
+    use super::{tasks_of_this_user, threads};
 
     #[test]
     fn limits_grow_with_the_clip_and_a_number_given_is_kept() {
@@ -132,5 +249,15 @@ mod tests {
             let text = limits.check().unwrap_err().to_string();
             assert!(text.contains(name), "{text}");
         }
+    }
+
+    #[cfg(target_os = "linux")]
+    #[test]
+    fn threads_of_one_user_are_counted() {
+        let status = "Name:\tUid: 7\nUid:\t1000\t0\t0\t0\nGid:\t5\t5\t5\t5\nThreads:\t12\n";
+        assert_eq!((threads(status, 1000), threads(status, 0)), (Some(12), None));
+        assert_eq!(threads("", 0), None);
+        // at least this test and the program that waits for it
+        assert!(tasks_of_this_user().unwrap() >= 2);
     }
 }

@@ -1,7 +1,6 @@
 //! Decodes a clip through `ffmpeg`.
 
-use super::probe::{Description, describe, needed, undecoded};
-use super::{FrameInfo, Line, command, parse, start};
+use super::{Description, FrameInfo, Line, command, describe, needed, parse, start, undecoded};
 use crate::Fault;
 use crate::video::VideoOptions;
 use crate::video::colour::ToneMap;
@@ -17,8 +16,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 const MAX_PIXELS: usize = 1 << 28;
 /// Complaints that are kept for a message.
 const KEPT_COMPLAINTS: usize = 8;
-/// Bytes of messages that are read at most, and this many more for every image: a line on each takes some 300, and a
-/// damaged one may be complained of many times.
+/// Bytes of messages that are read at most, and more for every image: a line on each takes some 300.
 const MESSAGE_BYTES: u64 = 64 << 20;
 const MESSAGE_BYTES_PER_IMAGE: u64 = 8 << 10;
 /// Most threads for one clip, as ffmpeg itself would take.
@@ -204,8 +202,7 @@ impl<'a> Decoder<'a> {
     fn image_bytes(&mut self, info: &FrameInfo, bytes: &mut Vec<u8>) -> Result<bool, Fault> {
         let pixels = info.width.saturating_mul(info.height);
         if pixels == 0 || pixels > MAX_PIXELS {
-            let what = format!("its frames are {} x {} pixels", info.width, info.height);
-            return Err(undecoded(&what));
+            return Err(undecoded(&format!("its frames are {} x {} pixels", info.width, info.height)));
         }
         bytes.resize(pixels * if self.tone_map.is_some() { 6 } else { 3 }, 0);
         let whole = self.child.read_exact(bytes);
@@ -241,8 +238,7 @@ impl<'a> Decoder<'a> {
         drop(self.child);
         let message = complaints.first.first().cloned().unwrap_or_else(|| "no reason given".into());
         if self.options.strict && (complaints.count > 0 || !complete) {
-            let reason = format!("{} errors with `strict`, the first: {message}", complaints.count.max(1));
-            return Err(undecoded(&reason));
+            return Err(undecoded(&format!("{} errors with `strict`, the first: {message}", complaints.count.max(1))));
         }
         let Some(mut collector) = collector else {
             let reason = complaints.first.join("; ");

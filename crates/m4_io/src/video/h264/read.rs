@@ -1,14 +1,11 @@
 //! Reads an H.264 track as a clip.
 
-use super::Unsupported;
-use super::config::Config;
-use super::decode::{Frame, H264};
-use super::engine::{Engine, Refusal};
+use super::engine::{Engine, Frame, H264, Refusal};
+use super::{Config, Unsupported};
 use crate::video::VideoOptions;
 use crate::video::colour::{Hdr, Range, ToneMap, YuvMatrix};
 use crate::video::decoder::{DecoderProgram, Work};
-use crate::video::mp4::{Sample, SampleEntry, Track};
-use crate::video::orient::Orientation;
+use crate::video::mp4::{Orientation, Sample, SampleEntry, Track};
 use crate::video::plan::{self, Collector};
 use crate::video::read::no_frames;
 use crate::{ErrorKind, Fault};
@@ -22,14 +19,6 @@ const DECODER: &str = "the H.264 decoder";
 /// Largest coded frame that is read, bytes: raw 4K is 12 MB.
 const MAX_SAMPLE_BYTES: u32 = 64 << 20;
 
-/// What became of a track.
-pub enum Outcome {
-    /// It was decoded.
-    Decoded(Video),
-    /// Another decoder must try.
-    Unsupported(Unsupported),
-}
-
 /// A frame that is shown.
 struct Shown {
     /// Index in decoding order.
@@ -38,22 +27,23 @@ struct Shown {
     time_s: f64,
 }
 
-/// Reads the frames of `track`, which lie in `file`; `decoder` decodes, or this process itself.
+/// Reads the frames of `track`, which lie in `file`; `decoder` decodes, or this process itself. [`Unsupported`] is left to another
+/// decoder.
 pub fn read(
     file: &mut File,
     track: &Track,
     options: &VideoOptions,
     decoder: Option<&DecoderProgram>,
     progress: &dyn Progress,
-) -> Result<Outcome, Fault> {
+) -> Result<Result<Video, Unsupported>, Fault> {
     let (entry, config) = match track.entries.as_slice() {
         [entry] => match configure(entry) {
             Ok(config) => (entry, config),
-            Err(unsupported) => return Ok(Outcome::Unsupported(unsupported)),
+            Err(unsupported) => return Ok(Err(unsupported)),
         },
         _ => {
             let what = "H.264 with several decoder configurations";
-            return Ok(Outcome::Unsupported(Unsupported(what.into())));
+            return Ok(Err(Unsupported(what.into())));
         }
     };
     let shown = presentation(track);
@@ -72,8 +62,7 @@ pub fn read(
     let full_range = sps.full_range.or(colours.and_then(|c| c.full_range)).unwrap_or(false);
     let range = if full_range { Range::Full } else { Range::Limited };
     let Some(matrix) = YuvMatrix::from_code(matrix, sps.height, range) else {
-        let what = format!("H.264 with colours of an unusual kind (matrix {matrix})");
-        return Ok(Outcome::Unsupported(Unsupported(what)));
+        return Ok(Err(Unsupported(format!("H.264 with colours of an unusual kind (matrix {matrix})"))));
     };
     let orientation = Orientation::from_matrix(track.matrix);
     let swaps = orientation.is_some_and(Orientation::swaps_sides);
@@ -85,7 +74,7 @@ pub fn read(
 
     let Some(engine) = engine(&config, matrix, track, options, decoder, progress)? else {
         let what = "H.264, for which the decoder cannot be set up here";
-        return Ok(Outcome::Unsupported(Unsupported(what.into())));
+        return Ok(Err(Unsupported(what.into())));
     };
     let hdr = Hdr::from_code(transfer);
     let mut run = Run {
@@ -100,8 +89,7 @@ pub fn read(
 
     let Run { mut collector, damaged, .. } = run;
     if collector.len() == 0 {
-        let what = format!("H.264 of which none of {} frames could be decoded here", kept.len());
-        return Ok(Outcome::Unsupported(Unsupported(what)));
+        return Ok(Err(Unsupported(format!("H.264 of which none of {} frames could be decoded here", kept.len()))));
     }
     if !damaged.is_empty() {
         let first_s = damaged.iter().fold(f64::INFINITY, |a, &b| a.min(b));
@@ -125,7 +113,7 @@ pub fn read(
         collector.warnings.push(format!("high dynamic range ({name}) was tone-mapped to sRGB"));
     }
     collector.warnings.extend(plan::thinned(kept.len(), inside));
-    collector.finish(None).map(Outcome::Decoded).ok_or_else(|| no_frames("none was kept"))
+    collector.finish(None).map(Ok).ok_or_else(|| no_frames("none was kept"))
 }
 
 /// Starts the decoder; `None` when OpenH264 cannot be set up.

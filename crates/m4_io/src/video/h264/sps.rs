@@ -154,8 +154,7 @@ impl Sps {
     }
 }
 
-/// Profile whose images the decoder gives out as soon as they are decoded (Scalable Baseline, with
-/// the syntax of a High parameter set).
+/// Profile whose images the decoder gives out at once (Scalable Baseline, with the syntax of a High parameter set).
 const UNDELAYED_PROFILE: u8 = 83;
 
 /// The parameter set (a NAL unit of type 7) with a profile for which OpenH264 does not hold images

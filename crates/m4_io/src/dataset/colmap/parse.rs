@@ -1,7 +1,8 @@
-//! The three tables as binary files: counts u64, identifiers of cameras and images u32, numbers f64, all little-endian.
+//! The tables as text and as binary files; in these counts u64, identifiers of cameras and images u32, numbers f64, all little-endian.
 
 use super::tables::{ColmapCamera, ColmapImage, ColmapPoint, PlacedError, damaged};
 use crate::Fault;
+use std::str::{FromStr, SplitAsciiWhitespace};
 
 /// COLMAP's models in the order of their numbers, each with how many parameters it has (`colmap/sensor/models.h`, 4.2).
 const MODELS: [(&str, usize); 18] = [
@@ -69,10 +70,7 @@ fn numbers(out: &mut Vec<u8>, values: &[f64]) {
 }
 
 pub fn read_cameras(bytes: &[u8]) -> Result<Vec<ColmapCamera>, PlacedError> {
-    let mut from = Cursor { bytes, at: 0 };
-    let count = from.u64()?;
-    let mut rows = Vec::new();
-    for _ in 0..count {
+    table(bytes, |from| {
         let (id, model) = (from.u32()?, from.u32()? as i32);
         let (width, height) = (from.u64()?, from.u64()?);
         let known = usize::try_from(model).ok().and_then(|k| MODELS.get(k));
@@ -81,17 +79,12 @@ pub fn read_cameras(bytes: &[u8]) -> Result<Vec<ColmapCamera>, PlacedError> {
             (format!("camera {id}"), Fault::unsupported(what, "undistort the images (`colmap image_undistorter`)"))
         })?;
         let parameters: Vec<f64> = (0..len).map(|_| from.f64()).collect::<Result<_, _>>()?;
-        rows.push(ColmapCamera { id, model: name.to_owned(), width, height, parameters });
-    }
-    from.end()?;
-    Ok(rows)
+        Ok(ColmapCamera { id, model: name.to_owned(), width, height, parameters })
+    })
 }
 
 pub fn read_images(bytes: &[u8]) -> Result<Vec<ColmapImage>, PlacedError> {
-    let mut from = Cursor { bytes, at: 0 };
-    let count = from.u64()?;
-    let mut rows = Vec::new();
-    for _ in 0..count {
+    table(bytes, |from| {
         let id = from.u32()?;
         let rotation = from.array()?;
         let translation = from.array()?;
@@ -99,25 +92,29 @@ pub fn read_images(bytes: &[u8]) -> Result<Vec<ColmapImage>, PlacedError> {
         let name = from.name()?;
         let seen = from.u64()?;
         from.skip(seen, 24)?;
-        rows.push(ColmapImage { id, rotation, translation, camera, name });
-    }
-    from.end()?;
-    Ok(rows)
+        Ok(ColmapImage { id, rotation, translation, camera, name })
+    })
 }
 
 pub fn read_points(bytes: &[u8]) -> Result<Vec<ColmapPoint>, PlacedError> {
+    table(bytes, |from| {
+        from.u64()?;
+        let position = from.array()?;
+        let colour = from.fixed()?;
+        from.f64()?;
+        let track = from.u64()?;
+        from.skip(track, 8)?;
+        Ok(ColmapPoint { position, colour })
+    })
+}
+
+/// The rows of a table: as many as its first number says, to the end of the file.
+fn table<T>(bytes: &[u8], row: impl Fn(&mut Cursor<'_>) -> Result<T, PlacedError>) -> Result<Vec<T>, PlacedError> {
     let mut from = Cursor { bytes, at: 0 };
     let count = from.u64()?;
     let mut rows = Vec::new();
     for _ in 0..count {
-        from.u64()?;
-        let position = from.array()?;
-        let colour = from.take(3)?;
-        let colour = [colour[0], colour[1], colour[2]];
-        from.f64()?;
-        let track = from.u64()?;
-        from.skip(track, 8)?;
-        rows.push(ColmapPoint { position, colour });
+        rows.push(row(&mut from)?);
     }
     from.end()?;
     Ok(rows)
@@ -191,5 +188,80 @@ impl<'a> Cursor<'a> {
             0 => Ok(()),
             n => Err(self.damaged(format!("{n} bytes follow the last record"))),
         }
+    }
+}
+
+pub fn read_cameras_text(text: &str) -> Result<Vec<ColmapCamera>, PlacedError> {
+    let mut rows = Vec::new();
+    for (number, line) in lines(text).filter(|(_, l)| !l.trim().is_empty()) {
+        let mut words = Words::new(number, line);
+        let id = words.next("CAMERA_ID")?;
+        let model: String = words.next("MODEL")?;
+        let (width, height) = (words.next("WIDTH")?, words.next("HEIGHT")?);
+        rows.push(ColmapCamera { id, model, width, height, parameters: words.rest("PARAMS")? });
+    }
+    Ok(rows)
+}
+
+pub fn read_images_text(text: &str) -> Result<Vec<ColmapImage>, PlacedError> {
+    let mut rows = Vec::new();
+    let mut lines = lines(text);
+    while let Some((number, line)) = lines.next() {
+        if line.trim().is_empty() {
+            continue;
+        }
+        let mut words = Words::new(number, line);
+        let id = words.next("IMAGE_ID")?;
+        let mut pose = [0.0; 7];
+        for (v, name) in pose.iter_mut().zip(["QW", "QX", "QY", "QZ", "TX", "TY", "TZ"]) {
+            *v = words.next(name)?;
+        }
+        let [w, x, y, z, a, b, c] = pose;
+        rows.push(ColmapImage {
+            id,
+            rotation: [w, x, y, z],
+            translation: [a, b, c],
+            camera: words.next("CAMERA_ID")?,
+            name: words.next("NAME")?,
+        });
+        // the points that it sees, perhaps none
+        lines.next();
+    }
+    Ok(rows)
+}
+
+/// Lines that are no comments, with their numbers from 1.
+fn lines(text: &str) -> impl Iterator<Item = (usize, &str)> {
+    let numbered = text.lines().enumerate().map(|(i, line)| (i + 1, line));
+    numbered.filter(|(_, line)| !line.trim_start().starts_with('#'))
+}
+
+/// The words of a line.
+struct Words<'a> {
+    line: usize,
+    words: SplitAsciiWhitespace<'a>,
+}
+
+impl<'a> Words<'a> {
+    fn new(line: usize, text: &'a str) -> Self {
+        Self { line, words: text.split_ascii_whitespace() }
+    }
+
+    fn damaged(&self, reason: String) -> PlacedError {
+        damaged(format!("line {}", self.line), reason)
+    }
+
+    fn next<T: FromStr>(&mut self, what: &str) -> Result<T, PlacedError> {
+        let word = self.words.next();
+        let word = word.ok_or_else(|| self.damaged(format!("{what} is missing")))?;
+        word.parse().map_err(|_| self.damaged(format!("{what} is {word:?}")))
+    }
+
+    fn rest<T: FromStr>(&mut self, what: &str) -> Result<Vec<T>, PlacedError> {
+        let mut all = Vec::new();
+        while let Some(word) = self.words.next() {
+            all.push(word.parse().map_err(|_| self.damaged(format!("{what} holds {word:?}")))?);
+        }
+        Ok(all)
     }
 }
