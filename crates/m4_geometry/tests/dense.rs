@@ -6,30 +6,24 @@ use m4_geometry::classical::dense::{
     DenseConfig, DenseError, DenseFrame, InverseSearch, MonoDepth, MonoError, MonoKind, MonoMap, SegmentError,
     SegmentMask, SegmentPrompt, Segmenter, Sources, estimate,
 };
-use m4_geometry::classical::reconstruction::{CameraMotion, Motion, SparseReconstruction, Track};
+use m4_geometry::classical::{CameraMotion, Motion, SparseReconstruction, Track};
 use std::borrow::Cow;
 use std::sync::Mutex;
 
-/// With classical flow and nothing given.
-fn estimate_depth(
-    frames: &[&RgbImage],
-    sparse: &SparseReconstruction,
-    config: &DenseConfig,
-    progress: &dyn Progress,
-) -> Result<Vec<DenseFrame>, DenseError> {
-    dense(frames, sparse, &Sources::flow(&InverseSearch), config, progress)
-}
-
-/// With nothing given.
+/// Without masks, by default settings.
 fn dense(
     frames: &[&RgbImage],
     sparse: &SparseReconstruction,
     sources: &Sources<'_>,
-    config: &DenseConfig,
     progress: &dyn Progress,
 ) -> Result<Vec<DenseFrame>, DenseError> {
-    let found = estimate(frames, sparse, sources, None, config, progress)?;
+    let found = estimate(frames, sparse, sources, None, &DenseConfig::default(), progress)?;
     found.enlarge(frames, progress).map(|dense| dense.frames)
+}
+
+/// With classical flow alone.
+fn estimate_depth(frames: &[&RgbImage], sparse: &SparseReconstruction) -> Vec<DenseFrame> {
+    dense(frames, sparse, &Sources::flow(&InverseSearch), &Silent).unwrap()
 }
 
 const SIZE: (usize, usize) = (128, 96);
@@ -134,14 +128,12 @@ fn score(drawn: &Drawn, found: &[DenseFrame]) -> ([f64; 2], f64) {
 #[test]
 fn depth_and_masks_of_a_drawn_scene() {
     let drawn = draw(0.06);
-    let found =
-        estimate_depth(&references(&drawn), &sparse(&drawn, CameraMotion::Parallax), &DenseConfig::default(), &Silent)
-            .unwrap();
+    let found = estimate_depth(&references(&drawn), &sparse(&drawn, CameraMotion::Parallax));
     let ([fixed, moving], iou) = score(&drawn, &found);
     eprintln!("static {fixed:.4}, moving {moving:.4}, masks {iou:.3}");
     // measured: 0.0101, 0.589 and 0.859
     assert!(fixed < 0.015, "static depth is off by {fixed:.4}");
-    // The box floats, and nothing says how far before the wall: its distance is not recovered here (`dense::bodies` has tests of
+    // The box floats, and nothing says how far before the wall: its distance is not recovered here (`rigid_objects` has tests of
     // what can be). It must lie before the wall, on which the error would be 4 / 2.4 - 1 = 0.667.
     assert!(moving < 0.62, "the moving box is on the wall: its depth is off by {moving:.4}");
     assert!(iou > 0.8, "masks overlap by {iou:.3}");
@@ -154,9 +146,7 @@ fn any_number_of_threads_gives_the_same_bits() {
     let reconstruction = sparse(&drawn, CameraMotion::Parallax);
     let run = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        pool.install(|| {
-            estimate_depth(&frames[..6], &first(&reconstruction, 6), &DenseConfig::default(), &Silent).unwrap()
-        })
+        pool.install(|| estimate_depth(&frames[..6], &first(&reconstruction, 6)))
     };
     assert_eq!(run(1), run(3));
 }
@@ -193,13 +183,12 @@ fn static_camera_gives_masks_and_placeholder_depth() {
     let drawn = draw(0.0);
     for camera_motion in [CameraMotion::Static, CameraMotion::RotationOnly] {
         let listener = Listener::default();
-        let found =
-            estimate_depth(&references(&drawn), &sparse(&drawn, camera_motion), &DenseConfig::default(), &listener)
-                .unwrap();
+        let sparse = sparse(&drawn, camera_motion);
+        let found = dense(&references(&drawn), &sparse, &Sources::flow(&InverseSearch), &listener).unwrap();
         let (_, iou) = score(&drawn, &found);
         assert!(iou > 0.5, "{camera_motion:?}: masks overlap by {iou:.3}");
         // Static pixels lie on a sphere around the camera, dynamic ones in front of it.
-        for (frame, camera) in found.iter().zip(&sparse(&drawn, camera_motion).cameras) {
+        for (frame, camera) in found.iter().zip(&sparse.cameras) {
             let (w, _) = frame.depth.size();
             for (i, (&z, &mask)) in frame.depth.data().iter().zip(frame.mask.data()).enumerate() {
                 let place = camera.unproject((i % w) as f64, (i / w) as f64, f64::from(z));
@@ -218,12 +207,12 @@ fn single_frame_and_static_scene_succeed() {
     let drawn = draw(0.06);
     let frames = references(&drawn);
     let all = sparse(&drawn, CameraMotion::Parallax);
-    let one = estimate_depth(&frames[..1], &first(&all, 1), &DenseConfig::default(), &Silent).unwrap();
+    let one = estimate_depth(&frames[..1], &first(&all, 1));
     assert!(one[0].depth.data().iter().all(|z| z.is_finite() && *z > 0.0));
     let grey: Vec<RgbImage> = (0..3).map(|_| Plane::filled(SIZE.0, SIZE.1, [90; 3])).collect();
     let mut blank = first(&all, 3);
     blank.tracks.clear();
-    let found = estimate_depth(&grey.iter().collect::<Vec<_>>(), &blank, &DenseConfig::default(), &Silent).unwrap();
+    let found = estimate_depth(&grey.iter().collect::<Vec<_>>(), &blank);
     for frame in found {
         assert!(frame.depth.data().iter().all(|z| z.is_finite() && *z > 0.0));
         assert!(frame.mask.data().iter().all(|&m| m == 0));
@@ -235,25 +224,25 @@ fn bad_input_is_named() {
     let drawn = draw(0.06);
     let frames = references(&drawn);
     let good = sparse(&drawn, CameraMotion::Parallax);
-    let config = DenseConfig::default();
-    let fails = |frames: &[&RgbImage], sparse: &SparseReconstruction, config: &DenseConfig| {
-        let error = estimate_depth(frames, sparse, config, &Silent).unwrap_err();
-        error.to_string()
-    };
-    assert!(fails(&[], &good, &config).contains("no frames"));
-    assert!(fails(&frames[..5], &good, &config).contains("5 frames but 12 cameras"));
+    let flow = Sources::flow(&InverseSearch);
     let small = Plane::filled(20, 20, [0; 3]);
     let mut mixed = frames.clone();
     mixed[3] = &small;
-    assert!(fails(&mixed, &good, &config).contains("frame 3 is 20x20"));
     let mut broken = good.clone();
     broken.cameras[2].c2w.translation.y = f64::NAN;
-    assert!(fails(&frames, &broken, &config).contains("camera of frame 2"));
-    let mut settings = config.clone();
-    settings.working_side_px = 63;
-    assert!(fails(&frames, &good, &settings).contains("dense.working_side_px"));
+    let config = |working_side_px| DenseConfig { working_side_px, ..DenseConfig::default() };
+    for (frames, sparse, side, what) in [
+        (&[][..], &good, 480, "no frames"),
+        (&frames[..5], &good, 480, "5 frames but 12 cameras"),
+        (&mixed[..], &good, 480, "frame 3 is 20x20"),
+        (&frames[..], &broken, 480, "camera of frame 2"),
+        (&frames[..], &good, 63, "dense.working_side_px"),
+    ] {
+        let error = estimate(frames, sparse, &flow, None, &config(side), &Silent).unwrap_err().to_string();
+        assert!(error.contains(what), "{error}");
+    }
     let stop = Listener { stop: true, ..Listener::default() };
-    assert!(matches!(estimate_depth(&frames, &good, &config, &stop), Err(DenseError::Cancelled { .. })));
+    assert!(matches!(dense(&frames, &good, &flow, &stop), Err(DenseError::Cancelled { .. })));
 }
 
 /// Answers every prompt with the same kind of mask.
@@ -295,11 +284,8 @@ fn a_segmenter_is_believed_where_it_means_the_same() {
     for (step, motion) in [(0.06, CameraMotion::Parallax), (0.0, CameraMotion::Static)] {
         let drawn = draw(step);
         let (frames, good) = (references(&drawn), sparse(&drawn, motion));
-        let flow = InverseSearch;
         let with = |segmenter: Option<&dyn Segmenter>| {
-            let sources = Sources { segmenter, ..Sources::flow(&flow) };
-            let config = DenseConfig::default();
-            dense(&frames, &good, &sources, &config, &Silent)
+            dense(&frames, &good, &Sources { segmenter, ..Sources::flow(&InverseSearch) }, &Silent)
         };
         let plain = with(None).unwrap();
         let sharp = with(Some(&Oracle::Truth(&drawn))).unwrap();
@@ -339,7 +325,7 @@ impl MonoDepth for Network<'_> {
 #[test]
 fn dynamic_regions_take_depth_from_a_sensor() {
     let drawn = draw(0.08);
-    let frames: Vec<&RgbImage> = drawn.images.iter().collect();
+    let frames = references(&drawn);
     let sparse = sparse(&drawn, CameraMotion::Parallax);
     let sources = Sources { mono: &Network(&drawn), ..Sources::flow(&InverseSearch) };
     let config = DenseConfig::default();

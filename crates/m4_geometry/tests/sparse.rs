@@ -1,8 +1,8 @@
 //! The sparse half on rendered images, and on the shared benchmark where it is present.
 
 use m4_core::{Camera, Intrinsics, Plane, RgbImage, Se3, Silent, Sim3, exp_so3, nalgebra::Vector3};
-use m4_geometry::classical::reconstruction::{CameraMotion, Motion, SparseReconstruction};
 use m4_geometry::classical::sparse::{SparseConfig, SparseError, track_features};
+use m4_geometry::classical::{CameraMotion, Motion, SparseReconstruction};
 
 const FRAMES: usize = 12;
 
@@ -65,17 +65,16 @@ fn render_all(cameras: &[Camera]) -> Vec<RgbImage> {
     (0..).zip(cameras).map(|(i, c)| render(c, f64::from(i))).collect()
 }
 
-fn reconstruct(frames: &[&RgbImage], config: &SparseConfig) -> Result<SparseReconstruction, SparseError> {
-    let found = track_features(frames, config, &Silent)?.recover(None, config, &Silent)?;
+fn reconstruct(images: &[RgbImage], config: &SparseConfig) -> Result<SparseReconstruction, SparseError> {
+    let frames: Vec<&RgbImage> = images.iter().collect();
+    let found = track_features(&frames, config, &Silent)?.recover(None, config, &Silent)?;
     Ok(found.sparse)
 }
 
 #[test]
 fn a_rendered_room_is_reconstructed() {
     let truth = cameras(0.06, 0.008);
-    let render_all = render_all(&truth);
-    let found =
-        reconstruct(&render_all.iter().collect::<Vec<_>>(), &SparseConfig::default()).expect("a reconstruction");
+    let found = reconstruct(&render_all(&truth), &SparseConfig::default()).expect("a reconstruction");
     assert_eq!(found.camera_motion, CameraMotion::Parallax, "{:?}", found.warnings);
     let centres = |cameras: &[Camera]| cameras.iter().map(Camera::centre).collect::<Vec<_>>();
     let (ours, want) = (centres(&found.cameras), centres(&truth));
@@ -110,21 +109,17 @@ fn a_rendered_room_is_reconstructed() {
 
 #[test]
 fn static_and_turning_cameras_are_distinguished() {
-    let still = render_all(&cameras(0.0, 0.0));
-    let found = reconstruct(&still.iter().collect::<Vec<_>>(), &SparseConfig::default()).expect("a pose");
-    assert_eq!(found.camera_motion, CameraMotion::Static);
-    let turning = render_all(&cameras(0.0, 0.01));
-    let found = reconstruct(&turning.iter().collect::<Vec<_>>(), &SparseConfig::default()).expect("rotations");
-    assert_eq!(found.camera_motion, CameraMotion::RotationOnly, "{:?}", found.warnings);
-    assert!(!found.warnings.is_empty());
+    for (turn, motion) in [(0.0, CameraMotion::Static), (0.01, CameraMotion::RotationOnly)] {
+        let images = render_all(&cameras(0.0, turn));
+        let found = reconstruct(&images, &SparseConfig::default()).expect("poses");
+        assert_eq!(found.camera_motion, motion, "{:?}", found.warnings);
+        assert!(!found.warnings.is_empty());
+    }
 }
 
 #[test]
 fn bad_input_is_refused() {
-    let run = |render_all: &[RgbImage]| {
-        let all: Vec<&RgbImage> = render_all.iter().collect();
-        reconstruct(&all, &SparseConfig::default()).unwrap_err().to_string()
-    };
+    let run = |images: &[RgbImage]| reconstruct(images, &SparseConfig::default()).unwrap_err().to_string();
     let plain = |w, h| Plane::filled(w, h, [90_u8; 3]);
     for (frames, reason) in [
         (vec![], "the clip has 0 frame(s)"),
@@ -135,8 +130,7 @@ fn bad_input_is_refused() {
     ] {
         assert!(run(&frames).contains(reason), "{}", run(&frames));
     }
-    let (a, b) = (plain(100, 80), plain(100, 80));
     let config = SparseConfig { fov_deg: Some(f64::NAN), ..SparseConfig::default() };
-    let got = reconstruct(&[&a, &b], &config).map(|_| ());
+    let got = reconstruct(&[plain(100, 80), plain(100, 80)], &config).map(|_| ());
     assert!(matches!(got, Err(SparseError::Setting { name: "fov_deg", .. })), "{got:?}");
 }

@@ -2,8 +2,8 @@
 
 use m4_core::median;
 use m4_geometry::classical::dense::DenseFrame;
-use m4_geometry::classical::reconstruction::{CameraMotion, Motion, SparseReconstruction};
 use m4_geometry::classical::sparse::FocalSource;
+use m4_geometry::classical::{CameraMotion, Motion, SparseReconstruction};
 use serde::{Deserialize, Serialize};
 
 /// How good geometry is likely to be.
@@ -238,7 +238,7 @@ fn parallax_rad(sparse: &SparseReconstruction) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::{Circumstances, Confidence, Focal, Grade};
-    use m4_geometry::classical::reconstruction::CameraMotion;
+    use m4_geometry::classical::CameraMotion;
 
     const FINE: Confidence = Confidence {
         grade: Grade::Good,

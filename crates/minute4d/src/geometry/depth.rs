@@ -4,7 +4,7 @@ use super::frontend::MonoClip;
 use super::given::Given;
 use crate::{Error, Observer, Refusal};
 use m4_core::{DepthMap, median};
-use m4_geometry::classical::reconstruction::{CameraMotion, SparseReconstruction};
+use m4_geometry::classical::{CameraMotion, SparseReconstruction};
 
 /// Given poses and given depth whose units differ by more than this factor do not fit.
 const UNITS: f64 = 1.25;

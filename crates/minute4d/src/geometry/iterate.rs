@@ -7,8 +7,8 @@ use crate::steps::Steps;
 use crate::{Error, Observer};
 use m4_core::{Mask, Plane, Progress, Sim3, median, nalgebra::Vector3};
 use m4_geometry::classical::dense::DenseFrame;
-use m4_geometry::classical::reconstruction::{CameraMotion, Motion, SparseReconstruction, Track};
 use m4_geometry::classical::sparse::{FeatureTracks, Recovered, SparseConfig, SparseError};
+use m4_geometry::classical::{CameraMotion, Motion, SparseReconstruction, Track};
 use std::collections::HashMap;
 
 /// Changes of what cameras see above this many pixels matter.
@@ -198,7 +198,7 @@ fn put_back(frames: &mut [DenseFrame], masks: Vec<Mask>) {
 mod tests {
     use super::{Change, within, worth};
     use m4_core::{Camera, CounterRng, Intrinsics, Plane, Se3, exp_so3, nalgebra::Vector3};
-    use m4_geometry::classical::reconstruction::{CameraMotion, Motion, SparseReconstruction, Track};
+    use m4_geometry::classical::{CameraMotion, Motion, SparseReconstruction, Track};
 
     /// A walk past points between 3 and 6 away, every tenth of which moves.
     fn clip() -> SparseReconstruction {

@@ -5,11 +5,11 @@
 //! shows the same, the mask is too wide. Behind an object that stays in place and rotates or swings, masks may cover a pixel in every
 //! frame; its background is then the colour that recurs between those of the object.
 
-use super::flow::bilinear_rgb;
-use super::pair::Pair;
-use super::shot::Shot;
+use super::flow::{ScaledFrame, bilinear_rgb};
+use super::motion::{STATIC_VOTE, THRESHOLD, mask};
+use super::shot::{Pair, Shot};
 use super::smooth::{Smoother, box_blur};
-use m4_core::{Camera, dilated};
+use m4_core::{Camera, dilated, quantile};
 use std::array;
 
 /// Distances in time of the frames that a background is made of where there is parallax, each both ways.
@@ -126,7 +126,7 @@ fn recurring(seen: &[[f32; 3]]) -> Option<[f32; 3]> {
 
 fn median(values: impl Iterator<Item = f32>) -> f32 {
     let mut values: Vec<f32> = values.collect();
-    m4_core::quantile(&mut values, 0.5).unwrap_or(0.0)
+    quantile(&mut values, 0.5).unwrap_or(0.0)
 }
 
 /// Evidence of motion a pixel, above 0 for moving, and its weight.
@@ -175,18 +175,52 @@ pub(super) fn sharpen(scene: &Scene<'_>, i: usize, before: &[u8], smoother: &Smo
         value[p] /= weight[p];
     }
     let smooth = smoother.fill(&value, &weight, SMOOTH_LAMBDA).0;
-    super::motion::mask(scene.width, scene.height, &smooth)
+    mask(scene.width, scene.height, &smooth)
+}
+
+/// Frames the usual colours of a static camera are the median of, spread over the clip.
+const SAMPLES: usize = 25;
+/// Least noise of a pixel, 0..255.
+const NOISE: f32 = 4.0;
+
+/// The usual colour of every pixel of a static camera: median over time, channel by channel. `frames` must not be empty.
+pub(super) fn median_colours(frames: &[ScaledFrame]) -> Vec<[u8; 3]> {
+    let count = SAMPLES.min(frames.len());
+    let chosen: Vec<&ScaledFrame> = (0..count).map(|k| &frames[k * frames.len() / count]).collect();
+    let mut values = vec![0u8; count];
+    let mut median = |i: usize, c: usize| {
+        for (v, frame) in values.iter_mut().zip(&chosen) {
+            *v = frame.rgb[i][c];
+        }
+        *values.select_nth_unstable(count / 2).1
+    };
+    (0..frames[0].rgb.len()).map(|i| array::from_fn(|c| median(i, c))).collect()
+}
+
+/// Evidence of motion a pixel, as that of the flow: the difference to the most similar pixel of the usual colours nearby (a
+/// tripod shakes, too) in units of the noise.
+pub(super) fn difference_evidence(usual: &[[u8; 3]], frame: &ScaledFrame) -> Vec<f32> {
+    let (w, h) = (frame.width, frame.height);
+    let difference = |a: [u8; 3], b: [u8; 3]| a.iter().zip(&b).map(|(a, b)| a.abs_diff(*b)).fold(0, u8::max);
+    let least = |p: usize| {
+        let (x, y) = (p % w, p / w);
+        let rows = y.saturating_sub(1)..(y + 2).min(h);
+        let near = rows.flat_map(|y| &usual[y * w + x.saturating_sub(1)..y * w + (x + 2).min(w)]);
+        f32::from(near.fold(u8::MAX, |least, colour| least.min(difference(frame.rgb[p], *colour))))
+    };
+    let mut out: Vec<f32> = (0..w * h).map(least).collect();
+    let noise = NOISE.max(2.0 * median(out.iter().copied()));
+    for v in &mut out {
+        *v = (0.5 * (*v / noise - THRESHOLD)).clamp(-STATIC_VOTE, 1.0);
+    }
+    out
 }
 
 #[cfg(test)]
 mod tests {
-    use super::super::shot::Shot;
-    use super::super::smooth::Smoother;
-    use super::super::sweep::Range;
-    use super::super::working::WorkingFrame;
-    use super::{Scene, dilated, recurring, sharpen};
+    use super::{ScaledFrame, Scene, Shot, Smoother, difference_evidence, dilated, median_colours, recurring, sharpen};
     use m4_core::{
-        Camera, Intrinsics, Se3,
+        Camera, Intrinsics, Plane, Se3,
         nalgebra::{Vector3, Vector6},
     };
 
@@ -246,31 +280,15 @@ mod tests {
             (0..FRAMES).map(|t| (0..W * H).map(|p| if inside(t, p % W, p / W) { 255 } else { 0 }).collect()).collect();
         let shots: Vec<Shot> = (0..FRAMES)
             .map(|t| {
-                let rgb: Vec<[u8; 3]> = (0..W * H)
-                    .map(|p| {
-                        let (x, y) = (p % W, p / W);
-                        if inside(t, x, y) {
-                            return [230, 200 - 6 * (x % 4) as u8, 40];
-                        }
-                        let at: Vector3<f64> = cameras[t].unproject(x as f64, y as f64, 4.0);
-                        let shadow = x < W - 6 && inside(t, x + 6, y);
-                        let v = pattern(at.x, at.y);
-                        [if shadow { (f32::from(v) * 0.7) as u8 } else { v }; 3]
-                    })
-                    .collect();
-                Shot {
-                    frame: WorkingFrame {
-                        width: W,
-                        height: H,
-                        grey: rgb.iter().map(|c| f32::from(c[0])).collect(),
-                        rgb,
-                        camera: cameras[t],
-                    },
-                    census: Vec::new(),
-                    points: Vec::new(),
-                    partners: Vec::new(),
-                    range: Range { least: 0.1, step: 0.1, count: 8 },
-                }
+                Shot::of_colours(&Plane::from_fn(W, H, |x, y| {
+                    if inside(t, x, y) {
+                        return [230, 200 - 6 * (x % 4) as u8, 40];
+                    }
+                    let at: Vector3<f64> = cameras[t].unproject(x as f64, y as f64, 4.0);
+                    let shadow = x < W - 6 && inside(t, x + 6, y);
+                    let v = pattern(at.x, at.y);
+                    [if shadow { (f32::from(v) * 0.7) as u8 } else { v }; 3]
+                }))
             })
             .collect();
         let before: Vec<Vec<u8>> = truth.iter().map(|m| dilated(m, W, H, 4)).collect();
@@ -290,5 +308,22 @@ mod tests {
         let after = sharpen(&scene, t, &before[t], &smoother);
         let (wide, sharp) = (share(&before[t], &truth[t]), share(&after, &truth[t]));
         assert!(wide < 0.55 && sharp > 0.75, "{wide} {sharp}");
+    }
+
+    #[test]
+    fn passing_objects_differ_from_the_background() {
+        let frame = |k: usize| {
+            let image = Plane::from_fn(40, 32, |x, y| {
+                if (3 * k..3 * k + 4).contains(&x) && (10..20).contains(&y) { [250; 3] } else { [(x * 3) as u8; 3] }
+            });
+            ScaledFrame::new(&image, (40, 32))
+        };
+        let frames: Vec<ScaledFrame> = (0..11).map(frame).collect();
+        let evidence = difference_evidence(&median_colours(&frames), &frames[5]);
+        for (i, e) in evidence.iter().enumerate() {
+            let (x, y) = (i % 40, i / 40);
+            let inside = (15..19).contains(&x) && (10..20).contains(&y);
+            assert_eq!(*e > 0.0, inside, "{x}, {y}: {e}");
+        }
     }
 }

@@ -1,22 +1,18 @@
 //! The dense half from end to end.
 
-use super::background::Background;
-use super::error::{DenseError, check_count};
-use super::flow::FlowPair;
+use super::background_model::median_colours;
+use super::flow::{FlowPair, ScaledFrame};
 use super::mono::Mono;
-use super::motion::MotionCues;
-use super::motion_segmentation::MotionSegmentation;
+use super::motion::{MotionCues, verdicts};
+use super::motion_segmentation::{self, MotionSegmentation};
 use super::shot::{Shot, sparse_points};
-use super::sources::{DenseConfig, Sources};
-use super::static_depth::Swept;
-use super::working::{Ground, mask_at_size};
-use super::{layers, motion, motion_segmentation, moving_depth, rigid_objects, static_depth, tracks};
-use crate::classical::reconstruction::{CameraMotion, SparseReconstruction};
+use super::sources::{DenseConfig, DenseError, Sources};
+use super::working::{Clip, Ground, each, mask_at_size, try_each};
+use super::{layers, moving_depth, rigid_objects, static_depth, tracks};
+use crate::classical::{CameraMotion, SparseReconstruction, check_count};
 use crate::resample::rgb_and_grey;
 use crate::tracks::{QueryGrid, TrackConfig};
-use m4_core::{Camera, DepthMap, Mask, Plane, Progress, RgbImage, Tracks};
-use rayon::prelude::*;
-use std::sync::atomic::{AtomicUsize, Ordering};
+use m4_core::{DepthMap, Mask, Plane, Progress, RgbImage, Tracks};
 
 /// Depth and motion of one frame, all of the size of the frame.
 #[derive(Debug, Clone, PartialEq)]
@@ -46,22 +42,13 @@ const LEAST_BACKGROUND: usize = 8;
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Estimate {
     size: (usize, usize),
-    /// One over z-depth, `[frames][height][width]`.
+    /// One over z-depth; all planes are `[frames][height][width]`.
     disparity: Vec<Vec<f32>>,
-    /// How far the depth was measured, 0..1, `[frames][height][width]`.
+    /// How far the depth was measured, 0..1.
     confidence: Vec<Vec<f32>>,
-    /// Above 0 in dynamic regions, `[frames][height][width]`.
+    /// Above 0 in dynamic regions.
     moving: Vec<Vec<u8>>,
     tracks: Option<Tracks>,
-}
-
-/// Everything but tracks.
-struct WorkingResult {
-    cameras: Vec<Camera>,
-    flows: Vec<FlowPair>,
-    confidence: Vec<Vec<f32>>,
-    moving: Vec<Vec<u8>>,
-    disparity: Vec<Vec<f32>>,
 }
 
 /// Estimates depth, motion masks and confidence of every frame and tracks of dynamic objects, given cameras and feature tracks, with the
@@ -79,96 +66,27 @@ pub fn estimate(
     progress: &dyn Progress,
 ) -> Result<Estimate, DenseError> {
     let ground = Ground::of(frames, sparse, sources, masks, config, progress)?;
-    let found = stages(&ground, frames, sparse, sources, masks, progress)?;
-    let tracks = if config.tracks {
-        let clip = tracks::Clip {
-            width: ground.size.0,
-            height: ground.size.1,
-            cameras: &found.cameras,
-            moving: &found.moving,
-            disparity: &found.disparity,
-            flows: &found.flows,
-        };
-        tracks::tracks(&clip, &QueryGrid::chains(), &TrackConfig::default(), progress)?
-    } else {
-        None
-    };
-    Ok(Estimate {
-        size: ground.size,
-        disparity: found.disparity,
-        confidence: found.confidence,
-        moving: found.moving,
-        tracks,
-    })
-}
-
-impl Estimate {
-    /// Returns depth, masks and confidence at the size of `frames`, those that the estimate was made of.
-    ///
-    /// # Errors
-    ///
-    /// [`DenseError`] for another number of frames, or if the user stopped it.
-    pub fn enlarge(self, frames: &[&RgbImage], progress: &dyn Progress) -> Result<Dense, DenseError> {
-        check_count("estimated depth", self.disparity.len(), frames.len())?;
-        let (width, height) = self.size;
-        let frames = each(frames.len(), "enlarging depth", progress, |i| {
-            let small = Small {
-                size: self.size,
-                rgb: &rgb_and_grey(frames[i], width, height).0,
-                disparity: &self.disparity[i],
-                moving: &self.moving[i],
-                confidence: &self.confidence[i],
-            };
-            enlarge(frames[i], &small)
-        })?;
-        Ok(Dense { frames, tracks: self.tracks })
-    }
-}
-
-/// Runs `f` for every frame in parallel, in order of frames, with progress.
-pub(super) fn each<T: Send>(
-    count: usize,
-    phase: &'static str,
-    progress: &dyn Progress,
-    f: impl Fn(usize) -> T + Sync,
-) -> Result<Vec<T>, DenseError> {
-    let done = AtomicUsize::new(0);
-    let one = |i: usize| {
-        if progress.cancelled() {
-            return None;
-        }
-        let out = f(i);
-        progress.update(phase, done.fetch_add(1, Ordering::Relaxed) + 1, count, "");
-        Some(out)
-    };
-    let all: Option<Vec<T>> = (0..count).into_par_iter().map(one).collect();
-    all.ok_or(DenseError::Cancelled { phase })
-}
-
-fn stages(
-    ground: &Ground,
-    frames: &[&RgbImage],
-    sparse: &SparseReconstruction,
-    sources: &Sources<'_>,
-    masks: Option<&[Mask]>,
-    progress: &dyn Progress,
-) -> Result<WorkingResult, DenseError> {
     let (count, (w, h)) = (frames.len(), ground.size);
-    let (parallax, one_lens) = (ground.parallax, ground.one_lens);
-    let mono = each(count, "reading depth", progress, |i| {
+    let parallax = sparse.camera_motion == CameraMotion::Parallax;
+    let mono = try_each(count, "reading depth", progress, |i| {
         Mono::read(sources.mono, i, frames[i], (w, h)).map_err(|source| DenseError::Mono { frame: i, source })
     })?;
-    let mono = Mono { frames: mono.into_iter().collect::<Result<_, _>>()? };
-    let working = ground.working(frames, sparse, progress)?;
-    let flows = ground.flows(&working, sources, progress)?;
+    let mono = Mono { frames: mono };
+    let working = each(count, "shrinking frames", progress, |i| ScaledFrame::new(frames[i], (w, h)))?;
+    let flows = try_each(count - 1, "computing flow", progress, |i| {
+        FlowPair::between(&working[i].flow_image(), &working[i + 1].flow_image(), sources.flow)
+            .map_err(|source| DenseError::Flow { frame: i, source })
+    })?;
     let points = sparse_points(sparse, w, h);
-    let shots = each(count, "preparing frames", progress, |i| Shot::new(&working, i, &points, parallax))?;
-    let swept: Vec<Swept> = each(count, "sweeping depth", progress, |i| static_depth::sweep(&shots, i))?;
+    let shots = each(count, "preparing frames", progress, |i| {
+        Shot::new(working[i].clone(), &ground.cameras, i, &points, parallax)
+    })?;
+    let swept = each(count, "sweeping depth", progress, |i| static_depth::sweep(&shots, i))?;
     let still = sparse.camera_motion == CameraMotion::Static && count >= LEAST_BACKGROUND;
     let clues = MotionCues {
-        cameras: working.iter().map(|f| f.camera).collect(),
-        verdicts: motion::verdicts(sparse, w, h),
-        background: still.then(|| Background::new(&working)),
+        cameras: ground.cameras,
+        verdicts: verdicts(sparse, w, h),
+        background: still.then(|| median_colours(&working)),
     };
     drop(working);
     let clip = motion_segmentation::Clip {
@@ -184,23 +102,14 @@ fn stages(
         sources,
         progress,
     };
-    let told = masks.map(|masks| masks.iter().map(|mask| mask_at_size(mask, w, h)).collect());
-    let MotionSegmentation { moving, measured, filled } = clip.segment_motion(told)?;
-    let input = rigid_objects::Clip {
-        width: w,
-        height: h,
-        cameras: &clues.cameras,
-        moving: &moving,
-        background: &filled,
-        flows: &flows,
-    };
-    let mut disparity = if parallax || !mono.is_empty() {
-        moving_depth::place(w, h, &moving, &filled, &flows)
-    } else {
-        layers::place(&input, &shots)
-    };
-    if parallax && one_lens {
-        rigid_objects::place(&input, |i| clip.smoother(i), true, &mut disparity, progress)?;
+    let given = masks.map(|masks| masks.iter().map(|mask| mask_at_size(mask, w, h)).collect());
+    let MotionSegmentation { moving, measured, filled } = clip.segment_motion(given)?;
+    let found =
+        Clip { width: w, height: h, cameras: &clues.cameras, moving: &moving, disparity: &filled, flows: &flows };
+    let mut disparity =
+        if parallax || !mono.is_empty() { moving_depth::place(&found) } else { layers::place(&found, &shots) };
+    if parallax && ground.one_lens {
+        rigid_objects::place(&found, |i| clip.smoother(i), &mut disparity, progress)?;
     }
     for i in 0..count {
         if parallax {
@@ -208,13 +117,36 @@ fn stages(
         }
         mono.overrule(i, &mut disparity[i]);
     }
-    Ok(WorkingResult {
-        cameras: clues.cameras,
-        flows,
-        confidence: measured.into_iter().map(|measured| measured.confidence).collect(),
-        moving,
-        disparity,
-    })
+    let found = Clip { disparity: &disparity, ..found };
+    let tracks = match config.tracks {
+        true => tracks::tracks(&found, &QueryGrid::chains(), &TrackConfig::default(), progress)?,
+        false => None,
+    };
+    let confidence = measured.into_iter().map(|measured| measured.confidence).collect();
+    Ok(Estimate { size: (w, h), disparity, confidence, moving, tracks })
+}
+
+impl Estimate {
+    /// Returns depth, masks and confidence at the size of `frames`, those that the estimate was made of.
+    ///
+    /// # Errors
+    ///
+    /// [`DenseError`] for another number of frames, or if the user stopped it.
+    pub fn enlarge(self, frames: &[&RgbImage], progress: &dyn Progress) -> Result<Dense, DenseError> {
+        check_count("estimated depth maps", self.disparity.len(), frames.len()).map_err(DenseError::Input)?;
+        let (width, height) = self.size;
+        let frames = each(frames.len(), "enlarging depth", progress, |i| {
+            let small = Small {
+                size: self.size,
+                rgb: &rgb_and_grey(frames[i], width, height).0,
+                disparity: &self.disparity[i],
+                moving: &self.moving[i],
+                confidence: &self.confidence[i],
+            };
+            enlarge(frames[i], &small)
+        })?;
+        Ok(Dense { frames, tracks: self.tracks })
+    }
 }
 
 /// Colour difference at which a neighbour counts half, 0..255.
@@ -223,25 +155,19 @@ const COLOUR: f32 = 8.0;
 const SAME_SURFACE: f32 = 0.03;
 
 /// What the working size knows of one frame; planes are `[height][width]`.
-pub(super) struct Small<'a> {
+struct Small<'a> {
     /// Columns and rows.
-    pub size: (usize, usize),
+    size: (usize, usize),
     /// Colours, 0..255.
-    pub rgb: &'a [[u8; 3]],
-    pub disparity: &'a [f32],
-    pub moving: &'a [u8],
-    pub confidence: &'a [f32],
-}
-
-/// The weight of each of the 3x3 pixels around a position; 0 outside the image.
-struct Neighbours {
-    index: [usize; 9],
-    weight: [f32; 9],
+    rgb: &'a [[u8; 3]],
+    disparity: &'a [f32],
+    moving: &'a [u8],
+    confidence: &'a [f32],
 }
 
 /// Every pixel takes mask and depth from those of the nine nearest small pixels that resemble it in
 /// colour. Depth is averaged over one surface only, so that nothing floats between two.
-pub(super) fn enlarge(image: &RgbImage, small: &Small<'_>) -> DenseFrame {
+fn enlarge(image: &RgbImage, small: &Small<'_>) -> DenseFrame {
     let (width, height) = image.size();
     let (sx, sy) = (small.size.0 as f32 / width as f32, small.size.1 as f32 / height as f32);
     let mut depth = Plane::filled(width, height, 1.0f32);
@@ -252,21 +178,21 @@ pub(super) fn enlarge(image: &RgbImage, small: &Small<'_>) -> DenseFrame {
             let at = ((x as f32 + 0.5) * sx - 0.5, (y as f32 + 0.5) * sy - 0.5);
             let near = neighbours(small, at, image[(x, y)]);
             let (mut moves, mut total) = (0.0, 0.0);
-            for (&i, &w) in near.index.iter().zip(&near.weight) {
+            for (i, w) in near {
                 total += w;
                 moves += if small.moving[i] > 0 { w } else { 0.0 };
             }
             let moving = moves > 0.5 * total;
             let fits = |i: usize| (small.moving[i] > 0) == moving;
-            let (mut best, mut most) = (near.index[4], 0.0f32);
-            for (&i, &w) in near.index.iter().zip(&near.weight) {
+            let (mut best, mut most) = (near[4].0, 0.0f32);
+            for (i, w) in near {
                 if fits(i) && w > most {
                     (best, most) = (i, w);
                 }
             }
             let surface = small.disparity[best];
             let (mut sum, mut sure, mut weight) = (0.0, 0.0, 0.0);
-            for (&i, &w) in near.index.iter().zip(&near.weight) {
+            for (i, w) in near {
                 if fits(i) && (small.disparity[i] - surface).abs() <= SAME_SURFACE * surface {
                     sum += w * small.disparity[i];
                     sure += w * small.confidence[i];
@@ -281,26 +207,24 @@ pub(super) fn enlarge(image: &RgbImage, small: &Small<'_>) -> DenseFrame {
     DenseFrame { depth, mask, confidence }
 }
 
-fn neighbours(small: &Small<'_>, (x, y): (f32, f32), colour: [u8; 3]) -> Neighbours {
+/// The 3x3 pixels around a position and their weights, 0 outside the image.
+fn neighbours(small: &Small<'_>, (x, y): (f32, f32), colour: [u8; 3]) -> [(usize, f32); 9] {
     let (w, h) = (small.size.0 as isize, small.size.1 as isize);
     let clamp = |v: f32, n: isize| (v.round() as isize).clamp(0, n - 1);
     let (cx, cy) = (clamp(x, w), clamp(y, h));
-    let mut out = Neighbours { index: [0; 9], weight: [0.0; 9] };
-    for k in 0..9 {
+    std::array::from_fn(|k| {
         let (nx, ny) = (cx + k as isize % 3 - 1, cy + k as isize / 3 - 1);
-        let inside = nx >= 0 && ny >= 0 && nx < w && ny < h;
         let i = (ny.clamp(0, h - 1) * w + nx.clamp(0, w - 1)) as usize;
-        out.index[k] = i;
-        if inside {
-            // A tent two pixels wide, never 0, times the likeness of the colours.
-            let (dx, dy) = (x - nx as f32, y - ny as f32);
-            let space = (1.6 - dx.abs()).max(0.05) * (1.6 - dy.abs()).max(0.05);
-            let differences = small.rgb[i].iter().zip(&colour).map(|(a, b)| a.abs_diff(*b));
-            let difference = f32::from(differences.fold(0, u8::max));
-            out.weight[k] = space / (1.0 + (difference / COLOUR).powi(2));
+        if nx < 0 || ny < 0 || nx >= w || ny >= h {
+            return (i, 0.0);
         }
-    }
-    out
+        // A tent two pixels wide, never 0, times the likeness of the colours.
+        let (dx, dy) = (x - nx as f32, y - ny as f32);
+        let space = (1.6 - dx.abs()).max(0.05) * (1.6 - dy.abs()).max(0.05);
+        let differences = small.rgb[i].iter().zip(&colour).map(|(a, b)| a.abs_diff(*b));
+        let difference = f32::from(differences.fold(0, u8::max));
+        (i, space / (1.0 + (difference / COLOUR).powi(2)))
+    })
 }
 
 #[cfg(test)]

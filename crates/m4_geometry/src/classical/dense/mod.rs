@@ -23,11 +23,7 @@
 //! plane sweep (Collins 1996) with census cost (Zabih and Woodfill 1994), semi-global aggregation
 //! (Hirschmueller 2008), and fast global smoothing (Min et al. 2014).
 
-mod aggregate;
-mod background;
 mod background_model;
-mod components;
-mod error;
 mod estimate;
 mod flow;
 mod layers;
@@ -35,7 +31,7 @@ mod mono;
 mod motion;
 mod motion_segmentation;
 mod moving_depth;
-mod pair;
+mod regions;
 mod rigid_objects;
 mod segment;
 mod shot;
@@ -46,16 +42,15 @@ mod sweep;
 mod tracks;
 mod working;
 
-pub(crate) use components::Components;
-pub use error::DenseError;
 pub use estimate::{Dense, DenseFrame, Estimate, estimate};
 pub use flow::{FlowError, FlowImage, FlowSource, InverseSearch};
 pub(crate) use flow::{FlowPair, ScaledFrame, round_trip_px};
 pub use mono::{MonoDepth, MonoError, MonoKind, MonoMap, NoDepth, SensorDepth};
+pub(crate) use regions::{Components, to_outside};
 pub(crate) use segment::{
-    LEAST_OVERLAP, LEAST_PART_PX, LEAST_QUALITY, belief, box_of, checked_masks, points_apart, prompt, to_outside,
+    LEAST_OVERLAP, LEAST_PART_PX, LEAST_QUALITY, belief, box_of, checked_masks, points_apart, prompt,
 };
 pub use segment::{SegmentError, SegmentMask, SegmentPrompt, Segmenter};
 pub(crate) use smooth::Smoother;
-pub use sources::{DenseConfig, Sources};
+pub use sources::{DenseConfig, DenseError, Sources};
 pub(crate) use working::working_size;

@@ -1,13 +1,12 @@
 //! Finds dynamic pixels: flow that the camera and the depth do not explain.
 
-use super::background::Background;
-use super::components::clean;
-use super::flow::FlowPair;
-use super::pair::Pair;
-use super::shot::Shot;
+use super::background_model::difference_evidence;
+use super::flow::{FlowPair, ScaledFrame};
+use super::regions::clean;
+use super::shot::{Pair, Shot};
 use super::smooth::{Smoother, box_blur};
-use super::working::WorkingFrame;
-use crate::classical::reconstruction::{Motion, SparseReconstruction};
+use super::working::{nearest_pixel, observed};
+use crate::classical::{Motion, SparseReconstruction};
 use m4_core::{Camera, Flow, bilinear, quantile};
 
 /// Over how many frames flow is chained and compared, each both ways: the short span for fast motion, the long one for slow motion.
@@ -45,26 +44,19 @@ struct Link {
     pair: Pair,
 }
 
-/// A track's verdict at a pixel.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Verdict {
-    pub pixel: usize,
-    pub moves: bool,
-}
-
 /// What is known of the clip as a whole.
 pub(super) struct MotionCues {
     /// At the working size, one per frame.
     pub cameras: Vec<Camera>,
-    /// By frame.
-    pub verdicts: Vec<Vec<Verdict>>,
-    /// For a static camera.
-    pub background: Option<Background>,
+    /// By frame: pixels of tracks and whether these are dynamic.
+    pub verdicts: Vec<Vec<(usize, bool)>>,
+    /// The usual colours, for a static camera.
+    pub background: Option<Vec<[u8; 3]>>,
 }
 
 /// The disparity of one frame.
 pub(super) struct FrameDisparity<'a> {
-    pub frame: &'a WorkingFrame,
+    pub frame: &'a ScaledFrame,
     /// `[height][width]`: of all pixels, assumed static.
     pub disparity: &'a [f32],
     /// `[height][width]`: share of the partners that agree on it.
@@ -72,22 +64,10 @@ pub(super) struct FrameDisparity<'a> {
 }
 
 /// The verdicts of all tracks, by frame.
-pub(super) fn verdicts(sparse: &SparseReconstruction, width: usize, height: usize) -> Vec<Vec<Verdict>> {
+pub(super) fn verdicts(sparse: &SparseReconstruction, width: usize, height: usize) -> Vec<Vec<(usize, bool)>> {
     let mut out = vec![Vec::new(); sparse.cameras.len()];
-    for track in sparse.tracks.iter().filter(|t| t.motion != Motion::Unknown) {
-        let moves = track.motion == Motion::Dynamic;
-        for (k, seen) in track.observations.iter().enumerate() {
-            let Some(camera) = sparse.cameras.get(track.first_frame + k) else {
-                break;
-            };
-            let size = &camera.intrinsics;
-            let x = (f64::from(seen[0]) + 0.5) * width as f64 / size.width as f64;
-            let y = (f64::from(seen[1]) + 0.5) * height as f64 / size.height as f64;
-            if x >= 0.0 && y >= 0.0 && x < width as f64 && y < height as f64 {
-                let pixel = y as usize * width + x as usize;
-                out[track.first_frame + k].push(Verdict { pixel, moves });
-            }
-        }
+    for (frame, pixel, track) in observed(sparse, width, height).filter(|(.., t)| t.motion != Motion::Unknown) {
+        out[frame].push((pixel, track.motion == Motion::Dynamic));
     }
     out
 }
@@ -96,25 +76,18 @@ pub(super) fn verdicts(sparse: &SparseReconstruction, width: usize, height: usiz
 fn link(flows: &[FlowPair], cameras: &[Camera], i: usize, span: usize, later: bool) -> Option<Link> {
     let target = if later { i + span } else { i.checked_sub(span)? };
     let to = cameras.get(target)?;
-    let step = |k: usize| {
-        if later {
-            (&flows[i + k].forward, &flows[i + k].forward_round_trip)
-        } else {
-            (&flows[i - k - 1].backward, &flows[i - k - 1].backward_round_trip)
-        }
-    };
-    let (first, trip) = step(0);
-    let (mut there, mut round_trip) = (first.clone(), trip.clone());
+    let step = |k: usize| FlowPair::step(flows, if later { i + k } else { i - k }, later);
+    let (first, trip) = step(0)?;
+    let (mut there, mut round_trip) = (first.clone(), trip.to_vec());
     let (w, h) = (there.width, there.height);
     for k in 1..span {
-        let (flow, trip) = step(k);
+        let (flow, trip) = step(k)?;
         for p in 0..w * h {
             let (x, y) = ((p % w) as f32 + there.u[p], (p / w) as f32 + there.v[p]);
             let (u, v) = flow.at(x, y);
-            let q = ((y + 0.5).max(0.0) as usize).min(h - 1) * w + ((x + 0.5).max(0.0) as usize).min(w - 1);
             there.u[p] += u;
             there.v[p] += v;
-            round_trip[p] += trip[q];
+            round_trip[p] += trip[nearest_pixel(w, h, x, y)];
         }
     }
     Some(Link { there, round_trip, pair: Pair::new(&cameras[i], to) })
@@ -148,11 +121,11 @@ pub(super) fn evidence(
         weight[p] += agreement;
     }
     if let Some(background) = &clues.background {
-        for ((v, w), e) in value.iter_mut().zip(&mut weight).zip(background.evidence(seen.frame)) {
+        for ((v, w), e) in value.iter_mut().zip(&mut weight).zip(difference_evidence(background, seen.frame)) {
             (*v, *w) = (*v + e, *w + 1.0);
         }
     }
-    for verdict in &clues.verdicts[i] {
+    for &verdict in &clues.verdicts[i] {
         add_verdict(verdict, w, h, &mut value, &mut weight);
     }
     for (v, w) in value.iter_mut().zip(&weight) {
@@ -206,14 +179,14 @@ fn add_link(link: &Link, disparity: &[f32], refuted: &[f32], value: &mut [f32], 
 }
 
 /// A track speaks for its surroundings.
-fn add_verdict(verdict: &Verdict, w: usize, h: usize, value: &mut [f32], weight: &mut [f32]) {
+fn add_verdict((pixel, moves): (usize, bool), w: usize, h: usize, value: &mut [f32], weight: &mut [f32]) {
     const REACH: usize = 3;
-    let (x, y) = (verdict.pixel % w, verdict.pixel / w);
+    let (x, y) = (pixel % w, pixel / w);
     for ny in y.saturating_sub(REACH)..(y + REACH + 1).min(h) {
         for nx in x.saturating_sub(REACH)..(x + REACH + 1).min(w) {
             let square = (nx.abs_diff(x).pow(2) + ny.abs_diff(y).pow(2)) as f32;
             let near = TRACK_WEIGHT * (-square / 4.0).exp();
-            value[ny * w + nx] += if verdict.moves { near } else { -near };
+            value[ny * w + nx] += if moves { near } else { -near };
             weight[ny * w + nx] += near;
         }
     }
@@ -221,26 +194,18 @@ fn add_verdict(verdict: &Verdict, w: usize, h: usize, value: &mut [f32], weight:
 
 /// Averages evidence with that of the frames before and after, along the flow where its round trip closes.
 pub(super) fn vote(width: usize, height: usize, evidence: &[Vec<f32>], flows: &[FlowPair], i: usize) -> Vec<f32> {
-    let neighbour = |p: usize, flow: &Flow, trip: &[f32], other: &[f32]| {
-        let close = 1.0 / (1.0 + trip[p] * trip[p]);
-        if close < 0.1 {
-            return (0.0, 0.0);
-        }
-        let x = ((p % width) as f32 + flow.u[p] + 0.5).max(0.0) as usize;
-        let y = ((p / width) as f32 + flow.v[p] + 0.5).max(0.0) as usize;
-        (close * other[y.min(height - 1) * width + x.min(width - 1)], close)
-    };
+    // The frame before adds after the frame that follows.
+    let steps = [true, false].map(|later| Some((FlowPair::step(flows, i, later)?, if later { i + 1 } else { i - 1 })));
     (0..width * height)
         .map(|p| {
             let (mut sum, mut weight) = (evidence[i][p], 1.0);
-            if let Some(f) = flows.get(i) {
-                let (s, w) = neighbour(p, &f.forward, &f.forward_round_trip, &evidence[i + 1]);
-                (sum, weight) = (sum + s, weight + w);
-            }
-            if i > 0 {
-                let f = &flows[i - 1];
-                let (s, w) = neighbour(p, &f.backward, &f.backward_round_trip, &evidence[i - 1]);
-                (sum, weight) = (sum + s, weight + w);
+            for ((flow, trip), other) in steps.iter().flatten() {
+                let close = 1.0 / (1.0 + trip[p] * trip[p]);
+                if close >= 0.1 {
+                    let (x, y) = ((p % width) as f32 + flow.u[p], (p / width) as f32 + flow.v[p]);
+                    sum += close * evidence[*other][nearest_pixel(width, height, x, y)];
+                    weight += close;
+                }
             }
             sum / weight
         })

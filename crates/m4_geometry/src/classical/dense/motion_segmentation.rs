@@ -1,8 +1,6 @@
 //! Separates dynamic from static regions: motion spoils depth and depth shows motion, so one is found from the other in turn.
 
 use super::background_model;
-use super::error::DenseError;
-use super::estimate::each;
 use super::flow::FlowPair;
 use super::layers;
 use super::mono::Mono;
@@ -10,8 +8,9 @@ use super::motion::{self, FrameDisparity, MotionCues};
 use super::segment;
 use super::shot::Shot;
 use super::smooth::Smoother;
-use super::sources::Sources;
-use super::static_depth::{self, Measured, Swept};
+use super::sources::{DenseError, Sources};
+use super::static_depth::{self, Measured};
+use super::working::{each, try_each};
 use m4_core::{Progress, RgbImage, dilated};
 
 /// How often depth and motion are estimated in turn: the second round knows the masks of the first.
@@ -33,7 +32,8 @@ pub(super) struct Clip<'a> {
     /// At their own size.
     pub frames: &'a [&'a RgbImage],
     pub shots: &'a [Shot],
-    pub swept: &'a [Swept],
+    /// Disparities that the sweep found.
+    pub swept: &'a [Vec<f32>],
     pub flows: &'a [FlowPair],
     pub mono: &'a Mono,
     pub clues: &'a MotionCues,
@@ -56,10 +56,6 @@ fn of(masks: Option<&[Vec<u8>]>, i: usize) -> Option<&[u8]> {
 
 impl Clip<'_> {
     /// Segments dynamic regions, or takes the masks of the user.
-    ///
-    /// # Errors
-    ///
-    /// [`DenseError`] if the segmenter fails or the user stopped it.
     pub fn segment_motion(&self, given: Option<Masks>) -> Result<MotionSegmentation, DenseError> {
         let moving = match given {
             Some(given) => given,
@@ -82,28 +78,19 @@ impl Clip<'_> {
 
     /// Sharp masks of dynamic regions.
     fn moving(&self) -> Result<Masks, DenseError> {
-        let (before, last) = self.rounds()?;
-        let mut moving = self.sharpened(before.as_deref(), &last)?;
-        if let Some(segmenter) = self.sources.segmenter {
-            let size = (self.width, self.height);
-            let sharp = self.each("segmenting dynamic objects", |i| {
-                segment::sharpen(segmenter, self.frames[i], size, &moving[i])
-                    .map_err(|source| DenseError::Segment { frame: i, source })
-            })?;
-            moving = sharp.into_iter().collect::<Result<_, _>>()?;
-        }
-        Ok(moving)
-    }
-
-    /// The masks before the last round, if any, and after it.
-    fn rounds(&self) -> Result<(Option<Masks>, Masks), DenseError> {
-        let mut before = None;
-        let mut last = self.round(None)?;
+        let (mut before, mut last) = (None, self.round(None)?);
         for _ in 1..ROUNDS {
             let next = self.round(Some(&last))?;
             before = Some(std::mem::replace(&mut last, next));
         }
-        Ok((before, last))
+        let moving = self.sharpened(before.as_deref(), &last)?;
+        let Some(segmenter) = self.sources.segmenter else {
+            return Ok(moving);
+        };
+        try_each(self.frames.len(), "segmenting dynamic objects", self.progress, |i| {
+            segment::sharpen(segmenter, self.frames[i], (self.width, self.height), &moving[i])
+                .map_err(|source| DenseError::Segment { frame: i, source })
+        })
     }
 
     /// Masks, given those of the round before.

@@ -1,7 +1,8 @@
 //! Depth of dynamic regions, which no stereo over time can measure: from where it touches the scene.
 
-use super::components::Components;
 use super::flow::FlowPair;
+use super::regions::Components;
+use super::working::{Clip, nearest_pixel};
 use m4_core::quantile;
 use rayon::prelude::*;
 
@@ -19,28 +20,45 @@ pub(super) const BELOW_PX: usize = 3;
 /// Share of the background behind a region that the region must be in front of.
 pub(super) const HIDDEN_QUANTILE: f64 = 0.98;
 
-/// Disparity of every pixel of every frame: `background`, and in front of it the dynamic regions.
-pub(super) fn place(
-    width: usize,
-    height: usize,
-    moving: &[Vec<u8>],
-    background: &[Vec<f32>],
-    flows: &[FlowPair],
-) -> Vec<Vec<f32>> {
+/// Disparity of every pixel of every frame: that of static regions, and in front of it the dynamic ones.
+///
+/// Means over time along the flow, forwards and backwards in time with the same decay, so that parts neither jump nor lag.
+pub(super) fn place(clip: &Clip<'_>) -> Vec<Vec<f32>> {
     // Both readings are lower bounds of disparity, exact only while a part touches the scene: along
     // time the greater ones say more, so means are taken of a power.
-    let touched: Vec<Vec<f32>> = moving
-        .par_iter()
-        .zip(background)
+    let touched: Vec<Vec<f32>> = (clip.moving.par_iter().zip(clip.disparity))
         .map(|(moving, background)| {
-            let mut disparity = touch(width, height, moving, background);
+            let mut disparity = touch(clip.width, clip.height, moving, background);
             for d in &mut disparity {
                 *d = d.powf(POWER);
             }
             disparity
         })
         .collect();
-    steady(width, height, moving, &touched, background, flows)
+    let mut backward: Vec<Running> = Vec::with_capacity(touched.len());
+    for (i, touched) in touched.iter().enumerate().rev() {
+        backward.push(extend(clip, touched, i, backward.last(), true));
+    }
+    let mut forward: Option<Running> = None;
+    let mut out = Vec::with_capacity(touched.len());
+    for (i, touched) in touched.iter().enumerate() {
+        let f = extend(clip, touched, i, forward.as_ref(), false);
+        // Backward means are consumed as the forward ones are made: they come out first frame first.
+        let Some(b) = backward.pop() else { break };
+        let background = &clip.disparity[i];
+        let disparity = |p: usize| {
+            if clip.moving[i][p] == 0 {
+                return background[p];
+            }
+            // The frame's own value is in both sums.
+            let sum = f.mean[p] * f.weight[p] + b.mean[p] * b.weight[p] - touched[p];
+            let mean = (sum / (f.weight[p] + b.weight[p] - 1.0)).max(0.0);
+            mean.powf(1.0 / POWER).max(background[p])
+        };
+        out.push((0..touched.len()).map(disparity).collect());
+        forward = Some(f);
+    }
+    out
 }
 
 /// Disparity of each part: constant, in front of what it hides, and that of the ground under it.
@@ -77,84 +95,29 @@ struct Running {
     weight: Vec<f32>,
 }
 
-/// Input of the running mean of a frame besides the previous frame.
-struct Clip<'a> {
-    width: usize,
-    height: usize,
-    moving: &'a [Vec<u8>],
-    touched: &'a [Vec<f32>],
-    flows: &'a [FlowPair],
-    decay: f32,
-}
-
-impl Clip<'_> {
-    /// The mean of frame `i` with those of `last`, which ends at frame `i - 1` or, `backwards`, at `i + 1`.
-    fn extend(&self, i: usize, last: Option<&Running>, backwards: bool) -> Running {
-        let (w, h) = (self.width, self.height);
-        let mut running = Running { mean: self.touched[i].clone(), weight: vec![1.0; w * h] };
-        let Some(last) = last else {
-            return running;
-        };
-        let (flow, trip, j) = if backwards {
-            (&self.flows[i].forward, &self.flows[i].forward_round_trip, i + 1)
-        } else {
-            let f = &self.flows[i - 1];
-            (&f.backward, &f.backward_round_trip, i - 1)
-        };
-        for p in (0..w * h).filter(|&p| self.moving[i][p] > 0 && trip[p] < ROUND_TRIP_PX) {
-            let (x, y) = ((p % w) as f32 + flow.u[p] + 0.5, (p / w) as f32 + flow.v[p] + 0.5);
-            let q = (y.max(0.0) as usize).min(h - 1) * w + (x.max(0.0) as usize).min(w - 1);
-            if self.moving[j][q] > 0 {
-                let weight = self.decay * last.weight[q];
-                running.mean[p] = (running.mean[p] + weight * last.mean[q]) / (1.0 + weight);
-                running.weight[p] = 1.0 + weight;
-            }
+/// The mean of frame `i` with those of `last`, which ends at frame `i - 1` or, `backwards`, at `i + 1`.
+fn extend(clip: &Clip<'_>, touched: &[f32], i: usize, last: Option<&Running>, backwards: bool) -> Running {
+    let (w, h) = (clip.width, clip.height);
+    let decay = (-1.0 / SMOOTH_FRAMES).exp();
+    let mut running = Running { mean: touched.to_vec(), weight: vec![1.0; w * h] };
+    let (Some(last), Some((flow, trip))) = (last, FlowPair::step(clip.flows, i, backwards)) else {
+        return running;
+    };
+    let other = &clip.moving[if backwards { i + 1 } else { i - 1 }];
+    for p in (0..w * h).filter(|&p| clip.moving[i][p] > 0 && trip[p] < ROUND_TRIP_PX) {
+        let q = nearest_pixel(w, h, (p % w) as f32 + flow.u[p], (p / w) as f32 + flow.v[p]);
+        if other[q] > 0 {
+            let weight = decay * last.weight[q];
+            running.mean[p] = (running.mean[p] + weight * last.mean[q]) / (1.0 + weight);
+            running.weight[p] = 1.0 + weight;
         }
-        running
     }
-}
-
-/// Means over time along the flow, forwards and backwards in time with the same decay, so that parts
-/// neither jump nor lag; in front of the background.
-fn steady(
-    width: usize,
-    height: usize,
-    moving: &[Vec<u8>],
-    touched: &[Vec<f32>],
-    background: &[Vec<f32>],
-    flows: &[FlowPair],
-) -> Vec<Vec<f32>> {
-    let clip = Clip { width, height, moving, touched, flows, decay: (-1.0 / SMOOTH_FRAMES).exp() };
-    let mut backward: Vec<Running> = Vec::with_capacity(touched.len());
-    for i in (0..touched.len()).rev() {
-        let next = clip.extend(i, backward.last(), true);
-        backward.push(next);
-    }
-    let mut forward: Option<Running> = None;
-    let mut out = Vec::with_capacity(touched.len());
-    for i in 0..touched.len() {
-        let f = clip.extend(i, forward.as_ref(), false);
-        // Backward means are consumed as the forward ones are made: they come out first frame first.
-        let Some(b) = backward.pop() else { break };
-        let disparity = |p: usize| {
-            if moving[i][p] == 0 {
-                return background[i][p];
-            }
-            // The frame's own value is in both sums.
-            let sum = f.mean[p] * f.weight[p] + b.mean[p] * b.weight[p] - touched[i][p];
-            let mean = (sum / (f.weight[p] + b.weight[p] - 1.0)).max(0.0);
-            mean.powf(1.0 / POWER).max(background[i][p])
-        };
-        out.push((0..width * height).map(disparity).collect());
-        forward = Some(f);
-    }
-    out
+    running
 }
 
 #[cfg(test)]
 mod tests {
-    use super::place;
-    use crate::classical::dense::flow::FlowPair;
+    use super::{Clip, FlowPair};
     use m4_core::Flow;
 
     const W: usize = 24;
@@ -170,19 +133,13 @@ mod tests {
         (0..W * H).map(|i| if inside(i % W, i / W) { 255 } else { 0 }).collect()
     }
 
-    fn shift(u: f32) -> FlowPair {
-        let flow = |u: f32| Flow { u: vec![u; W * H], ..Flow::zero(W, H) };
-        FlowPair {
-            forward: flow(u),
-            backward: flow(-u),
-            forward_round_trip: vec![0.0; W * H],
-            backward_round_trip: vec![0.0; W * H],
-        }
+    fn place(moving: &[Vec<u8>], disparity: &[Vec<f32>], flows: &[FlowPair]) -> Vec<Vec<f32>> {
+        super::place(&Clip { width: W, height: H, cameras: &[], moving, disparity, flows })
     }
 
     #[test]
     fn objects_on_the_ground_have_the_depth_of_their_contact() {
-        let out = place(W, H, &[block(6)], &[ground()], &[]);
+        let out = place(&[block(6)], &[ground()], &[]);
         let inside = out[0][6 * W + 8];
         // The lowest row is 13; the ground is read 3 rows below.
         assert!((inside - ground()[16 * W]).abs() < 0.06, "{inside}");
@@ -196,8 +153,9 @@ mod tests {
         for d in &mut background[2] {
             *d *= 1.5;
         }
-        let flows: Vec<FlowPair> = (0..4).map(|_| shift(2.0)).collect();
-        let out = place(W, H, &moving, &background, &flows);
+        let flow = |u: f32| Flow { u: vec![u; W * H], ..Flow::zero(W, H) };
+        let flows: Vec<FlowPair> = (0..4).map(|_| FlowPair::exact(flow(2.0), flow(-2.0))).collect();
+        let out = place(&moving, &background, &flows);
         let at = |k: usize| out[k][6 * W + 6 + 2 * k];
         let (calm, jump) = (at(0), at(2));
         assert!(jump / calm < 1.35 && jump >= calm, "{calm} {jump}");

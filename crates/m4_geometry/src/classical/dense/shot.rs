@@ -1,10 +1,14 @@
-//! One frame with everything that the geometry of its neighbours needs.
+//! One frame with everything that the geometry of its neighbours needs, and where its pixels appear in another.
 
-use super::pair::{Pair, parallax_px};
+use super::flow::ScaledFrame;
 use super::sweep::{Range, census};
-use super::working::WorkingFrame;
-use crate::classical::reconstruction::{Motion, SparseReconstruction};
-use m4_core::quantile;
+use super::working::observed;
+use crate::classical::{Motion, SparseReconstruction};
+use m4_core::{
+    Camera,
+    nalgebra::{Matrix3, Vector3},
+    quantile,
+};
 
 /// Disparities tried between the farthest and the nearest surface.
 const HYPOTHESES: usize = 64;
@@ -26,7 +30,7 @@ pub(super) struct SparsePoint {
 
 /// One frame, ready for the plane sweep.
 pub(super) struct Shot {
-    pub frame: WorkingFrame,
+    pub frame: ScaledFrame,
     pub census: Vec<u32>,
     pub points: Vec<SparsePoint>,
     /// Frames to compare with, and the way there.
@@ -34,25 +38,13 @@ pub(super) struct Shot {
     pub range: Range,
 }
 
-/// Sparse points per frame, at a working size `scale` times the full size.
+/// Sparse points per frame, at the working size.
 pub(super) fn sparse_points(sparse: &SparseReconstruction, width: usize, height: usize) -> Vec<Vec<SparsePoint>> {
     let mut out = vec![Vec::new(); sparse.cameras.len()];
-    for track in &sparse.tracks {
-        let (Some(point), false) = (track.point, track.motion == Motion::Dynamic) else {
-            continue;
-        };
-        for (k, seen) in track.observations.iter().enumerate() {
-            let Some(camera) = sparse.cameras.get(track.first_frame + k) else {
-                break;
-            };
-            let (_, z) = camera.project(&point);
-            let k_full = &camera.intrinsics;
-            let x = (f64::from(seen[0]) + 0.5) * width as f64 / k_full.width as f64;
-            let y = (f64::from(seen[1]) + 0.5) * height as f64 / k_full.height as f64;
-            if z > 0.0 && z.is_finite() && x >= 0.0 && y >= 0.0 && x < width as f64 && y < height as f64 {
-                out[track.first_frame + k]
-                    .push(SparsePoint { pixel: y as usize * width + x as usize, disparity: (1.0 / z) as f32 });
-            }
+    for (frame, pixel, track) in observed(sparse, width, height).filter(|(.., t)| t.motion != Motion::Dynamic) {
+        let z = track.point.map_or(0.0, |point| sparse.cameras[frame].project(&point).1);
+        if z > 0.0 && z.is_finite() {
+            out[frame].push(SparsePoint { pixel, disparity: (1.0 / z) as f32 });
         }
     }
     out
@@ -79,11 +71,11 @@ fn range(points: &[Vec<SparsePoint>], i: usize) -> (Range, f32) {
 
 /// On each side in time, the frame whose parallax comes nearest to each target; where the clip ends,
 /// the other side serves twice as many.
-fn partners(frames: &[WorkingFrame], i: usize, median: f32) -> Vec<(usize, Pair)> {
-    let parallax = |j: usize| parallax_px(&frames[i].camera, &frames[j].camera, f64::from(median));
+fn partners(cameras: &[Camera], i: usize, median: f32) -> Vec<(usize, Pair)> {
+    let parallax = |j: usize| parallax_px(&cameras[i], &cameras[j], f64::from(median));
     let up_to = |reach: usize, later: bool| -> Vec<(usize, f64)> {
         (1..=reach)
-            .map_while(|k| if later { (i + k < frames.len()).then_some(i + k) } else { i.checked_sub(k) })
+            .map_while(|k| if later { (i + k < cameras.len()).then_some(i + k) } else { i.checked_sub(k) })
             .map(|j| (j, parallax(j)))
             .filter(|&(_, p)| p >= LEAST_PARALLAX_PX)
             .collect()
@@ -91,7 +83,7 @@ fn partners(frames: &[WorkingFrame], i: usize, median: f32) -> Vec<(usize, Pair)
     // Where the camera pauses, time goes on until it moves.
     let side = |later: bool| {
         let near = up_to(PARTNER_FRAMES, later);
-        if near.is_empty() { up_to(frames.len(), later) } else { near }
+        if near.is_empty() { up_to(cameras.len(), later) } else { near }
     };
     let (before, after) = (side(false), side(true));
     let mut chosen: Vec<usize> = Vec::new();
@@ -112,19 +104,123 @@ fn partners(frames: &[WorkingFrame], i: usize, median: f32) -> Vec<(usize, Pair)
         }
     }
     chosen.sort_unstable();
-    chosen.into_iter().map(|j| (j, Pair::new(&frames[i].camera, &frames[j].camera))).collect()
+    chosen.into_iter().map(|j| (j, Pair::new(&cameras[i], &cameras[j]))).collect()
 }
 
 impl Shot {
-    pub fn new(frames: &[WorkingFrame], i: usize, points: &[Vec<SparsePoint>], parallax: bool) -> Self {
-        let frame = frames[i].clone();
+    pub fn new(frame: ScaledFrame, cameras: &[Camera], i: usize, points: &[Vec<SparsePoint>], parallax: bool) -> Self {
         let (range, median) = range(points, i);
         Self {
             census: census(frame.width, frame.height, &frame.grey),
             points: points[i].clone(),
-            partners: if parallax { partners(frames, i, median) } else { Vec::new() },
+            partners: if parallax { partners(cameras, i, median) } else { Vec::new() },
             range,
             frame,
         }
+    }
+
+    /// A frame of which the colours alone are asked for.
+    #[cfg(test)]
+    pub fn of_colours(image: &m4_core::RgbImage) -> Self {
+        let range = Range { least: 1.0, step: 1.0, count: 1 };
+        let frame = ScaledFrame::new(image, image.size());
+        Self { frame, census: Vec::new(), points: Vec::new(), partners: Vec::new(), range }
+    }
+}
+
+/// `q ~ a (x, y, 1) + disparity b`, pixel coordinates with the centre of the first pixel at 0, 0.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Pair {
+    pub a: [[f32; 3]; 3],
+    pub b: [f32; 3],
+}
+
+/// A pixel with a disparity, seen from the other camera.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Reprojected {
+    pub x: f32,
+    pub y: f32,
+    /// Of the same point in the other camera; not above 0 when it lies behind that camera.
+    pub disparity: f32,
+}
+
+fn intrinsics(camera: &Camera) -> Matrix3<f64> {
+    let k = &camera.intrinsics;
+    Matrix3::new(k.fx, 0.0, k.cx - 0.5, 0.0, k.fy, k.cy - 0.5, 0.0, 0.0, 1.0)
+}
+
+fn inverse_intrinsics(camera: &Camera) -> Matrix3<f64> {
+    let k = &camera.intrinsics;
+    let (x, y) = ((k.cx - 0.5) / k.fx, (k.cy - 0.5) / k.fy);
+    Matrix3::new(1.0 / k.fx, 0.0, -x, 0.0, 1.0 / k.fy, -y, 0.0, 0.0, 1.0)
+}
+
+impl Pair {
+    pub fn new(from: &Camera, to: &Camera) -> Self {
+        let motion = to.w2c().compose(&from.c2w);
+        let a = intrinsics(to) * motion.rotation * inverse_intrinsics(from);
+        let b: Vector3<f64> = intrinsics(to) * motion.translation;
+        Self {
+            a: std::array::from_fn(|r| std::array::from_fn(|c| a[(r, c)] as f32)),
+            b: std::array::from_fn(|r| b[r] as f32),
+        }
+    }
+
+    /// The part that does not depend on disparity.
+    pub fn ray(&self, x: f32, y: f32) -> [f32; 3] {
+        self.a.map(|row| row[0] * x + row[1] * y + row[2])
+    }
+
+    pub fn project(&self, x: f32, y: f32, disparity: f32) -> Reprojected {
+        let r = self.ray(x, y);
+        let z = 1.0 / (r[2] + disparity * self.b[2]);
+        Reprojected {
+            x: (r[0] + disparity * self.b[0]) * z,
+            y: (r[1] + disparity * self.b[1]) * z,
+            disparity: disparity * z,
+        }
+    }
+}
+
+/// Displacement of a point at disparity `disparity` in the middle of the image because of the
+/// translation between two cameras alone, pixels.
+pub(super) fn parallax_px(from: &Camera, to: &Camera, disparity: f64) -> f64 {
+    let pair = Pair::new(from, to);
+    let k = &from.intrinsics;
+    let (x, y) = ((k.width as f32 - 1.0) / 2.0, (k.height as f32 - 1.0) / 2.0);
+    let (far, near) = (pair.project(x, y, 0.0), pair.project(x, y, disparity as f32));
+    if far.disparity.is_finite() && near.disparity > 0.0 {
+        f64::from((near.x - far.x).hypot(near.y - far.y))
+    } else {
+        0.0
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Pair, parallax_px};
+    use m4_core::{Camera, Intrinsics, Se3, nalgebra::Vector6};
+
+    #[test]
+    fn projects_as_the_cameras_do() {
+        let camera = |twist: Vector6<f64>| Camera {
+            intrinsics: Intrinsics { cx: 30.0, ..Intrinsics::centred(64, 48, 50.0) },
+            c2w: Se3::identity().retract(&twist),
+        };
+        let a = camera(Vector6::new(0.1, 0.0, -0.2, 0.05, 0.1, 0.0));
+        let b = camera(Vector6::new(-0.2, 0.3, 0.1, -0.1, 0.02, 0.2));
+        let (x, y, z) = (20.0, 31.0, 2.5);
+        let ([u, v], depth) = b.project(&a.unproject(x, y, z));
+        let seen = Pair::new(&a, &b).project(x as f32, y as f32, (1.0 / z) as f32);
+        assert!((f64::from(seen.x) - u).abs() < 1e-3 && (f64::from(seen.y) - v).abs() < 1e-3, "{seen:?} {u} {v}");
+        assert!((1.0 / f64::from(seen.disparity) - depth).abs() < 1e-4);
+    }
+
+    #[test]
+    fn parallax_is_focal_times_baseline_times_disparity() {
+        let still = Camera { intrinsics: Intrinsics::centred(64, 48, 50.0), c2w: Se3::identity() };
+        let aside = Camera { c2w: still.c2w.retract(&Vector6::new(0.3, 0.0, 0.0, 0.0, 0.0, 0.0)), ..still };
+        assert!((parallax_px(&still, &aside, 0.5) - 50.0 * 0.3 * 0.5).abs() < 1e-3);
+        assert_eq!(parallax_px(&still, &still, 0.5), 0.0);
     }
 }

@@ -24,19 +24,7 @@ impl Smoother {
             let d = a.iter().zip(&b).map(|(a, b)| a.abs_diff(*b)).fold(0, u8::max);
             coupling[usize::from(d)]
         };
-        let n = width * height;
-        let (mut right, mut below) = (vec![0.0; n], vec![0.0; n]);
-        for y in 0..height {
-            for x in 0..width {
-                let i = y * width + x;
-                if x + 1 < width {
-                    right[i] = couple(guide[i], guide[i + 1]);
-                }
-                if y + 1 < height {
-                    below[i] = couple(guide[i], guide[i + width]);
-                }
-            }
-        }
+        let (right, below) = couplings(width, height, |i, j| couple(guide[i], guide[j]));
         Self { width, height, right, below }
     }
 
@@ -87,6 +75,23 @@ impl Smoother {
             }
         }
     }
+}
+
+/// `f` of every pixel and the next in its row, and of every pixel and the one below; 0 at the rim.
+pub(super) fn couplings(width: usize, height: usize, f: impl Fn(usize, usize) -> f32) -> (Vec<f32>, Vec<f32>) {
+    let (mut right, mut below) = (vec![0.0; width * height], vec![0.0; width * height]);
+    for y in 0..height {
+        let row = y * width..(y + 1) * width;
+        for i in row.clone() {
+            if i + 1 < row.end {
+                right[i] = f(i, i + 1);
+            }
+            if y + 1 < height {
+                below[i] = f(i, i + width);
+            }
+        }
+    }
+    (right, below)
 }
 
 /// Solves `(1 + l (c_before + c_after)) u - l c_before u_before - l c_after u_after = f` in place.

@@ -1,9 +1,9 @@
-//! The methods and settings of the dense half. All other values are constants of the files that use them.
+//! The methods, settings and errors of the dense half. All other values are constants of the files that use them.
 
-use super::DenseError;
-use super::flow::FlowSource;
-use super::mono::{MonoDepth, NoDepth};
-use super::segment::Segmenter;
+use super::flow::{FlowError, FlowSource};
+use super::mono::{MonoDepth, MonoError, NoDepth};
+use super::segment::{SegmentError, Segmenter};
+use crate::tracks::TrackError;
 use serde::{Deserialize, Serialize};
 
 /// The methods for flow, segmentation and monocular depth.
@@ -45,16 +45,54 @@ impl Default for DenseConfig {
     }
 }
 
-impl DenseConfig {
-    /// Rejects a working size that no computation could use: [`DenseError::Setting`].
-    pub(super) fn check(&self) -> Result<(), DenseError> {
-        if (64..=2048).contains(&self.working_side_px) {
-            return Ok(());
-        }
-        Err(DenseError::Setting {
-            name: "dense.working_side_px",
-            value: self.working_side_px as f64,
-            range: "64 to 2048",
-        })
-    }
+/// Why no depth and masks could be made.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum DenseError {
+    /// Frames, cameras, masks or depth that do not fit together; the text says which.
+    #[error("{0}")]
+    Input(String),
+    /// The source of flow failed.
+    #[error("no flow between frames {frame} and {}", frame + 1)]
+    Flow {
+        /// The first of the two frames.
+        frame: usize,
+        /// What went wrong.
+        source: FlowError,
+    },
+    /// The source of depth failed.
+    #[error("no depth for frame {frame}")]
+    Mono {
+        /// The frame.
+        frame: usize,
+        /// What went wrong.
+        source: MonoError,
+    },
+    /// The segmenter failed.
+    #[error("no object masks in frame {frame}")]
+    Segment {
+        /// Which frame.
+        frame: usize,
+        /// What went wrong.
+        source: SegmentError,
+    },
+    /// A setting out of range.
+    #[error("setting {name} is {value}; it must be {range}")]
+    Setting {
+        /// Path of the setting.
+        name: &'static str,
+        /// Its value.
+        value: f64,
+        /// What is allowed.
+        range: &'static str,
+    },
+    /// Points could not be followed.
+    #[error("dynamic objects could not be tracked")]
+    Tracks(#[from] TrackError),
+    /// The user asked to stop.
+    #[error("stopped on request while {phase}")]
+    Cancelled {
+        /// What was going on.
+        phase: &'static str,
+    },
 }

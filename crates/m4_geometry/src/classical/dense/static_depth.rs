@@ -1,9 +1,9 @@
 //! Depth of what does not move: sweep, agreement between frames, fill.
 
-use super::aggregate::aggregate;
 use super::shot::{Shot, SparsePoint};
 use super::smooth::Smoother;
-use super::sweep::{Partner, cost_volume};
+use super::sweep::{Partner, aggregate, cost_volume};
+use super::working::pixel_at;
 
 /// Largest difference to a partner's disparity that counts as agreement, in hypothesis steps.
 const AGREE_STEPS: f32 = 1.5;
@@ -16,12 +16,6 @@ const FILL_LAMBDA: f32 = 900.0;
 /// Strength of the last smoothing, pixels squared.
 const DENOISE_LAMBDA: f32 = 4.0;
 
-/// What the sweep of one frame found.
-pub(super) struct Swept {
-    /// `[height][width]`: disparity.
-    pub disparity: Vec<f32>,
-}
-
 /// A disparity a pixel and how far to trust it.
 #[derive(Clone)]
 pub(super) struct Measured {
@@ -31,56 +25,47 @@ pub(super) struct Measured {
     pub confidence: Vec<f32>,
 }
 
-/// Sweeps one frame; all zero confidence later on if it has no partners.
-pub(super) fn sweep(shots: &[Shot], i: usize) -> Swept {
+/// The disparity of every pixel of one frame, which nothing confirms later on if it has no partners.
+pub(super) fn sweep(shots: &[Shot], i: usize) -> Vec<f32> {
     let shot = &shots[i];
     let (w, h) = (shot.frame.width, shot.frame.height);
     let partners: Vec<Partner<'_>> =
         shot.partners.iter().map(|(j, pair)| Partner { pair: *pair, census: &shots[*j].census }).collect();
     if partners.is_empty() {
-        return Swept { disparity: vec![shot.range.at(0.5 * shot.range.count as f32); w * h] };
+        return vec![shot.range.at(0.5 * shot.range.count as f32); w * h];
     }
     let volume = cost_volume(w, h, &shot.census, &partners, &shot.range);
     let index = aggregate(w, h, shot.range.count, &volume, &shot.frame.grey);
-    Swept { disparity: index.iter().map(|&k| shot.range.at(k)).collect() }
+    index.into_iter().map(|k| shot.range.at(k)).collect()
 }
 
 /// Keeps what the partners' own sweeps confirm. Moving pixels (`moving[frame]`, above 0) confirm nothing.
-pub(super) fn measure(shots: &[Shot], swept: &[Swept], moving: Option<&[Vec<u8>]>, i: usize) -> Measured {
+pub(super) fn measure(shots: &[Shot], swept: &[Vec<f32>], moving: Option<&[Vec<u8>]>, i: usize) -> Measured {
     let shot = &shots[i];
     let (w, h) = (shot.frame.width, shot.frame.height);
-    let mut out = Measured { disparity: swept[i].disparity.clone(), confidence: vec![0.0; w * h] };
+    let mut out = Measured { disparity: swept[i].clone(), confidence: vec![0.0; w * h] };
     let needed = shot.partners.len().min(2);
     if needed == 0 {
         return out;
     }
-    for y in 0..h {
-        for x in 0..w {
-            let p = y * w + x;
-            if moving.is_some_and(|m| m[i][p] > 0) {
+    for p in (0..w * h).filter(|&p| moving.is_none_or(|m| m[i][p] == 0)) {
+        let d = swept[i][p];
+        let (mut sum, mut agree) = (d, 0usize);
+        for (j, pair) in &shot.partners {
+            let seen = pair.project((p % w) as f32, (p / w) as f32, d);
+            let Some(q) = pixel_at(w, h, seen.x, seen.y).filter(|_| seen.disparity > 0.0) else {
                 continue;
+            };
+            let difference = swept[*j][q] - seen.disparity;
+            let tolerance = AGREE_STEPS * shots[*j].range.step;
+            if difference.abs() <= tolerance && moving.is_none_or(|m| m[*j][q] == 0) {
+                sum += d + difference * d / seen.disparity;
+                agree += 1;
             }
-            let d = swept[i].disparity[p];
-            let (mut sum, mut agree) = (d, 0usize);
-            for (j, pair) in &shot.partners {
-                let seen = pair.project(x as f32, y as f32, d);
-                let (qx, qy) = (seen.x + 0.5, seen.y + 0.5);
-                let inside = seen.disparity > 0.0 && qx >= 0.0 && qy >= 0.0 && qx < w as f32 && qy < h as f32;
-                if !inside {
-                    continue;
-                }
-                let q = qy as usize * w + qx as usize;
-                let difference = swept[*j].disparity[q] - seen.disparity;
-                let tolerance = AGREE_STEPS * shots[*j].range.step;
-                if difference.abs() <= tolerance && moving.is_none_or(|m| m[*j][q] == 0) {
-                    sum += d + difference * d / seen.disparity;
-                    agree += 1;
-                }
-            }
-            if agree >= needed {
-                out.disparity[p] = sum / (agree + 1) as f32;
-                out.confidence[p] = agree as f32 / shot.partners.len() as f32;
-            }
+        }
+        if agree >= needed {
+            out.disparity[p] = sum / (agree + 1) as f32;
+            out.confidence[p] = agree as f32 / shot.partners.len() as f32;
         }
     }
     despeckle(w, h, &mut out, 2.0 * shot.range.step);

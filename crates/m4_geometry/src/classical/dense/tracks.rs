@@ -10,26 +10,15 @@
 //! flow does not lead back, where it leaves the image and where it leaves the masks; with `fill` the point goes on with its
 //! neighbours, else what went behind something comes out as another track.
 //!
-//! Pixels here are those of the working size, with the centre of the first one at 0, 0, as [`Camera::unproject`] has them.
+//! Pixels here are those of the working size, with the centre of the first one at 0, 0, as [`m4_core::Camera::unproject`] has them.
 
-use super::DenseError;
 use super::flow::FlowPair;
+use super::sources::DenseError;
+use super::working::Clip;
 use crate::tracks::{
     QueryGrid, Scene, Sparse, Strip, TrackConfig, TrackError, board_of, fill, followed, on_grid, sparse_flow,
 };
-use m4_core::{Camera, Plane, Progress, Tracks};
-
-/// Everything that chains are made of, at the working size.
-pub(super) struct Clip<'a> {
-    pub width: usize,
-    pub height: usize,
-    pub cameras: &'a [Camera],
-    /// Masks, `[frames][height][width]`, above 0 where something moves.
-    pub moving: &'a [Vec<u8>],
-    /// One over z-depth, `[frames][height][width]`.
-    pub disparity: &'a [Vec<f32>],
-    pub flows: &'a [FlowPair],
-}
+use m4_core::{Plane, Progress, Tracks};
 
 /// Tracks of everything that moves; `None` if nothing could be followed.
 pub(super) fn tracks(
@@ -63,18 +52,16 @@ fn strip(clip: &Clip<'_>) -> Strip {
     let (w, h) = (clip.width, clip.height);
     let moves = |frame: usize, i: usize| clip.moving[frame][i] > 0;
     let moving = |frame: usize| Sparse::new(w, h, |i| moves(frame, i).then(|| clip.disparity[frame][i]));
-    let pairs = || clip.flows.iter().enumerate();
+    let forward = |(t, pair): (usize, &FlowPair)| sparse_flow(&pair.forward, &pair.forward_round_trip, |i| moves(t, i));
+    let backward =
+        |(t, pair): (usize, &FlowPair)| sparse_flow(&pair.backward, &pair.backward_round_trip, |i| moves(t + 1, i));
     Strip {
         width: w,
         height: h,
         cameras: clip.cameras.to_vec(),
         moving: (0..clip.moving.len()).map(moving).collect(),
-        forward: pairs()
-            .map(|(t, pair)| sparse_flow(&pair.forward, &pair.forward_round_trip, |i| moves(t, i)))
-            .collect(),
-        backward: pairs()
-            .map(|(t, pair)| sparse_flow(&pair.backward, &pair.backward_round_trip, |i| moves(t + 1, i)))
-            .collect(),
+        forward: clip.flows.iter().enumerate().map(forward).collect(),
+        backward: clip.flows.iter().enumerate().map(backward).collect(),
     }
 }
 
@@ -82,8 +69,8 @@ fn strip(clip: &Clip<'_>) -> Strip {
 mod tests {
     //! A square that flies past a moving camera, with the flow that it makes.
 
-    use super::Clip;
-    use crate::classical::dense::flow::FlowPair;
+    use super::{Clip, FlowPair};
+    use crate::classical::dense::working::ClipData;
     use crate::tracks::{QueryGrid, TrackConfig};
     use m4_core::{Camera, CounterRng, Flow, Intrinsics, Se3, Silent, Tracks};
     use nalgebra::Vector3;
@@ -93,26 +80,6 @@ mod tests {
     const FRAMES: usize = 16;
     /// World units per frame.
     const VELOCITY: [f64; 3] = [0.03, -0.012, 0.025];
-
-    struct Made {
-        cameras: Vec<Camera>,
-        moving: Vec<Vec<u8>>,
-        disparity: Vec<Vec<f32>>,
-        flows: Vec<FlowPair>,
-    }
-
-    impl Made {
-        fn clip(&self) -> Clip<'_> {
-            Clip {
-                width: W,
-                height: H,
-                cameras: &self.cameras,
-                moving: &self.moving,
-                disparity: &self.disparity,
-                flows: &self.flows,
-            }
-        }
-    }
 
     /// Chains alone.
     fn chains() -> TrackConfig {
@@ -128,7 +95,7 @@ mod tests {
     }
 
     /// A square of side 0.7, its disparity off by `noise` of itself, a factor per frame.
-    fn made(noise: f64) -> Made {
+    fn made(noise: f64) -> ClipData {
         let mut rng = CounterRng::new(7, 1, 0);
         let mut cameras = Vec::new();
         let (mut moving, mut disparity) = (Vec::new(), Vec::new());
@@ -158,14 +125,8 @@ mod tests {
             }
             flow
         };
-        let pair = |t: usize| FlowPair {
-            forward: flow(t, t + 1),
-            backward: flow(t + 1, t),
-            forward_round_trip: vec![0.0; W * H],
-            backward_round_trip: vec![0.0; W * H],
-        };
-        let flows = (0..FRAMES - 1).map(pair).collect();
-        Made { cameras, moving, disparity, flows }
+        let flows = (0..FRAMES - 1).map(|t| FlowPair::exact(flow(t, t + 1), flow(t + 1, t))).collect();
+        ClipData { size: (W, H), cameras, moving, disparity, flows }
     }
 
     /// Differences to the true velocity over its length, of all steps.
@@ -192,10 +153,8 @@ mod tests {
         assert!(errors.len() > 400, "{}", errors.len());
         assert!(errors[errors.len() - 1] < 0.01, "{:?}", errors.last());
         // on the surface, in the world
-        for t in 0..FRAMES {
-            for p in (0..found.count()).filter_map(|k| found.place(t, k)) {
-                assert!((f64::from(p[2]) - depth(t)).abs() < 1e-3);
-            }
+        for (t, k) in (0..FRAMES).flat_map(|t| (0..found.count()).map(move |k| (t, k))) {
+            assert!(found.place(t, k).is_none_or(|p| (f64::from(p[2]) - depth(t)).abs() < 1e-3));
         }
         assert_eq!(found.frames(), FRAMES);
     }
@@ -214,57 +173,42 @@ mod tests {
         assert!(smooth < 0.5 * raw && smooth < 0.08, "{smooth} {raw}");
     }
 
-    #[test]
-    fn chains_end_where_flow_does_not_lead_back_or_leaves_the_mask() {
-        let config = chains();
-        let mut cut = made(0.0);
-        cut.flows[7].forward_round_trip.fill(f32::INFINITY);
-        cut.flows[7].backward_round_trip.fill(f32::INFINITY);
-        let found = tracks(&cut.clip(), &config).unwrap();
-        let both = (0..found.count()).filter(|&k| found.place(7, k).is_some() && found.place(8, k).is_some());
-        assert_eq!(both.count(), 0);
-        assert!((0..found.count()).any(|k| found.place(7, k).is_some()));
-        assert!((0..found.count()).any(|k| found.place(8, k).is_some()));
-
-        let mut masked = made(0.0);
-        for moving in &mut masked.moving[5..9] {
-            moving.fill(0);
-        }
-        let found = tracks(&masked.clip(), &config).unwrap();
-        for t in 5..9 {
-            assert!((0..found.count()).all(|k| found.place(t, k).is_none()), "{t}");
-        }
-        assert!((0..found.count()).any(|k| found.place(9, k).is_some()));
+    /// Tracks that are known in all of `frames`.
+    fn known(tracks: &Tracks, frames: &[usize]) -> usize {
+        let known = |k: &usize| frames.iter().all(|&t| tracks.place(t, *k).is_some());
+        (0..tracks.count()).filter(known).count()
     }
 
     #[test]
-    fn a_jump_of_depth_cuts_a_track() {
+    fn chains_end_where_flow_does_not_lead_back_at_a_jump_of_depth_and_outside_the_mask() {
+        let mut cut = made(0.0);
+        cut.flows[7].forward_round_trip.fill(f32::INFINITY);
+        cut.flows[7].backward_round_trip.fill(f32::INFINITY);
         let mut jumping = made(0.0);
-        for disparity in &mut jumping.disparity[8..] {
-            disparity.iter_mut().for_each(|d| *d *= 0.7);
+        jumping.disparity[8..].iter_mut().flatten().for_each(|d| *d *= 0.7);
+        for (what, clip) in [("flow", cut), ("depth", jumping)] {
+            let found = tracks(&clip.clip(), &chains()).unwrap();
+            assert_eq!(known(&found, &[7, 8]), 0, "{what}");
+            assert!(known(&found, &[7]) > 0 && known(&found, &[8]) > 0, "{what}");
+            let errors = errors(&found);
+            assert!(errors[errors.len() / 2] < 0.5, "{what}: the parts before and after move on as before");
         }
-        let found = tracks(&jumping.clip(), &chains()).unwrap();
-        assert!((0..found.count()).all(|k| found.place(7, k).is_none() || found.place(8, k).is_none()));
-        assert!((0..found.count()).any(|k| found.place(8, k).is_some()));
-        let errors = errors(&found);
-        assert!(errors[errors.len() / 2] < 0.5, "the parts before and after move on as before");
+        let mut masked = made(0.0);
+        masked.moving[5..9].iter_mut().flatten().for_each(|m| *m = 0);
+        let found = tracks(&masked.clip(), &chains()).unwrap();
+        assert!((5..9).all(|t| known(&found, &[t]) == 0) && known(&found, &[9]) > 0);
     }
 
     #[test]
     fn empty_masks_have_no_tracks_and_dense_ones_are_thinned() {
-        let config = chains();
         let mut still = made(0.0);
         still.moving.iter_mut().for_each(|m| m.fill(0));
-        assert_eq!(tracks(&still.clip(), &config), None);
-
-        let all = tracks(&made(0.0).clip(), &config).unwrap();
+        assert_eq!(tracks(&still.clip(), &chains()), None);
         let grid = QueryGrid { most: 10, ..QueryGrid::chains() };
-        let few = |clip: &Clip<'_>| super::tracks(clip, &grid, &config, &Silent).unwrap();
-        let thinned = few(&made(0.0).clip()).unwrap();
-        assert_eq!(thinned.count(), 10);
-        assert!(all.count() > 40);
-        let mut alone = made(0.0);
-        alone.flows.clear();
-        assert_eq!(few(&alone.clip()), None, "no flow, nothing to follow");
+        let few = |clip: &Clip<'_>| super::tracks(clip, &grid, &chains(), &Silent).unwrap();
+        let mut clip = made(0.0);
+        assert_eq!(few(&clip.clip()).unwrap().count(), 10);
+        clip.flows.clear();
+        assert_eq!(few(&clip.clip()), None, "no flow, nothing to follow");
     }
 }

@@ -1,24 +1,50 @@
-//! Frames, flow and masks of the caller at the working size, and what is checked before anything is measured.
+//! A clip at the working size, and what is checked before anything is measured.
 
-use super::error::{DenseError, check_count};
-use super::estimate::each;
-use super::flow::{FlowImage, FlowPair};
-use super::sources::{DenseConfig, Sources};
-use crate::classical::reconstruction::{CameraMotion, SparseReconstruction};
-use crate::resample::rgb_and_grey;
+use super::flow::FlowPair;
+use super::sources::{DenseConfig, DenseError, Sources};
+use crate::classical::{CameraMotion, SparseReconstruction, Track, check_count};
 use m4_core::{Camera, Mask, Progress, RgbImage};
+use rayon::prelude::*;
+use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// One frame at the working size.
-#[derive(Debug, Clone)]
-pub(super) struct WorkingFrame {
+/// What a pixel of the working size takes in a frame while the clip is worked on, bytes: 81 were measured with the
+/// planes of this module (docs/geometry.md), rounded up.
+const BYTES_PER_PIXEL: usize = 85;
+/// Sides below this show too little to work on.
+const LEAST_SIDE: usize = 160;
+/// Least side of a frame, pixels.
+const LEAST_FRAME_SIDE: usize = 32;
+
+/// A clip with masks, disparity and flow; lists are by frame, planes `[height][width]` at the working size.
+pub(super) struct Clip<'a> {
     pub width: usize,
     pub height: usize,
-    /// `[height][width][3]`, 0..255.
-    pub rgb: Vec<[u8; 3]>,
-    /// `[height][width]`, 0..255.
-    pub grey: Vec<f32>,
-    /// The frame's camera for this size.
-    pub camera: Camera,
+    pub cameras: &'a [Camera],
+    /// Above 0 in dynamic regions.
+    pub moving: &'a [Vec<u8>],
+    /// Disparity of static regions, continued behind dynamic ones; for tracks, of everything.
+    pub disparity: &'a [Vec<f32>],
+    /// Between neighbouring frames.
+    pub flows: &'a [FlowPair],
+}
+
+/// A synthetic clip.
+#[cfg(test)]
+pub(super) struct ClipData {
+    pub size: (usize, usize),
+    pub cameras: Vec<Camera>,
+    pub moving: Vec<Vec<u8>>,
+    pub disparity: Vec<Vec<f32>>,
+    pub flows: Vec<FlowPair>,
+}
+
+#[cfg(test)]
+impl ClipData {
+    pub fn clip(&self) -> Clip<'_> {
+        let (width, height) = self.size;
+        let Self { cameras, moving, disparity, flows, .. } = self;
+        Clip { width, height, cameras, moving, disparity, flows }
+    }
 }
 
 /// The size whose longest side is `side`, or the size itself if it is smaller.
@@ -31,45 +57,27 @@ pub(crate) fn working_size(width: usize, height: usize, side: usize) -> (usize, 
     (scaled(width), scaled(height))
 }
 
-/// What a pixel of the working size takes in a frame while the clip is worked on, bytes: 81 were measured with the
-/// planes of this module (docs/geometry.md), rounded up.
-const BYTES_PER_PIXEL: usize = 85;
-/// Sides below this show too little to work on.
-const LEAST_SIDE: usize = 160;
-
 /// The longest side, at most `side`, at which `frames` frames of `width` x `height` stay within `memory_mb` megabytes; not less than
-/// 160 pixels.
-pub(super) fn fitting_side(width: usize, height: usize, side: usize, frames: usize, memory_mb: usize) -> usize {
+/// [`LEAST_SIDE`].
+fn fitting_side(width: usize, height: usize, side: usize, frames: usize, memory_mb: usize) -> usize {
     let (w, h) = working_size(width, height, side);
     let wanted = (w * h * frames.max(1) * BYTES_PER_PIXEL) as f64;
     let share = (memory_mb as f64 * 1e6 / wanted).min(1.0).sqrt();
     ((w.max(h) as f64 * share) as usize).max(LEAST_SIDE).min(side)
 }
 
-impl WorkingFrame {
-    pub fn new(image: &RgbImage, camera: &Camera, width: usize, height: usize) -> Self {
-        let (rgb, grey) = rgb_and_grey(image, width, height);
-        Self { width, height, rgb, grey, camera: camera.resized(width, height) }
-    }
-
-    pub fn flow_image(&self) -> FlowImage<'_> {
-        FlowImage { width: self.width, height: self.height, rgb: &self.rgb, grey: &self.grey }
-    }
-}
-
-/// Least side of a frame, pixels.
-const LEAST_FRAME_SIDE: usize = 32;
 /// What is known of a clip before anything is measured.
 pub(super) struct Ground {
     /// Width and height at the working size.
     pub size: (usize, usize),
-    pub parallax: bool,
-    /// Whether all frames were taken through the same lens, as bundle adjustment of bodies needs it.
+    /// At the working size.
+    pub cameras: Vec<Camera>,
+    /// Whether all frames were taken through the same lens, as bundle adjustment of rigid objects needs it.
     pub one_lens: bool,
 }
 
 impl Ground {
-    /// Checks everything and says what is doubtful.
+    /// Checks everything and warns of what is doubtful.
     pub fn of(
         frames: &[&RgbImage],
         sparse: &SparseReconstruction,
@@ -78,16 +86,20 @@ impl Ground {
         config: &DenseConfig,
         progress: &dyn Progress,
     ) -> Result<Self, DenseError> {
-        config.check()?;
-        check_count("masks", masks.map_or(frames.len(), <[_]>::len), frames.len())?;
-        let (full_w, full_h) = check(frames, sparse)?;
+        let wanted = config.working_side_px;
+        if !(64..=2048).contains(&wanted) {
+            let (name, value) = ("dense.working_side_px", wanted as f64);
+            return Err(DenseError::Setting { name, value, range: "64 to 2048" });
+        }
         let count = frames.len();
-        let side = fitting_side(full_w, full_h, config.working_side_px, count, config.memory_mb);
-        if side < config.working_side_px.min(full_w.max(full_h)) {
+        check_count("masks", masks.map_or(count, <[_]>::len), count).map_err(DenseError::Input)?;
+        let (full_w, full_h) = check(frames, sparse)?;
+        let side = fitting_side(full_w, full_h, wanted, count, config.memory_mb);
+        if side < wanted.min(full_w.max(full_h)) {
             progress.warn(&format!(
-                "{count} frames are too many for full detail within {} MB: depth and masks are made at {side} px instead of {} (raise \
-                 dense.memory_mb, or cut the clip)",
-                config.memory_mb, config.working_side_px
+                "{count} frames are too many for full detail within {} MB: depth and masks are made at {side} px instead of {wanted} \
+                 (raise dense.memory_mb, or cut the clip)",
+                config.memory_mb
             ));
         }
         let size = working_size(full_w, full_h, side);
@@ -98,39 +110,14 @@ impl Ground {
                  parts in layers in front of it; views from the side will look flat (film again while walking sideways)",
             );
         }
-        check_count("depth", sources.mono.frames().unwrap_or(count), count)?;
-        let resized: Vec<Camera> = sparse.cameras.iter().map(|c| c.resized(size.0, size.1)).collect();
-        let one_lens = one_lens(&resized);
+        check_count("depth maps", sources.mono.frames().unwrap_or(count), count).map_err(DenseError::Input)?;
+        let cameras: Vec<Camera> = sparse.cameras.iter().map(|c| c.resized(size.0, size.1)).collect();
+        let one_lens = cameras.windows(2).all(|pair| pair[0].intrinsics == pair[1].intrinsics);
         if parallax && !one_lens {
             progress
                 .warn("the focal length changes from frame to frame: dynamic objects get the depth of what they touch");
         }
-        Ok(Self { size, parallax, one_lens })
-    }
-
-    /// The frames at the working size.
-    pub fn working(
-        &self,
-        frames: &[&RgbImage],
-        sparse: &SparseReconstruction,
-        progress: &dyn Progress,
-    ) -> Result<Vec<WorkingFrame>, DenseError> {
-        let (w, h) = self.size;
-        each(frames.len(), "shrinking frames", progress, |i| WorkingFrame::new(frames[i], &sparse.cameras[i], w, h))
-    }
-
-    /// Flow between neighbouring frames.
-    pub fn flows(
-        &self,
-        working: &[WorkingFrame],
-        sources: &Sources<'_>,
-        progress: &dyn Progress,
-    ) -> Result<Vec<FlowPair>, DenseError> {
-        let flows = each(working.len() - 1, "computing flow", progress, |i| {
-            FlowPair::new(&working[i], &working[i + 1], sources.flow)
-                .map_err(|source| DenseError::Flow { frame: i, source })
-        })?;
-        flows.into_iter().collect()
+        Ok(Self { size, cameras, one_lens })
     }
 }
 
@@ -139,12 +126,9 @@ fn check(frames: &[&RgbImage], sparse: &SparseReconstruction) -> Result<(usize, 
     let Some(first) = frames.first().map(|frame| frame.size()) else {
         return refused("there are no frames; give at least one".to_owned());
     };
-    let cameras = sparse.cameras.len();
-    if frames.len() != cameras {
-        return refused(format!(
-            "{} frames but {cameras} cameras; the reconstruction must be of the same frames",
-            frames.len()
-        ));
+    let (count, cameras) = (frames.len(), sparse.cameras.len());
+    if count != cameras {
+        return refused(format!("{count} frames but {cameras} cameras; the reconstruction must be of the same frames"));
     }
     for (frame, image) in frames.iter().enumerate() {
         let (w, h) = image.size();
@@ -157,9 +141,8 @@ fn check(frames: &[&RgbImage], sparse: &SparseReconstruction) -> Result<(usize, 
         }
     }
     for (frame, camera) in sparse.cameras.iter().enumerate() {
-        let k = &camera.intrinsics;
+        let (k, pose) = (&camera.intrinsics, &camera.c2w);
         let finite = |v: &[f64]| v.iter().all(|v| v.is_finite());
-        let pose = &camera.c2w;
         let what = if k.width == 0 || k.height == 0 {
             "an empty image"
         } else if !finite(&[k.fx, k.fy, k.cx, k.cy]) || k.fx <= 0.0 || k.fy <= 0.0 {
@@ -176,9 +159,65 @@ fn check(frames: &[&RgbImage], sparse: &SparseReconstruction) -> Result<(usize, 
     Ok(first)
 }
 
-/// Whether all frames were taken through the same lens, as bundle adjustment of bodies needs it.
-fn one_lens(cameras: &[Camera]) -> bool {
-    cameras.windows(2).all(|pair| pair[0].intrinsics == pair[1].intrinsics)
+/// Runs `f` for every frame in parallel, in order of frames, with progress.
+pub(super) fn each<T: Send>(
+    count: usize,
+    phase: &'static str,
+    progress: &dyn Progress,
+    f: impl Fn(usize) -> T + Sync,
+) -> Result<Vec<T>, DenseError> {
+    let done = AtomicUsize::new(0);
+    let one = |i: usize| {
+        if progress.cancelled() {
+            return None;
+        }
+        let out = f(i);
+        progress.update(phase, done.fetch_add(1, Ordering::Relaxed) + 1, count, "");
+        Some(out)
+    };
+    let all: Option<Vec<T>> = (0..count).into_par_iter().map(one).collect();
+    all.ok_or(DenseError::Cancelled { phase })
+}
+
+/// The same for what may fail; the error of the first frame that does.
+pub(super) fn try_each<T: Send>(
+    count: usize,
+    phase: &'static str,
+    progress: &dyn Progress,
+    f: impl Fn(usize) -> Result<T, DenseError> + Sync,
+) -> Result<Vec<T>, DenseError> {
+    each(count, phase, progress, f)?.into_iter().collect()
+}
+
+/// Every observation of every track in the image: frame, pixel at the working size, and track.
+pub(super) fn observed(
+    sparse: &SparseReconstruction,
+    width: usize,
+    height: usize,
+) -> impl Iterator<Item = (usize, usize, &Track)> {
+    let pixel = move |frame: usize, seen: &[f32; 2]| {
+        let size = &sparse.cameras.get(frame)?.intrinsics;
+        let x = (f64::from(seen[0]) + 0.5) * width as f64 / size.width as f64;
+        let y = (f64::from(seen[1]) + 0.5) * height as f64 / size.height as f64;
+        let inside = x >= 0.0 && y >= 0.0 && x < width as f64 && y < height as f64;
+        inside.then(|| y as usize * width + x as usize)
+    };
+    sparse.tracks.iter().flat_map(move |track| {
+        let seen = (track.first_frame..).zip(&track.observations);
+        seen.filter_map(move |(frame, seen)| Some((frame, pixel(frame, seen)?, track)))
+    })
+}
+
+/// The pixel nearest to a place, clamped to the image.
+pub(super) fn nearest_pixel(width: usize, height: usize, x: f32, y: f32) -> usize {
+    ((y + 0.5).max(0.0) as usize).min(height - 1) * width + ((x + 0.5).max(0.0) as usize).min(width - 1)
+}
+
+/// The pixel nearest to a place, if that is in the image.
+pub(super) fn pixel_at(width: usize, height: usize, x: f32, y: f32) -> Option<usize> {
+    let (x, y) = (x + 0.5, y + 0.5);
+    let inside = x >= 0.0 && y >= 0.0 && x < width as f32 && y < height as f32;
+    inside.then(|| y as usize * width + x as usize)
 }
 
 /// The mask at the working size, 255 in dynamic regions, read at the nearest pixel.

@@ -1,26 +1,19 @@
 //! Cameras that do not translate: one pose, rotations alone, or a rotation and intrinsics per frame of a lens that zooms; no points.
 
 use super::map::{Map, classify, median_far_error};
-use super::priors::{FocalSource, Lenses, Recovered};
-use super::reconstruct::{Clip, MIN_TRACKS};
-use super::rotation::{matches, turn};
+use super::priors::{Lenses, Recovered};
+use super::reconstruct::Clip;
+use super::rotation::{MIN_TRACKS, matches, nearest_rotation, ray, turn};
 use super::tracking::RawTrack;
 use super::zoom::{Aim, MOST_PX, Zooming, range, zooming};
 use super::{SparseError, stopped};
-use crate::classical::reconstruction::{CameraMotion, Motion};
+use crate::classical::{CameraMotion, Motion};
 use m4_core::nalgebra::{Matrix3, Vector3};
 use m4_core::{Intrinsics, Se3, exp_so3, log_so3};
 use rayon::prelude::*;
 
-/// One pose for all frames.
-pub(crate) fn standing(tracks: &[RawTrack], frames: usize, focal: f64) -> Map {
-    Map { focal, poses: vec![Some(Se3::identity()); frames], points: vec![None; tracks.len()] }
-}
-
 /// A camera that turns in place.
-#[derive(Debug, Clone)]
 pub(crate) struct Turning {
-    /// Rotations; no points.
     pub map: Map,
     /// Frames that took the rotation of the one before because they share too few tracks with it.
     pub lost: usize,
@@ -30,19 +23,12 @@ pub(crate) struct Turning {
 
 /// Rotations for the focal length among `focals` that explains the tracks best, or for `assumed` when
 /// the best explains them hardly better; `cauchy_px` is the scale of the loss.
-pub(crate) fn turning(
-    tracks: &[RawTrack],
-    frames: usize,
-    focals: &[f64],
-    assumed: f64,
-    min_matches: usize,
-    cauchy_px: f64,
-) -> Turning {
+pub(crate) fn turning(tracks: &[RawTrack], frames: usize, focals: &[f64], assumed: f64, cauchy_px: f64) -> Turning {
     let all: Vec<(f64, Map, usize)> = focals
         .par_iter()
         .chain(rayon::iter::once(&assumed))
         .map(|&focal| {
-            let (map, lost) = rotations(tracks, frames, focal, min_matches, cauchy_px);
+            let (map, lost) = rotations(tracks, frames, focal, cauchy_px);
             (median_far_error(&map, tracks).unwrap_or(f64::INFINITY), map, lost)
         })
         .collect();
@@ -51,42 +37,43 @@ pub(crate) fn turning(
     let observed = best.filter(|(error, ..)| *error < 0.8 * error_assumed);
     match observed.or(all.last()) {
         Some((_, map, lost)) => Turning { map: map.clone(), lost: *lost, focal_observed: observed.is_some() },
-        None => Turning { map: standing(tracks, frames, assumed), lost: 0, focal_observed: false },
+        None => Turning {
+            map: Map::new(assumed, vec![Some(Se3::identity()); frames], tracks),
+            lost: 0,
+            focal_observed: false,
+        },
     }
 }
 
 /// Rotations chained from frame to frame, then refined so that every track has one direction in the
-/// world (alternating between directions and rotations). Frames that share fewer than `min_matches`
+/// world (alternating between directions and rotations). Frames that share fewer than [`MIN_TRACKS`]
 /// tracks with the one before keep its rotation; their number is returned.
-fn rotations(tracks: &[RawTrack], frames: usize, focal: f64, min_matches: usize, cauchy_px: f64) -> (Map, usize) {
+fn rotations(tracks: &[RawTrack], frames: usize, focal: f64, cauchy_px: f64) -> (Map, usize) {
     let mut rotations = vec![Matrix3::identity(); frames];
     let mut lost = 0;
     for frame in 1..frames {
         let found = matches(tracks, frame - 1, frame);
-        let enough = found.len() >= min_matches;
-        let step = if enough { turn(&found, focal) } else { None };
+        let step = if found.len() >= MIN_TRACKS { turn(&found, focal) } else { None };
         lost += usize::from(step.is_none());
         rotations[frame] = step.map_or(Matrix3::identity(), |t| t.rotation) * rotations[frame - 1];
     }
     for _ in 0..10 {
         let directions: Vec<Option<Vector3<f64>>> = tracks.iter().map(|t| direction(t, &rotations, focal)).collect();
-        let refined: Vec<Matrix3<f64>> =
-            (0..frames).map(|frame| refine(tracks, &directions, frame, &rotations[frame], focal, cauchy_px)).collect();
-        rotations = refined;
+        for (frame, rotation) in rotations.iter_mut().enumerate() {
+            *rotation = refine(tracks, &directions, frame, rotation, focal, cauchy_px);
+        }
     }
     // The world is the first camera.
     let first = rotations[0].transpose();
     let pose =
         |r: &Matrix3<f64>| Some(Se3 { rotation: exp_so3(&log_so3(&(r * first))), translation: Vector3::zeros() });
-    let map = Map { focal, poses: rotations.iter().map(pose).collect(), points: vec![None; tracks.len()] };
-    (map, lost)
+    (Map::new(focal, rotations.iter().map(pose).collect(), tracks), lost)
 }
 
 /// Mean direction of a track in the world.
 fn direction(track: &RawTrack, rotations: &[Matrix3<f64>], focal: f64) -> Option<Vector3<f64>> {
     let rays = (track.first..).zip(&track.seen);
-    let sum: Vector3<f64> =
-        rays.map(|(frame, at)| rotations[frame].tr_mul(&Vector3::new(at[0], at[1], focal).normalize())).sum();
+    let sum: Vector3<f64> = rays.map(|(frame, at)| rotations[frame].tr_mul(&ray(*at, focal))).sum();
     (sum.norm() > 0.0 && track.seen.len() > 1).then(|| sum.normalize())
 }
 
@@ -104,19 +91,12 @@ fn refine(
         let (Some(at), Some(d)) = (track.at(frame), direction) else {
             continue;
         };
-        let ray = Vector3::new(at[0], at[1], focal).normalize();
+        let ray = ray(at, focal);
         let error_px = focal * (rotation * d - ray).norm();
         sum += ray * d.transpose() / (1.0 + (error_px / cauchy_px).powi(2));
         count += 1;
     }
-    let svd = sum.svd(true, true);
-    match (svd.u, svd.v_t) {
-        (Some(u), Some(v_t)) if count >= 3 => {
-            let sign = (u.determinant() * v_t.determinant()).signum();
-            u * Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, sign)) * v_t
-        }
-        _ => *rotation,
-    }
+    if count < 3 { *rotation } else { nearest_rotation(sum).unwrap_or(*rotation) }
 }
 
 /// Share of the resting tracks of a camera that moves which must rest for one that zooms. What is near tells a walk from a
@@ -137,15 +117,13 @@ impl Zoom {
     /// Whether a camera that moves instead, with a lens that does not, explains nothing more.
     pub fn explains_as_much_as(&self, moving: Option<&Recovered>, scale: f64) -> bool {
         let Some(moving) = moving else { return true };
-        let resting = |motions: &mut dyn Iterator<Item = Motion>| motions.filter(|m| *m == Motion::Static).count();
-        let here = resting(&mut classify(&self.map, &self.tracks).into_iter());
-        let there = resting(&mut moving.sparse.tracks.iter().map(|t| t.motion));
+        let here = classify(&self.map, &self.tracks).iter().filter(|m| **m == Motion::Static).count();
+        let there = moving.sparse.tracks.iter().filter(|t| t.motion == Motion::Static).count();
         let median_px = AS_GOOD.0 * moving.sparse.residual_px * scale + AS_GOOD.1;
         here as f64 >= AS_MANY * there as f64 && self.median_px <= median_px.min(MOST_PX)
     }
 }
 
-/// Tracks as seen through a lens of `focal`.
 fn through(tracks: &[RawTrack], aims: &[Aim], focal: f64) -> Vec<RawTrack> {
     let one = |track: &RawTrack| RawTrack {
         first: track.first,
@@ -159,21 +137,15 @@ fn through(tracks: &[RawTrack], aims: &[Aim], focal: f64) -> Vec<RawTrack> {
 impl Clip<'_> {
     /// How the lens zooms, if turns and zooms alone explain the tracks.
     pub(super) fn zoom(&self, focals: &[f64]) -> Result<Option<Zoom>, SparseError> {
-        let assumed = self.default_focal();
-        let cauchy_px = self.limits.cauchy_px;
         stopped(self.progress)?;
-        let found = zooming(&self.tracks, self.frames, focals, assumed, MIN_TRACKS, cauchy_px);
-        let Some(found) = found else {
+        let (assumed, cauchy_px) = (self.default_focal(), self.limits.cauchy_px);
+        let Some(found) = zooming(&self.tracks, self.frames, focals, assumed, cauchy_px) else {
             return Ok(None);
         };
         let (least, most) = range(&found.aims);
         let focal = (least * most).sqrt();
         let pose = |aim: &Aim| Se3 { rotation: exp_so3(&log_so3(&aim.rotation)), translation: Vector3::zeros() };
-        let map = Map {
-            focal,
-            poses: found.aims.iter().map(|aim| Some(pose(aim))).collect(),
-            points: vec![None; self.tracks.len()],
-        };
+        let map = Map::new(focal, found.aims.iter().map(|aim| Some(pose(aim))).collect(), &self.tracks);
         let tracks = through(&self.tracks, &found.aims, focal);
         let median_px = median_far_error(&map, &tracks).unwrap_or(f64::INFINITY);
         Ok(Some(Zoom { found, map, tracks, median_px }))
@@ -188,8 +160,8 @@ impl Clip<'_> {
         let lens = |aim: &Aim| Intrinsics { fx: base.fx * aim.focal / first, fy: base.fy * aim.focal / first, ..base };
         self.masked = through(&self.masked, &found.aims, map.focal);
         self.tracks = tracks;
-        self.lenses = Lenses::Zooming(found.aims.iter().map(lens).collect());
-        let note = if found.focal_observed { String::new() } else { self.focal_note() };
+        self.lenses = Lenses(found.aims.iter().map(lens).collect());
+        let note = self.focal_note(found.focal_observed);
         let (least, most) = range(&found.aims);
         self.warn(format!(
             "the lens zooms (its field of view goes from {:.0} to {:.0} degrees, between {:.0} and {:.0}) and the camera does \
@@ -201,10 +173,6 @@ impl Clip<'_> {
             self.fov_deg(most),
             self.fov_deg(least),
         ));
-        let focal = match self.untold_focal() {
-            FocalSource::Assumed if found.focal_observed => FocalSource::Estimated { sigma: None },
-            other => other,
-        };
-        self.without_points(map, CameraMotion::RotationOnly, focal)
+        self.without_points(map, CameraMotion::RotationOnly, found.focal_observed)
     }
 }

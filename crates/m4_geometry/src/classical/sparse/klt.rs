@@ -4,10 +4,15 @@
 use super::luma::{Pyramid, sample_square};
 use m4_core::Plane;
 
+/// Reach of the patch that is followed, working pixels: 5 for a side of 11. docs/spec/front-end.md 7.1 has a side of 21; 11 gave trajectories as good
+/// or better, and is faster (docs/decisions/0001).
+pub(super) const RADIUS: usize = 5;
+/// Gauss-Newton steps per level.
+const ITERATIONS: usize = 12;
+
 /// A square patch with its mean taken out, and what a step of alignment needs of it.
 #[derive(Debug, Clone)]
 pub(crate) struct Template {
-    radius: usize,
     /// Values less their mean.
     values: Vec<f32>,
     gradient: Vec<[f32; 2]>,
@@ -18,11 +23,10 @@ pub(crate) struct Template {
 }
 
 impl Template {
-    /// The patch of side `2 * radius + 1` around `p`; `None` when its structure tensor is singular,
-    /// that is when it shows nothing to hold on to.
-    pub fn new(plane: &Plane<f32>, p: [f32; 2], radius: usize) -> Option<Self> {
-        let (side, wide) = (2 * radius + 1, 2 * radius + 3);
-        let reach = (radius + 1) as f32;
+    /// The patch around `p`; `None` when its structure tensor is singular, that is when it shows nothing to hold on to.
+    pub fn new(plane: &Plane<f32>, p: [f32; 2]) -> Option<Self> {
+        let (side, wide) = (2 * RADIUS + 1, 2 * RADIUS + 3);
+        let reach = (RADIUS + 1) as f32;
         let mut patch = vec![0.0; wide * wide];
         sample_square(plane, p[0] - reach, p[1] - reach, wide, &mut patch);
         let mut values = Vec::with_capacity(side * side);
@@ -44,23 +48,18 @@ impl Template {
         if determinant <= 1e-4 * trace * trace || trace <= 1e-3 {
             return None;
         }
-        Some(Self {
-            radius,
-            values,
-            gradient,
-            inverse: [h[2] / determinant, -h[1] / determinant, h[0] / determinant],
-            norm,
-        })
+        let inverse = [h[2] / determinant, -h[1] / determinant, h[0] / determinant];
+        Some(Self { values, gradient, inverse, norm })
     }
 
     /// Moves `start` until the patch around it in `plane` looks like this template; the position and
     /// the normalised cross-correlation there.
-    pub fn align(&self, plane: &Plane<f32>, start: [f32; 2], iterations: usize) -> ([f32; 2], f32) {
-        let side = 2 * self.radius + 1;
+    pub fn align(&self, plane: &Plane<f32>, start: [f32; 2]) -> ([f32; 2], f32) {
+        let side = 2 * RADIUS + 1;
         let mut patch = vec![0.0; side * side];
         let mut p = start;
-        let reach = self.radius as f32;
-        for _ in 0..iterations {
+        let reach = RADIUS as f32;
+        for _ in 0..ITERATIONS {
             sample_square(plane, p[0] - reach, p[1] - reach, side, &mut patch);
             let mean = patch.iter().sum::<f32>() / patch.len() as f32;
             let mut b = [0.0_f32; 2];
@@ -97,28 +96,22 @@ fn centre(values: &mut [f32]) -> f32 {
     sum.sqrt()
 }
 
-/// True when the patch of `radius` around `p` lies in the image.
-pub(crate) fn inside(plane: &Plane<f32>, p: [f32; 2], radius: usize) -> bool {
-    let r = radius as f32;
+/// True when the patch around `p` lies in the image.
+pub(crate) fn inside(plane: &Plane<f32>, p: [f32; 2]) -> bool {
+    let r = RADIUS as f32;
     p[0] >= r && p[1] >= r && p[0] <= plane.width() as f32 - 1.0 - r && p[1] <= plane.height() as f32 - 1.0 - r
 }
 
 /// Follows the patch around `p` of `from` into `to`, coarse to fine; the position and the correlation
 /// at the finest level. `None` when the patch shows nothing at some level or leaves the image.
-pub(crate) fn follow(
-    from: &Pyramid,
-    to: &Pyramid,
-    p: [f32; 2],
-    radius: usize,
-    iterations: usize,
-) -> Option<([f32; 2], f32)> {
+pub(crate) fn follow(from: &Pyramid, to: &Pyramid, p: [f32; 2]) -> Option<([f32; 2], f32)> {
     let levels = from.levels.len().min(to.levels.len());
     let mut offset = [0.0_f32; 2];
     let mut correlation = 0.0;
     for level in (0..levels).rev() {
         let unit = 1.0 / (1_u32 << level) as f32;
         let at = [p[0] * unit, p[1] * unit];
-        let template = match Template::new(&from.levels[level], at, radius) {
+        let template = match Template::new(&from.levels[level], at) {
             Some(template) => template,
             // A coarse level may be flat; the finest must not be.
             None if level > 0 => {
@@ -127,7 +120,7 @@ pub(crate) fn follow(
             }
             None => return None,
         };
-        let (found, c) = template.align(&to.levels[level], [at[0] + offset[0], at[1] + offset[1]], iterations);
+        let (found, c) = template.align(&to.levels[level], [at[0] + offset[0], at[1] + offset[1]]);
         correlation = c;
         offset = [found[0] - at[0], found[1] - at[1]];
         if level > 0 {
@@ -135,8 +128,7 @@ pub(crate) fn follow(
         }
     }
     let found = [p[0] + offset[0], p[1] + offset[1]];
-    (found[0].is_finite() && found[1].is_finite() && inside(&to.levels[0], found, radius))
-        .then_some((found, correlation))
+    (found[0].is_finite() && found[1].is_finite() && inside(&to.levels[0], found)).then_some((found, correlation))
 }
 
 #[cfg(test)]
@@ -155,13 +147,13 @@ mod tests {
             let (u, v) = ((x as f32 - 80.0) / stretch, (y as f32 - 60.0) / stretch);
             gain * value(u + 80.0 - shift[0], v + 60.0 - shift[1]) + 3.0
         };
-        Pyramid::new(Plane::from_fn(160, 120, look), 4)
+        Pyramid::new(Plane::from_fn(160, 120, look))
     }
 
     #[test]
     fn a_shift_is_measured_to_a_fiftieth_of_a_pixel() {
         let (a, b) = (pattern([0.0, 0.0], 1.0, 1.0), pattern([6.3, -4.8], 1.0, 1.0));
-        let (p, likeness) = follow(&a, &b, [70.0, 60.0], 7, 15).expect("texture");
+        let (p, likeness) = follow(&a, &b, [70.0, 60.0]).expect("texture");
         assert!((p[0] - 76.3).abs() < 0.02 && (p[1] - 55.2).abs() < 0.02, "{p:?}");
         assert!(likeness > 0.999);
     }
@@ -169,7 +161,7 @@ mod tests {
     #[test]
     fn a_change_of_scale_and_brightness_leaves_the_centre_in_place() {
         let (a, b) = (pattern([0.0, 0.0], 1.0, 1.0), pattern([2.0, 1.0], 1.03, 0.97));
-        let (p, _) = follow(&a, &b, [90.0, 50.0], 7, 15).expect("texture");
+        let (p, _) = follow(&a, &b, [90.0, 50.0]).expect("texture");
         // u + 80 - 2 = 90 at x = 80 + 1.03 * 12, likewise y.
         let want = [80.0 + 1.03 * 12.0, 60.0 + 1.03 * -9.0];
         assert!((p[0] - want[0]).abs() < 0.15 && (p[1] - want[1]).abs() < 0.15, "{p:?} {want:?}");
@@ -178,11 +170,11 @@ mod tests {
     #[test]
     fn edges_and_flat_patches_are_refused() {
         let edge = Plane::from_fn(64, 64, |x, _| if x < 32 { 0.0 } else { 200.0 });
-        assert!(Template::new(&edge, [32.0, 32.0], 7).is_none());
-        assert!(Template::new(&Plane::filled(64, 64, 9.0), [32.0, 32.0], 7).is_none());
+        assert!(Template::new(&edge, [32.0, 32.0]).is_none());
+        assert!(Template::new(&Plane::filled(64, 64, 9.0), [32.0, 32.0]).is_none());
         // Where the image went flat there is nothing that looks alike.
         let a = pattern([0.0, 0.0], 1.0, 1.0);
-        let flat = Pyramid::new(Plane::filled(160, 120, 128.0), 4);
-        assert!(follow(&a, &flat, [80.0, 60.0], 7, 15).is_none_or(|(_, c)| c < 0.5));
+        let flat = Pyramid::new(Plane::filled(160, 120, 128.0));
+        assert!(follow(&a, &flat, [80.0, 60.0]).is_none_or(|(_, c)| c < 0.5));
     }
 }

@@ -11,9 +11,7 @@ pub(super) const LONGEST_SIDE_PX: usize = 640;
 /// How working pixels relate to those of the input.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub(crate) struct WorkingSize {
-    /// Columns at working size.
     pub width: usize,
-    /// Rows at working size.
     pub height: usize,
     /// Columns and rows of the input.
     input: [f64; 2],
@@ -35,7 +33,6 @@ impl WorkingSize {
         [0, 1].map(|k| (p[k] / self.scale + 0.5 * self.input[k] - 0.5) as f32)
     }
 
-    /// The same from the image's corner.
     pub fn to_corner(self, p: [f64; 2]) -> [f64; 2] {
         [0, 1].map(|k| p[k] / self.scale + 0.5 * self.input[k])
     }
@@ -82,6 +79,9 @@ fn shrink_rows(plane: &Plane<f32>, width: usize) -> Plane<f32> {
     })
 }
 
+/// Levels of a pyramid. 4: docs/spec/front-end.md 7.1.
+const LEVELS: usize = 4;
+
 /// Levels of halving size; level 0 is the image itself. Coordinate `x` of level 0 is `x / 2^l` in
 /// level `l` (pixel centres at integers).
 #[derive(Debug, Clone)]
@@ -91,16 +91,15 @@ pub(crate) struct Pyramid {
 }
 
 impl Pyramid {
-    /// At most `levels` levels; stops before a side falls under 16 pixels.
-    pub fn new(base: Plane<f32>, levels: usize) -> Self {
+    /// At most [`LEVELS`]; stops before a side falls under 16 pixels.
+    pub fn new(base: Plane<f32>) -> Self {
         let mut all = vec![base];
-        while all.len() < levels {
+        while all.len() < LEVELS {
             let top = &all[all.len() - 1];
             if top.width().min(top.height()) < 32 {
                 break;
             }
-            let next = halved(top);
-            all.push(next);
+            all.push(halved(top));
         }
         Self { levels: all }
     }
@@ -173,7 +172,7 @@ mod tests {
     #[test]
     fn a_pyramid_level_has_half_the_coordinates() {
         let base = Plane::from_fn(128, 96, |x, y| x as f32 + 2.0 * y as f32);
-        let pyramid = Pyramid::new(base, 3);
+        let pyramid = Pyramid::new(base);
         assert_eq!(pyramid.levels[2].size(), (32, 24));
         assert!((pyramid.levels[2][(10, 7)] - (40.0 + 56.0)).abs() < 1e-3);
     }

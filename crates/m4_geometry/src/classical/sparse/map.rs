@@ -2,15 +2,14 @@
 
 use super::INLIER_PX;
 use super::bundle::{Bundle, BundleOptions, BundleReport, Observation};
-use super::rotation::{Limits, spread};
+use super::rotation::{Limits, ray, spread};
 use super::tracking::RawTrack;
 use super::triangulate::{Sighting, View, descend, error_px, resect, triangulate};
-use crate::classical::reconstruction::Motion;
+use crate::classical::Motion;
 use m4_core::nalgebra::Vector3;
-use m4_core::{Progress, Se3, median};
+use m4_core::{Progress, Se3, exp_so3, log_so3, median};
 use rayon::prelude::*;
 
-/// What is known so far.
 #[derive(Debug, Clone)]
 pub(crate) struct Map {
     /// Focal length, working pixels.
@@ -22,6 +21,11 @@ pub(crate) struct Map {
 }
 
 impl Map {
+    /// Without points.
+    pub fn new(focal: f64, poses: Vec<Option<Se3<f64>>>, tracks: &[RawTrack]) -> Self {
+        Self { focal, poses, points: vec![None; tracks.len()] }
+    }
+
     /// Sightings of known points in `frame`.
     pub fn sightings(&self, tracks: &[RawTrack], frame: usize) -> Vec<Sighting> {
         let known = tracks.iter().zip(&self.points);
@@ -33,54 +37,36 @@ impl Map {
         (track.first..track.end()).filter_map(|frame| Some((self.poses[frame]?, track.at(frame)?))).collect()
     }
 
-    /// Frames with a pose.
     pub fn registered(&self) -> usize {
         self.poses.iter().flatten().count()
     }
 
-    /// How many of `frames` have a pose.
-    pub fn registered_among(&self, frames: &[usize]) -> usize {
-        frames.iter().filter(|&&i| self.poses[i].is_some()).count()
-    }
-
-    /// Triangulates every track that is `usable`, forgets the points of all others and of those whose
-    /// rays are too parallel or disagree.
-    pub fn triangulate(&mut self, tracks: &[RawTrack], usable: &[bool], limits: &Limits) {
-        let map = &*self;
-        let points: Vec<Option<Vector3<f64>>> = tracks
-            .par_iter()
-            .zip(usable)
-            .map(|(track, &usable)| {
-                let found = usable.then(|| triangulate(&map.views(track), map.focal, limits.cauchy_px))??;
-                let good = found.angle_rad >= limits.min_angle_deg.to_radians() && found.median_px <= INLIER_PX;
-                good.then_some(found.point)
-            })
-            .collect();
-        self.points = points;
+    /// Triangulates every track that is not dynamic (`motions`, empty while none is judged), forgets the points of all
+    /// others and of those whose rays are too parallel or disagree.
+    pub fn triangulate(&mut self, tracks: &[RawTrack], motions: &[Motion], limits: &Limits) {
+        let point = |(i, track)| {
+            let usable = motions.get(i) != Some(&Motion::Dynamic);
+            let found = usable.then(|| triangulate(&self.views(track), self.focal, limits.cauchy_px))??;
+            let good = found.angle_rad >= limits.min_angle_deg.to_radians() && found.median_px <= INLIER_PX;
+            good.then_some(found.point)
+        };
+        self.points = tracks.par_iter().enumerate().map(point).collect();
     }
 
     /// Gives `frame` a pose, starting from that of the nearest frames that have one; false when too
     /// few points agree.
     pub fn register(&mut self, tracks: &[RawTrack], frame: usize) -> bool {
         let sightings = self.sightings(tracks, frame);
-        let best = self.starts(frame).iter().map(|start| resect(&sightings, self.focal, start, INLIER_PX)).fold(
-            None,
-            |best: Option<super::triangulate::Resection>, r| match best {
-                Some(b) if b.inliers >= r.inliers => Some(b),
-                _ => Some(r),
-            },
-        );
-        match best {
-            Some(found) if found.inliers >= MIN_SIGHTINGS && 3 * found.inliers >= sightings.len() => {
-                self.poses[frame] = Some(found.pose);
-                true
-            }
-            _ => false,
-        }
+        let found = self.starts(frame).into_iter().map(|start| resect(&sightings, self.focal, &start));
+        // The first of those with most inliers.
+        let best = found.reduce(|best, other| if other.1 > best.1 { other } else { best });
+        let pose = best.filter(|&(_, n)| n >= MIN_SIGHTINGS && 3 * n >= sightings.len()).map(|(pose, _)| pose);
+        self.poses[frame] = pose.or(self.poses[frame]);
+        pose.is_some()
     }
 
     /// Poses to start from: interpolated or carried on, and that of the nearest frame.
-    fn starts(&self, frame: usize) -> Vec<Se3<f64>> {
+    pub fn starts(&self, frame: usize) -> Vec<Se3<f64>> {
         let before = (0..frame).rev().find_map(|i| Some((i, self.poses[i]?)));
         let after = (frame + 1..self.poses.len()).find_map(|i| Some((i, self.poses[i]?)));
         match (before, after) {
@@ -116,9 +102,7 @@ impl Map {
             *point = point.filter(|_| *held);
         }
         let report = adjusted.adjust_frames(tracks, &some, options, progress);
-        if options.free_poses {
-            adjusted.follow_points(tracks, &all, &some, options.cauchy_px);
-        }
+        adjusted.follow_points(tracks, &all, &some, options.cauchy_px);
         let views = |i: usize| adjusted.views(&tracks[i]);
         let anew: Vec<Option<Vector3<f64>>> = (0..tracks.len())
             .into_par_iter()
@@ -195,22 +179,20 @@ impl Map {
         views.iter().map(error).collect()
     }
 
+    fn all_errors(&self, tracks: &[RawTrack]) -> impl Iterator<Item = f64> {
+        let known = tracks.iter().zip(&self.points);
+        known.filter_map(|(t, x)| Some(self.errors(t, x.as_ref()?))).flatten()
+    }
+
     /// Median reprojection error over all points and views, pixels.
     pub fn median_error(&self, tracks: &[RawTrack]) -> Option<f64> {
-        let known = tracks.iter().zip(&self.points);
-        let mut all: Vec<f64> = known.filter_map(|(t, x)| Some(self.errors(t, x.as_ref()?))).flatten().collect();
-        median(&mut all)
+        median(&mut self.all_errors(tracks).collect::<Vec<f64>>())
     }
 
     /// Sum over all sightings by cameras with a pose of `1 - min(error / inlier_px, 1)^2`: how much
     /// of what was seen is explained.
     pub fn explained(&self, tracks: &[RawTrack], inlier_px: f64) -> f64 {
-        let known = tracks.iter().zip(&self.points);
-        known
-            .filter_map(|(t, x)| Some(self.errors(t, x.as_ref()?)))
-            .flatten()
-            .map(|e| (1.0 - (e / inlier_px).powi(2)).max(0.0))
-            .sum()
+        self.all_errors(tracks).map(|e| (1.0 - (e / inlier_px).powi(2)).max(0.0)).sum()
     }
 }
 
@@ -223,14 +205,11 @@ pub(crate) const MIN_SIGHTINGS: usize = 12;
 
 /// The pose at share `s` of the way from `a` to `b`: camera centres on a line, rotations on the
 /// shortest arc. Both world to camera.
-pub(crate) fn interpolate(a: &Se3<f64>, b: &Se3<f64>, s: f64) -> Se3<f64> {
+fn interpolate(a: &Se3<f64>, b: &Se3<f64>, s: f64) -> Se3<f64> {
     let (ca, cb) = (a.inverse(), b.inverse());
-    let turn = m4_core::log_so3(&(cb.rotation * ca.rotation.transpose()));
-    Se3 {
-        rotation: m4_core::exp_so3(&(turn * s)) * ca.rotation,
-        translation: ca.translation * (1.0 - s) + cb.translation * s,
-    }
-    .inverse()
+    let turn = log_so3(&(cb.rotation * ca.rotation.transpose()));
+    Se3 { rotation: exp_so3(&(turn * s)) * ca.rotation, translation: ca.translation * (1.0 - s) + cb.translation * s }
+        .inverse()
 }
 
 /// Median of the length of a residual whose two components have standard deviation 1 (Rayleigh).
@@ -281,7 +260,6 @@ pub(crate) fn median_far_error(map: &Map, tracks: &[RawTrack]) -> Option<f64> {
     median(&mut all)
 }
 
-/// Errors of the resting point that fits best.
 fn resting_errors(map: &Map, track: &RawTrack, limit: f64) -> Vec<f64> {
     let views = map.views(track);
     let above = |errors: &[f64]| errors.iter().filter(|e| **e > limit).count();
@@ -296,8 +274,7 @@ fn resting_errors(map: &Map, track: &RawTrack, limit: f64) -> Vec<f64> {
 /// A point far away in the mean direction of the track's rays.
 fn far_point(map: &Map, track: &RawTrack) -> Option<Vector3<f64>> {
     let views = map.views(track);
-    let ray = |at: &[f64; 2]| Vector3::new(at[0], at[1], map.focal).normalize();
-    let sum: Vector3<f64> = views.iter().map(|(pose, at)| pose.rotation.tr_mul(&ray(at))).sum();
+    let sum: Vector3<f64> = views.iter().map(|(pose, at)| pose.rotation.tr_mul(&ray(*at, map.focal))).sum();
     let extent = map.poses.iter().flatten().map(|p| p.translation.norm()).fold(1.0, f64::max);
     (sum.norm() > 0.0).then(|| sum.normalize() * 1e5 * extent)
 }

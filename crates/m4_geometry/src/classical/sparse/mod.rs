@@ -5,7 +5,7 @@
 //! frames -> luma pyramids -> tracks (klt, tracking)
 //!        -> does the camera move? (rotation)  -- no --> degenerate: one pose, or rotations
 //!        -> does the lens zoom? (zoom, degenerate)  -- yes, and no more than that --> rotations and focal lengths
-//!        -> keyframes, focal scan, start pair (two_view, five_point), growth (triangulate)
+//!        -> keyframes, focal scan, start pair (two_view), growth (triangulate)
 //!        -> all frames, bundle adjustment and motion classification in turn (map, bundle)
 //! ```
 //!
@@ -16,11 +16,8 @@
 //! image centre, which is the principal point: observations by a lens that is known to differ are moved there first
 //! (priors). Poses inside are world to camera.
 
-mod adjustment;
 mod bundle;
-mod config;
 mod degenerate;
-mod five_point;
 mod growth;
 mod klt;
 mod luma;
@@ -30,18 +27,72 @@ mod posed;
 mod priors;
 mod reconstruct;
 mod rotation;
+#[cfg(test)]
+mod tests;
 mod tracking;
 mod triangulate;
 mod two_view;
 mod zoom;
 
-#[cfg(test)]
-mod tests;
-
-pub use config::{SparseConfig, SparseError};
 pub use posed::with_cameras;
 pub use priors::{FocalSource, Recovered};
 pub use reconstruct::{FeatureTracks, track_features};
+use serde::{Deserialize, Serialize};
+
+/// Settings of the sparse front end.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct SparseConfig {
+    /// Horizontal field of view, degrees, where it is known. Kept as it is.
+    pub fov_deg: Option<f64>,
+    /// Focal length in pixels of the input frames, where it is known. Kept as it is; takes precedence
+    /// over `fov_deg`.
+    pub focal_px: Option<f64>,
+    /// True when the camera is known to be static: nothing is reconstructed.
+    pub static_camera: bool,
+    /// The lens where it is known: horizontal and vertical focal length and the principal point from the image's corner,
+    /// pixels of the input frames. Kept as it is; takes precedence over `focal_px`. For callers in Rust.
+    #[serde(skip)]
+    pub intrinsics: Option<[f64; 4]>,
+    /// Field of view assumed where the motion of the camera reveals nothing about it, degrees. 60: the main camera of common
+    /// phones held upright to wide. For callers in Rust.
+    #[serde(skip)]
+    pub default_fov_deg: f64,
+    /// Seed of the random samples. For callers in Rust.
+    #[serde(skip)]
+    pub seed: u64,
+}
+
+impl Default for SparseConfig {
+    fn default() -> Self {
+        Self { fov_deg: None, focal_px: None, static_camera: false, intrinsics: None, default_fov_deg: 60.0, seed: 0 }
+    }
+}
+
+/// Why a clip could not be reconstructed; every message says what to do next.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum SparseError {
+    /// Frames, masks or cameras that do not fit together; the text says which.
+    #[error("{0}")]
+    Input(String),
+    /// A setting out of its range.
+    #[error("{name} = {value} is out of range: {range}")]
+    Setting {
+        /// The setting at fault.
+        name: &'static str,
+        /// Its value.
+        value: f64,
+        /// What it may be.
+        range: &'static str,
+    },
+    /// Frames that do not agree on a static scene, or given poses that contradict them; the text has the numbers.
+    #[error("{0}")]
+    NoAgreement(String),
+    /// The user stopped the run.
+    #[error("stopped by the user")]
+    Cancelled,
+}
 
 /// Fails once the user asked to stop.
 fn stopped(progress: &dyn m4_core::Progress) -> Result<(), SparseError> {

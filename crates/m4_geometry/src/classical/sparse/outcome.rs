@@ -1,10 +1,10 @@
 //! What is handed out: doubts, gaps filled, one scale, input pixels.
 
 use super::bundle::BundleReport;
-use super::map::{Map, interpolate};
+use super::map::Map;
 use super::reconstruct::Clip;
 use super::tracking::RawTrack;
-use crate::classical::reconstruction::{CameraMotion, Motion, SparseReconstruction, Track};
+use crate::classical::{CameraMotion, Motion, SparseReconstruction, Track};
 use m4_core::{Camera, Intrinsics, Se3, median};
 
 impl Clip<'_> {
@@ -31,8 +31,7 @@ impl Clip<'_> {
                 100.0 * sigma.min(9.99)
             ));
         }
-        let count = |m: Motion| motions.iter().filter(|x| **x == m).count();
-        let (rest, moving) = (count(Motion::Static), count(Motion::Dynamic));
+        let [rest, moving] = [Motion::Static, Motion::Dynamic].map(|m| motions.iter().filter(|x| **x == m).count());
         if moving > rest {
             self.warn(format!(
                 "more tracks are dynamic ({moving}) than static ({rest}): the poses may follow a moving object"
@@ -52,12 +51,13 @@ impl Clip<'_> {
         motions: &[Motion],
         camera_motion: CameraMotion,
     ) -> SparseReconstruction {
-        let missing = self.fill_gaps(&mut map);
+        let missing = map.poses.iter().filter(|pose| pose.is_none()).count();
         if missing > 0 {
             self.warn(format!(
                 "{missing} of {} frames could not be placed; their poses are interpolated between neighbours",
                 self.frames
             ));
+            map.poses = (0..self.frames).map(|i| map.poses[i].or_else(|| map.starts(i).first().copied())).collect();
         }
         normalise(&mut map, &self.tracks);
         let (tracks, residual_px) = self.hand_out(&map, motions);
@@ -88,13 +88,8 @@ impl Clip<'_> {
             let point = point.filter(|_| motion == Motion::Static);
             let mut errors = point.map(|x| map.errors(raw, &x)).unwrap_or_default();
             residuals.extend(errors.iter().map(|e| e / scale));
-            Track {
-                first_frame: raw.first,
-                observations: seen(raw),
-                motion,
-                point,
-                residual_px: median(&mut errors).unwrap_or(0.0) / scale,
-            }
+            let residual_px = median(&mut errors).unwrap_or(0.0) / scale;
+            Track { first_frame: raw.first, observations: seen(raw), motion, point, residual_px }
         });
         let mut tracks: Vec<Track> = judged.collect();
         tracks.extend(self.masked.iter().map(|raw| Track {
@@ -105,24 +100,6 @@ impl Clip<'_> {
             residual_px: 0.0,
         }));
         (tracks, median(&mut residuals).unwrap_or(0.0))
-    }
-
-    /// Interpolates missing poses; their number.
-    fn fill_gaps(&self, map: &mut Map) -> usize {
-        let known: Vec<(usize, Se3<f64>)> = (0..self.frames).filter_map(|i| Some((i, map.poses[i]?))).collect();
-        let missing = self.frames - known.len();
-        for frame in 0..self.frames {
-            if map.poses[frame].is_none() {
-                let after = known.iter().find(|(i, _)| *i > frame);
-                let before = known.iter().rev().find(|(i, _)| *i < frame);
-                map.poses[frame] = match (before, after) {
-                    (Some((i, a)), Some((j, b))) => Some(interpolate(a, b, (frame - i) as f64 / (j - i) as f64)),
-                    (Some((_, a)), None) | (None, Some((_, a))) => Some(*a),
-                    (None, None) => None,
-                };
-            }
-        }
-        missing
     }
 }
 

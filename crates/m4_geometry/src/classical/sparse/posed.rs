@@ -1,20 +1,28 @@
 //! Cameras that are known: tracks, points and motion alone; and given poses against those that the clip itself suggests.
 
-use super::adjustment::MIN_POINTS;
 use super::bundle::BundleReport;
+use super::growth::MIN_POINTS;
 use super::map::{Map, ROUNDS, classify, median_far_error};
 use super::priors::{FocalSource, Lenses, Recovered};
-use super::reconstruct::{Clip, FeatureTracks, MIN_TRACKS, check, check_count, track_checked};
+use super::reconstruct::{Clip, FeatureTracks, check, track_checked};
 use super::rotation::sway;
 use super::{INLIER_PX, SparseConfig, SparseError, stopped};
-use crate::classical::reconstruction::{CameraMotion, Motion};
+use crate::classical::{CameraMotion, Motion, SparseReconstruction, check_count};
 use m4_core::nalgebra::Vector3;
 use m4_core::{Camera, Mask, Progress, RgbImage, Sim3, log_so3};
 
 /// Share of the tracks that must agree with given poses; below, they are doubted.
 const DOUBTFUL_SHARE: f64 = 0.5;
+/// What the user can do about poses that do not fit.
+const CHECK_POSES: &str =
+    "check the order of the frames, the direction (camera to world) and the axes of the poses, and the focal length";
 /// Cameras that turn less than this, radians, and do not move are static.
 const STILL_RAD: f64 = 1e-4;
+/// How many times as many tracks must agree with other poses.
+const TIMES: usize = 2;
+/// Poses as near as this to the given ones, as a share of the way and in radians, are the same.
+const SAME_WAY: f64 = 0.05;
+const SAME_RAD: f64 = 0.035;
 
 /// Tracks and points of a clip whose cameras are known, each with its own lens. Cameras, their world and their unit are
 /// handed out as they were given; `masks` as in [`super::FeatureTracks::recover`].
@@ -30,7 +38,7 @@ pub fn with_cameras(
     progress: &dyn Progress,
 ) -> Result<Recovered, SparseError> {
     let size = check(frames, masks, config)?;
-    check_count("cameras", cameras.len(), frames.len())?;
+    check_count("cameras", cameras.len(), frames.len()).map_err(SparseError::Input)?;
     for (frame, camera) in cameras.iter().enumerate() {
         check_camera(frame, camera, size)?;
     }
@@ -45,7 +53,8 @@ pub(super) fn posed_tracks(
     config: &SparseConfig,
     progress: &dyn Progress,
 ) -> Result<Recovered, SparseError> {
-    Clip::new(features, masks, Lenses::PerFrame(cameras), config, progress).posed(cameras)
+    let lenses = Lenses(cameras.iter().map(|c| c.intrinsics).collect());
+    Clip::new(features, masks, lenses, config, progress).posed(cameras)
 }
 
 fn check_camera(frame: usize, camera: &Camera, (width, height): (usize, usize)) -> Result<(), SparseError> {
@@ -68,28 +77,18 @@ impl Clip<'_> {
         let focal = cameras.iter().map(|c| (c.intrinsics.fx * c.intrinsics.fy).sqrt()).sum::<f64>()
             / cameras.len().max(1) as f64
             * self.size.scale;
-        for tracks in [&mut self.tracks, &mut self.masked] {
-            self.lenses.undo(tracks, self.size, focal);
-        }
-        if let Some(sway) = sway(&self.tracks, self.frames, &[focal], MIN_TRACKS) {
+        self.undo_lenses(focal);
+        if let Some(sway) = sway(&self.tracks, self.frames, &[focal]) {
             self.limits.adapt(&sway, self.size.width);
         }
-        let mut map = Map {
-            focal,
-            poses: cameras.iter().map(|c| Some(c.w2c())).collect(),
-            points: vec![None; self.tracks.len()],
-        };
-        let mut usable = vec![true; self.tracks.len()];
+        let mut map = Map::new(focal, cameras.iter().map(|c| Some(c.w2c())).collect(), &self.tracks);
         let mut motions = Vec::new();
         for _ in 0..ROUNDS {
             stopped(self.progress)?;
-            map.triangulate(&self.tracks, &usable, &self.limits);
+            map.triangulate(&self.tracks, &motions, &self.limits);
             motions = classify(&map, &self.tracks);
-            for (usable, motion) in usable.iter_mut().zip(&motions) {
-                *usable = *motion != Motion::Dynamic;
-            }
         }
-        map.triangulate(&self.tracks, &usable, &self.limits);
+        map.triangulate(&self.tracks, &motions, &self.limits);
         let points = map.points.iter().flatten().count();
         let judged = motions.iter().filter(|m| **m != Motion::Unknown).count();
         let needed = MIN_POINTS.max(judged / 20);
@@ -99,8 +98,7 @@ impl Clip<'_> {
             if (points as f64) < DOUBTFUL_SHARE * judged as f64 {
                 self.refute(cameras, focal, points, judged)?;
                 self.warn(format!(
-                    "only {points} of {judged} tracks agree with the given poses: if the scene is mostly static, check the order of \
-                     the frames, the direction (camera to world) and the axes of the poses, and the focal length"
+                    "only {points} of {judged} tracks agree with the given poses: if the scene is mostly static, {CHECK_POSES}"
                 ));
             }
             CameraMotion::Parallax
@@ -108,7 +106,10 @@ impl Clip<'_> {
             // Without points, the poses must at least explain the images as turns.
             let far = median_far_error(&map, &self.tracks).unwrap_or(f64::INFINITY);
             if far > INLIER_PX {
-                return Err(SparseError::PosesDoNotFit { points, tracks: judged, needed });
+                return Err(SparseError::NoAgreement(format!(
+                    "the given poses do not fit the images: only {points} of {judged} tracks agree with them on a static scene, \
+                     {needed} are needed; {CHECK_POSES}"
+                )));
             }
             map.points.fill(None);
             self.warn(format!(
@@ -119,7 +120,7 @@ impl Clip<'_> {
         };
         let (tracks, residual_px) = self.hand_out(&map, &motions);
         Ok(Recovered {
-            sparse: crate::classical::reconstruction::SparseReconstruction {
+            sparse: SparseReconstruction {
                 cameras: cameras.to_vec(),
                 tracks,
                 camera_motion,
@@ -129,33 +130,10 @@ impl Clip<'_> {
             focal: FocalSource::Given,
         })
     }
-}
 
-/// Whether cameras without parallax turn or are static.
-fn motionless(cameras: &[Camera]) -> CameraMotion {
-    let turns = |c: &Camera| {
-        let turn = cameras[0].c2w.rotation.tr_mul(&c.c2w.rotation);
-        log_so3(&turn).norm() > STILL_RAD
-    };
-    if cameras.iter().any(turns) { CameraMotion::RotationOnly } else { CameraMotion::Static }
-}
-
-/// How many times as many tracks must agree with other poses.
-const TIMES: usize = 2;
-/// Poses as near as this to the given ones, as a share of the way and in radians, are the same.
-const SAME_WAY: f64 = 0.05;
-const SAME_RAD: f64 = 0.035;
-
-impl Clip<'_> {
     /// Fails where poses found from the clip alone, with the given focal length (working pixels), explain far more tracks than
     /// the `points` that the given ones do, and are others.
-    pub(super) fn refute(
-        &self,
-        cameras: &[Camera],
-        focal: f64,
-        points: usize,
-        judged: usize,
-    ) -> Result<(), SparseError> {
+    fn refute(&self, cameras: &[Camera], focal: f64, points: usize, judged: usize) -> Result<(), SparseError> {
         let config = SparseConfig {
             fov_deg: None,
             focal_px: Some(focal / self.size.scale),
@@ -170,7 +148,7 @@ impl Clip<'_> {
             size: [self.width, self.height],
             working: self.size,
         };
-        let mut free = Clip::new(features, None, Lenses::Centred, &config, self.progress);
+        let mut free = Clip::new(features, None, Lenses(Vec::new()), &config, self.progress);
         free.quiet = true;
         let found = match free.solve() {
             Ok(found) if found.sparse.camera_motion == CameraMotion::Parallax => found.sparse,
@@ -181,10 +159,24 @@ impl Clip<'_> {
         let better = found.tracks.iter().filter(|t| t.point.is_some()).count();
         let (way, turn_rad) = apart(&found.cameras, cameras);
         if better >= TIMES * points && (way > SAME_WAY || turn_rad > SAME_RAD) {
-            return Err(SparseError::PosesRefuted { points, tracks: judged, better, turn_deg: turn_rad.to_degrees() });
+            return Err(SparseError::NoAgreement(format!(
+                "the given poses contradict the images: {points} of {judged} tracks agree with them on a static scene, {better} \
+                 with poses estimated from the images alone, whose rotations differ by up to {:.1} degrees; {CHECK_POSES}, or \
+                 leave the poses out",
+                turn_rad.to_degrees()
+            )));
         }
         Ok(())
     }
+}
+
+/// Whether cameras without parallax turn or are static.
+fn motionless(cameras: &[Camera]) -> CameraMotion {
+    let turns = |c: &Camera| {
+        let turn = cameras[0].c2w.rotation.tr_mul(&c.c2w.rotation);
+        log_so3(&turn).norm() > STILL_RAD
+    };
+    if cameras.iter().any(turns) { CameraMotion::RotationOnly } else { CameraMotion::Static }
 }
 
 /// How far `a` is from `b` once its world is laid over that of `b`: root mean square distance over the length of the way, and

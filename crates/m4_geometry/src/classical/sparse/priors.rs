@@ -2,8 +2,8 @@
 
 use super::luma::WorkingSize;
 use super::tracking::RawTrack;
-use crate::classical::reconstruction::SparseReconstruction;
-use m4_core::{Camera, Intrinsics, Mask};
+use crate::classical::SparseReconstruction;
+use m4_core::{Intrinsics, Mask};
 
 /// Where the focal length comes from.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
@@ -37,44 +37,29 @@ pub(super) fn part(masks: Option<&[Mask]>, tracks: Vec<RawTrack>, size: WorkingS
     let Some(masks) = masks else {
         return (tracks, Vec::new());
     };
+    let covered = |mask: &Mask, at: [f64; 2]| {
+        let [x, y] = size.share(at);
+        let cell = |share: f64, n: usize| ((share * n as f64).max(0.0) as usize).min(n.saturating_sub(1));
+        let (w, h) = mask.size();
+        w > 0 && h > 0 && mask[(cell(x, w), cell(y, h))] > 0
+    };
     tracks.into_iter().partition(|track| {
-        let inside = (track.first..).zip(&track.seen);
-        let inside = inside.filter(|(frame, at)| masks.get(*frame).is_some_and(|mask| covers(mask, size, **at)));
+        let seen = (track.first..).zip(&track.seen);
+        let inside = seen.filter(|(frame, at)| masks.get(*frame).is_some_and(|mask| covered(mask, **at)));
         (inside.count() as f64) < MASKED_SHARE * track.seen.len() as f64
     })
 }
 
-/// True where the mask is set at `at`, working pixels from the centre.
-fn covers(mask: &Mask, size: WorkingSize, at: [f64; 2]) -> bool {
-    let [x, y] = size.share(at);
-    let cell = |share: f64, n: usize| ((share * n as f64).max(0.0) as usize).min(n.saturating_sub(1));
-    let (w, h) = mask.size();
-    w > 0 && h > 0 && mask[(cell(x, w), cell(y, h))] > 0
-}
-
 /// Which lens saw a frame. Tracks are kept as a lens with one focal length, square pixels and its principal point in the
 /// centre would have seen them; known lenses are undone on the way in and done again on the way out.
+/// Empty where no lens is known; one for all frames, or one per frame.
 #[derive(Debug, Clone)]
-pub(super) enum Lenses<'a> {
-    /// Such a lens, of a focal length that may be unknown.
-    Centred,
-    /// One known lens.
-    Shared(Intrinsics),
-    /// Known intrinsics per frame.
-    PerFrame(&'a [Camera]),
-    /// Intrinsics of a detected zoom, one per frame.
-    Zooming(Vec<Intrinsics>),
-}
+pub(super) struct Lenses(pub Vec<Intrinsics>);
 
-impl Lenses<'_> {
+impl Lenses {
     /// The lens of a frame, where it is known.
     pub fn of(&self, frame: usize) -> Option<Intrinsics> {
-        match self {
-            Self::Centred => None,
-            Self::Shared(lens) => Some(*lens),
-            Self::PerFrame(cameras) => cameras.get(frame).map(|c| c.intrinsics),
-            Self::Zooming(lenses) => lenses.get(frame).copied(),
-        }
+        self.0.get(frame).or(self.0.last()).copied()
     }
 
     /// Moves observations to where the lens of `focal` working pixels has them.
@@ -122,7 +107,7 @@ mod tests {
     fn a_lens_is_undone_and_done_again() {
         let size = WorkingSize::new(640, 480, 320);
         let lens = Intrinsics { width: 640, height: 480, fx: 500.0, fy: 520.0, cx: 300.0, cy: 250.0 };
-        let lenses = Lenses::Shared(lens);
+        let lenses = Lenses(vec![lens]);
         // a ray through input pixel (400, 100)
         let before = size.centred([199.75, 49.75]);
         let mut tracks = [RawTrack { first: 0, seen: vec![before] }];

@@ -1,14 +1,14 @@
-//! The whole way from frames to a reconstruction.
+//! From frames to a reconstruction.
 
-use super::degenerate::{standing, turning};
+use super::degenerate::turning;
 use super::luma::{LONGEST_SIDE_PX, WorkingSize};
 use super::map::{Map, classify};
 use super::priors::{FocalSource, Lenses, Recovered, part};
-use super::rotation::{KEYFRAME_PARALLAX, Limits, Sway, focal_candidates, focal_from_fov, matches, sway};
+use super::rotation::{KEYFRAME_PARALLAX, Limits, MIN_TRACKS, Sway, focal_candidates, focal_from_fov, matches, sway};
 use super::tracking::{RawTrack, track};
 use super::{SparseConfig, SparseError, stopped};
-use crate::classical::reconstruction::CameraMotion;
-use m4_core::{Intrinsics, Mask, Progress, RgbImage};
+use crate::classical::{CameraMotion, check_count};
+use m4_core::{Intrinsics, Mask, Progress, RgbImage, Se3};
 
 /// Below this greatest median parallax (share of the width, rotation taken out) nothing can be triangulated and the camera counts as
 /// turning only. 0.004: 2 pixels of 480, some twenty times the error of a track.
@@ -19,9 +19,6 @@ const STATIC_MOTION_PX: f64 = 1.0;
 /// [`STATIC_MOTION_PX`].
 const DOUBTFUL: f64 = 5.0;
 
-/// Fewest tracks from one frame to the next.
-pub(super) const MIN_TRACKS: usize = 20;
-
 /// Cameras, tracks and points of a clip from its feature tracks.
 pub(super) fn from_tracks(
     features: FeatureTracks,
@@ -29,14 +26,12 @@ pub(super) fn from_tracks(
     config: &SparseConfig,
     progress: &dyn Progress,
 ) -> Result<Recovered, SparseError> {
-    let ([width, height], size) = (features.size, features.working);
+    let [width, height] = features.size;
     let lens = config.intrinsics.map(|[fx, fy, cx, cy]| Intrinsics { width, height, fx, fy, cx, cy });
-    let lenses = lens.map_or(Lenses::Centred, Lenses::Shared);
+    let lenses = Lenses(lens.into_iter().collect());
     let mut clip = Clip::new(features, masks, lenses, config, progress);
     if let Some(focal) = clip.given_focal() {
-        for tracks in [&mut clip.tracks, &mut clip.masked] {
-            clip.lenses.undo(tracks, size, focal);
-        }
+        clip.undo_lenses(focal);
     }
     clip.solve()
 }
@@ -54,10 +49,9 @@ pub(super) fn check(
     let (width, height) = first.size();
     for (frame, image) in frames.iter().enumerate() {
         if image.size() != (width, height) {
+            let (found, expected) = (image.size(), (width, height));
             return refused(format!(
-                "frame {frame} is {:?} pixels while frame 0 is {:?}; give frames of one size",
-                image.size(),
-                (width, height)
+                "frame {frame} is {found:?} pixels while frame 0 is {expected:?}; give frames of one size"
             ));
         }
     }
@@ -66,7 +60,7 @@ pub(super) fn check(
             "frames of {width}x{height} pixels are too small to track points; at least 64x64 are needed"
         ));
     }
-    check_count("masks", masks.map_or(frames.len(), <[_]>::len), frames.len())?;
+    check_count("masks", masks.map_or(frames.len(), <[_]>::len), frames.len()).map_err(SparseError::Input)?;
     let range = |name, value: Option<f64>, low: f64, high: f64, range| match value {
         Some(value) if !(value > low && value < high) => Err(SparseError::Setting { name, value, range }),
         _ => Ok(()),
@@ -82,26 +76,16 @@ pub(super) fn check(
     Ok((width, height))
 }
 
-/// Rejects masks and cameras of another clip.
-pub(super) fn check_count(what: &str, found: usize, frames: usize) -> Result<(), SparseError> {
-    if found == frames {
-        return Ok(());
-    }
-    Err(SparseError::Input(format!("there are {found} {what} for {frames} frames; give one per frame")))
-}
-
 /// A tracked clip on its way to a reconstruction.
 pub(super) struct Clip<'a> {
     pub(super) tracks: Vec<RawTrack>,
     /// Those that lie in given masks.
     pub(super) masked: Vec<RawTrack>,
-    /// What was known of lenses.
-    pub(super) lenses: Lenses<'a>,
+    pub(super) lenses: Lenses,
     pub(super) frames: usize,
     pub(super) size: WorkingSize,
-    /// Columns of the input.
+    /// Of the input, as `height`.
     pub(super) width: usize,
-    /// Rows of the input.
     pub(super) height: usize,
     pub(super) config: &'a SparseConfig,
     pub(super) limits: Limits,
@@ -115,7 +99,7 @@ impl<'a> Clip<'a> {
     pub(super) fn new(
         features: FeatureTracks,
         masks: Option<&[Mask]>,
-        lenses: Lenses<'a>,
+        lenses: Lenses,
         config: &'a SparseConfig,
         progress: &'a dyn Progress,
     ) -> Self {
@@ -135,9 +119,14 @@ impl<'a> Clip<'a> {
             quiet: false,
         }
     }
-}
 
-impl Clip<'_> {
+    /// Moves observations to where one lens of that focal length has them.
+    pub(super) fn undo_lenses(&mut self, focal: f64) {
+        for tracks in [&mut self.tracks, &mut self.masked] {
+            self.lenses.undo(tracks, self.size, focal);
+        }
+    }
+
     pub(super) fn warn(&mut self, message: String) {
         if !self.quiet {
             self.progress.warn(&message);
@@ -153,12 +142,13 @@ impl Clip<'_> {
         focal.map(|f| f * self.size.scale)
     }
 
-    pub(super) fn default_focal(&self) -> f64 {
-        self.given_focal().unwrap_or_else(|| self.working_focal(self.config.default_fov_deg))
+    pub(super) fn free_focal(&self) -> bool {
+        self.given_focal().is_none()
     }
 
-    fn working_focal(&self, fov_deg: f64) -> f64 {
-        focal_from_fov(self.width, fov_deg) * self.size.scale
+    pub(super) fn default_focal(&self) -> f64 {
+        let assumed = || focal_from_fov(self.width, self.config.default_fov_deg) * self.size.scale;
+        self.given_focal().unwrap_or_else(assumed)
     }
 
     /// Horizontal field of view of a focal length in working pixels, degrees.
@@ -168,8 +158,8 @@ impl Clip<'_> {
 
     pub(super) fn solve(&mut self) -> Result<Recovered, SparseError> {
         if self.config.static_camera {
-            let seen = sway(&self.tracks, self.frames, &[self.default_focal()], MIN_TRACKS);
-            let map = self.still("it was declared static");
+            self.warn_static("it was declared static");
+            let seen = sway(&self.tracks, self.frames, &[self.default_focal()]);
             if let Some(seen) = seen.filter(|s| s.motion_px > DOUBTFUL * STATIC_MOTION_PX) {
                 self.warn(format!(
                     "the camera was declared static, but most of the image moves, by up to {:.1} px (working \
@@ -177,24 +167,23 @@ impl Clip<'_> {
                     seen.motion_px
                 ));
             }
-            return Ok(self.without_points(map, CameraMotion::Static, self.untold_focal()));
+            return Ok(self.one_pose());
         }
         self.check_tracks()?;
         let focals = match self.given_focal() {
             Some(focal) => vec![focal],
             None => focal_candidates(self.size.width),
         };
-        let Some(sway) = sway(&self.tracks, self.frames, &focals, MIN_TRACKS) else {
+        let Some(sway) = sway(&self.tracks, self.frames, &focals) else {
             // Frames far apart have nothing in common: the camera moves a lot.
-            return self.moving(&focals, self.default_focal())?;
+            return self.moving(&focals, self.default_focal());
         };
         if sway.motion_px < STATIC_MOTION_PX {
-            let why = format!(
-                "60 % of all points move by at most {:.2} px over the clip (working size), less than {} px",
-                sway.motion_px, STATIC_MOTION_PX
-            );
-            let map = self.still(&why);
-            return Ok(self.without_points(map, CameraMotion::Static, self.untold_focal()));
+            self.warn_static(&format!(
+                "60 % of all points move by at most {:.2} px over the clip (working size), less than {STATIC_MOTION_PX} px",
+                sway.motion_px
+            ));
+            return Ok(self.one_pose());
         }
         let share = sway.parallax_px / self.size.width as f64;
         if share < MIN_PARALLAX {
@@ -204,8 +193,11 @@ impl Clip<'_> {
         // Warnings about a translation that does not exist would mislead.
         self.quiet = zoom.is_some();
         self.limits.adapt(&sway, self.size.width);
-        let moving = self.moving(&focals, sway.focal)?;
+        let moving = self.moving(&focals, sway.focal);
         self.quiet = false;
+        if matches!(moving, Err(SparseError::Cancelled)) {
+            return moving;
+        }
         if let Some(zoom) = zoom {
             let walk = moving.as_ref().ok();
             if zoom.explains_as_much_as(walk, self.size.scale) {
@@ -216,39 +208,42 @@ impl Clip<'_> {
                 self.progress.warn(warning);
             }
         }
-        match moving {
-            Ok(found) => Ok(found),
-            Err(_) if share < KEYFRAME_PARALLAX => self.turning(&focals, &sway),
-            Err(no_start) => Err(no_start),
-        }
+        if moving.is_err() && share < KEYFRAME_PARALLAX { self.turning(&focals, &sway) } else { moving }
     }
 
     fn check_tracks(&self) -> Result<(), SparseError> {
         for frame in 1..self.frames {
             let found = matches(&self.tracks, frame - 1, frame).len();
             if found < MIN_TRACKS {
-                return Err(SparseError::TooFewTracks { frame: frame - 1, found, needed: MIN_TRACKS });
+                return Err(SparseError::NoAgreement(format!(
+                    "only {found} points could be tracked from frame {} to the next, {MIN_TRACKS} are needed (flat, dark or \
+                     blurred images, or a cut); cut the clip there, or pass --static-camera if the camera is static, or \
+                     supply a capture with poses",
+                    frame - 1
+                )));
             }
         }
         Ok(())
     }
 
-    /// One pose for all frames, and a warning that says why.
-    fn still(&mut self, why: &str) -> Map {
-        let map = standing(&self.tracks, self.frames, self.default_focal());
+    fn warn_static(&mut self, why: &str) {
         self.warn(format!(
             "the camera appears to be static: {why}; depth cannot be measured, so novel views are a guess{}",
-            self.focal_note()
+            self.focal_note(false)
         ));
-        map
+    }
+
+    /// One pose for all frames.
+    fn one_pose(&mut self) -> Recovered {
+        let map = Map::new(self.default_focal(), vec![Some(Se3::identity()); self.frames], &self.tracks);
+        self.without_points(map, CameraMotion::Static, false)
     }
 
     /// Rotations alone.
     fn turning(&mut self, focals: &[f64], sway: &Sway) -> Result<Recovered, SparseError> {
         stopped(self.progress)?;
-        let assumed = self.default_focal();
-        let found = turning(&self.tracks, self.frames, focals, assumed, MIN_TRACKS, self.limits.cauchy_px);
-        let note = if found.focal_observed { String::new() } else { self.focal_note() };
+        let found = turning(&self.tracks, self.frames, focals, self.default_focal(), self.limits.cauchy_px);
+        let note = self.focal_note(found.focal_observed);
         self.warn(format!(
             "the camera rotates (by up to {:.1} degrees) but hardly translates: median parallax is at most {:.1} px where \
              {:.1} px are needed (working size); rotations only, depth cannot be measured{note}",
@@ -262,35 +257,26 @@ impl Clip<'_> {
                 "rotation could not be estimated for {lost} of {frames} frames; the previous frame's rotation was used"
             ));
         }
-        let focal = match self.untold_focal() {
-            FocalSource::Assumed if found.focal_observed => FocalSource::Estimated { sigma: None },
-            other => other,
-        };
-        Ok(self.without_points(found.map, CameraMotion::RotationOnly, focal))
+        Ok(self.without_points(found.map, CameraMotion::RotationOnly, found.focal_observed))
     }
 
-    pub(super) fn without_points(&mut self, map: Map, camera_motion: CameraMotion, focal: FocalSource) -> Recovered {
-        let motions = classify(&map, &self.tracks);
-        let sparse = self.finish(map, &motions, camera_motion);
-        Recovered { sparse, focal }
-    }
-
-    /// Where the focal length comes from if not from the clip.
-    pub(super) fn untold_focal(&self) -> FocalSource {
-        match self.given_focal() {
+    /// The reconstruction of a camera that does not translate; `focal_observed`: its rotation reveals the focal length.
+    pub(super) fn without_points(&mut self, map: Map, camera_motion: CameraMotion, focal_observed: bool) -> Recovered {
+        let focal = match self.given_focal() {
             Some(_) => FocalSource::Given,
+            None if focal_observed => FocalSource::Estimated { sigma: None },
             None => FocalSource::Assumed,
-        }
+        };
+        let motions = classify(&map, &self.tracks);
+        Recovered { sparse: self.finish(map, &motions, camera_motion), focal }
     }
 
-    pub(super) fn focal_note(&self) -> String {
-        match self.given_focal() {
-            Some(_) => String::new(),
-            None => format!(
-                "; a field of view of {} degrees is assumed (give the true one with --fov)",
-                self.config.default_fov_deg
-            ),
+    pub(super) fn focal_note(&self, focal_observed: bool) -> String {
+        if focal_observed || !self.free_focal() {
+            return String::new();
         }
+        let fov_deg = self.config.default_fov_deg;
+        format!("; a field of view of {fov_deg} degrees is assumed (give the true one with --fov)")
     }
 }
 
@@ -324,12 +310,8 @@ pub(super) fn track_checked(
     progress: &dyn Progress,
 ) -> Result<FeatureTracks, SparseError> {
     let working = WorkingSize::new(width, height, LONGEST_SIDE_PX);
-    Ok(FeatureTracks {
-        tracks: track(frames, working, progress)?,
-        frames: frames.len(),
-        size: [width, height],
-        working,
-    })
+    let tracks = track(frames, working, progress)?;
+    Ok(FeatureTracks { tracks, frames: frames.len(), size: [width, height], working })
 }
 
 impl FeatureTracks {
@@ -354,7 +336,7 @@ impl FeatureTracks {
         config: &SparseConfig,
         progress: &dyn Progress,
     ) -> Result<Recovered, SparseError> {
-        check_count("masks", masks.map_or(self.frames, <[_]>::len), self.frames)?;
+        check_count("masks", masks.map_or(self.frames, <[_]>::len), self.frames).map_err(SparseError::Input)?;
         from_tracks(self.clone(), masks, config, progress)
     }
 }

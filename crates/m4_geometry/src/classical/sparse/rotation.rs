@@ -21,6 +21,22 @@ const KEYFRAME_SURVIVAL: f64 = 0.6;
 /// Most keyframes; the clip is cut into this many where more are asked for.
 const MAX_KEYFRAMES: usize = 40;
 
+/// Fewest tracks from one frame to the next.
+pub(super) const MIN_TRACKS: usize = 20;
+
+/// The direction of working pixels `at`.
+pub(crate) fn ray(at: [f64; 2], focal: f64) -> Vector3<f64> {
+    Vector3::new(at[0], at[1], focal).normalize()
+}
+
+/// The rotation that fits a sum of outer products of directions after and before it best (Wahba's problem).
+pub(crate) fn nearest_rotation(sum: Matrix3<f64>) -> Option<Matrix3<f64>> {
+    let svd = sum.svd(true, true);
+    let (u, v_t) = (svd.u?, svd.v_t?);
+    let sign = (u.determinant() * v_t.determinant()).signum();
+    Some(u * Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, sign)) * v_t)
+}
+
 /// Tracks seen in both frames, and where.
 pub(crate) fn matches(tracks: &[RawTrack], a: usize, b: usize) -> Vec<Match> {
     tracks.iter().filter_map(|t| Some((t.at(a)?, t.at(b)?))).collect()
@@ -41,8 +57,7 @@ pub(crate) fn turn(matches: &[Match], focal: f64) -> Option<Turn> {
     if matches.len() < 3 {
         return None;
     }
-    let ray = |p: [f64; 2]| Vector3::new(p[0], p[1], focal).normalize();
-    let rays: Vec<(Vector3<f64>, Vector3<f64>)> = matches.iter().map(|m| (ray(m.0), ray(m.1))).collect();
+    let rays: Vec<(Vector3<f64>, Vector3<f64>)> = matches.iter().map(|m| (ray(m.0, focal), ray(m.1, focal))).collect();
     let mut rotation = Matrix3::identity();
     let residual = |rotation: &Matrix3<f64>, (a, _): &(Vector3<f64>, Vector3<f64>), m: &Match| {
         let p = rotation * a;
@@ -55,10 +70,7 @@ pub(crate) fn turn(matches: &[Match], focal: f64) -> Option<Turn> {
             let weight = 1.0 / (1.0 + (residual(&rotation, pair, m) / scale).powi(2));
             sum += pair.1 * pair.0.transpose() * weight;
         }
-        let svd = sum.svd(true, true);
-        let (u, v_t) = (svd.u?, svd.v_t?);
-        let sign = (u.determinant() * v_t.determinant()).signum();
-        rotation = u * Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, sign)) * v_t;
+        rotation = nearest_rotation(sum)?;
     }
     let mut left: Vec<f64> = rays.iter().zip(matches).map(|(r, m)| residual(&rotation, r, m)).collect();
     Some(Turn { rotation, parallax_px: median(&mut left)? })
@@ -92,25 +104,23 @@ pub(crate) struct Sway {
 }
 
 /// Compares up to 12 frames spread over the clip, each with each.
-pub(crate) fn sway(tracks: &[RawTrack], frames: usize, focals: &[f64], min_matches: usize) -> Option<Sway> {
+pub(crate) fn sway(tracks: &[RawTrack], frames: usize, focals: &[f64]) -> Option<Sway> {
     let picked = spread(frames, 12);
     let mut pairs: Vec<Vec<Match>> = Vec::new();
     for (i, &a) in picked.iter().enumerate() {
         for &b in &picked[i + 1..] {
             let found = matches(tracks, a, b);
-            if found.len() >= min_matches {
+            if found.len() >= MIN_TRACKS {
                 pairs.push(found);
             }
         }
     }
-    let motion_px = pairs
-        .iter()
-        .map(|pair| {
-            let mut lengths: Vec<f64> = pair.iter().map(|m| (m.1[0] - m.0[0]).hypot(m.1[1] - m.0[1])).collect();
-            let k = lengths.len() * 6 / 10;
-            *lengths.select_nth_unstable_by(k, f64::total_cmp).1
-        })
-        .fold(None, |most: Option<f64>, v| Some(most.map_or(v, |m| m.max(v))))?;
+    let displacement = |pair: &Vec<Match>| {
+        let mut lengths: Vec<f64> = pair.iter().map(|m| (m.1[0] - m.0[0]).hypot(m.1[1] - m.0[1])).collect();
+        let k = lengths.len() * 6 / 10;
+        *lengths.select_nth_unstable_by(k, f64::total_cmp).1
+    };
+    let motion_px = pairs.iter().map(displacement).reduce(f64::max)?;
     let by_focal: Vec<Sway> = focals
         .par_iter()
         .map(|&focal| {
@@ -239,10 +249,10 @@ mod tests {
     #[test]
     fn sway_separates_rotation_from_translation_and_gives_focal_length() {
         let focals = focal_candidates(480);
-        let turning = sway(&tracks(20, 0.02, 0.0, 400.0), 20, &focals, 20).expect("sway");
+        let turning = sway(&tracks(20, 0.02, 0.0, 400.0), 20, &focals).expect("sway");
         assert!(turning.parallax_px < 2.5 && turning.motion_px > 20.0, "{turning:?}");
         assert!((turning.focal / 400.0).ln().abs() < 0.1, "{turning:?}");
-        let moving = sway(&tracks(20, 0.0, 0.05, 400.0), 20, &focals, 20).expect("sway");
+        let moving = sway(&tracks(20, 0.0, 0.05, 400.0), 20, &focals).expect("sway");
         assert!(moving.parallax_px > 4.0, "{moving:?}");
     }
 

@@ -5,7 +5,7 @@ use super::posed::posed_tracks;
 use super::reconstruct::{FeatureTracks, from_tracks};
 use super::tracking::RawTrack;
 use super::{SparseConfig, SparseError};
-use crate::classical::reconstruction::{CameraMotion, Motion, SparseReconstruction, Track};
+use crate::classical::{CameraMotion, Motion, SparseReconstruction, Track};
 use m4_core::{Camera, CounterRng, Intrinsics, Plane, Se3, Silent, Sim3, exp_so3, log_so3, nalgebra::Vector3};
 use m4_testkit::StopAtPoll;
 
@@ -130,25 +130,25 @@ fn judged(found: &SparseReconstruction, moving: &[bool], motion: Motion, moves: 
     pairs.filter(|(t, m)| t.motion == motion && **m == moves).count()
 }
 
+fn misjudged(found: &SparseReconstruction, moving: &[bool]) -> usize {
+    judged(found, moving, Motion::Static, true) + judged(found, moving, Motion::Dynamic, false)
+}
+
 /// Trajectory error over path length after alignment, and the greatest rotation error in radians
 /// relative to frame 0.
 fn errors(found: &SparseReconstruction, scene: &Scene) -> (f64, f64) {
-    let want: Vec<Se3<f64>> = (0..scene.frames).map(|i| scene.pose(i).inverse()).collect();
-    let centres = |poses: &[Se3<f64>]| poses.iter().map(|p| p.translation).collect::<Vec<_>>();
     let ours: Vec<Se3<f64>> = found.cameras.iter().map(|c| c.c2w).collect();
-    let turn = (0..scene.frames)
-        .map(|i| {
-            let a = ours[0].rotation.tr_mul(&ours[i].rotation);
-            let b = want[0].rotation.tr_mul(&want[i].rotation);
-            log_so3(&a.tr_mul(&b)).norm()
-        })
-        .fold(0.0, f64::max);
-    let want = centres(&want);
+    let want: Vec<Se3<f64>> = (0..scene.frames).map(|i| scene.pose(i).inverse()).collect();
+    let since = |poses: &[Se3<f64>], i: usize| poses[0].rotation.tr_mul(&poses[i].rotation);
+    let turn = |i| log_so3(&since(&ours, i).tr_mul(&since(&want, i))).norm();
+    let turn = (0..scene.frames).map(turn).fold(0.0, f64::max);
+    let centres = |poses: &[Se3<f64>]| poses.iter().map(|p| p.translation).collect::<Vec<_>>();
+    let (ours, want) = (centres(&ours), centres(&want));
     let path: f64 = want.windows(2).map(|w| (w[1] - w[0]).norm()).sum();
-    let Some(fit) = Sim3::umeyama(&centres(&ours), &want) else {
+    let Some(fit) = Sim3::umeyama(&ours, &want) else {
         return (f64::INFINITY, turn);
     };
-    let squared: f64 = centres(&ours).iter().zip(&want).map(|(a, b)| (fit.transform(a) - b).norm_squared()).sum();
+    let squared: f64 = ours.iter().zip(&want).map(|(a, b)| (fit.transform(a) - b).norm_squared()).sum();
     ((squared / want.len() as f64).sqrt() / path, turn)
 }
 
@@ -179,22 +179,30 @@ fn a_room_with_a_fifth_of_moving_points() {
 }
 
 #[test]
-fn a_wide_and_a_long_lens_are_found() {
-    for (focal, tolerance) in [(300.0, 0.03), (900.0, 0.05)] {
-        let scene = Scene { focal, ..ROOM };
+fn other_lenses_and_a_walk_straight_ahead_are_reconstructed() {
+    let walk = Scene { step: 0.06, way: [0.0, 0.02, 1.0], turn: 0.001, moving: 0.0, ..ROOM };
+    for (what, scene, focal_off, path_off) in [
+        ("wide lens", Scene { focal: 300.0, ..ROOM }, 0.03, 0.01),
+        ("long lens", Scene { focal: 900.0, ..ROOM }, 0.05, 0.01),
+        ("walk", walk, f64::INFINITY, 0.02),
+    ] {
         let (found, _) = solved(&scene);
-        let got = found.cameras[0].intrinsics.fx;
-        assert!((got / focal - 1.0).abs() < tolerance, "{got} where {focal} was expected");
-        assert!(errors(&found, &scene).0 < 0.01, "{:?}", errors(&found, &scene));
+        assert_eq!(found.camera_motion, CameraMotion::Parallax, "{what}: {:?}", found.warnings);
+        let (focal, path) = (found.cameras[0].intrinsics.fx, errors(&found, &scene).0);
+        assert!((focal / scene.focal - 1.0).abs() < focal_off && path < path_off, "{what}: {focal} {path}");
     }
 }
 
 #[test]
-fn given_focal_length_is_used() {
-    let config = SparseConfig { focal_px: Some(530.0), fov_deg: Some(40.0), ..SparseConfig::default() };
-    let found = solve(ROOM.tracks().0, ROOM.frames, &config).expect("a reconstruction");
+fn given_focal_length_and_static_camera_are_used() {
+    let solve = |config| solve(ROOM.tracks().0, ROOM.frames, &config).expect("a reconstruction");
+    let found = solve(SparseConfig { focal_px: Some(530.0), fov_deg: Some(40.0), ..SparseConfig::default() });
     assert!((found.cameras[0].intrinsics.fx - 530.0).abs() < 1e-9);
     assert!(errors(&found, &ROOM).0 < 0.02);
+    let found = solve(SparseConfig { static_camera: true, fov_deg: Some(60.0), ..SparseConfig::default() });
+    assert_eq!(found.camera_motion, CameraMotion::Static);
+    let fov = found.cameras[0].intrinsics.horizontal_fov_rad().to_degrees();
+    assert!((fov - 60.0).abs() < 1e-9, "{fov}");
 }
 
 #[test]
@@ -226,22 +234,12 @@ fn zoom_gives_rotations_and_intrinsics_per_frame() {
     for (k, middle) in [320.0, 240.0].into_iter().enumerate() {
         assert!((f64::from(seen[k]) + 0.5 - middle - raw[k]).abs() < 1e-3, "{seen:?} {raw:?}");
     }
-    let wrong = judged(&found, &moving, Motion::Static, true) + judged(&found, &moving, Motion::Dynamic, false);
-    assert!(wrong * 10 < moving.len());
+    assert!(misjudged(&found, &moving) * 10 < moving.len());
     // A given field of view is that of the first frame.
     let told = SparseConfig { focal_px: Some(520.0), ..SparseConfig::default() };
     let found = solve(tracks, scene.frames, &told).unwrap();
     let lens = |frame: usize| found.cameras[frame].intrinsics.fx;
     assert!((lens(0) - 520.0).abs() < 1e-6 && (lens(29) / 936.0 - 1.0).abs() < 0.01, "{} {}", lens(0), lens(29));
-}
-
-#[test]
-fn a_walk_straight_ahead_is_a_walk() {
-    let scene = Scene { step: 0.06, way: [0.0, 0.02, 1.0], turn: 0.001, moving: 0.0, ..ROOM };
-    let (found, _) = solved(&scene);
-    assert_eq!(found.camera_motion, CameraMotion::Parallax, "{:?}", found.warnings);
-    let (path, _) = errors(&found, &scene);
-    assert!(path < 0.02, "{path} {:?}", found.warnings);
 }
 
 #[test]
@@ -253,15 +251,6 @@ fn a_camera_on_a_tripod_gives_one_pose() {
     assert!(found.warnings[0].contains("--fov"), "{:?}", found.warnings);
     let dynamic = [true, false].map(|moves| judged(&found, &moving, Motion::Dynamic, moves));
     assert!(dynamic[0] > 60 && dynamic[1] == 0, "{dynamic:?}");
-}
-
-#[test]
-fn static_camera_option_overrides_detection() {
-    let config = SparseConfig { static_camera: true, fov_deg: Some(60.0), ..SparseConfig::default() };
-    let found = solve(ROOM.tracks().0, ROOM.frames, &config).expect("a pose");
-    assert_eq!(found.camera_motion, CameraMotion::Static);
-    let fov = found.cameras[0].intrinsics.horizontal_fov_rad().to_degrees();
-    assert!((fov - 60.0).abs() < 1e-9, "{fov}");
 }
 
 #[test]
@@ -280,11 +269,10 @@ fn noise_is_refused_with_numbers() {
             RawTrack { first: 0, seen }
         })
         .collect();
-    match solve(tracks, 20, &SparseConfig::default()) {
-        Err(SparseError::NoStart { matches, .. }) => assert!(matches > 0),
-        Err(SparseError::TooFewPoints { tracks, .. }) => assert!(tracks > 0),
-        other => panic!("noise gave {other:?}"),
-    }
+    let error = solve(tracks, 20, &SparseConfig::default()).unwrap_err();
+    assert!(matches!(error, SparseError::NoAgreement(_)), "{error}");
+    let error = error.to_string();
+    assert!(!error.contains("of 0 ") && ["no two frames", "tracks fit"].iter().any(|s| error.contains(s)), "{error}");
 }
 
 #[test]
@@ -294,11 +282,8 @@ fn a_cut_is_reported_where_it_is() {
         t.seen.truncate(14_usize.saturating_sub(t.first));
     }
     tracks.retain(|t| t.seen.len() >= 2);
-    let got = solve(tracks, ROOM.frames, &SparseConfig::default()).map(|_| ());
-    let Err(SparseError::TooFewTracks { frame, found, .. }) = got else {
-        panic!("{got:?}");
-    };
-    assert_eq!((frame, found), (13, 0));
+    let error = solve(tracks, ROOM.frames, &SparseConfig::default()).unwrap_err().to_string();
+    assert!(error.contains("only 0 points could be tracked from frame 13"), "{error}");
 }
 
 #[test]
@@ -306,9 +291,7 @@ fn the_number_of_threads_changes_nothing() {
     let run = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
         let (found, _) = pool.expect("a pool").install(|| solved(&ROOM));
-        let bits: Vec<u64> =
-            found.cameras.iter().flat_map(|c| c.c2w.matrix().iter().map(|v| v.to_bits()).collect::<Vec<_>>()).collect();
-        (bits, found.cameras[0].intrinsics.fx.to_bits(), found.residual_px.to_bits())
+        (found.cameras, found.residual_px)
     };
     assert_eq!(run(1), run(3));
 }
@@ -331,14 +314,9 @@ fn given_cameras_are_used_and_points_are_in_their_unit() {
     assert_eq!(found.cameras, cameras);
     assert_eq!(found.camera_motion, CameraMotion::Parallax);
     assert!(found.residual_px < 0.3, "{}", found.residual_px);
-    let (_, moving) = ROOM.tracks();
-    let wrong = judged(&found, &moving, Motion::Static, true) + judged(&found, &moving, Motion::Dynamic, false);
-    assert!(wrong < ROOM.points / 20);
-    let depths = found.tracks.iter().filter_map(|t| {
-        let camera = cameras.get(t.first_frame)?;
-        Some(camera.project(&t.point?).1)
-    });
-    let depths: Vec<f64> = depths.collect();
+    assert!(misjudged(&found, &ROOM.tracks().1) < ROOM.points / 20);
+    let depth = |t: &Track| Some(cameras[t.first_frame].project(&t.point?).1);
+    let depths: Vec<f64> = found.tracks.iter().filter_map(depth).collect();
     let inside = depths.iter().filter(|z| (2.5..11.0).contains(*z)).count();
     assert!(depths.len() > 150 && inside * 20 > depths.len() * 19, "{} of {}", inside, depths.len());
 }
@@ -346,15 +324,12 @@ fn given_cameras_are_used_and_points_are_in_their_unit() {
 #[test]
 fn given_cameras_that_contradict_the_images_are_rejected() {
     // World to camera where camera to world is meant, and turned about.
-    let wrong: Vec<Camera> = room_cameras(ROOM.focal)
-        .into_iter()
-        .enumerate()
-        .map(|(i, mut camera)| {
-            camera.c2w.rotation = exp_so3(&Vector3::new(0.0, 1.3 * (i % 3) as f64, 0.0)) * camera.c2w.rotation;
-            camera
-        })
-        .collect();
-    assert!(matches!(posed(&wrong), Err(SparseError::PosesDoNotFit { .. })));
+    let mut wrong = room_cameras(ROOM.focal);
+    for (i, camera) in wrong.iter_mut().enumerate() {
+        camera.c2w.rotation = exp_so3(&Vector3::new(0.0, 1.3 * (i % 3) as f64, 0.0)) * camera.c2w.rotation;
+    }
+    let error = posed(&wrong).unwrap_err().to_string();
+    assert!(error.contains("the given poses do not fit"), "{error}");
 }
 
 #[test]
@@ -362,12 +337,8 @@ fn given_cameras_that_explain_far_less_than_others_are_rejected() {
     // The last two thirds of the way are walked backwards.
     let right = room_cameras(ROOM.focal);
     let wrong: Vec<Camera> = (0..ROOM.frames).map(|i| right[if i < 10 { i } else { 39 - i }]).collect();
-    match posed(&wrong) {
-        Err(SparseError::PosesRefuted { points, tracks, better, .. }) => {
-            assert!(points * 2 <= better && better <= tracks, "{points} {better} {tracks}")
-        }
-        other => panic!("{:?}", other.map(|r| r.warnings)),
-    }
+    let error = posed(&wrong).unwrap_err().to_string();
+    assert!(error.contains("the given poses contradict the images"), "{error}");
 }
 
 #[test]

@@ -1,18 +1,12 @@
 //! Points followed through the whole clip, from the strongest Shi-Tomasi corner of every empty cell.
 
-use super::klt::{Template, follow, inside};
+use super::klt::{RADIUS, Template, follow, inside};
 use super::luma::{Pyramid, WorkingSize, luma};
 use super::{SparseError, stopped};
 use m4_core::{Plane, Progress, RgbImage};
 use rayon::prelude::*;
+use std::collections::BTreeMap;
 
-/// Reach of the patch that is followed, working pixels: 5 for a side of 11. docs/spec/front-end.md 7.1 has a side of 21; 11 gave trajectories as good
-/// or better, and is faster (docs/decisions/0001).
-const RADIUS: usize = 5;
-/// Levels of the pyramid, each half the size of the one below. 4: docs/spec/front-end.md 7.1.
-const LEVELS: usize = 4;
-/// Gauss-Newton steps per level.
-const ITERATIONS: usize = 12;
 /// A point followed to the next frame and back must return this close, working pixels. 0.7: docs/spec/front-end.md 7.1.
 const MAX_ROUND_TRIP_PX: f32 = 0.7;
 /// Least normalised cross-correlation of a patch with itself one frame later.
@@ -25,14 +19,12 @@ const MAX_DRIFT_PX: f32 = 1.0;
 /// One point followed through consecutive frames.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub(crate) struct RawTrack {
-    /// Frame of the first observation.
     pub first: usize,
     /// Working pixels from the image centre, one entry per frame.
     pub seen: Vec<[f64; 2]>,
 }
 
 impl RawTrack {
-    /// The observation in `frame`, if there is one.
     pub fn at(&self, frame: usize) -> Option<[f64; 2]> {
         self.seen.get(frame.checked_sub(self.first)?).copied()
     }
@@ -52,23 +44,18 @@ struct Live {
 }
 
 /// Follows corners through all frames; tracks are ordered by first frame, then by cell.
-///
-/// # Errors
-///
-/// [`SparseError::Cancelled`].
 pub(crate) fn track(
     frames: &[&RgbImage],
     size: WorkingSize,
     progress: &dyn Progress,
 ) -> Result<Vec<RawTrack>, SparseError> {
-    let pyramid = |frame: &RgbImage| Pyramid::new(luma(frame, size), LEVELS);
     let mut done: Vec<RawTrack> = Vec::new();
     let mut live: Vec<Live> = Vec::new();
     let mut previous: Option<Pyramid> = None;
     let finish = |t: Live| RawTrack { first: t.first, seen: t.seen.iter().map(|&p| size.centred(p)).collect() };
     // Pyramids of a few frames are made side by side; tracking itself goes frame by frame.
     for (batch_index, batch) in frames.chunks(BATCH).enumerate() {
-        let pyramids: Vec<Pyramid> = batch.par_iter().map(|f| pyramid(f)).collect();
+        let pyramids: Vec<Pyramid> = batch.par_iter().map(|frame| Pyramid::new(luma(frame, size))).collect();
         for (i, current) in pyramids.into_iter().enumerate() {
             let frame = batch_index * BATCH + i;
             stopped(progress)?;
@@ -77,24 +64,21 @@ pub(crate) fn track(
                     live.par_iter().map(|t| step(t, previous, &current)).collect();
                 let mut kept = Vec::with_capacity(live.len());
                 for (mut t, moved) in live.into_iter().zip(moved) {
-                    match moved {
-                        Some((p, anchor)) => {
-                            t.seen.push(p);
-                            if let Some(anchor) = anchor {
-                                t.anchor = anchor;
-                            }
-                            kept.push(t);
-                        }
-                        None => done.push(finish(t)),
-                    }
+                    let Some((p, anchor)) = moved else {
+                        done.push(finish(t));
+                        continue;
+                    };
+                    t.seen.push(p);
+                    t.anchor = anchor.unwrap_or(t.anchor);
+                    kept.push(t);
                 }
                 live = without_collisions(kept, &mut done, finish);
             }
             if frame + 1 < frames.len() {
                 let occupied: Vec<[f32; 2]> = live.iter().filter_map(|t| t.seen.last().copied()).collect();
-                let found = fill_empty_cells(&current.levels[0], &occupied, RADIUS + 1);
+                let found = fill_empty_cells(&current.levels[0], &occupied);
                 live.extend(found.into_iter().filter_map(|p| {
-                    Some(Live { first: frame, seen: vec![p], anchor: Template::new(&current.levels[0], p, RADIUS)? })
+                    Some(Live { first: frame, seen: vec![p], anchor: Template::new(&current.levels[0], p)? })
                 }));
             }
             previous = Some(current);
@@ -117,32 +101,32 @@ const BATCH: usize = 8;
 /// The position of `t` in `to`, and a new anchor where the old one no longer looks alike.
 fn step(t: &Live, from: &Pyramid, to: &Pyramid) -> Option<([f32; 2], Option<Template>)> {
     let p = *t.seen.last()?;
-    let (mut q, correlation) = follow(from, to, p, RADIUS, ITERATIONS)?;
+    let (mut q, correlation) = follow(from, to, p)?;
     if correlation < MIN_CORRELATION {
         return None;
     }
-    let (back, _) = follow(to, from, q, RADIUS, ITERATIONS)?;
+    let (back, _) = follow(to, from, q)?;
     if (back[0] - p[0]).hypot(back[1] - p[1]) > MAX_ROUND_TRIP_PX {
         return None;
     }
-    let (held, likeness) = t.anchor.align(&to.levels[0], q, ITERATIONS);
+    let (held, likeness) = t.anchor.align(&to.levels[0], q);
     let drift = (held[0] - q[0]).hypot(held[1] - q[1]);
     let anchor = if likeness >= ANCHOR_CORRELATION && drift <= MAX_DRIFT_PX {
         q = held;
         None
     } else {
-        Some(Template::new(&to.levels[0], q, RADIUS)?)
+        Some(Template::new(&to.levels[0], q)?)
     };
-    inside(&to.levels[0], q, RADIUS).then_some((q, anchor))
+    inside(&to.levels[0], q).then_some((q, anchor))
 }
 
 /// Where two tracks have run together the younger one ends.
-fn without_collisions(mut tracks: Vec<Live>, done: &mut Vec<RawTrack>, finish: impl Fn(Live) -> RawTrack) -> Vec<Live> {
+fn without_collisions(tracks: Vec<Live>, done: &mut Vec<RawTrack>, finish: impl Fn(Live) -> RawTrack) -> Vec<Live> {
     let reach = 0.5 * MIN_DISTANCE_PX;
-    // Oldest first: `live` is in order of birth already, since new tracks are appended.
-    let mut buckets: std::collections::BTreeMap<(i32, i32), Vec<[f32; 2]>> = std::collections::BTreeMap::new();
+    // Oldest first: new tracks are appended.
+    let mut buckets: BTreeMap<(i32, i32), Vec<[f32; 2]>> = BTreeMap::new();
     let mut kept = Vec::with_capacity(tracks.len());
-    for mut t in tracks.drain(..) {
+    for mut t in tracks {
         let Some(&p) = t.seen.last() else { continue };
         let key = ((p[0] / reach) as i32, (p[1] / reach) as i32);
         let taken = (-1..=1).any(|dy| {
@@ -166,7 +150,7 @@ fn without_collisions(mut tracks: Vec<Live>, done: &mut Vec<RawTrack>, finish: i
 /// Side of the cells that hold at least one track each, where there is texture, working pixels. 16 gives about 700 tracks on 480x360.
 const CELL_PX: usize = 16;
 /// New corners keep this distance from existing tracks, working pixels.
-pub(super) const MIN_DISTANCE_PX: f32 = 6.0;
+const MIN_DISTANCE_PX: f32 = 6.0;
 /// Corners weaker than this share of the strongest one are not used. Shi and Tomasi use 0.01 to 0.1; lower because cells already
 /// spread the corners.
 const QUALITY: f32 = 0.001;
@@ -175,7 +159,7 @@ const MIN_RESPONSE: f32 = 2.0;
 
 /// The lesser eigenvalue of the mean structure tensor over 5x5 pixels, in squared grey levels per
 /// pixel (Shi and Tomasi 1994); 0 within 3 pixels of the border.
-pub(crate) fn response(luma: &Plane<f32>) -> Plane<f32> {
+fn response(luma: &Plane<f32>) -> Plane<f32> {
     const RADIUS: usize = 2;
     let (w, h) = luma.size();
     let mut out = Plane::filled(w, h, 0.0);
@@ -216,8 +200,9 @@ pub(crate) fn response(luma: &Plane<f32>) -> Plane<f32> {
 }
 
 /// New corners in the cells that hold none of `occupied` (pixel coordinates), at least
-/// [`MIN_DISTANCE_PX`] away from all of them, at least `margin` pixels inside; in order of cells.
-pub(crate) fn fill_empty_cells(luma: &Plane<f32>, occupied: &[[f32; 2]], margin: usize) -> Vec<[f32; 2]> {
+/// [`MIN_DISTANCE_PX`] away from all of them, with their patches inside; in order of cells.
+fn fill_empty_cells(luma: &Plane<f32>, occupied: &[[f32; 2]]) -> Vec<[f32; 2]> {
+    const MARGIN: usize = RADIUS + 1;
     let (w, h) = luma.size();
     let response = response(luma);
     let (columns, rows) = (w.div_ceil(CELL_PX), h.div_ceil(CELL_PX));
@@ -243,8 +228,8 @@ pub(crate) fn fill_empty_cells(luma: &Plane<f32>, occupied: &[[f32; 2]], margin:
                 continue;
             }
             let mut best: Option<(f32, [f32; 2])> = None;
-            for y in (cy * CELL_PX).max(margin)..((cy + 1) * CELL_PX).min(h.saturating_sub(margin)) {
-                for x in (cx * CELL_PX).max(margin)..((cx + 1) * CELL_PX).min(w.saturating_sub(margin)) {
+            for y in (cy * CELL_PX).max(MARGIN)..((cy + 1) * CELL_PX).min(h.saturating_sub(MARGIN)) {
+                for x in (cx * CELL_PX).max(MARGIN)..((cx + 1) * CELL_PX).min(w.saturating_sub(MARGIN)) {
                     let value = response[(x, y)];
                     let p = [x as f32, y as f32];
                     if value >= threshold && best.is_none_or(|(b, _)| value > b) && !near(&cells, p, cx, cy) {
@@ -279,10 +264,10 @@ mod tests {
 
     #[test]
     fn occupied_cells_stay_as_they_are() {
-        let all = fill_empty_cells(&squares(), &[], 8);
+        let all = fill_empty_cells(&squares(), &[]);
         assert!(all.len() >= 9, "{all:?}");
-        assert!(fill_empty_cells(&squares(), &all, 8).is_empty());
+        assert!(fill_empty_cells(&squares(), &all).is_empty());
         let flat = Plane::filled(96, 96, 128.0);
-        assert!(fill_empty_cells(&flat, &[], 8).is_empty());
+        assert!(fill_empty_cells(&flat, &[]).is_empty());
     }
 }

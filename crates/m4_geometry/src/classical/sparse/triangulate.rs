@@ -1,13 +1,13 @@
 //! Points from rays, and the pose of a frame from points whose positions are known, starting nearby.
 
-use super::bundle::Jacobian;
+use super::INLIER_PX;
+use super::bundle::{Jacobian, project};
 use m4_core::nalgebra::{Matrix3, Matrix6, Vector3, Vector6};
 use m4_core::{Se3, median};
 
 /// A ray: world-to-camera pose and pixels from the image centre.
 pub(crate) type View = (Se3<f64>, [f64; 2]);
 
-/// A triangulated point.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Triangulated {
     /// World position, in front of every camera.
@@ -42,11 +42,8 @@ pub(crate) fn triangulate(views: &[View], focal: f64, cauchy_px: f64) -> Option<
             break;
         }
     }
-    let mut errors = Vec::with_capacity(views.len());
-    for (pose, at) in views {
-        errors.push(error_px(pose, &point, focal, *at)?);
-    }
-    let median_px = median(&mut errors)?;
+    let errors: Option<Vec<f64>> = views.iter().map(|(pose, at)| error_px(pose, &point, focal, *at)).collect();
+    let median_px = median(&mut errors?)?;
     point.iter().all(|v| v.is_finite()).then(|| Triangulated {
         point,
         angle_rad: widest_angle(views, &point),
@@ -89,34 +86,26 @@ fn widest_angle(views: &[View], point: &Vector3<f64>) -> f64 {
 /// A sighting of a known point: position and pixels from the image centre.
 pub(crate) type Sighting = (Vector3<f64>, [f64; 2]);
 
-/// What [`resect`] found.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Resection {
-    /// World to camera.
-    pub pose: Se3<f64>,
-    /// Sightings within `inlier_px`.
-    pub inliers: usize,
-}
-
-/// Graduated non-convexity: the Cauchy scale shrinks from 16 `inlier_px` to `inlier_px / 2`, with
-/// Levenberg-Marquardt steps on each.
+/// The pose (world to camera) that agrees with most sightings, and how many are within [`INLIER_PX`].
+///
+/// Graduated non-convexity: the Cauchy scale shrinks from 16 [`INLIER_PX`] to half of it, with Levenberg-Marquardt
+/// steps on each.
 ///
 /// Video gives a good start (the pose of a neighbouring frame), which is why no minimal solver is
 /// needed; the wide first scale tolerates that most points are off by tens of pixels.
-pub(crate) fn resect(sightings: &[Sighting], focal: f64, start: &Se3<f64>, inlier_px: f64) -> Resection {
+pub(crate) fn resect(sightings: &[Sighting], focal: f64, start: &Se3<f64>) -> (Se3<f64>, usize) {
     let mut pose = *start;
     for scale in [16.0, 6.0, 2.0, 0.5] {
-        pose = descend(sightings, focal, &pose, scale * inlier_px);
+        pose = descend(sightings, focal, &pose, scale * INLIER_PX);
     }
     let inliers =
-        sightings.iter().filter(|(x, at)| error_px(&pose, x, focal, *at).is_some_and(|e| e < inlier_px)).count();
-    Resection { pose, inliers }
+        sightings.iter().filter(|(x, at)| error_px(&pose, x, focal, *at).is_some_and(|e| e < INLIER_PX)).count();
+    (pose, inliers)
 }
 
 /// Distance between the projection of `x` and `at`; `None` for points that are not in front.
 pub(crate) fn error_px(w2c: &Se3<f64>, x: &Vector3<f64>, focal: f64, at: [f64; 2]) -> Option<f64> {
-    let p = w2c.transform(x);
-    (p.z > 1e-6).then(|| (focal * p.x / p.z - at[0]).hypot(focal * p.y / p.z - at[1]))
+    project(w2c, x, focal, at).map(|r| r[0].hypot(r[1]))
 }
 
 /// Levenberg-Marquardt steps under Cauchy's loss.
@@ -204,9 +193,9 @@ mod tests {
             })
             .collect();
         let start = truth.retract(&Vector6::new(0.1, -0.1, 0.2, 0.04, -0.05, 0.03));
-        let found = resect(&sightings, focal, &start, 2.0);
-        let turn = log_so3(&(found.pose.rotation * truth.rotation.transpose())).norm();
-        assert!(turn < 2e-3 && (found.pose.translation - truth.translation).norm() < 0.01);
-        assert!(found.inliers >= 75, "{}", found.inliers);
+        let (pose, inliers) = resect(&sightings, focal, &start);
+        let turn = log_so3(&(pose.rotation * truth.rotation.transpose())).norm();
+        assert!(turn < 2e-3 && (pose.translation - truth.translation).norm() < 0.01);
+        assert!(inliers >= 75, "{inliers}");
     }
 }

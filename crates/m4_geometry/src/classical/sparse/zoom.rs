@@ -5,7 +5,7 @@
 //! faster.
 
 use super::bundle::Jacobian;
-use super::rotation::{matches, spread};
+use super::rotation::{MIN_TRACKS, matches, ray, spread};
 use super::tracking::RawTrack;
 use super::two_view::Match;
 use m4_core::{
@@ -14,7 +14,6 @@ use m4_core::{
 };
 use rayon::prelude::*;
 
-/// One frame of a camera that stays in place.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Aim {
     /// World to camera.
@@ -50,18 +49,17 @@ pub(crate) fn zooming(
     frames: usize,
     focals: &[f64],
     assumed: f64,
-    min_matches: usize,
     cauchy_px: f64,
 ) -> Option<Zooming> {
     // A quick test rejects most clips: a camera that translates leaves parallax somewhere.
-    let few = glanced(tracks, frames);
+    let few: Vec<Vec<Match>> = spread(frames, GLANCE).windows(2).map(|w| matches(tracks, w[0], w[1])).collect();
     let tried = focals.par_iter().chain(rayon::iter::once(&assumed));
-    if !tried.any(|&focal| glance(&few, focal, min_matches).is_some()) {
+    if !tried.any(|&focal| glance(&few, focal).is_some()) {
         return None;
     }
     let picked = spread(frames, LOOK);
     let fit = |&focal: &f64| {
-        let aims = aims(tracks, &picked, focal, min_matches, cauchy_px)?;
+        let aims = aims(tracks, &picked, focal, cauchy_px)?;
         Some((median_error(tracks, &picked, &aims)?, focal))
     };
     let candidates: Vec<Option<(f64, f64)>> = focals.par_iter().chain(rayon::iter::once(&assumed)).map(fit).collect();
@@ -70,36 +68,25 @@ pub(crate) fn zooming(
     let observed = best.0 < BETTER * error_assumed;
     let focal = if observed { best.1 } else { assumed };
     let all: Vec<usize> = (0..frames).collect();
-    let aims = aims(tracks, &all, focal, min_matches, cauchy_px)?;
-    let good = median_error(tracks, &all, &aims)? < MOST_PX && ratio(&aims) > LEAST_RATIO;
+    let aims = aims(tracks, &all, focal, cauchy_px)?;
+    let (least, most) = range(&aims);
+    let good = median_error(tracks, &all, &aims)? < MOST_PX && most / least > LEAST_RATIO;
     good.then_some(Zooming { aims, focal_observed: observed })
 }
 
-/// Greatest over least focal length.
-fn ratio(aims: &[Aim]) -> f64 {
-    let (least, most) = range(aims);
-    most / least
-}
-
-/// Least and greatest focal length.
 pub(crate) fn range(aims: &[Aim]) -> (f64, f64) {
     let focals = aims.iter().map(|a| a.focal);
     focals.fold((f64::INFINITY, 0.0), |(low, high), f| (low.min(f), high.max(f)))
 }
 
-/// Matches from frame to frame of a few frames of the clip.
-fn glanced(tracks: &[RawTrack], frames: usize) -> Vec<Vec<Match>> {
-    let picked = spread(frames, GLANCE);
-    picked.windows(2).map(|w| matches(tracks, w[0], w[1])).collect()
-}
-
 /// Goes over a few frames of the clip; `None` where turns and zooms leave too much, or nothing zooms.
-fn glance(pairs: &[Vec<Match>], focal: f64, min_matches: usize) -> Option<()> {
+fn glance(pairs: &[Vec<Match>], focal: f64) -> Option<()> {
     let (mut at, mut least, mut most) = (focal, focal, focal);
-    for found in pairs.iter().filter(|found| found.len() >= min_matches) {
+    for found in pairs.iter().filter(|found| found.len() >= MIN_TRACKS) {
         let next = step(found, at, 1.0)?;
+        let mut errors: Vec<f64> = found.iter().map(|m| error_px(&next, &ray(m.0, at), m.1)).collect();
         // Rays through a wrong focal length leave a little more than the true one would.
-        if left(found, at, &next)? > 2.0 * MOST_PX {
+        if median(&mut errors)? > 2.0 * MOST_PX {
             return None;
         }
         at = next.focal;
@@ -122,16 +109,6 @@ fn step(found: &[Match], focal: f64, cauchy_px: f64) -> Option<Aim> {
     let start =
         Aim { rotation: Matrix3::identity(), focal: focal * median(&mut growth).filter(|g| *g > 0.0).unwrap_or(1.0) };
     fit(&sightings, &start, true, &[1e6, 16.0, 4.0, cauchy_px])
-}
-
-fn ray(at: [f64; 2], focal: f64) -> Vector3<f64> {
-    Vector3::new(at[0], at[1], focal).normalize()
-}
-
-/// Median distance that is left of matches.
-fn left(found: &[Match], focal: f64, aim: &Aim) -> Option<f64> {
-    let mut errors: Vec<f64> = found.iter().map(|m| error_px(aim, &ray(m.0, focal), m.1)).collect();
-    median(&mut errors)
 }
 
 fn error_px(aim: &Aim, direction: &Vector3<f64>, at: [f64; 2]) -> f64 {
@@ -174,13 +151,13 @@ fn fit(sightings: &[(Vector3<f64>, [f64; 2])], start: &Aim, free_focal: bool, sc
 
 /// Aims chained through `picked` frames, then refined so that every track has one direction in the world. The focal
 /// length of the first frame stays. `None` where two frames share too little.
-fn aims(tracks: &[RawTrack], picked: &[usize], focal: f64, min_matches: usize, cauchy_px: f64) -> Option<Vec<Aim>> {
+fn aims(tracks: &[RawTrack], picked: &[usize], focal: f64, cauchy_px: f64) -> Option<Vec<Aim>> {
     let first = Aim { rotation: Matrix3::identity(), focal };
     let mut aims = vec![first];
     let mut last = first;
     for pair in picked.windows(2) {
         let found = matches(tracks, pair[0], pair[1]);
-        if found.len() < min_matches {
+        if found.len() < MIN_TRACKS {
             return None;
         }
         let next = step(&found, last.focal, cauchy_px)?;
@@ -267,14 +244,14 @@ mod tests {
 
     #[test]
     fn a_zoom_and_a_turn_are_measured() {
-        let found = zooming(&tracks(0.5, 2.0, 0.0, false), FRAMES, &FOCALS, 500.0, 20, 1.0).expect("a zoom");
+        let found = zooming(&tracks(0.5, 2.0, 0.0, false), FRAMES, &FOCALS, 500.0, 1.0).expect("a zoom");
         assert!(found.focal_observed);
         let last = found.aims[FRAMES - 1];
         assert!((last.focal / 800.0 - 1.0).abs() < 0.01, "{}", last.focal);
         let turn = log_so3(&last.rotation);
         assert!((turn - Vector3::new(0.1, 0.5, 0.0)).norm() < 5e-3, "{turn}");
         // The other way round, without a turn: the assumed focal length is kept, the ratio is known.
-        let found = zooming(&tracks(0.0, 0.6, 0.0, false), FRAMES, &FOCALS, 450.0, 20, 1.0).expect("a zoom");
+        let found = zooming(&tracks(0.0, 0.6, 0.0, false), FRAMES, &FOCALS, 450.0, 1.0).expect("a zoom");
         let (least, most) = range(&found.aims);
         assert!(!found.focal_observed && (most - 450.0).abs() < 1.0, "{least} {most}");
         assert!((least / most - 0.6).abs() < 0.005, "{least} {most}");
@@ -282,10 +259,9 @@ mod tests {
 
     #[test]
     fn forward_motion_with_parallax_is_not_a_zoom() {
-        assert!(zooming(&tracks(0.1, 1.0, 1.5, false), FRAMES, &FOCALS, 400.0, 20, 1.0).is_none());
-        // Something flat grows as if by a zoom.
-        assert!(zooming(&tracks(0.0, 1.0, 1.5, true), FRAMES, &FOCALS, 400.0, 20, 1.0).is_some());
-        // A turn alone is none.
-        assert!(zooming(&tracks(0.3, 1.0, 0.0, false), FRAMES, &FOCALS, 400.0, 20, 1.0).is_none());
+        let zooms = |tracks: &[RawTrack]| zooming(tracks, FRAMES, &FOCALS, 400.0, 1.0).is_some();
+        assert!(!zooms(&tracks(0.1, 1.0, 1.5, false)));
+        assert!(zooms(&tracks(0.0, 1.0, 1.5, true)), "something flat grows as if by a zoom");
+        assert!(!zooms(&tracks(0.3, 1.0, 0.0, false)), "a turn alone is none");
     }
 }

@@ -1,7 +1,6 @@
-//! Inverse search: each patch of the first image is aligned to the second by Gauss-Newton with the
+//! Images at halving sizes, and inverse search: each patch of the first image is aligned to the second by Gauss-Newton with the
 //! Hessian of the first (Kroeger et al. 2016, section 2.1), then patches are averaged (section 2.2).
 
-use super::pyramid::{BORDER, Level};
 use m4_core::Flow;
 
 /// Side of a patch, pixels. Kroeger et al. and the specification: 8.
@@ -12,6 +11,84 @@ const STRIDE_PX: usize = 4;
 const ITERATIONS: usize = 12;
 /// A step shorter than this ends the search, pixels.
 const SMALL_STEP_PX: f32 = 0.01;
+
+/// Pixels of replicated border on every side: a patch may leave the image by this much.
+const BORDER: usize = 16;
+
+pub(super) struct Level {
+    pub width: usize,
+    pub height: usize,
+    /// `[height][width]`, 0..255.
+    pub image: Vec<f32>,
+    /// `[height + 2 BORDER][width + 2 BORDER]`.
+    padded: Vec<f32>,
+    /// `[height][width]`: central differences.
+    pub dx: Vec<f32>,
+    pub dy: Vec<f32>,
+}
+
+/// The image at halving sizes, finest first, until its shorter side is below 24 px.
+pub(super) fn pyramid(width: usize, height: usize, image: &[f32]) -> Vec<Level> {
+    let mut levels = vec![Level::new(width, height, smooth(width, height, image))];
+    while let Some(last) = levels.last() {
+        let (w, h) = (last.width / 2, last.height / 2);
+        if w.min(h) < 12 {
+            break;
+        }
+        let mean = |i: usize| {
+            let (p, i) = (&last.image, 2 * (i / w) * last.width + 2 * (i % w));
+            0.25 * (p[i] + p[i + 1] + p[i + last.width] + p[i + last.width + 1])
+        };
+        levels.push(Level::new(w, h, (0..w * h).map(mean).collect()));
+    }
+    levels
+}
+
+/// A 1-6-1 blur each way: enough to make central differences meaningful.
+fn smooth(width: usize, height: usize, image: &[f32]) -> Vec<f32> {
+    let pass = |source: &[f32], step: usize, at: &dyn Fn(usize) -> (usize, usize)| -> Vec<f32> {
+        (0..source.len())
+            .map(|i| {
+                let (position, n) = at(i);
+                let before = if position > 0 { source[i - step] } else { source[i] };
+                let after = if position + 1 < n { source[i + step] } else { source[i] };
+                0.125 * (before + after) + 0.75 * source[i]
+            })
+            .collect()
+    };
+    let rows = pass(image, 1, &|i| (i % width, width));
+    pass(&rows, width, &|i| (i / width, height))
+}
+
+impl Level {
+    fn new(width: usize, height: usize, image: Vec<f32>) -> Self {
+        let padded_width = width + 2 * BORDER;
+        let mut padded = vec![0.0; padded_width * (height + 2 * BORDER)];
+        for (y, row) in padded.chunks_exact_mut(padded_width).enumerate() {
+            let source = y.saturating_sub(BORDER).min(height - 1) * width;
+            let source = &image[source..source + width];
+            row[..BORDER].fill(source[0]);
+            row[BORDER..BORDER + width].copy_from_slice(source);
+            row[BORDER + width..].fill(source[width - 1]);
+        }
+        let (dx, dy) = gradient(width, height, &image);
+        Self { width, height, image, padded, dx, dy }
+    }
+}
+
+/// Central differences, one-sided halves at the edge.
+pub(super) fn gradient(width: usize, height: usize, image: &[f32]) -> (Vec<f32>, Vec<f32>) {
+    let (mut dx, mut dy) = (vec![0.0; image.len()], vec![0.0; image.len()]);
+    for y in 0..height {
+        let (above, below) = (y.saturating_sub(1) * width, (y + 1).min(height - 1) * width);
+        let row = y * width;
+        for x in 0..width {
+            dx[row + x] = 0.5 * (image[row + (x + 1).min(width - 1)] - image[row + x.saturating_sub(1)]);
+            dy[row + x] = 0.5 * (image[below + x] - image[above + x]);
+        }
+    }
+    (dx, dy)
+}
 
 struct Patch {
     x: usize,
@@ -60,15 +137,13 @@ pub(super) fn search(a: &Level, b: &Level, start: &Flow) -> Flow {
         for k in 0..patches.len() {
             let i = if backwards { patches.len() - 1 - k } else { k };
             let (column, row) = (i % columns, i / columns);
-            let side =
-                if backwards { (column + 1 < columns).then(|| i + 1) } else { column.checked_sub(1).map(|_| i - 1) };
-            let vertical = if backwards {
-                (row + 1 < ys.len()).then(|| i + columns)
+            let neighbours = if backwards {
+                [(column + 1 < columns).then(|| i + 1), (row + 1 < ys.len()).then(|| i + columns)]
             } else {
-                row.checked_sub(1).map(|_| i - columns)
+                [(column > 0).then(|| i - 1), (row > 0).then(|| i - columns)]
             };
             let mut improved = !backwards;
-            for j in [side, vertical].into_iter().flatten() {
+            for j in neighbours.into_iter().flatten() {
                 let c = search.cost(&patches[i], flow[j]);
                 if c < cost[i] {
                     (flow[i], cost[i], improved) = (flow[j], c, true);

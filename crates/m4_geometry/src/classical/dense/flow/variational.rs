@@ -1,9 +1,9 @@
 //! Variational refinement: robust equal brightness and equal gradients, robust smoothness
 //! (Brox et al. 2004; normalised as in Zimmer et al. 2011; Kroeger et al. 2016, section 2.3).
 
-use super::pyramid::{Level, gradient};
-use m4_core::Flow;
-use m4_core::bilinear_cell;
+use super::super::smooth::couplings;
+use super::search::{Level, gradient};
+use m4_core::{Flow, bilinear_cell};
 
 /// Linearisations of the energy per level. Kroeger et al.: level + 1; 3 measured as good.
 const REFINEMENTS: usize = 3;
@@ -22,14 +22,17 @@ const NORMALISE: f32 = 0.01;
 /// Over-relaxation.
 const OMEGA: f32 = 1.6;
 
-/// One linearisation: `[a11 a12; a12 a22] (du, dv) = (b1, b2)` a pixel, plus smoothness.
-#[derive(Default)]
+/// A pixel of one linearisation, without smoothness: `[a11 a12; a12 a22] (du, dv) = (b1, b2)`.
+struct Equations {
+    a11: f32,
+    a12: f32,
+    a22: f32,
+    b1: f32,
+    b2: f32,
+}
+
 struct System {
-    a11: Vec<f32>,
-    a12: Vec<f32>,
-    a22: Vec<f32>,
-    b1: Vec<f32>,
-    b2: Vec<f32>,
+    pixels: Vec<Equations>,
     /// Smoothness between a pixel and the next in its row.
     right: Vec<f32>,
     /// Smoothness between a pixel and the one below.
@@ -81,16 +84,7 @@ fn linearise(a: &Level, b: &Level, flow: &Flow) -> System {
     let mean = |p: &[f32], q: &[f32]| -> Vec<f32> { p.iter().zip(q).map(|(p, q)| 0.5 * (p + q)).collect() };
     let (ix, iy) = (mean(&dx, &a.dx), mean(&dy, &a.dy));
     let ((ixx, ixy), (_, iyy)) = (gradient(w, h, &ix), gradient(w, h, &iy));
-    let n = w * h;
-    let mut s = System {
-        a11: vec![0.0; n],
-        a12: vec![0.0; n],
-        a22: vec![0.0; n],
-        b1: vec![0.0; n],
-        b2: vec![0.0; n],
-        ..System::default()
-    };
-    for i in 0..n {
+    let equations = |i: usize| {
         let it = image[i] - a.image[i];
         let (ixt, iyt) = (dx[i] - a.dx[i], dy[i] - a.dy[i]);
         // Each constraint is divided by its gradient, so that it measures a distance.
@@ -100,14 +94,16 @@ fn linearise(a: &Level, b: &Level, flow: &Flow) -> System {
         let brightness = inside[i] * BRIGHTNESS / (n0 * it * it + ROBUST * ROBUST).sqrt();
         let edges = inside[i] * GRADIENT / (n1 * ixt * ixt + n2 * iyt * iyt + ROBUST * ROBUST).sqrt();
         let (k0, k1, k2) = (brightness * n0, edges * n1, edges * n2);
-        s.a11[i] = k0 * ix[i] * ix[i] + k1 * ixx[i] * ixx[i] + k2 * ixy[i] * ixy[i];
-        s.a12[i] = k0 * ix[i] * iy[i] + k1 * ixx[i] * ixy[i] + k2 * ixy[i] * iyy[i];
-        s.a22[i] = k0 * iy[i] * iy[i] + k1 * ixy[i] * ixy[i] + k2 * iyy[i] * iyy[i];
-        s.b1[i] = -(k0 * ix[i] * it + k1 * ixx[i] * ixt + k2 * ixy[i] * iyt);
-        s.b2[i] = -(k0 * iy[i] * it + k1 * ixy[i] * ixt + k2 * iyy[i] * iyt);
-    }
-    (s.right, s.below) = smoothness(flow);
-    s
+        Equations {
+            a11: k0 * ix[i] * ix[i] + k1 * ixx[i] * ixx[i] + k2 * ixy[i] * ixy[i],
+            a12: k0 * ix[i] * iy[i] + k1 * ixx[i] * ixy[i] + k2 * ixy[i] * iyy[i],
+            a22: k0 * iy[i] * iy[i] + k1 * ixy[i] * ixy[i] + k2 * iyy[i] * iyy[i],
+            b1: -(k0 * ix[i] * it + k1 * ixx[i] * ixt + k2 * ixy[i] * iyt),
+            b2: -(k0 * iy[i] * it + k1 * ixy[i] * ixt + k2 * iyy[i] * iyt),
+        }
+    };
+    let (right, below) = smoothness(flow);
+    System { pixels: (0..w * h).map(equations).collect(), right, below }
 }
 
 /// [`SMOOTHNESS`] over `sqrt(|grad u|^2 + |grad v|^2 + e^2)`, averaged onto the edges between pixels; 0 at the rim.
@@ -119,19 +115,7 @@ fn smoothness(flow: &Flow) -> (Vec<f32>, Vec<f32>) {
             0.5 * SMOOTHNESS / (ux[i] * ux[i] + uy[i] * uy[i] + vx[i] * vx[i] + vy[i] * vy[i] + ROBUST * ROBUST).sqrt()
         })
         .collect();
-    let (mut right, mut below) = (vec![0.0; w * h], vec![0.0; w * h]);
-    for y in 0..h {
-        for x in 0..w {
-            let i = y * w + x;
-            if x + 1 < w {
-                right[i] = psi[i] + psi[i + 1];
-            }
-            if y + 1 < h {
-                below[i] = psi[i] + psi[i + w];
-            }
-        }
-    }
-    (right, below)
+    couplings(w, h, |i, j| psi[i] + psi[j])
 }
 
 /// One red-black sweep of successive over-relaxation.
@@ -159,10 +143,11 @@ fn relax(s: &System, flow: &Flow, du: &mut [f32], dv: &mut [f32]) {
                 if y + 1 < h {
                     add(s.below[i], i + w);
                 }
-                let b1 = s.b1[i] + pull_u - sum * flow.u[i];
-                let b2 = s.b2[i] + pull_v - sum * flow.v[i];
+                let e = &s.pixels[i];
+                let b1 = e.b1 + pull_u - sum * flow.u[i];
+                let b2 = e.b2 + pull_v - sum * flow.v[i];
                 // The 2x2 block is solved at once.
-                let (a11, a12, a22) = (s.a11[i] + sum, s.a12[i], s.a22[i] + sum);
+                let (a11, a12, a22) = (e.a11 + sum, e.a12, e.a22 + sum);
                 let inverse = 1.0 / (a11 * a22 - a12 * a12).max(1e-12);
                 let (nu, nv) = ((a22 * b1 - a12 * b2) * inverse, (a11 * b2 - a12 * b1) * inverse);
                 du[i] += OMEGA * (nu - du[i]);

@@ -1,10 +1,10 @@
 //! Static pixels that occlude dynamic regions: where a mask ends at the same place for many frames while what is inside it moves
 //! across that edge, it is cut off by something static in front of it.
 
-use super::super::pair::Pair;
-use super::super::rigid_objects::{Clip, ROUND_TRIP_PX};
-use super::super::shot::Shot;
+use super::super::rigid_objects::ROUND_TRIP_PX;
+use super::super::shot::{Pair, Shot};
 use super::super::smooth::Smoother;
+use super::super::working::{Clip, pixel_at};
 use m4_core::{Camera, Intrinsics};
 
 /// Frames that the colours of the canvas are the median of, spread over the clip.
@@ -59,8 +59,7 @@ impl Occluders {
         let least = LEAST_TRAVEL * w as f32;
         let seeds: Vec<usize> = (0..cw * ch).filter(|&q| travel[q] >= least && !covered[q]).collect();
         if seeds.is_empty() {
-            let occludes = Vec::new();
-            return Self { camera, occludes };
+            return Self { camera, occludes: Vec::new() };
         }
         let (mut value, mut weight) = (vec![-1.0f32; cw * ch], vec![PRIOR; cw * ch]);
         for q in (0..cw * ch).filter(|&q| covered[q]) {
@@ -104,9 +103,7 @@ fn canvas(camera: &Camera) -> Camera {
 /// Where another camera sees pixel `p` of rows of `w`, at about distance 1: an index into its `width` x `height` pixels, if it does.
 fn on_sphere(there: &Pair, p: usize, w: usize, (width, height): (usize, usize)) -> Option<usize> {
     let seen = there.project((p % w) as f32, (p / w) as f32, 1.0);
-    let (x, y) = (seen.x + 0.5, seen.y + 0.5);
-    let inside = seen.disparity > 0.0 && x >= 0.0 && y >= 0.0 && x < width as f32 && y < height as f32;
-    inside.then(|| y as usize * width + x as usize)
+    pixel_at(width, height, seen.x, seen.y).filter(|_| seen.disparity > 0.0)
 }
 
 /// Static pixels of frame `i` beside a dynamic one that stay so until the next frame, and how far what is inside the mask moves

@@ -184,10 +184,8 @@ impl Mono {
                 && known.values[*p].is_finite()
                 && disparity[*p] > 0.0
         };
-        let pairs: Vec<(f64, f64)> = (0..known.values.len())
-            .filter(sure)
-            .map(|p| (f64::from(known.values[p]), f64::from(disparity[p])))
-            .collect();
+        let pair = |p: usize| (f64::from(known.values[p]), f64::from(disparity[p]));
+        let pairs: Vec<(f64, f64)> = (0..known.values.len()).filter(sure).map(pair).collect();
         let fit = Fit::of(&pairs, known.kind == MonoKind::AffineDisparity)?;
         Some(known.values.iter().map(|&v| fit.disparity(v).unwrap_or(f32::NAN)).collect())
     }
@@ -195,11 +193,10 @@ impl Mono {
     /// What is measured, and weakly, where nothing is and nothing moves, what is aligned.
     pub fn with_prior(&self, i: usize, measured: &Measured, moving: Option<&[u8]>) -> Measured {
         let mut out = measured.clone();
-        if let Some(aligned) = self.aligned(i, &measured.disparity, &measured.confidence, moving) {
-            for (p, d) in aligned.into_iter().enumerate().filter(|(_, d)| d.is_finite()) {
-                if out.confidence[p] == 0.0 && moving.is_none_or(|m| m[p] == 0) {
-                    (out.disparity[p], out.confidence[p]) = (d, PRIOR_WEIGHT);
-                }
+        let aligned = self.aligned(i, &measured.disparity, &measured.confidence, moving).unwrap_or_default();
+        for (p, d) in aligned.into_iter().enumerate().filter(|(_, d)| d.is_finite()) {
+            if out.confidence[p] == 0.0 && moving.is_none_or(|m| m[p] == 0) {
+                (out.disparity[p], out.confidence[p]) = (d, PRIOR_WEIGHT);
             }
         }
         out
@@ -214,9 +211,7 @@ impl Mono {
         moving: &[u8],
         disparity: &mut [f32],
     ) {
-        let Some(aligned) = self.aligned(i, background, &measured.confidence, Some(moving)) else {
-            return;
-        };
+        let aligned = self.aligned(i, background, &measured.confidence, Some(moving)).unwrap_or_default();
         for (p, d) in aligned.into_iter().enumerate().filter(|(_, d)| d.is_finite()) {
             if moving[p] > 0 {
                 disparity[p] = d.max(background[p]);
@@ -235,10 +230,10 @@ impl Mono {
         let Some(known) = self.frames[i].as_ref().filter(|k| k.kind != MonoKind::Metric) else {
             return out;
         };
-        let (mut all, values) = (Vec::new(), &known.values);
-        all.extend(values.iter().filter(|v| v.is_finite()).map(|&v| f64::from(v)));
-        if let Some(fit) = Fit::to_distance_one(&mut all) {
-            for (out, v) in out.iter_mut().zip(values) {
+        let mut all: Vec<f64> = known.values.iter().filter(|v| v.is_finite()).map(|&v| f64::from(v)).collect();
+        if let Some(middle) = median(&mut all).filter(|middle| *middle > 0.0) {
+            let fit = Fit { scale: 1.0 / middle, shift: 0.0 };
+            for (out, v) in out.iter_mut().zip(&known.values) {
                 *out = fit.disparity(*v).unwrap_or(*out);
             }
         }
@@ -255,16 +250,16 @@ const WIDTH: f64 = 2.385;
 const PARTNERS: usize = 3;
 
 /// `disparity = scale relative + shift`.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Fit {
-    pub scale: f64,
-    pub shift: f64,
+#[derive(Clone, Copy)]
+struct Fit {
+    scale: f64,
+    shift: f64,
 }
 
 impl Fit {
     /// By medians and weighted least squares, so that a good third of the pixels may be wrong: pairs of a relative and a measured disparity. `None` for too
     /// few, for relative disparity without any relief, and where the fit would turn near and far round.
-    pub fn of(pairs: &[(f64, f64)], with_shift: bool) -> Option<Self> {
+    fn of(pairs: &[(f64, f64)], with_shift: bool) -> Option<Self> {
         if pairs.len() < NEEDED {
             return None;
         }
@@ -309,14 +304,8 @@ impl Fit {
         (scale.is_finite() && shift.is_finite()).then_some(Self { scale, shift })
     }
 
-    /// Nothing was measured: a middle disparity of 1, as a scene is placed whose depth nothing says.
-    pub fn to_distance_one(relative: &mut [f64]) -> Option<Self> {
-        let middle = median(relative)?;
-        (middle > 0.0).then_some(Self { scale: 1.0 / middle, shift: 0.0 })
-    }
-
     /// The disparity, `None` beyond infinity.
-    pub fn disparity(&self, relative: f32) -> Option<f32> {
+    fn disparity(&self, relative: f32) -> Option<f32> {
         let d = self.scale * f64::from(relative) + self.shift;
         (d > 0.0 && d.is_finite()).then_some(d as f32)
     }

@@ -2,9 +2,10 @@
 
 use super::{BLOCK_PX, Clip, ROUND_TRIP_PX, Tracklet};
 use crate::classical::dense::flow::FlowPair;
+use crate::classical::dense::working::{nearest_pixel, pixel_at};
 use crate::dba::{DbaOptions, Factor, Free, Geometry, Grid, Pinhole, Problem, Robust, adjust};
-use m4_core::{Camera, Se3};
-use nalgebra::Vector3;
+use m4_core::{Camera, Se3, quantile};
+use nalgebra::{Matrix3, Vector3};
 
 /// Fewest adjusted pixels per frame.
 const LEAST_POINTS: usize = 12;
@@ -139,7 +140,6 @@ pub(super) fn reconstruct(clip: &Clip<'_>, tracklet: &Tracklet, before: &[Vec<f3
 /// Draws disparities towards the plane that fits them best (a plane of the scene is one of disparity); [`RELIEF`] of what lies off
 /// it stays.
 fn tilt(width: usize, disparity: &mut [f32]) {
-    use nalgebra::{Matrix3, Vector3};
     let mut weights: Vec<f64> = disparity.iter().map(|d| if *d > 0.0 { 1.0 } else { 0.0 }).collect();
     let mut plane = Vector3::zeros();
     let row = |g: usize| Vector3::new((g % width) as f64, (g / width) as f64, 1.0);
@@ -158,7 +158,7 @@ fn tilt(width: usize, disparity: &mut [f32]) {
             .filter(|(_, d)| **d > 0.0)
             .map(|(g, d)| (f64::from(*d) - row(g).dot(&plane)).abs() as f32)
             .collect();
-        let Some(scale) = m4_core::quantile(&mut off, 0.5) else {
+        let Some(scale) = quantile(&mut off, 0.5) else {
             return;
         };
         let scale = 2.0 * f64::from(scale).max(1e-9);
@@ -178,23 +178,11 @@ fn tilt(width: usize, disparity: &mut [f32]) {
 /// Over how many frames a region is compared with itself, each both ways; rising.
 const SPANS: [usize; 3] = [1, 3, 8];
 
-/// The flow at a pixel from frame `i` to a neighbour, and how far its round trip misses.
-fn step(flows: &[FlowPair], i: usize, later: bool, x: f32, y: f32, w: usize, h: usize) -> (f32, f32, f32) {
-    let (flow, trip) = if later {
-        (&flows[i].forward, &flows[i].forward_round_trip)
-    } else {
-        (&flows[i - 1].backward, &flows[i - 1].backward_round_trip)
-    };
-    let (u, v) = flow.at(x, y);
-    let q = ((y + 0.5).max(0.0) as usize).min(h - 1) * w + ((x + 0.5).max(0.0) as usize).min(w - 1);
-    (u, v, trip[q])
-}
-
 /// One bit a pixel of every frame of a tracklet.
-pub(super) struct Inside(Vec<Vec<bool>>);
+struct Inside(Vec<Vec<bool>>);
 
 impl Inside {
-    pub fn of(clip: &Clip<'_>, tracklet: &Tracklet) -> Self {
+    fn of(clip: &Clip<'_>, tracklet: &Tracklet) -> Self {
         let one = |pixels: &Vec<u32>| {
             let mut inside = vec![false; clip.width * clip.height];
             for &p in pixels {
@@ -205,24 +193,15 @@ impl Inside {
         Self(tracklet.parts.iter().map(one).collect())
     }
 
-    pub fn at(&self, k: usize, x: f32, y: f32, w: usize, h: usize) -> bool {
-        if !(x > -0.5 && y > -0.5) {
-            return false;
-        }
-        let (x, y) = ((x + 0.5) as usize, (y + 0.5) as usize);
-        x < w && y < h && self.0[k][y * w + x]
+    fn at(&self, k: usize, x: f32, y: f32, w: usize, h: usize) -> bool {
+        pixel_at(w, h, x, y).is_some_and(|p| x > -0.5 && y > -0.5 && self.0[k][p])
     }
 }
 
 /// The edges of every frame to those [`SPANS`] before and after; frames are counted from the tracklet's first.
-pub(super) fn factors(clip: &Clip<'_>, tracklet: &Tracklet, inside: &Inside, grid: Grid) -> Vec<Factor<f32>> {
-    let mut out = Vec::new();
-    for k in 0..tracklet.parts.len() {
-        for later in [true, false] {
-            out.extend(chain(clip, tracklet, inside, grid, k, later));
-        }
-    }
-    out
+fn factors(clip: &Clip<'_>, tracklet: &Tracklet, inside: &Inside, grid: Grid) -> Vec<Factor<f32>> {
+    let ways = (0..tracklet.parts.len()).flat_map(|k| [(k, true), (k, false)]);
+    ways.flat_map(|(k, later)| chain(clip, tracklet, inside, grid, k, later)).collect()
 }
 
 fn chain(clip: &Clip<'_>, tracklet: &Tracklet, inside: &Inside, grid: Grid, k: usize, later: bool) -> Vec<Factor<f32>> {
@@ -239,14 +218,16 @@ fn chain(clip: &Clip<'_>, tracklet: &Tracklet, inside: &Inside, grid: Grid, k: u
     let mut at = k;
     for span in 1..=SPANS[SPANS.len() - 1] {
         let next = if later { at + 1 } else { at.wrapping_sub(1) };
-        if next >= tracklet.parts.len() {
+        let step = FlowPair::step(clip.flows, tracklet.first + at, later);
+        let Some((flow, trip)) = step.filter(|_| next < tracklet.parts.len()) else {
             break;
-        }
+        };
         for g in 0..n {
             if !miss[g].is_finite() {
                 continue;
             }
-            let (u, v, trip) = step(clip.flows, tracklet.first + at, later, px[g], py[g], w, h);
+            let (u, v) = flow.at(px[g], py[g]);
+            let trip = trip[nearest_pixel(w, h, px[g], py[g])];
             (px[g], py[g]) = (px[g] + u, py[g] + v);
             miss[g] = if trip < ROUND_TRIP_PX && inside.at(next, px[g], py[g], w, h) {
                 miss[g].hypot(trip)

@@ -39,22 +39,20 @@ pub(super) fn read(clip: &Clip<'_>, tracklet: &Tracklet, shape: &Shape) -> Optio
     let frames = tracklet.parts.len();
     let (mut all, mut standing, mut typical) = (Vec::new(), Vec::new(), Vec::new());
     for k in 0..frames {
-        if let Some(bound) = bound(clip, tracklet, shape, k) {
-            all.push(bound.factor);
-            typical.push(bound.typical);
-            if bound.slope > GROUND_SLOPE {
-                standing.push(bound.factor);
-            }
-        }
+        let Some(bound) = bound(clip, tracklet, shape, k) else { continue };
+        all.push(bound.factor);
+        typical.push(bound.typical);
+        standing.extend((bound.slope > GROUND_SLOPE).then_some(bound.factor));
     }
     let share = standing.len() as f32 / frames as f32;
     let quantile_of = |v: &mut Vec<f32>| quantile(v, TOUCH_QUANTILE);
     let (bound, typical) = (quantile_of(&mut all)?, quantile(&mut typical, 0.5)?);
     let touch = quantile_of(&mut standing).filter(|_| share >= STANDING_SHARE);
     // Nothing but the right factor makes a part stay where it is while the camera passes it.
-    let still =
-        in_place(clip, tracklet, shape).filter(|e| e.rest < STILL_REST && e.factor as f32 > bound / STILL_RANGE);
-    Some(Reading { typical, bound, known: still.map(|e| e.factor as f32).or(touch) })
+    let still = in_place(clip, tracklet, shape)
+        .map(|(factor, rest)| (factor as f32, rest))
+        .filter(|&(factor, rest)| rest < STILL_REST && factor > bound / STILL_RANGE);
+    Some(Reading { typical, bound, known: still.map(|(factor, _)| factor).or(touch) })
 }
 
 /// The factors of all parts. What neither stands nor stays, because it flies, is taken to be about as near as what does: a
@@ -97,7 +95,7 @@ struct Bound {
 
 fn bound(clip: &Clip<'_>, tracklet: &Tracklet, shape: &Shape, k: usize) -> Option<Bound> {
     let (w, h) = (clip.width, clip.height);
-    let background = &clip.background[tracklet.first + k];
+    let background = &clip.disparity[tracklet.first + k];
     let pixels = &tracklet.parts[k];
     let row = |i: u32| i as usize / w;
     let (top, bottom) = (row(*pixels.first()?), row(*pixels.last()?));
@@ -124,20 +122,13 @@ fn bound(clip: &Clip<'_>, tracklet: &Tracklet, shape: &Shape, k: usize) -> Optio
     })
 }
 
-/// A factor on the disparities of a part, and how well it explains that the part stays in place.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Estimate {
-    pub factor: f64,
-    /// What is left of the way of its middle, over the way that the wrong factor 0 would leave.
-    pub rest: f64,
-}
-
-/// The factor that keeps a part's middle closest to one place.
+/// The factor on the disparities of a part that keeps its middle closest to one place, and what is left of the path of its
+/// middle, over the path that the wrong factor 0 would leave.
 ///
 /// With disparities times `q`, the middle is at `c + v / q`, `c` being the camera's centre and `v` where the
 /// adjusted shape puts the middle, seen from there. Multiplied by `q` the way is linear in `q`, and its error no
 /// longer favours parts close to the camera (Ozden, Schindler and Van Gool 2010 on the scale of parts).
-pub(super) fn in_place(clip: &Clip<'_>, tracklet: &Tracklet, shape: &Shape) -> Option<Estimate> {
+fn in_place(clip: &Clip<'_>, tracklet: &Tracklet, shape: &Shape) -> Option<(f64, f64)> {
     let middle = shape.middle(clip)?;
     let (mut c, mut v) = (Vec::new(), Vec::new());
     for k in 0..tracklet.parts.len() {
@@ -149,7 +140,7 @@ pub(super) fn in_place(clip: &Clip<'_>, tracklet: &Tracklet, shape: &Shape) -> O
     without_mean(&mut v);
     let dot = |a: &[Vector3<f64>], b: &[Vector3<f64>]| -> f64 { a.iter().zip(b).map(|(a, b)| a.dot(b)).sum() };
     let (cc, cv, vv) = (dot(&c, &c), dot(&c, &v), dot(&v, &v));
-    (cc > 0.0 && vv > 0.0).then(|| Estimate { factor: -cv / cc, rest: ((vv - cv * cv / cc).max(0.0) / vv).sqrt() })
+    (cc > 0.0 && vv > 0.0).then(|| (-cv / cc, ((vv - cv * cv / cc).max(0.0) / vv).sqrt()))
 }
 
 fn without_mean(values: &mut [Vector3<f64>]) {

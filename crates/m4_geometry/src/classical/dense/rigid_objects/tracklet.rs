@@ -6,8 +6,9 @@
 //! the same pair of labels.
 
 use super::{Clip, LEAST_SHARE, ROUND_TRIP_PX, SHORTEST};
-use crate::classical::dense::components::Components;
-use m4_core::Flow;
+use crate::classical::dense::flow::FlowPair;
+use crate::classical::dense::regions::Components;
+use crate::classical::dense::working::pixel_at;
 use std::collections::{BTreeMap, VecDeque};
 
 /// Most frames that are adjusted together: bounds memory.
@@ -24,8 +25,12 @@ pub(in super::super) struct Tracklet {
 }
 
 /// For every part of a frame the part of the other frame where most of it is seen, and the share.
-fn heirs(clip: &Clip<'_>, from: &Components, to: &Components, flow: &Flow, trip: &[f32]) -> Vec<usize> {
+fn heirs(clip: &Clip<'_>, from: (usize, &Components), to: (usize, &Components)) -> Vec<usize> {
     let (w, h) = (clip.width, clip.height);
+    let Some((flow, trip)) = FlowPair::step(clip.flows, from.0, from.0 < to.0) else {
+        return Vec::new();
+    };
+    let (from, to) = (from.1, to.1);
     from.pixels
         .iter()
         .map(|pixels| {
@@ -60,9 +65,8 @@ pub(in super::super) fn follow(clip: &Clip<'_>) -> Vec<Tracklet> {
     for (t, now) in regions(clip).into_iter().enumerate() {
         let mut next: Vec<Option<Tracklet>> = (0..now.pixels.len()).map(|_| None).collect();
         if let Some(before) = &before {
-            let flow = &clip.flows[t - 1];
-            let there = heirs(clip, before, &now, &flow.forward, &flow.forward_round_trip);
-            let back = heirs(clip, &now, before, &flow.backward, &flow.backward_round_trip);
+            let there = heirs(clip, (t - 1, before), (t, &now));
+            let back = heirs(clip, (t, &now), (t - 1, before));
             for (a, tracklet) in open.drain(..).enumerate() {
                 let Some(mut tracklet) = tracklet else { continue };
                 let b = there[a];
@@ -151,10 +155,8 @@ fn next(
     fresh: &mut u32,
 ) -> Vec<u32> {
     let (w, h) = (clip.width, clip.height);
-    let (flow, trip) = if s < t {
-        (&clip.flows[s].backward, &clip.flows[s].backward_round_trip)
-    } else {
-        (&clip.flows[t].forward, &clip.flows[t].forward_round_trip)
+    let Some((flow, trip)) = FlowPair::step(clip.flows, t, t < s) else {
+        return own(parts, fresh);
     };
     let mut area: BTreeMap<u32, usize> = BTreeMap::new();
     for &l in known.iter().filter(|l| **l > 0) {
@@ -168,13 +170,9 @@ fn next(
         let mut all = 0usize;
         for &p in pixels {
             let p = p as usize;
-            let (x, y) = ((p % w) as f32 + flow.u[p] + 0.5, (p / w) as f32 + flow.v[p] + 0.5);
-            if trip[p] > ROUND_TRIP_PX || !(x >= 0.0 && y >= 0.0) {
-                continue;
-            }
-            let (x, y) = (x as usize, y as usize);
-            if x < w && y < h && known[y * w + x] > 0 {
-                out[p] = known[y * w + x];
+            let seen = pixel_at(w, h, (p % w) as f32 + flow.u[p], (p / w) as f32 + flow.v[p]);
+            if let Some(q) = seen.filter(|&q| trip[p] <= ROUND_TRIP_PX && known[q] > 0) {
+                out[p] = known[q];
                 *votes.entry(out[p]).or_default() += 1;
                 all += 1;
             }
@@ -259,12 +257,8 @@ fn pairs(w: usize, h: usize, parts: &Components, a: &[u32], b: &[u32], least: us
         let whole = |(pair, n): (&(u32, u32), &usize)| {
             *n >= least && *n as f32 >= PAIR * of_a[&pair.0].min(of_b[&pair.1]) as f32
         };
-        let mut kept: BTreeMap<(u32, u32), u32> = BTreeMap::new();
-        for (pair, n) in &count {
-            if whole((pair, n)) {
-                kept.insert(*pair, (regions.len() + kept.len()) as u32 + 1);
-            }
-        }
+        let kept: BTreeMap<(u32, u32), u32> =
+            count.iter().filter(|x| whole(*x)).map(|(pair, _)| *pair).zip(regions.len() as u32 + 1..).collect();
         if kept.len() < 2 {
             regions.push(pixels.clone());
             for &p in pixels {

@@ -6,36 +6,28 @@
 //! Points are eliminated (Schur complement); the reduced system is solved by a Cholesky
 //! factorisation that skips what lies before the first non-zero of each row.
 
-mod cholesky;
-mod jacobian;
 mod system;
 
-pub(crate) use jacobian::Jacobian;
-use jacobian::project;
+use super::rotation::Limits;
 use m4_core::{
-    Progress, Se3,
-    nalgebra::{Vector3, Vector6},
+    Progress, Se3, hat,
+    nalgebra::{Matrix2x3, Matrix2x6, Vector2, Vector3, Vector6},
 };
 use rayon::prelude::*;
 use system::{Reduced, reduce, substitute};
 
-/// One sighting.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Observation {
-    /// Index of the pose.
     pub pose: usize,
-    /// Index of the point.
     pub point: usize,
     /// Pixels from the principal point.
     pub at: [f64; 2],
 }
 
-/// What is adjusted.
 #[derive(Debug, Clone)]
 pub(crate) struct Bundle {
     /// World to camera; the first one with an observation stays where it is.
     pub poses: Vec<Se3<f64>>,
-    /// World positions.
     pub points: Vec<Vector3<f64>>,
     /// Natural logarithm of the focal length in pixels.
     pub log_focal: f64,
@@ -43,7 +35,6 @@ pub(crate) struct Bundle {
     pub observations: Vec<Observation>,
 }
 
-/// How it is adjusted.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct BundleOptions {
     /// Scale of the Cauchy loss, pixels.
@@ -52,13 +43,16 @@ pub(crate) struct BundleOptions {
     pub iterations: usize,
     /// Ends when a step lowers the loss by less than this share.
     pub tolerance: f64,
-    /// False keeps the focal length.
     pub free_focal: bool,
-    /// False keeps all poses: points alone move.
-    pub free_poses: bool,
 }
 
-/// How it went.
+impl BundleOptions {
+    /// Those of the last adjustments of a map.
+    pub fn last(limits: &Limits, free_focal: bool) -> Self {
+        Self { cauchy_px: limits.cauchy_px, iterations: 30, tolerance: 1e-6, free_focal }
+    }
+}
+
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct BundleReport {
     /// Mean loss an observation, squared pixels.
@@ -69,7 +63,6 @@ pub(crate) struct BundleReport {
 }
 
 impl Bundle {
-    /// The focal length in pixels.
     pub fn focal(&self) -> f64 {
         self.log_focal.exp()
     }
@@ -119,45 +112,24 @@ impl Bundle {
         BundleReport { cost: cost / self.observations.len().max(1) as f64, log_focal_sigma }
     }
 
-    /// Sum of losses.
     fn cost(&self, options: &BundleOptions) -> f64 {
         let focal = self.focal();
-        let partials: Vec<f64> = self
-            .observations
-            .par_chunks(CHUNK)
-            .map(|chunk| {
-                chunk
-                    .iter()
-                    .map(|o| {
-                        let r = project(&self.poses[o.pose], &self.points[o.point], focal, o.at);
-                        loss(r.map_or(BEHIND_PX * BEHIND_PX, |r| r[0] * r[0] + r[1] * r[1]), options.cauchy_px)
-                    })
-                    .sum()
-            })
-            .collect();
+        let one = |o: &Observation| {
+            let r = project(&self.poses[o.pose], &self.points[o.point], focal, o.at);
+            loss(r.map_or(BEHIND_PX * BEHIND_PX, |r| r[0] * r[0] + r[1] * r[1]), options.cauchy_px)
+        };
+        let partials: Vec<f64> = self.observations.par_chunks(CHUNK).map(|chunk| chunk.iter().map(one).sum()).collect();
         partials.iter().sum()
     }
 
     /// Residuals and derivatives, weighted by the loss.
     fn linearise(&self, options: &BundleOptions) -> Vec<Jacobian> {
         let focal = self.focal();
-        let parts: Vec<Vec<Jacobian>> = self
-            .observations
-            .par_chunks(CHUNK)
-            .map(|chunk| {
-                chunk
-                    .iter()
-                    .map(|o| {
-                        let pose = &self.poses[o.pose];
-                        Jacobian::new(pose, &self.points[o.point], focal, o.at, options.cauchy_px)
-                    })
-                    .collect()
-            })
-            .collect();
-        parts.into_iter().flatten().collect()
+        let one =
+            |o: &Observation| Jacobian::new(&self.poses[o.pose], &self.points[o.point], focal, o.at, options.cauchy_px);
+        self.observations.par_iter().map(one).collect()
     }
 
-    /// This bundle after a step.
     fn moved(&self, system: &Reduced, step: &[f64], point_steps: &[Vector3<f64>]) -> Self {
         let mut trial = self.clone();
         for (pose, column) in trial.poses.iter_mut().zip(&system.pose_columns) {
@@ -182,12 +154,10 @@ const CHUNK: usize = 1024;
 /// Residual that a point behind its camera counts with, pixels.
 const BEHIND_PX: f64 = 100.0;
 
-/// Cauchy's loss of a squared residual.
 fn loss(squared: f64, scale: f64) -> f64 {
     0.5 * scale * scale * (squared / (scale * scale)).ln_1p()
 }
 
-/// The range of observations of every point.
 fn point_runs(observations: &[Observation], points: usize) -> Vec<std::ops::Range<usize>> {
     let mut runs = vec![0..0; points];
     let mut begin = 0;
@@ -203,9 +173,53 @@ fn point_runs(observations: &[Observation], points: usize) -> Vec<std::ops::Rang
     runs
 }
 
+/// The residual of a point, pixels; `None` when the point is not in front of the camera.
+pub(super) fn project(w2c: &Se3<f64>, point: &Vector3<f64>, focal: f64, at: [f64; 2]) -> Option<[f64; 2]> {
+    let p = w2c.transform(point);
+    (p.z > 1e-6).then(|| [focal * p.x / p.z - at[0], focal * p.y / p.z - at[1]])
+}
+
+/// One observation, linearised and scaled by the root of its weight; all zero for a point that is
+/// not in front of the camera.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct Jacobian {
+    pub residual: Vector2<f64>,
+    /// By the twist `(tau, omega)`.
+    pub pose: Matrix2x6<f64>,
+    /// By the position.
+    pub point: Matrix2x3<f64>,
+    /// By the logarithm of the focal length.
+    pub focal: Vector2<f64>,
+}
+
+impl Jacobian {
+    /// Derivatives of [`project`], weighted for Cauchy's loss of scale `cauchy_px`
+    /// (weight `1 / (1 + |r|^2 / c^2)`).
+    pub fn new(w2c: &Se3<f64>, point: &Vector3<f64>, focal: f64, at: [f64; 2], cauchy_px: f64) -> Self {
+        let Some(r) = project(w2c, point, focal, at) else {
+            return Self::default();
+        };
+        let p = w2c.transform(point);
+        let (fz, x, y) = (focal / p.z, p.x / p.z, p.y / p.z);
+        let by_camera = Matrix2x3::new(fz, 0.0, -fz * x, 0.0, fz, -fz * y);
+        let turn = by_camera * -hat(&p);
+        let residual = Vector2::new(r[0], r[1]);
+        let scale = (1.0 / (1.0 + residual.norm_squared() / (cauchy_px * cauchy_px))).sqrt();
+        let mut pose = Matrix2x6::zeros();
+        pose.fixed_view_mut::<2, 3>(0, 0).copy_from(&(by_camera * scale));
+        pose.fixed_view_mut::<2, 3>(0, 3).copy_from(&(turn * scale));
+        Self {
+            residual: residual * scale,
+            pose,
+            point: by_camera * w2c.rotation * scale,
+            focal: Vector2::new(focal * x, focal * y) * scale,
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
-    use super::{Bundle, BundleOptions, Observation};
+    use super::{Bundle, BundleOptions, Jacobian, Observation, project};
     use m4_core::{
         CounterRng, Se3, Silent, Sim3, exp_so3,
         nalgebra::{Vector3, Vector6},
@@ -233,7 +247,7 @@ mod tests {
     }
 
     fn options(free_focal: bool) -> BundleOptions {
-        BundleOptions { cauchy_px: 1.0, iterations: 60, tolerance: 1e-9, free_focal, free_poses: true }
+        BundleOptions { cauchy_px: 1.0, iterations: 60, tolerance: 1e-9, free_focal }
     }
 
     #[test]
@@ -259,20 +273,51 @@ mod tests {
     }
 
     #[test]
-    fn fixed_parameters_stay_and_cost_never_rises() {
+    fn a_fixed_focal_length_stays_and_cost_never_rises() {
         let mut bundle = scene();
         bundle.log_focal += 0.05;
         let before = bundle.cost(&options(false)) / bundle.observations.len() as f64;
-        let (focal, poses) = (bundle.log_focal, bundle.poses.clone());
-        let held = BundleOptions { free_poses: false, ..options(false) };
-        let report = bundle.adjust(&held, &Silent);
+        let focal = bundle.log_focal;
+        let report = bundle.adjust(&options(false), &Silent);
         assert!(report.cost < before && report.log_focal_sigma.is_infinite());
-        assert_eq!((bundle.log_focal, &bundle.poses), (focal, &poses));
+        assert_eq!(bundle.log_focal, focal);
     }
 
     #[test]
     fn nothing_to_adjust_is_no_error() {
         let mut bundle = Bundle { poses: Vec::new(), points: Vec::new(), log_focal: 6.0, observations: Vec::new() };
         assert_eq!(bundle.adjust(&options(true), &Silent).cost, 0.0);
+    }
+
+    #[test]
+    fn derivatives_match_central_differences() {
+        let pose = Se3 { rotation: exp_so3(&Vector3::new(0.3, -0.5, 0.2)), translation: Vector3::new(0.2, -0.4, 3.0) };
+        let (x, focal, at) = (Vector3::new(0.7, -0.3, 1.1), 420.0_f64, [30.0, -12.0]);
+        // A huge scale makes all weights 1.
+        let j = Jacobian::new(&pose, &x, focal, at, 1e9);
+        // Variables 0 to 5: the pose, 6 to 8: the point, 9: the logarithm of the focal length.
+        let moved = |k: usize, h: f64| {
+            let step = |from: usize| move |i: usize, _: usize| if from + i == k { h } else { 0.0 };
+            let focal = if k == 9 { focal * h.exp() } else { focal };
+            project(&pose.retract(&Vector6::from_fn(step(0))), &(x + Vector3::from_fn(step(6))), focal, at)
+        };
+        let h = 1e-6;
+        for k in 0..10 {
+            let (a, b) = (moved(k, h).expect("in front"), moved(k, -h).expect("in front"));
+            for i in 0..2 {
+                let want = match k {
+                    0..6 => j.pose[(i, k)],
+                    6..9 => j.point[(i, k - 6)],
+                    _ => j.focal[i],
+                };
+                assert!(((a[i] - b[i]) / (2.0 * h) - want).abs() < 1e-4, "variable {k}, component {i}");
+            }
+        }
+    }
+
+    #[test]
+    fn behind_the_camera_nothing_pulls() {
+        let j = Jacobian::new(&Se3::identity(), &Vector3::new(0.0, 0.0, -1.0), 400.0, [0.0, 0.0], 1.0);
+        assert_eq!((j.residual.norm(), j.pose.norm(), j.point.norm()), (0.0, 0.0, 0.0));
     }
 }

@@ -1,6 +1,5 @@
-//! The normal equations with the points eliminated.
+//! The normal equations with the points eliminated, and Cholesky factorisation within an envelope.
 
-use super::cholesky::{Envelope, Lower};
 use super::{Bundle, BundleOptions, Jacobian};
 use m4_core::nalgebra::{Matrix3, Matrix6x3, RowVector3, Vector3, Vector6};
 use rayon::prelude::*;
@@ -16,7 +15,6 @@ pub(super) struct Reduced {
     envelope: Envelope,
     /// First of six columns, per pose; `None` for poses that do not move.
     pub pose_columns: Vec<Option<usize>>,
-    /// Column of the logarithm of the focal length.
     pub focal_column: Option<usize>,
     /// Entries within the envelope.
     matrix: Vec<f64>,
@@ -27,12 +25,12 @@ impl Reduced {
     /// The step and the standard deviation of the logarithm of the focal length (infinite when it is
     /// not free); `None` when the system is singular.
     pub fn solve(&self) -> Option<(Vec<f64>, f64)> {
-        let factor = Lower::new(&self.envelope, self.matrix.clone()).factorise()?;
-        let step = factor.solve(&self.rhs);
+        let factor = self.envelope.factorise(self.matrix.clone())?;
+        let step = self.envelope.solve(&factor, &self.rhs);
         let sigma = self.focal_column.map_or(f64::INFINITY, |c| {
             let mut unit = vec![0.0; self.envelope.rows()];
             unit[c] = 1.0;
-            factor.solve(&unit)[c].max(0.0).sqrt()
+            self.envelope.solve(&factor, &unit)[c].max(0.0).sqrt()
         });
         step.iter().all(|v| v.is_finite()).then_some((step, sigma))
     }
@@ -60,7 +58,6 @@ impl Reduced {
     }
 }
 
-/// What one group of points contributes.
 struct Part<'a> {
     envelope: &'a Envelope,
     matrix: Vec<f64>,
@@ -96,7 +93,6 @@ fn point_block(jacobians: &[Jacobian], damping: f64) -> Option<(Matrix3<f64>, Ve
     inverse.iter().all(|x| x.is_finite()).then_some((inverse, g))
 }
 
-/// Builds the reduced system at the current state.
 pub(super) fn reduce(
     bundle: &Bundle,
     jacobians: &[Jacobian],
@@ -114,8 +110,7 @@ pub(super) fn reduce(
         .iter()
         .enumerate()
         .map(|(i, &used)| {
-            let free = used && i != fixed && options.free_poses;
-            free.then(|| {
+            (used && i != fixed).then(|| {
                 n += 6;
                 n - 6
             })
@@ -123,10 +118,9 @@ pub(super) fn reduce(
         .collect();
     let focal_column = options.free_focal.then_some(n);
     n += usize::from(options.free_focal);
-    let groups: Vec<&[Range<usize>]> = runs.chunks(runs.len().div_ceil(GROUPS).max(1)).collect();
     let envelope = envelope(bundle, runs, &pose_columns, focal_column, n);
-    let parts: Vec<Part<'_>> = groups
-        .par_iter()
+    let parts: Vec<Part<'_>> = runs
+        .par_chunks(runs.len().div_ceil(GROUPS).max(1))
         .map(|group| {
             let mut part = Part::zero(&envelope);
             for run in group.iter().filter(|run| !run.is_empty()) {
@@ -137,14 +131,16 @@ pub(super) fn reduce(
         .collect();
     let mut sum = Part::zero(&envelope);
     for part in &parts {
-        add(&mut sum.matrix, &part.matrix);
-        add(&mut sum.rhs, &part.rhs);
-        add(&mut sum.diagonal, &part.diagonal);
+        for (sum, part) in
+            [(&mut sum.matrix, &part.matrix), (&mut sum.rhs, &part.rhs), (&mut sum.diagonal, &part.diagonal)]
+        {
+            sum.iter_mut().zip(part).for_each(|(s, p)| *s += p);
+        }
     }
     for i in 0..n {
         sum.matrix[envelope.at(i, i)] += damping * sum.diagonal[i] + 1e-12;
     }
-    let Part { matrix, rhs, .. } = sum;
+    let (matrix, rhs) = (sum.matrix, sum.rhs);
     Reduced { envelope, pose_columns, focal_column, matrix, rhs }
 }
 
@@ -168,12 +164,6 @@ fn envelope(
         first[f] = 0;
     }
     Envelope::new(first)
-}
-
-fn add(sum: &mut [f64], part: &[f64]) {
-    for (s, p) in sum.iter_mut().zip(part) {
-        *s += p;
-    }
 }
 
 impl Part<'_> {
@@ -275,4 +265,126 @@ pub(super) fn substitute(
             -(inverse * gradient)
         })
         .collect()
+}
+
+/// Which entries of the lower triangle may differ from zero: those from `first` of a row to its diagonal. A long
+/// clip has thousands of rows and hardly any that reach far back.
+#[derive(Debug, Clone, PartialEq, Eq)]
+struct Envelope {
+    first: Vec<usize>,
+    /// Where a row begins in the data, and one more for the end.
+    begin: Vec<usize>,
+}
+
+impl Envelope {
+    /// Rows that begin at these columns, none beyond its diagonal.
+    fn new(first: Vec<usize>) -> Self {
+        let mut begin = Vec::with_capacity(first.len() + 1);
+        begin.push(0);
+        let mut end = 0;
+        for (i, &first) in first.iter().enumerate() {
+            end += i + 1 - first.min(i);
+            begin.push(end);
+        }
+        Self { first, begin }
+    }
+
+    fn rows(&self) -> usize {
+        self.first.len()
+    }
+
+    fn entries(&self) -> usize {
+        self.begin[self.first.len()]
+    }
+
+    /// Where the entry of a row and a column within the envelope lies.
+    fn at(&self, row: usize, column: usize) -> usize {
+        self.begin[row] + column - self.first[row]
+    }
+
+    /// The Cholesky factor of the matrix with these entries; `None` when it is not positive definite.
+    fn factorise(&self, mut data: Vec<f64>) -> Option<Vec<f64>> {
+        let Self { first, begin } = self;
+        for i in 0..first.len() {
+            let (above, rest) = data.split_at_mut(begin[i]);
+            // Entry `j` of row `i` is `row[j - fi]`.
+            let (fi, row) = (first[i], &mut rest[..begin[i + 1] - begin[i]]);
+            for j in fi..i {
+                let (fj, other) = (first[j], &above[begin[j]..begin[j + 1]]);
+                let from = fi.max(fj);
+                let sum = dot(&row[from - fi..j - fi], &other[from - fj..j - fj]);
+                row[j - fi] = (row[j - fi] - sum) / other[j - fj];
+            }
+            let (before, diagonal) = row.split_at_mut(i - fi);
+            let pivot = diagonal[0] - dot(before, before);
+            if !(pivot > 0.0 && pivot.is_finite()) {
+                return None;
+            }
+            diagonal[0] = pivot.sqrt();
+        }
+        Some(data)
+    }
+
+    fn solve(&self, factor: &[f64], b: &[f64]) -> Vec<f64> {
+        let Self { first, begin } = self;
+        let mut x = b.to_vec();
+        for i in 0..first.len() {
+            let (before, diagonal) = factor[begin[i]..begin[i + 1]].split_at(i - first[i]);
+            x[i] = (x[i] - dot(before, &x[first[i]..i])) / diagonal[0];
+        }
+        for i in (0..first.len()).rev() {
+            let (before, diagonal) = factor[begin[i]..begin[i + 1]].split_at(i - first[i]);
+            x[i] /= diagonal[0];
+            let xi = x[i];
+            for (x, l) in x[first[i]..i].iter_mut().zip(before) {
+                *x -= l * xi;
+            }
+        }
+        x
+    }
+}
+
+/// Inner product with eight partial sums, which the compiler keeps in one register.
+fn dot(a: &[f64], b: &[f64]) -> f64 {
+    let mut sums = [0.0_f64; 8];
+    let (a_chunks, b_chunks) = (a.chunks_exact(8), b.chunks_exact(8));
+    let tail: f64 = a_chunks.remainder().iter().zip(b_chunks.remainder()).map(|(x, y)| x * y).sum();
+    for (x, y) in a_chunks.zip(b_chunks) {
+        for k in 0..8 {
+            sums[k] += x[k] * y[k];
+        }
+    }
+    sums.iter().sum::<f64>() + tail
+}
+
+#[cfg(test)]
+mod tests {
+    use super::Envelope;
+
+    #[test]
+    fn a_system_with_an_envelope_is_solved() {
+        let n = 23;
+        let mut a = vec![0.0; n * n];
+        for i in 0..n {
+            for j in 0..=i {
+                if i - j < 6 || i == n - 1 {
+                    let value = if i == j { 20.0 + i as f64 } else { ((i * 7 + j * 3) as f64).sin() };
+                    (a[i * n + j], a[j * n + i]) = (value, value);
+                }
+            }
+        }
+        let want: Vec<f64> = (0..n).map(|i| (i as f64).cos()).collect();
+        let b: Vec<f64> = (0..n).map(|i| (0..n).map(|j| a[i * n + j] * want[j]).sum()).collect();
+        let first = |i: usize| if i == n - 1 { 0 } else { i.saturating_sub(5) };
+        let envelope = Envelope::new((0..n).map(first).collect());
+        assert_eq!((envelope.rows(), envelope.entries()), (n, 15 + 17 * 6 + n));
+        let within =
+            |a: &[f64]| -> Vec<f64> { (0..n).flat_map(|i| a[i * n + first(i)..=i * n + i].to_vec()).collect() };
+        assert_eq!(within(&a)[envelope.at(10, 7)], a[10 * n + 7]);
+        let factor = envelope.factorise(within(&a)).expect("positive definite");
+        let got = envelope.solve(&factor, &b);
+        assert!(got.iter().zip(&want).all(|(x, y)| (x - y).abs() < 1e-10));
+        a[0] = -1.0;
+        assert!(envelope.factorise(within(&a)).is_none());
+    }
 }

@@ -13,14 +13,10 @@
 //! linear equations for the six unknowns of `p` and `u`. Down is the normal of the ground; how fast things fall, in the
 //! unit of the cameras, is one number for the whole clip. Needs no size and no shape, but a ground, and a way that bends.
 
-mod flight;
-mod parabola;
-
 use super::ground::Ground;
-use super::{Clip, Tracklet};
-use flight::Flight;
+use super::{Clip, Flight, Tracklet, flight};
 use m4_core::{Camera, quantile};
-use nalgebra::{Vector2, Vector3};
+use nalgebra::{Matrix6, Vector2, Vector3, Vector6};
 
 /// Frames in flight that make a clip one in which things fall.
 const EVIDENCE: usize = 16;
@@ -32,12 +28,12 @@ const RESIZED: f32 = 1.3;
 const BULGE: f64 = 0.6;
 
 /// An object that may be in flight.
-struct RigidObject<'a> {
+pub(super) struct RigidObject<'a> {
     /// Of its frames.
-    cameras: &'a [Camera],
-    observations: Vec<Observation>,
+    pub cameras: &'a [Camera],
+    pub observations: Vec<Observation>,
     /// z-depth that it seems to have, by frame.
-    depth: &'a [f64],
+    pub depth: &'a [f64],
 }
 
 /// The depth of what flies, by part and frame: of what is seen of it, not of its middle. `None` where nothing flies.
@@ -117,18 +113,18 @@ pub(super) struct Observation {
 }
 
 /// By frame of the tracklet.
-pub(super) fn observations(clip: &Clip<'_>, tracklet: &Tracklet) -> Vec<Observation> {
+fn observations(clip: &Clip<'_>, tracklet: &Tracklet) -> Vec<Observation> {
     let area: Vec<f64> = tracklet.parts.iter().map(|p| p.len() as f64).collect();
     let mut own = vec![false; clip.width * clip.height];
     (0..area.len())
         .map(|k| {
             let camera = &clip.cameras[tracklet.first + k];
             let lens = &camera.intrinsics;
-            let outline = outline(clip, tracklet, k, &mut own);
+            let (middle, clear) = outline(clip, tracklet, k, &mut own);
             let around = &area[k.saturating_sub(AROUND)..(k + AROUND + 1).min(area.len())];
             let usual = around.iter().copied().fold(0.0, f64::max);
             let radius_px = (area[k] / std::f64::consts::PI).sqrt();
-            let [u, v] = [outline.middle.x + 0.5, outline.middle.y + 0.5];
+            let [u, v] = [middle.x + 0.5, middle.y + 0.5];
             Observation {
                 across: [
                     camera.c2w.rotation * Vector3::new(lens.fx, 0.0, lens.cx - u),
@@ -136,21 +132,15 @@ pub(super) fn observations(clip: &Clip<'_>, tracklet: &Tracklet) -> Vec<Observat
                 ],
                 radius: radius_px / lens.fx,
                 radius_px,
-                whole: outline.clear && area[k] > WHOLE * usual,
+                whole: clear && area[k] > WHOLE * usual,
             }
         })
         .collect()
 }
 
-struct Outline {
-    /// Pixel coordinates of its middle.
-    middle: Vector2<f64>,
-    /// It touches neither the border of the image nor, for long, another part.
-    clear: bool,
-}
-
-/// `own` is room to work in, all false before and after.
-fn outline(clip: &Clip<'_>, tracklet: &Tracklet, k: usize, own: &mut [bool]) -> Outline {
+/// Pixel coordinates of the middle of a part, and whether it touches neither the border of the image nor, for long, another
+/// part; `own` is room to work in, all false before and after.
+fn outline(clip: &Clip<'_>, tracklet: &Tracklet, k: usize, own: &mut [bool]) -> (Vector2<f64>, bool) {
     let (w, h) = (clip.width, clip.height);
     let (pixels, moving) = (&tracklet.parts[k], &clip.moving[tracklet.first + k]);
     for &p in pixels {
@@ -173,5 +163,117 @@ fn outline(clip: &Clip<'_>, tracklet: &Tracklet, k: usize, own: &mut [bool]) -> 
     for &p in pixels {
         own[p as usize] = false;
     }
-    Outline { middle: sum / pixels.len().max(1) as f64, clear: !border && (shared as f64) < SHARED * edge as f64 }
+    (sum / pixels.len().max(1) as f64, !border && (shared as f64) < SHARED * edge as f64)
+}
+
+/// Fewest frames in which the whole object is seen.
+const LEAST_WHOLE: usize = 6;
+/// Solutions, each weighted by the depths of the one before.
+const SOLUTIONS: usize = 4;
+/// Depths that differ from what the object seems to have by more than this factor are a failure.
+const RANGE: f64 = 20.0;
+
+/// The parabola through the rays to an object, affine in the acceleration.
+#[derive(Clone)]
+pub(super) struct Parabola {
+    /// The frame, counted from the object's first, where it is at its place with its velocity.
+    middle: f64,
+    /// Place and velocity a frame without acceleration, and what an acceleration of 1 adds to them.
+    still: Vector6<f64>,
+    fall: Vector6<f64>,
+    /// Root mean square distance of the middles from it, pixels at the working size.
+    pub miss_px: f64,
+    /// Frames in which the whole object is seen.
+    pub seen: usize,
+    /// Standard deviation of the depth for a pixel of noise, as a share of it.
+    pub doubt: f64,
+    /// The acceleration that would fit best, and one over its variance for a pixel of noise.
+    pub best: f64,
+    pub sharp: f64,
+}
+
+impl Parabola {
+    /// Fits the parabola of frames `first..end` at the acceleration `g`; `None` if too little is seen.
+    pub fn fit(object: &RigidObject<'_>, (first, end): (usize, usize), ground: &Ground, g: f64) -> Option<Self> {
+        let middle = (first + end - 1) as f64 / 2.0;
+        let usual = object.depth[first..end].iter().sum::<f64>() / (end - first) as f64;
+        let mut z = vec![usual; end - first];
+        let mut out = None;
+        for _ in 0..SOLUTIONS {
+            let parabola = Self::solve(object, (first, middle), &z, ground, g)?;
+            for (k, z) in (first..end).zip(&mut z) {
+                *z = parabola.depth(&object.cameras[k], k, ground, g);
+                if !(*z > usual / RANGE && *z < usual * RANGE) {
+                    return None;
+                }
+            }
+            out = Some(parabola);
+        }
+        out
+    }
+
+    /// One solution, `z` being the depths by frame from `first` on.
+    fn solve(
+        object: &RigidObject<'_>,
+        (first, middle): (usize, f64),
+        z: &[f64],
+        ground: &Ground,
+        g: f64,
+    ) -> Option<Self> {
+        let (mut a, mut still, mut fall) = (Matrix6::zeros(), Vector6::zeros(), Vector6::zeros());
+        let mut rows = Vec::new();
+        for (i, z) in z.iter().enumerate().filter(|(i, _)| object.observations[first + i].whole) {
+            let k = first + i;
+            let t = k as f64 - middle;
+            let c = object.cameras[k].centre();
+            for across in &object.observations[k].across {
+                let e = across / *z;
+                let mut row = Vector6::zeros();
+                row.fixed_rows_mut::<3>(0).copy_from(&e);
+                row.fixed_rows_mut::<3>(3).copy_from(&(e * t));
+                let (b, d) = (e.dot(&c), -0.5 * t * t * e.dot(&ground.down));
+                a += row * row.transpose();
+                still += row * b;
+                fall += row * d;
+                rows.push((row, b, d));
+            }
+        }
+        if rows.len() < 2 * LEAST_WHOLE {
+            return None;
+        }
+        let solver = a.cholesky()?;
+        let (still, fall) = (solver.solve(&still), solver.solve(&fall));
+        let (mut off, mut cross, mut sharp) = (0.0, 0.0, 0.0);
+        for (row, b, d) in &rows {
+            let (rc, rg) = (row.dot(&still) - b, row.dot(&fall) - d);
+            off += (rc + g * rg).powi(2);
+            cross += rc * rg;
+            sharp += rg * rg;
+        }
+        let at = z.len() / 2;
+        let ahead = (object.cameras[first + at].c2w.rotation * Vector3::z()) / z[at];
+        let place = solver.inverse().fixed_view::<3, 3>(0, 0).into_owned();
+        Some(Self {
+            middle,
+            still,
+            fall,
+            miss_px: (2.0 * off / rows.len() as f64).sqrt(),
+            seen: rows.len() / 2,
+            doubt: ahead.dot(&(place * ahead)).sqrt(),
+            best: -cross / sharp.max(1e-30),
+            sharp,
+        })
+    }
+
+    /// The middle of the object in frame `k` at the acceleration `g`.
+    pub fn at(&self, k: usize, ground: &Ground, g: f64) -> Vector3<f64> {
+        let t = k as f64 - self.middle;
+        let x = self.still + self.fall * g;
+        x.fixed_rows::<3>(0) + x.fixed_rows::<3>(3) * t + ground.down * (0.5 * g * t * t)
+    }
+
+    /// Its z-depth in the camera of that frame.
+    pub fn depth(&self, camera: &Camera, k: usize, ground: &Ground, g: f64) -> f64 {
+        camera.w2c().transform(&self.at(k, ground, g)).z
+    }
 }

@@ -1,9 +1,8 @@
 //! The flights of a part (stretches of frames on one parabola), and how fast things fall: one number for a clip, in the unit of
 //! its cameras per frame squared.
 
-use super::RigidObject;
-use super::parabola::Parabola;
-use crate::classical::dense::rigid_objects::ground::Ground;
+use super::ballistic::{Parabola, RigidObject};
+use super::ground::Ground;
 use m4_core::quantile;
 use rayon::prelude::*;
 
