@@ -15,7 +15,6 @@
 //! forward, and is reported only where the samples determine it. Source: docs/spec/front-end.md 6.1, which asks for this
 //! report; the fit is Gauss-Newton with Huber's weights, and its standard deviations count a pair of frames as one measurement.
 
-mod causes;
 mod reading;
 mod samples;
 
@@ -23,10 +22,9 @@ mod samples;
 mod tests;
 
 use crate::classical::dense::FlowSource;
-use causes::{likeliest, masks_turned};
 use m4_core::{Camera, Capture, Progress, median, quantile};
 pub use reading::fixed;
-use reading::{Reading, depth_errors, errors};
+use reading::{Reading, depth_errors, errors, likeliest, masks_turned};
 pub use samples::ConsistencyError;
 use samples::{Pair, Samples, samples};
 use serde::{Deserialize, Serialize};
