@@ -24,7 +24,7 @@ mod tests;
 use crate::classical::dense::FlowSource;
 use m4_core::{Camera, Capture, Progress, median, quantile};
 pub use reading::fixed;
-use reading::{Reading, depth_errors, errors, likeliest, masks_turned};
+use reading::{Reading, depth_errors, errors, likeliest, masks_inverted};
 pub use samples::ConsistencyError;
 use samples::{Pair, Samples, samples};
 use serde::{Deserialize, Serialize};
@@ -155,7 +155,7 @@ pub fn check(
     let found = samples(capture, flow, progress)?;
     let cameras: Vec<Camera> = capture.frames.iter().map(|f| f.camera).collect();
     let mut report = of_pairs(capture, &cameras, &found.resting);
-    if masks_turned(&cameras, &found) {
+    if masks_inverted(&cameras, &found) {
         let Samples { moving, .. } = &found;
         let turned = of_pairs(capture, &cameras, moving);
         report.verdict = Verdict::Bad;

@@ -206,9 +206,9 @@ const SURE: f64 = 4.0;
 /// A focal length is wrong from this share on.
 const FOCAL: f64 = 0.03;
 
-/// Whether the pixels that the masks say move fit one reading of the cameras far better than those that rest fit any: the masks are turned
-/// round. There must be more of them, as most of a clip is static.
-pub(super) fn masks_turned(cameras: &[Camera], samples: &Samples) -> bool {
+/// Whether the pixels that the masks call dynamic fit one reading of the cameras far better than the static ones fit any: the masks are
+/// inverted. There must be more of them, as most of a clip is static.
+pub(super) fn masks_inverted(cameras: &[Camera], samples: &Samples) -> bool {
     let count = |pairs: &[Pair]| pairs.iter().map(|p| p.samples.len()).sum::<usize>();
     if count(&samples.moving) <= count(&samples.resting) {
         return false;
