@@ -4,8 +4,7 @@
 use m4_core::nalgebra::{Matrix3, Vector3};
 use m4_core::{Mask, Plane, RgbImage, Se3};
 use m4_eval::geometry::{ErrorStatistics, PathAlignment, absolute_error, relative_error};
-use m4_eval::image::covisible::seen_by_flow;
-use m4_eval::image::{Metric, PlanarImage, PsnrKind, SsimKind, psnr_db_of, ssim};
+use m4_eval::image::{Metric, PlanarImage, PsnrKind, SsimKind, psnr_db, ssim};
 use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::fs;
@@ -18,20 +17,12 @@ struct Fixture {
     ssim: BTreeMap<SsimKind, f64>,
     masked: BTreeMap<String, Masked>,
     raw: Vec<f32>,
-    flow: Flow,
 }
 
 #[derive(Deserialize)]
 struct Masked {
     psnr: BTreeMap<PsnrKind, f64>,
     ssim: BTreeMap<SsimKind, Option<f64>>,
-}
-
-#[derive(Deserialize)]
-struct Flow {
-    forward: Vec<f32>,
-    backward: Vec<f32>,
-    seen: Vec<u8>,
 }
 
 fn folder() -> PathBuf {
@@ -84,7 +75,7 @@ fn unclamped_psnr_uses_values_outside_0_to_1() {
     let clamped = PlanarImage::from_planes(w, h, planes).unwrap();
     assert_eq!(fixture.psnr_unclamped.len(), 3);
     for (&kind, &want) in &fixture.psnr_unclamped {
-        let score = |image| psnr_db_of(kind, image, &reference, None).unwrap().unwrap();
+        let score = |image| psnr_db(kind, image, &reference, None).unwrap().unwrap();
         near(&format!("{kind:?}"), score(&raw), want);
         let differs = (score(&clamped) - want).abs() > 1e-3;
         assert_eq!(differs, kind != PsnrKind::EightBit, "{kind:?}");
@@ -100,7 +91,7 @@ fn agrees_with_dycheck_inside_masks() {
     for (name, want) in &fixture.masked {
         let mask = mask(name);
         for (&kind, &want) in &want.psnr {
-            let got = psnr_db_of(kind, &image, &reference, Some(&mask)).unwrap().unwrap();
+            let got = psnr_db(kind, &image, &reference, Some(&mask)).unwrap().unwrap();
             near(&format!("{name}, {kind:?}"), got, want);
             scores += 1;
         }
@@ -114,17 +105,6 @@ fn agrees_with_dycheck_inside_masks() {
         }
     }
     assert!(scores >= 15, "{scores}");
-}
-
-#[test]
-fn covisible_pixels_are_those_of_the_forward_backward_check() {
-    let flow = fixture().flow;
-    let plane = |values: &[f32]| Plane::from_fn(16, 12, |x, y| [0, 1].map(|c| values[2 * (16 * y + x) + c]));
-    let seen = seen_by_flow(&plane(&flow.forward), &plane(&flow.backward)).unwrap();
-    let want: Vec<u8> = flow.seen.iter().map(|&s| 255 * s).collect();
-    assert_eq!(seen.data(), want);
-    let share = want.iter().filter(|&&s| s != 0).count() as f64 / want.len() as f64;
-    assert!((0.2..0.8).contains(&share), "{share}");
 }
 
 #[derive(Deserialize)]

@@ -62,7 +62,7 @@ impl Correspondence for FlowCorrespondence {
         for edge in &mut revision.edges {
             let Some(flow) = self.edges.get(&edge.key.id) else {
                 let known = "the edge was never announced";
-                return Err(CorrespondenceError::Source(known.into()));
+                return Err(CorrespondenceError(known.into()));
             };
             for n in 0..revision.grid.len() {
                 edge.target_px[0][n] = (n % width) as f32 + flow.flow_px[0][n];

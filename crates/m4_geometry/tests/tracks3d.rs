@@ -1,11 +1,10 @@
 //! Points of boxes followed behind a pillar and out of the image, against the truth.
 #![expect(clippy::print_stdout, reason = "figures that the documentation names")]
 
-use m4_core::{Flow, Progress, RgbImage, Silent, nalgebra::Vector3};
+use m4_core::{Flow, Plane, RgbImage, Silent, nalgebra::Vector3};
 use m4_geometry::classical::dense::{FlowError, FlowImage, FlowSource, InverseSearch};
 use m4_geometry::tracks::{FlowTracker, PosedFrame, QueryGrid, TrackConfig, TrackError, TrackedPoints, Tracker3d};
-use m4_testkit::BoxScene;
-use std::fmt;
+use m4_testkit::{BoxScene, StopAtPoll};
 
 /// True flow: images are known by their pixels.
 struct TrueFlow<'a> {
@@ -66,23 +65,6 @@ struct Score {
     hidden: f64,
     /// Share of the frames said to see a point that do not.
     false_seen: f64,
-}
-
-impl fmt::Display for Score {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(
-            f,
-            "{} tracks; off by {:.2} % seen, {:.2} % hidden (medians); right in {:.1} % of all frames, in {:.1} % of the {:.1} % in \
-             which the point is hidden; {:.1} % of those reported as visible are not",
-            self.tracks,
-            self.seen_percent,
-            self.hidden_percent,
-            100.0 * self.survival,
-            100.0 * self.recovered,
-            100.0 * self.hidden,
-            100.0 * self.false_seen
-        )
-    }
 }
 
 fn median(mut values: Vec<f64>) -> f64 {
@@ -147,7 +129,7 @@ fn measured(scene: &BoxScene, fill: bool) -> Result<(TrackedPoints, Score), Trac
     let tracker = FlowTracker { flow: &flow, config: config(fill) };
     let followed = tracker.follow_grid(&clip(scene), &QueryGrid::default(), &Silent)?;
     let score = score(scene, &followed);
-    println!("true flow, hidden points carried on: {fill}: {score}");
+    println!("true flow, hidden points carried on: {fill}: {score:?}");
     Ok((followed, score))
 }
 
@@ -172,7 +154,7 @@ fn our_own_flow_is_nearly_as_good() {
     let tracker = FlowTracker { flow: &search, config: config(true) };
     let followed = tracker.follow_grid(&clip(&scene), &QueryGrid::default(), &Silent).unwrap();
     let score = score(&scene, &followed);
-    println!("own flow: {score}");
+    println!("own flow: {score:?}");
     assert!(score.seen_percent < 0.8 && score.hidden_percent < 2.5);
     assert!(score.recovered > 0.5 && score.survival > 0.65);
 }
@@ -214,16 +196,6 @@ fn queries_lie_in_the_masks() {
     assert!(matches!(zero, Err(TrackError::Setting { name: "spacing_px", .. })));
 }
 
-struct Stop;
-
-impl Progress for Stop {
-    fn update(&self, _: &str, _: usize, _: usize, _: &str) {}
-    fn warn(&self, _: &str) {}
-    fn cancelled(&self) -> bool {
-        true
-    }
-}
-
 #[test]
 fn untrackable_input_is_reported_and_static_scene_is_not_an_error() {
     let scene = BoxScene::new(64, 48, 4);
@@ -231,7 +203,7 @@ fn untrackable_input_is_reported_and_static_scene_is_not_an_error() {
     let tracker = FlowTracker { flow: &flow, config: config(true) };
     let grid = QueryGrid::default();
     let mut clip = clip(&scene);
-    let stopped = tracker.follow_grid(&clip, &grid, &Stop);
+    let stopped = tracker.follow_grid(&clip, &grid, &StopAtPoll::after(0));
     assert!(matches!(stopped, Err(TrackError::Cancelled { .. })));
     for frame in &mut clip {
         frame.moving.data_mut().fill(0);
@@ -239,13 +211,7 @@ fn untrackable_input_is_reported_and_static_scene_is_not_an_error() {
     assert_eq!(tracker.follow_grid(&clip, &grid, &Silent).unwrap().tracks.count(), 0);
     let empty = tracker.follow_grid(&Vec::<PosedFrame>::new(), &grid, &Silent);
     assert_eq!(empty.unwrap().tracks.frames(), 0);
-    clip[2].depth = scene_depth(&scene);
+    clip[2].depth = Plane::filled(32, 24, 1.0);
     let wrong = tracker.follow_grid(&clip, &grid, &Silent);
     assert!(matches!(wrong, Err(TrackError::Frame { frame: 2, .. })));
-}
-
-/// Depth of a scene of another size.
-fn scene_depth(scene: &BoxScene) -> m4_core::DepthMap {
-    let (w, h) = scene.depth(0).size();
-    m4_core::Plane::filled(w / 2, h / 2, 1.0)
 }

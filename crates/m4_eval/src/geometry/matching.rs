@@ -1,6 +1,6 @@
 //! Matches the frames of an estimate to those of the ground truth.
 
-use super::GeometryError;
+use super::report::{GeometryError, no_frames};
 use m4_core::CaptureFrame;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -55,11 +55,11 @@ fn by_name(estimate: &Side<'_>, truth: &Side<'_>) -> Option<Vec<(usize, usize)>>
 ///
 /// # Errors
 ///
-/// [`GeometryError::Empty`], or [`GeometryError::Unmatched`] if some frame of the estimate has no partner.
+/// [`GeometryError`] if a side has no frames, or some frame of the estimate no partner.
 pub(super) fn pair(estimate: &Side<'_>, truth: &Side<'_>) -> Result<(Matching, Vec<(usize, usize)>), GeometryError> {
     for (which, side) in [("estimate", estimate), ("truth", truth)] {
         if side.frames.is_empty() {
-            return Err(GeometryError::Empty { which });
+            return Err(no_frames(which));
         }
     }
     if let Some(pairs) = by_name(estimate, truth) {
@@ -89,14 +89,16 @@ fn by_time(estimate: &Side<'_>, truth: &Side<'_>) -> Result<Vec<(usize, usize)>,
     if worst.0 <= TIME_TOLERANCE_FRAMES && !twice {
         return Ok(pairs);
     }
-    Err(GeometryError::Unmatched {
-        estimate: estimate.frames.len(),
-        truth: truth.frames.len(),
-        estimate_name: estimate.frames[0].name.clone(),
-        truth_name: truth.frames[0].name.clone(),
-        unpaired_name: estimate.frames[worst.1].name.clone(),
-        distance_frames: worst.0,
-    })
+    Err(GeometryError(format!(
+        "the estimate has {} frames and the ground truth {}; names such as {:?} and {:?} do not match, nor do their times (frame \
+         {:?} is {:.2} frames from the nearest one of the ground truth): compare captures of the same frames of the same video",
+        estimate.frames.len(),
+        truth.frames.len(),
+        estimate.frames[0].name,
+        truth.frames[0].name,
+        estimate.frames[worst.1].name,
+        worst.0
+    )))
 }
 
 #[cfg(test)]
@@ -119,28 +121,23 @@ mod tests {
     }
 
     #[test]
-    fn names_win_over_order() {
-        let got = pair(&named(&["b.png", "a.png"]), &named(&["train/a.jpg", "train/b.jpg", "train/c.jpg"])).unwrap();
-        assert_eq!(got, (Matching::Name, vec![(0, 1), (1, 0)]));
-    }
-
-    #[test]
-    fn equal_counts_pair_by_order() {
-        let got = pair(&named(&["1", "2", "3"]), &named(&["0", "1", "2"])).unwrap();
-        assert_eq!(got, (Matching::Order, vec![(0, 0), (1, 1), (2, 2)]));
-    }
-
-    #[test]
-    fn every_second_frame_pairs_by_time() {
-        // Three frames that span the same clip as five.
-        let got = pair(&named(&["x", "y", "z"]), &named(&["0", "1", "2", "3", "4"])).unwrap();
-        assert_eq!(got, (Matching::Time, vec![(0, 0), (1, 2), (2, 4)]));
+    fn frames_pair_by_name_then_order_then_time() {
+        let cases: [(&[&str], &[&str], Matching, &[(usize, usize)]); 3] = [
+            (&["b.png", "a.png"], &["train/a.jpg", "train/b.jpg", "train/c.jpg"], Matching::Name, &[(0, 1), (1, 0)]),
+            (&["1", "2", "3"], &["0", "1", "2"], Matching::Order, &[(0, 0), (1, 1), (2, 2)]),
+            // three frames that span the same clip as five
+            (&["x", "y", "z"], &["0", "1", "2", "3", "4"], Matching::Time, &[(0, 0), (1, 2), (2, 4)]),
+        ];
+        for (estimate, truth, matching, pairs) in cases {
+            assert_eq!(pair(&named(estimate), &named(truth)).unwrap(), (matching, pairs.to_vec()));
+        }
     }
 
     #[test]
     fn other_counts_are_an_error_that_names_both() {
-        let error = pair(&named(&["x", "y", "z", "w"]), &named(&["0", "1", "2", "3", "4"])).unwrap_err();
-        assert!(matches!(error, GeometryError::Unmatched { estimate: 4, truth: 5, .. }), "{error}");
-        assert!(matches!(pair(&named(&[]), &named(&["a"])), Err(GeometryError::Empty { which: "estimate" })));
+        let refused = |a: &[&str], b: &[&str]| pair(&named(a), &named(b)).unwrap_err().to_string();
+        let error = refused(&["x", "y", "z", "w"], &["0", "1", "2", "3", "4"]);
+        assert!(error.starts_with("the estimate has 4 frames and the ground truth 5"), "{error}");
+        assert!(refused(&[], &["a"]).starts_with("the estimate has no frames"));
     }
 }

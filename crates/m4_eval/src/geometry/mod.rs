@@ -9,11 +9,10 @@
 
 mod depth;
 mod matching;
-mod pose_error;
 mod report;
 mod trajectory;
 
 pub use matching::Matching;
-pub use pose_error::{AbsoluteError, ErrorStatistics, PathAlignment, RelativeError, absolute_error, relative_error};
 pub use report::{DepthError, GeometryError, GeometryReport, MaskScore, evaluate};
-pub use trajectory::{RotationError, TrajectoryError, align_cameras};
+pub use trajectory::{AbsoluteError, ErrorStatistics, PathAlignment, RelativeError, absolute_error, relative_error};
+pub use trajectory::{RotationError, TrajectoryError};

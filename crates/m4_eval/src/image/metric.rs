@@ -1,7 +1,7 @@
-//! Metrics of images: their names, and PSNR.
+//! The pixels that metrics read; the names of the metrics, and PSNR.
 
-use super::{ImageError, PlanarImage, SsimKind, same_size, ssim};
-use m4_core::Mask;
+use super::{SsimKind, ssim};
+use m4_core::{Mask, Plane, RgbImage};
 use serde::{Deserialize, Serialize};
 use std::fmt;
 
@@ -32,7 +32,7 @@ impl Metric {
     ///
     /// # Errors
     ///
-    /// [`ImageError::Size`] if the sizes differ, [`ImageError::TooSmall`] if no window of SSIM fits.
+    /// [`ImageError`] if the sizes differ or no window of SSIM fits.
     pub fn score(
         self,
         image: &PlanarImage,
@@ -40,7 +40,7 @@ impl Metric {
         mask: Option<&Mask>,
     ) -> Result<Option<f64>, ImageError> {
         match self {
-            Self::Psnr(kind) => psnr_db_of(kind, image, reference, mask),
+            Self::Psnr(kind) => psnr_db(kind, image, reference, mask),
             Self::Ssim(kind) => ssim(kind, image, reference, mask),
         }
     }
@@ -104,31 +104,19 @@ impl PsnrKind {
     }
 }
 
-/// Peak signal-to-noise ratio in dB, [joint over the channels](PsnrKind::Joint), at most [`MAX_PSNR_DB`]; over the pixels
-/// where `mask` is not 0, or all of them. `None` if there is no such pixel.
+/// Peak signal-to-noise ratio in dB, at most [`MAX_PSNR_DB`]; over the pixels where `mask` is not 0, or all of them. `None` if
+/// there is no such pixel.
 ///
 /// # Errors
 ///
-/// [`ImageError::Size`] if the sizes differ.
-pub fn psnr_db(image: &PlanarImage, reference: &PlanarImage, mask: Option<&Mask>) -> Result<Option<f64>, ImageError> {
-    psnr_db_of(PsnrKind::Joint, image, reference, mask)
-}
-
-/// The same of another kind.
-///
-/// # Errors
-///
-/// [`ImageError::Size`] if the sizes differ.
-pub fn psnr_db_of(
+/// [`ImageError`] if the sizes differ.
+pub fn psnr_db(
     kind: PsnrKind,
     image: &PlanarImage,
     reference: &PlanarImage,
     mask: Option<&Mask>,
 ) -> Result<Option<f64>, ImageError> {
-    same_size("the image", reference.size(), image.size())?;
-    if let Some(mask) = mask {
-        same_size("the mask", reference.size(), mask.size())?;
-    }
+    check_sizes(image, reference, mask)?;
     let squared: fn(f32, f32) -> f64 = match kind {
         PsnrKind::Joint | PsnrKind::PerChannel => |a, b| f64::from(a - b).powi(2),
         PsnrKind::EightBit => |a, b| ((eight_bit(a) - eight_bit(b)) / 255.0).powi(2),
@@ -138,8 +126,7 @@ pub fn psnr_db_of(
     let mut pixels = 0usize;
     for (c, (a, b)) in image.planes().iter().zip(reference.planes()).enumerate() {
         pixels = 0;
-        for (i, (&a, &b)) in a.iter().zip(b).enumerate().filter(|&(i, _)| inside(i)) {
-            debug_assert!(i < reference.width() * reference.height());
+        for (_, (&a, &b)) in a.iter().zip(b).enumerate().filter(|&(i, _)| inside(i)) {
             sums[c] += squared(a, b);
             pixels += 1;
         }
@@ -159,11 +146,114 @@ fn eight_bit(v: f32) -> f64 {
     f64::from((v.clamp(0.0, 1.0) * 255.0).round_ties_even())
 }
 
+/// Why two images could not be compared: other sizes, too few pixels, or values that are no numbers; the text says which.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[error("{0}")]
+pub struct ImageError(pub(super) String);
+
+pub(super) fn same_size(what: &'static str, expected: (usize, usize), found: (usize, usize)) -> Result<(), ImageError> {
+    if expected == found {
+        return Ok(());
+    }
+    Err(ImageError(format!(
+        "{what} is {}x{} but the reference is {}x{}; render or resize to the size of the reference first",
+        found.0, found.1, expected.0, expected.1
+    )))
+}
+
+/// That an image and its mask, if there is one, are as large as the reference.
+pub(super) fn check_sizes(image: &PlanarImage, reference: &PlanarImage, mask: Option<&Mask>) -> Result<(), ImageError> {
+    same_size("the image", reference.size(), image.size())?;
+    mask.map_or(Ok(()), |mask| same_size("the mask", reference.size(), mask.size()))
+}
+
+/// A colour image in three planes, `[height][width]` each, sRGB values in `[0, 1]`, or beyond where a protocol does not clamp.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PlanarImage {
+    width: usize,
+    height: usize,
+    planes: [Vec<f32>; 3],
+}
+
+impl PlanarImage {
+    /// Takes planar colours, `[3][height][width]`, and clamps them to `[0, 1]`.
+    ///
+    /// # Errors
+    ///
+    /// [`ImageError`] if a plane does not hold `width * height` values, or a value is NaN or infinite.
+    pub fn from_planes(width: usize, height: usize, planes: [&[f32]; 3]) -> Result<Self, ImageError> {
+        let mut image = Self::from_planes_unclamped(width, height, planes)?;
+        for value in image.planes.iter_mut().flatten() {
+            *value = value.clamp(0.0, 1.0);
+        }
+        Ok(image)
+    }
+
+    /// The same without clamping, for protocols that score unclamped renders.
+    ///
+    /// # Errors
+    ///
+    /// As [`Self::from_planes`].
+    pub fn from_planes_unclamped(width: usize, height: usize, planes: [&[f32]; 3]) -> Result<Self, ImageError> {
+        for (channel, plane) in planes.iter().enumerate() {
+            let (expected, found) = (width * height, plane.len());
+            if found != expected {
+                return Err(ImageError(format!(
+                    "an image of {width}x{height} needs planes of {expected} values; channel {channel} has {found}"
+                )));
+            }
+            if let Some(i) = plane.iter().position(|v| !v.is_finite()) {
+                return Err(ImageError(format!(
+                    "pixel ({}, {}) of channel {channel} is {}; only finite colours can be scored",
+                    i % width,
+                    i / width,
+                    plane[i]
+                )));
+            }
+        }
+        let planes = planes.map(<[f32]>::to_vec);
+        Ok(Self { width, height, planes })
+    }
+
+    /// `(width, height)`.
+    #[must_use]
+    pub fn size(&self) -> (usize, usize) {
+        (self.width, self.height)
+    }
+
+    /// The three colour planes, `[height][width]` each, in `[0, 1]` unless made without clamping.
+    #[must_use]
+    pub fn planes(&self) -> &[Vec<f32>; 3] {
+        &self.planes
+    }
+}
+
+impl From<&RgbImage> for PlanarImage {
+    fn from(image: &RgbImage) -> Self {
+        let plane = |c: usize| image.data().iter().map(|rgb| f32::from(rgb[c]) / 255.0).collect();
+        Self { width: image.width(), height: image.height(), planes: [plane(0), plane(1), plane(2)] }
+    }
+}
+
+/// An image of one value, for tests.
+#[cfg(test)]
+pub(super) fn flat(width: usize, height: usize, value: f32) -> PlanarImage {
+    let plane = vec![value; width * height];
+    PlanarImage::from_planes(width, height, [&plane, &plane, &plane]).unwrap()
+}
+
+/// The mask grown by `radius_px` in every direction (a square of side `2 radius + 1`).
+#[must_use]
+pub fn dilated(mask: &Mask, radius_px: usize) -> Mask {
+    let (width, height) = mask.size();
+    let grown = m4_core::dilated(mask.data(), width, height, radius_px);
+    Plane::from_fn(width, height, |x, y| grown[y * width + x])
+}
+
 #[cfg(test)]
 mod tests {
-    use super::{MAX_PSNR_DB, Metric, PlanarImage, PsnrKind, psnr_db, psnr_db_of};
-    use crate::image::planar::flat;
-    use crate::image::{ImageError, ssim_map};
+    use super::{MAX_PSNR_DB, Metric, PlanarImage, PsnrKind, dilated, flat, psnr_db};
+    use crate::image::{SsimKind, ssim_map};
     use m4_core::Plane;
     use std::collections::BTreeSet;
 
@@ -181,36 +271,17 @@ mod tests {
     }
 
     #[test]
-    fn psnr_of_a_constant_offset_is_its_logarithm() {
-        let (a, b) = (flat(16, 12, 0.5), flat(16, 12, 0.6));
-        let got = psnr_db(&a, &b, None).unwrap().unwrap();
-        assert!((got - 20.0).abs() < 1e-5, "{got}");
-        assert_eq!(psnr_db(&a, &a, None).unwrap(), Some(MAX_PSNR_DB));
-    }
-
-    #[test]
-    fn psnr_is_joint_over_channels_and_clamps() {
-        // One channel off by 0.3, another above the range: mean squared error 0.09 / 3.
-        let (zero, one, over) = (vec![0.0; 4], vec![1.0; 4], vec![7.0; 4]);
-        let third = vec![0.3; 4];
-        let a = PlanarImage::from_planes(2, 2, [&third, &over, &zero]).unwrap();
-        let b = PlanarImage::from_planes(2, 2, [&zero, &one, &zero]).unwrap();
-        let got = psnr_db(&a, &b, None).unwrap().unwrap();
-        assert!((got + 10.0 * 0.03f64.log10()).abs() < 1e-5, "{got}");
-    }
-
-    #[test]
     fn a_mask_selects_pixels() {
         let reference = flat(20, 20, 0.5);
         let plane: Vec<f32> = (0..400).map(|i| if i % 20 < 10 { 0.6 } else { 0.5 }).collect();
         let image = PlanarImage::from_planes(20, 20, [&plane, &plane, &plane]).unwrap();
         let left = Plane::from_fn(20, 20, |x, _| if x < 10 { 255 } else { 0 });
         let right = left.map(|&m| 255 - m);
-        let db = |mask| psnr_db(&image, &reference, Some(mask)).unwrap();
+        let db = |mask| psnr_db(PsnrKind::Joint, &image, &reference, Some(mask)).unwrap();
         assert!((db(&left).unwrap() - 20.0).abs() < 1e-5);
         assert_eq!(db(&right), Some(MAX_PSNR_DB));
         assert_eq!(db(&Plane::filled(20, 20, 0)), None);
-        let map = ssim_map(&image, &reference).unwrap();
+        let map = ssim_map(SsimKind::GaussianValid, &image, &reference, None).unwrap();
         // Windows that reach at most to column 15 + 5 from the step see only equal pixels.
         let far = Plane::from_fn(20, 20, |x, _| if x >= 15 { 255 } else { 0 });
         assert!(map.mean_inside(&far).is_none());
@@ -220,26 +291,20 @@ mod tests {
     }
 
     #[test]
-    fn kinds_differ_where_channels_do_and_where_nothing_is_clamped() {
-        let (zero, tenth, over) = (vec![0.0; 4], vec![0.1; 4], vec![1.01; 4]);
-        let a = PlanarImage::from_planes_unclamped(2, 2, [&tenth, &over, &tenth]).unwrap();
-        let b = PlanarImage::from_planes(2, 2, [&zero, &over, &zero]).unwrap();
-        let db = |kind| psnr_db_of(kind, &a, &b, None).unwrap().unwrap();
-        // squared errors 0.01, 0.0001 and 0.01
-        assert!((db(PsnrKind::Joint) + 10.0 * (0.0201f64 / 3.0).log10()).abs() < 1e-4);
-        assert!((db(PsnrKind::PerChannel) - 80.0 / 3.0).abs() < 1e-4, "{}", db(PsnrKind::PerChannel));
-        // 25.5 is 26 of 255, 1.01 is white
-        let want = -10.0 * (2.0 * (26.0f64 / 255.0).powi(2) / 3.0).log10();
-        assert!((db(PsnrKind::EightBit) - want).abs() < 1e-9);
-        let name = serde_json::to_string(&PsnrKind::EightBit).unwrap();
-        assert_eq!(name, "\"eight_bit\"");
+    fn equal_images_score_the_most_and_other_sizes_are_refused() {
+        let (a, b) = (flat(16, 16, 0.5), flat(12, 16, 0.5));
+        assert_eq!(psnr_db(PsnrKind::Joint, &a, &a, None).unwrap(), Some(MAX_PSNR_DB));
+        assert!(psnr_db(PsnrKind::Joint, &a, &b, None).unwrap_err().to_string().starts_with("the image is 16x16"));
+        let error = psnr_db(PsnrKind::Joint, &a, &a, Some(&Plane::filled(3, 3, 255))).unwrap_err();
+        assert!(error.to_string().starts_with("the mask is 3x3"), "{error}");
     }
 
     #[test]
-    fn other_sizes_are_refused() {
-        let (a, b) = (flat(16, 16, 0.5), flat(12, 16, 0.5));
-        assert!(matches!(psnr_db(&a, &b, None), Err(ImageError::Size { .. })));
-        let mask = Plane::filled(3, 3, 255);
-        assert!(matches!(psnr_db(&a, &a, Some(&mask)), Err(ImageError::Size { .. })));
+    fn dilation_grows_a_square() {
+        let dot = Plane::from_fn(9, 9, |x, y| if (x, y) == (4, 1) { 255 } else { 0 });
+        let grown = dilated(&dot, 2);
+        let count = grown.data().iter().filter(|&&m| m == 255).count();
+        assert_eq!(count, 5 * 4);
+        assert_eq!(dilated(&dot, 0), dot);
     }
 }

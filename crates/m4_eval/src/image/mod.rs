@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! image, photograph, mask --Metric--> a number;  many --ImageReport--> rows, means, the protocol's name
-//! flow or depth of the training frames --covisible--> the mask of pixels that they saw
+//! depth of the training frames --covisible--> the mask of pixels that they saw
 //! ```
 //!
 //! Colours are sRGB values in `[0, 1]`; both sides are clamped to it first unless a protocol says otherwise
@@ -13,13 +13,11 @@
 
 pub mod covisible;
 mod metric;
-mod planar;
 mod report;
 mod ssim;
 
-pub use metric::{MAX_PSNR_DB, Metric, PsnrKind, psnr_db, psnr_db_of};
-pub use planar::{ImageError, PlanarImage, dilated};
+pub use metric::{ImageError, MAX_PSNR_DB, Metric, PlanarImage, PsnrKind, dilated, psnr_db};
 pub use report::{FrameScore, ImageProtocol, ImageReport, MaskedScore, MeanScore};
-pub use ssim::{SSIM_SIGMA_PX, SSIM_WINDOW_PX, SsimKind, SsimMap, ssim, ssim_map, ssim_map_of};
+pub use ssim::{SSIM_SIGMA_PX, SSIM_WINDOW_PX, SsimKind, SsimMap, ssim, ssim_map};
 
-use planar::same_size;
+use metric::{check_sizes, same_size};

@@ -15,7 +15,6 @@
 //! forward, and is reported only where the samples determine it. Source: docs/spec/front-end.md 6.1, which asks for this
 //! report; the fit is Gauss-Newton with Huber's weights, and its standard deviations count a pair of frames as one measurement.
 
-mod causes;
 mod reading;
 mod samples;
 
@@ -23,10 +22,9 @@ mod samples;
 mod tests;
 
 use crate::classical::dense::FlowSource;
-use causes::{likeliest, masks_turned};
 use m4_core::{Camera, Capture, Progress, median, quantile};
 pub use reading::fixed;
-use reading::{Reading, depth_errors, errors};
+use reading::{Reading, depth_errors, errors, likeliest, masks_inverted};
 pub use samples::ConsistencyError;
 use samples::{Pair, Samples, samples};
 use serde::{Deserialize, Serialize};
@@ -157,7 +155,7 @@ pub fn check(
     let found = samples(capture, flow, progress)?;
     let cameras: Vec<Camera> = capture.frames.iter().map(|f| f.camera).collect();
     let mut report = of_pairs(capture, &cameras, &found.resting);
-    if masks_turned(&cameras, &found) {
+    if masks_inverted(&cameras, &found) {
         let Samples { moving, .. } = &found;
         let turned = of_pairs(capture, &cameras, moving);
         report.verdict = Verdict::Bad;

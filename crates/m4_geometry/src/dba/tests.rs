@@ -3,7 +3,7 @@
 use super::adjust::adjust_on;
 use super::*;
 use fearless_simd::Level;
-use m4_core::{CounterRng, Se3, nalgebra::Vector6};
+use m4_core::{CounterRng, Se3, SimdLevel, nalgebra::Vector6};
 
 /// Seven frames of 21 x 17 pixels: two and a half blocks, so that the last one is padded.
 fn geometry() -> Geometry<f64> {
@@ -97,23 +97,6 @@ fn fast(level: Level, window: std::ops::Range<usize>, options: &DbaOptions) -> G
     got
 }
 
-fn levels() -> Vec<(&'static str, Level)> {
-    let best = Level::new();
-    #[cfg(target_arch = "x86_64")]
-    {
-        let sse2 = best.as_sse2().map(|t| ("sse2", t.level()));
-        let avx2 = best.as_avx2().map(|t| ("avx2", t.level()));
-        let avx512 = best.as_avx512().map(|t| ("avx512", t.level()));
-        [sse2, avx2, avx512].into_iter().flatten().collect()
-    }
-    #[cfg(not(target_arch = "x86_64"))]
-    {
-        vec![("portable", best)]
-    }
-}
-
-use fearless_simd::Simd as _;
-
 #[test]
 fn the_fast_path_agrees_with_the_reference_on_every_level() {
     let start = geometry();
@@ -127,12 +110,12 @@ fn the_fast_path_agrees_with_the_reference_on_every_level() {
             let failed = adjust_reference(&mut want, &problem, window.clone(), &options).expect("a sound problem");
             assert_eq!(failed, 0);
             m4_testkit::on_every_level(
-                &levels(),
-                |l| l.0,
+                &SimdLevel::available(),
+                SimdLevel::name,
                 &["sse2", "avx2", "avx512"],
-                |(name, level)| {
-                    let got = fast(level, window.clone(), &options);
-                    let what = format!("case {case}, window {window:?}, {name}");
+                |level| {
+                    let got = fast(level.level(), window.clone(), &options);
+                    let what = format!("case {case}, window {window:?}, {}", level.name());
                     for k in 0..7 {
                         let moved = (want.poses[k].matrix() - start.poses[k].matrix()).amax();
                         let off = (got.poses[k].matrix() - want.poses[k].matrix()).amax();
@@ -226,4 +209,18 @@ fn mismatched_input_is_rejected() {
     assert!(refused(&mut start, &problem, 1..8).contains("window 1..8"));
     start.disparity[2].pop();
     assert!(refused(&mut start, &problem, 1..7).contains("disparity of frame 2 has"));
+}
+
+#[test]
+fn the_lower_of_two_middle_values_counts() {
+    assert_eq!(lower_median(&mut [4.0_f64, 1.0, 3.0, 2.0]), 2.0);
+    assert_eq!(lower_median::<f64>(&mut []), 0.0);
+}
+
+#[test]
+fn a_turning_camera_keeps_its_prior_and_its_focal_length() {
+    let turning = Observability { depth: 0.0, focal: 49.0 };
+    assert_eq!((turning.focal_is_seen(), turning.prior_alpha(1e-5)), (false, Some(1e-5)));
+    let walking = Observability { depth: 25.0, focal: 50.0 };
+    assert_eq!((walking.focal_is_seen(), walking.prior_alpha(1e-5)), (true, None));
 }

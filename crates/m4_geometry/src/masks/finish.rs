@@ -1,14 +1,14 @@
 //! Tracked objects to masks and a report: masks are bound to the neighbourhood of moving pixels and painted into one map of numbers per
 //! frame.
 
+use super::InstanceError;
+use super::coarse::{Around, PERSISTENT_IN, proposals};
 use super::coarse::{Coarse, CoarseMasks, dilated};
 use super::ledger::{Outline, TrackedObject};
 use super::polarity::PolarityEvidence;
-use super::propose::{Around, PERSISTENT_IN, proposals};
 use super::refine::{MERGE_OVERLAP, Refined, RefinedFrame, Refusal};
-use super::report::{InstanceReport, Rejection};
-use super::settings::InstanceError;
 use super::source::ObjectId;
+use super::{InstanceReport, Rejection};
 use crate::classical::dense::Components;
 use m4_core::{CompactIds, CompactMask, Plane, Progress};
 use rayon::prelude::*;

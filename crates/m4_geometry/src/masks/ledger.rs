@@ -1,7 +1,7 @@
 //! Objects, where they were seen, and masks that take the room of their box.
 
-use super::report::{Ending, InstanceRecord};
 use super::source::{ObjectId, ObjectMask, Visibility};
+use super::{Ending, InstanceRecord};
 use m4_core::CompactMask;
 use std::collections::BTreeMap;
 

@@ -1,10 +1,9 @@
-//! Are the maps of motion the right way round?
+//! Whether maps of motion are high where something moves.
 //!
 //! MegaSaM's own file is high where things rest, others are high where they move, and nothing in a file says which. Three things
 //! tell: little of most clips is dynamic; dynamic regions are seldom along the border of the image; and inside them flow differs from
 //! what the camera alone makes.
 
-use super::coarse::Coarse;
 use super::source::{FrameSource, VideoError, scaled};
 use crate::classical::dense::{FlowPair, FlowSource, working_size};
 use m4_core::{Flow, Plane, quantile};
@@ -171,23 +170,4 @@ fn off_camera(flow: &Flow, round_trip_px: &[f32]) -> Vec<f32> {
         if round_trip_px[i] < 1.0 { left(&fit, i) as f32 } else { f32::NAN }
     };
     (0..flow.u.len()).map(of).collect()
-}
-
-impl Coarse<'_> {
-    /// What speaks for and against the reading of the maps; `None` for masks.
-    ///
-    /// # Errors
-    ///
-    /// [`VideoError`] if images or flow cannot be had.
-    pub fn polarity(
-        &self,
-        clip: &dyn FrameSource,
-        flow: Option<&dyn FlowSource>,
-        tau: f32,
-    ) -> Result<Option<PolarityEvidence>, VideoError> {
-        match self {
-            Self::Motion(maps) => PolarityEvidence::of(maps, clip, flow, tau).map(Some),
-            Self::Masks(_) => Ok(None),
-        }
-    }
 }

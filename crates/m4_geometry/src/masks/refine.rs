@@ -1,13 +1,13 @@
 //! From coarse masks to things over time.
 
+use super::coarse::{Around, PERSISTENT_IN, Proposal, prompt, proposals};
 use super::coarse::{Coarse, CoarseMasks};
 use super::finish::finish;
 use super::ledger::{Outline, TrackedObject};
 use super::polarity::{Polarity, PolarityEvidence};
-use super::propose::{Around, PERSISTENT_IN, Proposal, prompt, proposals};
-use super::report::{InstanceReport, Rejected, Rejection};
-use super::settings::{InstanceError, RefineSettings};
 use super::source::{FrameSource, ObjectId, ObjectMask, VideoError, VideoSegmenter, VideoSession};
+use super::{InstanceError, RefineSettings};
+use super::{InstanceReport, Rejected, Rejection};
 use crate::classical::dense::{self, FlowSource, working_size};
 use m4_core::{CompactIds, CompactMask, Progress};
 use std::collections::BTreeMap;
@@ -101,17 +101,16 @@ fn polarity(
     settings: &RefineSettings,
     progress: &dyn Progress,
 ) -> Result<Option<PolarityEvidence>, InstanceError> {
-    let evidence = input.coarse.polarity(input.clip, input.flow, settings.tau)?;
-    if let Some(evidence) = evidence {
-        match evidence.verdict() {
-            Polarity::Moving => {}
-            Polarity::Doubtful => progress.warn(&format!(
-                "the motion maps may be inverted ({evidence}): if high values mean static, replace each value by 255 minus it"
-            )),
-            Polarity::Still => return Err(InstanceError::Polarity { evidence }),
-        }
+    let Coarse::Motion(maps) = input.coarse else { return Ok(None) };
+    let evidence = PolarityEvidence::of(maps, input.clip, input.flow, settings.tau)?;
+    match evidence.verdict() {
+        Polarity::Moving => {}
+        Polarity::Doubtful => progress.warn(&format!(
+            "the motion maps may be inverted ({evidence}): if high values mean static, replace each value by 255 minus it"
+        )),
+        Polarity::Still => return Err(InstanceError::Polarity { evidence }),
     }
-    Ok(evidence)
+    Ok(Some(evidence))
 }
 
 /// A coarse part that did not become a thing, by the thing it would have been.
@@ -139,6 +138,12 @@ impl Refusal {
             reason,
         }
     }
+}
+
+fn other_objects(segmenter: &str, found: usize, expected: usize) -> VideoError {
+    VideoError::Input(format!(
+        "{segmenter} returned masks of {found} objects where {expected} were requested, or of others"
+    ))
 }
 
 struct Search<'a> {
@@ -205,17 +210,12 @@ impl Search<'_> {
         let mut sink = |frame: usize, found: Vec<ObjectMask>| {
             let fits = found.iter().map(|f| f.object).eq(objects.iter().copied());
             if !fits {
-                wrong = Some(VideoError::Objects {
-                    segmenter: name.to_owned(),
-                    found: found.len(),
-                    expected: objects.len(),
-                });
+                wrong = Some(other_objects(name, found.len(), objects.len()));
                 return ControlFlow::Break(());
             }
             for found in &found {
-                if found.mask.size() != size {
-                    wrong =
-                        Some(VideoError::MaskSize { object: found.object, found: found.mask.size(), expected: size });
+                if let Err(error) = VideoError::check_mask(found.object, &found.mask, size) {
+                    wrong = Some(error);
                     return ControlFlow::Break(());
                 }
                 if let Some(thing) = things.get_mut(&found.object) {
@@ -259,12 +259,7 @@ impl Search<'_> {
             asked.iter().map(|(object, part)| prompt(*object, &part.outline, &around.here, (w, h))).collect();
         let found = self.session.prompt(frame, &prompts)?;
         if !found.iter().map(|f| f.object).eq(prompts.iter().map(|p| p.object)) {
-            return Err(VideoError::Objects {
-                segmenter: self.segmenter.to_owned(),
-                found: found.len(),
-                expected: prompts.len(),
-            }
-            .into());
+            return Err(other_objects(self.segmenter, found.len(), prompts.len()).into());
         }
         for ((object, part), found) in asked.into_iter().zip(&found) {
             self.judge(frame, object, &part, found)?;
@@ -281,9 +276,7 @@ impl Search<'_> {
         found: &ObjectMask,
     ) -> Result<(), InstanceError> {
         let (w, h) = self.rough.size;
-        if found.mask.size() != (w, h) {
-            return Err(VideoError::MaskSize { object, found: found.mask.size(), expected: (w, h) }.into());
-        }
+        VideoError::check_mask(object, &found.mask, (w, h))?;
         let outline = match Outline::of(&found.mask) {
             Some(outline) => outline,
             None => return self.drop(frame, object, part, Rejection::Nothing, None),

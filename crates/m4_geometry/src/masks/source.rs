@@ -11,7 +11,7 @@ use std::ops::ControlFlow;
 #[serde(transparent)]
 pub struct ObjectId(pub u32);
 
-/// What is known of a thing in one frame. A segmenter takes of it what it can use; at least one of points, box and belief is there.
+/// What is known of a thing in one frame. A segmenter takes of it what it can use.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ObjectPrompt {
     /// The thing.
@@ -21,9 +21,9 @@ pub struct ObjectPrompt {
     /// Columns and rows of places that are not on the thing.
     pub off_px: Vec<[f32; 2]>,
     /// Column and row of the centre of the first pixel of the thing's box, then of the last.
-    pub box_px: Option<[f32; 4]>,
+    pub box_px: [f32; 4],
     /// `[height][width]`, logits of a coarse mask: above 0 where the thing is believed to be.
-    pub belief: Option<Vec<f32>>,
+    pub belief: Vec<f32>,
 }
 
 /// Visibility of an object in a frame.
@@ -80,16 +80,6 @@ pub enum VideoError {
         /// What went wrong.
         reason: ImageError,
     },
-    /// An image has another size than the clip.
-    #[error("frame {frame} is {}x{} where {}x{} was expected; all frames must have one size", found.0, found.1, expected.0, expected.1)]
-    ImageSize {
-        /// The frame.
-        frame: usize,
-        /// Its width and height.
-        found: (usize, usize),
-        /// Those of the clip.
-        expected: (usize, usize),
-    },
     /// The source of flow failed.
     #[error("no flow between frames {} and {}", between.0, between.1)]
     Flow {
@@ -106,58 +96,69 @@ pub enum VideoError {
         /// What went wrong.
         source: SegmentError,
     },
-    /// A thing is to be followed from a frame at which it is not known.
-    #[error("object {} is not known in frame {frame}; prompt it there, or track it to that frame first", object.0)]
-    Unknown {
-        /// The thing.
-        object: ObjectId,
-        /// The frame.
-        frame: usize,
-    },
-    /// A frame that the clip does not have.
-    #[error("frame {frame} was asked for in a clip of {frames} frames")]
-    Frame {
-        /// The frame.
-        frame: usize,
-        /// Frames of the clip.
-        frames: usize,
-    },
-    /// A belief of another size than the session.
-    #[error("the logits of object {} have {found} values where {} x {} were expected", object.0, expected.0, expected.1)]
-    Size {
-        /// The thing.
-        object: ObjectId,
-        /// Values of the mask.
-        found: usize,
-        /// Width and height of the session.
-        expected: (usize, usize),
-    },
-    /// A mask of another size than the session.
-    #[error("the mask of object {} is {}x{} where {}x{} was expected", object.0, found.0, found.1, expected.0, expected.1)]
-    MaskSize {
-        /// The thing.
-        object: ObjectId,
-        /// Width and height of the mask.
-        found: (usize, usize),
-        /// Width and height of the session.
-        expected: (usize, usize),
-    },
-    /// Masks of other things than were asked for.
-    #[error("{segmenter} returned masks of {found} objects where {expected} were requested, or of others")]
-    Objects {
-        /// The segmenter.
-        segmenter: String,
-        /// How many masks there are.
-        found: usize,
-        /// How many were expected.
-        expected: usize,
-    },
+    /// Frames, things or masks that do not belong to the clip; the text says which.
+    #[error("{0}")]
+    Input(String),
     /// The caller asked to stop.
     #[error("stopped on request while tracking objects, at frame {frame}")]
     Cancelled {
         /// The frame that was next.
         frame: usize,
     },
+}
+
+impl VideoError {
+    /// A thing is to be followed from a frame at which it is not known.
+    #[must_use]
+    pub fn unknown(object: ObjectId, frame: usize) -> Self {
+        let object = object.0;
+        Self::Input(format!(
+            "object {object} is not known in frame {frame}; prompt it there, or track it to that frame first"
+        ))
+    }
+
+    /// Refuses a frame that a clip of `frames` frames does not have.
+    ///
+    /// # Errors
+    ///
+    /// [`VideoError::Input`].
+    pub fn check_frame(frame: usize, frames: usize) -> Result<(), Self> {
+        if frame < frames {
+            return Ok(());
+        }
+        Err(Self::Input(format!("frame {frame} was asked for in a clip of {frames} frames")))
+    }
+
+    /// Refuses a prompt whose belief has another size than the session.
+    ///
+    /// # Errors
+    ///
+    /// [`VideoError::Input`].
+    pub fn check_prompt(prompt: &ObjectPrompt, (width, height): (usize, usize)) -> Result<(), Self> {
+        let (object, found) = (prompt.object.0, prompt.belief.len());
+        if found == width * height {
+            return Ok(());
+        }
+        Err(Self::Input(format!(
+            "the logits of object {object} have {found} values where {width} x {height} were expected"
+        )))
+    }
+
+    /// Refuses a mask of another size than the session.
+    ///
+    /// # Errors
+    ///
+    /// [`VideoError::Input`].
+    pub fn check_mask(object: ObjectId, mask: &CompactMask, size: (usize, usize)) -> Result<(), Self> {
+        let (object, found) = (object.0, mask.size());
+        if found == size {
+            return Ok(());
+        }
+        Err(Self::Input(format!(
+            "the mask of object {object} is {}x{} where {}x{} was expected",
+            found.0, found.1, size.0, size.1
+        )))
+    }
 }
 
 /// Finds things in a clip once they were pointed at.
@@ -270,13 +271,14 @@ impl FrameSource for ImageList<'_> {
 
 /// Reads a frame and checks its size.
 pub(super) fn read(clip: &dyn FrameSource, frame: usize) -> Result<Cow<'_, RgbImage>, VideoError> {
-    let frames = clip.frames();
-    if frame >= frames {
-        return Err(VideoError::Frame { frame, frames });
-    }
+    VideoError::check_frame(frame, clip.frames())?;
     let image = clip.image(frame).map_err(|reason| VideoError::Image { frame, reason })?;
-    if image.size() != clip.size() {
-        return Err(VideoError::ImageSize { frame, found: image.size(), expected: clip.size() });
+    let (found, expected) = (image.size(), clip.size());
+    if found != expected {
+        return Err(VideoError::Input(format!(
+            "frame {frame} is {}x{} where {}x{} was expected; all frames must have one size",
+            found.0, found.1, expected.0, expected.1
+        )));
     }
     Ok(image)
 }

@@ -1,7 +1,6 @@
 //! Dense bundle adjustment, graph and tracker against `fixtures/geometry`, numbers of the published code.
 
 mod dba;
-mod graph;
 mod tracker;
 
 use crate::dba::{Grid, Pinhole};

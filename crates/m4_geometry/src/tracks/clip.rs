@@ -86,12 +86,6 @@ impl<'a> CaptureClip<'a> {
         let (w, h) = capture.frames.first().map_or((0, 0), |f| f.rgb.size());
         Self { capture, size: crate::classical::dense::working_size(w, h, side_px.max(2)) }
     }
-
-    /// Width and height of its frames.
-    #[must_use]
-    pub fn size(&self) -> (usize, usize) {
-        self.size
-    }
 }
 
 impl PosedClip for CaptureClip<'_> {

@@ -5,9 +5,9 @@
 //! camera sees something that moves where the point should be, at its depth, and its surface has not turned away, a chain
 //! starts there: if that goes where the neighbours go, it is the point again.
 
-use super::grid::nearest;
-use super::lift::{Chain, Lifted, around, is_inside, lift, one_way};
+use super::flow_tracker::{Chain, Lifted, around, is_inside, lift, one_way};
 use super::predict::{Guess, Lost, Step, lose};
+use super::tracker::nearest;
 use super::{Strip, TrackConfig, TrackError};
 use m4_core::nalgebra::Vector3;
 use m4_core::{DepthMap, Progress};
@@ -271,8 +271,8 @@ impl Board {
 
 #[cfg(test)]
 mod tests {
+    use super::Lifted;
     use super::{Board, State};
-    use crate::tracks::Lifted;
 
     #[test]
     fn blind_guesses_stay_where_the_track_comes_back() {

@@ -19,19 +19,15 @@
 mod clip;
 mod fill;
 mod flow_tracker;
-mod grid;
-mod lift;
 mod predict;
 mod rigid;
 mod tracker;
 
 pub use clip::{CaptureClip, PosedClip, PosedFrame};
 pub use flow_tracker::{FlowTracker, TrackConfig};
-pub use grid::QueryGrid;
-pub use tracker::{Query, TrackError, TrackedPoints, Tracker3d};
+pub use tracker::{Query, QueryGrid, TrackError, TrackedPoints, Tracker3d};
 
 pub(crate) use clip::{Sparse, Strip, sparse_flow};
 pub(crate) use fill::{Board, Scene, fill};
 pub(crate) use flow_tracker::{board_of, followed, on_grid};
-pub(crate) use grid::seed;
-pub(crate) use lift::{Lifted, lift};
+pub(crate) use tracker::seed;

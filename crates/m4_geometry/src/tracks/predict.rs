@@ -17,7 +17,7 @@ const BLIND_FRAMES: usize = 12;
 /// Neighbours that are remembered when a point is lost: the nearest, and those of a thinner set that reaches farther.
 const NEAREST: usize = 24;
 const FARTHER: usize = 40;
-/// The thinner set has one of so many.
+/// The thinner set has one of this many.
 const THINNER: usize = 8;
 /// Fewest neighbours whose motion is trusted before others are asked.
 const ENOUGH: usize = 3;

@@ -56,8 +56,7 @@ fn failed(segmenter: &str, frame: usize, error: Sam2Error) -> VideoError {
     match error {
         Sam2Error::Image { frame, reason } => VideoError::Image { frame, reason },
         Sam2Error::Cancelled => VideoError::Cancelled { frame },
-        Sam2Error::UnknownObject(object) => VideoError::Unknown { object: ObjectId(object), frame },
-        Sam2Error::NoSuchFrame { frame, frames } => VideoError::Frame { frame, frames },
+        Sam2Error::UnknownObject(object) => VideoError::unknown(ObjectId(object), frame),
         other => VideoError::Source { segmenter: segmenter.to_owned(), frame, reason: Box::new(other) },
     }
 }
@@ -70,19 +69,14 @@ struct Session<'a> {
 }
 
 impl Session<'_> {
-    /// Points as the paper asks; a box where there are none, a mask where there is nothing else.
+    /// Points as the paper asks; a box where there are none.
     fn show(&mut self, frame: usize, prompt: &ObjectPrompt) -> Result<sam2::ObjectMask, Sam2Error> {
-        let (w, h) = self.size;
         let object = prompt.object.0;
-        if let (true, None, Some(belief)) = (prompt.on_px.is_empty(), prompt.box_px, &prompt.belief) {
-            let mask = Plane::from_fn(w, h, |x, y| belief.get(y * w + x).is_some_and(|&b| b > 0.0));
-            return self.predictor.show_mask(frame, object, &mask);
-        }
         let on = prompt.on_px.iter().map(|&at_px| PointPrompt { at_px, on_object: true });
         let off = prompt.off_px.iter().map(|&at_px| PointPrompt { at_px, on_object: false });
         let prompt = Prompt {
             points: on.chain(off).collect(),
-            box_px: prompt.box_px.filter(|_| prompt.on_px.is_empty()),
+            box_px: prompt.on_px.is_empty().then_some(prompt.box_px),
             mask_logits: None,
         };
         self.predictor.show(frame, object, &prompt)
@@ -93,9 +87,7 @@ impl VideoSession for Session<'_> {
     fn prompt(&mut self, frame: usize, prompts: &[ObjectPrompt]) -> Result<Vec<ObjectMask>, VideoError> {
         let mut out = Vec::with_capacity(prompts.len());
         for prompt in prompts {
-            if let Some(belief) = prompt.belief.as_ref().filter(|b| b.len() != self.size.0 * self.size.1) {
-                return Err(VideoError::Size { object: prompt.object, found: belief.len(), expected: self.size });
-            }
+            VideoError::check_prompt(prompt, self.size)?;
             let mask = self.show(frame, prompt).map_err(|error| failed(self.name, frame, error))?;
             out.push(converted(prompt.object, &mask, self.size));
         }
@@ -103,9 +95,7 @@ impl VideoSession for Session<'_> {
     }
 
     fn set_mask(&mut self, frame: usize, object: ObjectId, mask: &CompactMask) -> Result<(), VideoError> {
-        if mask.size() != self.size {
-            return Err(VideoError::MaskSize { object, found: mask.size(), expected: self.size });
-        }
+        VideoError::check_mask(object, mask, self.size)?;
         let plane = Plane::from_fn(self.size.0, self.size.1, |x, y| mask.at(x, y));
         let shown = self.predictor.show_mask(frame, object.0, &plane);
         shown.map(drop).map_err(|error| failed(self.name, frame, error))
@@ -125,10 +115,7 @@ impl VideoSession for Session<'_> {
         sink: &mut dyn FnMut(usize, Vec<ObjectMask>) -> ControlFlow<()>,
     ) -> Result<(), VideoError> {
         for frame in [from, to] {
-            if frame >= self.frames {
-                let frames = self.frames;
-                return Err(VideoError::Frame { frame, frames });
-            }
+            VideoError::check_frame(frame, self.frames)?;
         }
         let (frames, direction) = match to.cmp(&from) {
             std::cmp::Ordering::Greater => (from + 1..=to, Direction::Forward),

@@ -132,7 +132,7 @@ mod with_nets {
             }
             let of = |planar: &PlanarImage| {
                 let planes = planar.planes().each_ref().map(Vec::as_slice);
-                LpipsImage::from_planes(planar.width(), planar.height(), planes).map_err(failed)
+                LpipsImage::from_planes(planar.size().0, planar.size().1, planes).map_err(failed)
             };
             let (image, reference) = (of(image)?, of(reference)?);
             for (rule, net) in &self.nets {

@@ -102,7 +102,8 @@ impl<'a> Refiner<'a> {
     fn gradient(&mut self, camera: &Camera, t: f64, reference: &PlanarImage) -> (f64, [f64; 6]) {
         let splats = &self.scene.splats;
         let frame = self.renderer.render(splats, &view(self.scene, camera, t));
-        let share = 1.0 / (3 * reference.width() * reference.height()).max(1) as f64;
+        let (width, height) = reference.size();
+        let share = 1.0 / (3 * width * height).max(1) as f64;
         let mut sum = 0.0;
         for (out, (drawn, wanted)) in self.gradient.rgb.iter_mut().zip(frame.rgb.iter().zip(reference.planes())) {
             out.clear();

@@ -5,7 +5,7 @@ use crate::import::read_back;
 use crate::render::Painter;
 use crate::{Category, Error, Observer, Refusal};
 use m4_core::{Camera, Scene};
-use m4_eval::image::{PlanarImage, psnr_db};
+use m4_eval::image::{PlanarImage, PsnrKind, psnr_db};
 use m4_io::scene::{Loss, Written};
 use m4_kernels::SimdLevel;
 use serde::Serialize;
@@ -212,7 +212,7 @@ pub(super) fn compare(
         let reference = rendered(&mut painter, look)?;
         let score = |back: &Scene| -> Result<f64, Error> {
             let drawn = rendered(&mut Painter::new(back, level), look)?;
-            Ok(psnr_db(&drawn, &reference, None)?.unwrap_or(f64::NAN))
+            Ok(psnr_db(PsnrKind::Joint, &drawn, &reference, None)?.unwrap_or(f64::NAN))
         };
         with.push(score(back)?);
         if scene.mip && back.mip {

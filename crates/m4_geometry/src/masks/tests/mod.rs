@@ -1,15 +1,17 @@
 //! The whole way on a clip whose things are known: one walks, one comes late, one leaves, one only seems to move.
 
 mod film;
-mod sessions;
 
 use super::*;
 use crate::classical::dense::{InverseSearch, Segmenter};
 use film::{
-    FRAMES, Grabber, Hues, LATE_COARSE, LATE_SEEN, as_masks, as_motion, coarse_masks, iou, iou_of, motion_maps,
+    FRAMES, Grabber, Hues, LATE_COARSE, LATE_SEEN, SIZE, as_masks, as_motion, coarse_masks, image, iou, iou_of,
+    motion_maps, thing_at,
 };
-use m4_core::{Plane, Progress, RgbImage, Silent};
+use m4_core::{CompactMask, Plane, Progress, RgbImage, Silent};
 use rayon::ThreadPoolBuilder;
+use std::borrow::Cow;
+use std::ops::ControlFlow;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -36,32 +38,33 @@ fn number(found: &Refined, thing: u8, frame: usize) -> u16 {
     let plane = found.frames[frame].ids.to_plane();
     let mut counts = std::collections::BTreeMap::new();
     for (p, &id) in plane.data().iter().enumerate() {
-        if film::thing_at(p % film::SIZE.0, p / film::SIZE.0, frame) == thing {
+        if thing_at(p % SIZE.0, p / SIZE.0, frame) == thing {
             *counts.entry(id).or_insert(0usize) += 1;
         }
     }
     counts.into_iter().max_by_key(|&(_, n)| n).map_or(0, |(id, _)| id)
 }
 
+/// The walker, what comes late and what leaves, each of one number from the frame in which it is seen.
+fn tracked(found: &Refined) -> [&InstanceRecord; 3] {
+    let (walker, late, leaver) = (number(found, 1, 0), number(found, 2, FRAMES - 1), number(found, 3, 0));
+    assert!(walker > 0 && leaver > 0 && late > 0 && walker != leaver && late != walker && late != leaver);
+    assert!((0..FRAMES).all(|i| number(found, 1, i) == walker));
+    assert!((LATE_SEEN + 3..FRAMES).all(|i| number(found, 2, i) == late), "{:#?}", found.report);
+    let records = [walker, late, leaver].map(|id| &found.report.instances[usize::from(id) - 1]);
+    assert_eq!(records.map(|r| r.id), [walker, late, leaver]);
+    // It is found when the masks show it, and followed back to where it came in.
+    assert!(records[1].prompted_frame >= LATE_COARSE && records[1].first_frame < LATE_COARSE);
+    assert!(matches!(records[2].ending, Ending::Lost { frame } if (10..17).contains(&frame)), "{:#?}", records[2]);
+    records
+}
+
 fn check_things(found: &Refined, better_than: f64) {
     let score = iou_of(found);
     assert!(score > better_than, "{score} {better_than} {:#?}", found.report);
     assert_eq!(found.report.instances.len(), 3, "{:#?}", found.report);
-    let (walker, leaver) = (number(found, 1, 0), number(found, 3, 0));
-    assert!(walker != leaver && walker > 0 && leaver > 0);
-    assert!((0..FRAMES).all(|i| number(found, 1, i) == walker));
-    // It is found when the masks show it, and followed back to where it came in.
-    let late = number(found, 2, FRAMES - 1);
-    assert!(late > 0 && late != walker && late != leaver);
-    assert!((LATE_SEEN + 3..FRAMES).all(|i| number(found, 2, i) == late), "{:#?}", found.report);
-    let record = |id: u16| &found.report.instances[usize::from(id) - 1];
-    assert!(record(late).prompted_frame >= LATE_COARSE && record(late).first_frame < LATE_COARSE);
-    assert_eq!((record(late).id, record(late).ending), (late, Ending::ClipEnd));
-    assert_eq!((record(walker).frames, record(walker).ending), (FRAMES, Ending::ClipEnd));
-    let Ending::Lost { frame } = record(leaver).ending else {
-        panic!("{:#?}", record(leaver));
-    };
-    assert!((10..17).contains(&frame), "{frame}");
+    let [walker, late, _] = tracked(found);
+    assert_eq!((late.ending, walker.ending, walker.frames), (Ending::ClipEnd, Ending::ClipEnd, FRAMES));
     // The static thing was taken for dynamic at first, the ghost for a moment.
     let reasons: Vec<&Rejection> = found.report.rejected.iter().map(|r| &r.reason).collect();
     assert!(reasons.iter().any(|r| matches!(r, Rejection::Unsupported { share } if *share < 0.1)), "{reasons:?}");
@@ -69,7 +72,7 @@ fn check_things(found: &Refined, better_than: f64) {
     assert!((0..FRAMES).all(|i| number(found, 4, i) == 0));
     for frame in &found.frames {
         let ids = frame.ids.to_plane();
-        assert!((0..ids.data().len()).all(|p| ids.data()[p] == 0 || frame.mask.at(p % film::SIZE.0, p / film::SIZE.0)));
+        assert!((0..ids.data().len()).all(|p| ids.data()[p] == 0 || frame.mask.at(p % SIZE.0, p / SIZE.0)));
     }
 }
 
@@ -90,16 +93,10 @@ fn flow_alone_follows_them_too() {
     let masks = coarse_masks();
     let found = run_with(&as_masks(&masks), None, &settings(), &Silent).unwrap();
     println!("coarse {:.3}, refined {:.3}", iou(coarse_masks().into_iter()), iou_of(&found));
-    let (walker, leaver, late) = (number(&found, 1, 0), number(&found, 3, 0), number(&found, 2, FRAMES - 1));
-    assert!(walker > 0 && leaver > 0 && late > 0 && walker != leaver && late != walker && late != leaver);
-    assert!((0..FRAMES).all(|i| number(&found, 1, i) == walker));
-    assert!((LATE_SEEN + 3..FRAMES).all(|i| number(&found, 2, i) == late));
-    let record = |id: u16| &found.report.instances[usize::from(id) - 1];
-    assert!(record(late).prompted_frame >= LATE_COARSE && record(late).first_frame < LATE_COARSE);
-    assert!(matches!(record(leaver).ending, Ending::Lost { frame } if (10..17).contains(&frame)));
+    let [walker, _, _] = tracked(&found);
     // Its edge moved to the thing's: a disc of 14 px, where the coarse mask has one of 16.
     let true_share = 616.0 / 19_200.0;
-    let share = record(walker).mean_area_share;
+    let share = walker.mean_area_share;
     assert!((share / true_share - 1.0).abs() < 0.1, "{share} {true_share}");
 }
 
@@ -126,12 +123,10 @@ fn a_segmenter_that_grabs_the_background_is_not_believed() {
     assert!(!found.frames[film::FLICKER].mask.at(80, 66) && masks[film::FLICKER].at(80, 66));
 }
 
-/// Keeps warnings, stops after some updates.
-#[derive(Default)]
+/// Stops after some updates.
 struct Watch {
-    warnings: Mutex<Vec<String>>,
     updates: AtomicUsize,
-    stop_after: Option<usize>,
+    stop_after: usize,
 }
 
 impl Progress for Watch {
@@ -140,12 +135,10 @@ impl Progress for Watch {
         self.updates.fetch_add(1, Ordering::Relaxed);
     }
 
-    fn warn(&self, message: &str) {
-        self.warnings.lock().unwrap().push(message.to_owned());
-    }
+    fn warn(&self, _: &str) {}
 
     fn cancelled(&self) -> bool {
-        self.stop_after.is_some_and(|n| self.updates.load(Ordering::Relaxed) >= n)
+        self.updates.load(Ordering::Relaxed) >= self.stop_after
     }
 }
 
@@ -182,7 +175,7 @@ fn the_same_bits_for_any_number_of_threads() {
 fn stopping_stops() {
     let maps = motion_maps();
     for stop_after in [0, 3, 20, 45] {
-        let watch = Watch { stop_after: Some(stop_after), ..Watch::default() };
+        let watch = Watch { updates: AtomicUsize::new(0), stop_after };
         let error = run_with(&as_motion(&maps), Some(&Hues), &settings(), &watch).unwrap_err();
         assert!(matches!(error, InstanceError::Cancelled { .. }), "{stop_after}: {error}");
         assert!(watch.updates.load(Ordering::Relaxed) <= stop_after + 10);
@@ -206,4 +199,124 @@ fn mismatched_input_is_an_error() {
     ] {
         assert!(matches!(wrong.check(), Err(InstanceError::Setting { .. })), "{wrong:?}");
     }
+}
+
+/// Makes its images when asked, and remembers which were.
+#[derive(Default)]
+struct Lazy(Mutex<Vec<usize>>);
+
+impl FrameSource for Lazy {
+    fn frames(&self) -> usize {
+        FRAMES
+    }
+
+    fn size(&self) -> (usize, usize) {
+        SIZE
+    }
+
+    fn image(&self, frame: usize) -> Result<Cow<'_, RgbImage>, ImageError> {
+        self.0.lock().unwrap().push(frame);
+        Ok(Cow::Owned(image(frame)))
+    }
+}
+
+fn exactly(thing: u8, frame: usize) -> CompactMask {
+    CompactMask::from_fn(SIZE.0, SIZE.1, |x, y| thing_at(x, y, frame) == thing)
+}
+
+fn overlap(a: &CompactMask, b: &CompactMask) -> f64 {
+    let both = a.set_pixels().filter(|&(x, y)| b.at(x, y)).count();
+    both as f64 / (a.count() + b.count() - both) as f64
+}
+
+fn followed(
+    session: &mut dyn VideoSession,
+    objects: &[ObjectId],
+    from: usize,
+    to: usize,
+) -> Result<Vec<(usize, Vec<ObjectMask>)>, VideoError> {
+    let mut all = Vec::new();
+    session.follow(objects, from, to, &Silent, &mut |frame, masks| {
+        all.push((frame, masks));
+        ControlFlow::Continue(())
+    })?;
+    Ok(all)
+}
+
+const WALKER: ObjectId = ObjectId(4);
+const LATE: ObjectId = ObjectId(2);
+
+#[test]
+fn objects_are_tracked_in_one_pass_per_direction() {
+    let (flow, clip) = (InverseSearch, Lazy::default());
+    let follower = FlowFollower::new(&flow, None);
+    let mut session = follower.open(&clip, SIZE).unwrap();
+    session.set_mask(15, WALKER, &exactly(1, 15)).unwrap();
+    session.set_mask(15, LATE, &exactly(2, 15)).unwrap();
+    assert!(clip.0.lock().unwrap().is_empty());
+    let objects = [LATE, WALKER];
+    for (to, way) in [(20, (16..=20).collect::<Vec<_>>()), (10, (10..15).rev().collect())] {
+        let found = followed(session.as_mut(), &objects, 15, to).unwrap();
+        assert_eq!(found.iter().map(|f| f.0).collect::<Vec<_>>(), way);
+        for (frame, masks) in found {
+            assert_eq!(masks.iter().map(|m| m.object).collect::<Vec<_>>(), objects);
+            for (mask, thing) in masks.iter().zip([2, 1]) {
+                let score = overlap(&mask.mask, &exactly(thing, frame));
+                assert!(
+                    mask.visibility == Visibility::Visible && score > 0.85,
+                    "thing {thing}, frame {frame}: {score}"
+                );
+            }
+        }
+    }
+    assert!(clip.0.lock().unwrap().iter().all(|frame| (10..=20).contains(frame)));
+    // On from where it was, as if it had gone there at once.
+    let further = followed(session.as_mut(), &objects, 20, 24).unwrap();
+    let mut other = follower.open(&clip, SIZE).unwrap();
+    other.set_mask(15, WALKER, &exactly(1, 15)).unwrap();
+    other.set_mask(15, LATE, &exactly(2, 15)).unwrap();
+    let at_once = followed(other.as_mut(), &objects, 15, 24).unwrap();
+    assert_eq!(further, at_once[5..]);
+    assert!(followed(session.as_mut(), &objects, 24, 24).unwrap().is_empty());
+}
+
+#[test]
+fn prompts_are_kept_at_their_frame() {
+    let (flow, clip) = (InverseSearch, Lazy::default());
+    let follower = FlowFollower::new(&flow, None);
+    let mut session = follower.open(&clip, SIZE).unwrap();
+    session.set_mask(0, WALKER, &exactly(1, 0)).unwrap();
+    let other = exactly(2, 12);
+    session.set_mask(12, WALKER, &other).unwrap();
+    let found = followed(session.as_mut(), &[WALKER], 0, 13).unwrap();
+    assert_eq!(found[11].1[0].mask, other);
+    assert!(overlap(&found[12].1[0].mask, &exactly(2, 13)) > 0.85);
+    let (w, h) = SIZE;
+    let belief: Vec<f32> = (0..w * h).map(|p| p as f32 - 100.0).collect();
+    let shown = session.prompt(3, &[prompt(belief)]).unwrap().remove(0).mask;
+    assert!(shown.count() > w * h - 400);
+}
+
+fn prompt(belief: Vec<f32>) -> ObjectPrompt {
+    ObjectPrompt { object: LATE, on_px: vec![[3.5, 4.5]], off_px: Vec::new(), box_px: [2.5, 2.5, 5.5, 4.5], belief }
+}
+
+#[test]
+fn impossible_requests_are_errors() {
+    let (flow, clip) = (InverseSearch, Lazy::default());
+    let follower = FlowFollower::new(&flow, None);
+    let mut session = follower.open(&clip, SIZE).unwrap();
+    session.set_mask(4, WALKER, &exactly(1, 4)).unwrap();
+    let unknown = |e: VideoError| e.to_string().contains("is not known in frame");
+    assert!(unknown(followed(session.as_mut(), &[WALKER], 5, 7).unwrap_err()));
+    assert!(unknown(followed(session.as_mut(), &[LATE], 4, 7).unwrap_err()));
+    let error = followed(session.as_mut(), &[WALKER], 4, FRAMES).unwrap_err().to_string();
+    assert!(error.contains("frame 30 was asked for in a clip of 30"), "{error}");
+    let small = CompactMask::from_fn(SIZE.1, SIZE.0, |_, _| true);
+    let error = session.set_mask(4, WALKER, &small).unwrap_err().to_string();
+    assert!(error.starts_with("the mask of object 4 is 120x160"), "{error}");
+    let error = session.prompt(4, &[prompt(vec![1.0; 7])]).unwrap_err().to_string();
+    assert!(error.contains("have 7 values"), "{error}");
+    session.forget(WALKER);
+    assert!(unknown(followed(session.as_mut(), &[WALKER], 4, 7).unwrap_err()));
 }

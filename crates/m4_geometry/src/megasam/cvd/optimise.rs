@@ -3,7 +3,7 @@
 use super::fast::{Descent, Moves, Start};
 use super::pairs::PairStore;
 use super::reference::{DISPARITY, UNCERTAINTY};
-use super::settings::{ADAM_EPSILON, LEARNING_RATE, WEIGHTS, WORKING_PERCENTILE_98};
+use super::{ADAM_EPSILON, LEARNING_RATE, WEIGHTS, WORKING_PERCENTILE_98};
 use super::{CvdError, CvdInput};
 use crate::dba::Pinhole;
 use m4_core::{Plane, Progress, Se3, SimdLevel};

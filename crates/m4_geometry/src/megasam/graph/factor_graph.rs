@@ -1,7 +1,7 @@
 //! The edges of a graph and what becomes of them.
 
-use super::distance::symmetric_distances;
-use super::{ProximitySettings, neighbourhood, select_proximity};
+use super::symmetric_distances;
+use super::{ProximitySettings, select_proximity};
 use crate::dba::{Factor, Geometry, PROJECTION_GUARD};
 use std::collections::HashSet;
 
@@ -131,18 +131,6 @@ impl FactorGraph {
                 static_confidence: vec![1.0; len],
             });
         }
-    }
-
-    /// Adds all pairs of `from..to` at most `radius` apart.
-    pub fn add_neighbourhood(
-        &mut self,
-        from: usize,
-        to: usize,
-        radius: usize,
-        geometry: &Geometry<f32>,
-        frames: &[usize],
-    ) {
-        self.add(&neighbourhood(from, to, radius), geometry, frames, false);
     }
 
     /// Adds neighbours in time and near pairs, as [`select_proximity`] chooses them.

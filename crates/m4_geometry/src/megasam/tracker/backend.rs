@@ -1,9 +1,8 @@
 //! The back end: all keyframes at once, and static pixels by how well they follow the motion of the camera.
 
-use super::BETA;
 use super::correspondence::{Correspondence, TrackerError};
 use super::keyframes::{Keyframes, Update};
-use super::settings::TrackerSettings;
+use super::{BETA, TrackerSettings};
 use crate::dba::{DbaOptions, DbaReport, Factor, Geometry, Observability, Problem, Robust, observability, project};
 use crate::megasam::graph::{FactorGraph, GraphEdge, ProximitySettings};
 use m4_core::Progress;
@@ -94,13 +93,7 @@ impl Backend {
     pub fn observability(&self, keyframes: &Keyframes) -> Result<Observability, TrackerError> {
         let edges: Vec<&Factor<f32>> = self.graph.active.iter().map(|e| &e.factor).collect();
         let problem = Problem { edges: &edges, eta: &keyframes.damping };
-        let options = DbaOptions {
-            min_depth: self.settings.min_depth,
-            #[cfg(test)]
-            python_twin: self.settings.python_twin,
-            ..DbaOptions::default()
-        };
-        Ok(observability(&keyframes.geometry, &problem, &options)?)
+        Ok(observability(&keyframes.geometry, &problem, &self.settings.adjustment(Robust::None))?)
     }
 
     /// Probability that each pixel of each keyframe is static, `[keyframes][height * width]`: the mean over the edges that

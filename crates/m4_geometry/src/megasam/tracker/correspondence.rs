@@ -6,22 +6,8 @@ use std::ops::Range;
 
 /// Why correspondences could not be had.
 #[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum CorrespondenceError {
-    /// The source failed.
-    #[error("correspondences from frame {source_frame} to frame {target_frame} failed: {reason}")]
-    Edge {
-        /// Frame of the clip.
-        source_frame: usize,
-        /// Frame of the clip.
-        target_frame: usize,
-        /// What went wrong.
-        reason: Box<dyn std::error::Error + Send + Sync>,
-    },
-    /// The source failed as a whole.
-    #[error("correspondences failed: {0}")]
-    Source(#[source] Box<dyn std::error::Error + Send + Sync>),
-}
+#[error("correspondences failed: {0}")]
+pub struct CorrespondenceError(#[source] pub Box<dyn std::error::Error + Send + Sync>);
 
 /// One edge to revise. Planes are `[height * width]`, positions are pixels of the grid.
 #[derive(Debug)]

@@ -1,11 +1,11 @@
 //! The front end: frames come one by one, keyframes are chosen, a window of them is adjusted.
 
 use super::BETA;
+use super::TrackerSettings;
 use super::correspondence::{Correspondence, TrackerError, check_count};
 use super::keyframes::{FrameInput, Keyframes, Update};
-use super::settings::TrackerSettings;
 use crate::dba::{DbaOptions, Free, Grid, Pinhole};
-use crate::megasam::graph::{FactorGraph, ProximitySettings, frame_distance};
+use crate::megasam::graph::{FactorGraph, ProximitySettings, frame_distance, neighbourhood};
 use m4_core::Se3;
 
 /// Keyframes before the first adjustment: 8.
@@ -16,18 +16,20 @@ const INITIAL_BETA: f64 = 0.25;
 const WINDOW: usize = 25;
 /// Sources of new edges: the last 5 keyframes.
 const NEW_SOURCES: usize = 5;
-/// Greatest distance of an edge, pixels of the grid: 12.
-const GREATEST_DISTANCE_PX: f64 = 12.0;
-/// Frames this close in time are always joined: 2.
-const RADIUS: usize = 2;
-/// Suppression around an edge, steps of frames: 1.
-const SUPPRESSION: usize = 1;
-/// Suppression of the first choice: 2.
+/// The choice of edges of the front end; sources, targets and the greatest number of edges are set where it is made.
+const PROXIMITY: ProximitySettings = ProximitySettings {
+    first_source: 0,
+    first_target: 0,
+    radius: 2,
+    suppression: 1,
+    threshold_px: 12.0,
+    beta: BETA,
+    max_factors: 0,
+};
+/// Suppression of the first choice, steps of frames: 2.
 const INITIAL_SUPPRESSION: usize = 2;
 /// Updates after which an edge retires: 25.
 const MAX_AGE: u32 = 25;
-/// Weight of the depth prior: 0.05.
-const PRIOR_ALPHA: f64 = 0.05;
 
 /// What became of a submitted frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -136,18 +138,15 @@ impl Frontend {
         let count = self.keyframes.len();
         check_count(count)?;
         let frames = self.keyframes.frame.clone();
-        self.graph.add_neighbourhood(0, count, 3, &self.keyframes.geometry, &frames);
+        self.graph.add(&neighbourhood(0, count, 3), &self.keyframes.geometry, &frames, false);
         for _ in 0..s.initial_updates {
             self.update(1, Free::Poses, source)?;
         }
         let proximity = ProximitySettings {
-            first_source: 0,
-            first_target: 0,
-            radius: RADIUS,
             suppression: INITIAL_SUPPRESSION,
-            threshold_px: GREATEST_DISTANCE_PX,
             beta: INITIAL_BETA,
             max_factors: s.max_factors,
+            ..PROXIMITY
         };
         self.graph.add_proximity(&proximity, &self.keyframes.geometry, &frames, false);
         for free in [Free::Poses, Free::PosesAndDepth] {
@@ -168,11 +167,8 @@ impl Frontend {
         let proximity = ProximitySettings {
             first_source: count.saturating_sub(NEW_SOURCES),
             first_target: count.saturating_sub(WINDOW),
-            radius: RADIUS,
-            suppression: SUPPRESSION,
-            threshold_px: GREATEST_DISTANCE_PX,
-            beta: BETA,
             max_factors: s.max_factors,
+            ..PROXIMITY
         };
         let frames = self.keyframes.frame.clone();
         self.graph.add_proximity(&proximity, &self.keyframes.geometry, &frames, true);
@@ -207,15 +203,7 @@ impl Frontend {
     fn update(&mut self, first: usize, free: Free, source: &mut dyn Correspondence) -> Result<(), TrackerError> {
         let s = &self.settings;
         let update = Update {
-            options: DbaOptions {
-                free,
-                prior_alpha: Some(PRIOR_ALPHA),
-                robust: s.frontend_robust,
-                min_depth: s.min_depth,
-                #[cfg(test)]
-                python_twin: s.python_twin,
-                ..DbaOptions::default()
-            },
+            options: DbaOptions { free, ..s.adjustment(s.frontend_robust) },
             window: first.max(1).min(self.keyframes.len())..self.keyframes.len(),
             inactive_from: Some(first.saturating_sub(3)),
             batch: None,

@@ -76,7 +76,7 @@ fn memory(budget_mb: usize) -> MemoryOptions {
 }
 
 fn failed(error: DroidError) -> CorrespondenceError {
-    CorrespondenceError::Source(Box::new(error))
+    CorrespondenceError(Box::new(error))
 }
 
 impl Correspondence for NetworkCorrespondence<'_> {

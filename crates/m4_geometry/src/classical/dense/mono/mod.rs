@@ -312,7 +312,7 @@ impl Fit {
 }
 
 /// Median of the slopes between pairs far apart in the list, weighted by how far apart they are in relative disparity
-/// (Theil 1950, Sen 1968). Slopes from one middle value, as `tracker::mono` has them, mean nothing where half of a
+/// (Theil 1950, Sen 1968). Slopes from one middle value, as `megasam::prior` has them, mean nothing where half of a
 /// image is one flat wall. `None` without any relief.
 fn slope(pairs: &[(f64, f64)]) -> Option<f64> {
     let n = pairs.len();

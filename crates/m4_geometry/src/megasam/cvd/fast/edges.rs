@@ -1,6 +1,6 @@
 //! The multi-scale gradient term of one frame. The definition is `reference::gradient_loss`.
 
-use super::elementary::exp;
+use super::exp;
 use super::shape::Shape;
 use super::surface::sum;
 use crate::megasam::cvd::reference::INTERVALS;

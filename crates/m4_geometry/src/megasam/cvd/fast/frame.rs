@@ -1,7 +1,7 @@
 //! Everything of a frame that no other frame has a part in: the shape terms, the sum of all gradients, and Adam.
 
 use super::edges::gradient_term;
-use super::elementary::ln;
+use super::ln;
 use super::shape::Shape;
 use super::surface::sum;
 use super::{edges, surface};

@@ -4,7 +4,7 @@
 //! four short loops: reproject, read four taps, compare, add to four taps. The definition is `reference::pair_losses`; sums
 //! here lack the division by the number of pixels that count, which is known when all tasks are through.
 
-use super::elementary::ln;
+use super::ln;
 use super::shape::{Motion, Shape};
 use crate::megasam::cvd::Weights;
 use crate::megasam::cvd::pairs::{CompactFlow, LANES, MASKED};

@@ -9,14 +9,9 @@
 //! variances are of a sample (`n / (n - 1)` times as large): [`SsimKind`]. They differ in the second decimal, so a figure without its
 //! flavour says little.
 
-mod window;
-
-pub use window::{SSIM_SIGMA_PX, SSIM_WINDOW_PX};
-
-use super::{ImageError, PlanarImage, same_size};
+use super::{ImageError, PlanarImage, check_sizes};
 use m4_core::{Mask, Plane};
 use serde::{Deserialize, Serialize};
-use window::Window;
 
 const C1: f64 = 0.01 * 0.01;
 const C2: f64 = 0.03 * 0.03;
@@ -60,11 +55,10 @@ impl SsimKind {
     }
 
     fn window(self) -> Window {
-        match self {
-            Self::GaussianValid | Self::DycheckMasked => Window::gaussian(),
-            Self::GaussianZeroPadded => Window::gaussian().zero_padded(),
-            Self::SkimageUniform => Window::uniform(7).of_sample(),
-            Self::SkimageGaussian => Window::gaussian().of_sample(),
+        Window {
+            taps: if self == Self::SkimageUniform { vec![1.0 / 7.0; 7] } else { Window::gaussian() },
+            zero_padded: self == Self::GaussianZeroPadded,
+            of_sample: matches!(self, Self::SkimageUniform | Self::SkimageGaussian),
         }
     }
 }
@@ -102,35 +96,24 @@ impl SsimMap {
     }
 }
 
-/// The SSIM map of two images, [`SsimKind::GaussianValid`].
-///
-/// # Errors
-///
-/// [`ImageError::Size`] if the sizes differ, [`ImageError::TooSmall`] if no window fits.
-pub fn ssim_map(image: &PlanarImage, reference: &PlanarImage) -> Result<SsimMap, ImageError> {
-    ssim_map_of(SsimKind::GaussianValid, image, reference, None)
-}
-
-/// The SSIM map of two images of another kind. Only [`SsimKind::DycheckMasked`] looks at the mask here (all pixels without
+/// The SSIM map of two images. Only [`SsimKind::DycheckMasked`] looks at the mask here (all pixels without
 /// one); for the others it selects entries of the map: [`SsimMap::mean_inside`].
 ///
 /// # Errors
 ///
-/// [`ImageError::Size`] if the sizes differ, [`ImageError::TooSmall`] if no window fits.
-pub fn ssim_map_of(
+/// [`ImageError`] if the sizes differ or no window fits.
+pub fn ssim_map(
     kind: SsimKind,
     image: &PlanarImage,
     reference: &PlanarImage,
     mask: Option<&Mask>,
 ) -> Result<SsimMap, ImageError> {
-    same_size("the image", reference.size(), image.size())?;
-    if let Some(mask) = mask {
-        same_size("the mask", reference.size(), mask.size())?;
-    }
+    check_sizes(image, reference, mask)?;
     let (width, height) = reference.size();
     let window = kind.window();
     if width < window.side() || height < window.side() {
-        return Err(ImageError::TooSmall { width, height, window: window.side() });
+        let side = window.side();
+        return Err(ImageError(format!("SSIM needs at least {side}x{side} pixels; the image is {width}x{height}")));
     }
     let (out_w, out_h) = window.out_size(width, height);
     let mut sum = vec![0.0; out_w * out_h];
@@ -163,14 +146,14 @@ pub fn ssim_map_of(
 ///
 /// # Errors
 ///
-/// [`ImageError::Size`] if the sizes differ, [`ImageError::TooSmall`] if no window fits.
+/// [`ImageError`] if the sizes differ or no window fits.
 pub fn ssim(
     kind: SsimKind,
     image: &PlanarImage,
     reference: &PlanarImage,
     mask: Option<&Mask>,
 ) -> Result<Option<f64>, ImageError> {
-    let map = ssim_map_of(kind, image, reference, mask)?;
+    let map = ssim_map(kind, image, reference, mask)?;
     Ok(match mask {
         None => Some(map.mean()),
         Some(mask) if kind == SsimKind::DycheckMasked => mask.data().iter().any(|&m| m != 0).then(|| map.mean()),
@@ -181,7 +164,7 @@ pub fn ssim(
 /// Weighted means of those `values` `[height][width]` that are in `mask` (all of them without one), where the window lies wholly
 /// inside: along rows, then along columns. Each sum is multiplied by the number of taps over how many of them are in the mask,
 /// *not* by the weights that are; 0 where none is. After the first pass a place is in the mask if any of its taps was.
-pub(crate) fn filtered(values: &[f64], mask: Option<&Mask>, width: usize, height: usize, window: &Window) -> Vec<f64> {
+fn filtered(values: &[f64], mask: Option<&Mask>, width: usize, height: usize, window: &Window) -> Vec<f64> {
     let (out_w, out_h) = (width + 1 - window.side(), height + 1 - window.side());
     let kept: Vec<bool> = match mask {
         Some(mask) => mask.data().iter().map(|&m| m != 0).collect(),
@@ -207,7 +190,7 @@ pub(crate) fn filtered(values: &[f64], mask: Option<&Mask>, width: usize, height
 /// The renormalised sum, and whether anything was in the mask.
 fn mean(values: impl Iterator<Item = (f64, bool)>, window: &Window) -> (f64, bool) {
     let (mut sum, mut count) = (0.0, 0usize);
-    for ((value, kept), weight) in values.zip(window.taps()) {
+    for ((value, kept), weight) in values.zip(&window.taps) {
         if kept {
             sum += weight * value;
             count += 1;
@@ -220,56 +203,124 @@ fn mean(values: impl Iterator<Item = (f64, bool)>, window: &Window) -> (f64, boo
 }
 
 /// Variances and covariance as they can be: renormalised means of squares need not be above the squares of means.
-pub(crate) fn possible([va, vb, cov]: [f64; 3]) -> [f64; 3] {
+fn possible([va, vb, cov]: [f64; 3]) -> [f64; 3] {
     let (va, vb) = (va.max(0.0), vb.max(0.0));
     [va, vb, cov.abs().min((va * vb).sqrt()).copysign(cov)]
+}
+
+/// Side of the Gaussian window, pixels.
+pub const SSIM_WINDOW_PX: usize = 11;
+/// Standard deviation of the Gaussian window, pixels.
+pub const SSIM_SIGMA_PX: f64 = 1.5;
+
+/// A square window, the product of the same taps along rows and columns.
+struct Window {
+    /// An odd number, of sum 1.
+    taps: Vec<f64>,
+    /// With zeros beyond the border, so that every pixel has a window.
+    zero_padded: bool,
+    /// Variances are those of a sample of as many pixels as the window has, whatever their weights: scikit-image's default.
+    of_sample: bool,
+}
+
+impl Window {
+    /// [`SSIM_WINDOW_PX`] taps of a Gaussian of [`SSIM_SIGMA_PX`].
+    fn gaussian() -> Vec<f64> {
+        let tap = |i: usize| {
+            let d = i as f64 - (SSIM_WINDOW_PX / 2) as f64;
+            (-d * d / (2.0 * SSIM_SIGMA_PX * SSIM_SIGMA_PX)).exp()
+        };
+        let taps: Vec<f64> = (0..SSIM_WINDOW_PX).map(tap).collect();
+        let total: f64 = taps.iter().sum();
+        taps.iter().map(|w| w / total).collect()
+    }
+
+    /// Pixels a side.
+    fn side(&self) -> usize {
+        self.taps.len()
+    }
+
+    /// Factor of variances.
+    fn unbias(&self) -> f64 {
+        let n = (self.side() * self.side()) as f64;
+        if self.of_sample { n / (n - 1.0) } else { 1.0 }
+    }
+
+    /// Columns and rows that have a window, of images that are as large as one at least.
+    fn out_size(&self, width: usize, height: usize) -> (usize, usize) {
+        let lost = if self.zero_padded { 0 } else { self.side() - 1 };
+        (width - lost, height - lost)
+    }
+
+    /// Weighted means of `values` `[height][width]`, in [`Self::out_size`]: along rows, then along columns.
+    fn filtered(&self, values: &[f64], width: usize, height: usize) -> Vec<f64> {
+        if !self.zero_padded {
+            return self.inside(values, width, height);
+        }
+        let pad = self.side() / 2;
+        let (wide, high) = (width + 2 * pad, height + 2 * pad);
+        let mut padded = vec![0.0; wide * high];
+        for (row, values) in padded[pad * wide..].chunks_exact_mut(wide).zip(values.chunks_exact(width)) {
+            row[pad..pad + width].copy_from_slice(values);
+        }
+        self.inside(&padded, wide, high)
+    }
+
+    fn inside(&self, values: &[f64], width: usize, height: usize) -> Vec<f64> {
+        let out_w = width + 1 - self.side();
+        let out_h = height + 1 - self.side();
+        let mut rows = vec![0.0; out_w * height];
+        for (target, source) in rows.chunks_exact_mut(out_w).zip(values.chunks_exact(width)) {
+            for (k, &w) in self.taps.iter().enumerate() {
+                for (t, s) in target.iter_mut().zip(&source[k..]) {
+                    *t += w * s;
+                }
+            }
+        }
+        let mut out = vec![0.0; out_w * out_h];
+        for (y, target) in out.chunks_exact_mut(out_w).enumerate() {
+            for (k, &w) in self.taps.iter().enumerate() {
+                let source = &rows[(y + k) * out_w..(y + k + 1) * out_w];
+                for (t, s) in target.iter_mut().zip(source) {
+                    *t += w * s;
+                }
+            }
+        }
+        out
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::{SsimKind, ssim, ssim_map};
-    use crate::image::planar::flat;
-    use crate::image::{ImageError, PlanarImage};
+    use crate::image::PlanarImage;
+    use crate::image::metric::flat;
     use m4_core::Plane;
 
     #[test]
     fn ssim_of_flat_images_is_the_luminance_term() {
         let (a, b) = (flat(15, 13, 0.2), flat(15, 13, 0.6));
-        let map = ssim_map(&a, &b).unwrap();
+        let map = ssim_map(SsimKind::GaussianValid, &a, &b, None).unwrap();
         assert_eq!(map.map.size(), (5, 3));
         let want = (2.0 * 0.2 * 0.6 + 1e-4) / (0.2 * 0.2 + 0.6 * 0.6 + 1e-4);
         assert!((map.mean() - want).abs() < 1e-6, "{} where {want} was expected", map.mean());
-        assert!((ssim_map(&a, &a).unwrap().mean() - 1.0).abs() < 1e-12);
-    }
-
-    #[test]
-    fn ssim_of_scaled_contrast_has_a_closed_form() {
-        // b = a scaled about its local mean by -1 where the mean is the same everywhere: a checkerboard
-        // has window mean 0.5 + e and variance s^2; its negative has mean 0.5 - e and covariance -s^2.
-        let a: Vec<f32> = (0..400).map(|i| if (i % 20 + i / 20) % 2 == 0 { 0.75 } else { 0.25 }).collect();
-        let b: Vec<f32> = a.iter().map(|v| 1.0 - v).collect();
-        let (a, b) = (
-            PlanarImage::from_planes(20, 20, [&a, &a, &a]).unwrap(),
-            PlanarImage::from_planes(20, 20, [&b, &b, &b]).unwrap(),
-        );
-        // Alternating Gaussian sum of an 11 tap window with sd 1.5, squared: below 1e-4, so e is nothing.
-        let got = ssim_map(&a, &b).unwrap().mean();
-        let want = (-2.0 * 0.0625 + 9e-4) / (2.0 * 0.0625 + 9e-4);
-        assert!((got - want).abs() < 1e-3, "{got} where {want} was expected");
+        assert!((ssim_map(SsimKind::GaussianValid, &a, &a, None).unwrap().mean() - 1.0).abs() < 1e-12);
     }
 
     #[test]
     fn bad_input_is_named() {
-        let (a, b) = (flat(16, 16, 0.5), flat(12, 16, 0.5));
-        assert!(matches!(ssim_map(&a, &b), Err(ImageError::Size { .. })));
-        assert!(matches!(ssim_map(&flat(10, 20, 0.0), &flat(10, 20, 0.0)), Err(ImageError::TooSmall { .. })));
         let (good, bad, short) = (vec![0.0; 4], vec![0.0, f32::NAN, 0.0, 0.0], vec![0.0; 3]);
-        let nan = PlanarImage::from_planes(2, 2, [&good, &bad, &good]);
-        assert!(matches!(nan, Err(ImageError::NotFinite { x: 1, y: 0, channel: 1, .. })));
-        assert!(matches!(
-            PlanarImage::from_planes(2, 2, [&good, &good, &short]),
-            Err(ImageError::Length { channel: 2, found: 3, .. })
-        ));
+        let image = |second, third| PlanarImage::from_planes(2, 2, [&good, second, third]).map(drop);
+        let map = |a: &PlanarImage, b: &PlanarImage| ssim_map(SsimKind::GaussianValid, a, b, None).map(drop);
+        for (result, reason) in [
+            (map(&flat(16, 16, 0.5), &flat(12, 16, 0.5)), "the image is 16x16"),
+            (map(&flat(10, 20, 0.0), &flat(10, 20, 0.0)), "SSIM needs at least 11x11"),
+            (image(&bad, &good), "pixel (1, 0) of channel 1 is NaN"),
+            (image(&good, &short), "channel 2 has 3"),
+        ] {
+            let error = result.unwrap_err().to_string();
+            assert!(error.contains(reason), "{error}");
+        }
     }
 
     #[test]
