@@ -17,32 +17,26 @@
 //! What a frame's context adds to the recurrent unit is computed once for all edges of the frame, and the two gates that read
 //! the same numbers are one convolution; upstream does both for every edge in every step.
 
-mod aggregation;
 mod encoder;
 mod error;
-mod gru;
 mod memory;
-mod motion;
-mod preprocess;
 #[cfg(test)]
 mod tests;
 mod update;
-mod upsampling;
 
 pub use error::DroidError;
 pub use memory::{DroidMemory, EdgeUpdate, ImageReader, MemoryOptions, SourceUpdate, Storage};
 
-use crate::ops::tanh;
+use crate::ops::{tanh, tensor};
 use crate::{Compute, LoadError, load};
 use burn_core as burn;
 use burn_core::module::Module;
 use burn_core::tensor::activation::relu;
 use burn_core::tensor::{DType, Device, Tensor};
 use encoder::{Encoder, Norm};
-use gru::ArrangedGru;
 use m4_core::RgbImage;
 use std::path::Path;
-use update::Update;
+use update::{ArrangedGru, Update};
 
 /// Channels of features, hidden states and contexts.
 const WIDTH: usize = 128;
@@ -138,4 +132,44 @@ impl DroidNet {
         let half = |k: usize| both.clone().narrow(1, k * WIDTH, WIDTH);
         Ok([tanh(half(0)), relu(half(1))])
     }
+}
+
+/// Mean and standard deviation of red, green and blue that the weights were trained with (ImageNet's).
+const MEAN: [f32; 3] = [0.485, 0.456, 0.406];
+const STD: [f32; 3] = [0.229, 0.224, 0.225];
+/// Sides are multiples of this.
+const MULTIPLE: usize = 8;
+/// The smallest side: correlation is pooled down to an eighth of an eighth, which must have pixels (upstream's limit, too).
+const SMALLEST: usize = 128;
+
+/// Whether the network takes images of this size.
+///
+/// # Errors
+///
+/// [`DroidError::Size`] if a side is too short or no multiple of 8.
+pub(crate) fn check((width, height): (usize, usize)) -> Result<(), DroidError> {
+    if [width, height].iter().any(|&side| side < SMALLEST || side % MULTIPLE != 0) {
+        return Err(DroidError::Size { width, height });
+    }
+    Ok(())
+}
+
+/// `image` as `[1, 3, h, w]`, normalised.
+///
+/// # Errors
+///
+/// [`DroidError::Size`] if a side is too short or no multiple of 8.
+pub(crate) fn normalised(image: &RgbImage, device: &Device) -> Result<Tensor<4>, DroidError> {
+    let (width, height) = image.size();
+    if [width, height].iter().any(|&side| side < SMALLEST || side % MULTIPLE != 0) {
+        return Err(DroidError::Size { width, height });
+    }
+    let mut values = Vec::with_capacity(3 * width * height);
+    for channel in 0..3 {
+        for y in 0..height {
+            let row = image.row(y).iter();
+            values.extend(row.map(|p| (f32::from(p[channel]) / 255.0 - MEAN[channel]) / STD[channel]));
+        }
+    }
+    Ok(tensor(values, [1, 3, height, width], device))
 }

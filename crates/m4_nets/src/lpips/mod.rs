@@ -18,20 +18,15 @@
 //! DyCheck's masked distance (mLPIPS; Gao et al., NeurIPS 2022) blacks out both images where the mask is 0 and averages the
 //! map of AlexNet over the rest: [`Lpips::compare_inside`].
 
-mod checkpoint;
-mod image;
 mod pickle;
-mod score;
 #[cfg(test)]
 mod tests;
 mod trunk;
 
-pub use image::LpipsImage;
-pub use score::LpipsScore;
-
+use crate::ops::{Kernels, planes, resampled, tensor};
 use crate::{Compute, LoadError};
-use burn_core::tensor::Device;
-use m4_core::Mask;
+use burn_core::tensor::{Device, Tensor};
+use m4_core::{Mask, Plane, RgbImage};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 use trunk::Net;
@@ -146,7 +141,7 @@ impl Lpips {
     pub fn load(net: LpipsNet, path: &Path, on: impl Into<Compute>) -> Result<Self, LoadError> {
         let device = on.into().device;
         let mut layers = Net::new(net, &device);
-        checkpoint::fill(&mut layers, net, path)?;
+        trunk::fill(&mut layers, net, path)?;
         Ok(Self { net, layers, device })
     }
 
@@ -196,5 +191,113 @@ impl Lpips {
         image::same_size("the image", reference.size(), image.size())?;
         image::same_size("the mask", reference.size(), mask.size())?;
         self.compare(&image.inside(mask), &reference.inside(mask))?.mean_inside(mask)
+    }
+}
+
+/// What upstream's scaling layer takes off red, green and blue from -1 to 1, and divides them by.
+const SHIFT: [f32; 3] = [-0.030, -0.088, -0.188];
+const SCALE: [f32; 3] = [0.458, 0.448, 0.450];
+
+/// An image of sRGB values from 0 to 1.
+#[derive(Debug, Clone, PartialEq)]
+pub struct LpipsImage {
+    width: usize,
+    height: usize,
+    /// `[3][height][width]`.
+    values: Vec<f32>,
+}
+
+pub(super) fn same_size(what: &'static str, expected: (usize, usize), found: (usize, usize)) -> Result<(), LpipsError> {
+    if expected == found { Ok(()) } else { Err(LpipsError::Size { what, expected, found }) }
+}
+
+impl LpipsImage {
+    /// Of planes of red, green and blue, `[3][height][width]`. Values beyond 0 to 1 are kept.
+    ///
+    /// # Errors
+    ///
+    /// [`LpipsError::Length`] if a plane does not hold `width * height` values, [`LpipsError::NotFinite`] if one is NaN or infinite.
+    pub fn from_planes(width: usize, height: usize, planes: [&[f32]; 3]) -> Result<Self, LpipsError> {
+        for (channel, plane) in planes.iter().enumerate() {
+            if width.checked_mul(height) != Some(plane.len()) {
+                let found = plane.len();
+                return Err(LpipsError::Length { width, height, channel, found });
+            }
+            if let Some(i) = plane.iter().position(|v| !v.is_finite()) {
+                let (x, y, value) = (i % width, i / width, plane[i]);
+                return Err(LpipsError::NotFinite { x, y, channel, value });
+            }
+        }
+        let values = planes.concat();
+        Ok(Self { width, height, values })
+    }
+
+    /// `(width, height)`.
+    #[must_use]
+    pub fn size(&self) -> (usize, usize) {
+        (self.width, self.height)
+    }
+
+    /// Black where `mask`, which is as large, is 0.
+    pub(super) fn inside(&self, mask: &Mask) -> Self {
+        let mask = mask.data().iter().cycle();
+        let values = self.values.iter().zip(mask);
+        Self { values: values.map(|(&v, &m)| if m == 0 { 0.0 } else { v }).collect(), ..*self }
+    }
+
+    /// `[1, 3, h, w]` after the scaling layer.
+    pub(super) fn tensor(&self, device: &Device) -> Tensor<4> {
+        let pixels = self.width * self.height;
+        let scaled = |(i, &v): (usize, &f32)| (2.0 * v - 1.0 - SHIFT[i / pixels]) / SCALE[i / pixels];
+        let values = self.values.iter().enumerate().map(scaled).collect();
+        tensor(values, [1, 3, self.height, self.width], device)
+    }
+}
+
+impl From<&RgbImage> for LpipsImage {
+    fn from(image: &RgbImage) -> Self {
+        Self { width: image.width(), height: image.height(), values: planes(image, [0.0; 3], [1.0; 3]) }
+    }
+}
+
+/// How different two images look.
+#[derive(Debug, Clone, PartialEq)]
+pub struct LpipsScore {
+    /// The distance, 0 for equal images: upstream's default output.
+    pub distance: f64,
+    /// The same where it comes from, `[height][width]` of the images: upstream's output with `spatial=True`.
+    pub map: Plane<f32>,
+}
+
+impl LpipsScore {
+    /// Of the differences of the layers, `[1, 1, h, w]` each.
+    pub(super) fn of(layers: [Tensor<4>; 5], (width, height): (usize, usize)) -> Result<Self, LpipsError> {
+        let mut distance = 0.0;
+        let mut map = vec![0.0f32; width * height];
+        for layer in layers {
+            let [_, _, h, w] = layer.dims();
+            let values: Vec<f32> = layer.try_into_vec_as().map_err(|error| LpipsError::Device(error.to_string()))?;
+            distance += values.iter().copied().map(f64::from).sum::<f64>() / values.len() as f64;
+            let enlarged = resampled(&values, w, h, &Kernels::linear(w, width), &Kernels::linear(h, height));
+            for (sum, value) in map.iter_mut().zip(enlarged) {
+                *sum += value;
+            }
+        }
+        let map = Plane::from_fn(width, height, |x, y| map[y * width + x]);
+        Ok(Self { distance, map })
+    }
+
+    /// The mean of the map where `mask` is not 0; `None` where it is 0 everywhere. DyCheck's masked distance also blacks the rest
+    /// out before the network sees it: [`Lpips::compare_inside`](super::Lpips::compare_inside).
+    ///
+    /// # Errors
+    ///
+    /// [`LpipsError::Size`] if the mask has another size.
+    pub fn mean_inside(&self, mask: &Mask) -> Result<Option<f64>, LpipsError> {
+        same_size("the mask", self.map.size(), mask.size())?;
+        let pairs = self.map.data().iter().zip(mask.data());
+        let (sum, count) =
+            pairs.filter(|&(_, &m)| m != 0).fold((0.0, 0usize), |(sum, n), (&v, _)| (sum + f64::from(v), n + 1));
+        Ok((count > 0).then(|| sum / count as f64))
     }
 }

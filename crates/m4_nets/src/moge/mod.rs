@@ -15,17 +15,14 @@
 //! is that of the public training configuration where a file has none: the last block of each quarter, 1200 to 3600, `z = exp c` and
 //! `(x, y) = (a, b) z` of the three numbers `a, b, c` of a point.
 
-mod config;
-mod encoder;
 mod focal;
+mod image;
 mod layout;
-mod map;
-mod preprocess;
 mod stack;
 #[cfg(test)]
 mod tests;
 
-pub use map::{MoGeMap, MoGeOptions};
+pub use image::{MoGeMap, MoGeOptions};
 
 use crate::dinov2::{self, BackboneSize};
 use crate::ops::linear;
@@ -35,12 +32,12 @@ use burn_core::module::Module;
 use burn_core::tensor::activation::relu;
 use burn_core::tensor::{DType, Device, Tensor};
 use burn_nn::Linear;
-use config::Config;
-use encoder::Encoder;
+use image::Grid;
+use image::RawOutput;
+use layout::Config;
 use layout::Layout;
 use m4_core::RgbImage;
-use map::RawOutput;
-use preprocess::Grid;
+use stack::Encoder;
 use stack::Stack;
 use std::path::Path;
 
@@ -55,7 +52,7 @@ pub enum MoGeError {
     #[error("depth needs an image with pixels")]
     Empty,
     /// That many patches cannot be.
-    #[error("an image can be cut into 1 to {most} patches, not {0}", most = preprocess::MOST_TOKENS)]
+    #[error("an image can be cut into 1 to {most} patches, not {0}", most = image::MOST_TOKENS)]
     Tokens(usize),
     /// The focal length that was given is none.
     #[error("a focal length is a positive number of pixels, not {0}")]

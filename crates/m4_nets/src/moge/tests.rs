@@ -1,9 +1,9 @@
 //! Against the authors' module, with synthetic weights and the small backbone.
 
-use super::config::{Config, Remap};
 use super::focal::recovered;
+use super::image::Grid;
+use super::layout::{Config, Remap};
 use super::layout::{Layout, Norm};
-use super::preprocess::Grid;
 use super::{MoGe, MoGeOptions, Net, RENAMES};
 use crate::dinov2::{BackboneSize, unneeded};
 use crate::fixture::{Fixture, assert_near, assert_same_tensors, relative_error, renamed};

@@ -16,7 +16,6 @@
 
 use m4_core::Flow;
 mod encoder;
-mod gru;
 #[cfg(test)]
 mod tests;
 mod update;
@@ -150,8 +149,8 @@ impl Raft {
             padding,
             source: FeatureMap::new(compared.clone()),
             target: Pyramid::new(compared, LEVELS),
-            hidden: tanh(state.clone().narrow(1, 0, gru::WIDTH)),
-            context: relu(state.narrow(1, gru::WIDTH, gru::WIDTH)),
+            hidden: tanh(state.clone().narrow(1, 0, update::WIDTH)),
+            context: relu(state.narrow(1, update::WIDTH, update::WIDTH)),
         })
     }
 

@@ -16,36 +16,26 @@
 //!
 //! Inside, maps have their channels last, so that normalisations and linear layers read rows.
 
-mod answer;
 mod bank;
-mod block;
 mod config;
 mod decoder;
 mod error;
 mod hiera;
-mod holes;
-mod mask;
-mod memory_attention;
-mod memory_encoder;
-mod neck;
-mod preprocess;
+mod memory;
 mod prompts;
 mod recall;
-mod rope;
 #[cfg(test)]
 mod tests;
 mod video;
-mod windows;
 
+pub use bank::ObjectMask;
 pub use config::Sam2Size;
 pub use error::Sam2Error;
-pub use mask::ObjectMask;
 pub use video::{Clip, Direction, ImageReader, VideoOptions, VideoPredictor};
 
 use crate::ops::{Kernels, linear, sine_positions, tensor, zeros};
 use crate::sam::{Mlp, Prompt, PromptEncoder, WIDTH};
 use crate::{Compute, LoadError, load};
-use answer::Answer;
 use burn_core as burn;
 use burn_core::module::{Module, Param};
 use burn_core::tensor::{DType, Device, Tensor};
@@ -54,12 +44,13 @@ use burn_nn::{Initializer, Linear};
 use config::Config;
 use decoder::{Decoded, MASKS, MaskDecoder};
 use hiera::{Hiera, PATCH};
+use hiera::{ImageEncoder, Neck, Pointwise, repeated};
 use m4_core::{Plane, RgbImage};
-use memory_attention::{MEMORY_WIDTH, MemoryAttention};
-use memory_encoder::MemoryEncoder;
-use neck::{ImageEncoder, Neck, Pointwise, repeated};
-use preprocess::Frame;
-use rope::Rotations;
+use memory::MemoryEncoder;
+use memory::Rotations;
+use memory::{MEMORY_WIDTH, MemoryAttention};
+use prompts::Frame;
+use recall::Answer;
 use std::path::Path;
 
 /// The side of the image that the network was trained with.
@@ -270,7 +261,7 @@ impl Sam2 {
     ///
     /// [`Sam2Error::NoPixels`] if it has none.
     pub fn encode(&self, image: &RgbImage) -> Result<Features, Sam2Error> {
-        let input = preprocess::squared(image, self.side, &self.device)?.cast(self.dtype);
+        let input = prompts::squared(image, self.side, &self.device)?.cast(self.dtype);
         let trunk = &self.net.image_encoder.trunk;
         let stages = trunk.forward(input, self.tables.trunk.clone());
         let [s0, s1, map, coarse] = self.level(stages);
@@ -302,8 +293,8 @@ impl Sam2 {
         let first = if prompt.is_ambiguous() {
             1..MASKS
         } else {
-            let stability = numbers(answer::stability(&decoded.masks.clone().cast(DType::F32)))?;
-            let one = answer::chosen(&iou, false, stability.first().copied().unwrap_or(f32::NAN));
+            let stability = numbers(recall::stability(&decoded.masks.clone().cast(DType::F32)))?;
+            let one = recall::chosen(&iou, false, stability.first().copied().unwrap_or(f32::NAN));
             one..one + 1
         };
         let candidates = iou.get(first.clone()).unwrap_or_default();

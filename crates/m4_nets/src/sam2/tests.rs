@@ -1,6 +1,6 @@
 //! The parts against upstream's modules with weights by the formula, and what a caller does not see of clips.
 
-use super::rope::Rotations;
+use super::memory::Rotations;
 use super::video::{Clip, Direction, VideoOptions, VideoPredictor};
 use super::*;
 use crate::cpu;

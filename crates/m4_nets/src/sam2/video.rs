@@ -9,10 +9,10 @@
 //! Objects do not know of each other; those that have equally many memories are computed together. A frame's features are computed once for
 //! all of them.
 
-use super::answer::Answer;
+use super::bank::ObjectMask;
 use super::bank::{Entry, Object, Recall};
-use super::mask::ObjectMask;
-use super::preprocess::{Frame, squared_mask};
+use super::prompts::{Frame, squared_mask};
+use super::recall::Answer;
 use super::{Features, Sam2, Sam2Error, prompts};
 use crate::ops::tensor;
 use crate::sam::Prompt;

@@ -20,22 +20,16 @@
 //! Where points are stays in 32 bits whatever the network computes in, and the search for neighbours runs on the processor for every
 //! device. Depth that is not known is 0: its pixels are at the camera's centre, where the network learned to have them.
 
-mod camera;
 mod clip;
 mod config;
-mod correlation;
 mod depth;
 mod encoder;
 mod encoding;
 mod error;
 mod frame;
 mod layers;
-mod moments;
-mod nearest_pixel;
 mod neighbours;
 mod pass;
-mod query;
-mod sizes;
 mod source;
 #[cfg(test)]
 mod tests;
@@ -52,11 +46,11 @@ use burn_core as burn;
 use burn_core::module::{Module, Param};
 use burn_core::tensor::{DType, Device, Tensor};
 use config::Config;
-use correlation::Correlation;
+use config::Sizes;
 use encoder::Encoder;
 use m4_core::Progress;
-use sizes::Sizes;
 use std::path::Path;
+use updater::Correlation;
 use updater::Updater;
 
 /// What it is called in messages.

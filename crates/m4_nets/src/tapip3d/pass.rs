@@ -1,7 +1,7 @@
 //! One pass over a clip, forward or backward.
 
 use super::frame::{Frame, Sides};
-use super::query::grid;
+use super::source::grid;
 use super::source::{Loaded, Source};
 use super::track::{Batch, Group, TrackState};
 use super::window::{State, Window};

@@ -1,9 +1,9 @@
 //! The network against its fixture: weights by the formula, damped where a random network would be chaotic.
 
-use super::camera::PosedPinhole;
 use super::config::Config;
+use super::frame::PosedPinhole;
 use super::frame::{Frame, Geometry, Sides, image_tensor, map_sizes, maps, sampled};
-use super::query::sides;
+use super::source::sides;
 use super::track::track_within;
 use super::window::{State, Window};
 use super::*;

@@ -16,14 +16,11 @@
 //! Sizes (the backbone's, the number of its blocks, the width of the heads) are read off the checkpoint's tensors. Maps are tokens
 //! `[h w, channels]`, row by row. Confidence, which the checkpoint can also give, is not computed.
 
-mod camera;
-mod depth;
+mod heads;
+mod image;
 mod layers;
-mod preprocess;
-mod rays;
 #[cfg(test)]
 mod tests;
-mod up;
 
 use crate::dinov2::{self, BackboneSize, DinoV2};
 use crate::load::{self, Shapes};
@@ -33,12 +30,12 @@ use burn_core as burn;
 use burn_core::module::{Module, Param};
 use burn_core::tensor::{DType, Device, Tensor};
 use burn_nn::{LayerNorm, Linear};
-use camera::{CameraHead, GlobalHead};
-use depth::{DepthHead, Scene};
+use heads::{CameraHead, GlobalHead};
+use heads::{DepthHead, Scene};
+use image::Patches;
+use image::Rays;
 use layers::Adapters;
 use m4_core::{Intrinsics, Plane, RgbImage};
-use preprocess::Patches;
-use rays::Rays;
 use std::path::Path;
 
 /// What it is called in messages.

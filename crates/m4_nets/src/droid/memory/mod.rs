@@ -211,7 +211,7 @@ impl<'a> DroidMemory<'a> {
 
     fn check_size(&mut self, frame: usize, image: &RgbImage) -> Result<(), DroidError> {
         let got = image.size();
-        super::preprocess::check(got)?;
+        super::check(got)?;
         let expected = *self.size.get_or_insert(got);
         if got == expected {
             return Ok(());
