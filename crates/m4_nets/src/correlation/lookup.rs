@@ -1,4 +1,5 @@
-//! Lookups on the processor: the scores that a window touches, when it touches them.
+//! Lookups: on the processor the scores that a window touches; elsewhere all scores of some rows of the source at a time, of
+//! which those in the windows are gathered.
 
 use super::{Pyramid, Values, first_and_fraction, reach, side, taps};
 use burn_core::tensor::{DType, Int, Tensor};

@@ -16,13 +16,12 @@
 //! [`scores`] computes those that a window touches; elsewhere it makes them some rows of the source at a time. Pooling and
 //! the product commute, so pooled features give what pooled scores give.
 
-#[cfg(test)]
 mod lookup;
+#[cfg(test)]
 mod tests;
 
-pub use lookup::window_scores;
-
 use burn_core::tensor::{Device, Tensor};
+use lookup::window_scores;
 
 /// Offsets of a window a side.
 pub const fn side(radius: usize) -> usize {

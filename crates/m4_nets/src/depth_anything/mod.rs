@@ -20,12 +20,13 @@ mod head;
 mod tests;
 
 use crate::dinov2::{self, BackboneSize, DinoV2, PATCH};
-use crate::ops::{IMAGENET_MEAN, IMAGENET_STD, Kernels, planes, resampled, tensor};
-use crate::{Compute, LoadError, load};
+use crate::error::{numbers, refuse};
+use crate::ops::{IMAGENET_MEAN, IMAGENET_STD, Kernels, bilinear, image_tensor};
+use crate::{Compute, LoadError, NetError, load};
 use burn_core as burn;
 use burn_core::module::Module;
 use burn_core::tensor::activation::relu;
-use burn_core::tensor::{DType, Device, Tensor};
+use burn_core::tensor::{Device, Tensor};
 use head::DepthHead;
 use m4_core::{Plane, RgbImage};
 use std::path::Path;
@@ -33,23 +34,10 @@ use std::path::Path;
 /// What it is called in messages.
 const NAME: &str = "Depth-Anything V1";
 
-/// Why there is no disparity.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum DisparityError {
-    /// The image has no pixels.
-    #[error("disparity needs an image with pixels")]
-    Empty,
-    /// The device failed, for one for lack of memory.
-    #[error("the device that computes disparity failed: {0}")]
-    Device(String),
-}
-
 /// The network with its weights.
 #[derive(Debug)]
 pub struct DepthAnything {
     net: Net,
-    size: BackboneSize,
     device: Device,
 }
 
@@ -69,7 +57,7 @@ impl Net {
     /// Of images `[b, 3, 14 h, 14 w]`: what the head says, `[b, 1, 14 h, 14 w]`; below 0 it means 0.
     fn logits(&self, images: Tensor<4>) -> Tensor<4> {
         let [_, _, height, width] = images.dims();
-        let grid = [height / dinov2::PATCH, width / dinov2::PATCH];
+        let grid = [height / PATCH, width / PATCH];
         let depth = self.pretrained.depth();
         let taps: [usize; 4] = std::array::from_fn(|i| depth - 4 + i);
         let maps = self.pretrained.taps(images, taps);
@@ -78,7 +66,7 @@ impl Net {
 }
 
 impl DepthAnything {
-    /// The network with the weights of the checkpoint at `path`, on `device`. [`DepthAnything::size`] tells which one it is.
+    /// The network with the weights of the checkpoint at `path`, on `device`.
     ///
     /// # Errors
     ///
@@ -91,19 +79,7 @@ impl DepthAnything {
         let mut net = Net::new(size, size.depth(), device);
         load::fill(&mut net, NAME, path, &head::RENAMES, dinov2::unneeded)?;
         let net = on.fit(net);
-        Ok(Self { net, size, device: device.clone() })
-    }
-
-    /// The backbone that the checkpoint holds.
-    #[must_use]
-    pub fn size(&self) -> BackboneSize {
-        self.size
-    }
-
-    /// Numbers that the network learned, without those that only its training needed.
-    #[must_use]
-    pub fn parameters(&self) -> usize {
-        self.net.num_params()
+        Ok(Self { net, device: device.clone() })
     }
 
     /// The disparity of `image`, `[height][width]` as the image: relative (a factor and an offset are unknown), 0 or more, larger where it is
@@ -111,13 +87,11 @@ impl DepthAnything {
     ///
     /// # Errors
     ///
-    /// [`DisparityError`] if the image has no pixels or the device fails.
-    pub fn disparity(&self, image: &RgbImage) -> Result<Plane<f32>, DisparityError> {
-        let sides = Sides::of(image.width(), image.height())?;
+    /// [`NetError`] if the image has no pixels or the device fails.
+    pub fn disparity(&self, image: &RgbImage) -> Result<Plane<f32>, NetError> {
+        let sides = Sides::of(image.size())?;
         let logits = self.net.logits(sides.tensor(image, &self.device));
-        let disparity = relu(logits).cast(DType::F32).try_into_vec_as();
-        let disparity: Vec<f32> = disparity.map_err(|error| DisparityError::Device(error.to_string()))?;
-        Ok(sides.to_image(&disparity))
+        Ok(sides.to_image(&numbers(relu(logits))?))
     }
 }
 
@@ -126,27 +100,23 @@ const LONGEST: usize = 768;
 
 /// Sides of an image and of what the network makes of it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) struct Sides {
+struct Sides {
     width: usize,
     height: usize,
 }
 
 impl Sides {
-    /// Of an image of `width` by `height`.
-    ///
-    /// # Errors
-    ///
-    /// [`DisparityError::Empty`] if it has no pixels.
-    pub fn of(width: usize, height: usize) -> Result<Self, DisparityError> {
+    /// Of an image that has pixels.
+    fn of((width, height): (usize, usize)) -> Result<Self, NetError> {
         if width == 0 || height == 0 {
-            return Err(DisparityError::Empty);
+            return refuse("disparity needs an image with pixels");
         }
         Ok(Self { width, height })
     }
 
     /// Width and height that the network works with: those of the image in the same ratio with the longer at 768, rounded to whole
     /// patches (down where that would make more than 768), one patch at least.
-    pub fn inside(self) -> (usize, usize) {
+    fn inside(self) -> (usize, usize) {
         let scale = LONGEST as f64 / self.width.max(self.height) as f64;
         let side = |side: usize| {
             let patches = side as f64 * scale / PATCH as f64;
@@ -158,21 +128,13 @@ impl Sides {
     }
 
     /// The image `[1, 3, height, width]` of the sides [`Sides::inside`], normalised.
-    pub fn tensor(self, image: &RgbImage, device: &Device) -> Tensor<4> {
-        let (width, height) = self.inside();
-        let values = planes(image, IMAGENET_MEAN, IMAGENET_STD);
-        let columns = Kernels::cubic(self.width, width);
-        let rows = Kernels::cubic(self.height, height);
-        let values = resampled(&values, self.width, self.height, &columns, &rows);
-        tensor(values, [1, 3, height, width], device)
+    fn tensor(self, image: &RgbImage, device: &Device) -> Tensor<4> {
+        image_tensor(image, self.inside(), Kernels::cubic, [IMAGENET_MEAN, IMAGENET_STD], device)
     }
 
     /// Disparity of the sides [`Sides::inside`] in those of the image.
-    pub fn to_image(self, disparity: &[f32]) -> Plane<f32> {
-        let (width, height) = self.inside();
-        let columns = Kernels::linear(width, self.width);
-        let rows = Kernels::linear(height, self.height);
-        let values = resampled(disparity, width, height, &columns, &rows);
+    fn to_image(self, disparity: &[f32]) -> Plane<f32> {
+        let values = bilinear(disparity, self.inside(), (self.width, self.height));
         Plane::from_fn(self.width, self.height, |x, y| values[y * self.width + x])
     }
 }
@@ -197,16 +159,16 @@ mod tests {
             (500, 375, 756, 574),
         ];
         for (w, h, width, height) in table {
-            assert_eq!(Sides::of(w, h).unwrap().inside(), (width, height), "{w} x {h}");
+            assert_eq!(Sides::of((w, h)).unwrap().inside(), (width, height), "{w} x {h}");
         }
-        assert_eq!(Sides::of(100_000, 1).unwrap().inside(), (756, 14));
-        assert!(Sides::of(0, 4).is_err());
+        assert_eq!(Sides::of((100_000, 1)).unwrap().inside(), (756, 14));
+        assert!(Sides::of((0, 4)).is_err());
     }
 
     /// A constant stays one, and a slope goes to the image's size and keeps its ends.
     #[test]
     fn disparity_is_resized_to_the_image() {
-        let sides = Sides::of(300, 200).unwrap();
+        let sides = Sides::of((300, 200)).unwrap();
         let (w, h) = sides.inside();
         let slope: Vec<f32> = (0..w * h).map(|i| (i % w) as f32 + 0.5).collect();
         let back = sides.to_image(&slope);

@@ -17,10 +17,9 @@ mod tests;
 
 use crate::LoadError;
 use crate::load::Shapes;
-use crate::ops::{Kernels, gelu, linear, tensor};
+use crate::ops::{Kernels, attend_heads, gelu, linear, tensor};
 use burn_core as burn;
 use burn_core::module::{Module, Param};
-use burn_core::tensor::activation::softmax;
 use burn_core::tensor::{DType, Device, Tensor};
 use burn_nn::conv::{Conv2d, Conv2dConfig};
 use burn_nn::{Initializer, LayerNorm, LayerNormConfig, Linear};
@@ -80,7 +79,7 @@ impl DinoV2 {
             patch_embed: PatchEmbed { proj: patches.with_initializer(Initializer::Zeros).init(device) },
             blocks: (0..depth).map(|_| Block::new(size, device)).collect(),
             norm: fine_norm(width, device),
-            offset: positions::OFFSET,
+            offset: OFFSET,
         }
     }
 
@@ -117,7 +116,7 @@ impl DinoV2 {
         let patches = maps.reshape([b, c, h * w]).swap_dims(1, 2);
         let class = self.cls_token.val().expand([b, 1, c]);
         let tokens = Tensor::cat(vec![class, patches], 1);
-        let positions = positions::resized(self.pos_embed.val(), h, w, self.offset).cast(tokens.dtype());
+        let positions = resized(self.pos_embed.val(), h, w, self.offset).cast(tokens.dtype());
         tokens + positions
     }
 }
@@ -209,10 +208,6 @@ impl BackboneSize {
 
     /// The size of the backbone under `prefix` (with its final dot) in a checkpoint of `network`, as its class token tells. A file's name says
     /// nothing: a small network under the name of a large one is a small one.
-    ///
-    /// # Errors
-    ///
-    /// [`LoadError::OtherNetwork`] if there is no such token or it has a width that no published backbone has.
     pub(crate) fn in_checkpoint(
         shapes: &Shapes,
         prefix: &str,
@@ -220,21 +215,14 @@ impl BackboneSize {
         path: &Path,
     ) -> Result<Self, LoadError> {
         let name = format!("{prefix}cls_token");
-        let other = |missing: Vec<String>, wrong: Vec<String>| LoadError::OtherNetwork {
-            path: path.to_owned(),
-            network,
-            missing,
-            unused: Vec::new(),
-            wrong,
-        };
         let Some(shape) = shapes.get(&name) else {
-            return Err(other(vec![name], Vec::new()));
+            return Err(LoadError::misfit(network, path, &[&name], &[]));
         };
         let found = Self::ALL.into_iter().find(|size| shape.last() == Some(&size.width()));
         found.ok_or_else(|| {
             let known = Self::ALL.map(|size| format!("{} of {}", size.width(), size.name()));
             let wrong = format!("{name} has the shape {shape:?}, known widths are {}", known.join(", "));
-            other(Vec::new(), vec![wrong])
+            LoadError::misfit(network, path, &[], &[wrong])
         })
     }
 }
@@ -247,9 +235,6 @@ pub struct Attention {
     heads: usize,
 }
 
-/// Queries that are answered at a time: scores are held for them alone.
-const QUERIES: usize = 128;
-
 impl Attention {
     pub fn new(width: usize, heads: usize, device: &Device) -> Self {
         Self { qkv: biased(width, 3 * width, device), proj: biased(width, width, device), heads }
@@ -260,17 +245,9 @@ impl Attention {
         let [b, n, c] = x.dims();
         let qkv = self.qkv.forward(x).reshape([b, n, 3, self.heads, c / self.heads]).permute([2, 0, 3, 1, 4]);
         let [q, k, v] = [0, 1, 2].map(|i| qkv.clone().narrow(0, i, 1).squeeze_dim::<4>(0));
-        let found = answered(q, k, v).swap_dims(1, 2).reshape([b, n, c]);
+        let found = attend_heads(q, k, v).swap_dims(1, 2).reshape([b, n, c]);
         self.proj.forward(found)
     }
-}
-
-/// `softmax(q k^T / sqrt(c)) v` of every head, `[b, heads, n, c]`. Holds at most [`QUERIES`]` * n` scores a head at a time.
-fn answered(q: Tensor<4>, k: Tensor<4>, v: Tensor<4>) -> Tensor<4> {
-    let [_, _, _, c] = q.dims();
-    let k = k.mul_scalar(1.0 / (c as f32).sqrt()).swap_dims(2, 3);
-    let some = |q: Tensor<4>| softmax(q.matmul(k.clone()), 3).matmul(v.clone());
-    Tensor::cat(q.split(QUERIES, 2).into_iter().map(some).collect(), 2)
 }
 
 /// A block.
@@ -337,7 +314,9 @@ impl Block {
     }
 }
 
-/// What is added to a number of rows or columns before it becomes a scale.
+/// What is added to a number of rows or columns before it becomes a scale: DINOv2 asks PyTorch's `interpolate` (bicubic, a = -0.75, no
+/// antialiasing) for the scale `(h + 0.1) / 37`, so that rounding cannot lose a row, and the samples lie `37 / (h + 0.1)` apart.
+/// Depth changes by a fifth without that tenth. `UniDepth` V2 was trained without it.
 pub const OFFSET: f64 = 0.1;
 
 /// Positions `[1, 1 + h w, c]` in 32 bits, out of those `[1, 1 + 37 * 37, c]` that were learned, with samples `37 / (h + offset)`

@@ -1,7 +1,7 @@
 //! Against the authors' module, with synthetic weights (the backbone of Depth-Anything's fixtures).
 
-use super::positions;
 use super::{BackboneSize, DinoV2, Tap, unneeded};
+use super::{OFFSET, resized};
 use crate::cpu;
 use crate::fixture::{Fixture, assert_near, every, fill_by_formula, normalised};
 use m4_testkit::FormulaWeights;
@@ -34,7 +34,7 @@ fn backbone(size: BackboneSize, keys: &str, depth: usize) -> DinoV2 {
 /// The last four blocks, the positions and the first block; `step` channels apart in the fixture.
 fn check(net: &DinoV2, fixture: &Fixture, step: usize) {
     let image = normalised(&fixture.image("image"), &cpu());
-    let positions = positions::resized(net.pos_embed.val(), 9, 12, positions::OFFSET).squeeze_dim(0);
+    let positions = resized(net.pos_embed.val(), 9, 12, OFFSET).squeeze_dim(0);
     assert_near(every(positions, step), fixture, "pos_embed_resized_strided", LIMIT);
     let first = net.blocks[0].forward(net.tokens(image.clone())).squeeze_dim(0);
     assert_near(every(first, step), fixture, "block0_out_strided", LIMIT);
@@ -64,7 +64,7 @@ fn five_blocks_of_the_large_model_match_the_module() {
 fn position_embeddings_of_the_trained_size_are_unchanged() {
     let net = backbone(BackboneSize::Small, SMALL, 1);
     let learned: Vec<f32> = net.pos_embed.val().try_into_vec_as().unwrap();
-    let same: Vec<f32> = positions::resized(net.pos_embed.val(), 37, 37, positions::OFFSET).try_into_vec_as().unwrap();
+    let same: Vec<f32> = resized(net.pos_embed.val(), 37, 37, OFFSET).try_into_vec_as().unwrap();
     assert_eq!(learned, same);
 }
 

@@ -2,11 +2,10 @@
 
 use super::WIDTH;
 use crate::correlation::taps;
-use crate::ops::{conv, convolve, gelu, sigmoid, tanh};
+use crate::ops::{conv, convolve, gelu, sigmoid, tanh, with_weights};
 use burn_core as burn;
 use burn_core::module::{Module, Param};
-use burn_core::tensor::activation::{relu, softmax, softplus};
-use burn_core::tensor::ops::PadMode;
+use burn_core::tensor::activation::{relu, softplus};
 use burn_core::tensor::{DType, Device, Int, Tensor};
 use burn_nn::conv::Conv2d;
 use burn_nn::{LayerNorm, LayerNormConfig};
@@ -23,25 +22,13 @@ pub struct Pair {
 }
 
 impl Pair {
-    pub fn new(channels: [usize; 2], kernels: [usize; 2], device: &Device) -> Self {
-        let [from, to] = channels;
-        Self {
-            hidden: conv([from, WIDTH], kernels[0], 1, true, device),
-            out: conv([WIDTH, to], kernels[1], 1, true, device),
-        }
+    fn new([from, to]: [usize; 2], [first, second]: [usize; 2], device: &Device) -> Self {
+        Self { hidden: conv([from, WIDTH], first, 1, true, device), out: conv([WIDTH, to], second, 1, true, device) }
     }
 
     /// Without the activation of the second.
-    pub fn forward(&self, x: Tensor<4>, activation: impl Fn(Tensor<4>) -> Tensor<4>) -> Tensor<4> {
+    fn forward(&self, x: Tensor<4>, activation: impl Fn(Tensor<4>) -> Tensor<4>) -> Tensor<4> {
         convolve([activation(convolve([x], &self.hidden))], &self.out)
-    }
-
-    /// Keeps the first `n` outputs.
-    fn keep(&mut self, n: usize) {
-        let mut out = self.out.clone();
-        out.weight = out.weight.map(|weight| weight.narrow(0, 0, n));
-        out.bias = out.bias.map(|bias| bias.map(|bias| bias.narrow(0, 0, n)));
-        self.out = out;
     }
 }
 
@@ -52,7 +39,7 @@ pub struct Update {
     flow_encoder: Pair,
     weight: Pair,
     delta: Pair,
-    gru: Gru,
+    pub gru: Gru,
     pub agg: Aggregation,
     pub agg_motion: MotionHead,
 }
@@ -72,14 +59,12 @@ impl Update {
     }
 
     /// Leaves out the third output of weights and steps that the published checkpoint has.
-    pub fn without_third_rows(mut self) -> Self {
-        self.weight.keep(2);
-        self.delta.keep(2);
-        self
-    }
-
-    pub fn arranged_gru(&self) -> ArrangedGru {
-        self.gru.arranged()
+    pub fn keep_two_rows(&mut self) {
+        for layer in [&mut self.weight.out, &mut self.delta.out] {
+            let weight = layer.weight.val().narrow(0, 0, 2);
+            let bias = layer.bias.as_ref().map(|bias| bias.val().narrow(0, 0, 2));
+            *layer = with_weights(layer.clone(), weight, bias);
+        }
     }
 
     /// The hidden states that follow `hidden` `[n, 128, h, w]`, with what the context adds by `gru`, scores `[n, 196, h, w]` and
@@ -146,13 +131,7 @@ impl Aggregation {
     pub fn eta(&self, shared: Tensor<4>) -> Tensor<4> {
         softplus(convolve([shared], &self.eta), 1.0).mul_scalar(0.01)
     }
-
-    /// Scores of the nine neighbours for each pixel of a block, `[1, 576, h, w]`.
-    pub fn upmask(&self, shared: Tensor<4>) -> Tensor<4> {
-        convolve([shared], &self.upmask)
-    }
 }
-
 /// The head (MegaSaM, section 3.2.1). What the checkpoint has beside it (`conv4`, `norm_4`, `eta`) only training used.
 #[derive(Module, Debug)]
 pub struct MotionHead {
@@ -196,25 +175,15 @@ impl MotionHead {
     fn first(&self, hidden: Tensor<4>, weight: Tensor<4>) -> Tensor<4> {
         let [n, c, h, w] = hidden.dims();
         let all = self.conv0.weight.val();
-        let mut pixels = self.conv0.clone();
         let part = |from, len| all.clone().narrow(1, from, len);
-        pixels.weight = burn::module::Param::from_tensor(Tensor::cat(vec![part(0, c), part(2 * c, 2)], 1));
-        let mut means = self.conv0.clone();
-        means.weight = burn::module::Param::from_tensor(part(c, c));
-        means.bias = None;
+        let bias = self.conv0.bias.as_ref().map(Param::val);
+        let pixels = with_weights(self.conv0.clone(), Tensor::cat(vec![part(0, c), part(2 * c, 2)], 1), bias);
+        let means = with_weights(self.conv0.clone(), part(c, c), None);
         let mean = hidden.clone().mean_dims(&[2, 3]).expand([n, c, 3, 3]);
         let nine = means.forward(mean);
         let device = nine.device();
         let spread = |nine: Tensor<4>, dim: usize, extent: usize| {
-            let index = (0..extent).map(|i| {
-                if i == 0 {
-                    0
-                } else if i + 1 == extent {
-                    2
-                } else {
-                    1_i32
-                }
-            });
+            let index = (0..extent).map(|i| if i == 0 { 0 } else { 1 + i32::from(i + 1 == extent) });
             let index = Tensor::<1, Int>::from_data(index.collect::<Vec<_>>().as_slice(), &device);
             nine.select(dim, index)
         };
@@ -284,21 +253,13 @@ impl Gru {
         };
         let edge = [0..WIDTH, 2 * WIDTH..3 * WIDTH + FLOW];
         ArrangedGru {
-            context: with_weights(&self.convz, weights(&all, [WIDTH..2 * WIDTH, 0..0]), Some(biases(all))),
-            update_reset: with_weights(&self.convz, weights(&all[..2], edge.clone()), None),
-            candidate: with_weights(&self.convz, weights(&all[2..], edge), None),
-            global: with_weights(&self.w, weights(&global, [0..WIDTH, 0..0]), Some(biases(global))),
+            context: with_weights(self.convz.clone(), weights(&all, [WIDTH..2 * WIDTH, 0..0]), Some(biases(all))),
+            update_reset: with_weights(self.convz.clone(), weights(&all[..2], edge.clone()), None),
+            candidate: with_weights(self.convz.clone(), weights(&all[2..], edge), None),
+            global: with_weights(self.w.clone(), weights(&global, [0..WIDTH, 0..0]), Some(biases(global))),
             w: self.w.clone(),
         }
     }
-}
-
-/// `like` with other weights.
-fn with_weights(like: &Conv2d, weight: Tensor<4>, bias: Option<Tensor<1>>) -> Conv2d {
-    let mut conv = like.clone();
-    conv.weight = Param::from_tensor(weight);
-    conv.bias = bias.map(Param::from_tensor);
-    conv
 }
 
 /// [`Gru`] with what depends on the source alone taken out, and the gates that read the same numbers as one convolution.
@@ -343,18 +304,4 @@ impl ArrangedGru {
         let q = tanh(q + added(2, 1));
         hidden.clone() + z * (q - hidden)
     }
-}
-
-/// Side of the block that a pixel of the grid becomes.
-const BLOCK: usize = 8;
-
-/// Each of the 8 x 8 pixels of a block as a mean of the nine pixels of `values` `[h, w]` around it (0 outside), weighted by the
-/// softmax of its scores in `mask` `[1, 576, h, w]` (neighbour, row of the block, column of the block): `[8 h, 8 w]`.
-pub fn convex(values: Tensor<2>, mask: Tensor<4>) -> Tensor<2> {
-    let [h, w] = values.dims();
-    let mask = softmax(mask.cast(DType::F32).reshape([9, BLOCK * BLOCK, h * w]), 0);
-    let padded = values.pad([(1, 1), (1, 1)], PadMode::Constant(0.0));
-    let around = (0..9).map(|k| padded.clone().slice([k / 3..k / 3 + h, k % 3..k % 3 + w]));
-    let around = Tensor::stack::<3>(around.collect(), 0).reshape([9, 1, h * w]);
-    (mask * around).sum_dim(0).reshape([BLOCK, BLOCK, h, w]).permute([2, 0, 3, 1]).reshape([BLOCK * h, BLOCK * w])
 }

@@ -23,17 +23,16 @@ mod pickle;
 mod tests;
 mod trunk;
 
-use crate::ops::{Kernels, planes, resampled, tensor};
-use crate::{Compute, LoadError};
+use crate::error::{numbers, refuse};
+use crate::ops::{bilinear, planes, tensor};
+use crate::{Compute, LoadError, NetError};
 use burn_core::tensor::{Device, Tensor};
 use m4_core::{Mask, Plane, RgbImage};
-use serde::{Deserialize, Serialize};
 use std::path::Path;
 use trunk::Net;
 
 /// Which network's features are compared.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum LpipsNet {
     /// AlexNet: upstream's default, DyCheck's and most tables'. The entry `lpips-alex` of `minute4d weights list`.
     Alex,
@@ -69,61 +68,6 @@ impl LpipsNet {
     }
 }
 
-/// Why two images were not compared.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-#[non_exhaustive]
-pub enum LpipsError {
-    /// An image is too small for the network.
-    #[error("{} needs images of {least} pixels per side at least, not {width} x {height}; compare larger ones", net.title())]
-    TooSmall {
-        /// The network.
-        net: LpipsNet,
-        /// The fewest pixels of a side.
-        least: usize,
-        /// Columns.
-        width: usize,
-        /// Rows.
-        height: usize,
-    },
-    /// Two things that must have one size do not.
-    #[error("{what} has {} x {} pixels but the reference {} x {}; render or resize it to the reference's size first", found.0, found.1, expected.0, expected.1)]
-    Size {
-        /// What differs from the reference.
-        what: &'static str,
-        /// Width and height of the reference.
-        expected: (usize, usize),
-        /// Width and height found.
-        found: (usize, usize),
-    },
-    /// A plane of an image has not as many values as the image pixels.
-    #[error("an image of {width} x {height} has planes of {} values; channel {channel} has {found}", width * height)]
-    Length {
-        /// Columns.
-        width: usize,
-        /// Rows.
-        height: usize,
-        /// Index of the channel, 0..3.
-        channel: usize,
-        /// The given value.
-        found: usize,
-    },
-    /// A colour is infinite or no number.
-    #[error("pixel ({x}, {y}) of channel {channel} is {value}; only finite colours can be compared")]
-    NotFinite {
-        /// Column.
-        x: usize,
-        /// Row.
-        y: usize,
-        /// Index of the channel, 0..3.
-        channel: usize,
-        /// The value.
-        value: f32,
-    },
-    /// The device failed, for one for lack of memory.
-    #[error("the device that computes LPIPS failed: {0}")]
-    Device(String),
-}
-
 /// A network with its weights.
 #[derive(Debug)]
 pub struct Lpips {
@@ -145,31 +89,20 @@ impl Lpips {
         Ok(Self { net, layers, device })
     }
 
-    /// Which network it is.
-    #[must_use]
-    pub fn net(&self) -> LpipsNet {
-        self.net
-    }
-
-    /// Numbers of the checkpoint.
-    #[must_use]
-    pub fn parameters(&self) -> usize {
-        use burn_core::module::Module;
-        self.layers.num_params()
-    }
-
     /// How different `image` looks from `reference`.
     ///
     /// # Errors
     ///
-    /// [`LpipsError`] if the sizes differ or are too small, or the device fails.
-    pub fn compare(&self, image: &LpipsImage, reference: &LpipsImage) -> Result<LpipsScore, LpipsError> {
-        image::same_size("the image", reference.size(), image.size())?;
+    /// [`NetError`] if the sizes differ or are too small, or the device fails.
+    pub fn compare(&self, image: &LpipsImage, reference: &LpipsImage) -> Result<LpipsScore, NetError> {
+        same_size("the image", reference.size(), image.size())?;
         let (width, height) = reference.size();
         let least = self.net.min_side_px();
         if width.min(height) < least {
-            let net = self.net;
-            return Err(LpipsError::TooSmall { net, least, width, height });
+            let net = self.net.title();
+            return refuse(format!(
+                "{net} needs images of {least} pixels per side at least, not {width} x {height}; compare larger ones"
+            ));
         }
         let [image, reference] = [image, reference].map(|image| image.tensor(&self.device));
         let layers = self.layers.differences(self.net, image, reference);
@@ -181,15 +114,15 @@ impl Lpips {
     ///
     /// # Errors
     ///
-    /// [`LpipsError`] as [`Self::compare`], or if the mask has another size.
+    /// [`NetError`] as [`Self::compare`], or if the mask has another size.
     pub fn compare_inside(
         &self,
         image: &LpipsImage,
         reference: &LpipsImage,
         mask: &Mask,
-    ) -> Result<Option<f64>, LpipsError> {
-        image::same_size("the image", reference.size(), image.size())?;
-        image::same_size("the mask", reference.size(), mask.size())?;
+    ) -> Result<Option<f64>, NetError> {
+        same_size("the image", reference.size(), image.size())?;
+        same_size("the mask", reference.size(), mask.size())?;
         self.compare(&image.inside(mask), &reference.inside(mask))?.mean_inside(mask)
     }
 }
@@ -207,8 +140,14 @@ pub struct LpipsImage {
     values: Vec<f32>,
 }
 
-pub(super) fn same_size(what: &'static str, expected: (usize, usize), found: (usize, usize)) -> Result<(), LpipsError> {
-    if expected == found { Ok(()) } else { Err(LpipsError::Size { what, expected, found }) }
+pub(super) fn same_size(what: &str, expected: (usize, usize), found: (usize, usize)) -> Result<(), NetError> {
+    if expected == found {
+        return Ok(());
+    }
+    refuse(format!(
+        "{what} has {} x {} pixels but the reference {} x {}; render or resize it to the reference's size first",
+        found.0, found.1, expected.0, expected.1
+    ))
 }
 
 impl LpipsImage {
@@ -216,16 +155,21 @@ impl LpipsImage {
     ///
     /// # Errors
     ///
-    /// [`LpipsError::Length`] if a plane does not hold `width * height` values, [`LpipsError::NotFinite`] if one is NaN or infinite.
-    pub fn from_planes(width: usize, height: usize, planes: [&[f32]; 3]) -> Result<Self, LpipsError> {
+    /// [`NetError::Input`] if a plane does not hold `width * height` values or one is NaN or infinite.
+    pub fn from_planes(width: usize, height: usize, planes: [&[f32]; 3]) -> Result<Self, NetError> {
         for (channel, plane) in planes.iter().enumerate() {
             if width.checked_mul(height) != Some(plane.len()) {
-                let found = plane.len();
-                return Err(LpipsError::Length { width, height, channel, found });
+                return refuse(format!(
+                    "an image of {width} x {height} has planes of {} values; channel {channel} has {}",
+                    width.saturating_mul(height),
+                    plane.len()
+                ));
             }
             if let Some(i) = plane.iter().position(|v| !v.is_finite()) {
                 let (x, y, value) = (i % width, i / width, plane[i]);
-                return Err(LpipsError::NotFinite { x, y, channel, value });
+                return refuse(format!(
+                    "pixel ({x}, {y}) of channel {channel} is {value}; only finite colours can be compared"
+                ));
             }
         }
         let values = planes.concat();
@@ -271,14 +215,14 @@ pub struct LpipsScore {
 
 impl LpipsScore {
     /// Of the differences of the layers, `[1, 1, h, w]` each.
-    pub(super) fn of(layers: [Tensor<4>; 5], (width, height): (usize, usize)) -> Result<Self, LpipsError> {
+    pub(super) fn of(layers: [Tensor<4>; 5], (width, height): (usize, usize)) -> Result<Self, NetError> {
         let mut distance = 0.0;
         let mut map = vec![0.0f32; width * height];
         for layer in layers {
             let [_, _, h, w] = layer.dims();
-            let values: Vec<f32> = layer.try_into_vec_as().map_err(|error| LpipsError::Device(error.to_string()))?;
+            let values = numbers(layer)?;
             distance += values.iter().copied().map(f64::from).sum::<f64>() / values.len() as f64;
-            let enlarged = resampled(&values, w, h, &Kernels::linear(w, width), &Kernels::linear(h, height));
+            let enlarged = bilinear(&values, (w, h), (width, height));
             for (sum, value) in map.iter_mut().zip(enlarged) {
                 *sum += value;
             }
@@ -292,8 +236,8 @@ impl LpipsScore {
     ///
     /// # Errors
     ///
-    /// [`LpipsError::Size`] if the mask has another size.
-    pub fn mean_inside(&self, mask: &Mask) -> Result<Option<f64>, LpipsError> {
+    /// [`NetError::Input`] if the mask has another size.
+    pub fn mean_inside(&self, mask: &Mask) -> Result<Option<f64>, NetError> {
         same_size("the mask", self.map.size(), mask.size())?;
         let pairs = self.map.data().iter().zip(mask.data());
         let (sum, count) =

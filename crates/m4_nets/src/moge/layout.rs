@@ -110,7 +110,6 @@ pub struct Layout {
     pub neck: StackLayout,
     pub points: StackLayout,
     pub mask: StackLayout,
-    pub normal: Option<StackLayout>,
     /// Channels of the layers of the head for scale, its input first.
     pub scale: Vec<usize>,
 }
@@ -120,10 +119,6 @@ const MOST_CHANNELS: usize = 1 << 14;
 
 impl Layout {
     /// Of a checkpoint with `shapes` (by the names of fields), `kinds` telling the normalisations of each stack.
-    ///
-    /// # Errors
-    ///
-    /// What is missing or does not fit together.
     pub fn in_checkpoint(shapes: &Shapes, kinds: impl Fn(&str) -> [Norm; 2]) -> Result<Self, String> {
         let wide = shapes.iter().find(|(_, shape)| shape.iter().any(|&n| n > MOST_CHANNELS));
         if let Some((name, shape)) = wide {
@@ -142,7 +137,6 @@ impl Layout {
             }
             scale.extend(shape.first());
         }
-        let has_normal = shapes.keys().any(|key| key.starts_with("normal_head."));
         let layout = Self {
             encoder: projection
                 .and_then(|shape| shape.first())
@@ -152,7 +146,6 @@ impl Layout {
             neck: stack("neck")?,
             points: stack("points_head")?,
             mask: stack("mask_head")?,
-            normal: if has_normal { Some(stack("normal_head")?) } else { None },
             scale,
         };
         layout.check()?;
@@ -169,13 +162,7 @@ impl Layout {
     fn check(&self) -> Result<(), String> {
         let first = |i: usize| if i == 0 { self.encoder } else { 0 };
         fits("neck", &self.neck, (0..self.neck.levels.len()).map(|i| Some(first(i) + 2)))?;
-        let heads = [
-            ("points_head", Some(&self.points), 3),
-            ("mask_head", Some(&self.mask), 1),
-            ("normal_head", self.normal.as_ref(), 3),
-        ];
-        for (name, head, channels) in heads {
-            let Some(head) = head else { continue };
+        for (name, head, channels) in [("points_head", &self.points, 3), ("mask_head", &self.mask, 1)] {
             let inputs = self.neck.outputs().zip(&head.levels);
             // without a convolution, the input is added as it is
             fits(name, head, inputs.map(|(n, level)| (level.input.is_some() || n != level.width).then_some(n)))?;
@@ -263,10 +250,6 @@ impl Config {
     }
 
     /// That of the checkpoint at `path`, where it has one: the official ones are a dictionary of `model_config` and `model`.
-    ///
-    /// # Errors
-    ///
-    /// What it says that is not known here.
     pub fn of_checkpoint(path: &Path, size: BackboneSize) -> Result<Self, String> {
         let mut config = Self::published(size);
         if path.extension().is_some_and(|end| end == "safetensors") {
@@ -296,7 +279,7 @@ impl Config {
             let name = text(remap).unwrap_or_default();
             self.remap = Remap::named(name).ok_or_else(|| format!("remap_output = {remap:?} is not known"))?;
         }
-        for stack in ["neck", "points_head", "mask_head", "normal_head"] {
+        for stack in ["neck", "points_head", "mask_head"] {
             if let Some(stored) = entry(stored, stack) {
                 let norms = stack_norms(stored).map_err(|reason| format!("{stack}: {reason}"))?;
                 self.norms.push((stack.to_owned(), norms));

@@ -118,7 +118,9 @@ pub(super) fn exp_parts<S: Simd>(s: S, x: f32x16<S>) -> (f32x16<S>, f32x16<S>) {
     (f32x16::from_bits(one + (exponent << 23u32)), p * f)
 }
 
-/// `P`, the highest power first.
+/// Burn's own GELU takes `erf` from a library, a number at a time: 38% of the time of a network that was measured. Here `erf(x)` is
+/// `x P(x^2) / Q(x^2)` on [-4, 4], beyond which it is 1 in 32 bits (the coefficients that Eigen and XLA use); `P`, the highest power
+/// first.
 const P: [f32; 7] =
     [-2.726_142_3e-10, 2.770_681_4e-8, -2.101_024e-6, -5.692_506_5e-5, -7.349_906_5e-4, -2.954_6e-3, -1.609_603_3e-2];
 /// `Q`, the highest power first.

@@ -1,7 +1,6 @@
 //! Multi-head attention that never stores all scores.
 
 use super::activations::{all, exp_parts, keep_nan};
-use super::softmax_rows;
 use burn_core::tensor::activation::softmax;
 use burn_core::tensor::{Device, Tensor, TensorData};
 use fearless_simd::prelude::*;

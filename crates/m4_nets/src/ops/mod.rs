@@ -8,7 +8,7 @@ mod resample;
 pub use activations::{gelu, gelu_by_tanh, sigmoid, tanh};
 pub use attention::{attend_heads, softmax_rows};
 pub use convolution::{convolve, convolve_edges};
-pub use resample::{Kernels, resampled};
+pub use resample::{Kernels, bilinear, bilinear_plane, image_tensor, resampled};
 
 use burn_core as burn;
 use burn_core::module::{Module, Param};
@@ -65,18 +65,6 @@ pub fn instance_norm(x: Tensor<4>) -> Tensor<4> {
     let ones = Tensor::ones([h * w], (&x.device(), DType::F32));
     let x = x.cast(DType::F32).reshape([n, c, h * w]);
     layer_norm(x, ones, None, 1e-5).reshape([n, c, h, w]).cast(dtype)
-}
-
-/// Rows of queries that one step of [`attend`] takes.
-const QUERY_ROWS: usize = 1024;
-
-/// `softmax(q k^T / sqrt(c)) v` for `q` `[n, c]`, `k` `[m, c]` and `v` `[m, d]`: `[n, d]`. Holds at most [`QUERY_ROWS`]` * m`
-/// scores at a time.
-pub fn attend(q: Tensor<2>, k: Tensor<2>, v: Tensor<2>) -> Tensor<2> {
-    let [_, c] = q.dims();
-    let k = k.mul_scalar(1.0 / (c as f32).sqrt()).transpose();
-    let rows = q.split(QUERY_ROWS, 0).into_iter().map(|q| softmax(q.matmul(k.clone()), 1).matmul(v.clone())).collect();
-    Tensor::cat(rows, 0)
 }
 
 /// Mean of red, green and blue that most weights were trained with (ImageNet's).

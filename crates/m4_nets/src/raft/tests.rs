@@ -28,16 +28,15 @@ fn parts_agree_with_the_published_module() {
     let (net, fixture) = (network(), Fixture::open("raft/flow.safetensors"));
     let input = |name: &str| {
         let image = fixture.image(name);
-        let padding = Padding::of(image.width(), image.height(), FACTOR, LEAST).unwrap();
-        padding.tensor(&image, |x, _| 2.0 * x - 1.0, &net.device)
+        Padding::of(image.size()).unwrap().tensor(&image, &net.device)
     };
     let maps = ["1", "2"].map(|i| {
-        let map = net.net.fnet.forward(input(&format!("image{i}")));
+        let map = net.net.fnet.forward(input(&format!("image{i}")), Norm::Instance);
         let name = format!("fmap{i}_strided");
         assert_near(every(map.clone(), 8), &fixture, &name, LIMIT);
         map
     });
-    let context = net.net.cnet.forward(input("image1"));
+    let context = net.net.cnet.forward(input("image1"), Norm::Batch);
     assert_near(every(context, 8), &fixture, "cnet_strided", LIMIT);
 
     let [source, target] = maps.map(|map| map.squeeze_dim::<3>(0).permute([1, 2, 0]));

@@ -1,8 +1,8 @@
 //! The decoder's transformer: tokens that look at the image and an image that looks at the tokens, in turn (Kirillov et al.,
 //! "Segment Anything", ICCV 2023, appendix A).
 
-use super::{WIDTH, channel_norm, heads};
-use crate::ops::{gelu, linear, norm};
+use super::{WIDTH, channel_norm};
+use crate::ops::{attend_heads, gelu, linear, norm};
 use burn_core as burn;
 use burn_core::module::Module;
 use burn_core::tensor::activation::relu;
@@ -42,14 +42,14 @@ impl Attention {
         let shape = q.dims();
         let k = self.k_proj.forward(k);
         let v = self.v_proj.forward(v);
-        let found = heads(split(q), split(k), split(v), None);
+        let found = attend_heads(split(q), split(k), split(v));
         self.out_proj.forward(found.swap_dims(1, 2).reshape(shape))
     }
 }
 
 /// The feed-forward layer of the tokens.
 #[derive(Module, Debug)]
-pub struct Mlp {
+struct FeedForward {
     lin1: Linear,
     lin2: Linear,
 }
@@ -61,7 +61,7 @@ pub struct Layer {
     norm1: LayerNorm,
     cross_attn_token_to_image: Attention,
     norm2: LayerNorm,
-    mlp: Mlp,
+    mlp: FeedForward,
     norm3: LayerNorm,
     norm4: LayerNorm,
     cross_attn_image_to_token: Attention,
@@ -75,7 +75,10 @@ impl Layer {
             norm1: norm(),
             cross_attn_token_to_image: Attention::new(WIDTH / 2, device),
             norm2: norm(),
-            mlp: Mlp { lin1: linear(WIDTH, MLP_WIDTH, true, device), lin2: linear(MLP_WIDTH, WIDTH, true, device) },
+            mlp: FeedForward {
+                lin1: linear(WIDTH, MLP_WIDTH, true, device),
+                lin2: linear(MLP_WIDTH, WIDTH, true, device),
+            },
             norm3: norm(),
             norm4: norm(),
             cross_attn_image_to_token: Attention::new(WIDTH / 2, device),

@@ -3,11 +3,11 @@
 mod decoder;
 mod prompt_encoder;
 
-pub use decoder::TwoWay;
-pub use decoder::{MAP_WIDTH, Mlp, Upscaling};
+pub use decoder::{MAP_WIDTH, Mlp, TwoWay, Upscaling};
 pub use prompt_encoder::{PromptEncoder, Token};
 
-use burn_core::tensor::activation::softmax;
+use crate::NetError;
+use crate::error::refuse;
 use burn_core::tensor::{Device, Tensor};
 use burn_nn::{LayerNorm, LayerNormConfig};
 use m4_core::Plane;
@@ -23,17 +23,6 @@ pub fn channel_norm(width: usize, device: &Device) -> LayerNorm {
 /// `norm` over the channels of `x` `[n, c, h, w]`.
 pub fn over_channels(norm: &LayerNorm, x: Tensor<4>) -> Tensor<4> {
     norm.forward(x.permute([0, 2, 3, 1])).permute([0, 3, 1, 2])
-}
-
-/// `softmax(q k^T / sqrt(c) + bias) v` of every head, `[n, heads, l, c]`; `bias` is `[1, heads, l, l]`.
-pub fn heads(q: Tensor<4>, k: Tensor<4>, v: Tensor<4>, bias: Option<Tensor<4>>) -> Tensor<4> {
-    let [_, _, _, c] = q.dims();
-    let scores = q.mul_scalar(1.0 / (c as f32).sqrt()).matmul(k.swap_dims(2, 3));
-    let scores = match bias {
-        Some(bias) => scores + bias,
-        None => scores,
-    };
-    softmax(scores, 3).matmul(v)
 }
 
 /// A place in an image, and whether it belongs to the object.
@@ -61,5 +50,40 @@ impl Prompt {
     #[must_use]
     pub fn is_ambiguous(&self) -> bool {
         self.points.len() < 2 && self.box_px.is_none()
+    }
+
+    /// Fails unless it asks for something within an image of `width` by `height`, and its mask is of `mask_side` rows and columns
+    /// of finite numbers.
+    pub(crate) fn check(&self, (width, height): (usize, usize), mask_side: usize) -> Result<(), NetError> {
+        if self.points.is_empty() && self.box_px.is_none() && self.mask_logits.is_none() {
+            return refuse("a prompt needs a point, a box or a mask");
+        }
+        let corners = self.box_px.into_iter().flat_map(|[x0, y0, x1, y1]| [[x0, y0], [x1, y1]]);
+        for [x, y] in self.points.iter().map(|point| point.at_px).chain(corners) {
+            if !(0.0..=width as f32).contains(&x) || !(0.0..=height as f32).contains(&y) {
+                return refuse(format!(
+                    "the prompt has a point at column {x}, row {y} of an image of {width} x {height} pixels"
+                ));
+            }
+        }
+        if let Some(found @ [x0, y0, x1, y1]) = self.box_px
+            && (x1 < x0 || y1 < y0)
+        {
+            return refuse(format!(
+                "the box of a prompt must be first column and row, then last column and row, not {found:?}"
+            ));
+        }
+        let Some(mask) = &self.mask_logits else { return Ok(()) };
+        let (w, h) = mask.size();
+        if (w, h) != (mask_side, mask_side) {
+            return refuse(format!(
+                "the mask of a prompt has {mask_side} x {mask_side} pixels, as the logits of a prediction, not {w} x {h}"
+            ));
+        }
+        if mask.data().iter().all(|x| x.is_finite()) {
+            Ok(())
+        } else {
+            refuse("the mask of a prompt has NaN or infinite values")
+        }
     }
 }

@@ -239,7 +239,7 @@ pub struct Neck {
 #[derive(Module, Debug)]
 pub struct ImageEncoder {
     /// Its stages.
-    pub trunk: super::hiera::Hiera,
+    pub trunk: Hiera,
     /// What makes features of them.
     pub neck: Neck,
 }

@@ -184,6 +184,11 @@ const PAIRS: usize = WIDTH / 2;
 /// The wavelengths' ratio, all together.
 const THETA: f32 = 10_000.0;
 
+/// Positions as rotations: channels in pairs, each rotated by its own angle per column or row (Su et al., "RoFormer", 2021; in two
+/// directions as Heo et al., "Rotary Position Embedding for Vision Transformer", ECCV 2024). Upstream rotates neighbouring channels
+/// as one complex number. Here the first channels of all pairs come before the second ones: scores do not depend on the order of
+/// channels, so the layers that make queries and keys are [reordered](halves_apart) once, and a rotation reads whole rows.
+///
 /// Cosines and sines of a square map, `[1, 1, n, 128]` each.
 #[derive(Debug, Clone)]
 pub struct Rotations {
@@ -280,7 +285,8 @@ impl MaskDownsampler {
     }
 }
 
-/// A block: each channel by itself, then each pixel by itself, scaled and added.
+/// A block of ConvNeXt (Liu et al., "A ConvNet for the 2020s", CVPR 2022): each channel by itself, then each pixel by itself, scaled
+/// and added.
 #[derive(Module, Debug)]
 pub struct FuserBlock {
     dwconv: Conv2d,

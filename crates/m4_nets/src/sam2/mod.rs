@@ -17,9 +17,10 @@
 //! Inside, maps have their channels last, so that normalisations and linear layers read rows.
 
 mod bank;
+#[cfg(test)]
+mod clip_tests;
 mod config;
 mod decoder;
-mod error;
 mod hiera;
 mod memory;
 mod prompts;
@@ -30,12 +31,12 @@ mod video;
 
 pub use bank::ObjectMask;
 pub use config::Sam2Size;
-pub use error::Sam2Error;
-pub use video::{Clip, Direction, ImageReader, VideoOptions, VideoPredictor};
+pub use video::{Clip, Direction, VideoPredictor};
 
+use crate::error::{numbers, refuse};
 use crate::ops::{Kernels, linear, sine_positions, tensor, zeros};
 use crate::sam::{Mlp, Prompt, PromptEncoder, WIDTH};
-use crate::{Compute, LoadError, load};
+use crate::{Compute, LoadError, NetError, load};
 use burn_core as burn;
 use burn_core::module::{Module, Param};
 use burn_core::tensor::{DType, Device, Tensor};
@@ -49,7 +50,6 @@ use m4_core::{Plane, RgbImage};
 use memory::MemoryEncoder;
 use memory::Rotations;
 use memory::{MEMORY_WIDTH, MemoryAttention};
-use prompts::Frame;
 use recall::Answer;
 use std::path::Path;
 
@@ -177,7 +177,8 @@ pub struct Sam2 {
 /// What the network makes of an image, for any number of prompts.
 #[derive(Debug, Clone)]
 pub struct Features {
-    frame: Frame,
+    /// Columns and rows of the image.
+    frame: (usize, usize),
     /// `[1, n, 256]`.
     map: Tensor<3>,
     /// `[1, 2 h, 2 w, 64]` and `[1, 4 h, 4 w, 32]`.
@@ -228,10 +229,12 @@ impl Sam2 {
     ///
     /// # Errors
     ///
-    /// [`Sam2Error::Side`] unless it is a multiple of 32 from 64 to 2048.
-    pub fn with_side(self, side: usize) -> Result<Self, Sam2Error> {
+    /// [`NetError::Input`] unless it is a multiple of 32 from 64 to 2048.
+    pub fn with_side(self, side: usize) -> Result<Self, NetError> {
         if !(64..=2048).contains(&side) || !side.is_multiple_of(32) {
-            return Err(Sam2Error::Side(side));
+            return refuse(format!(
+                "the side of the image that SAM 2 takes is a multiple of 32 from 64 to 2048, not {side}"
+            ));
         }
         let tables = Tables::new(&self.net, side, &self.device, self.dtype);
         Ok(Self { tables, side, ..self })
@@ -243,15 +246,8 @@ impl Sam2 {
         self.size
     }
 
-    /// Numbers of the checkpoint that are used.
-    #[must_use]
-    pub fn parameters(&self) -> usize {
-        self.net.num_params()
-    }
-
-    /// Rows and columns of the logits of masks: 256, unless [`Self::with_side`] said otherwise.
-    #[must_use]
-    pub fn mask_side(&self) -> usize {
+    /// Rows and columns of the logits of masks: 256, unless [`Self::with_side`] set another side.
+    fn mask_side(&self) -> usize {
         self.side / MASK_STRIDE
     }
 
@@ -259,18 +255,14 @@ impl Sam2 {
     ///
     /// # Errors
     ///
-    /// [`Sam2Error::NoPixels`] if it has none.
-    pub fn encode(&self, image: &RgbImage) -> Result<Features, Sam2Error> {
+    /// [`NetError::Input`] if it has none.
+    pub fn encode(&self, image: &RgbImage) -> Result<Features, NetError> {
         let input = prompts::squared(image, self.side, &self.device)?.cast(self.dtype);
         let trunk = &self.net.image_encoder.trunk;
         let stages = trunk.forward(input, self.tables.trunk.clone());
         let [s0, s1, map, coarse] = self.level(stages);
         let n = self.tables.grid * self.tables.grid;
-        Ok(Features {
-            frame: Frame::of("an image", image.size())?,
-            map: (map + repeated(coarse)).reshape([1, n, WIDTH]),
-            fine: [s1, s0],
-        })
+        Ok(Features { frame: image.size(), map: (map + repeated(coarse)).reshape([1, n, WIDTH]), fine: [s1, s0] })
     }
 
     /// Each stage after its layer.
@@ -285,8 +277,8 @@ impl Sam2 {
     ///
     /// # Errors
     ///
-    /// [`Sam2Error`] if the prompt is empty or wrong, or the device fails.
-    pub fn masks(&self, features: &Features, prompt: &Prompt) -> Result<Vec<ObjectMask>, Sam2Error> {
+    /// [`NetError`] if the prompt is empty or wrong, or the device fails.
+    pub fn masks(&self, features: &Features, prompt: &Prompt) -> Result<Vec<ObjectMask>, NetError> {
         let decoded = self.decode(features, features.frame, prompt)?;
         let score = numbers(decoded.score)?.first().copied().unwrap_or(f32::NAN);
         let iou = numbers(decoded.iou)?;
@@ -312,13 +304,12 @@ impl Sam2 {
     }
 
     /// What the decoder says of a prompt that has no memory.
-    fn decode(&self, features: &Features, frame: Frame, prompt: &Prompt) -> Result<Decoded, Sam2Error> {
-        prompts::check(prompt)?;
+    fn decode(&self, features: &Features, frame: (usize, usize), prompt: &Prompt) -> Result<Decoded, NetError> {
+        prompt.check(frame, self.mask_side())?;
         let map = features.map.clone() + self.net.no_mem_embed.val();
-        let tokens = prompts::tokens(&self.net.prompt_encoder, prompt, frame, self.side)?;
-        let mask = prompt.mask_logits.as_ref();
-        let mask = mask.map(|mask| prompts::mask(mask, self.mask_side(), &self.device));
-        Ok(self.decoded(map, features, tokens.unsqueeze_dim(0), mask.transpose()?))
+        let tokens = prompts::tokens(&self.net.prompt_encoder, prompt, frame, self.side);
+        let mask = prompt.mask_logits.as_ref().map(|mask| prompts::mask(mask, &self.device));
+        Ok(self.decoded(map, features, tokens.unsqueeze_dim(0), mask))
     }
 
     /// What the decoder says of features `[b, n, 256]` and prompts: tokens `[b, k, 256]`, and masks `[b, 1, 4 h, 4 w]` if any.
@@ -337,7 +328,7 @@ impl Sam2 {
     }
 
     /// The one mask that is found without prompts in features `[b, n, 256]` that know of `b` objects.
-    fn followed(&self, map: Tensor<3>, features: &Features) -> Result<Vec<Answer>, Sam2Error> {
+    fn followed(&self, map: Tensor<3>, features: &Features) -> Result<Vec<Answer>, NetError> {
         let [b, _, _] = map.dims();
         let nowhere = self.net.prompt_encoder.nowhere();
         let tokens = Tensor::cat(vec![nowhere.clone(), nowhere], 0);
@@ -387,13 +378,8 @@ impl Tables {
     }
 }
 
-fn numbers<const D: usize>(x: Tensor<D>) -> Result<Vec<f32>, Sam2Error> {
-    let numbers = x.cast(DType::F32).try_into_vec_as();
-    numbers.map_err(|error| Sam2Error::Device(error.to_string()))
-}
-
 /// A map `[1, h, w]`.
-fn plane(x: Tensor<3>) -> Result<Plane<f32>, Sam2Error> {
+fn plane(x: Tensor<3>) -> Result<Plane<f32>, NetError> {
     let [_, h, w] = x.dims();
-    Plane::from_vec(w, h, numbers(x)?).map_err(|error| Sam2Error::Device(error.to_string()))
+    Plane::from_vec(w, h, numbers(x)?).map_err(|error| NetError::Device(error.to_string()))
 }

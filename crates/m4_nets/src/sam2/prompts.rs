@@ -1,114 +1,51 @@
 //! What is asked for, checked and encoded.
 
-use super::Sam2Error;
+use crate::NetError;
+use crate::error::refuse;
 use crate::ops::{IMAGENET_MEAN, IMAGENET_STD, Kernels, planes, resampled, tensor};
 use crate::sam::{Prompt, PromptEncoder};
 use burn_core::tensor::{Device, Tensor};
 use m4_core::{Plane, ResizeFilter, RgbImage, resize_rgb};
 
-/// Tokens `[n, 256]` of `prompt` in an image of the size `frame`: the box's corners, the points, and one that is no place; two of those
-/// where there are neither.
-///
-/// # Errors
-///
-/// [`Sam2Error`] if a place is not in the image or the box is reversed.
-pub fn tokens(encoder: &PromptEncoder, prompt: &Prompt, frame: Frame, side: usize) -> Result<Tensor<2>, Sam2Error> {
+/// Tokens `[n, 256]` of `prompt`, checked, in an image of the size `frame`: the box's corners, the points, and one that is no place;
+/// two of those where there are neither.
+pub fn tokens(encoder: &PromptEncoder, prompt: &Prompt, frame: (usize, usize), side: usize) -> Tensor<2> {
+    // as parts of the square's sides; pixels have their centres at halves in both, SAM scales their numbers
+    let place = |[x, y]: [f32; 2]| {
+        let part = |x: f32, n: usize| ((x - 0.5) / n as f32 * side as f32 + 0.5) / side as f32;
+        [part(x, frame.0), part(y, frame.1)]
+    };
     let mut tokens = Vec::new();
     if let Some([x0, y0, x1, y1]) = prompt.box_px {
-        tokens.push(encoder.place(frame.place([x0, y0], side)?, 2));
-        tokens.push(encoder.place(frame.place([x1, y1], side)?, 3));
-        if x1 < x0 || y1 < y0 {
-            return Err(Sam2Error::Reversed([x0, y0, x1, y1]));
-        }
+        tokens.extend([encoder.place(place([x0, y0]), 2), encoder.place(place([x1, y1]), 3)]);
     }
-    for point in &prompt.points {
-        let at = frame.place(point.at_px, side)?;
-        tokens.push(encoder.place(at, usize::from(point.on_object)));
-    }
+    tokens.extend(prompt.points.iter().map(|point| encoder.place(place(point.at_px), usize::from(point.on_object))));
     if tokens.is_empty() {
         tokens.push(encoder.nowhere());
     }
     tokens.push(encoder.nowhere());
-    Ok(Tensor::cat(tokens, 0))
+    Tensor::cat(tokens, 0)
 }
 
-/// The logits of a prompt's mask, `[1, 1, 4 h, 4 w]`.
-///
-/// # Errors
-///
-/// [`Sam2Error`] if it has another size than `side` or numbers that are not finite.
-pub fn mask(mask: &Plane<f32>, side: usize, device: &Device) -> Result<Tensor<4>, Sam2Error> {
-    if mask.size() != (side, side) {
-        return Err(Sam2Error::MaskSize { width: mask.width(), height: mask.height(), expected: side });
-    }
-    if !mask.data().iter().all(|x| x.is_finite()) {
-        return Err(Sam2Error::NotFinite);
-    }
-    Ok(tensor(mask.data().to_vec(), [1, 1, side, side], device))
+/// The logits of a mask, `[1, 1, 4 h, 4 w]`.
+pub fn mask(mask: &Plane<f32>, device: &Device) -> Tensor<4> {
+    tensor(mask.data().to_vec(), [1, 1, mask.height(), mask.width()], device)
 }
 
-/// Whether `prompt` asks for something.
-///
-/// # Errors
-///
-/// [`Sam2Error::NothingAsked`] if not.
-pub fn check(prompt: &Prompt) -> Result<(), Sam2Error> {
-    if prompt.points.is_empty() && prompt.box_px.is_none() && prompt.mask_logits.is_none() {
-        return Err(Sam2Error::NothingAsked);
+/// `size`, columns and rows, of `what`, which needs pixels.
+pub fn with_pixels(what: &str, size: (usize, usize)) -> Result<(usize, usize), NetError> {
+    let (width, height) = size;
+    if width.min(height) == 0 {
+        return refuse(format!("{what} has no pixels: it is {width} x {height}"));
     }
-    Ok(())
-}
-
-/// Columns and rows that places are counted in.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Frame {
-    pub width: usize,
-    pub height: usize,
-}
-
-impl Frame {
-    /// Of `width` by `height`.
-    ///
-    /// # Errors
-    ///
-    /// [`Sam2Error::NoPixels`] if there are none.
-    pub fn of(what: &'static str, (width, height): (usize, usize)) -> Result<Self, Sam2Error> {
-        if width.min(height) == 0 {
-            return Err(Sam2Error::NoPixels { what, width, height });
-        }
-        Ok(Self { width, height })
-    }
-
-    /// A place, as parts of the square's sides. Pixels have their centres at halves in both; SAM scales their numbers.
-    ///
-    /// # Errors
-    ///
-    /// [`Sam2Error::Outside`] if it is not in the image, borders included.
-    pub fn place(self, at_px: [f32; 2], side: usize) -> Result<[f32; 2], Sam2Error> {
-        let Self { width, height } = self;
-        let [x, y] = at_px;
-        if !(0.0..=width as f32).contains(&x) || !(0.0..=height as f32).contains(&y) {
-            return Err(Sam2Error::Outside { at_px, width, height });
-        }
-        let side = side as f32;
-        let part = |x: f32, n: usize| ((x - 0.5) / n as f32 * side + 0.5) / side;
-        Ok([part(x, width), part(y, height)])
-    }
+    Ok(size)
 }
 
 /// `image` as the network takes it, `[1, 3, side, side]`: squeezed to a square, normalised.
-///
-/// # Errors
-///
-/// [`Sam2Error::NoPixels`] if it has none.
-pub fn squared(image: &RgbImage, side: usize, device: &Device) -> Result<Tensor<4>, Sam2Error> {
-    let (width, height) = image.size();
-    let square = resize_rgb(image, side, side, ResizeFilter::Cubic).ok_or(Sam2Error::NoPixels {
-        what: "an image",
-        width,
-        height,
-    })?;
-    let values = planes(&square, IMAGENET_MEAN, IMAGENET_STD);
+pub fn squared(image: &RgbImage, side: usize, device: &Device) -> Result<Tensor<4>, NetError> {
+    with_pixels("an image", image.size())?;
+    let square = resize_rgb(image, side, side, ResizeFilter::Cubic);
+    let values = square.map(|square| planes(&square, IMAGENET_MEAN, IMAGENET_STD)).unwrap_or_default();
     Ok(tensor(values, [1, 3, side, side], device))
 }
 
@@ -124,13 +61,6 @@ pub fn squared_mask(mask: &Plane<bool>, side: usize) -> Vec<f32> {
         *x = f32::from(u8::from(*x >= 0.5));
     }
     out
-}
-
-/// `plane`, which has pixels, with another number of columns and rows, bilinear and without a filter where it becomes smaller.
-pub fn stretched(plane: &Plane<f32>, (width, height): (usize, usize)) -> Plane<f32> {
-    let (w, h) = plane.size();
-    let values = resampled(plane.data(), w, h, &Kernels::linear(w, width), &Kernels::linear(h, height));
-    Plane::from_fn(width, height, |x, y| values[y * width + x])
 }
 
 /// What fills a hole: just above the border.

@@ -8,7 +8,9 @@
 use super::bank::{Recall, pointer_frames};
 use super::decoder::{Decoded, MASKS};
 use super::memory::{MEMORY_WIDTH, Memories};
-use super::{ABSENT, Features, Sam2, Sam2Error, numbers};
+use super::{ABSENT, Features, Sam2};
+use crate::NetError;
+use crate::error::numbers;
 use crate::ops::{Kernels, resampled, tensor};
 use crate::sam::WIDTH;
 use burn_core::tensor::{DType, Tensor};
@@ -70,7 +72,7 @@ impl Sam2 {
     }
 
     /// What a mask of the image's square, 1 where the object is, stands for.
-    pub(super) fn given(&self, features: &Features, mask: Vec<f32>) -> Result<Answer, Sam2Error> {
+    pub(super) fn given(&self, features: &Features, mask: Vec<f32>) -> Result<Answer, NetError> {
         let (side, small) = (self.side, self.mask_side());
         let there = mask.iter().any(|&x| x > 0.0);
         let logits: Vec<f32> = mask.iter().map(|x| 20.0 * x - 10.0).collect();
@@ -81,7 +83,7 @@ impl Sam2 {
             let mask = self.net.mask_downsample.forward(mask);
             let nowhere = self.net.prompt_encoder.nowhere();
             let tokens = Tensor::cat(vec![nowhere.clone(), nowhere], 0).unsqueeze_dim(0);
-            let mask = mask.cast(burn_core::tensor::DType::F32);
+            let mask = mask.cast(DType::F32);
             let decoded = self.decoded(features.map.clone(), features, tokens, Some(mask));
             let mut answers = self.answers(decoded, false)?;
             answers.pop().map(|answer| answer.pointer)
@@ -127,11 +129,7 @@ pub struct Answer {
 
 impl Sam2 {
     /// One mask of each of `b` prompts; `ambiguous` if the best of three readings is to be taken.
-    ///
-    /// # Errors
-    ///
-    /// [`Sam2Error::Device`] if the device fails.
-    pub(super) fn answers(&self, decoded: Decoded, ambiguous: bool) -> Result<Vec<Answer>, Sam2Error> {
+    pub(super) fn answers(&self, decoded: Decoded, ambiguous: bool) -> Result<Vec<Answer>, NetError> {
         let [b, _, rows, columns] = decoded.masks.dims();
         let masks = decoded.masks.cast(DType::F32);
         let iou = numbers(decoded.iou)?;

@@ -50,10 +50,6 @@ const MOST: u64 = 4096;
 
 impl Config {
     /// That of the converted checkpoint at `path`.
-    ///
-    /// # Errors
-    ///
-    /// What is not known here.
     pub fn of_checkpoint(path: &Path) -> Result<Self, String> {
         let said = metadata(path).ok_or(
             "it has no configuration: the published file is to be converted once by `python3 tools/models/convert_tapip3d.py`, \
@@ -196,10 +192,6 @@ pub struct Sizes {
 
 impl Sizes {
     /// Of the checkpoint whose tensors (by the fields' names) are `shapes`.
-    ///
-    /// # Errors
-    ///
-    /// What is missing, or does not fit `config` or upstream's layers.
     pub fn in_checkpoint(shapes: &Shapes, config: &Config) -> Result<Self, String> {
         let of = |name: &str, axis: usize| {
             let size = shapes.get(name).and_then(|shape| shape.get(axis).copied());

@@ -166,7 +166,8 @@ impl Histogram {
     }
 }
 
-/// For each pixel of an image of `w` by `h` the nearest one that is `in_set`; `None` if there is none.
+/// In time that goes with the pixels (Meijster et al., "A General Algorithm for Computing Distance Transforms in Linear Time", 2000):
+/// for each pixel of an image of `w` by `h` the nearest one that is `in_set`; `None` if there is none.
 pub fn nearest_pixels(in_set: &[bool], w: usize, h: usize) -> Vec<Option<usize>> {
     let rows = nearest_in_columns(in_set, w, h);
     let mut out = vec![None; w * h];

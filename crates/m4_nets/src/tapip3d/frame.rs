@@ -166,7 +166,10 @@ pub fn sampled(map: &Tensor<2>, (w, h): (usize, usize), places: &[[f64; 2]]) -> 
     part(false, false) + part(true, false) + part(false, true) + part(true, true)
 }
 
-/// A camera over an image of the size that the network works with.
+/// The camera as the network was trained with it: pixel centres are whole numbers, and an image of another size has the same corner
+/// pixels. Intrinsics come with the principal point from the image's corner; half a pixel is taken off, before they are scaled by
+/// `(size - 1) / (old size - 1)` as upstream does. The world is moved so that a point near the cameras is its origin: 32 bits then
+/// suffice wherever the scene lies.
 #[derive(Debug, Clone, Copy)]
 pub struct PosedPinhole {
     focal: [f64; 2],

@@ -25,7 +25,6 @@ mod config;
 mod depth;
 mod encoder;
 mod encoding;
-mod error;
 mod frame;
 mod layers;
 mod neighbours;
@@ -37,14 +36,13 @@ mod track;
 mod updater;
 mod window;
 
-pub use clip::{ClipError, PointQuery, PointTracks, PosedClip, Tapip3dOptions};
-pub use error::Tapip3dError;
+pub use clip::{PointQuery, PointTracks, PosedClip, Tapip3dOptions};
 
 use crate::ops::zeros;
-use crate::{Compute, LoadError, load};
+use crate::{Compute, LoadError, NetError, load};
 use burn_core as burn;
 use burn_core::module::{Module, Param};
-use burn_core::tensor::{DType, Device, Tensor};
+use burn_core::tensor::{Device, Tensor};
 use config::Config;
 use config::Sizes;
 use encoder::Encoder;
@@ -115,28 +113,11 @@ impl Tapip3d {
             reason,
         })?;
         let shapes = load::shapes(NAME, path, &RENAMES)?;
-        let sizes = Sizes::in_checkpoint(&shapes, &config).map_err(|wrong| LoadError::OtherNetwork {
-            path: path.to_owned(),
-            network: NAME,
-            missing: Vec::new(),
-            unused: Vec::new(),
-            wrong: vec![wrong],
-        })?;
+        let sizes =
+            Sizes::in_checkpoint(&shapes, &config).map_err(|wrong| LoadError::misfit(NAME, path, &[], &[wrong]))?;
         let mut net = Net::new(&sizes, &config, device);
         load::fill(&mut net, NAME, path, &RENAMES, |_| false)?;
         Ok(Self { net: on.fit(net), config, sizes, device: device.clone() })
-    }
-
-    /// Numbers of the checkpoint that are used.
-    #[must_use]
-    pub fn parameters(&self) -> usize {
-        self.net.num_params()
-    }
-
-    /// Columns and rows of the images that the network was trained with.
-    #[must_use]
-    pub fn training_size(&self) -> (usize, usize) {
-        self.config.size
     }
 
     /// Columns and rows that upstream brings frames to: twice the pixels of training.
@@ -150,7 +131,7 @@ impl Tapip3d {
     ///
     /// # Errors
     ///
-    /// [`Tapip3dError`] if the clip has no frames or no depth, a frame cannot be had, a query is in none of them, the size is too
+    /// [`NetError`] if the clip has no frames or no depth, a frame cannot be had, a query is in none of them, the size is too
     /// small, the device fails, or `progress` is cancelled.
     pub fn track(
         &self,
@@ -158,12 +139,7 @@ impl Tapip3d {
         queries: &[PointQuery],
         options: &Tapip3dOptions,
         progress: &dyn Progress,
-    ) -> Result<PointTracks, Tapip3dError> {
+    ) -> Result<PointTracks, NetError> {
         track::track(self, clip, queries, options, progress)
     }
-}
-
-fn numbers<const D: usize>(x: Tensor<D>) -> Result<Vec<f32>, Tapip3dError> {
-    let numbers = x.cast(DType::F32).try_into_vec_as();
-    numbers.map_err(|error| Tapip3dError::Device(error.to_string()))
 }

@@ -4,7 +4,9 @@ use super::clip::PosedClip;
 use super::depth::{Histogram, cleaned, resized};
 use super::frame::{Frame, Geometry, PosedPinhole, Sides, image_tensor, map_sizes, maps, rows_of, sampled};
 use super::neighbours::{Cloud, Search};
-use super::{Net, Tapip3d, Tapip3dError, Tapip3dOptions};
+use super::{Net, Tapip3d, Tapip3dOptions};
+use crate::NetError;
+use crate::error::refuse;
 use burn_core::tensor::Tensor;
 use m4_core::Progress;
 use m4_core::nalgebra::Vector3;
@@ -17,6 +19,15 @@ pub struct Source<'a> {
     pub options: &'a Tapip3dOptions,
     /// The place of the world that is the origin here.
     pub origin: Vector3<f64>,
+}
+
+fn bad_frame(frame: usize, reason: &str) -> NetError {
+    NetError::Input(format!("frame {frame} cannot be used to track points: {reason}"))
+}
+
+/// No depth is known in these frames.
+pub fn no_depth(first: usize, last: usize) -> NetError {
+    NetError::Input(format!("no depth is known in frames {first} to {last}: points cannot be tracked there"))
 }
 
 /// A frame before its features are prepared.
@@ -41,35 +52,28 @@ impl Loaded {
 
 impl<'a> Source<'a> {
     /// Of `clip`, in a world whose origin is the first camera.
-    ///
-    /// # Errors
-    ///
-    /// [`Tapip3dError`] if there is no frame, or its camera is none.
-    pub fn new(net: &'a Tapip3d, clip: &'a dyn PosedClip, options: &'a Tapip3dOptions) -> Result<Self, Tapip3dError> {
+    pub fn new(net: &'a Tapip3d, clip: &'a dyn PosedClip, options: &'a Tapip3dOptions) -> Result<Self, NetError> {
         if clip.frames() == 0 {
-            return Err(Tapip3dError::NoFrames);
+            return refuse("points cannot be tracked in a clip without frames");
         }
-        let camera = clip.camera(0).map_err(|source| Tapip3dError::Frame { frame: 0, source })?;
+        let camera = clip.camera(0).map_err(|reason| NetError::Frame { frame: 0, reason })?;
         let source = Self { net, clip, options, origin: camera.centre() };
         source.lens(0)?;
         Ok(source)
     }
 
-    fn lens(&self, frame: usize) -> Result<PosedPinhole, Tapip3dError> {
-        let camera = self.clip.camera(frame).map_err(|source| Tapip3dError::Frame { frame, source })?;
-        PosedPinhole::new(&camera, self.options.size, &self.origin).ok_or(Tapip3dError::BadFrame {
-            frame,
-            reason: "its camera has no positive focal lengths, or numbers that are not finite",
-        })
+    fn lens(&self, frame: usize) -> Result<PosedPinhole, NetError> {
+        let camera = self.clip.camera(frame).map_err(|reason| NetError::Frame { frame, reason })?;
+        PosedPinhole::new(&camera, self.options.size, &self.origin)
+            .ok_or_else(|| bad_frame(frame, "its camera has no positive focal lengths, or numbers that are not finite"))
     }
 
     /// Depth of `frame` in the network's size, and its camera.
-    fn depth(&self, frame: usize) -> Result<(PosedPinhole, Vec<f32>), Tapip3dError> {
+    fn depth(&self, frame: usize) -> Result<(PosedPinhole, Vec<f32>), NetError> {
         let lens = self.lens(frame)?;
-        let depth = self.clip.depth(frame).map_err(|source| Tapip3dError::Frame { frame, source })?;
+        let depth = self.clip.depth(frame).map_err(|reason| NetError::Frame { frame, reason })?;
         if depth.data().is_empty() {
-            let reason = "its depth has no pixels";
-            return Err(Tapip3dError::BadFrame { frame, reason });
+            return Err(bad_frame(frame, "its depth has no pixels"));
         }
         let size = self.options.size;
         let z = resized(&depth, size);
@@ -78,35 +82,26 @@ impl<'a> Source<'a> {
     }
 
     /// The depths that count, over all frames.
-    ///
-    /// # Errors
-    ///
-    /// [`Tapip3dError`] if a frame cannot be had, no depth is known, or `progress` is cancelled.
-    pub fn range(&self, progress: &dyn Progress) -> Result<[f32; 2], Tapip3dError> {
+    pub fn range(&self, progress: &dyn Progress) -> Result<[f32; 2], NetError> {
         let mut histogram = Histogram::new();
         let frames = self.clip.frames();
         for frame in 0..frames {
             if progress.cancelled() {
-                return Err(Tapip3dError::Stopped);
+                return Err(NetError::Cancelled);
             }
             histogram.add(&self.depth(frame)?.1);
             progress.update("depth to follow points in", frame + 1, frames, "");
         }
         let last = frames - 1;
-        histogram.range().ok_or(Tapip3dError::NoDepth { first: 0, last })
+        histogram.range().ok_or_else(|| no_depth(0, last))
     }
 
     /// `frame` with its features; depths within `range` count.
-    ///
-    /// # Errors
-    ///
-    /// [`Tapip3dError`] if the frame cannot be had.
-    pub fn load(&self, frame: usize, range: [f32; 2]) -> Result<Loaded, Tapip3dError> {
+    pub fn load(&self, frame: usize, range: [f32; 2]) -> Result<Loaded, NetError> {
         let (lens, z) = self.depth(frame)?;
-        let image = self.clip.image(frame).map_err(|source| Tapip3dError::Frame { frame, source })?;
+        let image = self.clip.image(frame).map_err(|reason| NetError::Frame { frame, reason })?;
         if image.data().is_empty() {
-            let reason = "its image has no pixels";
-            return Err(Tapip3dError::BadFrame { frame, reason });
+            return Err(bad_frame(frame, "its image has no pixels"));
         }
         let (net, config) = (&self.net.net, &self.net.config);
         let image = image_tensor(&image, self.options.size, config, &self.net.device, net.encoder.dtype());
@@ -174,9 +169,9 @@ fn seen(lens: &PosedPinhole, (w, h): (usize, usize), q: [f32; 3]) -> [f64; 2] {
 
 impl Sides {
     /// These, then those of `others`; there is at least one.
-    pub fn together(all: &[&Self]) -> Result<Self, Tapip3dError> {
+    pub fn together(all: &[&Self]) -> Result<Self, NetError> {
         let Some(first) = all.first() else {
-            return Err(Tapip3dError::NoFrames);
+            return refuse("points cannot be tracked in a clip without frames");
         };
         let level = |level: usize| {
             let features = all.iter().map(|sides| sides.features[level].clone()).collect();

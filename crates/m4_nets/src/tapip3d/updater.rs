@@ -105,6 +105,12 @@ struct Meeting {
     aggr2: Attention,
 }
 
+/// How a point's neighbourhood now looks like its neighbourhood when it was asked for: attention between two sets of tokens, each the
+/// feature of a point of the map and the encoding of its offset from the tracked point. Of both sets, each in the light of the
+/// other, a learned token makes one vector; the two are added. What depends on the query alone is computed once a window, and what
+/// the learned tokens ask for is multiplied into the weights before: upstream computes both for every frame and iteration, which is
+/// a quarter more operations.
+///
 /// The layers of all levels. Named `corr_processor` in the checkpoint.
 #[derive(Module, Debug)]
 pub struct Correlation {

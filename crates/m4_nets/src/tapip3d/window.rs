@@ -1,11 +1,13 @@
 //! A window of frames, in which points are moved a few times.
 
+use super::Net;
 use super::config::{Config, NormMode};
 use super::encoding::encoded;
 use super::frame::{Frame, Sides, rows_of};
 use super::neighbours::{Cloud, Search};
 use super::updater::QuerySide;
-use super::{Net, Tapip3dError, numbers};
+use crate::NetError;
+use crate::error::numbers;
 use crate::ops::tensor;
 use burn_core::tensor::{Device, Tensor};
 use rayon::prelude::*;
@@ -130,17 +132,13 @@ impl Window {
     }
 
     /// `state` moved once.
-    ///
-    /// # Errors
-    ///
-    /// [`Tapip3dError`] if the device fails.
     pub fn moved(
         &self,
         net: &Net,
         sides: &[QuerySide],
         mut state: State,
         neighbours: usize,
-    ) -> Result<State, Tapip3dError> {
+    ) -> Result<State, NetError> {
         let compared = self.compared(net, sides, &state.at, neighbours);
         let out = net.point_updater.forward(self.input(net, &state, compared)).narrow(2, 0, 4);
         let out = numbers(out)?;

@@ -1,8 +1,7 @@
-//! The camera, and scale and offset of depth: what the whole image tells, through its class tokens.
+//! The heads: the camera, and scale and offset of depth, from class tokens; the logarithm of depth up to these, from all tokens.
 
-use super::image::{self, Rays};
+use super::image::{CHANNELS, Rays};
 use super::layers::{Block, Mlp, by_tokens};
-use super::rays;
 use crate::ops::{conv, gelu, linear, norm, zeros};
 use burn_core as burn;
 use burn_core::module::{Module, Param};
@@ -64,7 +63,7 @@ impl GlobalHead {
     pub fn new(width: usize, device: &Device) -> Self {
         Self {
             in_features: linear(width, width, true, device),
-            project_rays: linear(rays::CHANNELS, width, true, device),
+            project_rays: linear(CHANNELS, width, true, device),
             aggregate1: Block::new(width, device),
             aggregate2: Block::new(width, device),
             project_cls: Mlp::new(width, 4, width, device),
@@ -129,7 +128,7 @@ impl DepthHead {
             features_channel_cat: linear(4 * width, width, true, device),
             aggregate_16: Block::new(width, device),
             prompt_camera: Block::new(width, device),
-            rays_layers: (0..LEVELS).map(|i| linear(rays::CHANNELS, at(i), true, device)).collect(),
+            rays_layers: (0..LEVELS).map(|i| linear(CHANNELS, at(i), true, device)).collect(),
             ups: (0..LEVELS).map(|i| Up::new(at(i), device)).collect(),
             process_layers: (0..BLOCKS).map(|_| Block::new(width, device)).collect(),
             depth_mlp: (0..LEVELS).map(|i| Mlp::new(at(i + 1), 1, OUT, device)).collect(),

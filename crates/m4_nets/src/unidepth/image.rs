@@ -1,8 +1,9 @@
 //! Images of any size as the network takes them, and depth in their size.
 
-use super::UniDepthError;
+use crate::NetError;
 use crate::dinov2::PATCH;
-use crate::ops::{IMAGENET_MEAN, IMAGENET_STD, Kernels, planes, resampled, tensor};
+use crate::error::refuse;
+use crate::ops::{IMAGENET_MEAN, IMAGENET_STD, Kernels, bilinear, image_tensor, resampled};
 use burn_core::tensor::{DType, Device, Tensor, TensorData};
 use m4_core::{Intrinsics, Plane, RgbImage};
 use std::f32::consts::PI;
@@ -23,17 +24,16 @@ pub struct Patches {
 
 impl Patches {
     /// Of an image of `width` by `height`, about `n` in all, of its shape.
-    ///
-    /// # Errors
-    ///
-    /// [`UniDepthError`] if it has no pixels or is too narrow.
-    pub fn of(width: usize, height: usize, n: usize) -> Result<Self, UniDepthError> {
+    pub fn of((width, height): (usize, usize), n: usize) -> Result<Self, NetError> {
         if width == 0 || height == 0 {
-            return Err(UniDepthError::Empty);
+            return refuse("depth needs an image with pixels");
         }
         let ratio = width as f64 / height as f64;
         if !(1.0 / LONGEST..=LONGEST).contains(&ratio) {
-            return Err(UniDepthError::Narrow { width, height });
+            return refuse(format!(
+                "an image of {width} x {height} pixels is too narrow for depth: cut it so that one side is at most 16 times \
+                 the other"
+            ));
         }
         let rows = ((n as f64 / ratio).sqrt() - 0.5).ceil().max(1.0);
         let columns = (rows * ratio - 0.5).ceil().max(1.0);
@@ -48,12 +48,7 @@ impl Patches {
 
     /// The image `[1, 3, height, width]` of the sides [`Patches::inside`], normalised.
     pub fn tensor(self, image: &RgbImage, device: &Device) -> Tensor<4> {
-        let (width, height) = self.inside();
-        let values = planes(image, IMAGENET_MEAN, IMAGENET_STD);
-        let columns = Kernels::triangle(self.width, width);
-        let rows = Kernels::triangle(self.height, height);
-        let values = resampled(&values, self.width, self.height, &columns, &rows);
-        tensor(values, [1, 3, height, width], device)
+        image_tensor(image, self.inside(), Kernels::triangle, [IMAGENET_MEAN, IMAGENET_STD], device)
     }
 
     /// The camera that four numbers of the camera's head mean, of what the network sees.
@@ -96,10 +91,7 @@ impl Patches {
             softplus((x + offset) * scale) as f32
         };
         let depth: Vec<f32> = logarithms.iter().map(depth).collect();
-        let (width, height) = self.inside();
-        let columns = Kernels::linear(width, self.width);
-        let rows = Kernels::linear(height, self.height);
-        let depth = resampled(&depth, width, height, &columns, &rows);
+        let depth = bilinear(&depth, self.inside(), (self.width, self.height));
         Plane::from_fn(self.width, self.height, |x, y| depth[y * self.width + x])
     }
 }

@@ -1,6 +1,6 @@
 //! Layers of tokens `[n, channels]` that the heads share.
 
-use crate::ops::{attend, gelu, linear, norm, zeros};
+use crate::ops::{attend_heads, gelu, linear, norm, zeros};
 use burn_core as burn;
 use burn_core::module::{Module, Param};
 use burn_core::tensor::activation::softmax;
@@ -121,7 +121,8 @@ impl Block {
         k_position: Option<Tensor<2>>,
     ) -> Tensor<2> {
         let [q, k, v] = self.projected(x.clone(), context, q_position, k_position);
-        self.added(x, attend(q, k, v))
+        let [q, k, v] = [q, k, v].map(|x| x.unsqueeze::<4>());
+        self.added(x, attend_heads(q, k, v).squeeze_dim::<3>(0).squeeze_dim(0))
     }
 
     /// The heads of each token in the light of each other, `position` added to queries: upstream hands them to its Nystrom attention in

@@ -20,7 +20,7 @@ pub struct RaftSource {
 }
 
 impl RaftSource {
-    fn measure(&self, a: &RgbImage, b: &RgbImage) -> Result<(Flow, Flow), m4_nets::FlowError> {
+    fn measure(&self, a: &RgbImage, b: &RgbImage) -> Result<(Flow, Flow), m4_nets::NetError> {
         let (a, b) = (self.net.encode(a)?, self.net.encode(b)?);
         let [there, back] = self.net.flow_both(&a, &b, self.iterations, None)?;
         Ok((there.flow, back.flow))
@@ -53,7 +53,7 @@ impl RaftPairs {
         Self { net, iterations, there: HashMap::new(), back: HashMap::new() }
     }
 
-    fn measure(&mut self, pair: FramePair, a: &RgbImage, b: &RgbImage) -> Result<[Flow; 2], m4_nets::FlowError> {
+    fn measure(&mut self, pair: FramePair, a: &RgbImage, b: &RgbImage) -> Result<[Flow; 2], m4_nets::NetError> {
         let begin = match (self.there.get(&pair.source), self.back.get(&pair.target)) {
             (Some(there), Some(back)) if pair.target > pair.source + 1 => Some([there, back]),
             _ => None,

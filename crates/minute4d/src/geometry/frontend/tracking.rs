@@ -8,7 +8,7 @@ use m4_geometry::megasam::TrackingSize;
 use m4_geometry::megasam::graph::EdgeChanges;
 use m4_geometry::megasam::tracker::{Correspondence, CorrespondenceError, Revision};
 use m4_nets::droid::{DroidMemory, DroidNet, EdgeUpdate, MemoryOptions, Storage};
-use m4_nets::{Compute, DroidError};
+use m4_nets::{Compute, NetError};
 use std::sync::Arc;
 
 /// The network's memory of one clip.
@@ -75,7 +75,7 @@ fn memory(budget_mb: usize) -> MemoryOptions {
     }
 }
 
-fn failed(error: DroidError) -> CorrespondenceError {
+fn failed(error: NetError) -> CorrespondenceError {
     CorrespondenceError::Source(Box::new(error))
 }
 
