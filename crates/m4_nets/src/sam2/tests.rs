@@ -6,7 +6,7 @@ use crate::cpu;
 use crate::fixture::{Fixture, assert_close, assert_near, assert_same_tensors, every};
 use crate::sam::PointPrompt;
 use m4_testkit::{FormulaWeights, formula_input};
-use memory::{Memories, Rotations};
+use memory::Memories;
 use std::sync::LazyLock;
 use tempfile::TempDir;
 

@@ -11,6 +11,7 @@ use crate::ClipError;
 use crate::cpu;
 use crate::fixture::{Fixture, assert_close, assert_near};
 use crate::ops::tensor;
+use burn_core::tensor::DType;
 use m4_core::{
     Camera, DepthMap, Intrinsics, Plane, RgbImage, Se3, Silent,
     nalgebra::{Matrix4, Vector3},

@@ -116,6 +116,7 @@ impl<K: Copy + Eq + Hash> Store<K> {
     }
 
     /// Bytes of the file.
+    #[cfg(test)]
     pub const fn spilled(&self) -> u64 {
         self.end
     }
