@@ -124,6 +124,22 @@ pub fn every(x: Tensor<2>, step: usize) -> Tensor<2> {
     x.reshape([n, c / step, step]).narrow(2, 0, 1).squeeze_dim(2)
 }
 
+/// Every `step`-th channel of a map `[1, c, h, w]`.
+pub fn every_map(x: Tensor<4>, step: usize) -> Tensor<4> {
+    let [_, c, h, w] = x.dims();
+    x.reshape([c / step, step, h, w]).narrow(1, 0, 1).reshape([1, c / step, h, w])
+}
+
+/// The lines of `keys` without the blocks of Depth-Anything's backbone from `depth` on.
+pub fn of_first_blocks(keys: &str, depth: usize) -> String {
+    let block = |line: &str| -> Option<usize> {
+        let rest = line.strip_prefix("pretrained.blocks.")?;
+        rest.split('.').next()?.parse().ok()
+    };
+    let kept = keys.lines().filter(|line| block(line).is_none_or(|i| i < depth));
+    kept.map(|line| format!("{line}\n")).collect()
+}
+
 /// `image` as the backbone takes it, `[1, 3, h, w]`.
 pub fn normalised(image: &RgbImage, device: &Device) -> Tensor<4> {
     let (w, h) = image.size();

@@ -11,6 +11,7 @@
 //! same input gives the same bits for any number of threads.
 //!
 //! No weights are part of the repository, and this crate fetches none: `minute4d weights` does.
+
 #![forbid(unsafe_code)]
 
 pub mod depth_anything;

@@ -87,7 +87,7 @@ fn raft_meets_its_fixture() {
         let net = Raft::load(&path, on).unwrap();
         let [a, b] = ["image1", "image2"].map(|name| net.encode(&read_image(&file, name)).unwrap());
         let [there, _] = net.flow_both(&a, &b, 1, None).unwrap();
-        for (name, flow) in [("flow_low_1", &there.low.0), ("flow_up_1", &there.flow)] {
+        for (name, flow) in [("flow_low_1", &there.low), ("flow_up_1", &there.flow)] {
             assert_near(name, &[&flow.u[..], &flow.v].concat(), &floats(&file, name), limit);
         }
     };
@@ -120,8 +120,8 @@ fn droid(path: &std::path::Path, on: impl Into<Compute>) -> (f64, Vec<Vec<f32>>)
         {
             edges.push(EdgeUpdate { id, projected_px: [&at[0], &at[1]], target_px, weight, static_confidence });
         }
-        let update = memory.revise_source(0, &mut edges).unwrap();
-        out = [targets.concat(), weights.concat(), still.to_vec(), vec![update.eta]].concat();
+        let eta = memory.revise_source(0, &mut edges).unwrap();
+        out = [targets.concat(), weights.concat(), still.to_vec(), vec![eta]].concat();
     }
     (motion, out)
 }

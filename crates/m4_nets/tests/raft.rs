@@ -4,7 +4,7 @@
 use crate::common::{assert_near, fixtures, floats, loaded, png, read_image, real_weights, same_on_any_threads};
 use m4_core::{Flow, Plane, RgbImage};
 use m4_nets::cpu;
-use m4_nets::raft::{LowFlow, Raft, RaftFlow};
+use m4_nets::raft::{Raft, RaftFlow};
 use m4_testkit::FormulaWeights;
 use std::fs;
 
@@ -32,9 +32,8 @@ fn agrees_with_the_module_by_formula() {
     let (a, b) = (net.encode(&a).unwrap(), net.encode(&b).unwrap());
     for iterations in [1, 4, 12] {
         let [forward, back] = net.flow_both(&a, &b, iterations, None).unwrap();
-        let LowFlow(low) = &forward.low;
         let name = format!("flow_low_{iterations}");
-        assert_flow(&name, low, &floats(&file, &name));
+        assert_flow(&name, &forward.low, &floats(&file, &name));
         if iterations != 4 {
             let name = format!("flow_up_{iterations}");
             assert_flow(&name, &forward.flow, &floats(&file, &name));
@@ -53,10 +52,10 @@ fn a_warm_start_uses_the_given_flow() {
     let (a, b) = (net.encode(&a).unwrap(), net.encode(&b).unwrap());
     let values = floats(&file, "flow_init");
     let (u, v) = values.split_at(16 * 20);
-    let start = LowFlow(Flow { width: 20, height: 16, u: u.to_vec(), v: v.to_vec() });
-    let none = LowFlow(Flow { width: 20, height: 16, u: vec![0.0; 320], v: vec![0.0; 320] });
+    let start = Flow { width: 20, height: 16, u: u.to_vec(), v: v.to_vec() };
+    let none = Flow { width: 20, height: 16, u: vec![0.0; 320], v: vec![0.0; 320] };
     let [warm, cold] = net.flow_both(&a, &b, 2, Some([&start, &none])).unwrap();
-    assert_flow("warm2", &warm.low.0, &floats(&file, "flow_low_warm2"));
+    assert_flow("warm2", &warm.low, &floats(&file, "flow_low_warm2"));
     let [_, want] = net.flow_both(&a, &b, 2, None).unwrap();
     assert_eq!(cold, want, "each direction has its own start");
 }
@@ -136,13 +135,13 @@ fn zero_iterations_and_mismatched_sizes_are_refused() {
     let small = net.encode(&small).unwrap();
     let [flow, _] = net.flow_both(&small, &small, 1, None).unwrap();
     assert!(flow.flow.u[0].is_finite() && flow.flow.u.len() == 1);
-    assert_eq!((flow.low.0.width, flow.low.0.height), (16, 16));
+    assert_eq!((flow.low.width, flow.low.height), (16, 16));
     let start = |width, height, numbers| {
         let (u, v) = (vec![0.0; 256], vec![0.0; numbers]);
-        LowFlow(Flow { width, height, u, v })
+        Flow { width, height, u, v }
     };
     let other = net.encode(&Plane::filled(2, 1, [9, 9, 9])).unwrap();
-    let from = |low: &LowFlow| net.flow_both(&small, &small, 1, Some([&flow.low, low])).map(drop);
+    let from = |low: &Flow| net.flow_both(&small, &small, 1, Some([&flow.low, low])).map(drop);
     for (result, message) in [
         (net.flow_both(&small, &small, 0, None).map(drop), "at least one iteration"),
         (net.flow_both(&small, &other, 1, None).map(drop), "1 x 1 and 2 x 1 pixels"),

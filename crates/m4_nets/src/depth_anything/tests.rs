@@ -4,7 +4,9 @@ use super::head::RENAMES;
 use super::{Net, Sides};
 use crate::cpu;
 use crate::dinov2::{BackboneSize, unneeded};
-use crate::fixture::{Fixture, assert_near, assert_same_tensors, fill_by_formula, normalised};
+use crate::fixture::{
+    Fixture, assert_near, assert_same_tensors, every_map, fill_by_formula, normalised, of_first_blocks,
+};
 use burn_core::tensor::Tensor;
 use burn_core::tensor::activation::relu;
 use m4_testkit::FormulaWeights;
@@ -17,21 +19,6 @@ const LIMIT: f64 = 5e-5;
 /// Rows and columns of patches.
 const GRID: [usize; 2] = [9, 12];
 
-fn of_first_blocks(keys: &str, depth: usize) -> String {
-    let block = |line: &str| -> Option<usize> {
-        let rest = line.strip_prefix("pretrained.blocks.")?;
-        rest.split('.').next()?.parse().ok()
-    };
-    let kept = keys.lines().filter(|line| block(line).is_none_or(|i| i < depth));
-    kept.map(|line| format!("{line}\n")).collect()
-}
-
-/// Maps `[1, c, h, w]` without all channels but every `step`-th.
-fn every(x: Tensor<4>, step: usize) -> Tensor<4> {
-    let [_, c, h, w] = x.dims();
-    x.reshape([c / step, step, h, w]).narrow(1, 0, 1).reshape([1, c / step, h, w])
-}
-
 fn check(size: BackboneSize, keys: &str, depth: usize, fixture: &Fixture) {
     let mut net = Net::new(size, depth, &cpu());
     let weights = FormulaWeights::of_keys(&of_first_blocks(keys, depth));
@@ -41,8 +28,8 @@ fn check(size: BackboneSize, keys: &str, depth: usize, fixture: &Fixture) {
     let taps: [usize; 4] = std::array::from_fn(|i| depth - 4 + i);
     let maps = net.pretrained.taps(image.clone(), taps);
     let [path4, path3] = net.depth_head.coarse_paths(maps, GRID);
-    assert_near(every(path4, 4), fixture, "path4_strided", LIMIT);
-    assert_near(every(path3, 4), fixture, "path3_strided", LIMIT);
+    assert_near(every_map(path4, 4), fixture, "path4_strided", LIMIT);
+    assert_near(every_map(path3, 4), fixture, "path3_strided", LIMIT);
     let logits = net.logits(image);
     assert_near(logits.clone(), fixture, "head_logits", LIMIT);
     let least: f32 = logits.clone().min().into_scalar();

@@ -17,12 +17,12 @@ mod tests;
 
 use crate::LoadError;
 use crate::load::Shapes;
-use crate::ops::{Kernels, attend_heads, gelu, linear, tensor};
+use crate::ops::{Kernels, attend_heads, fine_norm, gelu, linear, patch_conv, tensor};
 use burn_core as burn;
 use burn_core::module::{Module, Param};
 use burn_core::tensor::{DType, Device, Tensor};
-use burn_nn::conv::{Conv2d, Conv2dConfig};
-use burn_nn::{Initializer, LayerNorm, LayerNormConfig, Linear};
+use burn_nn::conv::Conv2d;
+use burn_nn::{Initializer, LayerNorm, Linear};
 use std::path::Path;
 
 /// Pixels of a side of a patch.
@@ -72,11 +72,10 @@ impl DinoV2 {
     /// The same with `depth` blocks.
     pub fn with_depth(size: BackboneSize, depth: usize, device: &Device) -> Self {
         let width = size.width();
-        let patches = Conv2dConfig::new([3, width], [PATCH, PATCH]).with_stride([PATCH, PATCH]);
         Self {
             cls_token: Initializer::Zeros.init([1, 1, width], device),
             pos_embed: Initializer::Zeros.init([1, 1 + GRID * GRID, width], device),
-            patch_embed: PatchEmbed { proj: patches.with_initializer(Initializer::Zeros).init(device) },
+            patch_embed: PatchEmbed { proj: patch_conv([3, width], PATCH, device) },
             blocks: (0..depth).map(|_| Block::new(size, device)).collect(),
             norm: fine_norm(width, device),
             offset: OFFSET,
@@ -144,16 +143,6 @@ impl Run<'_> {
         let x = self.net.norm.forward(self.x.clone());
         Tap { patches: x.clone().narrow(1, 1, tokens - 1), class: x.narrow(1, 0, 1).squeeze_dim(1) }
     }
-}
-
-/// A layer normalisation over `width` channels that waits for its weights (epsilon 1e-6).
-fn fine_norm(width: usize, device: &Device) -> LayerNorm {
-    LayerNormConfig::new(width).with_epsilon(1e-6).init(device)
-}
-
-/// A linear layer with a bias.
-fn biased(from: usize, to: usize, device: &Device) -> Linear {
-    linear(from, to, true, device)
 }
 
 /// How wide and how deep a backbone is. All of them have heads of 64 channels and feed-forward layers of four times the width.
@@ -237,7 +226,7 @@ pub struct Attention {
 
 impl Attention {
     pub fn new(width: usize, heads: usize, device: &Device) -> Self {
-        Self { qkv: biased(width, 3 * width, device), proj: biased(width, width, device), heads }
+        Self { qkv: linear(width, 3 * width, true, device), proj: linear(width, width, true, device), heads }
     }
 
     /// Of tokens `[b, n, c]`: the same shape.
@@ -263,16 +252,18 @@ pub struct Block {
 
 /// A factor a channel.
 #[derive(Module, Debug)]
-struct LayerScale {
+pub struct LayerScale {
     gamma: Param<Tensor<1>>,
 }
 
 impl LayerScale {
-    fn new(width: usize, device: &Device) -> Self {
-        Self { gamma: Initializer::Ones.init([width], device) }
+    /// Of `width` channels, waiting for its weights.
+    pub fn new(width: usize, device: &Device) -> Self {
+        Self { gamma: zeros([width], device) }
     }
 
-    fn forward(&self, x: Tensor<3>) -> Tensor<3> {
+    /// Of `x`, whose last axis are the channels.
+    pub fn forward<const D: usize>(&self, x: Tensor<D>) -> Tensor<D> {
         x * self.gamma.val().unsqueeze()
     }
 }
@@ -302,7 +293,7 @@ impl Block {
             attn: Attention::new(width, size.heads(), device),
             ls1: LayerScale::new(width, device),
             norm2: fine_norm(width, device),
-            mlp: Mlp { fc1: biased(width, 4 * width, device), fc2: biased(4 * width, width, device) },
+            mlp: Mlp { fc1: linear(width, 4 * width, true, device), fc2: linear(4 * width, width, true, device) },
             ls2: LayerScale::new(width, device),
         }
     }

@@ -1,9 +1,8 @@
 //! Against the authors' module, with synthetic weights (the backbone of Depth-Anything's fixtures).
 
-use super::{BackboneSize, DinoV2, Tap, unneeded};
-use super::{OFFSET, resized};
+use super::{BackboneSize, DinoV2, OFFSET, Tap, resized, unneeded};
 use crate::cpu;
-use crate::fixture::{Fixture, assert_near, every, fill_by_formula, normalised};
+use crate::fixture::{Fixture, assert_near, every, fill_by_formula, normalised, of_first_blocks};
 use m4_testkit::FormulaWeights;
 
 const SMALL: &str = include_str!("../../../../fixtures/depth_anything_v1/vits.keys.txt");
@@ -15,13 +14,8 @@ const LIMIT: f64 = 5e-5;
 
 /// The lines of `keys` of a backbone with `depth` blocks.
 fn backbone_keys(keys: &str, depth: usize) -> String {
-    let block = |line: &str| -> Option<usize> {
-        let rest = line.strip_prefix("pretrained.blocks.")?;
-        rest.split('.').next()?.parse().ok()
-    };
-    let kept = keys.lines().filter(|line| line.starts_with(PREFIX));
-    let kept = kept.filter(|line| block(line).is_none_or(|i| i < depth));
-    kept.map(|line| format!("{line}\n")).collect()
+    let kept = of_first_blocks(keys, depth);
+    kept.lines().filter(|line| line.starts_with(PREFIX)).map(|line| format!("{line}\n")).collect()
 }
 
 fn backbone(size: BackboneSize, keys: &str, depth: usize) -> DinoV2 {

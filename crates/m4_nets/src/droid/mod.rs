@@ -22,7 +22,7 @@ mod memory;
 mod tests;
 mod update;
 
-pub use memory::{DroidMemory, EdgeUpdate, MemoryOptions, SourceUpdate, Storage};
+pub use memory::{DroidMemory, EdgeUpdate, MemoryOptions, Storage};
 
 use crate::error::refuse;
 use crate::ops::{IMAGENET_MEAN, IMAGENET_STD, planes, tanh, tensor};

@@ -2,13 +2,13 @@
 
 use super::WIDTH;
 use crate::correlation::taps;
-use crate::ops::{conv, convolve, gelu, sigmoid, tanh, with_weights};
+use crate::ops::{conv, convolve, fine_norm, gelu, sigmoid, tanh, with_weights};
 use burn_core as burn;
 use burn_core::module::{Module, Param};
 use burn_core::tensor::activation::{relu, softplus};
 use burn_core::tensor::{DType, Device, Int, Tensor};
+use burn_nn::LayerNorm;
 use burn_nn::conv::Conv2d;
-use burn_nn::{LayerNorm, LayerNormConfig};
 
 /// Levels of the correlation and how far each looks, in its pixels.
 pub const LEVELS: usize = 4;
@@ -149,7 +149,7 @@ pub struct MotionHead {
 impl MotionHead {
     pub fn new(device: &Device) -> Self {
         let wide = |from: usize| conv([from, WIDTH], 3, 1, true, device);
-        let norm = || LayerNormConfig::new(WIDTH).with_epsilon(1e-6).init(device);
+        let norm = || fine_norm(WIDTH, device);
         Self {
             conv0: wide(2 * WIDTH + 2),
             conv1: wide(WIDTH),

@@ -181,7 +181,31 @@ impl<'a> Machine<'a> {
 
     /// One step; true at the end of the program.
     fn step(&mut self) -> Result<bool, Refused> {
-        match self.byte()? {
+        let step = self.byte()?;
+        let value = match step {
+            b'N' => Value::None,
+            b'\x88' | b'\x89' => Value::Bool(step == b'\x88'),
+            b'K' => Value::Int(i64::from(self.byte()?)),
+            b'M' => Value::Int(i64::from(u16::from_le_bytes(self.fixed()?))),
+            b'J' => Value::Int(i64::from(i32::from_le_bytes(self.fixed()?))),
+            b'X' => {
+                let bytes = self.counted()?;
+                Value::Text(self.text(bytes)?)
+            }
+            b'B' => Value::Bytes(self.counted()?),
+            b'C' => {
+                let n = self.byte()?;
+                Value::Bytes(self.take(usize::from(n))?)
+            }
+            _ => return self.operation(step),
+        };
+        self.stack.push(value);
+        Ok(false)
+    }
+
+    /// A step that does not just push a value; true at the end of the program.
+    fn operation(&mut self, step: u8) -> Result<bool, Refused> {
+        match step {
             b'\x80' => {
                 if !(2..=3).contains(&self.byte()?) {
                     return Err(self.refused("a pickle of another protocol than 2 or 3"));
@@ -200,35 +224,6 @@ impl<'a> Machine<'a> {
             b't' => {
                 let values = self.above_mark()?;
                 self.push_tuple(values);
-            }
-            b'N' => self.stack.push(Value::None),
-            b'\x88' => self.stack.push(Value::Bool(true)),
-            b'\x89' => self.stack.push(Value::Bool(false)),
-            b'K' => {
-                let n = self.byte()?;
-                self.stack.push(Value::Int(i64::from(n)));
-            }
-            b'M' => {
-                let n = u16::from_le_bytes(self.fixed()?);
-                self.stack.push(Value::Int(i64::from(n)));
-            }
-            b'J' => {
-                let n = i32::from_le_bytes(self.fixed()?);
-                self.stack.push(Value::Int(i64::from(n)));
-            }
-            b'X' => {
-                let bytes = self.counted()?;
-                let text = self.text(bytes)?;
-                self.stack.push(Value::Text(text));
-            }
-            b'B' => {
-                let bytes = self.counted()?;
-                self.stack.push(Value::Bytes(bytes));
-            }
-            b'C' => {
-                let n = self.byte()?;
-                let bytes = self.take(usize::from(n))?;
-                self.stack.push(Value::Bytes(bytes));
             }
             b'c' => {
                 let (module, name) = (self.line()?, self.line()?);

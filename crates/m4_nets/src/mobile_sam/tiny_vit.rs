@@ -5,8 +5,8 @@
 //! 1024 --two convolutions--> 256 --two MBConv--> merge --> 128 --2 blocks--> merge --> 64 --6 blocks--> merge --2 blocks--> neck
 //! ```
 
-use crate::ops::{Statistics, conv, gelu, linear, norm, softmax_rows, zeros};
-use crate::sam::{channel_norm, over_channels};
+use crate::ops::{Statistics, conv, fine_norm, gelu, linear, norm, softmax_rows, zeros};
+use crate::sam::{fine_norm, over_channels};
 use burn_core as burn;
 use burn_core::module::{Module, Param};
 use burn_core::tensor::module::conv2d;
@@ -194,9 +194,9 @@ impl TinyVit {
             stage3: Stage::new(d, 7, None, device),
             neck: Neck {
                 flat: conv([d, EMBEDDING], 1, 1, false, device),
-                norm1: channel_norm(EMBEDDING, device),
+                norm1: fine_norm(EMBEDDING, device),
                 wide: conv([EMBEDDING, EMBEDDING], 3, 1, false, device),
-                norm2: channel_norm(EMBEDDING, device),
+                norm2: fine_norm(EMBEDDING, device),
             },
         }
     }

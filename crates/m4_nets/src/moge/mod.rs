@@ -33,13 +33,10 @@ use burn_core::module::Module;
 use burn_core::tensor::activation::relu;
 use burn_core::tensor::{Device, Tensor};
 use burn_nn::Linear;
-use image::Grid;
-use image::RawOutput;
-use layout::Config;
-use layout::Layout;
+use image::{Grid, RawOutput};
+use layout::{Config, Layout};
 use m4_core::RgbImage;
-use stack::Encoder;
-use stack::Stack;
+use stack::{Encoder, Stack};
 use std::path::Path;
 
 /// What it is called in messages.

@@ -8,14 +8,12 @@
 
 use super::layout::{Level, StackLayout, Up};
 use crate::dinov2::{BackboneSize, DinoV2};
-use crate::ops::{conv, convolve, convolve_edges};
+use crate::ops::{conv, convolve, convolve_edges, interpolated, upscaling_conv};
 use burn_core as burn;
 use burn_core::module::{Module, Param};
 use burn_core::tensor::activation::relu;
-use burn_core::tensor::module::interpolate;
-use burn_core::tensor::ops::{InterpolateMode, InterpolateOptions};
 use burn_core::tensor::{Device, Tensor};
-use burn_nn::conv::{Conv2d, ConvTranspose2d, ConvTranspose2dConfig};
+use burn_nn::conv::{Conv2d, ConvTranspose2d};
 use burn_nn::{GroupNorm, GroupNormConfig, Initializer};
 
 /// The decoder or a head.
@@ -72,12 +70,10 @@ impl Residual {
 
 impl Enlarge {
     fn new(up: Up, from: usize, to: usize, device: &Device) -> Self {
-        let twice = ConvTranspose2dConfig::new([from, to], [2, 2]).with_stride([2, 2]);
         match up {
-            Up::Transposed => Self {
-                transposed: Some(twice.with_initializer(Initializer::Zeros).init(device)),
-                conv: wide([to, to], device),
-            },
+            Up::Transposed => {
+                Self { transposed: Some(upscaling_conv([from, to], 2, device)), conv: wide([to, to], device) }
+            }
             Up::Bilinear => Self { transposed: None, conv: wide([from, to], device) },
         }
     }
@@ -87,10 +83,7 @@ impl Enlarge {
             Some(twice) => twice.forward(x),
             None => {
                 let [_, _, h, w] = x.dims();
-                let options = InterpolateOptions::new(InterpolateMode::Bilinear)
-                    .with_align_corners(false)
-                    .with_output_size([2 * h, 2 * w]);
-                interpolate(x, options)
+                interpolated(x, [2 * h, 2 * w], false)
             }
         };
         convolve_edges(x, &self.conv)

@@ -2,11 +2,10 @@
 
 use super::focal::recovered;
 use super::image::Grid;
-use super::layout::{Config, Remap};
-use super::layout::{Layout, Norm};
+use super::layout::{Config, Layout, Norm, Remap};
 use super::{MoGe, MoGeOptions, Net, RENAMES};
 use crate::dinov2::{BackboneSize, unneeded};
-use crate::fixture::{Fixture, assert_close, assert_near, assert_same_tensors, renamed};
+use crate::fixture::{Fixture, assert_close, assert_near, assert_same_tensors, every_map, renamed};
 use crate::{cpu, load};
 use burn_core::tensor::Tensor;
 use burn_store::pytorch_reader::PickleValue;
@@ -31,12 +30,6 @@ fn network() -> MoGe {
     MoGe::load(&path, cpu()).unwrap()
 }
 
-/// Maps `[1, c, h, w]` without all channels but every `step`-th.
-fn every(x: Tensor<4>, step: usize) -> Tensor<4> {
-    let [_, c, h, w] = x.dims();
-    x.reshape([c / step, step, h, w]).narrow(1, 0, 1).reshape([1, c / step, h, w])
-}
-
 #[test]
 fn small_model_matches_the_module() {
     let fixture = Fixture::open("moge2/vits_assumed.safetensors");
@@ -49,13 +42,13 @@ fn small_model_matches_the_module() {
     let taps = &net.config.taps;
     assert_eq!(taps, &[2, 5, 8, 11]);
     let (map, class) = net.net.encoder.forward(input.clone(), taps, [8, 10]);
-    assert_near(every(map, 4), &fixture, "encoder_strided", LIMIT);
+    assert_near(every_map(map, 4), &fixture, "encoder_strided", LIMIT);
     assert_near(class, &fixture, "cls", LIMIT);
     let places = grid.places(2, &cpu(), burn_core::tensor::DType::F32);
     assert_near(places.permute([0, 2, 3, 1]), &fixture, "uv_level2", 1e-5);
     let (levels, _) = net.net.features(input, taps, grid);
     for (i, (level, step)) in levels.into_iter().zip([96, 32, 16, 16, 16]).enumerate() {
-        assert_near(every(level, step), &fixture, &format!("neck{i}_strided"), LIMIT);
+        assert_near(every_map(level, step), &fixture, &format!("neck{i}_strided"), LIMIT);
     }
     let options = MoGeOptions { tokens: Some(80), known_focal_px: None };
     let raw = net.raw_output(&image, &options).unwrap();

@@ -13,10 +13,10 @@ pub use resample::{Kernels, bilinear, bilinear_plane, image_tensor, resampled};
 use burn_core as burn;
 use burn_core::module::{Module, Param};
 use burn_core::tensor::activation::softmax;
-use burn_core::tensor::module::layer_norm;
-use burn_core::tensor::ops::PadMode;
+use burn_core::tensor::module::{interpolate, layer_norm};
+use burn_core::tensor::ops::{InterpolateMode, InterpolateOptions, PadMode};
 use burn_core::tensor::{DType, Device, Tensor, TensorData};
-use burn_nn::conv::{Conv2d, Conv2dConfig};
+use burn_nn::conv::{Conv2d, Conv2dConfig, ConvTranspose2d, ConvTranspose2dConfig};
 use burn_nn::{Initializer, LayerNorm, LayerNormConfig, Linear, LinearConfig, PaddingConfig2d};
 use m4_core::RgbImage;
 use std::f32::consts::TAU;
@@ -42,6 +42,30 @@ pub fn conv(channels: [usize; 2], kernel: usize, stride: usize, bias: bool, devi
         .init(device)
 }
 
+/// A convolution whose kernels of `side` by `side` pixels lie side by side, which waits for its weights.
+pub fn patch_conv(channels: [usize; 2], side: usize, device: &Device) -> Conv2d {
+    let config = Conv2dConfig::new(channels, [side, side]).with_stride([side, side]);
+    config.with_initializer(Initializer::Zeros).init(device)
+}
+
+/// A convolution of 7 by 7, each channel by itself, that waits for its weights.
+pub fn depthwise7(width: usize, device: &Device) -> Conv2d {
+    let config = Conv2dConfig::new([width, width], [7, 7]).with_groups(width);
+    config.with_padding(PaddingConfig2d::Explicit(3, 3, 3, 3)).with_initializer(Initializer::Zeros).init(device)
+}
+
+/// A transposed convolution to `times` the rows and columns, whose kernels do not overlap; it waits for its weights.
+pub fn upscaling_conv(channels: [usize; 2], times: usize, device: &Device) -> ConvTranspose2d {
+    let config = ConvTranspose2dConfig::new(channels, [times, times]).with_stride([times, times]);
+    config.with_initializer(Initializer::Zeros).init(device)
+}
+
+/// `x` `[n, c, h, w]` with `size` rows and columns, bilinear; `corners` if corner pixels stay at the corners.
+pub fn interpolated(x: Tensor<4>, size: [usize; 2], corners: bool) -> Tensor<4> {
+    let options = InterpolateOptions::new(InterpolateMode::Bilinear);
+    interpolate(x, options.with_align_corners(corners).with_output_size(size))
+}
+
 /// `conv` with other weights `[out, in, h, w]` of its kernel's size.
 pub fn with_weights(conv: Conv2d, weight: Tensor<4>, bias: Option<Tensor<1>>) -> Conv2d {
     Conv2d { weight: Param::from_tensor(weight), bias: bias.map(Param::from_tensor), ..conv }
@@ -55,6 +79,11 @@ pub fn linear(from: usize, to: usize, bias: bool, device: &Device) -> Linear {
 /// A layer normalisation over `width` channels that waits for its weights.
 pub fn norm(width: usize, device: &Device) -> LayerNorm {
     LayerNormConfig::new(width).init(device)
+}
+
+/// The same with epsilon 1e-6 instead of 1e-5.
+pub fn fine_norm(width: usize, device: &Device) -> LayerNorm {
+    LayerNormConfig::new(width).with_epsilon(1e-6).init(device)
 }
 
 /// Each channel of each image of `x` `[n, c, h, w]` less its mean, divided by its standard deviation (over the `h * w`

@@ -41,18 +41,13 @@ const RADIUS: usize = 4;
 /// look up in.
 const LEAST: usize = (2 * FACTOR) << (LEVELS - 1);
 
-/// Flow at an eighth of the padded image's size, in pixels of that size: what another pair that ends in the same image may
-/// start from.
-#[derive(Debug, Clone, PartialEq)]
-pub struct LowFlow(pub Flow);
-
 /// The flow of one direction of a pair.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RaftFlow {
     /// In the image's size.
     pub flow: Flow,
-    /// The same before upsampling.
-    pub low: LowFlow,
+    /// At an eighth of the padded image's size, in pixels of that size: what another pair that ends in the same image may start from.
+    pub low: Flow,
 }
 
 /// What the network keeps of one image, for use in several pairs.
@@ -157,7 +152,7 @@ impl Raft {
         a: &Features,
         b: &Features,
         iterations: usize,
-        init: Option<[&LowFlow; 2]>,
+        init: Option<[&Flow; 2]>,
     ) -> Result<[RaftFlow; 2], NetError> {
         let (one, other) = (a.padding.size, b.padding.size);
         if one != other {
@@ -199,7 +194,7 @@ impl Raft {
             let weights = weights.clone().narrow(0, i, 1).squeeze_dim(0);
             Ok(RaftFlow {
                 flow: features.padding.crop(convex_upsample(flow.clone(), weights, FACTOR))?,
-                low: LowFlow(read(flow)?),
+                low: read(flow)?,
             })
         };
         Ok([result(a, 0)?, result(b, 1)?])
@@ -212,7 +207,7 @@ impl Raft {
     }
 
     /// `low` as `[1, h, w, 2]`.
-    fn start(&self, LowFlow(low): &LowFlow, h: usize, w: usize) -> Result<Tensor<4>, NetError> {
+    fn start(&self, low: &Flow, h: usize, w: usize) -> Result<Tensor<4>, NetError> {
         if (low.width, low.height, low.u.len(), low.v.len()) != (w, h, w * h, w * h) {
             return refuse(format!(
                 "the flow to start from has {} x {} pixels ({} numbers), these images need {w} x {h}: start from that of \

@@ -1,14 +1,14 @@
 //! The decoder's transformer: tokens that look at the image and an image that looks at the tokens, in turn (Kirillov et al.,
 //! "Segment Anything", ICCV 2023, appendix A).
 
-use super::{WIDTH, channel_norm};
-use crate::ops::{attend_heads, gelu, linear, norm};
+use super::{WIDTH, fine_norm};
+use crate::ops::{attend_heads, fine_norm, gelu, linear, norm, upscaling_conv};
 use burn_core as burn;
 use burn_core::module::Module;
 use burn_core::tensor::activation::relu;
 use burn_core::tensor::{Device, Tensor};
-use burn_nn::conv::{ConvTranspose2d, ConvTranspose2dConfig};
-use burn_nn::{Initializer, LayerNorm, Linear};
+use burn_nn::conv::ConvTranspose2d;
+use burn_nn::{LayerNorm, Linear};
 
 const HEADS: usize = 8;
 const MLP_WIDTH: usize = 2048;
@@ -177,16 +177,10 @@ pub struct Upscaling {
 
 impl Upscaling {
     pub fn new(device: &Device) -> Self {
-        let doubling = |from, to| -> ConvTranspose2d {
-            ConvTranspose2dConfig::new([from, to], [2, 2])
-                .with_stride([2, 2])
-                .with_initializer(Initializer::Zeros)
-                .init(device)
-        };
         Self {
-            twice: doubling(WIDTH, WIDTH / 4),
-            norm: channel_norm(WIDTH / 4, device),
-            again: doubling(WIDTH / 4, MAP_WIDTH),
+            twice: upscaling_conv([WIDTH, WIDTH / 4], 2, device),
+            norm: fine_norm(WIDTH / 4, device),
+            again: upscaling_conv([WIDTH / 4, MAP_WIDTH], 2, device),
         }
     }
 

@@ -8,17 +8,12 @@ pub use prompt_encoder::{PromptEncoder, Token};
 
 use crate::NetError;
 use crate::error::refuse;
-use burn_core::tensor::{Device, Tensor};
-use burn_nn::{LayerNorm, LayerNormConfig};
+use burn_core::tensor::Tensor;
+use burn_nn::LayerNorm;
 use m4_core::Plane;
 
 /// Channels of embeddings and of tokens.
 pub const WIDTH: usize = 256;
-
-/// A layer normalisation over the `width` channels of each pixel that waits for its weights (epsilon 1e-6).
-pub fn channel_norm(width: usize, device: &Device) -> LayerNorm {
-    LayerNormConfig::new(width).with_epsilon(1e-6).init(device)
-}
 
 /// `norm` over the channels of `x` `[n, c, h, w]`.
 pub fn over_channels(norm: &LayerNorm, x: Tensor<4>) -> Tensor<4> {

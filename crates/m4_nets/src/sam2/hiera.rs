@@ -3,8 +3,8 @@
 //! and one repeated in windows (Bolya et al., "Window Attention is Bugged", ICLR 2024).
 
 use super::config::{BlockConfig, Config};
-use crate::ops::{Kernels, attend_heads, conv, gelu, linear, resampled, tensor, zeros};
-use crate::sam::{WIDTH, channel_norm};
+use crate::ops::{Kernels, attend_heads, conv, fine_norm, gelu, linear, resampled, tensor, zeros};
+use crate::sam::{WIDTH, fine_norm};
 use burn_core as burn;
 use burn_core::module::{Module, Param};
 use burn_core::tensor::ops::PadMode;
@@ -157,9 +157,9 @@ impl Block {
     pub fn new(config: BlockConfig, device: &Device) -> Self {
         let BlockConfig { from, to, .. } = config;
         Self {
-            norm1: channel_norm(from, device),
+            norm1: fine_norm(from, device),
             attn: Attention::new(config, device),
-            norm2: channel_norm(to, device),
+            norm2: fine_norm(to, device),
             mlp: Mlp { layers: [linear(to, 4 * to, true, device), linear(4 * to, to, true, device)] },
             proj: (from != to).then(|| linear(from, to, true, device)),
             window: config.window.unwrap_or(0),

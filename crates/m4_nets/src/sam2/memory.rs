@@ -5,14 +5,14 @@
 //! projects each memory before: the same but for rounding, as weights sum to one, for a quarter of the operations.
 
 use super::hiera::Pointwise;
-use crate::ops::{attend_heads, conv, gelu, linear, norm, tensor};
-use crate::sam::{WIDTH, channel_norm};
+use crate::ops::{attend_heads, conv, depthwise7, fine_norm, gelu, linear, norm, tensor};
+use crate::sam::{WIDTH, fine_norm};
 use burn_core as burn;
 use burn_core::module::{Module, Param};
 use burn_core::tensor::activation::relu;
 use burn_core::tensor::{DType, Device, Int, Tensor, TensorData};
-use burn_nn::conv::{Conv2d, Conv2dConfig};
-use burn_nn::{Initializer, LayerNorm, Linear, PaddingConfig2d};
+use burn_nn::conv::Conv2d;
+use burn_nn::{Initializer, LayerNorm, Linear};
 
 /// Channels of memories.
 pub const MEMORY_WIDTH: usize = 64;
@@ -256,7 +256,7 @@ impl MaskEncoder {
     fn new(device: &Device) -> Self {
         Self {
             convs: std::array::from_fn(|i| conv([MASK_WIDTHS[i], MASK_WIDTHS[i + 1]], 3, 2, true, device)),
-            norms: std::array::from_fn(|i| channel_norm(MASK_WIDTHS[i + 1], device)),
+            norms: std::array::from_fn(|i| fine_norm(MASK_WIDTHS[i + 1], device)),
             out: conv([WIDTH, WIDTH], 1, 1, true, device),
         }
     }
@@ -299,12 +299,8 @@ pub struct FuserBlock {
 impl FuserBlock {
     fn new(device: &Device) -> Self {
         Self {
-            dwconv: Conv2dConfig::new([WIDTH, WIDTH], [7, 7])
-                .with_padding(PaddingConfig2d::Explicit(3, 3, 3, 3))
-                .with_groups(WIDTH)
-                .with_initializer(Initializer::Zeros)
-                .init(device),
-            norm: channel_norm(WIDTH, device),
+            dwconv: depthwise7(WIDTH, device),
+            norm: fine_norm(WIDTH, device),
             pwconv1: linear(WIDTH, 4 * WIDTH, true, device),
             pwconv2: linear(4 * WIDTH, WIDTH, true, device),
             gamma: Initializer::Ones.init([WIDTH], device),

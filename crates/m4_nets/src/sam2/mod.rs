@@ -34,22 +34,19 @@ pub use config::Sam2Size;
 pub use video::{Clip, Direction, VideoPredictor};
 
 use crate::error::{numbers, refuse};
-use crate::ops::{Kernels, linear, sine_positions, tensor, zeros};
+use crate::ops::{Kernels, linear, patch_conv, sine_positions, tensor, zeros};
 use crate::sam::{Mlp, Prompt, PromptEncoder, WIDTH};
 use crate::{Compute, LoadError, NetError, load};
 use burn_core as burn;
 use burn_core::module::{Module, Param};
 use burn_core::tensor::{DType, Device, Tensor};
-use burn_nn::conv::{Conv2d, Conv2dConfig};
-use burn_nn::{Initializer, Linear};
+use burn_nn::Linear;
+use burn_nn::conv::Conv2d;
 use config::Config;
 use decoder::{Decoded, MASKS, MaskDecoder};
-use hiera::{Hiera, PATCH};
-use hiera::{ImageEncoder, Neck, Pointwise, repeated};
+use hiera::{Hiera, ImageEncoder, Neck, PATCH, Pointwise, repeated};
 use m4_core::{Plane, RgbImage};
-use memory::MemoryEncoder;
-use memory::Rotations;
-use memory::{MEMORY_WIDTH, MemoryAttention};
+use memory::{MEMORY_WIDTH, MemoryAttention, MemoryEncoder, Rotations};
 use recall::Answer;
 use std::path::Path;
 
@@ -122,10 +119,6 @@ struct Net {
 
 impl Net {
     fn new(config: &Config, device: &Device) -> Self {
-        let mask_downsample = Conv2dConfig::new([1, 1], [MASK_STRIDE; 2])
-            .with_stride([MASK_STRIDE; 2])
-            .with_initializer(Initializer::Zeros)
-            .init(device);
         Self {
             image_encoder: ImageEncoder { trunk: Hiera::new(config, device), neck: Neck::new(config, device) },
             prompt_encoder: PromptEncoder::new(device),
@@ -134,7 +127,7 @@ impl Net {
             memory_encoder: MemoryEncoder::new(device),
             obj_ptr_proj: Mlp::new(WIDTH, device),
             obj_ptr_tpos_proj: linear(WIDTH, MEMORY_WIDTH, true, device),
-            mask_downsample,
+            mask_downsample: patch_conv([1, 1], MASK_STRIDE, device),
             maskmem_tpos_enc: zeros([MEMORIES, 1, 1, MEMORY_WIDTH], device),
             no_mem_embed: zeros([1, 1, WIDTH], device),
             no_obj_ptr: zeros([1, WIDTH], device),

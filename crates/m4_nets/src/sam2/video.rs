@@ -9,8 +9,7 @@
 //! Objects do not know of each other; those that have equally many memories are computed together. A frame's features are computed once for
 //! all of them.
 
-use super::bank::ObjectMask;
-use super::bank::{Entry, Object, Recall};
+use super::bank::{Entry, Object, ObjectMask, Recall};
 use super::prompts::{squared_mask, with_pixels};
 use super::recall::Answer;
 use super::{Features, Sam2, prompts};

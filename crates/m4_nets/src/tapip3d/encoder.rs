@@ -1,12 +1,10 @@
 //! Features of an image at a quarter of its size: the network of CoTracker3.
 
-use crate::ops::{conv, convolve, instance_norm};
+use crate::ops::{conv, convolve, instance_norm, interpolated};
 use crate::residual::{Norm, Residual};
 use burn_core as burn;
 use burn_core::module::Module;
 use burn_core::tensor::activation::relu;
-use burn_core::tensor::module::interpolate;
-use burn_core::tensor::ops::{InterpolateMode, InterpolateOptions};
 use burn_core::tensor::{DType, Device, Tensor};
 use burn_nn::conv::Conv2d;
 
@@ -51,13 +49,10 @@ impl Encoder {
     /// Of images `[n, 3, h, w]` from -1 to 1: `[n, width, h / 4, w / 4]`.
     pub fn forward(&self, x: Tensor<4>) -> Tensor<4> {
         let [_, _, h, w] = x.dims();
-        let size = InterpolateOptions::new(InterpolateMode::Bilinear)
-            .with_align_corners(true)
-            .with_output_size([h / STRIDE, w / STRIDE]);
         let mut x = relu(instance_norm(convolve([x], &self.conv1)));
         let stages = [&self.layer1, &self.layer2, &self.layer3, &self.layer4].map(|[first, second]| {
             x = second.forward(first.forward(x.clone(), Norm::Instance), Norm::Instance);
-            interpolate(x.clone(), size.clone())
+            interpolated(x.clone(), [h / STRIDE, w / STRIDE], true)
         });
         let x = relu(instance_norm(convolve(stages, &self.conv2)));
         convolve([x], &self.conv3)

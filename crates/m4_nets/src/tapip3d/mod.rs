@@ -43,13 +43,11 @@ use crate::{Compute, LoadError, NetError, load};
 use burn_core as burn;
 use burn_core::module::{Module, Param};
 use burn_core::tensor::{Device, Tensor};
-use config::Config;
-use config::Sizes;
+use config::{Config, Sizes};
 use encoder::Encoder;
 use m4_core::Progress;
 use std::path::Path;
-use updater::Correlation;
-use updater::Updater;
+use updater::{Correlation, Updater};
 
 /// What it is called in messages.
 const NAME: &str = "TAPIP3D";
@@ -140,6 +138,6 @@ impl Tapip3d {
         options: &Tapip3dOptions,
         progress: &dyn Progress,
     ) -> Result<PointTracks, NetError> {
-        track::track(self, clip, queries, options, progress)
+        track::track_within(self, clip, queries, options, None, progress)
     }
 }

@@ -1,21 +1,17 @@
 //! The network against its fixture: weights by the formula, damped where a random network would be chaotic.
 
 use super::config::Config;
-use super::frame::PosedPinhole;
-use super::frame::{Frame, Geometry, Sides, image_tensor, map_sizes, maps, sampled};
+use super::frame::{Frame, Geometry, PosedPinhole, Sides, image_tensor, map_sizes, maps, sampled};
 use super::source::sides;
 use super::track::track_within;
 use super::window::{State, Window};
 use super::*;
-use crate::ClipError;
-use crate::cpu;
 use crate::fixture::{Fixture, assert_close, assert_near};
 use crate::ops::tensor;
+use crate::{ClipError, cpu};
 use burn_core::tensor::DType;
-use m4_core::{
-    Camera, DepthMap, Intrinsics, Plane, RgbImage, Se3, Silent,
-    nalgebra::{Matrix4, Vector3},
-};
+use m4_core::nalgebra::{Matrix4, Vector3};
+use m4_core::{Camera, DepthMap, Intrinsics, Plane, RgbImage, Se3, Silent};
 use m4_testkit::FormulaWeights;
 use std::sync::Arc;
 use tempfile::TempDir;

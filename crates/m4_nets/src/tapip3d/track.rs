@@ -51,18 +51,7 @@ impl TrackState {
     }
 }
 
-/// As [`Tapip3d::track`].
-pub fn track(
-    net: &Tapip3d,
-    clip: &dyn PosedClip,
-    queries: &[PointQuery],
-    options: &Tapip3dOptions,
-    progress: &dyn Progress,
-) -> Result<PointTracks, NetError> {
-    track_within(net, clip, queries, options, None, progress)
-}
-
-/// The same with the depths that count, where they are known.
+/// As [`Tapip3d::track`], with the depths that count where they are known.
 pub fn track_within(
     net: &Tapip3d,
     clip: &dyn PosedClip,

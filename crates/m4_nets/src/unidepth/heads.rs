@@ -2,15 +2,14 @@
 
 use super::image::{CHANNELS, Rays};
 use super::layers::{Block, Mlp, by_tokens};
-use crate::ops::{conv, gelu, linear, norm, zeros};
+use crate::ops::{conv, depthwise7, gelu, interpolated, linear, norm, zeros};
 use burn_core as burn;
 use burn_core::module::{Module, Param};
 use burn_core::tensor::activation::relu;
-use burn_core::tensor::module::interpolate;
-use burn_core::tensor::ops::{InterpolateMode, InterpolateOptions, PadMode};
+use burn_core::tensor::ops::PadMode;
 use burn_core::tensor::{Device, Tensor};
 use burn_nn::conv::{Conv2d, Conv2dConfig};
-use burn_nn::{Initializer, LayerNorm, Linear, PaddingConfig2d};
+use burn_nn::{Initializer, LayerNorm, Linear};
 
 /// Four class tokens become the logarithms of two focal lengths and the principal point.
 #[derive(Module, Debug)]
@@ -172,27 +171,12 @@ impl DepthHead {
             };
             x = up.forward(x + rays, h << level, w << level);
             let out = self.depth_mlp[level].forward(x.clone());
-            outs.push(enlarged(map(out, h << (level + 1), w << (level + 1)), [14 * h, 14 * w]));
+            outs.push(interpolated(map(out, h << (level + 1), w << (level + 1)), [14 * h, 14 * w], false));
         }
         outs.reverse();
         let edges = [(0, 0), (0, 0), (EDGE, EDGE), (EDGE, EDGE)];
         self.to_depth.forward(Tensor::cat(outs, 1).pad(edges, PadMode::Reflect))
     }
-}
-
-/// `x` with `size` rows and columns, bilinear.
-fn enlarged(x: Tensor<4>, size: [usize; 2]) -> Tensor<4> {
-    let options = InterpolateOptions::new(InterpolateMode::Bilinear).with_align_corners(false).with_output_size(size);
-    interpolate(x, options)
-}
-
-/// A convolution of 7 by 7, each channel by itself.
-fn depthwise(width: usize, device: &Device) -> Conv2d {
-    Conv2dConfig::new([width, width], [7, 7])
-        .with_groups(width)
-        .with_padding(PaddingConfig2d::Explicit(3, 3, 3, 3))
-        .with_initializer(Initializer::Zeros)
-        .init(device)
 }
 
 /// A block of `ConvNeXt` (Liu et al., "A ConvNet for the 2020s", CVPR 2022).
@@ -209,7 +193,7 @@ impl ConvNext {
     fn new(width: usize, device: &Device) -> Self {
         Self {
             gamma: zeros([width], device),
-            dwconv: depthwise(width, device),
+            dwconv: depthwise7(width, device),
             norm: norm(width, device),
             pwconv1: linear(width, 4 * width, true, device),
             pwconv2: linear(4 * width, width, true, device),
@@ -238,7 +222,7 @@ impl Up {
     pub fn new(width: usize, device: &Device) -> Self {
         Self {
             convs: [ConvNext::new(width, device), ConvNext::new(width, device)],
-            up_depthwise: depthwise(width / 4, device),
+            up_depthwise: depthwise7(width / 4, device),
             up_conv: conv([width / 4, width / 2], 3, 1, true, device),
             residual: conv([width, width / 2], 1, 1, true, device),
         }
@@ -248,10 +232,7 @@ impl Up {
     pub fn forward(&self, x: Tensor<2>, h: usize, w: usize) -> Tensor<2> {
         let x = self.convs.iter().fold(map(x, h, w), |x, block| block.forward(x));
         let shuffled = relu(self.up_depthwise.forward(pixels_of_channels(x.clone())));
-        let options = InterpolateOptions::new(InterpolateMode::Bilinear)
-            .with_align_corners(true)
-            .with_output_size([2 * h, 2 * w]);
-        tokens(self.up_conv.forward(shuffled) + interpolate(self.residual.forward(x), options))
+        tokens(self.up_conv.forward(shuffled) + interpolated(self.residual.forward(x), [2 * h, 2 * w], true))
     }
 }
 

@@ -1,8 +1,9 @@
 //! Layers of tokens `[n, channels]` that the heads share.
 
-use crate::ops::{attend_heads, gelu, linear, norm, zeros};
+use crate::dinov2::LayerScale;
+use crate::ops::{attend_heads, gelu, linear, norm};
 use burn_core as burn;
-use burn_core::module::{Module, Param};
+use burn_core::module::Module;
 use burn_core::tensor::activation::softmax;
 use burn_core::tensor::{Device, Tensor};
 use burn_nn::{LayerNorm, Linear};
@@ -65,22 +66,6 @@ impl Adapters {
         let pairs = self.input_adapters.iter().zip(levels);
         let adapted = |(adapter, x): (&Adapter, _)| gelu(adapter.linear.forward(adapter.norm.forward(x)));
         pairs.map(adapted).collect()
-    }
-}
-
-/// A factor a channel.
-#[derive(Module, Debug)]
-pub struct LayerScale {
-    gamma: Param<Tensor<1>>,
-}
-
-impl LayerScale {
-    fn new(width: usize, device: &Device) -> Self {
-        Self { gamma: zeros([width], device) }
-    }
-
-    fn forward(&self, x: Tensor<2>) -> Tensor<2> {
-        x * self.gamma.val().unsqueeze()
     }
 }
 

@@ -13,7 +13,7 @@ mod store;
 #[cfg(test)]
 mod tests;
 
-pub use revise::{EdgeUpdate, SourceUpdate};
+pub use revise::EdgeUpdate;
 pub use store::Storage;
 
 use super::update::{LEVELS, RADIUS};
@@ -25,10 +25,9 @@ use crate::{ImageReader, NetError};
 use burn_core::tensor::{DType, Tensor};
 use m4_core::RgbImage;
 use std::collections::HashMap;
-use std::fmt;
-use std::io;
 use std::path::PathBuf;
 use std::sync::Arc;
+use std::{fmt, io};
 use store::Store;
 
 /// How a memory keeps what it keeps.

@@ -28,15 +28,8 @@ pub struct EdgeUpdate<'a> {
     pub static_confidence: &'a mut Vec<f32>,
 }
 
-/// What the edges of a source say together.
-#[derive(Debug, Clone)]
-pub struct SourceUpdate {
-    /// Damping of the disparities, `[h * w]`, above 0.
-    pub eta: Vec<f32>,
-}
-
 impl DroidMemory<'_> {
-    /// One update of `edges`, which are all that start at `source` and take part in this step: damping and static confidence
+    /// One update of `edges`: the damping of the disparities of `source`, `[h * w]`, above 0. They are all that start at `source` and take part in this step: damping and static confidence
     /// come from means over them.
     ///
     /// Holds maps of some edges at a time, and one map of each edge.
@@ -45,7 +38,7 @@ impl DroidMemory<'_> {
     ///
     /// [`NetError`] if an edge is not known, starts elsewhere or is there twice, if there is none, if a plane has another size,
     /// if an image cannot be had, or if file or device fail. Answers of some edges may be written by then.
-    pub fn revise_source(&mut self, source: usize, edges: &mut [EdgeUpdate<'_>]) -> Result<SourceUpdate, NetError> {
+    pub fn revise_source(&mut self, source: usize, edges: &mut [EdgeUpdate<'_>]) -> Result<Vec<f32>, NetError> {
         let known = self.check(source, edges)?;
         let [first, context] = self.first_state(source)?;
         let features = FeatureMap::new(self.features(source)?);
@@ -96,7 +89,7 @@ impl DroidMemory<'_> {
             }
         }
         let shared = update.agg.of_mean(sum.div_scalar(n));
-        Ok(SourceUpdate { eta: read(update.agg.eta(shared))? })
+        read(update.agg.eta(shared))
     }
 
     /// The edges, if they can be revised together.

@@ -35,7 +35,7 @@ fn start() -> Planes {
     Planes { target: projected.clone(), projected, weight: [vec![], vec![]], still: vec![] }
 }
 
-fn revise(memory: &mut DroidMemory<'_>, source: usize, ids: &[usize], planes: &mut [Planes]) -> SourceUpdate {
+fn revise(memory: &mut DroidMemory<'_>, source: usize, ids: &[usize], planes: &mut [Planes]) -> Vec<f32> {
     let mut edges: Vec<EdgeUpdate<'_>> = (0..)
         .zip(planes)
         .filter(|(id, _)| ids.contains(id))
@@ -63,8 +63,7 @@ fn run(memory: &mut DroidMemory<'_>, limit: Option<f64>) -> (Vec<Planes>, Vec<f3
         let mut eta = Vec::new();
         for source in 0..3 {
             let ids: Vec<usize> = (0..ii.len()).filter(|&e| ii[e] == source).collect();
-            let update = revise(memory, source, &ids, &mut planes);
-            eta.extend(&update.eta);
+            eta.extend(revise(memory, source, &ids, &mut planes));
         }
         let last = |of: &dyn Fn(&Planes, usize, usize) -> f32| -> Vec<f32> {
             let edges = planes.iter();
@@ -200,8 +199,8 @@ fn non_finite_positions_do_not_panic() {
     planes[0].projected[1][6] = f32::INFINITY;
     planes[0].target[0][7] = f32::NAN;
     planes[0].projected[0][8] = -1e30;
-    let update = revise(&mut memory, 0, &[0], &mut planes);
-    assert!(update.eta.iter().all(|x| x.is_finite() && *x > 0.0));
+    let eta = revise(&mut memory, 0, &[0], &mut planes);
+    assert!(eta.iter().all(|x| x.is_finite() && *x > 0.0));
     assert!(planes[0].still.iter().chain(&planes[0].weight[0]).all(|x| x.is_finite()));
     assert!(planes[0].target[0][5].is_nan() && planes[0].target[0][7].is_finite());
 }

@@ -4,7 +4,7 @@ use m4_core::{Flow, Plane, RgbImage};
 use m4_geometry::classical::dense::{FlowError, FlowImage, FlowSource};
 use m4_geometry::megasam::cvd::pairs::FramePair;
 use m4_geometry::megasam::{PairFlow, PairFlowError};
-use m4_nets::{Raft, raft::LowFlow};
+use m4_nets::Raft;
 use std::collections::HashMap;
 
 const RAFT: &str = "raft";
@@ -43,9 +43,9 @@ pub struct RaftPairs {
     net: Raft,
     iterations: usize,
     /// By the frame that it starts in.
-    there: HashMap<usize, LowFlow>,
+    there: HashMap<usize, Flow>,
     /// By the frame that it starts in, which is the later one.
-    back: HashMap<usize, LowFlow>,
+    back: HashMap<usize, Flow>,
 }
 
 impl RaftPairs {

@@ -102,8 +102,8 @@ impl Correspondence for NetworkCorrespondence<'_> {
                     static_confidence: &mut *edge.static_confidence,
                 })
                 .collect();
-            let update = self.memory.revise_source(source.frame, &mut edges).map_err(failed)?;
-            source.damping.copy_from_slice(&update.eta);
+            let eta = self.memory.revise_source(source.frame, &mut edges).map_err(failed)?;
+            source.damping.copy_from_slice(&eta);
             if let Some(moving) = self.moving.as_ref().and_then(|m| m.get(source.frame)) {
                 for edge in edges {
                     let confident = edge.static_confidence.iter_mut().zip(moving);
