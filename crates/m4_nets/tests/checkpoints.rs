@@ -24,7 +24,7 @@ use Change::{Only, Replace, With, Without};
 
 impl Change {
     fn of(&self, keys: &str) -> String {
-        let changed = match *self {
+        let changed: String = match *self {
             Without(part) => keys.lines().filter(|line| !line.contains(part)).map(|line| format!("{line}\n")).collect(),
             With(line) => format!("{keys}{line}\n"),
             Replace(from, to) => keys.replace(from, to),

@@ -10,6 +10,7 @@ use std::sync::Arc;
 use tempfile::TempDir;
 
 const KEYS: &str = include_str!("../../../fixtures/droid/keys.txt");
+
 fn load(folder: &Path, keys: &str) -> Result<DroidNet, LoadError> {
     let path = folder.join("weights.safetensors");
     write_formula_weights(keys, &path);

@@ -256,7 +256,7 @@ fn images_of_different_or_too_small_size_are_refused() {
     let (good, short, bad) = ([0.5f32; 6], [0.5f32; 5], [0.1, 0.2, f32::NAN, 0.0, 0.0, 0.0]);
     for (planes, message) in [
         ([&good[..], &short, &good], "planes of 6 values; channel 1 has 5"),
-        ([&good, &good, &bad], "pixel (2, 0) of channel 2 is NaN"),
+        ([&good[..], &good, &bad], "pixel (2, 0) of channel 2 is NaN"),
     ] {
         let error = LpipsImage::from_planes(3, 2, planes).unwrap_err();
         assert!(error.to_string().contains(message), "{error}");

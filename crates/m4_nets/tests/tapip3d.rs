@@ -172,13 +172,13 @@ fn clips_that_do_not_fit() {
     let of_size = |size| Tapip3dOptions::at(size);
     for (clip, queries, options, message) in [
         (Wall::of(0), &some[..], options(), "a clip without frames"),
-        (Wall::of(3), &queries(&[0, 3]), options(), "point 1 cannot be tracked"),
-        (Wall::of(3), &nowhere, options(), "point 0 cannot be tracked"),
-        (Wall::of(3), &some, of_size((0, 0)), "choose a larger size"),
-        (Wall::of(3), &some, of_size((128, 128)), "choose a larger size"),
-        (Wall::of(3), &some, of_size((1 << 20, 1 << 20)), "choose a larger size"),
-        (Wall { blind: 0, ..Wall::of(3) }, &some, options(), "no depth is known in frames 0 to 2"),
-        (Wall { blind: 8, ..Wall::of(24) }, &some, options(), "no depth is known in frames 8 to 23"),
+        (Wall::of(3), &queries(&[0, 3])[..], options(), "point 1 cannot be tracked"),
+        (Wall::of(3), &nowhere[..], options(), "point 0 cannot be tracked"),
+        (Wall::of(3), &some[..], of_size((0, 0)), "choose a larger size"),
+        (Wall::of(3), &some[..], of_size((128, 128)), "choose a larger size"),
+        (Wall::of(3), &some[..], of_size((1 << 20, 1 << 20)), "choose a larger size"),
+        (Wall { blind: 0, ..Wall::of(3) }, &some[..], options(), "no depth is known in frames 0 to 2"),
+        (Wall { blind: 8, ..Wall::of(24) }, &some[..], options(), "no depth is known in frames 8 to 23"),
     ] {
         let error = track(&clip, queries, &options).unwrap_err();
         assert!(error.to_string().contains(message), "{error}");

@@ -17,7 +17,7 @@ mod tests;
 
 use crate::LoadError;
 use crate::load::Shapes;
-use crate::ops::{Kernels, attend_heads, fine_norm, gelu, linear, patch_conv, tensor};
+use crate::ops::{Kernels, attend_heads, fine_norm, gelu, linear, patch_conv, tensor, zeros};
 use burn_core as burn;
 use burn_core::module::{Module, Param};
 use burn_core::tensor::{DType, Device, Tensor};

@@ -6,7 +6,7 @@
 //! ```
 
 use crate::ops::{Statistics, conv, fine_norm, gelu, linear, norm, softmax_rows, zeros};
-use crate::sam::{fine_norm, over_channels};
+use crate::sam::over_channels;
 use burn_core as burn;
 use burn_core::module::{Module, Param};
 use burn_core::tensor::module::conv2d;

@@ -3,8 +3,8 @@
 use super::focal::recovered;
 use super::image::Grid;
 use super::layout::{Config, Layout, Norm, Remap};
-use super::{MoGe, MoGeOptions, Net, RENAMES};
-use crate::dinov2::{BackboneSize, unneeded};
+use super::{MoGe, MoGeOptions, Net, RENAMES, unneeded};
+use crate::dinov2::BackboneSize;
 use crate::fixture::{Fixture, assert_close, assert_near, assert_same_tensors, every_map, renamed};
 use crate::{cpu, load};
 use burn_core::tensor::Tensor;

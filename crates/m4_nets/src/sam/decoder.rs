@@ -1,7 +1,7 @@
 //! The decoder's transformer: tokens that look at the image and an image that looks at the tokens, in turn (Kirillov et al.,
 //! "Segment Anything", ICCV 2023, appendix A).
 
-use super::{WIDTH, fine_norm};
+use super::WIDTH;
 use crate::ops::{attend_heads, fine_norm, gelu, linear, norm, upscaling_conv};
 use burn_core as burn;
 use burn_core::module::Module;

@@ -1,6 +1,6 @@
 //! Prompts as tokens and maps.
 
-use super::{WIDTH, fine_norm, over_channels};
+use super::{WIDTH, over_channels};
 use crate::ops::{fine_norm, gelu, patch_conv, tensor, zeros};
 use burn_core as burn;
 use burn_core::module::{Module, Param};

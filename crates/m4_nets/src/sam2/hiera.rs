@@ -4,7 +4,7 @@
 
 use super::config::{BlockConfig, Config};
 use crate::ops::{Kernels, attend_heads, conv, fine_norm, gelu, linear, resampled, tensor, zeros};
-use crate::sam::{WIDTH, fine_norm};
+use crate::sam::WIDTH;
 use burn_core as burn;
 use burn_core::module::{Module, Param};
 use burn_core::tensor::ops::PadMode;

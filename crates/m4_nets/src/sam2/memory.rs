@@ -6,7 +6,7 @@
 
 use super::hiera::Pointwise;
 use crate::ops::{attend_heads, conv, depthwise7, fine_norm, gelu, linear, norm, tensor};
-use crate::sam::{WIDTH, fine_norm};
+use crate::sam::WIDTH;
 use burn_core as burn;
 use burn_core::module::{Module, Param};
 use burn_core::tensor::activation::relu;

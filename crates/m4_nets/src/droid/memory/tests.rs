@@ -176,11 +176,11 @@ fn requests_that_make_no_sense_are_refused() {
     };
     for (source, ids, pixels, said) in [
         (0, &[5][..], N, "edge 5 is not known"),
-        (0, &[1], N, "edge 1 does not belong here: it starts at frame 1"),
-        (0, &[0, 0], N, "edge 0 does not belong here"),
-        (0, &[], N, "frame 0 is to be revised without an edge"),
-        (0, &[0], N - 1, "a plane of 383 numbers where the grid has 384 pixels"),
-        (0, &[2], N, "frame 7 is not available: no such frame"),
+        (0, &[1][..], N, "edge 1 does not belong here: it starts at frame 1"),
+        (0, &[0, 0][..], N, "edge 0 does not belong here"),
+        (0, &[][..], N, "frame 0 is to be revised without an edge"),
+        (0, &[0][..], N - 1, "a plane of 383 numbers where the grid has 384 pixels"),
+        (0, &[2][..], N, "frame 7 is not available: no such frame"),
     ] {
         let error = attempt(source, ids, pixels).to_string();
         assert!(error.contains(said), "{error}");
