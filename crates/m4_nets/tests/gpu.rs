@@ -316,7 +316,8 @@ fn points_are_followed_as_on_the_processor() {
     assert_near("visibility", &there[1], &here[1], 1e-3);
     if let Some(compute) = half(gpu) {
         let half = steps(compute);
-        assert!(half[0].iter().all(|x| x.is_finite()));
+        // 1.7e-2 was measured on lavapipe (docs/networks.md)
+        assert_near("steps in half precision", &half[0], &here[0], 4e-2);
         assert_near("visibility in half precision", &half[1], &here[1], 2e-2);
     }
 }

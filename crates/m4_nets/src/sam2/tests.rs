@@ -1,12 +1,11 @@
 //! The parts against upstream's modules with weights by the formula, and what a caller does not see of clips.
 
-use super::memory::Rotations;
+use super::memory::{Memories, Rotations};
 use super::*;
 use crate::cpu;
 use crate::fixture::{Fixture, assert_close, assert_near, assert_same_tensors, every};
 use crate::sam::PointPrompt;
 use m4_testkit::{FormulaWeights, formula_input};
-use memory::Memories;
 use std::sync::LazyLock;
 use tempfile::TempDir;
 
