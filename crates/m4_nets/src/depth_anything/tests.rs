@@ -7,7 +7,6 @@ use crate::dinov2::{BackboneSize, unneeded};
 use crate::fixture::{
     Fixture, assert_near, assert_same_tensors, every_map, fill_by_formula, normalised, of_first_blocks,
 };
-use burn_core::tensor::Tensor;
 use burn_core::tensor::activation::relu;
 use m4_testkit::FormulaWeights;
 

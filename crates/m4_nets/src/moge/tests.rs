@@ -7,7 +7,6 @@ use super::{MoGe, MoGeOptions, Net, RENAMES, unneeded};
 use crate::dinov2::BackboneSize;
 use crate::fixture::{Fixture, assert_close, assert_near, assert_same_tensors, every_map, renamed};
 use crate::{cpu, load};
-use burn_core::tensor::Tensor;
 use burn_store::pytorch_reader::PickleValue;
 use m4_testkit::FormulaWeights;
 use std::path::Path;
