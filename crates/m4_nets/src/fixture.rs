@@ -27,41 +27,42 @@ impl Fixture {
         (tensor.data().to_vec(), tensor.dtype(), tensor.shape().to_vec())
     }
 
+    /// The words of a tensor, which are of type `dtype`.
+    fn words<const N: usize>(&self, name: &str, dtype: Dtype) -> (Vec<[u8; N]>, Vec<usize>) {
+        let (bytes, found, shape) = self.tensor(name);
+        assert_eq!(found, dtype, "{name}");
+        (bytes.as_chunks::<N>().0.to_vec(), shape)
+    }
+
     /// A tensor of 32-bit numbers, and its shape.
     pub fn floats(&self, name: &str) -> (Vec<f32>, Vec<usize>) {
-        let (bytes, dtype, shape) = self.tensor(name);
-        assert_eq!(dtype, Dtype::F32, "{name}");
-        let values = bytes.as_chunks::<4>().0.iter().map(|&b| f32::from_le_bytes(b));
-        (values.collect(), shape)
+        let (words, shape) = self.words(name, Dtype::F32);
+        (words.into_iter().map(f32::from_le_bytes).collect(), shape)
     }
 
     /// A tensor of 64-bit numbers.
     pub fn doubles(&self, name: &str) -> Vec<f64> {
-        let (bytes, dtype, _) = self.tensor(name);
-        assert_eq!(dtype, Dtype::F64, "{name}");
-        bytes.as_chunks::<8>().0.iter().map(|&b| f64::from_le_bytes(b)).collect()
+        self.words(name, Dtype::F64).0.into_iter().map(f64::from_le_bytes).collect()
     }
 
-    /// A tensor of whole numbers of 32 bits.
+    /// A tensor of 64-bit integers.
+    pub fn indices(&self, name: &str) -> Vec<usize> {
+        self.words(name, Dtype::I64).0.into_iter().map(|word| i64::from_le_bytes(word) as usize).collect()
+    }
+
+    /// A tensor of 32-bit integers.
     pub fn whole(&self, name: &str) -> Vec<i32> {
-        let (bytes, dtype, _) = self.tensor(name);
-        assert_eq!(dtype, Dtype::I32, "{name}");
-        bytes.as_chunks::<4>().0.iter().map(|&b| i32::from_le_bytes(b)).collect()
+        self.words(name, Dtype::I32).0.into_iter().map(i32::from_le_bytes).collect()
+    }
+
+    /// A tensor of 16-bit integers.
+    pub fn shorts(&self, name: &str) -> Vec<i16> {
+        self.words(name, Dtype::I16).0.into_iter().map(i16::from_le_bytes).collect()
     }
 
     /// A tensor of bytes.
     pub fn bytes(&self, name: &str) -> Vec<u8> {
-        let (bytes, dtype, _) = self.tensor(name);
-        assert_eq!(dtype, Dtype::U8, "{name}");
-        bytes
-    }
-
-    /// A tensor of 16-bit whole numbers.
-    pub fn shorts(&self, name: &str) -> Vec<i16> {
-        let (bytes, dtype, _) = self.tensor(name);
-        assert_eq!(dtype, Dtype::I16, "{name}");
-        let values = bytes.as_chunks::<2>().0.iter().map(|&b| i16::from_le_bytes(b));
-        values.collect()
+        self.words::<1>(name, Dtype::U8).0.into_flattened()
     }
 
     /// An image of `[3, h, w]` bytes.
@@ -85,6 +86,14 @@ pub fn relative_error(got: &[f32], want: &[f32]) -> f64 {
     largest(&mut got.iter().zip(want).map(|(&a, &b)| (f64::from(a) - f64::from(b)).abs())) / scale
 }
 
+/// Fails unless the [relative error](relative_error) is below `limit`.
+#[track_caller]
+pub fn assert_close(what: &str, got: &[f32], want: &[f32], limit: f64) {
+    let error = relative_error(got, want);
+    println!("{what}: {error:.1e}");
+    assert!(error < limit, "{what}: relative error {error:e}, limit {limit:e}");
+}
+
 /// The relative error of a tensor.
 #[track_caller]
 pub fn assert_near<const D: usize>(got: Tensor<D>, fixture: &Fixture, name: &str, limit: f64) {
@@ -93,9 +102,7 @@ pub fn assert_near<const D: usize>(got: Tensor<D>, fixture: &Fixture, name: &str
     let wanted = shape.into_iter().filter(|&n| n != 1);
     assert_eq!(dims.collect::<Vec<_>>(), wanted.collect::<Vec<_>>(), "{name}: shape");
     let got: Vec<f32> = got.cast(DType::F32).try_into_vec_as().unwrap();
-    let error = relative_error(&got, &want);
-    println!("{name}: {error:.1e}");
-    assert!(error < limit, "{name}: relative error {error:e}, limit {limit:e}");
+    assert_close(name, &got, &want, limit);
 }
 
 /// Fills `module` with `weights`.
@@ -115,6 +122,22 @@ pub fn fill_by_formula<M: ModuleSnapshot>(
 pub fn every(x: Tensor<2>, step: usize) -> Tensor<2> {
     let [n, c] = x.dims();
     x.reshape([n, c / step, step]).narrow(2, 0, 1).squeeze_dim(2)
+}
+
+/// Every `step`-th channel of a map `[1, c, h, w]`.
+pub fn every_map(x: Tensor<4>, step: usize) -> Tensor<4> {
+    let [_, c, h, w] = x.dims();
+    x.reshape([c / step, step, h, w]).narrow(1, 0, 1).reshape([1, c / step, h, w])
+}
+
+/// The lines of `keys` without the blocks of Depth-Anything's backbone from `depth` on.
+pub fn of_first_blocks(keys: &str, depth: usize) -> String {
+    let block = |line: &str| -> Option<usize> {
+        let rest = line.strip_prefix("pretrained.blocks.")?;
+        rest.split('.').next()?.parse().ok()
+    };
+    let kept = keys.lines().filter(|line| block(line).is_none_or(|i| i < depth));
+    kept.map(|line| format!("{line}\n")).collect()
 }
 
 /// `image` as the backbone takes it, `[1, 3, h, w]`.

@@ -11,6 +11,7 @@
 //! same input gives the same bits for any number of threads.
 //!
 //! No weights are part of the repository, and this crate fetches none: `minute4d weights` does.
+
 #![forbid(unsafe_code)]
 
 pub mod depth_anything;
@@ -26,29 +27,29 @@ pub mod unidepth;
 mod correlation;
 mod device;
 mod dinov2;
+mod error;
 #[cfg(test)]
 mod fixture;
-mod flow;
 mod load;
 mod ops;
-mod padding;
+mod residual;
 mod sam;
 
 pub use burn_core::tensor::Device;
-pub use depth_anything::{DepthAnything, DisparityError};
+pub use depth_anything::DepthAnything;
 #[cfg(feature = "cuda")]
 pub use device::cuda;
 #[cfg(feature = "gpu")]
 pub use device::gpu;
 pub use device::{Compute, cpu};
-pub use dinov2::BackboneSize;
-pub use droid::{DroidError, DroidMemory, DroidNet};
-pub use flow::FlowError;
+pub use droid::{DroidMemory, DroidNet};
+pub use error::{ClipError, ImageReader, NetError};
 pub use load::LoadError;
-pub use lpips::{Lpips, LpipsError, LpipsImage, LpipsNet, LpipsScore};
-pub use mobile_sam::{MaskPrediction, MobileSam, PointPrompt, Prompt, SamError};
-pub use moge::{MoGe, MoGeError, MoGeMap, MoGeOptions};
+pub use lpips::{Lpips, LpipsImage, LpipsNet, LpipsScore};
+pub use mobile_sam::{MaskPrediction, MobileSam};
+pub use moge::{MoGe, MoGeMap, MoGeOptions};
 pub use raft::Raft;
-pub use sam2::{Sam2, Sam2Error, Sam2Size};
-pub use tapip3d::{PointQuery, PointTracks, PosedClip, Tapip3d, Tapip3dError, Tapip3dOptions};
-pub use unidepth::{UniDepth, UniDepthError, UniDepthMap};
+pub use sam::{PointPrompt, Prompt};
+pub use sam2::{Sam2, Sam2Size};
+pub use tapip3d::{PointQuery, PointTracks, PosedClip, Tapip3d, Tapip3dOptions};
+pub use unidepth::{UniDepth, UniDepthMap};

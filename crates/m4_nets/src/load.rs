@@ -44,6 +44,19 @@ pub enum LoadError {
     },
 }
 
+impl LoadError {
+    /// [`LoadError::OtherNetwork`] of a file that lacks tensors or has wrong ones.
+    pub(crate) fn misfit(network: &'static str, path: &Path, missing: &[&str], wrong: &[String]) -> Self {
+        Self::OtherNetwork {
+            path: path.to_owned(),
+            network,
+            missing: missing.iter().map(|&name| name.to_owned()).collect(),
+            unused: Vec::new(),
+            wrong: wrong.to_vec(),
+        }
+    }
+}
+
 fn differences(missing: &[String], unused: &[String], wrong: &[String]) -> String {
     let named = |what: &str, names: &[String]| {
         let first = names.iter().take(3).cloned().collect::<Vec<_>>().join(", ");
@@ -119,10 +132,6 @@ pub(crate) type Shapes = BTreeMap<String, Vec<usize>>;
 
 /// The shapes of the tensors of the checkpoint at `path`, by their names after `renames` (as [`fill`] has them), without reading
 /// the numbers.
-///
-/// # Errors
-///
-/// [`LoadError`] if the file cannot be read.
 pub(crate) fn shapes(network: &'static str, path: &Path, renames: &[(&str, &str)]) -> Result<Shapes, LoadError> {
     let tensors = |tensors: &BTreeMap<String, burn_store::burn_pack::Tensor>| -> Shapes {
         let shape = |t: &burn_store::burn_pack::Tensor| t.shape.to_vec();
@@ -137,10 +146,6 @@ pub(crate) fn shapes(network: &'static str, path: &Path, renames: &[(&str, &str)
 
 /// Fills `module` from the checkpoint at `path`, each tensor once and all of them: safetensors or PyTorch's. `renames` are pairs of a regular expression and what it becomes, from the checkpoint's names to the fields';
 /// `unneeded` tells which tensors may be there without a field (by the new names).
-///
-/// # Errors
-///
-/// [`LoadError`] if the file cannot be read or its tensors are not exactly those of `module`.
 pub(crate) fn fill<M: ModuleSnapshot>(
     module: &mut M,
     network: &'static str,
@@ -157,10 +162,6 @@ pub(crate) fn fill<M: ModuleSnapshot>(
 }
 
 /// Fills `module` with `tensors` of the file at `path`, whose names are the fields', each once and all of them.
-///
-/// # Errors
-///
-/// [`LoadError::OtherNetwork`] if they are not exactly those of `module`.
 pub(crate) fn fill_with<M: ModuleSnapshot>(
     module: &mut M,
     network: &'static str,

@@ -2,19 +2,17 @@
 #![cfg(feature = "gpu")]
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
-use crate::common::{fixtures, floats, read_image};
+use crate::common::{assert_near, fixtures, floats, read_image};
 use cubecl::device::{WgpuBackend, WgpuDevice, WgpuDeviceKind};
 use cubecl::wgpu::{AutoGraphicsApi, RuntimeOptions, try_init_setup};
 use m4_core::{Camera, DepthMap, Intrinsics, Plane, RgbImage, Silent};
 use m4_nets::droid::{EdgeUpdate, MemoryOptions, Storage};
-use m4_nets::raft::LowFlow;
-use m4_nets::sam2::{Clip, Direction, ObjectMask, VideoOptions, VideoPredictor};
-use m4_nets::tapip3d::ClipError;
+use m4_nets::sam2::{Clip, Direction, ObjectMask, VideoPredictor};
 use m4_nets::{
-    Compute, DepthAnything, Device, DroidMemory, DroidNet, MoGe, MoGeOptions, MobileSam, PointPrompt, PointQuery,
-    PosedClip, Prompt, Raft, Sam2, Tapip3d, Tapip3dOptions, UniDepth, cpu,
+    ClipError, Compute, DepthAnything, Device, DroidMemory, DroidNet, MoGe, MoGeOptions, MobileSam, PointPrompt,
+    PointQuery, PosedClip, Prompt, Raft, Sam2, Tapip3d, Tapip3dOptions, UniDepth, cpu,
 };
-use m4_testkit::{FormulaWeights, Need, skip, write_formula_weights};
+use m4_testkit::{FormulaWeights, Need, skip};
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::PathBuf;
@@ -50,27 +48,21 @@ fn gpu() -> Option<Device> {
 }
 
 /// A checkpoint with weights by the formula; the folder goes with it.
-fn checkpoint(keys: &str) -> (TempDir, PathBuf) {
+fn checkpoint(weights: &FormulaWeights) -> (TempDir, PathBuf) {
     let folder = TempDir::new().unwrap();
     let path = folder.path().join("weights.safetensors");
-    write_formula_weights(keys, &path);
+    weights.write(&path);
     (folder, path)
 }
 
-/// The largest difference, relative to the largest of `want`.
-fn error(got: &[f32], want: &[f32]) -> f32 {
-    assert_eq!(got.len(), want.len());
-    let largest = want.iter().fold(0.0_f32, |m, x| m.max(x.abs()));
-    assert!(largest > 0.0, "nothing is wanted");
-    let off = got.iter().zip(want).map(|(a, b)| (a - b).abs());
-    off.fold(0.0_f32, |m, x| if x.is_nan() { f32::INFINITY } else { m.max(x) }) / largest
-}
-
-#[expect(clippy::print_stdout, reason = "what was reached is shown")]
-fn assert_near(what: &str, got: &[f32], want: &[f32], limit: f32) {
-    let error = error(got, want);
-    println!("{what}: {error:.1e}");
-    assert!(error < limit, "{what}: {error:.1e}");
+/// The GPU in half precision, if it has that; else the test is listed as skipped in part.
+#[track_caller]
+fn half(gpu: Device) -> Option<Compute> {
+    if let Some(compute) = half(gpu) {
+        return Some(compute);
+    }
+    skip(Need::HalfPrecision, "32 bits are tested");
+    None
 }
 
 fn pattern(w: usize, h: usize, moved: f32) -> RgbImage {
@@ -83,41 +75,26 @@ fn pattern(w: usize, h: usize, moved: f32) -> RgbImage {
 
 const RAFT: &str = include_str!("../../../fixtures/raft/keys.txt");
 
+/// Against the fixture, in both precisions; one iteration reaches every kernel.
 #[test]
 fn raft_meets_its_fixture() {
     let Some(gpu) = gpu() else {
         return;
     };
-    let (_folder, path) = checkpoint(RAFT);
-    let net = Raft::load(&path, &gpu).unwrap();
+    let (_folder, path) = checkpoint(&FormulaWeights::of_keys(RAFT));
     let file = fs::read(fixtures().join("raft/flow.safetensors")).unwrap();
-    let [a, b] = ["image1", "image2"].map(|name| net.encode(&read_image(&file, name)).unwrap());
-    // one iteration reaches every kernel
-    let [there, _] = net.flow_both(&a, &b, 1, None).unwrap();
-    let LowFlow(low) = &there.low;
-    let got = [low.u.clone(), low.v.clone()].concat();
-    assert_near("flow_low_1", &got, &floats(&file, "flow_low_1"), 1e-4);
-    let got = [there.flow.u.clone(), there.flow.v.clone()].concat();
-    assert_near("flow_up_1", &got, &floats(&file, "flow_up_1"), 1e-4);
-}
-
-#[test]
-fn raft_in_half_precision_is_near() {
-    let Some(gpu) = gpu() else {
-        return;
+    let check = |on: Compute, limit: f32| {
+        let net = Raft::load(&path, on).unwrap();
+        let [a, b] = ["image1", "image2"].map(|name| net.encode(&read_image(&file, name)).unwrap());
+        let [there, _] = net.flow_both(&a, &b, 1, None).unwrap();
+        for (name, flow) in [("flow_low_1", &there.low), ("flow_up_1", &there.flow)] {
+            assert_near(name, &[&flow.u[..], &flow.v].concat(), &floats(&file, name), limit);
+        }
     };
-    let compute = Compute::half(gpu);
-    if !compute.is_half() {
-        skip(Need::HalfPrecision, "32 bits are tested elsewhere");
-        return;
+    check(gpu.clone().into(), 1e-4);
+    if let Some(half) = half(gpu) {
+        check(half, 2e-2);
     }
-    let (_folder, path) = checkpoint(RAFT);
-    let net = Raft::load(&path, compute).unwrap();
-    let file = fs::read(fixtures().join("raft/flow.safetensors")).unwrap();
-    let [a, b] = ["image1", "image2"].map(|name| net.encode(&read_image(&file, name)).unwrap());
-    let [there, _] = net.flow_both(&a, &b, 1, None).unwrap();
-    let got = [there.flow.u.clone(), there.flow.v.clone()].concat();
-    assert_near("flow_up_1", &got, &floats(&file, "flow_up_1"), 2e-2);
 }
 
 /// What an update says, on a device.
@@ -143,8 +120,8 @@ fn droid(path: &std::path::Path, on: impl Into<Compute>) -> (f64, Vec<Vec<f32>>)
         {
             edges.push(EdgeUpdate { id, projected_px: [&at[0], &at[1]], target_px, weight, static_confidence });
         }
-        let update = memory.revise_source(0, &mut edges).unwrap();
-        out = [targets.concat(), weights.concat(), still.to_vec(), vec![update.eta]].concat();
+        let eta = memory.revise_source(0, &mut edges).unwrap();
+        out = [targets.concat(), weights.concat(), still.to_vec(), vec![eta]].concat();
     }
     (motion, out)
 }
@@ -154,20 +131,17 @@ fn tracking_network_matches_the_cpu() {
     let Some(gpu) = gpu() else {
         return;
     };
-    let (_folder, path) = checkpoint(include_str!("../../../fixtures/droid/keys.txt"));
+    let (_folder, path) = checkpoint(&FormulaWeights::of_keys(include_str!("../../../fixtures/droid/keys.txt")));
     let (there, here) = (droid(&path, &gpu), droid(&path, cpu()));
     assert!((there.0 / here.0 - 1.0).abs() < 1e-4, "{} {}", there.0, here.0);
     for (k, (there, here)) in there.1.iter().zip(&here.1).enumerate() {
         assert_near(&format!("plane {k}"), there, here, 1e-4);
     }
-    let compute = Compute::half(gpu);
-    if compute.is_half() {
+    if let Some(compute) = half(gpu) {
         let half = droid(&path, compute);
         for (k, (half, here)) in half.1.iter().zip(&here.1).enumerate() {
             assert_near(&format!("plane {k} in half precision"), half, here, 2e-2);
         }
-    } else {
-        skip(Need::HalfPrecision, "32 bits were tested");
     }
 }
 
@@ -209,7 +183,8 @@ fn unidepth_matches_the_cpu() {
     let Some(gpu) = gpu() else {
         return;
     };
-    let (_folder, path) = checkpoint(include_str!("../../../fixtures/unidepth_v2/formula.keys.txt"));
+    let (_folder, path) =
+        checkpoint(&FormulaWeights::of_keys(include_str!("../../../fixtures/unidepth_v2/formula.keys.txt")));
     let image = pattern(84, 56, 0.0);
     let map = |on: &Device| UniDepth::load(&path, on).unwrap().depth_by_patches(&image, 48).unwrap();
     let (there, here) = (map(&gpu), map(&cpu()));
@@ -222,7 +197,7 @@ fn mobile_sam_matches_the_cpu() {
     let Some(gpu) = gpu() else {
         return;
     };
-    let (_folder, path) = checkpoint(include_str!("../../../fixtures/mobile_sam/keys.txt"));
+    let (_folder, path) = checkpoint(&FormulaWeights::of_keys(include_str!("../../../fixtures/mobile_sam/keys.txt")));
     let image = pattern(96, 64, 0.0);
     let prompt =
         Prompt { points: vec![PointPrompt { at_px: [40.0, 30.0], on_object: true }], box_px: None, mask_logits: None };
@@ -246,7 +221,7 @@ fn sam2(path: &std::path::Path, on: impl Into<Compute>) -> (Vec<f32>, Vec<Vec<f3
     let masks: Vec<f32> = masks.iter().flat_map(|mask| mask.logits.data().to_vec()).collect();
     let clip = Clip { frames: 2, width: 128, height: 96 };
     let images = Box::new(|i: usize| Ok(pattern(128, 96, 2.0 * i as f32)));
-    let mut predictor = VideoPredictor::new(net, clip, images, VideoOptions::default()).unwrap();
+    let mut predictor = VideoPredictor::new(net, clip, images, 0).unwrap();
     predictor.show(0, 1, &one).unwrap();
     let mut frames = Vec::new();
     let keep = |_, masks: &BTreeMap<u32, ObjectMask>| {
@@ -272,8 +247,7 @@ fn sam2_matches_the_cpu() {
     for (k, (there, here)) in there.1.iter().zip(&here.1).enumerate() {
         assert_near(&format!("frame {k}"), there, here, 3e-4);
     }
-    let compute = Compute::half(gpu);
-    if compute.is_half() {
+    if let Some(compute) = half(gpu) {
         let half = sam2(&path, compute);
         assert_near("masks in half precision", &half.0, &here.0, 2e-2);
         // which of three readings is taken may be a close race from then on
@@ -281,8 +255,6 @@ fn sam2_matches_the_cpu() {
         for frame in &half.1[1..] {
             assert!(frame.iter().all(|x| x.is_finite() && x.abs() < 100.0));
         }
-    } else {
-        skip(Need::HalfPrecision, "32 bits were tested");
     }
 }
 
@@ -334,20 +306,18 @@ fn points_are_followed_as_on_the_processor() {
     let steps = |on: Compute| -> [Vec<f32>; 2] {
         let net = Tapip3d::load(&path, on).unwrap();
         let tracks = net.track(&Wall, &queries, &options, &Silent).unwrap();
-        let at = tracks.world().chunks_exact(3).zip(&queries);
+        let at = tracks.world.chunks_exact(3).zip(&queries);
         let steps = at.flat_map(|(at, q)| at.iter().map(move |p| [0, 1, 2].map(|i| p[i] - q.world[i] as f32)));
-        [steps.flatten().collect(), tracks.visibility().to_vec()]
+        [steps.flatten().collect(), tracks.visibility]
     };
     let here = steps(cpu().into());
     let there = steps(gpu.clone().into());
     assert_near("steps", &there[0], &here[0], 2e-3);
     assert_near("visibility", &there[1], &here[1], 1e-3);
-    let compute = Compute::half(gpu);
-    if compute.is_half() {
+    if let Some(compute) = half(gpu) {
         let half = steps(compute);
-        assert_near("steps in half precision", &half[0], &here[0], 1e-1);
+        // 1.7e-2 was measured on lavapipe (docs/networks.md)
+        assert_near("steps in half precision", &half[0], &here[0], 4e-2);
         assert_near("visibility in half precision", &half[1], &here[1], 2e-2);
-    } else {
-        skip(Need::HalfPrecision, "32 bits were tested");
     }
 }

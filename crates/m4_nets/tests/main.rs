@@ -1,5 +1,6 @@
 //! The integration tests of this crate, in one program.
 
+mod checkpoints;
 mod common;
 mod depth_anything;
 mod droid;

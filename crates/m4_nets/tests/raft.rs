@@ -1,31 +1,17 @@
 //! RAFT against its authors' module, with synthetic weights, and with the real ones where they are.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
-use crate::common::{fixtures, floats, png, read_image, real_weights};
+use crate::common::{assert_near, fixtures, floats, loaded, png, read_image, real_weights, same_on_any_threads};
 use m4_core::{Flow, Plane, RgbImage};
-use m4_nets::raft::{LowFlow, Raft, RaftFlow};
-use m4_nets::{FlowError, LoadError, cpu};
-use m4_testkit::write_formula_weights;
+use m4_nets::cpu;
+use m4_nets::raft::{Raft, RaftFlow};
+use m4_testkit::FormulaWeights;
 use std::fs;
-use std::path::{Path, PathBuf};
-use std::sync::LazyLock;
-use tempfile::TempDir;
 
 const KEYS: &str = include_str!("../../../fixtures/raft/keys.txt");
 
-/// A checkpoint with weights by the formula, made once.
-fn formula_weights() -> &'static Path {
-    static FOLDER: LazyLock<TempDir> = LazyLock::new(|| {
-        let folder = TempDir::new().unwrap();
-        write_formula_weights(KEYS, &folder.path().join("weights.safetensors"));
-        folder
-    });
-    static PATH: LazyLock<PathBuf> = LazyLock::new(|| FOLDER.path().join("weights.safetensors"));
-    &PATH
-}
-
 fn network() -> Raft {
-    Raft::load(formula_weights(), cpu()).unwrap()
+    loaded(&FormulaWeights::of_keys(KEYS), |path| Raft::load(path, cpu()))
 }
 
 fn pair() -> (Vec<u8>, RgbImage, RgbImage) {
@@ -34,31 +20,20 @@ fn pair() -> (Vec<u8>, RgbImage, RgbImage) {
     (file, a, b)
 }
 
-/// `want` `[2, h, w]` against `flow`: the largest difference relative to the largest number.
+/// `want` `[2, h, w]` against `flow`. The module in f32 is 2e-6 from itself in f64.
 fn assert_flow(name: &str, flow: &Flow, want: &[f32]) {
-    let (u, v) = want.split_at(want.len() / 2);
-    assert_eq!((flow.u.len(), flow.v.len()), (u.len(), v.len()), "{name}");
-    let largest = want.iter().fold(0f32, |m, x| m.max(x.abs()));
-    let pairs = flow.u.iter().zip(u).chain(flow.v.iter().zip(v));
-    let off = pairs.map(|(a, b)| (a - b).abs());
-    let error = off.fold(0.0, |m: f32, x| if x.is_nan() { f32::NAN } else { m.max(x) }) / largest;
-    assert!(largest > 0.5 && error < LIMIT, "{name}: {error:.1e} of {largest} px");
+    assert_near(name, &[&flow.u[..], &flow.v].concat(), want, 2e-5);
 }
-
-/// The module in f32 is 2e-6 from itself in f64.
-const LIMIT: f32 = 2e-5;
 
 #[test]
 fn agrees_with_the_module_by_formula() {
     let net = network();
-    assert_eq!(net.parameters(), 5_257_536);
     let (file, a, b) = pair();
     let (a, b) = (net.encode(&a).unwrap(), net.encode(&b).unwrap());
     for iterations in [1, 4, 12] {
         let [forward, back] = net.flow_both(&a, &b, iterations, None).unwrap();
-        let LowFlow(low) = &forward.low;
         let name = format!("flow_low_{iterations}");
-        assert_flow(&name, low, &floats(&file, &name));
+        assert_flow(&name, &forward.low, &floats(&file, &name));
         if iterations != 4 {
             let name = format!("flow_up_{iterations}");
             assert_flow(&name, &forward.flow, &floats(&file, &name));
@@ -77,10 +52,10 @@ fn a_warm_start_uses_the_given_flow() {
     let (a, b) = (net.encode(&a).unwrap(), net.encode(&b).unwrap());
     let values = floats(&file, "flow_init");
     let (u, v) = values.split_at(16 * 20);
-    let start = LowFlow(Flow { width: 20, height: 16, u: u.to_vec(), v: v.to_vec() });
-    let none = LowFlow(Flow { width: 20, height: 16, u: vec![0.0; 320], v: vec![0.0; 320] });
+    let start = Flow { width: 20, height: 16, u: u.to_vec(), v: v.to_vec() };
+    let none = Flow { width: 20, height: 16, u: vec![0.0; 320], v: vec![0.0; 320] };
     let [warm, cold] = net.flow_both(&a, &b, 2, Some([&start, &none])).unwrap();
-    assert_flow("warm2", &warm.low.0, &floats(&file, "flow_low_warm2"));
+    assert_flow("warm2", &warm.low, &floats(&file, "flow_low_warm2"));
     let [_, want] = net.flow_both(&a, &b, 2, None).unwrap();
     assert_eq!(cold, want, "each direction has its own start");
 }
@@ -92,7 +67,6 @@ fn real_weights_match_another_network() {
         return;
     };
     let net = Raft::load(&path, cpu()).unwrap();
-    assert_eq!(net.parameters(), 5_257_536);
     let (a, b) = (png("tennis/tennis_0.png"), png("tennis/tennis_1.png"));
     let (a, b) = (net.encode(&a).unwrap(), net.encode(&b).unwrap());
     let [flow, _] = net.flow_both(&a, &b, 12, None).unwrap();
@@ -148,16 +122,10 @@ fn odd_sizes_are_padded_and_cropped() {
 fn any_number_of_threads_gives_the_same_bits() {
     let net = network();
     let (_, a, b) = pair();
-    let with = |threads| {
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        pool.install(|| {
-            let (a, b) = (net.encode(&a).unwrap(), net.encode(&b).unwrap());
-            net.flow_both(&a, &b, 3, None).unwrap()
-        })
-    };
-    let one = with(1);
-    assert_eq!(one, with(2));
-    assert_eq!(one, with(5));
+    same_on_any_threads(|| {
+        let (a, b) = (net.encode(&a).unwrap(), net.encode(&b).unwrap());
+        net.flow_both(&a, &b, 3, None).unwrap()
+    });
 }
 
 #[test]
@@ -167,54 +135,21 @@ fn zero_iterations_and_mismatched_sizes_are_refused() {
     let small = net.encode(&small).unwrap();
     let [flow, _] = net.flow_both(&small, &small, 1, None).unwrap();
     assert!(flow.flow.u[0].is_finite() && flow.flow.u.len() == 1);
-    assert_eq!((flow.low.0.width, flow.low.0.height), (16, 16));
-    let error = net.flow_both(&small, &small, 0, None).unwrap_err();
-    assert!(matches!(error, FlowError::NoIterations), "{error}");
-
-    let other = net.encode(&Plane::filled(2, 1, [9, 9, 9])).unwrap();
-    let error = net.flow_both(&small, &other, 1, None).unwrap_err();
-    assert!(matches!(error, FlowError::Sizes { a: (1, 1), b: (2, 1) }), "{error}");
-    assert!(matches!(net.encode(&Plane::filled(0, 4, [9; 3])), Err(FlowError::Empty)));
-
+    assert_eq!((flow.low.width, flow.low.height), (16, 16));
     let start = |width, height, numbers| {
         let (u, v) = (vec![0.0; 256], vec![0.0; numbers]);
-        LowFlow(Flow { width, height, u, v })
+        Flow { width, height, u, v }
     };
-    for low in [start(15, 16, 256), start(16, 16, 255)] {
-        let error = net.flow_both(&small, &small, 1, Some([&flow.low, &low])).unwrap_err();
-        assert!(matches!(error, FlowError::Start { needed: (16, 16), .. }), "{error}");
+    let other = net.encode(&Plane::filled(2, 1, [9, 9, 9])).unwrap();
+    let from = |low: &Flow| net.flow_both(&small, &small, 1, Some([&flow.low, low])).map(drop);
+    for (result, message) in [
+        (net.flow_both(&small, &small, 0, None).map(drop), "at least one iteration"),
+        (net.flow_both(&small, &other, 1, None).map(drop), "1 x 1 and 2 x 1 pixels"),
+        (net.encode(&Plane::filled(0, 4, [9; 3])).map(drop), "images with pixels"),
+        (from(&start(15, 16, 256)), "has 15 x 16 pixels (256 numbers), these images need 16 x 16"),
+        (from(&start(16, 16, 255)), "has 16 x 16 pixels (255 numbers), these images need 16 x 16"),
+    ] {
+        let error = result.unwrap_err();
+        assert!(error.to_string().contains(message), "{error}");
     }
-}
-
-#[test]
-fn a_checkpoint_is_read_strictly() {
-    let folder = TempDir::new().unwrap();
-    let path = folder.path().join("weights.safetensors");
-    let load = |list: &str| {
-        write_formula_weights(list, &path);
-        Raft::load(&path, cpu()).map(|_| ())
-    };
-    let published: String = KEYS.lines().map(|line| format!("module.{line}\n")).collect();
-    load(&published).unwrap();
-    for name in ["cnet.norm1.running_var", "cnet.layer2.0.downsample.1.weight", "update_block.gru.convq2.bias"] {
-        let without: String =
-            KEYS.lines().filter(|line| !line.starts_with(name)).map(|line| format!("{line}\n")).collect();
-        let Err(LoadError::OtherNetwork { missing, unused, wrong, .. }) = load(&without) else {
-            panic!("{name} is missing");
-        };
-        assert_eq!((missing.len(), unused, wrong), (1, vec![], vec![]), "{name}");
-    }
-    let Err(error) = load(&format!("{KEYS}head.weight 2 2\n")) else {
-        panic!("a tensor is left over");
-    };
-    assert!(error.to_string().contains("head.weight"), "{error}");
-    let Err(error) = load(&KEYS.replace("mask.2.bias 576", "mask.2.bias 575")) else {
-        panic!("a tensor has another shape");
-    };
-    assert!(error.to_string().contains("mask.weights.bias"), "{error}");
-    let text = folder.path().join("text.pth");
-    fs::write(&text, "no checkpoint at all").unwrap();
-    assert!(matches!(Raft::load(&text, cpu()), Err(LoadError::Unreadable { .. })));
-    let nothing = folder.path().join("nothing.pth");
-    assert!(matches!(Raft::load(&nothing, cpu()), Err(LoadError::Missing { .. })));
 }

@@ -1,19 +1,16 @@
 //! TAPIP3D: its checkpoint, clips that do not fit, and what its answers depend on.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
+use crate::common::same_on_any_threads;
 use m4_core::{Camera, DepthMap, Intrinsics, Plane, Progress, RgbImage, Se3, Silent, nalgebra::Vector3};
-use m4_nets::tapip3d::ClipError;
-use m4_nets::{LoadError, PointQuery, PointTracks, PosedClip, Tapip3d, Tapip3dError, Tapip3dOptions, cpu};
+use m4_nets::{ClipError, LoadError, NetError, PointQuery, PosedClip, Tapip3d, Tapip3dOptions, cpu};
 use m4_testkit::FormulaWeights;
-use rayon::ThreadPoolBuilder;
 use std::path::Path;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use tempfile::TempDir;
 
 const KEYS: &str = include_str!("../../../fixtures/tapip3d/keys.txt");
 const CONFIG: &str = include_str!("../../../fixtures/tapip3d/config.json");
-/// Numbers of the checkpoint, the table of times among them.
-const ALL: usize = 26_452_716;
 /// The smallest that the network takes.
 const SIZE: (usize, usize) = (256, 128);
 
@@ -86,27 +83,6 @@ fn options() -> Tapip3dOptions {
     Tapip3dOptions { iterations: 1, support_grid: 2, ..Tapip3dOptions::at(SIZE) }
 }
 
-fn bits(tracks: &PointTracks) -> Vec<u32> {
-    let world = tracks.world().as_flattened().iter();
-    world.chain(tracks.visibility()).map(|x| x.to_bits()).collect()
-}
-
-#[test]
-fn takes_exactly_the_published_keys() {
-    let folder = TempDir::new().unwrap();
-    let net = load();
-    assert_eq!((KEYS.lines().count(), net.parameters()), (352, ALL));
-    assert_eq!((net.training_size(), net.published_size()), ((224, 160), (316, 226)));
-    for line in ["encoder.backbone.conv3.bias", "point_updater.flow_head.bias", "time_emb"] {
-        let without: String = KEYS.lines().filter(|l| !l.starts_with(line)).map(|l| format!("{l}\n")).collect();
-        let error = Tapip3d::load(&write(folder.path(), &without, Some(CONFIG)), cpu()).unwrap_err();
-        assert!(error.to_string().contains(line.rsplit('.').next().unwrap()), "{error}");
-    }
-    let more = format!("{KEYS}point_updater.more.weight 2 2\n");
-    let error = Tapip3d::load(&write(folder.path(), &more, Some(CONFIG)), cpu()).unwrap_err();
-    assert!(error.to_string().contains("point_updater.more.weight"), "{error}");
-}
-
 #[test]
 fn says_how_a_checkpoint_is_converted() {
     let folder = TempDir::new().unwrap();
@@ -140,20 +116,11 @@ fn says_how_a_checkpoint_is_converted() {
 fn the_same_bits_on_any_number_of_threads() {
     let net = load();
     let queries = queries(&[0, 3, 17, 17, 9]);
-    let run = |threads: usize| {
-        let pool = ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        pool.install(|| net.track(&Wall::of(18), &queries, &options(), &Silent).unwrap())
-    };
-    let one = run(1);
-    assert_eq!((one.count(), one.frames()), (5, 18));
-    assert_eq!(bits(&one), bits(&run(3)));
-    let moved = one.world().iter().zip(queries.iter().flat_map(|q| [q.world; 18]));
+    let one = same_on_any_threads(|| net.track(&Wall::of(18), &queries, &options(), &Silent).unwrap());
+    assert_eq!((one.world.len(), one.frames), (5 * 18, 18));
+    let moved = one.world.iter().zip(queries.iter().flat_map(|q| [q.world; 18]));
     let far = moved.map(|(p, q)| (0..3).map(|i| (f64::from(p[i]) - q[i]).abs()).fold(0.0, f64::max));
     assert!(far.fold(0.0, f64::max) > 1e-4, "nothing moved");
-    let tracks = one.seen_from(0.0).unwrap();
-    assert_eq!((tracks.frames(), tracks.count()), (18, 5));
-    assert_eq!(tracks.place(4, 2), Some(one.world()[2 * 18 + 4]));
-    assert!(tracks.visible().iter().all(|&seen| seen));
 }
 
 /// Groups are followed as if each were asked for alone: the setting for memory decides on nothing but the groups.
@@ -169,13 +136,13 @@ fn groups_are_tracked_independently() {
     let both = net.track(&clip, &queries, &little, &Silent).unwrap();
     let even: Vec<PointQuery> = queries.iter().copied().step_by(2).collect();
     let alone = net.track(&clip, &even, &much, &Silent).unwrap();
-    for (i, track) in alone.world().chunks_exact(5).enumerate() {
-        let want = &both.world()[2 * i * 5..][..5];
+    for (i, track) in alone.world.chunks_exact(5).enumerate() {
+        let want = &both.world[2 * i * 5..][..5];
         assert_eq!(track, want, "query {}", 2 * i);
     }
     // together they see each other
     let together = net.track(&clip, &queries, &much, &Silent).unwrap();
-    assert_ne!(bits(&together), bits(&both));
+    assert_ne!(together, both);
 }
 
 #[test]
@@ -186,12 +153,12 @@ fn frames_before_a_query_are_tracked_in_the_backward_pass() {
     let clip = Wall::of(10);
     let forward = net.track(&clip, &queries, &only_forward, &Silent).unwrap();
     let both = net.track(&clip, &queries, &options(), &Silent).unwrap();
-    assert_eq!(forward.world()[6..], both.world()[6..]);
+    assert_eq!(forward.world[6..], both.world[6..]);
     for frame in 0..6 {
-        assert_eq!(forward.world()[frame], queries[0].world.map(|x| x as f32));
-        assert_eq!(forward.visibility()[frame], 0.0);
-        assert_ne!(both.world()[frame], forward.world()[frame]);
-        assert!(both.visibility()[frame] > 0.0);
+        assert_eq!(forward.world[frame], queries[0].world.map(|x| x as f32));
+        assert_eq!(forward.visibility[frame], 0.0);
+        assert_ne!(both.world[frame], forward.world[frame]);
+        assert!(both.visibility[frame] > 0.0);
     }
 }
 
@@ -201,26 +168,24 @@ fn clips_that_do_not_fit() {
     let some = queries(&[0, 0]);
     let track =
         |clip: &Wall, queries: &[PointQuery], options: &Tapip3dOptions| net.track(clip, queries, options, &Silent);
-    let error = track(&Wall::of(0), &some, &options()).unwrap_err();
-    assert!(matches!(error, Tapip3dError::NoFrames), "{error}");
-    let error = track(&Wall::of(3), &queries(&[0, 3]), &options()).unwrap_err();
-    assert!(matches!(error, Tapip3dError::Query { index: 1, .. }), "{error}");
     let nowhere = [PointQuery { frame: 0, world: [0.0, f64::NAN, 1.0] }];
-    let error = track(&Wall::of(3), &nowhere, &options()).unwrap_err();
-    assert!(matches!(error, Tapip3dError::Query { index: 0, .. }), "{error}");
-    for size in [(0, 0), (128, 128), (1 << 20, 1 << 20)] {
-        let error = track(&Wall::of(3), &some, &Tapip3dOptions::at(size)).unwrap_err();
-        assert!(matches!(error, Tapip3dError::Size { .. }), "{error}");
+    let of_size = |size| Tapip3dOptions::at(size);
+    for (clip, queries, options, message) in [
+        (Wall::of(0), &some[..], options(), "a clip without frames"),
+        (Wall::of(3), &queries(&[0, 3])[..], options(), "point 1 cannot be tracked"),
+        (Wall::of(3), &nowhere[..], options(), "point 0 cannot be tracked"),
+        (Wall::of(3), &some[..], of_size((0, 0)), "choose a larger size"),
+        (Wall::of(3), &some[..], of_size((128, 128)), "choose a larger size"),
+        (Wall::of(3), &some[..], of_size((1 << 20, 1 << 20)), "choose a larger size"),
+        (Wall { blind: 0, ..Wall::of(3) }, &some[..], options(), "no depth is known in frames 0 to 2"),
+        (Wall { blind: 8, ..Wall::of(24) }, &some[..], options(), "no depth is known in frames 8 to 23"),
+    ] {
+        let error = track(&clip, queries, &options).unwrap_err();
+        assert!(error.to_string().contains(message), "{error}");
     }
-    let dark = Wall { blind: 0, ..Wall::of(3) };
-    let error = track(&dark, &some, &options()).unwrap_err();
-    assert!(matches!(error, Tapip3dError::NoDepth { first: 0, last: 2 }), "{error}");
-    let later = Wall { blind: 8, ..Wall::of(24) };
-    let error = track(&later, &some, &options()).unwrap_err();
-    assert!(matches!(error, Tapip3dError::NoDepth { first: 8, last: 23 }), "{error}");
     // none asked for
     let none = track(&Wall::of(3), &[], &options()).unwrap();
-    assert_eq!((none.count(), none.frames()), (0, 3));
+    assert_eq!((none.world.len(), none.frames), (0, 3));
 }
 
 /// One frame, and depth that is no number, are followed.
@@ -230,8 +195,8 @@ fn unusual_clips_are_tracked_or_rejected() {
     for (frames, hole) in [(1, 2.0), (2, f32::NAN), (2, f32::NEG_INFINITY), (2, f32::INFINITY), (2, -1.0), (2, 1e30)] {
         let clip = Wall { hole, ..Wall::of(frames) };
         let tracks = net.track(&clip, &queries(&[0, frames - 1]), &options(), &Silent).unwrap();
-        assert_eq!(tracks.world().len(), 2 * frames);
-        let numbers = tracks.world().as_flattened().iter().chain(tracks.visibility());
+        assert_eq!(tracks.world.len(), 2 * frames);
+        let numbers = tracks.world.as_flattened().iter().chain(&tracks.visibility);
         assert!(numbers.into_iter().all(|x| x.is_finite()), "{hole}");
     }
 }
@@ -262,7 +227,7 @@ fn tracking_stops_on_request() {
     // at once, while depth is read, before the first window, between two
     for most in [0, 5, 17, 18] {
         let (result, reports) = run(most);
-        assert!(matches!(result, Err(Tapip3dError::Stopped)), "{most}: {result:?}");
+        assert!(matches!(result, Err(NetError::Cancelled)), "{most}: {result:?}");
         assert_eq!(reports, most);
     }
     // 17 frames' depth and two windows

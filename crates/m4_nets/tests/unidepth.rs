@@ -1,32 +1,18 @@
 //! `UniDepth` V2 against upstream's code, with synthetic weights: a small backbone of five blocks and heads of 128 channels.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
-use crate::common::{fixtures, floats, read_image, real_weights};
+use crate::common::{assert_near, fixtures, floats, loaded, read_image, real_weights, same_on_any_threads};
 use m4_core::{Plane, RgbImage};
-use m4_nets::{BackboneSize, LoadError, UniDepth, UniDepthError, UniDepthMap, cpu};
-use m4_testkit::write_formula_weights;
+use m4_nets::{UniDepth, UniDepthMap, cpu};
+use m4_testkit::FormulaWeights;
 use std::fs;
-use std::path::{Path, PathBuf};
-use std::sync::LazyLock;
-use tempfile::TempDir;
 
 const KEYS: &str = include_str!("../../../fixtures/unidepth_v2/formula.keys.txt");
 /// Those of the fixture.
 const PATCHES: usize = 48;
 
-/// A checkpoint with weights by the formula, made once.
-fn formula_weights() -> &'static Path {
-    static FOLDER: LazyLock<TempDir> = LazyLock::new(|| {
-        let folder = TempDir::new().unwrap();
-        write_formula_weights(KEYS, &folder.path().join("weights.safetensors"));
-        folder
-    });
-    static PATH: LazyLock<PathBuf> = LazyLock::new(|| FOLDER.path().join("weights.safetensors"));
-    &PATH
-}
-
 fn network() -> UniDepth {
-    UniDepth::load(formula_weights(), cpu()).unwrap()
+    loaded(&FormulaWeights::of_keys(KEYS), |path| UniDepth::load(path, cpu()))
 }
 
 fn fixture() -> (Vec<u8>, RgbImage) {
@@ -39,17 +25,10 @@ fn fixture() -> (Vec<u8>, RgbImage) {
 #[test]
 fn agrees_with_upstream_by_formula() {
     let net = network();
-    assert_eq!(net.size(), BackboneSize::Small);
     let (file, image) = fixture();
     let got = net.depth_by_patches(&image, PATCHES).unwrap();
-    let want = floats(&file, "depth");
     assert_eq!(got.depth_m.size(), (151, 97));
-    let largest = want.iter().fold(0f32, |m, x| m.max(x.abs()));
-    let off = got.depth_m.data().iter().zip(&want).map(|(a, b)| (a - b).abs());
-    let error = off.fold(0.0, |m: f32, x| if x.is_nan() { f32::NAN } else { m.max(x) }) / largest;
-    println!("depth: {error:.1e} of {largest} m");
-    assert_eq!(got.depth_m.data().len(), want.len());
-    assert!(largest > 10.0 && error < 5e-5, "{error:.1e} of {largest} m");
+    assert_near("depth", got.depth_m.data(), &floats(&file, "depth"), 5e-5);
     let camera = got.camera;
     let want = floats(&file, "intrinsics");
     for (got, want) in [camera.fx, camera.fy, camera.cx, camera.cy].into_iter().zip(want) {
@@ -63,13 +42,7 @@ fn agrees_with_upstream_by_formula() {
 fn any_number_of_threads_gives_the_same_bits() {
     let net = network();
     let (_, image) = fixture();
-    let with = |threads| {
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        pool.install(|| net.depth_by_patches(&image, PATCHES).unwrap())
-    };
-    let one = with(1);
-    assert_eq!(one, with(2));
-    assert_eq!(one, with(5));
+    same_on_any_threads(|| net.depth_by_patches(&image, PATCHES).unwrap());
 }
 
 #[test]
@@ -85,47 +58,9 @@ fn images_of_any_size_are_accepted_and_empty_ones_refused() {
         assert!(depth_m.data().iter().all(|&d| d.is_finite() && d >= 0.0));
         assert!(camera.fx > 0.0 && camera.fx.is_finite(), "{camera:?}");
     }
-    assert!(matches!(depth(0, 4, 9), Err(UniDepthError::Empty)));
-    let error = depth(100, 1, 9).unwrap_err();
-    assert!(matches!(error, UniDepthError::Narrow { width: 100, height: 1 }), "{error}");
-}
-
-#[test]
-fn a_checkpoint_is_read_strictly() {
-    let folder = TempDir::new().unwrap();
-    let path = folder.path().join("weights.safetensors");
-    let load = |list: &str| {
-        write_formula_weights(list, &path);
-        UniDepth::load(&path, cpu()).map(|_| ())
-    };
-    let without = |name: &str| -> String {
-        let kept = KEYS.lines().filter(|line| !line.starts_with(name));
-        kept.map(|line| format!("{line}\n")).collect()
-    };
-    for (name, n) in [
-        ("pixel_decoder.level_embeds", 1),
-        ("pixel_encoder.cls_token", 1),
-        ("pixel_encoder.blocks.", 1),
-        ("pixel_decoder.depth_layer.ups.2.up.3.bias", 1),
-        ("pixel_decoder.global_token_adapter.input_adapters.1.1.", 2),
-    ] {
-        let Err(LoadError::OtherNetwork { missing, wrong, .. }) = load(&without(name)) else {
-            panic!("{name} is missing");
-        };
-        assert_eq!((missing.len(), wrong), (n, vec![]), "{name}: {missing:?}");
-    }
-    // neither of use here
-    load(&without("pixel_encoder.register_tokens")).unwrap();
-    load(&without("pixel_decoder.depth_layer.confidence_mlp.")).unwrap();
-    let Err(error) = load(&format!("{KEYS}head.weight 2 2\n")) else {
-        panic!("a tensor is left over");
-    };
-    assert!(error.to_string().contains("head.weight"), "{error}");
-    for (from, to) in [("level_embeds 4 128", "level_embeds 4 100"), ("to_depth.bias 1\n", "to_depth.bias 2\n")] {
-        let Err(LoadError::OtherNetwork { wrong, .. }) = load(&KEYS.replace(from, to)) else {
-            panic!("a tensor has another shape");
-        };
-        assert_eq!(wrong.len(), 1, "{wrong:?}");
+    for (size, message) in [((0, 4), "an image with pixels"), ((100, 1), "100 x 1 pixels is too narrow")] {
+        let error = depth(size.0, size.1, 9).unwrap_err();
+        assert!(error.to_string().contains(message), "{error}");
     }
 }
 
@@ -135,7 +70,6 @@ fn real_weights_have_the_expected_tensors() {
         return;
     };
     let net = UniDepth::load(&path, cpu()).unwrap();
-    assert_eq!(net.size(), BackboneSize::Large);
     let image = crate::common::png("tennis/tennis_0.png");
     let UniDepthMap { depth_m, camera } = net.depth_by_patches(&image, 300).unwrap();
     let mut depths = depth_m.data().to_vec();

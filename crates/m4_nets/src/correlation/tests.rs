@@ -2,10 +2,9 @@
 
 use super::*;
 use crate::cpu;
+use crate::fixture::Fixture;
 use crate::ops::tensor;
 use m4_testkit::formula_input;
-use safetensors::{SafeTensors, tensor::TensorView};
-use std::path::Path;
 
 /// The definition, in 64 bits.
 fn by_definition(
@@ -68,7 +67,7 @@ fn both(f: &[f32], g: &[f32], size: [usize; 3], centres: &[f32], radius: usize, 
     let centres = tensor(centres.to_vec(), [h, w, 2], &device);
     let fast = scores(&FeatureMap::new(f.clone()), &Pyramid::new(g.clone(), levels), centres.clone(), radius);
     let target = Pyramid::of(FeatureMap::on_device(g), levels);
-    let plain = volume::scores(f.div_scalar(4.0), &target, centres, radius);
+    let plain = lookup::scores(f.div_scalar(4.0), &target, centres, radius);
     [fast, plain].map(|scores| {
         assert_eq!(scores.dims(), [h, w, taps(levels, radius)]);
         scores.try_into_vec_as().unwrap()
@@ -106,11 +105,6 @@ fn agree_with_the_definition() {
     }
 }
 
-fn floats(view: &TensorView<'_>) -> Vec<f32> {
-    let words = view.data().as_chunks::<4>().0;
-    words.iter().map(|&b| f32::from_le_bytes(b)).collect()
-}
-
 /// `[c][n]` as `[n][c]`.
 fn channels_last(values: &[f32], c: usize) -> Vec<f32> {
     let n = values.len() / c;
@@ -119,22 +113,14 @@ fn channels_last(values: &[f32], c: usize) -> Vec<f32> {
 
 #[test]
 fn agree_with_the_published_module() {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fixtures/droid");
-    let read = |name: &str| std::fs::read(folder.join(name)).unwrap();
-    let (encoders, lookup) = (read("encoders.safetensors"), read("corr_lookup.safetensors"));
-    let (encoders, lookup) = [&encoders, &lookup].map(|b| SafeTensors::deserialize(b).unwrap()).into();
+    let (encoders, lookup) =
+        (Fixture::open("droid/encoders.safetensors"), Fixture::open("droid/corr_lookup.safetensors"));
     let maps: Vec<Vec<f32>> =
-        floats(&encoders.tensor("fmap").unwrap()).chunks(128 * 16 * 24).map(|map| channels_last(map, 128)).collect();
-    let ends = |name: &str| -> Vec<usize> {
-        let words = lookup.tensor(name).unwrap();
-        let words = words.data().as_chunks::<8>().0;
-        words.iter().map(|&b| u64::from_le_bytes(b) as usize).collect()
-    };
-    let centres = floats(&lookup.tensor("coords").unwrap());
-    let want = floats(&lookup.tensor("corr").unwrap());
+        encoders.floats("fmap").0.chunks(128 * 16 * 24).map(|map| channels_last(map, 128)).collect();
+    let (centres, want) = (lookup.floats("coords").0, lookup.floats("corr").0);
     let far = centres.chunks(2).filter(|c| c[0] < -4.0 || c[0] > 27.0 || c[1] < -4.0 || c[1] > 19.0).count();
     assert!(far > 0, "no point is far outside");
-    for (edge, (i, j)) in ends("ii").into_iter().zip(ends("jj")).enumerate() {
+    for (edge, (i, j)) in lookup.indices("ii").into_iter().zip(lookup.indices("jj")).enumerate() {
         let centres = &centres[edge * 16 * 24 * 2..][..16 * 24 * 2];
         let want = channels_last(&want[edge * 196 * 16 * 24..][..196 * 16 * 24], 196);
         let want: Vec<f64> = want.into_iter().map(f64::from).collect();

@@ -8,15 +8,12 @@
 //! Bilinear is corner on corner here.
 
 use crate::dinov2::{BackboneSize, PATCH, Tap};
-use crate::ops::{conv, convolve};
+use crate::ops::{conv, convolve, interpolated, upscaling_conv};
 use burn_core as burn;
 use burn_core::module::Module;
 use burn_core::tensor::activation::relu;
-use burn_core::tensor::module::interpolate;
-use burn_core::tensor::ops::{InterpolateMode, InterpolateOptions};
 use burn_core::tensor::{Device, Tensor};
-use burn_nn::Initializer;
-use burn_nn::conv::{Conv2d, ConvTranspose2d, ConvTranspose2dConfig};
+use burn_nn::conv::{Conv2d, ConvTranspose2d};
 
 /// Names of the checkpoint that are not those of fields.
 pub const RENAMES: [(&str, &str); 6] = [
@@ -121,21 +118,8 @@ impl Fusion {
             None => coarse,
         };
         // a convolution of single pixels and a mean of pixels may change places: the smaller map is convolved
-        corner_on_corner(convolve([self.unit2.forward(x)], &self.out_conv), to)
+        interpolated(convolve([self.unit2.forward(x)], &self.out_conv), to, true)
     }
-}
-
-/// `x` with `size` rows and columns, bilinear, corner on corner.
-fn corner_on_corner(x: Tensor<4>, size: [usize; 2]) -> Tensor<4> {
-    let options = InterpolateOptions::new(InterpolateMode::Bilinear).with_align_corners(true).with_output_size(size);
-    interpolate(x, options)
-}
-
-fn larger(channels: usize, times: usize, device: &Device) -> ConvTranspose2d {
-    ConvTranspose2dConfig::new([channels, channels], [times, times])
-        .with_stride([times, times])
-        .with_initializer(Initializer::Zeros)
-        .init(device)
 }
 
 impl DepthHead {
@@ -145,8 +129,8 @@ impl DepthHead {
         Self {
             projects: maps.map(|to| conv([size.width(), to], 1, 1, true, device)),
             resize_layers: ResizeLayers {
-                four_times: larger(maps[0], 4, device),
-                twice: larger(maps[1], 2, device),
+                four_times: upscaling_conv([maps[0]; 2], 4, device),
+                twice: upscaling_conv([maps[1]; 2], 2, device),
                 half: conv([maps[3], maps[3]], 3, 2, true, device),
             },
             scratch: Scratch {
@@ -171,7 +155,7 @@ impl DepthHead {
     pub fn forward(&self, maps: [Tap; 4], grid: [usize; 2]) -> Tensor<4> {
         let [_, _, _, finest] = self.fused(self.levels(maps, grid));
         let x = convolve([finest], &self.scratch.output_conv1);
-        let x = corner_on_corner(x, grid.map(|side| side * PATCH));
+        let x = interpolated(x, grid.map(|side| side * PATCH), true);
         let output = &self.scratch.output_conv2;
         convolve([relu(convolve([x], &output.wide))], &output.last)
     }

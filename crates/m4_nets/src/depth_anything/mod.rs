@@ -16,41 +16,28 @@
 //! this network and gives wrong depth here.
 
 mod head;
-mod preprocess;
 #[cfg(test)]
 mod tests;
 
-use crate::dinov2::{self, BackboneSize, DinoV2};
-use crate::{Compute, LoadError, load};
+use crate::dinov2::{self, BackboneSize, DinoV2, PATCH};
+use crate::error::{numbers, refuse};
+use crate::ops::{IMAGENET_MEAN, IMAGENET_STD, Kernels, bilinear, image_tensor};
+use crate::{Compute, LoadError, NetError, load};
 use burn_core as burn;
 use burn_core::module::Module;
 use burn_core::tensor::activation::relu;
-use burn_core::tensor::{DType, Device, Tensor};
+use burn_core::tensor::{Device, Tensor};
 use head::DepthHead;
 use m4_core::{Plane, RgbImage};
-use preprocess::Sides;
 use std::path::Path;
 
 /// What it is called in messages.
 const NAME: &str = "Depth-Anything V1";
 
-/// Why there is no disparity.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum DisparityError {
-    /// The image has no pixels.
-    #[error("disparity needs an image with pixels")]
-    Empty,
-    /// The device failed, for one for lack of memory.
-    #[error("the device that computes disparity failed: {0}")]
-    Device(String),
-}
-
 /// The network with its weights.
 #[derive(Debug)]
 pub struct DepthAnything {
     net: Net,
-    size: BackboneSize,
     device: Device,
 }
 
@@ -70,7 +57,7 @@ impl Net {
     /// Of images `[b, 3, 14 h, 14 w]`: what the head says, `[b, 1, 14 h, 14 w]`; below 0 it means 0.
     fn logits(&self, images: Tensor<4>) -> Tensor<4> {
         let [_, _, height, width] = images.dims();
-        let grid = [height / dinov2::PATCH, width / dinov2::PATCH];
+        let grid = [height / PATCH, width / PATCH];
         let depth = self.pretrained.depth();
         let taps: [usize; 4] = std::array::from_fn(|i| depth - 4 + i);
         let maps = self.pretrained.taps(images, taps);
@@ -79,7 +66,7 @@ impl Net {
 }
 
 impl DepthAnything {
-    /// The network with the weights of the checkpoint at `path`, on `device`. [`DepthAnything::size`] tells which one it is.
+    /// The network with the weights of the checkpoint at `path`, on `device`.
     ///
     /// # Errors
     ///
@@ -92,19 +79,7 @@ impl DepthAnything {
         let mut net = Net::new(size, size.depth(), device);
         load::fill(&mut net, NAME, path, &head::RENAMES, dinov2::unneeded)?;
         let net = on.fit(net);
-        Ok(Self { net, size, device: device.clone() })
-    }
-
-    /// The backbone that the checkpoint holds.
-    #[must_use]
-    pub fn size(&self) -> BackboneSize {
-        self.size
-    }
-
-    /// Numbers that the network learned, without those that only its training needed.
-    #[must_use]
-    pub fn parameters(&self) -> usize {
-        self.net.num_params()
+        Ok(Self { net, device: device.clone() })
     }
 
     /// The disparity of `image`, `[height][width]` as the image: relative (a factor and an offset are unknown), 0 or more, larger where it is
@@ -112,12 +87,54 @@ impl DepthAnything {
     ///
     /// # Errors
     ///
-    /// [`DisparityError`] if the image has no pixels or the device fails.
-    pub fn disparity(&self, image: &RgbImage) -> Result<Plane<f32>, DisparityError> {
-        let sides = Sides::of(image.width(), image.height())?;
+    /// [`NetError`] if the image has no pixels or the device fails.
+    pub fn disparity(&self, image: &RgbImage) -> Result<Plane<f32>, NetError> {
+        let sides = Sides::of(image.size())?;
         let logits = self.net.logits(sides.tensor(image, &self.device));
-        let disparity = relu(logits).cast(DType::F32).try_into_vec_as();
-        let disparity: Vec<f32> = disparity.map_err(|error| DisparityError::Device(error.to_string()))?;
-        Ok(sides.to_image(&disparity))
+        Ok(sides.to_image(&numbers(relu(logits))?))
+    }
+}
+
+/// Pixels that the longer side has at most.
+const LONGEST: usize = 768;
+
+/// Sides of an image and of what the network makes of it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct Sides {
+    width: usize,
+    height: usize,
+}
+
+impl Sides {
+    /// Of an image that has pixels.
+    fn of((width, height): (usize, usize)) -> Result<Self, NetError> {
+        if width == 0 || height == 0 {
+            return refuse("disparity needs an image with pixels");
+        }
+        Ok(Self { width, height })
+    }
+
+    /// Width and height that the network works with: those of the image in the same ratio with the longer at 768, rounded to whole
+    /// patches (down where that would make more than 768), one patch at least.
+    fn inside(self) -> (usize, usize) {
+        let scale = LONGEST as f64 / self.width.max(self.height) as f64;
+        let side = |side: usize| {
+            let patches = side as f64 * scale / PATCH as f64;
+            let near = patches.round_ties_even() as usize;
+            let near = if near * PATCH > LONGEST { patches.floor() as usize } else { near };
+            near.max(1) * PATCH
+        };
+        (side(self.width), side(self.height))
+    }
+
+    /// The image `[1, 3, height, width]` of the sides [`Sides::inside`], normalised.
+    fn tensor(self, image: &RgbImage, device: &Device) -> Tensor<4> {
+        image_tensor(image, self.inside(), Kernels::cubic, [IMAGENET_MEAN, IMAGENET_STD], device)
+    }
+
+    /// Disparity of the sides [`Sides::inside`] in those of the image.
+    fn to_image(self, disparity: &[f32]) -> Plane<f32> {
+        let values = bilinear(disparity, self.inside(), (self.width, self.height));
+        Plane::from_fn(self.width, self.height, |x, y| values[y * self.width + x])
     }
 }

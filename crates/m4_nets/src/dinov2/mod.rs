@@ -12,22 +12,18 @@
 //! What a block gives away passes the final normalisation first ([`DinoV2::taps`]). Fields are named as in the checkpoint of the
 //! backbone itself; a network has it behind a prefix (`pretrained.`, `encoder.backbone.`), which is the name of its own field or a rename.
 
-mod attention;
-mod block;
-mod positions;
-mod size;
 #[cfg(test)]
 mod tests;
 
-pub use size::BackboneSize;
-
-use crate::ops::linear;
-use block::Block;
+use crate::LoadError;
+use crate::load::Shapes;
+use crate::ops::{Kernels, attend_heads, fine_norm, gelu, linear, patch_conv, tensor, zeros};
 use burn_core as burn;
 use burn_core::module::{Module, Param};
-use burn_core::tensor::{Device, Tensor};
-use burn_nn::conv::{Conv2d, Conv2dConfig};
-use burn_nn::{Initializer, LayerNorm, LayerNormConfig, Linear};
+use burn_core::tensor::{DType, Device, Tensor};
+use burn_nn::conv::Conv2d;
+use burn_nn::{Initializer, LayerNorm, Linear};
+use std::path::Path;
 
 /// Pixels of a side of a patch.
 pub const PATCH: usize = 14;
@@ -76,14 +72,13 @@ impl DinoV2 {
     /// The same with `depth` blocks.
     pub fn with_depth(size: BackboneSize, depth: usize, device: &Device) -> Self {
         let width = size.width();
-        let patches = Conv2dConfig::new([3, width], [PATCH, PATCH]).with_stride([PATCH, PATCH]);
         Self {
             cls_token: Initializer::Zeros.init([1, 1, width], device),
             pos_embed: Initializer::Zeros.init([1, 1 + GRID * GRID, width], device),
-            patch_embed: PatchEmbed { proj: patches.with_initializer(Initializer::Zeros).init(device) },
+            patch_embed: PatchEmbed { proj: patch_conv([3, width], PATCH, device) },
             blocks: (0..depth).map(|_| Block::new(size, device)).collect(),
             norm: fine_norm(width, device),
-            offset: positions::OFFSET,
+            offset: OFFSET,
         }
     }
 
@@ -120,7 +115,7 @@ impl DinoV2 {
         let patches = maps.reshape([b, c, h * w]).swap_dims(1, 2);
         let class = self.cls_token.val().expand([b, 1, c]);
         let tokens = Tensor::cat(vec![class, patches], 1);
-        let positions = positions::resized(self.pos_embed.val(), h, w, self.offset).cast(tokens.dtype());
+        let positions = resized(self.pos_embed.val(), h, w, self.offset).cast(tokens.dtype());
         tokens + positions
     }
 }
@@ -150,12 +145,188 @@ impl Run<'_> {
     }
 }
 
-/// A layer normalisation over `width` channels that waits for its weights (epsilon 1e-6).
-fn fine_norm(width: usize, device: &Device) -> LayerNorm {
-    LayerNormConfig::new(width).with_epsilon(1e-6).init(device)
+/// How wide and how deep a backbone is. All of them have heads of 64 channels and feed-forward layers of four times the width.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum BackboneSize {
+    /// ViT-S/14: 384 channels, 12 blocks, 22 million numbers.
+    Small,
+    /// ViT-B/14: 768 channels, 12 blocks, 87 million numbers.
+    Base,
+    /// ViT-L/14: 1024 channels, 24 blocks, 304 million numbers.
+    Large,
 }
 
-/// A linear layer with a bias.
-fn biased(from: usize, to: usize, device: &Device) -> Linear {
-    linear(from, to, true, device)
+impl BackboneSize {
+    /// All of them, the smallest first.
+    pub const ALL: [Self; 3] = [Self::Small, Self::Base, Self::Large];
+
+    /// Channels of a token.
+    #[must_use]
+    pub fn width(self) -> usize {
+        match self {
+            Self::Small => 384,
+            Self::Base => 768,
+            Self::Large => 1024,
+        }
+    }
+
+    /// Blocks.
+    #[must_use]
+    pub fn depth(self) -> usize {
+        match self {
+            Self::Small | Self::Base => 12,
+            Self::Large => 24,
+        }
+    }
+
+    /// Heads of attention.
+    #[must_use]
+    pub fn heads(self) -> usize {
+        self.width() / 64
+    }
+
+    /// The name in papers: `ViT-S`, `ViT-B`, `ViT-L`.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Small => "ViT-S",
+            Self::Base => "ViT-B",
+            Self::Large => "ViT-L",
+        }
+    }
+
+    /// The size of the backbone under `prefix` (with its final dot) in a checkpoint of `network`, as its class token tells. A file's name says
+    /// nothing: a small network under the name of a large one is a small one.
+    pub(crate) fn in_checkpoint(
+        shapes: &Shapes,
+        prefix: &str,
+        network: &'static str,
+        path: &Path,
+    ) -> Result<Self, LoadError> {
+        let name = format!("{prefix}cls_token");
+        let Some(shape) = shapes.get(&name) else {
+            return Err(LoadError::misfit(network, path, &[&name], &[]));
+        };
+        let found = Self::ALL.into_iter().find(|size| shape.last() == Some(&size.width()));
+        found.ok_or_else(|| {
+            let known = Self::ALL.map(|size| format!("{} of {}", size.width(), size.name()));
+            let wrong = format!("{name} has the shape {shape:?}, known widths are {}", known.join(", "));
+            LoadError::misfit(network, path, &[], &[wrong])
+        })
+    }
+}
+
+/// Attention. Queries, keys and values come out of one linear layer.
+#[derive(Module, Debug)]
+pub struct Attention {
+    qkv: Linear,
+    proj: Linear,
+    heads: usize,
+}
+
+impl Attention {
+    pub fn new(width: usize, heads: usize, device: &Device) -> Self {
+        Self { qkv: linear(width, 3 * width, true, device), proj: linear(width, width, true, device), heads }
+    }
+
+    /// Of tokens `[b, n, c]`: the same shape.
+    pub fn forward(&self, x: Tensor<3>) -> Tensor<3> {
+        let [b, n, c] = x.dims();
+        let qkv = self.qkv.forward(x).reshape([b, n, 3, self.heads, c / self.heads]).permute([2, 0, 3, 1, 4]);
+        let [q, k, v] = [0, 1, 2].map(|i| qkv.clone().narrow(0, i, 1).squeeze_dim::<4>(0));
+        let found = attend_heads(q, k, v).swap_dims(1, 2).reshape([b, n, c]);
+        self.proj.forward(found)
+    }
+}
+
+/// A block.
+#[derive(Module, Debug)]
+pub struct Block {
+    norm1: LayerNorm,
+    attn: Attention,
+    ls1: LayerScale,
+    norm2: LayerNorm,
+    mlp: Mlp,
+    ls2: LayerScale,
+}
+
+/// A factor a channel.
+#[derive(Module, Debug)]
+pub struct LayerScale {
+    gamma: Param<Tensor<1>>,
+}
+
+impl LayerScale {
+    /// Of `width` channels, waiting for its weights.
+    pub fn new(width: usize, device: &Device) -> Self {
+        Self { gamma: zeros([width], device) }
+    }
+
+    /// Of `x`, whose last axis are the channels.
+    pub fn forward<const D: usize>(&self, x: Tensor<D>) -> Tensor<D> {
+        x * self.gamma.val().unsqueeze()
+    }
+}
+
+/// The feed-forward layer.
+#[derive(Module, Debug)]
+struct Mlp {
+    fc1: Linear,
+    fc2: Linear,
+}
+
+/// Tokens that the feed-forward layer takes at a time: their wide channels stay near.
+const MLP_TOKENS: usize = 512;
+
+impl Mlp {
+    fn forward(&self, x: Tensor<3>) -> Tensor<3> {
+        let some = |x| self.fc2.forward(gelu(self.fc1.forward(x)));
+        Tensor::cat(x.split(MLP_TOKENS, 1).into_iter().map(some).collect(), 1)
+    }
+}
+
+impl Block {
+    pub fn new(size: BackboneSize, device: &Device) -> Self {
+        let width = size.width();
+        Self {
+            norm1: fine_norm(width, device),
+            attn: Attention::new(width, size.heads(), device),
+            ls1: LayerScale::new(width, device),
+            norm2: fine_norm(width, device),
+            mlp: Mlp { fc1: linear(width, 4 * width, true, device), fc2: linear(4 * width, width, true, device) },
+            ls2: LayerScale::new(width, device),
+        }
+    }
+
+    /// Of tokens `[b, n, c]`: the same shape.
+    pub fn forward(&self, x: Tensor<3>) -> Tensor<3> {
+        let x = x.clone() + self.ls1.forward(self.attn.forward(self.norm1.forward(x)));
+        x.clone() + self.ls2.forward(self.mlp.forward(self.norm2.forward(x)))
+    }
+}
+
+/// What is added to a number of rows or columns before it becomes a scale: DINOv2 asks PyTorch's `interpolate` (bicubic, a = -0.75, no
+/// antialiasing) for the scale `(h + 0.1) / 37`, so that rounding cannot lose a row, and the samples lie `37 / (h + 0.1)` apart.
+/// Depth changes by a fifth without that tenth. `UniDepth` V2 was trained without it.
+pub const OFFSET: f64 = 0.1;
+
+/// Positions `[1, 1 + h w, c]` in 32 bits, out of those `[1, 1 + 37 * 37, c]` that were learned, with samples `37 / (h + offset)`
+/// apart.
+pub fn resized(learned: Tensor<3>, h: usize, w: usize, offset: f64) -> Tensor<3> {
+    let learned = learned.cast(DType::F32);
+    if (h, w) == (GRID, GRID) {
+        return learned;
+    }
+    let device = learned.device();
+    let [_, _, c] = learned.dims();
+    let along = |to: usize| {
+        let kernels = Kernels::cubic_by_step(GRID, to, GRID as f64 / (to as f64 + offset));
+        tensor(kernels.matrix(GRID), [to, GRID], &device)
+    };
+    let class = learned.clone().narrow(1, 0, 1);
+    let rows: Tensor<2> = learned.narrow(1, 1, GRID * GRID).reshape([GRID, GRID * c]);
+    let rows: Tensor<3> = along(h).matmul(rows).reshape([h, GRID, c]);
+    let columns: Tensor<3> = along(w).unsqueeze();
+    let patches = columns.matmul(rows).reshape([1, h * w, c]);
+    Tensor::cat(vec![class, patches], 1)
 }

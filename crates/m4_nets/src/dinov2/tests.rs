@@ -1,9 +1,8 @@
 //! Against the authors' module, with synthetic weights (the backbone of Depth-Anything's fixtures).
 
-use super::positions;
-use super::{BackboneSize, DinoV2, Tap, unneeded};
+use super::{BackboneSize, DinoV2, OFFSET, Tap, resized, unneeded};
 use crate::cpu;
-use crate::fixture::{Fixture, assert_near, every, fill_by_formula, normalised};
+use crate::fixture::{Fixture, assert_near, every, fill_by_formula, normalised, of_first_blocks};
 use m4_testkit::FormulaWeights;
 
 const SMALL: &str = include_str!("../../../../fixtures/depth_anything_v1/vits.keys.txt");
@@ -15,13 +14,8 @@ const LIMIT: f64 = 5e-5;
 
 /// The lines of `keys` of a backbone with `depth` blocks.
 fn backbone_keys(keys: &str, depth: usize) -> String {
-    let block = |line: &str| -> Option<usize> {
-        let rest = line.strip_prefix("pretrained.blocks.")?;
-        rest.split('.').next()?.parse().ok()
-    };
-    let kept = keys.lines().filter(|line| line.starts_with(PREFIX));
-    let kept = kept.filter(|line| block(line).is_none_or(|i| i < depth));
-    kept.map(|line| format!("{line}\n")).collect()
+    let kept = of_first_blocks(keys, depth);
+    kept.lines().filter(|line| line.starts_with(PREFIX)).map(|line| format!("{line}\n")).collect()
 }
 
 fn backbone(size: BackboneSize, keys: &str, depth: usize) -> DinoV2 {
@@ -34,7 +28,7 @@ fn backbone(size: BackboneSize, keys: &str, depth: usize) -> DinoV2 {
 /// The last four blocks, the positions and the first block; `step` channels apart in the fixture.
 fn check(net: &DinoV2, fixture: &Fixture, step: usize) {
     let image = normalised(&fixture.image("image"), &cpu());
-    let positions = positions::resized(net.pos_embed.val(), 9, 12, positions::OFFSET).squeeze_dim(0);
+    let positions = resized(net.pos_embed.val(), 9, 12, OFFSET).squeeze_dim(0);
     assert_near(every(positions, step), fixture, "pos_embed_resized_strided", LIMIT);
     let first = net.blocks[0].forward(net.tokens(image.clone())).squeeze_dim(0);
     assert_near(every(first, step), fixture, "block0_out_strided", LIMIT);
@@ -64,7 +58,7 @@ fn five_blocks_of_the_large_model_match_the_module() {
 fn position_embeddings_of_the_trained_size_are_unchanged() {
     let net = backbone(BackboneSize::Small, SMALL, 1);
     let learned: Vec<f32> = net.pos_embed.val().try_into_vec_as().unwrap();
-    let same: Vec<f32> = positions::resized(net.pos_embed.val(), 37, 37, positions::OFFSET).try_into_vec_as().unwrap();
+    let same: Vec<f32> = resized(net.pos_embed.val(), 37, 37, OFFSET).try_into_vec_as().unwrap();
     assert_eq!(learned, same);
 }
 

@@ -17,33 +17,27 @@
 //! What a frame's context adds to the recurrent unit is computed once for all edges of the frame, and the two gates that read
 //! the same numbers are one convolution; upstream does both for every edge in every step.
 
-mod aggregation;
-mod encoder;
-mod error;
-mod gru;
 mod memory;
-mod motion;
-mod preprocess;
 #[cfg(test)]
 mod tests;
 mod update;
-mod upsampling;
 
-pub use error::DroidError;
-pub use memory::{DroidMemory, EdgeUpdate, ImageReader, MemoryOptions, SourceUpdate, Storage};
+pub use memory::{DroidMemory, EdgeUpdate, MemoryOptions, Storage};
 
-use crate::ops::tanh;
-use crate::{Compute, LoadError, load};
+use crate::error::refuse;
+use crate::ops::{IMAGENET_MEAN, IMAGENET_STD, planes, tanh, tensor};
+use crate::residual::{Encoder, Norm};
+use crate::{Compute, LoadError, NetError, load};
 use burn_core as burn;
 use burn_core::module::Module;
 use burn_core::tensor::activation::relu;
 use burn_core::tensor::{DType, Device, Tensor};
-use encoder::{Encoder, Norm};
-use gru::ArrangedGru;
 use m4_core::RgbImage;
 use std::path::Path;
-use update::Update;
+use update::{ArrangedGru, Update};
 
+/// What it is called in messages.
+const NAME: &str = "MegaSaM's tracking network";
 /// Channels of features, hidden states and contexts.
 const WIDTH: usize = 128;
 
@@ -85,39 +79,19 @@ impl DroidNet {
     pub fn load(path: &Path, on: impl Into<Compute>) -> Result<Self, LoadError> {
         let on: Compute = on.into();
         let device = &on.device;
-        let with_rows = |rows: usize| {
-            let mut net = Net {
-                fnet: Encoder::new(WIDTH, device),
-                cnet: Encoder::new(2 * WIDTH, device),
-                update: Update::new(rows, device),
-            };
-            let unneeded = |name: &str| UNNEEDED.iter().any(|start| name.starts_with(start));
-            load::fill(&mut net, "MegaSaM's tracking network", path, &RENAMES, unneeded)?;
-            let net = on.fit(net);
-            Ok(net)
+        // the published weights and steps have a third output, which counts for nothing
+        let shapes = load::shapes(NAME, path, &RENAMES)?;
+        let rows = shapes.get("update.weight.out.weight").and_then(|shape| shape.first().copied());
+        let rows = rows.map_or(2, |rows| rows.clamp(2, 3));
+        let mut net = Net {
+            fnet: Encoder::new([32, 64, 128], WIDTH, Norm::Instance, device),
+            cnet: Encoder::new([32, 64, 128], 2 * WIDTH, Norm::None, device),
+            update: Update::new(rows, device),
         };
-        let fewer = |a: &LoadError, b: &LoadError| {
-            let wrong = |error: &LoadError| match error {
-                LoadError::OtherNetwork { wrong, .. } => wrong.len(),
-                _ => usize::MAX,
-            };
-            wrong(a) < wrong(b)
-        };
-        let net = match with_rows(2) {
-            Err(two @ LoadError::OtherNetwork { .. }) => match with_rows(3) {
-                Ok(net) => Net { update: net.update.without_third_rows(), ..net },
-                // of the two, the one that finds less to complain about
-                Err(three) => return Err(if fewer(&three, &two) { three } else { two }),
-            },
-            other => other?,
-        };
-        Ok(Self { gru: net.update.arranged_gru(), net, device: device.clone() })
-    }
-
-    /// Numbers that the network learned and uses.
-    #[must_use]
-    pub fn parameters(&self) -> usize {
-        self.net.num_params()
+        load::fill(&mut net, NAME, path, &RENAMES, |name| UNNEEDED.iter().any(|start| name.starts_with(start)))?;
+        net.update.keep_two_rows();
+        let net = on.fit(net);
+        Ok(Self { gru: net.update.gru.arranged(), net, device: device.clone() })
     }
 
     /// The type that it computes in.
@@ -126,16 +100,40 @@ impl DroidNet {
     }
 
     /// Features of `image` for correlation, `[1, 128, h / 8, w / 8]`.
-    fn features(&self, image: &RgbImage) -> Result<Tensor<4>, DroidError> {
-        let image = preprocess::normalised(image, &self.device)?.cast(self.dtype());
+    fn features(&self, image: &RgbImage) -> Result<Tensor<4>, NetError> {
+        let image = normalised(image, &self.device)?.cast(self.dtype());
         Ok(self.net.fnet.forward(image, Norm::Instance))
     }
 
     /// The hidden state that edges from `image` start with, and its context, `[1, 128, h / 8, w / 8]` each.
-    fn state(&self, image: &RgbImage) -> Result<[Tensor<4>; 2], DroidError> {
-        let image = preprocess::normalised(image, &self.device)?.cast(self.dtype());
+    fn state(&self, image: &RgbImage) -> Result<[Tensor<4>; 2], NetError> {
+        let image = normalised(image, &self.device)?.cast(self.dtype());
         let both = self.net.cnet.forward(image, Norm::None);
         let half = |k: usize| both.clone().narrow(1, k * WIDTH, WIDTH);
         Ok([tanh(half(0)), relu(half(1))])
     }
+}
+
+/// Sides are multiples of this.
+const MULTIPLE: usize = 8;
+/// The smallest side: correlation is pooled down to an eighth of an eighth, which must have pixels (upstream's limit, too).
+const SMALLEST: usize = 128;
+
+/// Fails unless the network takes images of this size.
+fn check((width, height): (usize, usize)) -> Result<(), NetError> {
+    if [width, height].iter().any(|&side| side < SMALLEST || side % MULTIPLE != 0) {
+        return refuse(format!(
+            "the tracking network takes images whose sides are multiples of 8 and at least 128 px, this has {width} x \
+             {height}; resize and crop it"
+        ));
+    }
+    Ok(())
+}
+
+/// `image` as `[1, 3, h, w]`, normalised.
+fn normalised(image: &RgbImage, device: &Device) -> Result<Tensor<4>, NetError> {
+    check(image.size())?;
+    let (width, height) = image.size();
+    let values = planes(image, IMAGENET_MEAN, IMAGENET_STD);
+    Ok(tensor(values, [1, 3, height, width], device))
 }

@@ -18,27 +18,21 @@
 //! DyCheck's masked distance (mLPIPS; Gao et al., NeurIPS 2022) blacks out both images where the mask is 0 and averages the
 //! map of AlexNet over the rest: [`Lpips::compare_inside`].
 
-mod checkpoint;
-mod image;
 mod pickle;
-mod score;
 #[cfg(test)]
 mod tests;
 mod trunk;
 
-pub use image::LpipsImage;
-pub use score::LpipsScore;
-
-use crate::{Compute, LoadError};
-use burn_core::tensor::Device;
-use m4_core::Mask;
-use serde::{Deserialize, Serialize};
+use crate::error::{numbers, refuse};
+use crate::ops::{bilinear, planes, tensor};
+use crate::{Compute, LoadError, NetError};
+use burn_core::tensor::{Device, Tensor};
+use m4_core::{Mask, Plane, RgbImage};
 use std::path::Path;
 use trunk::Net;
 
 /// Which network's features are compared.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum LpipsNet {
     /// AlexNet: upstream's default, DyCheck's and most tables'. The entry `lpips-alex` of `minute4d weights list`.
     Alex,
@@ -74,61 +68,6 @@ impl LpipsNet {
     }
 }
 
-/// Why two images were not compared.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-#[non_exhaustive]
-pub enum LpipsError {
-    /// An image is too small for the network.
-    #[error("{} needs images of {least} pixels per side at least, not {width} x {height}; compare larger ones", net.title())]
-    TooSmall {
-        /// The network.
-        net: LpipsNet,
-        /// The fewest pixels of a side.
-        least: usize,
-        /// Columns.
-        width: usize,
-        /// Rows.
-        height: usize,
-    },
-    /// Two things that must have one size do not.
-    #[error("{what} has {} x {} pixels but the reference {} x {}; render or resize it to the reference's size first", found.0, found.1, expected.0, expected.1)]
-    Size {
-        /// What differs from the reference.
-        what: &'static str,
-        /// Width and height of the reference.
-        expected: (usize, usize),
-        /// Width and height found.
-        found: (usize, usize),
-    },
-    /// A plane of an image has not as many values as the image pixels.
-    #[error("an image of {width} x {height} has planes of {} values; channel {channel} has {found}", width * height)]
-    Length {
-        /// Columns.
-        width: usize,
-        /// Rows.
-        height: usize,
-        /// Index of the channel, 0..3.
-        channel: usize,
-        /// The given value.
-        found: usize,
-    },
-    /// A colour is infinite or no number.
-    #[error("pixel ({x}, {y}) of channel {channel} is {value}; only finite colours can be compared")]
-    NotFinite {
-        /// Column.
-        x: usize,
-        /// Row.
-        y: usize,
-        /// Index of the channel, 0..3.
-        channel: usize,
-        /// The value.
-        value: f32,
-    },
-    /// The device failed, for one for lack of memory.
-    #[error("the device that computes LPIPS failed: {0}")]
-    Device(String),
-}
-
 /// A network with its weights.
 #[derive(Debug)]
 pub struct Lpips {
@@ -146,35 +85,24 @@ impl Lpips {
     pub fn load(net: LpipsNet, path: &Path, on: impl Into<Compute>) -> Result<Self, LoadError> {
         let device = on.into().device;
         let mut layers = Net::new(net, &device);
-        checkpoint::fill(&mut layers, net, path)?;
+        trunk::fill(&mut layers, net, path)?;
         Ok(Self { net, layers, device })
-    }
-
-    /// Which network it is.
-    #[must_use]
-    pub fn net(&self) -> LpipsNet {
-        self.net
-    }
-
-    /// Numbers of the checkpoint.
-    #[must_use]
-    pub fn parameters(&self) -> usize {
-        use burn_core::module::Module;
-        self.layers.num_params()
     }
 
     /// How different `image` looks from `reference`.
     ///
     /// # Errors
     ///
-    /// [`LpipsError`] if the sizes differ or are too small, or the device fails.
-    pub fn compare(&self, image: &LpipsImage, reference: &LpipsImage) -> Result<LpipsScore, LpipsError> {
-        image::same_size("the image", reference.size(), image.size())?;
+    /// [`NetError`] if the sizes differ or are too small, or the device fails.
+    pub fn compare(&self, image: &LpipsImage, reference: &LpipsImage) -> Result<LpipsScore, NetError> {
+        same_size("the image", reference.size(), image.size())?;
         let (width, height) = reference.size();
         let least = self.net.min_side_px();
         if width.min(height) < least {
-            let net = self.net;
-            return Err(LpipsError::TooSmall { net, least, width, height });
+            let net = self.net.title();
+            return refuse(format!(
+                "{net} needs images of {least} pixels per side at least, not {width} x {height}; compare larger ones"
+            ));
         }
         let [image, reference] = [image, reference].map(|image| image.tensor(&self.device));
         let layers = self.layers.differences(self.net, image, reference);
@@ -186,15 +114,134 @@ impl Lpips {
     ///
     /// # Errors
     ///
-    /// [`LpipsError`] as [`Self::compare`], or if the mask has another size.
+    /// [`NetError`] as [`Self::compare`], or if the mask has another size.
     pub fn compare_inside(
         &self,
         image: &LpipsImage,
         reference: &LpipsImage,
         mask: &Mask,
-    ) -> Result<Option<f64>, LpipsError> {
-        image::same_size("the image", reference.size(), image.size())?;
-        image::same_size("the mask", reference.size(), mask.size())?;
+    ) -> Result<Option<f64>, NetError> {
+        same_size("the image", reference.size(), image.size())?;
+        same_size("the mask", reference.size(), mask.size())?;
         self.compare(&image.inside(mask), &reference.inside(mask))?.mean_inside(mask)
+    }
+}
+
+/// What upstream's scaling layer takes off red, green and blue from -1 to 1, and divides them by.
+const SHIFT: [f32; 3] = [-0.030, -0.088, -0.188];
+const SCALE: [f32; 3] = [0.458, 0.448, 0.450];
+
+/// An image of sRGB values from 0 to 1.
+#[derive(Debug, Clone, PartialEq)]
+pub struct LpipsImage {
+    width: usize,
+    height: usize,
+    /// `[3][height][width]`.
+    values: Vec<f32>,
+}
+
+pub(super) fn same_size(what: &str, expected: (usize, usize), found: (usize, usize)) -> Result<(), NetError> {
+    if expected == found {
+        return Ok(());
+    }
+    refuse(format!(
+        "{what} has {} x {} pixels but the reference {} x {}; render or resize it to the reference's size first",
+        found.0, found.1, expected.0, expected.1
+    ))
+}
+
+impl LpipsImage {
+    /// Of planes of red, green and blue, `[3][height][width]`. Values beyond 0 to 1 are kept.
+    ///
+    /// # Errors
+    ///
+    /// [`NetError::Input`] if a plane does not hold `width * height` values or one is NaN or infinite.
+    pub fn from_planes(width: usize, height: usize, planes: [&[f32]; 3]) -> Result<Self, NetError> {
+        for (channel, plane) in planes.iter().enumerate() {
+            if width.checked_mul(height) != Some(plane.len()) {
+                return refuse(format!(
+                    "an image of {width} x {height} has planes of {} values; channel {channel} has {}",
+                    width.saturating_mul(height),
+                    plane.len()
+                ));
+            }
+            if let Some(i) = plane.iter().position(|v| !v.is_finite()) {
+                let (x, y, value) = (i % width, i / width, plane[i]);
+                return refuse(format!(
+                    "pixel ({x}, {y}) of channel {channel} is {value}; only finite colours can be compared"
+                ));
+            }
+        }
+        let values = planes.concat();
+        Ok(Self { width, height, values })
+    }
+
+    /// `(width, height)`.
+    #[must_use]
+    pub fn size(&self) -> (usize, usize) {
+        (self.width, self.height)
+    }
+
+    /// Black where `mask`, which is as large, is 0.
+    pub(super) fn inside(&self, mask: &Mask) -> Self {
+        let mask = mask.data().iter().cycle();
+        let values = self.values.iter().zip(mask);
+        Self { values: values.map(|(&v, &m)| if m == 0 { 0.0 } else { v }).collect(), ..*self }
+    }
+
+    /// `[1, 3, h, w]` after the scaling layer.
+    pub(super) fn tensor(&self, device: &Device) -> Tensor<4> {
+        let pixels = self.width * self.height;
+        let scaled = |(i, &v): (usize, &f32)| (2.0 * v - 1.0 - SHIFT[i / pixels]) / SCALE[i / pixels];
+        let values = self.values.iter().enumerate().map(scaled).collect();
+        tensor(values, [1, 3, self.height, self.width], device)
+    }
+}
+
+impl From<&RgbImage> for LpipsImage {
+    fn from(image: &RgbImage) -> Self {
+        Self { width: image.width(), height: image.height(), values: planes(image, [0.0; 3], [1.0; 3]) }
+    }
+}
+
+/// How different two images look.
+#[derive(Debug, Clone, PartialEq)]
+pub struct LpipsScore {
+    /// The distance, 0 for equal images: upstream's default output.
+    pub distance: f64,
+    /// The same where it comes from, `[height][width]` of the images: upstream's output with `spatial=True`.
+    pub map: Plane<f32>,
+}
+
+impl LpipsScore {
+    /// Of the differences of the layers, `[1, 1, h, w]` each.
+    pub(super) fn of(layers: [Tensor<4>; 5], (width, height): (usize, usize)) -> Result<Self, NetError> {
+        let mut distance = 0.0;
+        let mut map = vec![0.0f32; width * height];
+        for layer in layers {
+            let [_, _, h, w] = layer.dims();
+            let values = numbers(layer)?;
+            distance += values.iter().copied().map(f64::from).sum::<f64>() / values.len() as f64;
+            let enlarged = bilinear(&values, (w, h), (width, height));
+            for (sum, value) in map.iter_mut().zip(enlarged) {
+                *sum += value;
+            }
+        }
+        let map = Plane::from_fn(width, height, |x, y| map[y * width + x]);
+        Ok(Self { distance, map })
+    }
+
+    /// The mean of the map where `mask` is not 0; `None` where it is 0 everywhere. DyCheck's masked distance also blacks the rest
+    /// out before the network sees it: [`Lpips::compare_inside`](super::Lpips::compare_inside).
+    ///
+    /// # Errors
+    ///
+    /// [`NetError::Input`] if the mask has another size.
+    pub fn mean_inside(&self, mask: &Mask) -> Result<Option<f64>, NetError> {
+        same_size("the mask", self.map.size(), mask.size())?;
+        let pairs = self.map.data().iter().zip(mask.data());
+        let (sum, count) =
+            pairs.filter(|&(_, &m)| m != 0).fold((0.0, 0usize), |(sum, n), (&v, _)| (sum + f64::from(v), n + 1));
+        Ok((count > 0).then(|| sum / count as f64))
     }
 }

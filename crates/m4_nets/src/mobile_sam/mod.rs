@@ -12,69 +12,20 @@
 //! [`MobileSam::encode`] is nearly all of the work and depends on the image alone; any number of prompts may follow. Places are
 //! in pixels of the image as everywhere in this library: the centre of its first pixel is (0.5, 0.5).
 
-mod attention;
-mod decoder;
-mod layers;
 mod preprocess;
-mod prompt;
 mod tiny_vit;
 
-pub use crate::sam::{PointPrompt, Prompt};
-
-use crate::sam::PromptEncoder;
-use crate::{Compute, LoadError, load};
+use crate::error::numbers;
+use crate::ops::tensor;
+use crate::sam::{MAP_WIDTH, Mlp, Prompt, PromptEncoder, Token, TwoWay, Upscaling};
+use crate::{Compute, LoadError, NetError, load};
 use burn_core as burn;
 use burn_core::module::Module;
 use burn_core::tensor::{Device, Tensor};
-use decoder::MaskDecoder;
 use m4_core::{Plane, RgbImage};
-use preprocess::{MASK_SIDE, Scale};
+use preprocess::{EMBEDDING_SIDE, INPUT_SIDE, MASK_SIDE, Scale};
 use std::path::Path;
 use tiny_vit::TinyVit;
-
-/// Why there is no mask.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum SamError {
-    /// An image has no pixels, or is too narrow for its length.
-    #[error("masks need an image with pixels on both sides when the longer has 1024, not {width} x {height}")]
-    Shape {
-        /// Columns.
-        width: usize,
-        /// Rows.
-        height: usize,
-    },
-    /// The prompt is empty.
-    #[error("a prompt needs a point, a box or a mask")]
-    NothingAsked,
-    /// A point or a corner of the prompt is not in the image.
-    #[error("the prompt has a point at column {}, row {} of an image of {width} x {height} pixels", at_px[0], at_px[1])]
-    Outside {
-        /// Column and row, in pixels.
-        at_px: [f32; 2],
-        /// Columns of the image.
-        width: usize,
-        /// Rows of the image.
-        height: usize,
-    },
-    /// The box of the prompt ends before it begins.
-    #[error("the box of a prompt must be first column and row, then last column and row, not {0:?}")]
-    Reversed([f32; 4]),
-    /// The prompt's mask has numbers that are infinite or none.
-    #[error("the mask of a prompt has NaN or infinite values")]
-    NotFinite,
-    /// The prompt's mask has another size.
-    #[error("the mask of a prompt has 256 x 256 pixels, as the logits of a prediction, not {width} x {height}")]
-    MaskSize {
-        /// Columns.
-        width: usize,
-        /// Rows.
-        height: usize,
-    },
-    /// The device failed, for one for lack of memory.
-    #[error("the device that computes masks failed: {0}")]
-    Device(String),
-}
 
 /// What the network keeps of an image, for any number of prompts.
 #[derive(Debug, Clone)]
@@ -85,15 +36,6 @@ pub struct Embedding {
 }
 
 impl Embedding {
-    /// The numbers, `[256][64][64]`, of the square that the image lies in the upper left of.
-    ///
-    /// # Errors
-    ///
-    /// [`SamError::Device`] if the device fails.
-    pub fn to_vec(&self) -> Result<Vec<f32>, SamError> {
-        numbers(self.map.clone())
-    }
-
     /// A mask of the image, of any size with pixels and the image's shape, as the `mask_logits` of a [`Prompt`].
     #[must_use]
     pub fn mask_logits(&self, mask: &Plane<f32>) -> Plane<f32> {
@@ -114,13 +56,7 @@ pub struct MaskPrediction {
 }
 
 impl MaskPrediction {
-    /// The logits at the image's size, bilinear: above 0 where the object is.
-    #[must_use]
-    pub fn image_logits(&self) -> Plane<f32> {
-        self.logits_at(self.scale.size())
-    }
-
-    /// The same at another size, columns and rows.
+    /// The logits for an image of `size`, columns and rows, bilinear: above 0 where the object is.
     #[must_use]
     pub fn logits_at(&self, size: (usize, usize)) -> Plane<f32> {
         self.scale.to_image(&self.logits, size)
@@ -186,22 +122,16 @@ impl MobileSam {
             mask_decoder: MaskDecoder::new(device),
         };
         load::fill(&mut net, "MobileSAM", path, &RENAMES, unneeded)?;
-        Ok(Self { grid: prompt::grid(&net.prompt_encoder, device), net, device: device.clone() })
-    }
-
-    /// Numbers of the checkpoint that are used, statistics and waves among them.
-    #[must_use]
-    pub fn parameters(&self) -> usize {
-        self.net.num_params()
+        Ok(Self { grid: net.prompt_encoder.grid([EMBEDDING_SIDE; 2], device), net, device: device.clone() })
     }
 
     /// The embedding of `image`.
     ///
     /// # Errors
     ///
-    /// [`SamError::Shape`] if it has no pixels, or its longer side has more than 2048 times the pixels of the other.
-    pub fn encode(&self, image: &RgbImage) -> Result<Embedding, SamError> {
-        let scale = Scale::of(image.width(), image.height())?;
+    /// [`NetError::Input`] if it has no pixels, or its longer side has more than 2048 times the pixels of the other.
+    pub fn encode(&self, image: &RgbImage) -> Result<Embedding, NetError> {
+        let scale = Scale::of(image.size())?;
         let map = self.net.image_encoder.forward(scale.tensor(image, &self.device)?);
         Ok(Embedding { scale, map: map.squeeze_dim(0) })
     }
@@ -211,9 +141,9 @@ impl MobileSam {
     ///
     /// # Errors
     ///
-    /// [`SamError`] if the prompt is empty or wrong, or the device fails.
-    pub fn masks(&self, embedding: &Embedding, prompt: &Prompt) -> Result<Vec<MaskPrediction>, SamError> {
-        let (tokens, map) = prompt::encoded(&self.net.prompt_encoder, prompt, embedding.scale, &self.device)?;
+    /// [`NetError`] if the prompt is empty or wrong, or the device fails.
+    pub fn masks(&self, embedding: &Embedding, prompt: &Prompt) -> Result<Vec<MaskPrediction>, NetError> {
+        let (tokens, map) = encoded(&self.net.prompt_encoder, prompt, embedding.scale, &self.device)?;
         let map = embedding.map.clone() + map;
         let (masks, iou) = self.net.mask_decoder.forward(map, &self.grid, tokens);
         let logits: Vec<f32> = numbers(masks)?;
@@ -229,6 +159,73 @@ impl MobileSam {
     }
 }
 
-fn numbers<const D: usize>(x: Tensor<D>) -> Result<Vec<f32>, SamError> {
-    x.try_into_vec_as().map_err(|error| SamError::Device(error.to_string()))
+/// Tokens `[n, 256]` for the points and the box of `prompt`, if it has any, and what is added to the embedding: `[256, 64, 64]`, or
+/// `[256, 1, 1]` without a mask.
+fn encoded(
+    encoder: &PromptEncoder,
+    prompt: &Prompt,
+    scale: Scale,
+    device: &Device,
+) -> Result<(Option<Tensor<2>>, Tensor<3>), NetError> {
+    prompt.check(scale.size(), MASK_SIDE)?;
+    let token =
+        |at_px: [f32; 2], kind: usize| encoder.place(scale.to_input(at_px).map(|x| x / INPUT_SIDE as f32), kind);
+    let points = prompt.points.iter().map(|point| token(point.at_px, usize::from(point.on_object)));
+    let mut tokens: Vec<_> = points.collect();
+    match prompt.box_px {
+        Some([x0, y0, x1, y1]) => tokens.extend([token([x0, y0], 2), token([x1, y1], 3)]),
+        // points are never alone
+        None if tokens.is_empty() => {}
+        None => tokens.push(encoder.nowhere()),
+    }
+    let tokens = (!tokens.is_empty()).then(|| Tensor::cat(tokens, 0));
+    let mask = prompt.mask_logits.as_ref();
+    let mask = mask.map(|mask| tensor(mask.data().to_vec(), [1, 1, MASK_SIDE, MASK_SIDE], device));
+    Ok((tokens, encoder.mask(mask).squeeze_dim(0)))
+}
+
+/// Masks of a prompt.
+const MASKS: usize = 4;
+
+/// The mask decoder: four masks of an embedding and a prompt, with predicted quality.
+#[derive(Module, Debug)]
+struct MaskDecoder {
+    transformer: TwoWay,
+    iou_token: Token,
+    mask_tokens: Token,
+    output_upscaling: Upscaling,
+    output_hypernetworks_mlps: [Mlp; MASKS],
+    iou_prediction_head: Mlp,
+}
+
+impl MaskDecoder {
+    fn new(device: &Device) -> Self {
+        Self {
+            transformer: TwoWay::new(device),
+            iou_token: Token::new(1, device),
+            mask_tokens: Token::new(MASKS, device),
+            output_upscaling: Upscaling::new(device),
+            output_hypernetworks_mlps: std::array::from_fn(|_| Mlp::new(MAP_WIDTH, device)),
+            iou_prediction_head: Mlp::new(MASKS, device),
+        }
+    }
+
+    /// Of an image's embedding with what is known of the mask, `[256, h, w]`, the places of its pixels, `[h w, 256]`, and the
+    /// tokens of the prompt, `[n, 256]`: four masks `[4, 4 h, 4 w]` and their qualities `[4]`.
+    fn forward(&self, map: Tensor<3>, grid: &Tensor<2>, prompt: Option<Tensor<2>>) -> (Tensor<3>, Tensor<1>) {
+        let [c, h, w] = map.dims();
+        let mut tokens = vec![self.iou_token.weight.val(), self.mask_tokens.weight.val()];
+        tokens.extend(prompt);
+        let pixels = map.reshape([1, c, h * w]).swap_dims(1, 2);
+        let tokens = Tensor::cat(tokens, 0).unsqueeze_dim(0);
+        let grid = grid.clone().unsqueeze_dim(0);
+        let (tokens, pixels) = self.transformer.forward(tokens, pixels, &grid);
+        let tokens = tokens.squeeze_dim::<2>(0);
+        let map = self.output_upscaling.forward(pixels.reshape([1, h, w, c]), None);
+        let of_masks = self.output_hypernetworks_mlps.iter().enumerate();
+        let weights = of_masks.map(|(i, mlp)| mlp.forward(tokens.clone().narrow(0, 1 + i, 1)));
+        let masks = Tensor::cat(weights.collect(), 0).matmul(map.reshape([16 * h * w, MAP_WIDTH]).transpose());
+        let iou = self.iou_prediction_head.forward(tokens.narrow(0, 0, 1));
+        (masks.reshape([MASKS, 4 * h, 4 * w]), iou.squeeze_dim(0))
+    }
 }

@@ -1,7 +1,8 @@
 //! Images of any size as the network takes them, and its masks in their size.
 
-use super::SamError;
-use crate::ops::tensor;
+use crate::NetError;
+use crate::error::refuse;
+use crate::ops::{bilinear_plane, tensor};
 use burn_core::tensor::{Device, Tensor};
 use m4_core::{Plane, ResizeFilter, RgbImage, resize_rgb};
 
@@ -21,16 +22,14 @@ pub struct Scale {
 }
 
 impl Scale {
-    /// Of an image of `width` by `height`.
-    ///
-    /// # Errors
-    ///
-    /// [`SamError::Shape`] if it has no pixels, or is so narrow that it would have none in the square.
-    pub fn of(width: usize, height: usize) -> Result<Self, SamError> {
+    /// Of an image of `width` by `height`; it may not be so narrow that it would have no pixels in the square.
+    pub fn of((width, height): (usize, usize)) -> Result<Self, NetError> {
         let scale = Self { width, height };
         let (w, h) = if width.min(height) == 0 { (0, 0) } else { scale.inside() };
         if w.min(h) == 0 {
-            return Err(SamError::Shape { width, height });
+            return refuse(format!(
+                "masks need an image with pixels on both sides when the longer has 1024, not {width} x {height}"
+            ));
         }
         Ok(scale)
     }
@@ -42,21 +41,6 @@ impl Scale {
         (side(self.width), side(self.height))
     }
 
-    /// Whether a place is in the image, its borders included.
-    ///
-    /// # Errors
-    ///
-    /// [`SamError::Outside`] if it is not.
-    pub fn check(self, at_px: [f32; 2]) -> Result<(), SamError> {
-        let [x, y] = at_px;
-        let Self { width, height } = self;
-        if (0.0..=width as f32).contains(&x) && (0.0..=height as f32).contains(&y) {
-            Ok(())
-        } else {
-            Err(SamError::Outside { at_px, width, height })
-        }
-    }
-
     /// A place in the image, as one in the square. Pixels have their centres at halves in both; SAM scales their numbers.
     pub fn to_input(self, [x, y]: [f32; 2]) -> [f32; 2] {
         let (width, height) = self.inside();
@@ -65,14 +49,10 @@ impl Scale {
     }
 
     /// The image `[1, 3, 1024, 1024]`, normalised, zero beside it.
-    ///
-    /// # Errors
-    ///
-    /// [`SamError::Shape`] if the image has no pixels.
-    pub fn tensor(self, image: &RgbImage, device: &Device) -> Result<Tensor<4>, SamError> {
+    pub fn tensor(self, image: &RgbImage, device: &Device) -> Result<Tensor<4>, NetError> {
         let (width, height) = self.inside();
-        let shape = SamError::Shape { width: image.width(), height: image.height() };
-        let image = resize_rgb(image, width, height, ResizeFilter::Triangle).ok_or(shape)?;
+        let image = resize_rgb(image, width, height, ResizeFilter::Triangle);
+        let Some(image) = image else { return refuse("masks need an image with pixels") };
         let mut values = vec![0.0; 3 * INPUT_SIDE * INPUT_SIDE];
         for (channel, plane) in values.chunks_exact_mut(INPUT_SIDE * INPUT_SIDE).enumerate() {
             for (y, row) in plane.chunks_exact_mut(INPUT_SIDE).take(height).enumerate() {
@@ -112,32 +92,10 @@ impl Scale {
     /// beside the image, bilinear to that.
     pub fn to_image(self, mask: &Plane<f32>, size: (usize, usize)) -> Plane<f32> {
         let (width, height) = self.inside();
-        let square = bilinear(mask, (INPUT_SIDE, INPUT_SIDE));
+        let square = bilinear_plane(mask, (INPUT_SIDE, INPUT_SIDE));
         let inside = Plane::from_fn(width, height, |x, y| square[(x, y)]);
-        bilinear(&inside, size)
+        bilinear_plane(&inside, size)
     }
-}
-
-/// `plane` with `size` columns and rows, without a filter where it becomes smaller; the borders are repeated.
-fn bilinear(plane: &Plane<f32>, (width, height): (usize, usize)) -> Plane<f32> {
-    let columns = taps(plane.width(), width);
-    let rows = taps(plane.height(), height);
-    Plane::from_fn(width, height, |x, y| {
-        let (x0, x1, dx) = columns[x];
-        let (y0, y1, dy) = rows[y];
-        let along = |y: usize| plane[(x0, y)] * (1.0 - dx) + plane[(x1, y)] * dx;
-        along(y0) * (1.0 - dy) + along(y1) * dy
-    })
-}
-
-/// For each of `to` pixels the two of `from` that it lies between, and the weight of the second.
-fn taps(from: usize, to: usize) -> Vec<(usize, usize, f32)> {
-    let of = |i: usize| {
-        let at = ((i as f64 + 0.5) * from as f64 / to as f64 - 0.5).max(0.0);
-        let first = (at as usize).min(from - 1);
-        (first, (first + 1).min(from - 1), (at - first as f64) as f32)
-    };
-    (0..to).map(of).collect()
 }
 
 #[cfg(test)]
@@ -148,7 +106,7 @@ mod tests {
     #[test]
     fn a_mask_goes_to_the_square_and_comes_back() {
         // Straight lines survive bilinear sampling; the image takes the upper 144 rows of 256.
-        let scale = Scale::of(640, 360).unwrap();
+        let scale = Scale::of((640, 360)).unwrap();
         let mask = Plane::from_fn(320, 180, |x, y| 0.05 * x as f32 - 0.1 * y as f32 + 2.0);
         let square = scale.to_square(&mask);
         assert_eq!(square.size(), (MASK_SIDE, MASK_SIDE));

@@ -5,12 +5,13 @@
 //! 1024 --two convolutions--> 256 --two MBConv--> merge --> 128 --2 blocks--> merge --> 64 --6 blocks--> merge --2 blocks--> neck
 //! ```
 
-use super::attention::Windowed;
-use super::layers::{ConvBn, channel_norm, over_channels};
-use crate::ops::{conv, gelu, linear, norm};
+use crate::ops::{Statistics, conv, fine_norm, gelu, linear, norm, softmax_rows, zeros};
+use crate::sam::over_channels;
 use burn_core as burn;
-use burn_core::module::Module;
-use burn_core::tensor::{Device, Tensor};
+use burn_core::module::{Module, Param};
+use burn_core::tensor::module::conv2d;
+use burn_core::tensor::ops::{ConvOptions, PadMode};
+use burn_core::tensor::{Device, Int, Tensor, TensorData};
 use burn_nn::conv::Conv2d;
 use burn_nn::{LayerNorm, Linear};
 
@@ -193,9 +194,9 @@ impl TinyVit {
             stage3: Stage::new(d, 7, None, device),
             neck: Neck {
                 flat: conv([d, EMBEDDING], 1, 1, false, device),
-                norm1: channel_norm(EMBEDDING, device),
+                norm1: fine_norm(EMBEDDING, device),
                 wide: conv([EMBEDDING, EMBEDDING], 3, 1, false, device),
-                norm2: channel_norm(EMBEDDING, device),
+                norm2: fine_norm(EMBEDDING, device),
             },
         }
     }
@@ -209,5 +210,116 @@ impl TinyVit {
         let x = self.stage3.forward(self.stage2.forward(self.stage1.forward(x)));
         let x = over_channels(&self.neck.norm1, self.neck.flat.forward(x));
         over_channels(&self.neck.norm2, self.neck.wide.forward(x))
+    }
+}
+
+/// Attention within windows of `window` by `window` pixels.
+#[derive(Module, Debug)]
+pub struct Windowed {
+    norm: LayerNorm,
+    qkv: Linear,
+    proj: Linear,
+    /// `[heads, window^2]`: what is added to a score, at `|dy| window + |dx|`.
+    attention_biases: Param<Tensor<2>>,
+    window: usize,
+}
+
+impl Windowed {
+    pub fn new(width: usize, heads: usize, window: usize, device: &Device) -> Self {
+        Self {
+            norm: norm(width, device),
+            qkv: linear(width, 3 * width, true, device),
+            proj: linear(width, width, true, device),
+            attention_biases: zeros([heads, window * window], device),
+            window,
+        }
+    }
+
+    /// Of `[1, h, w, c]`: the same shape, to be added to it. Beyond the map lie zeros, which take part as pixels.
+    pub fn forward(&self, x: Tensor<4>) -> Tensor<4> {
+        let [_, h, w, c] = x.dims();
+        let side = self.window;
+        let [rows, columns] = [h.div_ceil(side), w.div_ceil(side)];
+        let beyond = [(0, 0), (0, rows * side - h), (0, columns * side - w), (0, 0)];
+        let windows = x
+            .pad(beyond, PadMode::Constant(0.0))
+            .reshape([rows, side, columns, side, c])
+            .swap_dims(1, 2)
+            .reshape([rows * columns, side * side, c]);
+        self.within(windows)
+            .reshape([rows, columns, side, side, c])
+            .swap_dims(1, 2)
+            .reshape([1, rows * side, columns * side, c])
+            .narrow(1, 0, h)
+            .narrow(2, 0, w)
+    }
+
+    /// Of windows `[n, l, c]`: the same shape.
+    fn within(&self, x: Tensor<3>) -> Tensor<3> {
+        let [n, l, c] = x.dims();
+        let [count, _] = self.attention_biases.dims();
+        let width = c / count;
+        let qkv = self.qkv.forward(self.norm.forward(x)).reshape([n, l, count, 3 * width]).swap_dims(1, 2);
+        let [q, k, v] = [0, 1, 2].map(|i| qkv.clone().narrow(3, i * width, width));
+        let scores = q.mul_scalar(1.0 / (width as f32).sqrt()).matmul(k.swap_dims(2, 3)) + self.biases();
+        let found = softmax_rows(scores).matmul(v);
+        self.proj.forward(found.swap_dims(1, 2).reshape([n, l, c]))
+    }
+
+    /// What is added to the scores, `[1, heads, window^2, window^2]`.
+    fn biases(&self) -> Tensor<4> {
+        let biases = self.attention_biases.val();
+        let [count, l] = biases.dims();
+        let side = self.window;
+        let distance = |a: usize, b: usize| (a / side).abs_diff(b / side) * side + (a % side).abs_diff(b % side);
+        let at: Vec<i32> = (0..l * l).map(|i| distance(i / l, i % l) as i32).collect();
+        let at = Tensor::<1, Int>::from_data(TensorData::new(at, [l * l]), &biases.device());
+        biases.select(1, at).reshape([1, count, l, l])
+    }
+}
+
+/// A convolution and a batch normalisation after it, which is of the statistics of training: one convolution.
+#[derive(Module, Debug)]
+pub struct ConvBn {
+    c: Kernel,
+    bn: Statistics,
+    stride: usize,
+    groups: usize,
+}
+
+/// A kernel without bias.
+#[derive(Module, Debug)]
+pub struct Kernel {
+    /// `[out, in / groups, k, k]`.
+    weight: Param<Tensor<4>>,
+}
+
+impl ConvBn {
+    /// Of `[from, to]` channels, with a kernel of `size` by `size`, padded by half of that.
+    pub fn new([from, to]: [usize; 2], size: usize, stride: usize, device: &Device) -> Self {
+        Self::grouped([from, to], size, stride, 1, device)
+    }
+
+    /// 3 by 3, each of `width` channels by itself.
+    pub fn depthwise(width: usize, stride: usize, device: &Device) -> Self {
+        Self::grouped([width, width], 3, stride, width, device)
+    }
+
+    fn grouped([from, to]: [usize; 2], size: usize, stride: usize, groups: usize, device: &Device) -> Self {
+        Self {
+            c: Kernel { weight: zeros([to, from / groups, size, size], device) },
+            bn: Statistics::new(to, device),
+            stride,
+            groups,
+        }
+    }
+
+    /// Of `[n, from, h, w]`: `[n, to, h / stride, w / stride]`.
+    pub fn forward(&self, x: Tensor<4>) -> Tensor<4> {
+        let (kernel, bias) = self.bn.after(self.c.weight.val(), None);
+        let [_, _, size, _] = kernel.dims();
+        let pad = [size / 2, size / 2];
+        let options = ConvOptions::new([self.stride, self.stride], pad, [1, 1], self.groups);
+        conv2d(x, kernel, Some(bias), options)
     }
 }

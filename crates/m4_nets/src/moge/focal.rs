@@ -10,7 +10,7 @@
 //! `least_squares` with `ftol=1e-3`). That is part of the method: where an image says little about its focal length (a wall seen from the front) the sum is flat, and the offset
 //! stays near the network's own depth instead of wandering off.
 
-use super::MoGeError;
+use crate::NetError;
 
 /// Rows and columns of points that take part.
 const SAMPLES: usize = 64;
@@ -36,20 +36,15 @@ struct Sighting {
 }
 
 /// Points `[height][width]` of an image, those that `valid` says so, and their focal length where it is `known`.
-///
-/// # Errors
-///
-/// [`MoGeError::NothingValid`] if fewer than two of the points that are looked at are valid and finite, [`MoGeError::NoFocal`] if no
-/// positive focal length explains them.
 pub fn recovered(
     points: &[[f32; 3]],
     valid: impl Fn(usize) -> bool,
     (width, height): (usize, usize),
     known: Option<f64>,
-) -> Result<FocalShift, MoGeError> {
+) -> Result<FocalShift, NetError> {
     let seen = sightings(points, valid, (width, height));
     if seen.len() < 2 {
-        return Err(MoGeError::NothingValid);
+        return Err(NetError::NoDepth("the network finds no depth in this image: its mask is empty"));
     }
     let problem = Problem { seen: &seen, known };
     let mut shift = 0.0;
@@ -84,7 +79,9 @@ pub fn recovered(
     if found.focal.is_finite() && found.focal > 0.0 && here.cost.is_finite() {
         Ok(found)
     } else {
-        Err(MoGeError::NoFocal)
+        Err(NetError::NoDepth(
+            "no focal length explains the points that the network sees; giving the focal length may help",
+        ))
     }
 }
 
@@ -157,7 +154,7 @@ impl Problem<'_> {
 
 #[cfg(test)]
 mod tests {
-    use super::{FocalShift, MoGeError, recovered};
+    use super::{FocalShift, NetError, recovered};
     use crate::fixture::Fixture;
 
     /// A noisy map whose focal length is 1.1 and whose depths lack 0.6; the reference stops at a relative change of 1e-3.
@@ -213,7 +210,7 @@ mod tests {
         }
         let found = recovered(&points, |i| i % 5 != 0, (90, 60), None).unwrap();
         assert!((found.focal - 1.2).abs() < 1e-2 && (found.shift - 0.5).abs() < 1e-2, "{found:?}");
-        let none = |error| matches!(error, Err(MoGeError::NothingValid));
+        let none = |error| matches!(error, Err(NetError::NoDepth(why)) if why.contains("mask is empty"));
         assert!(none(recovered(&points, |_| false, (90, 60), None)));
         assert!(none(recovered(&points, |_| false, (90, 60), Some(1.0))));
         assert!(none(recovered(&[[f32::NAN; 3]; 5400], |_| true, (90, 60), None)));
@@ -221,10 +218,10 @@ mod tests {
         // all on the axis, or behind one another: no focal length explains them
         for point in [[0.0, 0.0, 1.0], [0.0, 0.0, 0.0]] {
             let result = recovered(&vec![point; 5400], |_| true, (90, 60), None);
-            assert!(matches!(result, Err(MoGeError::NoFocal)), "{result:?}");
+            assert!(matches!(result, Err(NetError::NoDepth(why)) if why.contains("no focal length")), "{result:?}");
         }
         // points that are turned upside down
         let turned: Vec<[f32; 3]> = leaning(1.2, 0.0).iter().map(|&[x, y, z]| [-x, -y, z]).collect();
-        assert!(matches!(recovered(&turned, |_| true, (90, 60), None), Err(MoGeError::NoFocal)));
+        assert!(matches!(recovered(&turned, |_| true, (90, 60), None), Err(NetError::NoDepth(_))));
     }
 }

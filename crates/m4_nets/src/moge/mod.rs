@@ -1,4 +1,4 @@
-//! MoGe-2: depth in metres, field of view, mask and normals of one image.
+//! MoGe-2: depth in metres, field of view and mask of one image.
 //!
 //! - Papers: Wang et al., "MoGe: Unlocking Accurate Monocular Geometry Estimation for Open-Domain Images with Optimal Training
 //!   Supervision", CVPR 2025; "MoGe-2: Accurate Monocular Geometry with Metric Scale and Sharp Details", 2025.
@@ -6,7 +6,7 @@
 //!
 //! ```text
 //! image --antialiased bilinear--> 14 x 14 patches --DINOv2, four blocks summed--> map, class token
-//! map --neck: 5 levels of doubling size, each told where its pixels are--> 5 maps --heads--> points, mask, normals at 16 x the patches
+//! map --neck: 5 levels of doubling size, each told where its pixels are--> 5 maps --heads--> points and mask at 16 x the patches
 //! class token --three layers--> metric scale;  points + mask --one unknown--> focal length, depth offset --> depth in metres
 //! ```
 //!
@@ -15,71 +15,38 @@
 //! is that of the public training configuration where a file has none: the last block of each quarter, 1200 to 3600, `z = exp c` and
 //! `(x, y) = (a, b) z` of the three numbers `a, b, c` of a point.
 
-mod config;
-mod encoder;
 mod focal;
+mod image;
 mod layout;
-mod map;
-mod preprocess;
 mod stack;
 #[cfg(test)]
 mod tests;
 
-pub use map::{MoGeMap, MoGeOptions};
+pub use image::{MoGeMap, MoGeOptions};
 
 use crate::dinov2::{self, BackboneSize};
+use crate::error::numbers;
 use crate::ops::linear;
-use crate::{Compute, LoadError, load};
+use crate::{Compute, LoadError, NetError, load};
 use burn_core as burn;
 use burn_core::module::Module;
 use burn_core::tensor::activation::relu;
-use burn_core::tensor::{DType, Device, Tensor};
+use burn_core::tensor::{Device, Tensor};
 use burn_nn::Linear;
-use config::Config;
-use encoder::Encoder;
-use layout::Layout;
+use image::{Grid, RawOutput};
+use layout::{Config, Layout};
 use m4_core::RgbImage;
-use map::RawOutput;
-use preprocess::Grid;
-use stack::Stack;
+use stack::{Encoder, Stack};
 use std::path::Path;
 
 /// What it is called in messages.
 const NAME: &str = "MoGe-2";
-
-/// Why there is no geometry.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum MoGeError {
-    /// The image has no pixels.
-    #[error("depth needs an image with pixels")]
-    Empty,
-    /// That many patches cannot be.
-    #[error("an image can be cut into 1 to {most} patches, not {0}", most = preprocess::MOST_TOKENS)]
-    Tokens(usize),
-    /// The focal length that was given is none.
-    #[error("a focal length is a positive number of pixels, not {0}")]
-    FocalLength(f64),
-    /// The network sees nothing but sky, or what it cannot tell.
-    #[error("the network finds no depth in this image: its mask is empty")]
-    NothingValid,
-    /// The points are those of no camera.
-    #[error("no focal length explains the points that the network sees; giving the focal length may help")]
-    NoFocal,
-    /// The network says no scale.
-    #[error("the network says that a unit is {0} metres")]
-    Scale(f32),
-    /// The device failed, for one for lack of memory.
-    #[error("the device that computes depth failed: {0}")]
-    Device(String),
-}
 
 /// The network with its weights.
 #[derive(Debug)]
 pub struct MoGe {
     net: Net,
     config: Config,
-    size: BackboneSize,
     device: Device,
 }
 
@@ -90,7 +57,6 @@ struct Net {
     neck: Stack,
     points_head: Stack,
     mask_head: Stack,
-    normal_head: Option<Stack>,
     scale_head: Scale,
 }
 
@@ -115,6 +81,11 @@ const RENAMES: [(&str, &str); 11] = [
     (r"^scale_head\.6\.", "scale_head.layers.3."),
 ];
 
+/// Tensors that depth does not need: the head for normals, and what only training used.
+fn unneeded(name: &str) -> bool {
+    name.starts_with("normal_head.") || dinov2::unneeded(name)
+}
+
 impl Scale {
     /// Of the class token `[b, c]`: the logarithm of metres in a unit, `[b, 1]`.
     fn forward(&self, x: Tensor<2>) -> Tensor<2> {
@@ -128,7 +99,6 @@ impl Scale {
 struct Outputs {
     points: Tensor<4>,
     mask: Tensor<4>,
-    normal: Option<Tensor<4>>,
     log_scale: Tensor<2>,
 }
 
@@ -140,7 +110,6 @@ impl Net {
             neck: Stack::new(&layout.neck, device),
             points_head: Stack::new(&layout.points, device),
             mask_head: Stack::new(&layout.mask, device),
-            normal_head: layout.normal.as_ref().map(|head| Stack::new(head, device)),
             scale_head: Scale { layers: scale.map(|(&from, &to)| linear(from, to, true, device)).collect() },
         }
     }
@@ -162,7 +131,6 @@ impl Net {
         Outputs {
             points: self.points_head.last(&features),
             mask: self.mask_head.last(&features),
-            normal: self.normal_head.as_ref().map(|head| head.last(&features)),
             log_scale: self.scale_head.forward(class),
         }
     }
@@ -179,13 +147,7 @@ impl MoGe {
         let device = &on.device;
         let shapes = load::shapes(NAME, path, &RENAMES)?;
         let size = BackboneSize::in_checkpoint(&shapes, "encoder.backbone.", NAME, path)?;
-        let other = |wrong: String| LoadError::OtherNetwork {
-            path: path.to_owned(),
-            network: NAME,
-            missing: Vec::new(),
-            unused: Vec::new(),
-            wrong: vec![wrong],
-        };
+        let other = |wrong: String| LoadError::misfit(NAME, path, &[], &[wrong]);
         let taps = Layout::taps_of(&shapes);
         let config = Config::of_checkpoint(path, size).map_err(other)?;
         let layout = Layout::in_checkpoint(&shapes, |stack| config.norms(stack)).map_err(other)?;
@@ -195,48 +157,24 @@ impl MoGe {
             return Err(other(wrong));
         }
         let mut net = Net::new(size, &layout, device);
-        load::fill(&mut net, NAME, path, &RENAMES, dinov2::unneeded)?;
+        load::fill(&mut net, NAME, path, &RENAMES, unneeded)?;
         let net = on.fit(net);
-        Ok(Self { net, config, size, device: device.clone() })
-    }
-
-    /// The backbone that the checkpoint holds.
-    #[must_use]
-    pub fn size(&self) -> BackboneSize {
-        self.size
-    }
-
-    /// Least and most patches that the network was trained with.
-    #[must_use]
-    pub fn tokens(&self) -> (usize, usize) {
-        self.config.tokens
-    }
-
-    /// Whether [`MoGeMap::normal`] is there.
-    #[must_use]
-    pub fn has_normals(&self) -> bool {
-        self.net.normal_head.is_some()
-    }
-
-    /// Numbers of the checkpoint that are used.
-    #[must_use]
-    pub fn parameters(&self) -> usize {
-        self.net.num_params()
+        Ok(Self { net, config, device: device.clone() })
     }
 
     /// The geometry of `image`.
     ///
     /// # Errors
     ///
-    /// [`MoGeError`] if the image has no pixels, an option is out of range, the network finds no depth, or the device fails.
-    pub fn infer(&self, image: &RgbImage, options: &MoGeOptions) -> Result<MoGeMap, MoGeError> {
+    /// [`NetError`] if the image has no pixels, an option is out of range, the network finds no depth, or the device fails.
+    pub fn infer(&self, image: &RgbImage, options: &MoGeOptions) -> Result<MoGeMap, NetError> {
         self.raw_output(image, options)?.geometry(options.known_focal_px)
     }
 
     /// What the network says of `image`.
-    fn raw_output(&self, image: &RgbImage, options: &MoGeOptions) -> Result<RawOutput, MoGeError> {
+    fn raw_output(&self, image: &RgbImage, options: &MoGeOptions) -> Result<RawOutput, NetError> {
         let tokens = options.tokens.unwrap_or(self.config.tokens.1);
-        let grid = Grid::of(image.width(), image.height(), tokens)?;
+        let grid = Grid::of(image.size(), tokens)?;
         let out = self.net.forward(grid.tensor(image, &self.device), &self.config.taps, grid);
         let planes = |x: Tensor<4>| {
             let [_, _, h, w] = x.dims();
@@ -244,13 +182,7 @@ impl MoGe {
         };
         let points = planes(out.points)?;
         let mask = planes(out.mask)?;
-        let normal = out.normal.map(planes).transpose()?;
         let log_scale = numbers(out.log_scale)?.first().copied().unwrap_or(f32::NAN);
-        Ok(RawOutput::of_planes(image.size(), &points, &mask, normal.as_deref(), self.config.remap, log_scale.exp()))
+        Ok(RawOutput::of_planes(image.size(), &points, &mask, self.config.remap, log_scale.exp()))
     }
-}
-
-fn numbers<const D: usize>(x: Tensor<D>) -> Result<Vec<f32>, MoGeError> {
-    let numbers = x.cast(DType::F32).try_into_vec_as();
-    numbers.map_err(|error| MoGeError::Device(error.to_string()))
 }

@@ -7,14 +7,13 @@
 //! How many levels there are and how wide they are is read off a checkpoint ([`StackLayout`]). Convolutions of 3 x 3 repeat the edges.
 
 use super::layout::{Level, StackLayout, Up};
-use crate::ops::{conv, convolve, convolve_edges};
+use crate::dinov2::{BackboneSize, DinoV2};
+use crate::ops::{conv, convolve, convolve_edges, interpolated, upscaling_conv};
 use burn_core as burn;
-use burn_core::module::Module;
+use burn_core::module::{Module, Param};
 use burn_core::tensor::activation::relu;
-use burn_core::tensor::module::interpolate;
-use burn_core::tensor::ops::{InterpolateMode, InterpolateOptions};
 use burn_core::tensor::{Device, Tensor};
-use burn_nn::conv::{Conv2d, ConvTranspose2d, ConvTranspose2dConfig};
+use burn_nn::conv::{Conv2d, ConvTranspose2d};
 use burn_nn::{GroupNorm, GroupNormConfig, Initializer};
 
 /// The decoder or a head.
@@ -71,12 +70,10 @@ impl Residual {
 
 impl Enlarge {
     fn new(up: Up, from: usize, to: usize, device: &Device) -> Self {
-        let twice = ConvTranspose2dConfig::new([from, to], [2, 2]).with_stride([2, 2]);
         match up {
-            Up::Transposed => Self {
-                transposed: Some(twice.with_initializer(Initializer::Zeros).init(device)),
-                conv: wide([to, to], device),
-            },
+            Up::Transposed => {
+                Self { transposed: Some(upscaling_conv([from, to], 2, device)), conv: wide([to, to], device) }
+            }
             Up::Bilinear => Self { transposed: None, conv: wide([from, to], device) },
         }
     }
@@ -86,10 +83,7 @@ impl Enlarge {
             Some(twice) => twice.forward(x),
             None => {
                 let [_, _, h, w] = x.dims();
-                let options = InterpolateOptions::new(InterpolateMode::Bilinear)
-                    .with_align_corners(false)
-                    .with_output_size([2 * h, 2 * w]);
-                interpolate(x, options)
+                interpolated(x, [2 * h, 2 * w], false)
             }
         };
         convolve_edges(x, &self.conv)
@@ -154,5 +148,49 @@ fn through(single: &Option<Conv2d>, x: Tensor<4>) -> Tensor<4> {
     match single {
         Some(single) => convolve([x], single),
         None => x,
+    }
+}
+
+/// The encoder.
+#[derive(Module, Debug)]
+pub struct Encoder {
+    backbone: DinoV2,
+    output_projections: Vec<Conv2d>,
+    image_mean: Param<Tensor<4>>,
+    image_std: Param<Tensor<4>>,
+}
+
+impl Encoder {
+    /// Of `taps` blocks of a backbone of `size`, with `width` channels.
+    pub fn new(size: BackboneSize, taps: usize, width: usize, device: &Device) -> Self {
+        let single = |_| conv([size.width(), width], 1, 1, true, device);
+        Self {
+            backbone: DinoV2::new(size, device),
+            output_projections: (0..taps).map(single).collect(),
+            image_mean: Initializer::Zeros.init([1, 3, 1, 1], device),
+            image_std: Initializer::Ones.init([1, 3, 1, 1], device),
+        }
+    }
+
+    /// Of images `[b, 3, 14 h, 14 w]` from 0 to 1: the map `[b, c, h, w]`, and the class token of the last tap, `[b, c']`.
+    pub fn forward(&self, images: Tensor<4>, taps: &[usize], [h, w]: [usize; 2]) -> (Tensor<4>, Tensor<2>) {
+        let (mean, std) = (self.image_mean.val(), self.image_std.val());
+        let images = (images.cast(mean.dtype()) - mean) / std;
+        let mut run = self.backbone.run(images);
+        let mut sum: Option<Tensor<4>> = None;
+        let mut tap = run.tap();
+        for (&block, single) in taps.iter().zip(&self.output_projections) {
+            run.through(block);
+            tap = run.tap();
+            let [b, _, c] = tap.patches.dims();
+            let map = single.forward(tap.patches.clone().swap_dims(1, 2).reshape([b, c, h, w]));
+            sum = Some(match sum {
+                Some(sum) => sum + map,
+                None => map,
+            });
+        }
+        let [b, _, c] = tap.patches.dims();
+        let map = sum.unwrap_or_else(|| tap.patches.swap_dims(1, 2).reshape([b, c, h, w]));
+        (map, tap.class)
     }
 }

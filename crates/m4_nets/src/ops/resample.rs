@@ -1,5 +1,8 @@
 //! Rows of numbers in another length, as PyTorch and OpenCV resize images. The centre of number `i` is at `i + 1/2`.
 
+use super::{planes, tensor};
+use burn_core::tensor::{Device, Tensor};
+use m4_core::{Plane, RgbImage};
 use rayon::prelude::*;
 
 /// The numbers that a new one is made of: the first of them, and their weights.
@@ -119,6 +122,30 @@ pub fn resampled(planes: &[f32], width: usize, height: usize, columns: &Kernels,
         }
     });
     out
+}
+
+/// Planes `[n][height][width]` of the size `from` in the size `to` (width, height), bilinear without antialiasing.
+pub fn bilinear(planes: &[f32], from: (usize, usize), to: (usize, usize)) -> Vec<f32> {
+    resampled(planes, from.0, from.1, &Kernels::linear(from.0, to.0), &Kernels::linear(from.1, to.1))
+}
+
+/// `plane` in another `size`, bilinear without antialiasing.
+pub fn bilinear_plane(plane: &Plane<f32>, size: (usize, usize)) -> Plane<f32> {
+    let values = bilinear(plane.data(), plane.size(), size);
+    Plane::from_fn(size.0, size.1, |x, y| values[y * size.0 + x])
+}
+
+/// `image` in `size` by `kernels`, less `mean`, divided by `std`: `[1, 3, height, width]`.
+pub fn image_tensor(
+    image: &RgbImage,
+    (width, height): (usize, usize),
+    kernels: fn(usize, usize) -> Kernels,
+    [mean, std]: [[f32; 3]; 2],
+    device: &Device,
+) -> Tensor<4> {
+    let (w, h) = image.size();
+    let values = resampled(&planes(image, mean, std), w, h, &kernels(w, width), &kernels(h, height));
+    tensor(values, [1, 3, height, width], device)
 }
 
 #[cfg(test)]

@@ -14,24 +14,20 @@
 //! [`Raft::encode`] keeps what depends on one image alone; both directions of a pair share it and are computed side by side.
 //! Inside, maps are `[n, channels, height, width]`; flow is in 32 bits whatever the type of the weights.
 
-use m4_core::Flow;
-mod encoder;
-mod gru;
 #[cfg(test)]
 mod tests;
 mod update;
 
 use crate::correlation::{self, FeatureMap, Pyramid};
-use crate::flow::same_size;
-use crate::ops::convex_upsample;
-use crate::padding::{self, Padding};
-use crate::{Compute, FlowError, LoadError, load};
+use crate::error::{numbers, refuse};
+use crate::ops::{convex_upsample, tensor};
+use crate::residual::{Encoder, Norm};
+use crate::{Compute, LoadError, NetError, load};
 use burn_core as burn;
 use burn_core::module::Module;
 use burn_core::tensor::activation::{relu, tanh};
 use burn_core::tensor::{DType, Device, Tensor, TensorData};
-use encoder::{Encoder, Norm};
-use m4_core::RgbImage;
+use m4_core::{Flow, RgbImage};
 use std::path::Path;
 use update::{FACTOR, UpdateBlock};
 
@@ -45,18 +41,13 @@ const RADIUS: usize = 4;
 /// look up in.
 const LEAST: usize = (2 * FACTOR) << (LEVELS - 1);
 
-/// Flow at an eighth of the padded image's size, in pixels of that size: what another pair that ends in the same image may
-/// start from.
-#[derive(Debug, Clone, PartialEq)]
-pub struct LowFlow(pub Flow);
-
-/// What the network found for one direction of a pair.
+/// The flow of one direction of a pair.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RaftFlow {
-    /// The flow in the image's size.
+    /// In the image's size.
     pub flow: Flow,
-    /// The same before upsampling.
-    pub low: LowFlow,
+    /// At an eighth of the padded image's size, in pixels of that size: what another pair that ends in the same image may start from.
+    pub low: Flow,
 }
 
 /// What the network keeps of one image, for use in several pairs.
@@ -105,8 +96,8 @@ impl Net {
     /// Waiting for its weights.
     fn new(device: &Device) -> Self {
         Self {
-            fnet: Encoder::new(WIDTH, Norm::Instance, device),
-            cnet: Encoder::new(WIDTH, Norm::Batch, device),
+            fnet: Encoder::new([64, 96, 128], WIDTH, Norm::Instance, device),
+            cnet: Encoder::new([64, 96, 128], WIDTH, Norm::Batch, device),
             update_block: UpdateBlock::new(correlation::taps(LEVELS, RADIUS), device),
         }
     }
@@ -128,30 +119,24 @@ impl Raft {
         Ok(Self { net, device: device.clone() })
     }
 
-    /// Numbers that the network learned.
-    #[must_use]
-    pub fn parameters(&self) -> usize {
-        self.net.num_params() - self.net.cnet.statistics()
-    }
-
     /// What the network keeps of `image`.
     ///
     /// # Errors
     ///
-    /// [`FlowError::Empty`] if it has no pixels.
-    pub fn encode(&self, image: &RgbImage) -> Result<Features, FlowError> {
-        let padding = Padding::of(image.width(), image.height(), FACTOR, LEAST)?;
-        let image = padding.tensor(image, |x, _| 2.0 * x - 1.0, &self.device);
+    /// [`NetError::Input`] if it has no pixels.
+    pub fn encode(&self, image: &RgbImage) -> Result<Features, NetError> {
+        let padding = Padding::of(image.size())?;
+        let image = padding.tensor(image, &self.device);
         let image = image.cast(self.net.fnet.dtype());
-        let compared = self.net.fnet.forward(image.clone()).squeeze_dim::<3>(0);
+        let compared = self.net.fnet.forward(image.clone(), Norm::Instance).squeeze_dim::<3>(0);
         let compared = compared.permute([1, 2, 0]);
-        let state = self.net.cnet.forward(image);
+        let state = self.net.cnet.forward(image, Norm::Batch);
         Ok(Features {
             padding,
             source: FeatureMap::new(compared.clone()),
             target: Pyramid::new(compared, LEVELS),
-            hidden: tanh(state.clone().narrow(1, 0, gru::WIDTH)),
-            context: relu(state.narrow(1, gru::WIDTH, gru::WIDTH)),
+            hidden: tanh(state.clone().narrow(1, 0, update::WIDTH)),
+            context: relu(state.narrow(1, update::WIDTH, update::WIDTH)),
         })
     }
 
@@ -160,19 +145,24 @@ impl Raft {
     ///
     /// # Errors
     ///
-    /// [`FlowError`] if the images differ in size, `init` is not of their size or has too few numbers, there is no iteration, or the
+    /// [`NetError`] if the images differ in size, `init` is not of their size or has too few numbers, there is no iteration, or the
     /// device fails.
     pub fn flow_both(
         &self,
         a: &Features,
         b: &Features,
         iterations: usize,
-        init: Option<[&LowFlow; 2]>,
-    ) -> Result<[RaftFlow; 2], FlowError> {
-        let size = |features: &Features| (features.padding.width, features.padding.height);
-        same_size(size(a), size(b))?;
+        init: Option<[&Flow; 2]>,
+    ) -> Result<[RaftFlow; 2], NetError> {
+        let (one, other) = (a.padding.size, b.padding.size);
+        if one != other {
+            return refuse(format!(
+                "flow needs two images of one size, these have {} x {} and {} x {} pixels",
+                one.0, one.1, other.0, other.1
+            ));
+        }
         if iterations == 0 {
-            return Err(FlowError::NoIterations);
+            return refuse("flow needs at least one iteration; 22 are usual");
         }
         let update = &self.net.update_block;
         let both = |of: fn(&Features) -> &Tensor<4>| Tensor::cat(vec![of(a).clone(), of(b).clone()], 0);
@@ -204,7 +194,7 @@ impl Raft {
             let weights = weights.clone().narrow(0, i, 1).squeeze_dim(0);
             Ok(RaftFlow {
                 flow: features.padding.crop(convex_upsample(flow.clone(), weights, FACTOR))?,
-                low: LowFlow(padding::read(flow)?),
+                low: read(flow)?,
             })
         };
         Ok([result(a, 0)?, result(b, 1)?])
@@ -217,14 +207,15 @@ impl Raft {
     }
 
     /// `low` as `[1, h, w, 2]`.
-    ///
-    /// # Errors
-    ///
-    /// [`FlowError::Start`] if it is of another size.
-    fn start(&self, LowFlow(low): &LowFlow, h: usize, w: usize) -> Result<Tensor<4>, FlowError> {
-        let numbers = low.u.len().min(low.v.len());
+    fn start(&self, low: &Flow, h: usize, w: usize) -> Result<Tensor<4>, NetError> {
         if (low.width, low.height, low.u.len(), low.v.len()) != (w, h, w * h, w * h) {
-            return Err(FlowError::Start { found: (low.width, low.height), numbers, needed: (w, h) });
+            return refuse(format!(
+                "the flow to start from has {} x {} pixels ({} numbers), these images need {w} x {h}: start from that of \
+                 another pair of images of the same size",
+                low.width,
+                low.height,
+                low.u.len().min(low.v.len())
+            ));
         }
         let pairs = low.u.iter().zip(&low.v).flat_map(|(&u, &v)| [u, v]).collect();
         Ok(self.in_32_bits(pairs, [1, h, w, 2]))
@@ -238,4 +229,56 @@ impl Raft {
 /// `[n, h, w, c]` as `[n, c, h, w]`.
 fn channels_first(x: Tensor<4>) -> Tensor<4> {
     x.permute([0, 3, 1, 2])
+}
+
+/// An image in the middle of one whose sides are multiples of [`FACTOR`] and no less than [`LEAST`], its edges repeated.
+#[derive(Debug, Clone, Copy)]
+struct Padding {
+    /// Width and height of the image.
+    size: (usize, usize),
+    /// Width and height that the network works with.
+    padded: (usize, usize),
+}
+
+impl Padding {
+    fn of(size: (usize, usize)) -> Result<Self, NetError> {
+        if size.0 == 0 || size.1 == 0 {
+            return refuse("flow needs images with pixels");
+        }
+        let up = |side: usize| side.next_multiple_of(FACTOR).max(LEAST);
+        Ok(Self { size, padded: (up(size.0), up(size.1)) })
+    }
+
+    /// Columns left of the image and rows above it.
+    fn before(self) -> (usize, usize) {
+        ((self.padded.0 - self.size.0) / 2, (self.padded.1 - self.size.1) / 2)
+    }
+
+    /// The padded image from -1 to 1, `[1, 3, padded height, padded width]`.
+    fn tensor(self, image: &RgbImage, device: &Device) -> Tensor<4> {
+        let ((width, height), (left, top)) = (self.padded, self.before());
+        let inside = |at: usize, before: usize, side: usize| at.saturating_sub(before).min(side - 1);
+        let mut values = Vec::with_capacity(3 * width * height);
+        for channel in 0..3 {
+            for y in 0..height {
+                let row = image.row(inside(y, top, self.size.1));
+                let value = |x| f32::from(row[inside(x, left, self.size.0)][channel]) / 255.0;
+                values.extend((0..width).map(|x| 2.0 * value(x) - 1.0));
+            }
+        }
+        tensor(values, [1, 3, height, width], device)
+    }
+
+    /// The flow of the image out of that of the padded one, `[padded height, padded width, 2]`.
+    fn crop(self, flow: Tensor<3>) -> Result<Flow, NetError> {
+        let (left, top) = self.before();
+        read(flow.narrow(0, top, self.size.1).narrow(1, left, self.size.0))
+    }
+}
+
+/// Flow `[height, width, 2]` off the device.
+fn read(flow: Tensor<3>) -> Result<Flow, NetError> {
+    let [height, width, _] = flow.dims();
+    let (u, v) = numbers(flow)?.as_chunks::<2>().0.iter().map(|&[u, v]| (u, v)).unzip();
+    Ok(Flow { width, height, u, v })
 }

@@ -3,7 +3,7 @@
 use super::*;
 use crate::cpu;
 use crate::device::halved;
-use crate::fixture::{Fixture, assert_near, assert_same_tensors, fill_by_formula, relative_error};
+use crate::fixture::{Fixture, assert_near, assert_same_tensors, every_map, fill_by_formula, relative_error};
 use m4_testkit::FormulaWeights;
 
 const KEYS: &str = include_str!("../../../../fixtures/raft/keys.txt");
@@ -17,28 +17,21 @@ fn network() -> Raft {
     Raft { net, device }
 }
 
-/// Every `step`-th channel of `[1, c, h, w]`.
-fn every(x: Tensor<4>, step: usize) -> Tensor<4> {
-    let [_, c, h, w] = x.dims();
-    x.reshape([c / step, step, h, w]).narrow(1, 0, 1).swap_dims(0, 1)
-}
-
 #[test]
 fn parts_agree_with_the_published_module() {
     let (net, fixture) = (network(), Fixture::open("raft/flow.safetensors"));
     let input = |name: &str| {
         let image = fixture.image(name);
-        let padding = Padding::of(image.width(), image.height(), FACTOR, LEAST).unwrap();
-        padding.tensor(&image, |x, _| 2.0 * x - 1.0, &net.device)
+        Padding::of(image.size()).unwrap().tensor(&image, &net.device)
     };
     let maps = ["1", "2"].map(|i| {
-        let map = net.net.fnet.forward(input(&format!("image{i}")));
+        let map = net.net.fnet.forward(input(&format!("image{i}")), Norm::Instance);
         let name = format!("fmap{i}_strided");
-        assert_near(every(map.clone(), 8), &fixture, &name, LIMIT);
+        assert_near(every_map(map.clone(), 8), &fixture, &name, LIMIT);
         map
     });
-    let context = net.net.cnet.forward(input("image1"));
-    assert_near(every(context, 8), &fixture, "cnet_strided", LIMIT);
+    let context = net.net.cnet.forward(input("image1"), Norm::Batch);
+    assert_near(every_map(context, 8), &fixture, "cnet_strided", LIMIT);
 
     let [source, target] = maps.map(|map| map.squeeze_dim::<3>(0).permute([1, 2, 0]));
     let [h, w, _] = source.dims();
@@ -46,7 +39,7 @@ fn parts_agree_with_the_published_module() {
     let found = correlation::scores(&FeatureMap::new(source), &Pyramid::new(target, LEVELS), at, RADIUS);
     let found = channels_first(found.unsqueeze::<4>());
     assert_eq!(found.dims(), [1, 324, h, w]);
-    assert_near(every(found, 4), &fixture, "corr_strided", LIMIT);
+    assert_near(every_map(found, 4), &fixture, "corr_strided", LIMIT);
 }
 
 /// The unit with the context's part taken out against its definition.
@@ -59,7 +52,7 @@ fn the_unit_is_the_published_one() {
     let gru = &net.net.update_block.gru;
     let map = |key: &str| {
         let values = m4_testkit::formula_input(key, 0.0, 1.0, 2 * 128 * 7 * 9);
-        crate::ops::tensor(values, [2, 128, 7, 9], &net.device)
+        tensor(values, [2, 128, 7, 9], &net.device)
     };
     let (hidden, context, motion) = (map("hidden"), map("context"), map("motion"));
     let got = gru.with_context(&context).forward(hidden.clone(), &motion);
@@ -100,5 +93,7 @@ fn half_precision_stays_near() {
         [flow.flow.u, flow.flow.v].concat()
     });
     let error = relative_error(&half, &whole);
-    assert!(error > 1e-6 && error < 2e-2, "{error:e}");
+    println!("half precision: {error:.1e}");
+    // measured: at most 6.0e-3
+    assert!(error < 1.5e-2, "{error:e}");
 }

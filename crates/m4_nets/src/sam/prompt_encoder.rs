@@ -1,12 +1,12 @@
 //! Prompts as tokens and maps.
 
-use super::{WIDTH, channel_norm, over_channels};
-use crate::ops::{gelu, tensor, zeros};
+use super::{WIDTH, over_channels};
+use crate::ops::{fine_norm, gelu, patch_conv, tensor, zeros};
 use burn_core as burn;
 use burn_core::module::{Module, Param};
 use burn_core::tensor::{Device, Tensor};
-use burn_nn::conv::{Conv2d, Conv2dConfig};
-use burn_nn::{Initializer, LayerNorm};
+use burn_nn::LayerNorm;
+use burn_nn::conv::Conv2d;
 use std::f32::consts::TAU;
 
 /// A learned row of numbers.
@@ -54,18 +54,12 @@ struct MaskDownscaling {
 
 impl MaskDownscaling {
     fn new(device: &Device) -> Self {
-        let conv = |channels, side: usize| -> Conv2d {
-            Conv2dConfig::new(channels, [side, side])
-                .with_stride([side, side])
-                .with_initializer(Initializer::Zeros)
-                .init(device)
-        };
         Self {
-            half: conv([1, 4], 2),
-            norm1: channel_norm(4, device),
-            quarter: conv([4, 16], 2),
-            norm2: channel_norm(16, device),
-            wide: conv([16, WIDTH], 1),
+            half: patch_conv([1, 4], 2, device),
+            norm1: fine_norm(4, device),
+            quarter: patch_conv([4, 16], 2, device),
+            norm2: fine_norm(16, device),
+            wide: patch_conv([16, WIDTH], 1, device),
         }
     }
 

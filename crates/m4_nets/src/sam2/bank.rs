@@ -1,9 +1,10 @@
 //! What is kept of an object: its masks, pointers and memories, and which of them another frame is seen in the light of.
 
-use super::answer::Answer;
-use super::mask::ObjectMask;
+use super::recall::Answer;
 use super::video::Direction;
-use super::{MEMORIES, Sam2Error, holes, plane};
+use super::{MEMORIES, plane, prompts};
+use crate::NetError;
+use crate::ops::bilinear_plane;
 use burn_core::tensor::Tensor;
 use m4_core::Plane;
 use std::collections::BTreeMap;
@@ -27,9 +28,9 @@ pub struct Entry {
 
 impl Entry {
     /// What was found, without a memory; holes of at most `holes_px` pixels are filled.
-    pub fn of(answer: Answer, holes_px: usize, prompted: bool) -> Result<Self, Sam2Error> {
+    pub fn of(answer: Answer, holes_px: usize, prompted: bool) -> Result<Self, NetError> {
         let mut logits = plane(answer.logits)?;
-        holes::fill(&mut logits, holes_px);
+        prompts::fill(&mut logits, holes_px);
         Ok(Self {
             mask: ObjectMask { logits, iou: answer.iou, candidates: answer.candidates, score: answer.score },
             pointer: answer.pointer,
@@ -90,28 +91,24 @@ impl Object {
         }
     }
 
-    /// What `frame` of a clip of `frames` is seen in the light of when following in `direction`, of prompted frames at most `most`.
-    pub fn recall(&self, frame: usize, direction: Direction, frames: usize, most: Option<usize>) -> Recall {
-        let selected = closest(&self.conditioning, frame, most);
-        let other = |at: usize| {
-            let unselected = || self.conditioning.get(&at).filter(|_| !selected.contains(&at));
-            self.others.get(&at).or_else(unselected)
-        };
+    /// What `frame` of a clip of `frames` is seen in the light of when following in `direction`.
+    pub fn recall(&self, frame: usize, direction: Direction, frames: usize) -> Recall {
+        let other = |at: usize| self.others.get(&at);
         let before = |steps: usize| direction.before(frame, steps).filter(|&at| at < frames);
         let mut recall = Recall::default();
-        for entry in selected.iter().filter_map(|at| self.conditioning.get(at)) {
+        for entry in self.conditioning.values() {
             recall.memories.extend(entry.memory.clone().map(|m| (MEMORIES - 1, m)));
         }
         for steps in (1..=MEMORY_FRAMES).rev() {
             let memory = before(steps).and_then(other).and_then(|entry| entry.memory.clone());
             recall.memories.extend(memory.map(|m| (steps - 1, m)));
         }
-        for &at in &selected {
+        for (&at, entry) in &self.conditioning {
             let past = match direction {
                 Direction::Forward => at <= frame,
                 Direction::Backward => at >= frame,
             };
-            if let Some(entry) = self.conditioning.get(&at).filter(|_| past) {
+            if past {
                 recall.pointers.push((frame.abs_diff(at), entry.pointer.clone()));
             }
         }
@@ -122,14 +119,14 @@ impl Object {
         recall
     }
 
-    /// Forgets what no frame near `head` or near one that the caller showed is seen in the light of, but for `history` frames.
-    pub fn forget(&mut self, head: usize, history: usize) {
+    /// Forgets what no frame near `head` or near one that the caller prompted is seen in the light of.
+    pub fn forget(&mut self, head: usize) {
         let shown = self.conditioning.keys().chain(self.pending.keys()).copied();
         let anchors: Vec<usize> = shown.chain([head]).collect();
         let near = |at: usize, reach: usize| anchors.iter().any(|&anchor| anchor.abs_diff(at) <= reach);
-        self.others.retain(|&at, entry| entry.prompted || near(at, POINTER_FRAMES.max(history)));
+        self.others.retain(|&at, entry| entry.prompted || near(at, POINTER_FRAMES));
         for (&at, entry) in &mut self.others {
-            if !entry.prompted && !near(at, MEMORY_FRAMES.max(history)) {
+            if !entry.prompted && !near(at, MEMORY_FRAMES) {
                 entry.memory = None;
             }
         }
@@ -141,17 +138,40 @@ pub fn pointer_frames(frames: usize) -> usize {
     frames.min(POINTER_FRAMES + 1)
 }
 
-/// At most `most` of the frames of `entries`: the nearest before `frame`, the nearest from it on, then the nearest of the others.
-fn closest(entries: &BTreeMap<usize, Entry>, frame: usize, most: Option<usize>) -> Vec<usize> {
-    let Some(most) = most.filter(|&most| entries.len() > most.max(2)).map(|most| most.max(2)) else {
-        return entries.keys().copied().collect();
-    };
-    let before = entries.range(..frame).next_back().map(|(&at, _)| at);
-    let after = entries.range(frame..).next().map(|(&at, _)| at);
-    let mut chosen: Vec<usize> = before.into_iter().chain(after).collect();
-    let mut rest: Vec<usize> = entries.keys().copied().filter(|at| !chosen.contains(at)).collect();
-    rest.sort_by_key(|at| at.abs_diff(frame));
-    rest.truncate(most - chosen.len());
-    chosen.extend(rest);
-    chosen
+/// The mask of an object in an image.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ObjectMask {
+    /// `[256][256]` (or [as many](super::Sam2::mask_side) as the network's side gives), over the whole image, which is squeezed to that
+    /// square: above 0 where the object is. May be part of another [`Prompt`](crate::Prompt). All -1024 where a clip's object is
+    /// not there.
+    pub logits: Plane<f32>,
+    /// How well the network thinks that the mask fits: its intersection with the true one over their union, from 0 to 1.
+    pub iou: f32,
+    /// The `iou` of all masks that this one was chosen from: three where the prompt was ambiguous or there was none, else its own.
+    pub candidates: Vec<f32>,
+    /// Whether the network thinks that the object is in the image: the more above 0, the surer.
+    pub score: f32,
+}
+
+impl ObjectMask {
+    /// Whether the object is in the image at all.
+    #[must_use]
+    pub fn is_there(&self) -> bool {
+        self.score > 0.0
+    }
+
+    /// The logits for an image of `size`, columns and rows, bilinear; empty where that has no pixels.
+    #[must_use]
+    pub fn logits_at(&self, size: (usize, usize)) -> Plane<f32> {
+        if size.0.min(size.1) == 0 || self.logits.data().is_empty() {
+            return Plane::filled(size.0, size.1, super::ABSENT);
+        }
+        bilinear_plane(&self.logits, size)
+    }
+
+    /// Where the object is in an image of `size`, columns and rows.
+    #[must_use]
+    pub fn mask_at(&self, size: (usize, usize)) -> Plane<bool> {
+        self.logits_at(size).map(|&x| x > 0.0)
+    }
 }

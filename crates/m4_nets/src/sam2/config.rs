@@ -19,17 +19,6 @@ impl Sam2Size {
     /// All sizes, the smallest first.
     pub const ALL: [Self; 4] = [Self::Tiny, Self::Small, Self::BasePlus, Self::Large];
 
-    /// As the published files are named: `tiny`, `small`, `base_plus`, `large`.
-    #[must_use]
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Tiny => "tiny",
-            Self::Small => "small",
-            Self::BasePlus => "base_plus",
-            Self::Large => "large",
-        }
-    }
-
     /// The size whose width and number of blocks a checkpoint has; `None` if none has.
     pub(super) fn of(shapes: &Shapes) -> Option<Self> {
         let width = *shapes.get(&format!("{TRUNK}pos_embed"))?.get(1)?;

@@ -1,6 +1,6 @@
 //! The mask decoder: four masks of a map of features and a prompt, how good each is thought to be, and whether the object is there.
 
-use super::neck::Pointwise;
+use super::hiera::Pointwise;
 use crate::ops::conv;
 use crate::sam::{MAP_WIDTH, Mlp, Token, TwoWay, Upscaling, WIDTH};
 use burn_core as burn;

@@ -16,50 +16,38 @@
 //!
 //! Inside, maps have their channels last, so that normalisations and linear layers read rows.
 
-mod answer;
 mod bank;
-mod block;
+#[cfg(test)]
+mod clip_tests;
 mod config;
 mod decoder;
-mod error;
 mod hiera;
-mod holes;
-mod mask;
-mod memory_attention;
-mod memory_encoder;
-mod neck;
-mod preprocess;
+mod memory;
 mod prompts;
 mod recall;
-mod rope;
 #[cfg(test)]
 mod tests;
 mod video;
-mod windows;
 
+pub use bank::ObjectMask;
 pub use config::Sam2Size;
-pub use error::Sam2Error;
-pub use mask::ObjectMask;
-pub use video::{Clip, Direction, ImageReader, VideoOptions, VideoPredictor};
+pub use video::{Clip, Direction, VideoPredictor};
 
-use crate::ops::{Kernels, linear, sine_positions, tensor, zeros};
+use crate::error::{numbers, refuse};
+use crate::ops::{Kernels, linear, patch_conv, sine_positions, tensor, zeros};
 use crate::sam::{Mlp, Prompt, PromptEncoder, WIDTH};
-use crate::{Compute, LoadError, load};
-use answer::Answer;
+use crate::{Compute, LoadError, NetError, load};
 use burn_core as burn;
 use burn_core::module::{Module, Param};
 use burn_core::tensor::{DType, Device, Tensor};
-use burn_nn::conv::{Conv2d, Conv2dConfig};
-use burn_nn::{Initializer, Linear};
+use burn_nn::Linear;
+use burn_nn::conv::Conv2d;
 use config::Config;
 use decoder::{Decoded, MASKS, MaskDecoder};
-use hiera::{Hiera, PATCH};
+use hiera::{Hiera, ImageEncoder, Neck, PATCH, Pointwise, repeated};
 use m4_core::{Plane, RgbImage};
-use memory_attention::{MEMORY_WIDTH, MemoryAttention};
-use memory_encoder::MemoryEncoder;
-use neck::{ImageEncoder, Neck, Pointwise, repeated};
-use preprocess::Frame;
-use rope::Rotations;
+use memory::{MEMORY_WIDTH, MemoryAttention, MemoryEncoder, Rotations};
+use recall::Answer;
 use std::path::Path;
 
 /// The side of the image that the network was trained with.
@@ -131,10 +119,6 @@ struct Net {
 
 impl Net {
     fn new(config: &Config, device: &Device) -> Self {
-        let mask_downsample = Conv2dConfig::new([1, 1], [MASK_STRIDE; 2])
-            .with_stride([MASK_STRIDE; 2])
-            .with_initializer(Initializer::Zeros)
-            .init(device);
         Self {
             image_encoder: ImageEncoder { trunk: Hiera::new(config, device), neck: Neck::new(config, device) },
             prompt_encoder: PromptEncoder::new(device),
@@ -143,7 +127,7 @@ impl Net {
             memory_encoder: MemoryEncoder::new(device),
             obj_ptr_proj: Mlp::new(WIDTH, device),
             obj_ptr_tpos_proj: linear(WIDTH, MEMORY_WIDTH, true, device),
-            mask_downsample,
+            mask_downsample: patch_conv([1, 1], MASK_STRIDE, device),
             maskmem_tpos_enc: zeros([MEMORIES, 1, 1, MEMORY_WIDTH], device),
             no_mem_embed: zeros([1, 1, WIDTH], device),
             no_obj_ptr: zeros([1, WIDTH], device),
@@ -186,7 +170,8 @@ pub struct Sam2 {
 /// What the network makes of an image, for any number of prompts.
 #[derive(Debug, Clone)]
 pub struct Features {
-    frame: Frame,
+    /// Columns and rows of the image.
+    frame: (usize, usize),
     /// `[1, n, 256]`.
     map: Tensor<3>,
     /// `[1, 2 h, 2 w, 64]` and `[1, 4 h, 4 w, 32]`.
@@ -237,10 +222,12 @@ impl Sam2 {
     ///
     /// # Errors
     ///
-    /// [`Sam2Error::Side`] unless it is a multiple of 32 from 64 to 2048.
-    pub fn with_side(self, side: usize) -> Result<Self, Sam2Error> {
+    /// [`NetError::Input`] unless it is a multiple of 32 from 64 to 2048.
+    pub fn with_side(self, side: usize) -> Result<Self, NetError> {
         if !(64..=2048).contains(&side) || !side.is_multiple_of(32) {
-            return Err(Sam2Error::Side(side));
+            return refuse(format!(
+                "the side of the image that SAM 2 takes is a multiple of 32 from 64 to 2048, not {side}"
+            ));
         }
         let tables = Tables::new(&self.net, side, &self.device, self.dtype);
         Ok(Self { tables, side, ..self })
@@ -252,15 +239,8 @@ impl Sam2 {
         self.size
     }
 
-    /// Numbers of the checkpoint that are used.
-    #[must_use]
-    pub fn parameters(&self) -> usize {
-        self.net.num_params()
-    }
-
-    /// Rows and columns of the logits of masks: 256, unless [`Self::with_side`] said otherwise.
-    #[must_use]
-    pub fn mask_side(&self) -> usize {
+    /// Rows and columns of the logits of masks: 256, unless [`Self::with_side`] set another side.
+    fn mask_side(&self) -> usize {
         self.side / MASK_STRIDE
     }
 
@@ -268,18 +248,14 @@ impl Sam2 {
     ///
     /// # Errors
     ///
-    /// [`Sam2Error::NoPixels`] if it has none.
-    pub fn encode(&self, image: &RgbImage) -> Result<Features, Sam2Error> {
-        let input = preprocess::squared(image, self.side, &self.device)?.cast(self.dtype);
+    /// [`NetError::Input`] if it has none.
+    pub fn encode(&self, image: &RgbImage) -> Result<Features, NetError> {
+        let input = prompts::squared(image, self.side, &self.device)?.cast(self.dtype);
         let trunk = &self.net.image_encoder.trunk;
         let stages = trunk.forward(input, self.tables.trunk.clone());
         let [s0, s1, map, coarse] = self.level(stages);
         let n = self.tables.grid * self.tables.grid;
-        Ok(Features {
-            frame: Frame::of("an image", image.size())?,
-            map: (map + repeated(coarse)).reshape([1, n, WIDTH]),
-            fine: [s1, s0],
-        })
+        Ok(Features { frame: image.size(), map: (map + repeated(coarse)).reshape([1, n, WIDTH]), fine: [s1, s0] })
     }
 
     /// Each stage after its layer.
@@ -294,16 +270,16 @@ impl Sam2 {
     ///
     /// # Errors
     ///
-    /// [`Sam2Error`] if the prompt is empty or wrong, or the device fails.
-    pub fn masks(&self, features: &Features, prompt: &Prompt) -> Result<Vec<ObjectMask>, Sam2Error> {
+    /// [`NetError`] if the prompt is empty or wrong, or the device fails.
+    pub fn masks(&self, features: &Features, prompt: &Prompt) -> Result<Vec<ObjectMask>, NetError> {
         let decoded = self.decode(features, features.frame, prompt)?;
         let score = numbers(decoded.score)?.first().copied().unwrap_or(f32::NAN);
         let iou = numbers(decoded.iou)?;
         let first = if prompt.is_ambiguous() {
             1..MASKS
         } else {
-            let stability = numbers(answer::stability(&decoded.masks.clone().cast(DType::F32)))?;
-            let one = answer::chosen(&iou, false, stability.first().copied().unwrap_or(f32::NAN));
+            let stability = numbers(recall::stability(&decoded.masks.clone().cast(DType::F32)))?;
+            let one = recall::chosen(&iou, false, stability.first().copied().unwrap_or(f32::NAN));
             one..one + 1
         };
         let candidates = iou.get(first.clone()).unwrap_or_default();
@@ -321,13 +297,12 @@ impl Sam2 {
     }
 
     /// What the decoder says of a prompt that has no memory.
-    fn decode(&self, features: &Features, frame: Frame, prompt: &Prompt) -> Result<Decoded, Sam2Error> {
-        prompts::check(prompt)?;
+    fn decode(&self, features: &Features, frame: (usize, usize), prompt: &Prompt) -> Result<Decoded, NetError> {
+        prompt.check(frame, self.mask_side())?;
         let map = features.map.clone() + self.net.no_mem_embed.val();
-        let tokens = prompts::tokens(&self.net.prompt_encoder, prompt, frame, self.side)?;
-        let mask = prompt.mask_logits.as_ref();
-        let mask = mask.map(|mask| prompts::mask(mask, self.mask_side(), &self.device));
-        Ok(self.decoded(map, features, tokens.unsqueeze_dim(0), mask.transpose()?))
+        let tokens = prompts::tokens(&self.net.prompt_encoder, prompt, frame, self.side);
+        let mask = prompt.mask_logits.as_ref().map(|mask| prompts::mask(mask, &self.device));
+        Ok(self.decoded(map, features, tokens.unsqueeze_dim(0), mask))
     }
 
     /// What the decoder says of features `[b, n, 256]` and prompts: tokens `[b, k, 256]`, and masks `[b, 1, 4 h, 4 w]` if any.
@@ -346,7 +321,7 @@ impl Sam2 {
     }
 
     /// The one mask that is found without prompts in features `[b, n, 256]` that know of `b` objects.
-    fn followed(&self, map: Tensor<3>, features: &Features) -> Result<Vec<Answer>, Sam2Error> {
+    fn followed(&self, map: Tensor<3>, features: &Features) -> Result<Vec<Answer>, NetError> {
         let [b, _, _] = map.dims();
         let nowhere = self.net.prompt_encoder.nowhere();
         let tokens = Tensor::cat(vec![nowhere.clone(), nowhere], 0);
@@ -396,13 +371,8 @@ impl Tables {
     }
 }
 
-fn numbers<const D: usize>(x: Tensor<D>) -> Result<Vec<f32>, Sam2Error> {
-    let numbers = x.cast(DType::F32).try_into_vec_as();
-    numbers.map_err(|error| Sam2Error::Device(error.to_string()))
-}
-
 /// A map `[1, h, w]`.
-fn plane(x: Tensor<3>) -> Result<Plane<f32>, Sam2Error> {
+fn plane(x: Tensor<3>) -> Result<Plane<f32>, NetError> {
     let [_, h, w] = x.dims();
-    Plane::from_vec(w, h, numbers(x)?).map_err(|error| Sam2Error::Device(error.to_string()))
+    Plane::from_vec(w, h, numbers(x)?).map_err(|error| NetError::Device(error.to_string()))
 }

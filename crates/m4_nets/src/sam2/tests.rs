@@ -1,21 +1,18 @@
 //! The parts against upstream's modules with weights by the formula, and what a caller does not see of clips.
 
-use super::rope::Rotations;
-use super::video::{Clip, Direction, VideoOptions, VideoPredictor};
+use super::memory::{Memories, Rotations};
 use super::*;
 use crate::cpu;
-use crate::fixture::{Fixture, assert_near, assert_same_tensors, every, relative_error};
+use crate::fixture::{Fixture, assert_close, assert_near, assert_same_tensors, every};
 use crate::sam::PointPrompt;
-use m4_core::Silent;
 use m4_testkit::{FormulaWeights, formula_input};
-use memory_attention::Memories;
-use std::sync::{Arc, LazyLock};
+use std::sync::LazyLock;
 use tempfile::TempDir;
 
-const TINY: &str = include_str!("../../../../fixtures/sam2/tiny.keys.txt");
-const LIMIT: f64 = 1e-4;
+pub const TINY: &str = include_str!("../../../../fixtures/sam2/tiny.keys.txt");
+pub const LIMIT: f64 = 1e-4;
 
-fn loaded(weights: &FormulaWeights, side: usize) -> Sam2 {
+pub fn loaded(weights: &FormulaWeights, side: usize) -> Sam2 {
     let folder = TempDir::new().unwrap();
     let path = folder.path().join("weights.safetensors");
     weights.write(&path);
@@ -35,7 +32,7 @@ fn input<const D: usize>(key: &str, scale: f64, shape: [usize; D]) -> Tensor<D> 
 
 /// Some channels, rows and columns of a map `[h, w, c]`, as many as the fixture has: `[c, h, w]`.
 #[track_caller]
-fn assert_map(map: Tensor<3>, fixture: &Fixture, name: &str, limit: f64) {
+pub fn assert_map(map: Tensor<3>, fixture: &Fixture, name: &str, limit: f64) {
     let (want, shape) = fixture.floats(name);
     let shape = &shape[shape.len() - 3..];
     let [h, w, c] = map.dims();
@@ -46,17 +43,17 @@ fn assert_map(map: Tensor<3>, fixture: &Fixture, name: &str, limit: f64) {
         values[(y * steps[1] * w + x * steps[2]) * c + k * steps[0]]
     };
     let got: Vec<f32> = (0..want.len()).map(at).collect();
-    let error = relative_error(&got, &want);
-    println!("{name}: {error:.1e}");
-    assert!(error < limit, "{name}: relative error {error:e}, limit {limit:e}");
+    assert_close(name, &got, &want, limit);
 }
 
 #[track_caller]
-fn assert_numbers(got: &[f32], fixture: &Fixture, name: &str) {
-    let (want, _) = fixture.floats(name);
-    let error = relative_error(got, &want);
-    println!("{name}: {error:.1e}");
-    assert!(error < LIMIT, "{name}: relative error {error:e}: {got:?} for {want:?}");
+pub fn assert_numbers(got: &[f32], fixture: &Fixture, name: &str) {
+    assert_close(name, got, &fixture.floats(name).0, LIMIT);
+}
+
+/// Upstream counts pixels from 0.
+pub fn point(at: &[f32], on_object: bool) -> PointPrompt {
+    PointPrompt { at_px: [at[0] + 0.5, at[1] + 0.5], on_object }
 }
 
 #[test]
@@ -147,7 +144,7 @@ fn the_decoder_meets_its_fixture() {
     let pixels = every(pixels.reshape([512, 256]), 8).reshape([2, 256, 32]);
     assert_near(pixels, &fixture, "transformer_image_strided", LIMIT);
 
-    let features = Features { frame: Frame::of("an image", (256, 256)).unwrap(), map: map.clone(), fine };
+    let features = Features { frame: (256, 256), map: map.clone(), fine };
     let decoded = net.decoded(map, &features, prompts, None);
     let steps = |x: Tensor<4>, step: usize| {
         let [b, n, h, w] = x.dims();
@@ -165,10 +162,10 @@ fn the_decoder_meets_its_fixture() {
     for name in ["multi_object_score", "single_object_score"] {
         assert_near(decoded.score.clone(), &fixture, name, LIMIT);
     }
-    let stability = numbers(answer::stability(&decoded.masks)).unwrap();
+    let stability = numbers(recall::stability(&decoded.masks)).unwrap();
     assert_numbers(&stability, &fixture, "stability_single");
     let iou = numbers(decoded.iou).unwrap();
-    let chosen: Vec<usize> = (0..2).map(|i| answer::chosen(&iou[4 * i..][..4], false, stability[i])).collect();
+    let chosen: Vec<usize> = (0..2).map(|i| recall::chosen(&iou[4 * i..][..4], false, stability[i])).collect();
     let one = |i: usize| decoded.masks.clone().narrow(0, i, 1).narrow(1, chosen[i], 1);
     assert_near(Tensor::cat(vec![one(0), one(1)], 0), &fixture, "single_masks", LIMIT);
     let single: Vec<f32> = (0..2).map(|i| iou[4 * i + chosen[i]]).collect();
@@ -227,7 +224,7 @@ fn objects_in_one_batch_equal_single_objects() {
         };
         let alone = numbers(attention.forward(begun.clone(), &one, rotations)).unwrap();
         let got = numbers(together.clone().narrow(0, i, 1)).unwrap();
-        assert!(relative_error(&got, &alone) < 1e-5);
+        assert_close("one of two", &got, &alone, 1e-5);
     }
 }
 
@@ -244,176 +241,6 @@ fn the_memory_encoder_meets_its_fixture() {
     assert_map(memory.squeeze_dim(0), &fixture, "features", LIMIT);
     let places = net.tables.memory_sine.clone().reshape([16, 16, 64]);
     assert_map(places, &fixture, "pos", LIMIT);
-}
-
-/// A frame of a clip: 64 by 64 pixels, each four times per side.
-fn frame(fixture: &Fixture, i: usize) -> RgbImage {
-    let bytes = fixture.bytes("frames_u8_64");
-    RgbImage::from_fn(256, 256, |x, y| {
-        let at = ((i * 64 + y / 4) * 64 + x / 4) * 3;
-        [bytes[at], bytes[at + 1], bytes[at + 2]]
-    })
-}
-
-/// Upstream counts pixels from 0.
-fn point(at: &[f32], on_object: bool) -> PointPrompt {
-    PointPrompt { at_px: [at[0] + 0.5, at[1] + 0.5], on_object }
-}
-
-#[track_caller]
-fn assert_entry(predictor: &VideoPredictor<'_>, fixture: &Fixture, what: &str, [i, at]: [usize; 2]) {
-    let entry = predictor.objects[&(i as u32 + 1)].at(at).unwrap();
-    let name = format!("{what}_obj{i}_f{at}");
-    assert_numbers(entry.mask.logits.data(), fixture, &format!("{name}_mask"));
-    assert_numbers(&numbers(entry.pointer.clone()).unwrap(), fixture, &format!("{name}_ptr"));
-    assert_numbers(&[entry.mask.score], fixture, &format!("{name}_score"));
-    if what == "A" {
-        let memory = entry.memory.clone().unwrap().reshape([16, 16, 64]);
-        assert_map(memory, fixture, &format!("{name}_mem_strided"), LIMIT);
-    }
-}
-
-#[track_caller]
-fn assert_call(predictor: &VideoPredictor<'_>, fixture: &Fixture, name: &str, id: u32, at: usize) {
-    let entry = predictor.objects[&id].at(at).unwrap();
-    assert_numbers(&entry.mask.candidates, fixture, &format!("{name}_iou"));
-    assert_numbers(&[entry.mask.score], fixture, &format!("{name}_score"));
-}
-
-/// Every `step`-th row and column of the masks of a frame in the clip's size.
-fn sampled(masks: &std::collections::BTreeMap<u32, ObjectMask>, step: usize) -> Vec<f32> {
-    let of_one = |mask: &ObjectMask| {
-        let plane = mask.logits_at((320, 192));
-        let rows = (0..192).step_by(step).map(|y| plane.row(y).to_vec());
-        rows.flat_map(|row| row.into_iter().step_by(step)).collect::<Vec<f32>>()
-    };
-    masks.values().flat_map(of_one).collect()
-}
-
-/// Shows two objects in the first frame, and follows them: passage A of the fixtures.
-fn passage_a(fixture: &Arc<Fixture>, bias: f32) -> VideoPredictor<'static> {
-    let weights = FormulaWeights::of_keys(TINY).with("sam_mask_decoder.pred_obj_score_head.layers.2.bias", &[bias]);
-    let net = Arc::new(loaded(&weights, 256));
-    let clip = Clip { frames: 6, width: 320, height: 192 };
-    let frames = Arc::clone(fixture);
-    let images = Box::new(move |i: usize| Ok(frame(&frames, i)));
-    let mut predictor = VideoPredictor::new(Arc::clone(&net), clip, images, VideoOptions::default()).unwrap();
-
-    let features = predictor.features(0).unwrap();
-    let stages = net
-        .net
-        .image_encoder
-        .trunk
-        .forward(preprocess::squared(&frame(fixture, 0), 256, &cpu()).unwrap(), net.tables.trunk.clone());
-    for (i, stage) in stages.into_iter().enumerate() {
-        assert_map(stage.squeeze_dim(0), fixture, &format!("trunk_stage{i}_strided"), LIMIT);
-    }
-    let [s1, s0] = features.fine.clone().map(|map| map.squeeze_dim::<3>(0));
-    assert_map(s0, fixture, "fpn_s0_strided", LIMIT);
-    assert_map(s1, fixture, "fpn_s1_strided", LIMIT);
-    assert_map(features.map.clone().reshape([16, 16, 256]), fixture, "fpn_s2_strided", LIMIT);
-    assert_map(net.tables.sine.clone().reshape([16, 16, 256]), fixture, "pos_s2_strided", LIMIT);
-
-    let (one, _) = fixture.floats("prompt_obj1");
-    let (three, _) = fixture.floats("prompt_obj2");
-    let prompt = |points| Prompt { points, ..Prompt::default() };
-    let mask = predictor.show(0, 1, &prompt(vec![point(&one, true)])).unwrap();
-    let alone = std::collections::BTreeMap::from([(1, mask)]);
-    assert_numbers(&sampled(&alone, 8), fixture, "prompt1_video_mask_strided");
-    let points = (0..3).map(|i| point(&three[2 * i..], i < 2)).collect();
-    predictor.show(0, 2, &prompt(points)).unwrap();
-    for (i, id) in [(0, 1), (1, 2)] {
-        assert_call(&predictor, fixture, &format!("A_prompt_call{i}"), id, 0);
-        let map = features.map.clone() + net.net.no_mem_embed.val();
-        let name = format!("A_prompt_call{i}_pix_strided");
-        assert_map(map.reshape([16, 16, 256]), fixture, &name, LIMIT);
-    }
-
-    let mut seen = Vec::new();
-    let mut call = 0;
-    for at in 0..6 {
-        let keep = |_, masks: &_| seen.extend(sampled(masks, 16));
-        predictor.follow(at..=at, Direction::Forward, &Silent, keep).unwrap();
-        for id in [1, 2] {
-            if at > 0 {
-                assert_call(&predictor, fixture, &format!("A_call{call}"), id, at);
-                if call < 6 {
-                    let recall = predictor.objects[&id].recall(at, Direction::Forward, 6, None);
-                    let features = predictor.features(at).unwrap();
-                    let map = net.recalled(net.begun(&features), &[recall], 6);
-                    let name = format!("A_call{call}_pix_strided");
-                    assert_map(map.reshape([16, 16, 256]), fixture, &name, LIMIT);
-                }
-                call += 1;
-            }
-            assert_entry(&predictor, fixture, "A", [id as usize - 1, at]);
-        }
-    }
-    assert_numbers(&seen, fixture, "A_video_masks_strided");
-    predictor
-}
-
-#[test]
-fn a_clip_meets_its_fixture() {
-    let fixture = Arc::new(Fixture::open("sam2/video_256.safetensors"));
-    let mut predictor = passage_a(&fixture, 1.0);
-
-    let (place, _) = fixture.floats("prompt_obj3_point");
-    let (corners, _) = fixture.floats("prompt_box3");
-    let prompt = Prompt {
-        points: vec![point(&place, true)],
-        box_px: Some([0, 1, 2, 3].map(|i| corners[i] + 0.5)),
-        mask_logits: None,
-    };
-    predictor.show(3, 3, &prompt).unwrap();
-    assert_call(&predictor, &fixture, "B_prompt_call0", 3, 3);
-    for (what, direction, frames) in
-        [("B", Direction::Forward, vec![3, 4, 5]), ("C", Direction::Backward, vec![3, 2, 1, 0])]
-    {
-        let (mut seen, mut call) = (Vec::new(), 0);
-        for at in frames {
-            let keep = |_, masks: &_| seen.extend(sampled(masks, 16));
-            predictor.follow(at..=at, direction, &Silent, keep).unwrap();
-            for id in [1, 2, 3] {
-                if predictor.objects[&id].shown(at).is_none() {
-                    assert_call(&predictor, &fixture, &format!("{what}_call{call}"), id, at);
-                    call += 1;
-                }
-            }
-        }
-        assert_eq!(call, if what == "B" { 8 } else { 9 });
-        assert_numbers(&seen, &fixture, &format!("{what}_video_masks_strided"));
-    }
-    for (i, at) in [0, 2].into_iter().flat_map(|i| [0, 2, 3, 5].map(|at| (i, at))) {
-        assert_entry(&predictor, &fixture, "C", [i, at]);
-    }
-
-    let (place, _) = fixture.floats("prompt_correction");
-    let prompt = Prompt { points: vec![point(&place, false)], ..Prompt::default() };
-    let mask = predictor.show(2, 1, &prompt).unwrap();
-    assert_call(&predictor, &fixture, "D_call0", 1, 2);
-    assert_numbers(mask.logits.data(), &fixture, "D_correction_mask");
-    let pointer = predictor.objects[&1].at(2).unwrap().pointer.clone();
-    assert_numbers(&numbers(pointer).unwrap(), &fixture, "D_correction_ptr");
-    // it stays what it was corrected to
-    predictor
-        .follow(1..=2, Direction::Backward, &Silent, |at, masks| {
-            assert!(at != 2 || masks[&1] == mask);
-        })
-        .unwrap();
-}
-
-#[test]
-fn a_clip_without_its_objects_meets_its_fixture() {
-    let fixture = Arc::new(Fixture::open("sam2/video_256_absent.safetensors"));
-    let predictor = passage_a(&fixture, -0.1);
-    let absent = |entry: &bank::Entry| !entry.mask.is_there();
-    assert!(
-        predictor
-            .objects
-            .values()
-            .any(|object| object.others.values().any(absent) || object.conditioning.values().any(absent))
-    );
 }
 
 #[test]
@@ -437,17 +264,13 @@ fn an_image_of_the_published_side_meets_its_fixture() {
         let values = numbers(decoded.masks.clone().narrow(1, i, 1)).unwrap();
         (0..32 * 32).map(|k| values[k / 32 * 8 * 256 + k % 32 * 8]).collect()
     };
-    let near = |got: &[f32], name: &str| {
-        let error = relative_error(got, &fixture.floats(name).0);
-        println!("{name}: {error:.1e}");
-        assert!(error < 1e-3, "{name}: {error:e}");
-    };
+    let near = |got: &[f32], name: &str| assert_close(name, got, &fixture.floats(name).0, 1e-3);
     let iou = numbers(decoded.iou.clone()).unwrap();
     let three: Vec<f32> = (1..4).flat_map(strided).collect();
     near(&three, "multi_low_strided");
     near(&iou[1..], "multi_iou");
-    let stability = numbers(answer::stability(&decoded.masks)).unwrap()[0];
-    let chosen = answer::chosen(&iou, false, stability);
+    let stability = numbers(recall::stability(&decoded.masks)).unwrap()[0];
+    let chosen = recall::chosen(&iou, false, stability);
     near(&strided(chosen), "single_low_strided");
     near(&[iou[chosen]], "single_iou");
     let masks = net.masks(&features, &prompt).unwrap();

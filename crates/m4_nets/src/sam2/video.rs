@@ -9,23 +9,20 @@
 //! Objects do not know of each other; those that have equally many memories are computed together. A frame's features are computed once for
 //! all of them.
 
-use super::answer::Answer;
-use super::bank::{Entry, Object, Recall};
-use super::mask::ObjectMask;
-use super::preprocess::{Frame, squared_mask};
-use super::{Features, Sam2, Sam2Error, prompts};
+use super::bank::{Entry, Object, ObjectMask, Recall};
+use super::prompts::{squared_mask, with_pixels};
+use super::recall::Answer;
+use super::{Features, Sam2, prompts};
+use crate::error::refuse;
 use crate::ops::tensor;
 use crate::sam::Prompt;
+use crate::{ImageReader, NetError};
 use burn_core::tensor::Tensor;
-use m4_core::{Plane, Progress, RgbImage};
+use m4_core::{Plane, Progress};
 use std::collections::{BTreeMap, BTreeSet};
-use std::error::Error;
 use std::fmt;
 use std::ops::{ControlFlow, RangeInclusive};
 use std::sync::Arc;
-
-/// Gives the image of a frame, by its number in the clip. Images may be of any size: all are squeezed to the network's square.
-pub type ImageReader<'a> = Box<dyn Fn(usize) -> Result<RgbImage, Box<dyn Error + Send + Sync>> + Send + 'a>;
 
 /// Which way objects are followed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -57,30 +54,8 @@ pub struct Clip {
     pub height: usize,
 }
 
-/// How objects are followed.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct VideoOptions {
-    /// Holes of at most this many pixels of the logits are filled; 0 fills none. Upstream fills 8 where it runs on CUDA, and none elsewhere.
-    pub fill_holes_px: usize,
-    /// Whether a frame that an object is corrected in, after it was followed to it, counts as one that it was shown in first: later frames
-    /// then never forget it. Upstream's is false.
-    pub corrections_condition: bool,
-    /// Frames that an object was shown in, at most, that another is seen in the light of: the nearest ones, at least 2. `None` takes all, as
-    /// upstream does; each costs as much as a frame before.
-    pub most_conditioning: Option<usize>,
-    /// What was found is kept of frames that are so near to the last or to one that was shown. Less than 15 is 15 (6 for memories), which
-    /// is what following needs; a correction farther off starts without the mask of before.
-    pub history_frames: usize,
-    /// Objects that are computed together, at most.
-    pub together: usize,
-}
-
-impl Default for VideoOptions {
-    fn default() -> Self {
-        Self { fill_holes_px: 0, corrections_condition: false, most_conditioning: None, history_frames: 0, together: 4 }
-    }
-}
-
+/// Objects that are computed together, at most.
+const TOGETHER: usize = 4;
 /// Frames whose features are kept.
 const FEATURES: usize = 3;
 /// The largest logit of an earlier mask that a prompt takes up, up or down.
@@ -93,9 +68,8 @@ const EARLIER_LOGIT: f32 = 32.0;
 pub struct VideoPredictor<'a> {
     pub(super) net: Arc<Sam2>,
     clip: Clip,
-    frame: Frame,
     images: ImageReader<'a>,
-    options: VideoOptions,
+    fill_holes_px: usize,
     pub(super) objects: BTreeMap<u32, Object>,
     /// The last ones last.
     features: Vec<(usize, Arc<Features>)>,
@@ -105,31 +79,24 @@ impl fmt::Debug for VideoPredictor<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.debug_struct("VideoPredictor")
             .field("clip", &self.clip)
-            .field("options", &self.options)
             .field("objects", &self.objects.keys())
             .finish_non_exhaustive()
     }
 }
 
 impl<'a> VideoPredictor<'a> {
-    /// For `clip`, whose images are asked for where they are needed.
+    /// For `clip`, whose images, of any size, are asked for where they are needed. Holes of masks of at most `fill_holes_px` pixels of
+    /// the logits are filled; 0 fills none. Upstream fills 8 where it runs on CUDA, and none elsewhere.
     ///
     /// # Errors
     ///
-    /// [`Sam2Error`] if the clip has no frames or no pixels.
-    pub fn new(net: Arc<Sam2>, clip: Clip, images: ImageReader<'a>, options: VideoOptions) -> Result<Self, Sam2Error> {
+    /// [`NetError`] if the clip has no frames or no pixels.
+    pub fn new(net: Arc<Sam2>, clip: Clip, images: ImageReader<'a>, fill_holes_px: usize) -> Result<Self, NetError> {
         if clip.frames == 0 {
-            return Err(Sam2Error::NoFrames);
+            return refuse("a clip without frames has no masks");
         }
-        Ok(Self {
-            net,
-            clip,
-            frame: Frame::of("a clip", (clip.width, clip.height))?,
-            images,
-            options,
-            objects: BTreeMap::new(),
-            features: Vec::new(),
-        })
+        with_pixels("a clip", (clip.width, clip.height))?;
+        Ok(Self { net, clip, images, fill_holes_px, objects: BTreeMap::new(), features: Vec::new() })
     }
 
     /// Objects that were shown.
@@ -141,26 +108,15 @@ impl<'a> VideoPredictor<'a> {
     ///
     /// # Errors
     ///
-    /// [`Sam2Error::UnknownObject`] if it was never shown.
-    pub fn remove(&mut self, object: u32) -> Result<(), Sam2Error> {
+    /// [`NetError::UnknownObject`] if it was never shown.
+    pub fn remove(&mut self, object: u32) -> Result<(), NetError> {
         let found = self.objects.remove(&object);
-        found.map(drop).ok_or(Sam2Error::UnknownObject(object))
+        found.map(drop).ok_or(NetError::UnknownObject(object))
     }
 
-    /// The mask of an object in a frame, if it is still known.
-    ///
-    /// # Errors
-    ///
-    /// [`Sam2Error`] if the object was never shown or the clip has no such frame.
-    pub fn mask(&self, frame: usize, object: u32) -> Result<Option<ObjectMask>, Sam2Error> {
-        self.check(frame)?;
-        let object = self.objects.get(&object).ok_or(Sam2Error::UnknownObject(object))?;
-        Ok(object.at(frame).map(|entry| entry.mask.clone()))
-    }
-
-    fn check(&self, frame: usize) -> Result<(), Sam2Error> {
+    fn check(&self, frame: usize) -> Result<(), NetError> {
         let frames = self.clip.frames;
-        if frame < frames { Ok(()) } else { Err(Sam2Error::NoSuchFrame { frame, frames }) }
+        if frame < frames { Ok(()) } else { Err(NetError::NoSuchFrame { frame, frames }) }
     }
 
     /// Shows an object in a frame by places, with a name of the caller's choice, or corrects it there; its mask in that frame. All places
@@ -169,24 +125,20 @@ impl<'a> VideoPredictor<'a> {
     ///
     /// # Errors
     ///
-    /// [`Sam2Error`] if the clip has no such frame, the prompt is empty or wrong, or the image or the device fails.
-    pub fn show(&mut self, frame: usize, object: u32, prompt: &Prompt) -> Result<ObjectMask, Sam2Error> {
+    /// [`NetError`] if the clip has no such frame, the prompt is empty or wrong, or the image or the device fails.
+    pub fn show(&mut self, frame: usize, object: u32, prompt: &Prompt) -> Result<ObjectMask, NetError> {
         self.check(frame)?;
-        prompts::check(prompt)?;
+        let size = (self.clip.width, self.clip.height);
         let net = Arc::clone(&self.net);
-        let tokens = prompts::tokens(&net.net.prompt_encoder, prompt, self.frame, net.side)?;
+        prompt.check(size, net.mask_side())?;
+        let tokens = prompts::tokens(&net.net.prompt_encoder, prompt, size, net.side);
         let given = prompt.mask_logits.as_ref();
         let known = self.objects.get(&object);
-        let mask = match given.or_else(|| known?.logits(frame)) {
-            Some(mask) => {
-                let mask = prompts::mask(mask, net.mask_side(), &net.device)?;
-                Some(mask.clamp(-EARLIER_LOGIT, EARLIER_LOGIT))
-            }
-            None => None,
-        };
+        let mask = given.or_else(|| known?.logits(frame));
+        let mask = mask.map(|mask| prompts::mask(mask, &net.device).clamp(-EARLIER_LOGIT, EARLIER_LOGIT));
         let recall = known.and_then(|known| {
             let direction = *known.followed.get(&frame)?;
-            let recall = known.recall(frame, direction, self.clip.frames, self.options.most_conditioning);
+            let recall = known.recall(frame, direction, self.clip.frames);
             (!recall.memories.is_empty()).then_some(recall)
         });
         let first = known.is_none_or(|known| !known.followed.contains_key(&frame));
@@ -205,9 +157,9 @@ impl<'a> VideoPredictor<'a> {
     /// # Errors
     ///
     /// As [`Self::show`].
-    pub fn show_mask(&mut self, frame: usize, object: u32, mask: &Plane<bool>) -> Result<ObjectMask, Sam2Error> {
+    pub fn show_mask(&mut self, frame: usize, object: u32, mask: &Plane<bool>) -> Result<ObjectMask, NetError> {
         self.check(frame)?;
-        Frame::of("a mask", mask.size())?;
+        with_pixels("a mask", mask.size())?;
         let net = Arc::clone(&self.net);
         let features = self.features(frame)?;
         let known = self.objects.get(&object);
@@ -217,14 +169,14 @@ impl<'a> VideoPredictor<'a> {
     }
 
     /// Keeps what was shown, the first of `answers`, until objects are followed.
-    fn pend(&mut self, frame: usize, object: u32, answers: Vec<Answer>, first: bool) -> Result<ObjectMask, Sam2Error> {
-        let nothing = || Sam2Error::Device("no answer".to_owned());
+    fn pend(&mut self, frame: usize, object: u32, answers: Vec<Answer>, first: bool) -> Result<ObjectMask, NetError> {
+        let nothing = || NetError::Device("no answer".to_owned());
         let answer = answers.into_iter().next().ok_or_else(nothing)?;
-        let entry = Entry::of(answer, self.options.fill_holes_px, true)?;
+        let entry = Entry::of(answer, self.fill_holes_px, true)?;
         let mask = entry.mask.clone();
         let known = self.objects.entry(object).or_default();
         // what was shown first is corrected where it is
-        let conditions = first || self.options.corrections_condition || known.conditioning.contains_key(&frame);
+        let conditions = first || known.conditioning.contains_key(&frame);
         known.pending.insert(frame, (entry, conditions));
         Ok(mask)
     }
@@ -234,7 +186,7 @@ impl<'a> VideoPredictor<'a> {
     ///
     /// # Errors
     ///
-    /// [`Sam2Error`] if there is no object, the clip has no such frames, `progress` says to stop, or an image or the device fails. Frames
+    /// [`NetError`] if there is no object, the clip has no such frames, `progress` says to stop, or an image or the device fails. Frames
     /// that `each` got stay followed.
     pub fn follow(
         &mut self,
@@ -242,7 +194,7 @@ impl<'a> VideoPredictor<'a> {
         direction: Direction,
         progress: &dyn Progress,
         mut each: impl FnMut(usize, &BTreeMap<u32, ObjectMask>),
-    ) -> Result<(), Sam2Error> {
+    ) -> Result<(), NetError> {
         let all: Vec<u32> = self.objects().collect();
         self.follow_some(&all, frames, direction, progress, |frame, masks| {
             each(frame, masks);
@@ -254,7 +206,7 @@ impl<'a> VideoPredictor<'a> {
     ///
     /// # Errors
     ///
-    /// As [`Self::follow`]; [`Sam2Error::UnknownObject`] if one was never shown.
+    /// As [`Self::follow`]; [`NetError::UnknownObject`] if one was never shown.
     pub fn follow_some(
         &mut self,
         objects: &[u32],
@@ -262,12 +214,12 @@ impl<'a> VideoPredictor<'a> {
         direction: Direction,
         progress: &dyn Progress,
         mut each: impl FnMut(usize, &BTreeMap<u32, ObjectMask>) -> ControlFlow<()>,
-    ) -> Result<(), Sam2Error> {
+    ) -> Result<(), NetError> {
         if objects.is_empty() {
-            return Err(Sam2Error::NoObjects);
+            return refuse("there is no object to track; prompt one in a frame first");
         }
         if let Some(&unknown) = objects.iter().find(|id| !self.objects.contains_key(id)) {
-            return Err(Sam2Error::UnknownObject(unknown));
+            return Err(NetError::UnknownObject(unknown));
         }
         self.check(*frames.start())?;
         self.check(*frames.end())?;
@@ -276,7 +228,7 @@ impl<'a> VideoPredictor<'a> {
         self.settle(progress)?;
         for done in 0..total {
             if progress.cancelled() {
-                return Err(Sam2Error::Cancelled);
+                return Err(NetError::Cancelled);
             }
             let frame = match direction {
                 Direction::Forward => frames.start() + done,
@@ -292,7 +244,7 @@ impl<'a> VideoPredictor<'a> {
     }
 
     /// Encodes memories of what was shown.
-    fn settle(&mut self, progress: &dyn Progress) -> Result<(), Sam2Error> {
+    fn settle(&mut self, progress: &dyn Progress) -> Result<(), NetError> {
         let net = Arc::clone(&self.net);
         let pending: Vec<(u32, usize)> = self
             .objects
@@ -301,7 +253,7 @@ impl<'a> VideoPredictor<'a> {
             .collect();
         for (id, frame) in pending {
             if progress.cancelled() {
-                return Err(Sam2Error::Cancelled);
+                return Err(NetError::Cancelled);
             }
             let features = self.features(frame)?;
             let Some(object) = self.objects.get_mut(&id) else {
@@ -326,11 +278,11 @@ impl<'a> VideoPredictor<'a> {
         frame: usize,
         direction: Direction,
         some: &BTreeSet<u32>,
-    ) -> Result<BTreeMap<u32, ObjectMask>, Sam2Error> {
+    ) -> Result<BTreeMap<u32, ObjectMask>, NetError> {
         let mut groups: BTreeMap<(usize, usize), Vec<(u32, Recall)>> = BTreeMap::new();
         for (&id, object) in &self.objects {
             if some.contains(&id) && object.shown(frame).is_none() {
-                let recall = object.recall(frame, direction, self.clip.frames, self.options.most_conditioning);
+                let recall = object.recall(frame, direction, self.clip.frames);
                 let size = (recall.memories.len(), recall.pointers.len());
                 groups.entry(size).or_default().push((id, recall));
             }
@@ -340,7 +292,7 @@ impl<'a> VideoPredictor<'a> {
             let features = self.features(frame)?;
             let begun = net.begun(&features);
             for (_, group) in groups {
-                for part in group.chunks(self.options.together.max(1)) {
+                for part in group.chunks(TOGETHER) {
                     let found = self.found(&net, &features, &begun, part)?;
                     for (id, entry) in found {
                         if let Some(object) = self.objects.get_mut(&id) {
@@ -353,7 +305,7 @@ impl<'a> VideoPredictor<'a> {
         let mut masks = BTreeMap::new();
         for (&id, object) in self.objects.iter_mut().filter(|(id, _)| some.contains(id)) {
             object.followed.insert(frame, direction);
-            object.forget(frame, self.options.history_frames);
+            object.forget(frame);
             masks.extend(object.at(frame).map(|entry| (id, entry.mask.clone())));
         }
         Ok(masks)
@@ -366,7 +318,7 @@ impl<'a> VideoPredictor<'a> {
         features: &Features,
         begun: &Tensor<3>,
         some: &[(u32, Recall)],
-    ) -> Result<Vec<(u32, Entry)>, Sam2Error> {
+    ) -> Result<Vec<(u32, Entry)>, NetError> {
         let recalls: Vec<Recall> = some.iter().map(|(_, recall)| recall.clone()).collect();
         let map = net.recalled(begun.clone(), &recalls, self.clip.frames);
         let answers = net.followed(map, features)?;
@@ -376,7 +328,7 @@ impl<'a> VideoPredictor<'a> {
         let memories = net.remembered(features, masks, &there);
         let mut found = Vec::new();
         for (i, (answer, (id, _))) in answers.into_iter().zip(some).enumerate() {
-            let mut entry = Entry::of(answer, self.options.fill_holes_px, false)?;
+            let mut entry = Entry::of(answer, self.fill_holes_px, false)?;
             entry.memory = Some(memories.clone().narrow(0, i, 1));
             found.push((*id, entry));
         }
@@ -384,14 +336,14 @@ impl<'a> VideoPredictor<'a> {
     }
 
     /// A frame's features.
-    pub(super) fn features(&mut self, frame: usize) -> Result<Arc<Features>, Sam2Error> {
+    pub(super) fn features(&mut self, frame: usize) -> Result<Arc<Features>, NetError> {
         if let Some(i) = self.features.iter().position(|(at, _)| *at == frame) {
             let kept = self.features.remove(i);
             let features = Arc::clone(&kept.1);
             self.features.push(kept);
             return Ok(features);
         }
-        let image = (self.images)(frame).map_err(|reason| Sam2Error::Image { frame, reason })?;
+        let image = (self.images)(frame).map_err(|reason| NetError::Frame { frame, reason })?;
         let features = Arc::new(self.net.encode(&image)?);
         if self.features.len() >= FEATURES {
             self.features.remove(0);

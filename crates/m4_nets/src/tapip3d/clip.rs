@@ -1,10 +1,7 @@
 //! What a tracker is given, and what it gives back.
 
-use m4_core::{Camera, DepthMap, RgbImage, ShapeError, Tracks};
-use std::error::Error;
-
-/// What the source of a clip says when a frame cannot be had.
-pub type ClipError = Box<dyn Error + Send + Sync>;
+use crate::error::ClipError;
+use m4_core::{Camera, DepthMap, RgbImage};
 
 /// A clip whose frames are asked for when they are needed: each some times, in order and in reverse, a window of them kept.
 pub trait PosedClip {
@@ -74,48 +71,10 @@ impl Tapip3dOptions {
 /// Where points went.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PointTracks {
-    pub(super) frames: usize,
-    /// `[query][frame]`.
-    pub(super) world: Vec<[f32; 3]>,
-    /// `[query][frame]`.
-    pub(super) visibility: Vec<f32>,
-}
-
-impl PointTracks {
     /// Frames of the clip.
-    #[must_use]
-    pub fn frames(&self) -> usize {
-        self.frames
-    }
-
-    /// Points that were followed.
-    #[must_use]
-    pub fn count(&self) -> usize {
-        self.world.len().checked_div(self.frames).unwrap_or(0)
-    }
-
-    /// Where they are, in the world, `[query][frame]`.
-    #[must_use]
-    pub fn world(&self) -> &[[f32; 3]] {
-        &self.world
-    }
-
-    /// How likely they are seen, 0 to 1, `[query][frame]`.
-    #[must_use]
-    pub fn visibility(&self) -> &[f32] {
-        &self.visibility
-    }
-
-    /// The same as [`Tracks`], seen where that is at least as likely as `threshold`; upstream's is 0.9.
-    ///
-    /// # Errors
-    ///
-    /// [`ShapeError`] never, as lengths fit.
-    pub fn seen_from(&self, threshold: f32) -> Result<Tracks, ShapeError> {
-        let (frames, count) = (self.frames, self.count());
-        let at = |i: usize| i % count * frames + i / count;
-        let world = (0..frames * count).map(|i| self.world[at(i)]).collect();
-        let seen = (0..frames * count).map(|i| self.visibility[at(i)] >= threshold).collect();
-        Tracks::new(frames, count, world, seen)
-    }
+    pub frames: usize,
+    /// Where the points are, in the world, `[query][frame]`.
+    pub world: Vec<[f32; 3]>,
+    /// How likely they are visible, 0 to 1, `[query][frame]`.
+    pub visibility: Vec<f32>,
 }

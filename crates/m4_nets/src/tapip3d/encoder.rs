@@ -1,11 +1,10 @@
 //! Features of an image at a quarter of its size: the network of CoTracker3.
 
-use crate::ops::{conv, convolve, instance_norm};
+use crate::ops::{conv, convolve, instance_norm, interpolated};
+use crate::residual::{Norm, Residual};
 use burn_core as burn;
 use burn_core::module::Module;
 use burn_core::tensor::activation::relu;
-use burn_core::tensor::module::interpolate;
-use burn_core::tensor::ops::{InterpolateMode, InterpolateOptions};
 use burn_core::tensor::{DType, Device, Tensor};
 use burn_nn::conv::Conv2d;
 
@@ -13,40 +12,6 @@ use burn_nn::conv::Conv2d;
 pub const STRIDE: usize = 4;
 /// Channels of the four stages.
 const STAGES: [usize; 4] = [64, 96, 128, 128];
-
-/// Two convolutions beside a shortcut, each normalised over the image.
-#[derive(Module, Debug)]
-struct Residual {
-    conv1: Conv2d,
-    conv2: Conv2d,
-    downsample: Option<Downsample>,
-}
-
-/// The shortcut where size changes. Named `downsample.0` in the checkpoint.
-#[derive(Module, Debug)]
-struct Downsample {
-    conv: Conv2d,
-}
-
-impl Residual {
-    fn new([from, to]: [usize; 2], stride: usize, device: &Device) -> Self {
-        Self {
-            conv1: conv([from, to], 3, stride, true, device),
-            conv2: conv([to, to], 3, 1, true, device),
-            downsample: (stride != 1).then(|| Downsample { conv: conv([from, to], 1, stride, true, device) }),
-        }
-    }
-
-    fn forward(&self, x: Tensor<4>) -> Tensor<4> {
-        let y = relu(instance_norm(convolve([x.clone()], &self.conv1)));
-        let y = relu(instance_norm(convolve([y], &self.conv2)));
-        let x = match &self.downsample {
-            Some(shortcut) => instance_norm(convolve([x], &shortcut.conv)),
-            None => x,
-        };
-        relu(x + y)
-    }
-}
 
 /// The encoder. Named `encoder.backbone` in the checkpoint.
 #[derive(Module, Debug)]
@@ -63,7 +28,7 @@ pub struct Encoder {
 impl Encoder {
     /// To `width` channels.
     pub fn new(width: usize, device: &Device) -> Self {
-        let layer = |from, to, stride| [Residual::new([from, to], stride, device), Residual::new([to, to], 1, device)];
+        let layer = |from, to, stride| Residual::pair([from, to], stride, Norm::Instance, device);
         let [a, b, c, d] = STAGES;
         Self {
             conv1: conv([3, a], 7, 2, true, device),
@@ -84,13 +49,10 @@ impl Encoder {
     /// Of images `[n, 3, h, w]` from -1 to 1: `[n, width, h / 4, w / 4]`.
     pub fn forward(&self, x: Tensor<4>) -> Tensor<4> {
         let [_, _, h, w] = x.dims();
-        let size = InterpolateOptions::new(InterpolateMode::Bilinear)
-            .with_align_corners(true)
-            .with_output_size([h / STRIDE, w / STRIDE]);
         let mut x = relu(instance_norm(convolve([x], &self.conv1)));
         let stages = [&self.layer1, &self.layer2, &self.layer3, &self.layer4].map(|[first, second]| {
-            x = second.forward(first.forward(x.clone()));
-            interpolate(x.clone(), size.clone())
+            x = second.forward(first.forward(x.clone(), Norm::Instance), Norm::Instance);
+            interpolated(x.clone(), [h / STRIDE, w / STRIDE], true)
         });
         let x = relu(instance_norm(convolve(stages, &self.conv2)));
         convolve([x], &self.conv3)

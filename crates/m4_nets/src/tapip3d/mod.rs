@@ -20,22 +20,15 @@
 //! Where points are stays in 32 bits whatever the network computes in, and the search for neighbours runs on the processor for every
 //! device. Depth that is not known is 0: its pixels are at the camera's centre, where the network learned to have them.
 
-mod camera;
 mod clip;
 mod config;
-mod correlation;
 mod depth;
 mod encoder;
 mod encoding;
-mod error;
 mod frame;
 mod layers;
-mod moments;
-mod nearest_pixel;
 mod neighbours;
 mod pass;
-mod query;
-mod sizes;
 mod source;
 #[cfg(test)]
 mod tests;
@@ -43,21 +36,18 @@ mod track;
 mod updater;
 mod window;
 
-pub use clip::{ClipError, PointQuery, PointTracks, PosedClip, Tapip3dOptions};
-pub use error::Tapip3dError;
+pub use clip::{PointQuery, PointTracks, PosedClip, Tapip3dOptions};
 
 use crate::ops::zeros;
-use crate::{Compute, LoadError, load};
+use crate::{Compute, LoadError, NetError, load};
 use burn_core as burn;
 use burn_core::module::{Module, Param};
-use burn_core::tensor::{DType, Device, Tensor};
-use config::Config;
-use correlation::Correlation;
+use burn_core::tensor::{Device, Tensor};
+use config::{Config, Sizes};
 use encoder::Encoder;
 use m4_core::Progress;
-use sizes::Sizes;
 use std::path::Path;
-use updater::Updater;
+use updater::{Correlation, Updater};
 
 /// What it is called in messages.
 const NAME: &str = "TAPIP3D";
@@ -121,28 +111,11 @@ impl Tapip3d {
             reason,
         })?;
         let shapes = load::shapes(NAME, path, &RENAMES)?;
-        let sizes = Sizes::in_checkpoint(&shapes, &config).map_err(|wrong| LoadError::OtherNetwork {
-            path: path.to_owned(),
-            network: NAME,
-            missing: Vec::new(),
-            unused: Vec::new(),
-            wrong: vec![wrong],
-        })?;
+        let sizes =
+            Sizes::in_checkpoint(&shapes, &config).map_err(|wrong| LoadError::misfit(NAME, path, &[], &[wrong]))?;
         let mut net = Net::new(&sizes, &config, device);
         load::fill(&mut net, NAME, path, &RENAMES, |_| false)?;
         Ok(Self { net: on.fit(net), config, sizes, device: device.clone() })
-    }
-
-    /// Numbers of the checkpoint that are used.
-    #[must_use]
-    pub fn parameters(&self) -> usize {
-        self.net.num_params()
-    }
-
-    /// Columns and rows of the images that the network was trained with.
-    #[must_use]
-    pub fn training_size(&self) -> (usize, usize) {
-        self.config.size
     }
 
     /// Columns and rows that upstream brings frames to: twice the pixels of training.
@@ -156,7 +129,7 @@ impl Tapip3d {
     ///
     /// # Errors
     ///
-    /// [`Tapip3dError`] if the clip has no frames or no depth, a frame cannot be had, a query is in none of them, the size is too
+    /// [`NetError`] if the clip has no frames or no depth, a frame cannot be had, a query is in none of them, the size is too
     /// small, the device fails, or `progress` is cancelled.
     pub fn track(
         &self,
@@ -164,12 +137,7 @@ impl Tapip3d {
         queries: &[PointQuery],
         options: &Tapip3dOptions,
         progress: &dyn Progress,
-    ) -> Result<PointTracks, Tapip3dError> {
-        track::track(self, clip, queries, options, progress)
+    ) -> Result<PointTracks, NetError> {
+        track::track_within(self, clip, queries, options, None, progress)
     }
-}
-
-fn numbers<const D: usize>(x: Tensor<D>) -> Result<Vec<f32>, Tapip3dError> {
-    let numbers = x.cast(DType::F32).try_into_vec_as();
-    numbers.map_err(|error| Tapip3dError::Device(error.to_string()))
 }

@@ -1,11 +1,10 @@
 //! One pass over a clip, forward or backward.
 
 use super::frame::{Frame, Sides};
-use super::query::grid;
-use super::source::{Loaded, Source};
+use super::source::{Loaded, Source, grid, no_depth, sides};
 use super::track::{Batch, Group, TrackState};
 use super::window::{State, Window};
-use super::{Tapip3dError, query};
+use crate::NetError;
 use m4_core::Progress;
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -99,10 +98,6 @@ impl Frames {
 }
 
 /// Takes all `groups` in `order`. What is `known` of queries grows in the forward pass, which comes first.
-///
-/// # Errors
-///
-/// [`Tapip3dError`] if a frame cannot be had or used, the device fails, or `progress` is cancelled.
 pub fn walk(
     source: &Source<'_>,
     order: FrameOrder,
@@ -112,7 +107,7 @@ pub fn walk(
     frames: &mut Frames,
     mut report: impl FnMut(),
     progress: &dyn Progress,
-) -> Result<Vec<Vec<TrackedPoint>>, Tapip3dError> {
+) -> Result<Vec<Vec<TrackedPoint>>, NetError> {
     let (net, config) = (&source.net.net, &source.net.config);
     let mut walkers: Vec<Vec<TrackedPoint>> = vec![Vec::new(); groups.len()];
     let mut entered = 0;
@@ -121,7 +116,7 @@ pub fn walk(
         let mut window = Vec::with_capacity(order.window);
         for &frame in &needed {
             if progress.cancelled() {
-                return Err(Tapip3dError::Stopped);
+                return Err(NetError::Cancelled);
             }
             if !frames.held.contains_key(&frame) {
                 frames.shrink(&needed, order);
@@ -147,7 +142,7 @@ pub fn walk(
         entered = entered.max(end);
         let (lowest, highest) = (needed.iter().min(), needed.iter().max());
         let (lowest, highest) = (lowest.copied().unwrap_or(0), highest.copied().unwrap_or(0));
-        let window = Window::new(window, config).ok_or(Tapip3dError::NoDepth { first: lowest, last: highest })?;
+        let window = Window::new(window, config).ok_or_else(|| no_depth(lowest, highest))?;
         for (group, walkers) in known.groups.iter().zip(&mut walkers) {
             if walkers.is_empty() {
                 report();
@@ -159,11 +154,14 @@ pub fn walk(
             let mut state = State::before(walkers, first, order.window, &window);
             for _ in 0..source.options.iterations {
                 if progress.cancelled() {
-                    return Err(Tapip3dError::Stopped);
+                    return Err(NetError::Cancelled);
                 }
                 state = window.moved(net, &sides, state, config.neighbours)?;
                 if !state.is_finite() {
-                    return Err(Tapip3dError::NotFinite { first: lowest, last: highest });
+                    return Err(NetError::Device(format!(
+                        "the network lost its points in frames {lowest} to {highest}: its output is NaN or infinite; 32-bit \
+                         precision may help"
+                    )));
                 }
             }
             state.enter(walkers, first, &window);
@@ -200,7 +198,7 @@ impl TrackState {
     /// Takes in what `loaded`, which is `frame`, shows of the queries in it, and the grid of points if it is an end of the clip.
     fn learn(&mut self, source: &Source<'_>, frame: usize, loaded: &Loaded, groups: &[Group]) {
         let side = |points: &[[f32; 3]]| {
-            query::sides(
+            sides(
                 &source.net.net,
                 &loaded.maps,
                 &loaded.geometry.points,

@@ -1,19 +1,17 @@
 //! The network against its fixture: weights by the formula, damped where a random network would be chaotic.
 
-use super::camera::PosedPinhole;
 use super::config::Config;
-use super::frame::{Frame, Geometry, Sides, image_tensor, map_sizes, maps, sampled};
-use super::query::sides;
+use super::frame::{Frame, Geometry, PosedPinhole, Sides, image_tensor, map_sizes, maps, sampled};
+use super::source::sides;
 use super::track::track_within;
 use super::window::{State, Window};
 use super::*;
-use crate::cpu;
-use crate::fixture::{Fixture, assert_near, relative_error};
+use crate::fixture::{Fixture, assert_close, assert_near};
 use crate::ops::tensor;
-use m4_core::{
-    Camera, DepthMap, Intrinsics, Plane, RgbImage, Se3, Silent,
-    nalgebra::{Matrix4, Vector3},
-};
+use crate::{ClipError, cpu};
+use burn_core::tensor::DType;
+use m4_core::nalgebra::{Matrix4, Vector3};
+use m4_core::{Camera, DepthMap, Intrinsics, Plane, RgbImage, Se3, Silent};
 use m4_testkit::FormulaWeights;
 use std::sync::Arc;
 use tempfile::TempDir;
@@ -137,12 +135,6 @@ fn clip() -> Clip {
     Clip(Fixture::open("tapip3d/tracker.safetensors"))
 }
 
-fn assert_close(what: &str, got: &[f32], want: &[f32], limit: f64) {
-    let error = relative_error(got, want);
-    println!("{what}: {error:.1e}");
-    assert!(error < limit, "{what}: relative error {error:e}, limit {limit:e}");
-}
-
 /// Channels `0, step, ...` of `map` `[pixels, channels]` as planes.
 fn planes(map: &Tensor<2>, step: usize) -> Vec<f32> {
     let [n, c] = map.dims();
@@ -179,7 +171,7 @@ fn windows_are_brought_to_the_network_s_space() {
     let config = Config::read(&serde_json::from_str(CONFIG).unwrap()).unwrap();
     for (name, first) in [("w0", 0), ("w1", 8)] {
         let all = (first..first + WINDOW).map(|frame| clip.geometry(frame).moments);
-        let all = all.fold(moments::Moments::default(), |sum, m| sum.with(&m));
+        let all = all.fold(window::Moments::default(), |sum, m| sum.with(&m));
         let space = all.space(config.norm_mode, config.norm_scale).unwrap();
         assert_close("mean", &space.mean, &clip.0.floats(&format!("norm_mean_{name}")).0, 1e-5);
         assert_close("deviation", &space.std, &clip.0.floats(&format!("norm_std_{name}")).0, 1e-5);
@@ -301,10 +293,10 @@ fn whole_clip_matches_the_reference() {
     let n = queries.len();
     // frames before a query's own are not followed
     let followed: Vec<(usize, usize)> = (0..n).flat_map(|i| (queries[i].frame..FRAMES).map(move |t| (i, t))).collect();
-    let got: Vec<f32> = followed.iter().flat_map(|&(i, t)| tracks.world()[i * FRAMES + t]).collect();
+    let got: Vec<f32> = followed.iter().flat_map(|&(i, t)| tracks.world[i * FRAMES + t]).collect();
     let coords: Vec<f32> = followed.iter().flat_map(|&(i, t)| want[(t * n + i) * 3..][..3].to_vec()).collect();
     assert_close("tracks", &got, &coords, 1e-4);
-    let got: Vec<f32> = followed.iter().map(|&(i, t)| tracks.visibility()[i * FRAMES + t]).collect();
+    let got: Vec<f32> = followed.iter().map(|&(i, t)| tracks.visibility[i * FRAMES + t]).collect();
     let seen: Vec<f32> = followed.iter().map(|&(i, t)| 1.0 / (1.0 + (-logits[t * n + i]).exp())).collect();
     assert_close("visibility", &got, &seen, 1e-4);
 }
@@ -334,9 +326,9 @@ fn backward_is_forward_on_the_reversed_clip() {
     let options = Tapip3dOptions { iterations: 1, support_grid: 3, backward: true, ..fixture_options() };
     let there = net.track(&clip, &queries, &options, &Silent).unwrap();
     let back = net.track(&Reversed(&clip), &turned, &options, &Silent).unwrap();
-    assert_eq!(there.count(), queries.len());
+    assert_eq!(there.world.len(), queries.len() * FRAMES);
     for i in 0..queries.len() {
-        let at = |tracks: &PointTracks, t: usize| tracks.world()[i * FRAMES + t];
+        let at = |tracks: &PointTracks, t: usize| tracks.world[i * FRAMES + t];
         let before: Vec<[f32; 3]> = (0..17).map(|t| at(&there, t)).collect();
         let after: Vec<[f32; 3]> = (0..17).map(|t| at(&back, FRAMES - 1 - t)).collect();
         // the origin is another
@@ -377,7 +369,7 @@ fn queries_outside_every_view_and_samples_out_of_bounds_stay_finite() {
     // a query far outside is not seen, and is followed anyway
     let queries = [[1e6, -1e6, 5.0], [0.0, 0.0, -3.0]].map(|world| PointQuery { frame: 3, world });
     let tracks = net.track(&clip, &queries, &fixture_options(), &Silent).unwrap();
-    assert!(tracks.world().as_flattened().iter().all(|x| x.is_finite()));
+    assert!(tracks.world.as_flattened().iter().all(|x| x.is_finite()));
     let x = tensor(vec![1.0, 2.0, 3.0, 4.0], [4, 1], &cpu());
     let far = sampled(&x, (2, 2), &[[f64::NAN, 0.0], [1e300, -5.0], [0.5, 0.5]]);
     let far: Vec<f32> = far.try_into_vec_as().unwrap();

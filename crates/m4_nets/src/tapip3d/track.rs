@@ -1,10 +1,12 @@
 //! All queries through all frames.
 
+use super::Tapip3d;
 use super::clip::{PointQuery, PointTracks, PosedClip, Tapip3dOptions};
 use super::frame::{Sides, map_sizes};
 use super::pass::{FrameOrder, Frames, TrackedPoint, walk};
 use super::source::Source;
-use super::{Tapip3d, Tapip3dError};
+use crate::NetError;
+use crate::error::refuse;
 use m4_core::Progress;
 use std::collections::BTreeMap;
 
@@ -49,18 +51,7 @@ impl TrackState {
     }
 }
 
-/// As [`Tapip3d::track`].
-pub fn track(
-    net: &Tapip3d,
-    clip: &dyn PosedClip,
-    queries: &[PointQuery],
-    options: &Tapip3dOptions,
-    progress: &dyn Progress,
-) -> Result<PointTracks, Tapip3dError> {
-    track_within(net, clip, queries, options, None, progress)
-}
-
-/// The same with the depths that count, where they are known.
+/// As [`Tapip3d::track`], with the depths that count where they are known.
 pub fn track_within(
     net: &Tapip3d,
     clip: &dyn PosedClip,
@@ -68,7 +59,7 @@ pub fn track_within(
     options: &Tapip3dOptions,
     range: Option<[f32; 2]>,
     progress: &dyn Progress,
-) -> Result<PointTracks, Tapip3dError> {
+) -> Result<PointTracks, NetError> {
     check_size(net, options)?;
     let frames = clip.frames();
     let source = Source::new(net, clip, options)?;
@@ -124,26 +115,29 @@ fn enter(tracks: &mut PointTracks, walker: &TrackedPoint, queries: &[PointQuery]
     }
 }
 
-fn check_size(net: &Tapip3d, options: &Tapip3dOptions) -> Result<(), Tapip3dError> {
+fn check_size(net: &Tapip3d, options: &Tapip3dOptions) -> Result<(), NetError> {
     let (width, height) = options.size;
     let coarsest = map_sizes(options.size, net.config.levels).pop();
     let points = coarsest.map_or(0, |(w, h)| w.saturating_mul(h));
     let neighbours = net.config.neighbours;
     if points < neighbours || width > LONGEST || height > LONGEST {
-        return Err(Tapip3dError::Size { width, height, neighbours });
+        return refuse(format!(
+            "points cannot be tracked at {width} x {height} px: the coarsest map has to hold {neighbours} points, which takes \
+             32 by 32 px for each; choose a larger size"
+        ));
     }
     Ok(())
 }
 
 /// Where queries are about the origin.
-fn points(source: &Source<'_>, queries: &[PointQuery], frames: usize) -> Result<Vec<[f32; 3]>, Tapip3dError> {
+fn points(source: &Source<'_>, queries: &[PointQuery], frames: usize) -> Result<Vec<[f32; 3]>, NetError> {
     let point = |(index, query): (usize, &PointQuery)| {
-        let bad = |reason| Tapip3dError::Query { index, reason };
+        let bad = |reason: String| refuse(format!("point {index} cannot be tracked: {reason}"));
         if query.frame >= frames {
-            return Err(bad(format!("it is asked for in frame {} of {frames}", query.frame)));
+            return bad(format!("it is asked for in frame {} of {frames}", query.frame));
         }
         let p = [0, 1, 2].map(|axis| (query.world[axis] - source.origin[axis]) as f32);
-        if p.iter().all(|x| x.is_finite()) { Ok(p) } else { Err(bad(format!("it is asked for at {:?}", query.world))) }
+        if p.iter().all(|x| x.is_finite()) { Ok(p) } else { bad(format!("it is asked for at {:?}", query.world)) }
     };
     queries.iter().enumerate().map(point).collect()
 }

@@ -1,8 +1,9 @@
 //! Layers of tokens `[n, channels]` that the heads share.
 
-use crate::ops::{attend, gelu, linear, norm, zeros};
+use crate::dinov2::LayerScale;
+use crate::ops::{attend_heads, gelu, linear, norm};
 use burn_core as burn;
-use burn_core::module::{Module, Param};
+use burn_core::module::Module;
 use burn_core::tensor::activation::softmax;
 use burn_core::tensor::{Device, Tensor};
 use burn_nn::{LayerNorm, Linear};
@@ -68,22 +69,6 @@ impl Adapters {
     }
 }
 
-/// A factor a channel.
-#[derive(Module, Debug)]
-pub struct LayerScale {
-    gamma: Param<Tensor<1>>,
-}
-
-impl LayerScale {
-    fn new(width: usize, device: &Device) -> Self {
-        Self { gamma: zeros([width], device) }
-    }
-
-    fn forward(&self, x: Tensor<2>) -> Tensor<2> {
-        x * self.gamma.val().unsqueeze()
-    }
-}
-
 /// A block: attention, then a feed-forward layer, each normalised before, scaled a channel after, and added.
 #[derive(Module, Debug)]
 pub struct Block {
@@ -121,7 +106,8 @@ impl Block {
         k_position: Option<Tensor<2>>,
     ) -> Tensor<2> {
         let [q, k, v] = self.projected(x.clone(), context, q_position, k_position);
-        self.added(x, attend(q, k, v))
+        let [q, k, v] = [q, k, v].map(|x| x.unsqueeze::<4>());
+        self.added(x, attend_heads(q, k, v).squeeze_dim::<3>(0).squeeze_dim(0))
     }
 
     /// The heads of each token in the light of each other, `position` added to queries: upstream hands them to its Nystrom attention in

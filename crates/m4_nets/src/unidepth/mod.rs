@@ -16,29 +16,25 @@
 //! Sizes (the backbone's, the number of its blocks, the width of the heads) are read off the checkpoint's tensors. Maps are tokens
 //! `[h w, channels]`, row by row. Confidence, which the checkpoint can also give, is not computed.
 
-mod camera;
-mod depth;
+mod heads;
+mod image;
 mod layers;
-mod preprocess;
-mod rays;
 #[cfg(test)]
 mod tests;
-mod up;
 
 use crate::dinov2::{self, BackboneSize, DinoV2};
+use crate::error::numbers;
 use crate::load::{self, Shapes};
 use crate::ops::{gelu, linear, norm, sine_positions, zeros};
-use crate::{Compute, LoadError};
+use crate::{Compute, LoadError, NetError};
 use burn_core as burn;
 use burn_core::module::{Module, Param};
-use burn_core::tensor::{DType, Device, Tensor};
+use burn_core::tensor::{Device, Tensor};
 use burn_nn::{LayerNorm, Linear};
-use camera::{CameraHead, GlobalHead};
-use depth::{DepthHead, Scene};
+use heads::{CameraHead, DepthHead, GlobalHead, Scene};
+use image::{Patches, Rays};
 use layers::Adapters;
 use m4_core::{Intrinsics, Plane, RgbImage};
-use preprocess::Patches;
-use rays::Rays;
 use std::path::Path;
 
 /// What it is called in messages.
@@ -49,28 +45,6 @@ const PATCHES: usize = 2400;
 const TAPS: usize = 4;
 /// The width of the heads is a multiple of this: eight heads, three times halved, a quarter of which is shuffled into pixels.
 const WIDTH_MULTIPLE: usize = 32;
-
-/// Why there is no depth.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum UniDepthError {
-    /// The image has no pixels.
-    #[error("depth needs an image with pixels")]
-    Empty,
-    /// The image is so narrow that nothing like it was trained with.
-    #[error(
-        "an image of {width} x {height} pixels is too narrow for depth: cut it so that one side is at most 16 times the other"
-    )]
-    Narrow {
-        /// Its columns.
-        width: usize,
-        /// Its rows.
-        height: usize,
-    },
-    /// The device failed, for one for lack of memory.
-    #[error("the device that computes depth failed: {0}")]
-    Device(String),
-}
 
 /// Depth and camera of an image.
 #[derive(Debug, Clone, PartialEq)]
@@ -85,7 +59,6 @@ pub struct UniDepthMap {
 #[derive(Debug)]
 pub struct UniDepth {
     net: Net,
-    size: BackboneSize,
     device: Device,
 }
 
@@ -173,7 +146,7 @@ impl Net {
     }
 
     /// Of an image `[1, 3, 14 h, 14 w]`.
-    fn heads(&self, image: Tensor<4>, patches: Patches) -> Result<Heads, UniDepthError> {
+    fn heads(&self, image: Tensor<4>, patches: Patches) -> Result<Heads, NetError> {
         let decoder = &self.pixel_decoder;
         let dtype = decoder.level_embeds.dtype();
         let device = image.device();
@@ -190,7 +163,7 @@ impl Net {
             positions.clone(),
             Tensor::cat(camera_tokens, 0),
         );
-        let camera = patches.camera(numbers(camera)?);
+        let camera = patches.camera(few(camera)?);
         let rays = Rays::of(&camera);
 
         let [h, w] = patches.grid;
@@ -200,7 +173,7 @@ impl Net {
             Tensor::cat(global_tokens, 0),
             rays.encoded(h, w, &device).cast(dtype),
         );
-        let [log_scale, offset] = numbers(global)?;
+        let [log_scale, offset] = few(global)?;
         let logarithms =
             decoder.depth_layer.forward(&Scene { levels: &levels, positions, rays: &rays, grid: patches.grid });
         Ok(Heads { camera, log_scale, offset, logarithms })
@@ -220,12 +193,10 @@ impl Decoder {
     }
 }
 
-/// A few numbers `[n, 1]` off the device.
-fn numbers<const N: usize>(x: Tensor<2>) -> Result<[f64; N], UniDepthError> {
-    let values: Vec<f32> =
-        x.cast(DType::F32).try_into_vec_as().map_err(|error| UniDepthError::Device(error.to_string()))?;
-    let found = <[f32; N]>::try_from(values);
-    let found = found.map_err(|values| UniDepthError::Device(format!("gave {} numbers for {N}", values.len())))?;
+/// `N` numbers `[N, 1]` off the device.
+fn few<const N: usize>(x: Tensor<2>) -> Result<[f64; N], NetError> {
+    let found = <[f32; N]>::try_from(numbers(x)?);
+    let found = found.map_err(|values| NetError::Device(format!("gave {} numbers for {N}", values.len())))?;
     Ok(found.map(f64::from))
 }
 
@@ -244,27 +215,15 @@ impl UniDepth {
         let mut net = Net::new(size, depth, width, device);
         load::fill(&mut net, NAME, path, &RENAMES, unneeded)?;
         let net = on.fit(net);
-        Ok(Self { net, size, device: device.clone() })
-    }
-
-    /// The backbone that the checkpoint holds.
-    #[must_use]
-    pub fn size(&self) -> BackboneSize {
-        self.size
-    }
-
-    /// Numbers that the network learned, without those of training and of confidence.
-    #[must_use]
-    pub fn parameters(&self) -> usize {
-        self.net.num_params()
+        Ok(Self { net, device: device.clone() })
     }
 
     /// Depth and camera of `image`, by 2400 patches.
     ///
     /// # Errors
     ///
-    /// [`UniDepthError`] if the image has no pixels or is too narrow, or the device fails.
-    pub fn depth(&self, image: &RgbImage) -> Result<UniDepthMap, UniDepthError> {
+    /// [`NetError`] if the image has no pixels or is too narrow, or the device fails.
+    pub fn depth(&self, image: &RgbImage) -> Result<UniDepthMap, NetError> {
         self.depth_by_patches(image, PATCHES)
     }
 
@@ -273,11 +232,10 @@ impl UniDepth {
     /// # Errors
     ///
     /// As [`UniDepth::depth`].
-    pub fn depth_by_patches(&self, image: &RgbImage, patches: usize) -> Result<UniDepthMap, UniDepthError> {
-        let patches = Patches::of(image.width(), image.height(), patches)?;
+    pub fn depth_by_patches(&self, image: &RgbImage, patches: usize) -> Result<UniDepthMap, NetError> {
+        let patches = Patches::of(image.size(), patches)?;
         let heads = self.net.heads(patches.tensor(image, &self.device), patches)?;
-        let logarithms = heads.logarithms.cast(DType::F32).try_into_vec_as();
-        let logarithms: Vec<f32> = logarithms.map_err(|error| UniDepthError::Device(error.to_string()))?;
+        let logarithms = numbers(heads.logarithms)?;
         Ok(UniDepthMap {
             depth_m: patches.depth(&logarithms, heads.log_scale, heads.offset),
             camera: patches.camera_of_image(&heads.camera),
@@ -297,23 +255,17 @@ fn sizes(shapes: &Shapes, path: &Path) -> Result<(usize, usize), LoadError> {
     };
     let last = shapes.keys().filter_map(|name| block(name)).max();
     let depth = last.map_or(0, |last| last.saturating_add(1)).min(shapes.len());
-    let other = |missing: &[&str], wrong: Vec<String>| LoadError::OtherNetwork {
-        path: path.to_owned(),
-        network: NAME,
-        missing: missing.iter().map(|&name| name.to_owned()).collect(),
-        unused: Vec::new(),
-        wrong,
-    };
+    let other = |missing: &[&str], wrong: &[String]| LoadError::misfit(NAME, path, missing, wrong);
     if depth < TAPS {
-        return Err(other(&["pixel_encoder.blocks.3.norm1.weight"], Vec::new()));
+        return Err(other(&["pixel_encoder.blocks.3.norm1.weight"], &[]));
     }
     let name = "pixel_decoder.level_embeds";
     match shapes.get(name).map(Vec::as_slice) {
-        None => Err(other(&[name], Vec::new())),
+        None => Err(other(&[name], &[])),
         Some(&[TAPS, width]) if width > 0 && width.is_multiple_of(WIDTH_MULTIPLE) => Ok((depth, width)),
         Some(shape) => {
             let wrong = format!("{name} has the shape {shape:?}, [{TAPS}, a multiple of {WIDTH_MULTIPLE}] is needed");
-            Err(other(&[], vec![wrong]))
+            Err(other(&[], &[wrong]))
         }
     }
 }

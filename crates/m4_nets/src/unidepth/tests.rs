@@ -28,7 +28,7 @@ fn thinned(x: Tensor<2>, rows: usize, columns: usize) -> Tensor<2> {
 fn parts_agree_with_upstream() {
     let (net, fixture) = (network(), Fixture::open("unidepth_v2/formula.safetensors"));
     let image = fixture.image("image");
-    let patches = Patches::of(image.width(), image.height(), 48).unwrap();
+    let patches = Patches::of(image.size(), 48).unwrap();
     assert_eq!(patches.grid, [6, 9]);
     let input = patches.tensor(&image, &cpu());
     let channels = (0..3).map(|c| thinned(input.clone().slice([0..1, c..c + 1]).reshape([84, 126]), 4, 4));
@@ -84,7 +84,7 @@ fn the_published_checkpoint_fits() {
 
 #[test]
 fn patches_have_the_aspect_of_the_image() {
-    let grid = |w, h, n| Patches::of(w, h, n).unwrap().grid;
+    let grid = |w, h, n| Patches::of((w, h), n).unwrap().grid;
     // as published
     assert_eq!(grid(640, 360, 2400), [37, 66]);
     assert_eq!(grid(360, 640, 2400), [65, 37]);
@@ -98,13 +98,15 @@ fn patches_have_the_aspect_of_the_image() {
 fn half_precision_stays_near() {
     let net = network();
     let image = Fixture::open("unidepth_v2/formula.safetensors").image("image");
-    let patches = Patches::of(image.width(), image.height(), 48).unwrap();
+    let patches = Patches::of(image.size(), 48).unwrap();
     let [whole, half] = [net.clone(), halved(net)].map(|net| {
         let heads = net.heads(patches.tensor(&image, &cpu()), patches).unwrap();
-        let logarithms: Vec<f32> = heads.logarithms.cast(DType::F32).try_into_vec_as().unwrap();
+        let logarithms = numbers(heads.logarithms).unwrap();
         let depth = patches.depth(&logarithms, heads.log_scale, heads.offset);
         depth.data().to_vec()
     });
     let error = relative_error(&half, &whole);
-    assert!(error > 1e-6 && error < 3e-2, "{error:e}");
+    println!("half precision: {error:.1e}");
+    // measured: at most 6.0e-3
+    assert!(error < 1.5e-2, "{error:e}");
 }

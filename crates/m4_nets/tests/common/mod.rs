@@ -2,9 +2,12 @@
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
 use m4_core::{Plane, RgbImage};
-use m4_testkit::{Need, skip};
+use m4_nets::LoadError;
+use m4_testkit::{FormulaWeights, Need, skip};
 use safetensors::{Dtype, SafeTensors};
+use std::fmt::Debug;
 use std::path::{Path, PathBuf};
+use tempfile::TempDir;
 
 /// The folder of fixtures.
 pub fn fixtures() -> PathBuf {
@@ -42,6 +45,39 @@ pub fn test_image(w: usize, h: usize) -> RgbImage {
         let (x, y) = (x as f32 / w as f32, y as f32 / h as f32);
         [x, y, (9.0 * x).sin() * (7.0 * y).cos() * 0.5 + 0.5].map(|v| (v * 255.0) as u8)
     })
+}
+
+/// The network that `load` makes of a checkpoint of `weights`.
+pub fn loaded<N>(weights: &FormulaWeights, load: impl Fn(&Path) -> Result<N, LoadError>) -> N {
+    let folder = TempDir::new().unwrap();
+    let path = folder.path().join("weights.safetensors");
+    weights.write(&path);
+    load(&path).unwrap()
+}
+
+/// What `make` gives, which is the same for any number of threads.
+#[track_caller]
+pub fn same_on_any_threads<T: PartialEq + Debug + Send>(make: impl Fn() -> T + Sync) -> T {
+    let [one, two, five] = [1, 2, 5].map(|threads| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(&make)
+    });
+    assert_eq!(one, two);
+    assert_eq!(one, five);
+    one
+}
+
+/// Fails unless the largest difference, relative to the largest of `want`, is below `limit`.
+#[expect(clippy::print_stdout, reason = "figures for docs/networks.md")]
+#[track_caller]
+pub fn assert_near(what: &str, got: &[f32], want: &[f32], limit: f32) {
+    assert_eq!(got.len(), want.len(), "{what}");
+    let largest = want.iter().fold(0.0_f32, |m, x| m.max(x.abs()));
+    assert!(largest > 0.0, "{what}: nothing but zeros is wanted");
+    let off = got.iter().zip(want).map(|(a, b)| (a - b).abs());
+    let error = off.fold(0.0_f32, |m, x| if x.is_nan() { f32::INFINITY } else { m.max(x) }) / largest;
+    println!("{what}: {error:.1e} of {largest}");
+    assert!(error < limit, "{what}: {error:.1e} of {largest}");
 }
 
 /// An image from a PNG file of the fixtures.

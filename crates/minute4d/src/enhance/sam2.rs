@@ -4,8 +4,8 @@ use m4_core::{CompactMask, Plane, Progress};
 use m4_geometry::masks::{
     FrameSource, ObjectId, ObjectMask, ObjectPrompt, VideoError, VideoSegmenter, VideoSession, Visibility,
 };
-use m4_nets::sam2::{self, Clip as NetClip, Direction, Sam2Error, VideoOptions, VideoPredictor};
-use m4_nets::{PointPrompt, Prompt, Sam2, Sam2Size};
+use m4_nets::sam2::{self, Clip as NetClip, Direction, VideoPredictor};
+use m4_nets::{NetError, PointPrompt, Prompt, Sam2, Sam2Size};
 use std::collections::BTreeMap;
 use std::ops::ControlFlow;
 use std::sync::Arc;
@@ -43,20 +43,19 @@ impl VideoSegmenter for Sam2Follower {
         size: (usize, usize),
     ) -> Result<Box<dyn VideoSession + 'a>, VideoError> {
         let name = self.name();
-        let options = VideoOptions { fill_holes_px: HOLES_PX, ..VideoOptions::default() };
         let frames = NetClip { frames: clip.frames(), width: size.0, height: size.1 };
         let images = Box::new(move |frame| clip.image(frame).map(std::borrow::Cow::into_owned));
-        let predictor = VideoPredictor::new(Arc::clone(&self.net), frames, images, options)
+        let predictor = VideoPredictor::new(Arc::clone(&self.net), frames, images, HOLES_PX)
             .map_err(|error| failed(name, 0, error))?;
         Ok(Box::new(Session { predictor, name, size, frames: clip.frames() }))
     }
 }
 
-fn failed(segmenter: &str, frame: usize, error: Sam2Error) -> VideoError {
+fn failed(segmenter: &str, frame: usize, error: NetError) -> VideoError {
     match error {
-        Sam2Error::Image { frame, reason } => VideoError::Image { frame, reason },
-        Sam2Error::Cancelled => VideoError::Cancelled { frame },
-        Sam2Error::UnknownObject(object) => VideoError::unknown(ObjectId(object), frame),
+        NetError::Frame { frame, reason } => VideoError::Image { frame, reason },
+        NetError::Cancelled => VideoError::Cancelled { frame },
+        NetError::UnknownObject(object) => VideoError::unknown(ObjectId(object), frame),
         other => VideoError::Source { segmenter: segmenter.to_owned(), frame, reason: Box::new(other) },
     }
 }
@@ -70,7 +69,7 @@ struct Session<'a> {
 
 impl Session<'_> {
     /// Points as the paper asks; a box where there are none.
-    fn show(&mut self, frame: usize, prompt: &ObjectPrompt) -> Result<sam2::ObjectMask, Sam2Error> {
+    fn show(&mut self, frame: usize, prompt: &ObjectPrompt) -> Result<sam2::ObjectMask, NetError> {
         let object = prompt.object.0;
         let on = prompt.on_px.iter().map(|&at_px| PointPrompt { at_px, on_object: true });
         let off = prompt.off_px.iter().map(|&at_px| PointPrompt { at_px, on_object: false });

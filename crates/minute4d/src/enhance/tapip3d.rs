@@ -2,8 +2,7 @@
 
 use m4_core::{Camera, DepthMap, Progress, RgbImage};
 use m4_geometry::tracks::{PosedClip, QueryGrid, TrackError, TrackedPoints, Tracker3d};
-use m4_nets::tapip3d::{self, ClipError};
-use m4_nets::{PointQuery, Tapip3d, Tapip3dError, Tapip3dOptions};
+use m4_nets::{ClipError, NetError, PointQuery, Tapip3d, Tapip3dOptions, tapip3d};
 
 /// Points are seen where the network thinks that at least so likely: upstream's.
 const SEEN_FROM: f32 = 0.9;
@@ -57,13 +56,13 @@ impl Tracker3d for Tapip3dTracker {
             queries.iter().map(|query| PointQuery { frame: query.frame, world: query.xyz.map(f64::from) }).collect();
         let found = self.net.track(&Frames(clip), &asked, &self.options, progress);
         let found = found.map_err(|error| match error {
-            Tapip3dError::Stopped => TrackError::Cancelled { phase: "tracking points" },
+            NetError::Cancelled => TrackError::Cancelled { phase: "tracking points" },
             other => TrackError::Source { tracker: NAME.to_owned(), reason: Box::new(other) },
         })?;
         // the network's are a query's frames together, ours a frame's queries
         let count = queries.len();
         let at = |i: usize| i % count.max(1) * frames + i / count.max(1);
-        let turned = |i: usize| (found.world()[at(i)], found.visibility()[at(i)]);
+        let turned = |i: usize| (found.world[at(i)], found.visibility[at(i)]);
         let (xyz, visibility) = (0..frames * count).map(turned).unzip();
         TrackedPoints::from_probabilities(frames, queries, xyz, visibility, SEEN_FROM)
     }

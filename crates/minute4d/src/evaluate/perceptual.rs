@@ -123,7 +123,7 @@ mod with_nets {
             reference: &PlanarImage,
             mask: Option<&Mask>,
         ) -> Result<(), Error> {
-            let failed = |e: m4_nets::lpips::LpipsError| {
+            let failed = |e: m4_nets::NetError| {
                 let message = format!("LPIPS of the view {name} failed: {e}");
                 Refusal::new(Category::NoDevice, message)
             };

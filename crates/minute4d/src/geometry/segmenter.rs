@@ -110,7 +110,7 @@ mod network {
     use crate::{Error, hash};
     use m4_core::{Plane, RgbImage};
     use m4_geometry::classical::dense::{self, SegmentError, SegmentMask, SegmentPrompt};
-    use m4_nets::{MobileSam, PointPrompt, Prompt, SamError};
+    use m4_nets::{MobileSam, PointPrompt, Prompt};
     use std::path::PathBuf;
 
     /// The name of the weights.
@@ -187,7 +187,7 @@ mod network {
                 let belief = embedding.mask_logits(&belief);
                 let masks = self.net.masks(&embedding, &ours(prompt, belief, image, size))?;
                 // The first: box, points and belief leave no doubt which thing is meant.
-                let mask = masks.first().ok_or(SamError::NothingAsked)?;
+                let mask = masks.first().ok_or("the network gave no mask")?;
                 Ok(SegmentMask { logits: mask.logits_at(size).data().to_vec(), quality: mask.iou })
             };
             prompts.iter().map(one).collect()

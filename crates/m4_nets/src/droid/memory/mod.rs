@@ -13,25 +13,22 @@ mod store;
 #[cfg(test)]
 mod tests;
 
-pub use revise::{EdgeUpdate, SourceUpdate};
+pub use revise::EdgeUpdate;
 pub use store::Storage;
 
 use super::update::{LEVELS, RADIUS};
-use super::{DroidError, DroidNet, WIDTH};
+use super::{DroidNet, WIDTH};
 use crate::correlation::{FeatureMap, Pyramid, scores};
+use crate::error::{numbers as read, refuse};
 use crate::ops::tensor;
+use crate::{ImageReader, NetError};
 use burn_core::tensor::{DType, Tensor};
 use m4_core::RgbImage;
 use std::collections::HashMap;
-use std::error::Error;
-use std::fmt;
-use std::io;
 use std::path::PathBuf;
 use std::sync::Arc;
+use std::{fmt, io};
 use store::Store;
-
-/// Gives the image of a frame, by its number in the clip, in the size that the network works with.
-pub type ImageReader<'a> = Box<dyn Fn(usize) -> Result<RgbImage, Box<dyn Error + Send + Sync>> + Send + 'a>;
 
 /// How a memory keeps what it keeps.
 #[derive(Debug, Clone)]
@@ -103,39 +100,20 @@ impl<'a> DroidMemory<'a> {
         self.size.map(|(w, h)| (w / 8, h / 8))
     }
 
-    /// Bytes of features and states in memory: now, and at most so far.
-    #[must_use]
-    pub const fn held_bytes(&self) -> (usize, usize) {
-        self.store.held()
-    }
-
-    /// Bytes of the file that the rest lies in.
-    #[must_use]
-    pub const fn file_bytes(&self) -> u64 {
-        self.store.spilled()
-    }
-
     /// Computes the features of `frame` from its image, unless they are known. A frame that is not added is, when it is
     /// needed.
     ///
     /// # Errors
     ///
-    /// [`DroidError`] if the image is too small, has sides that are no multiples of 8 or another size than those before, or
+    /// [`NetError`] if the image is too small, has sides that are no multiples of 8 or another size than those before, or
     /// if file or device fail.
-    pub fn add_frame(&mut self, frame: usize, image: &RgbImage) -> Result<(), DroidError> {
+    pub fn add_frame(&mut self, frame: usize, image: &RgbImage) -> Result<(), NetError> {
         if self.store.contains(Key::Features(frame)) {
             return Ok(());
         }
         self.check_size(frame, image)?;
         let features = self.net.features(image)?;
         self.keep(Key::Features(frame), features.permute([0, 2, 3, 1]))
-    }
-
-    /// Forgets features and first state of `frame`. They are computed again if they are needed.
-    pub fn forget_frame(&mut self, frame: usize) {
-        for key in [Key::Features(frame), Key::First(frame), Key::Context(frame)] {
-            self.store.remove(key);
-        }
     }
 
     /// Starts an edge: where the pixels of `source` are in `target`. One that is there already starts again.
@@ -154,8 +132,8 @@ impl<'a> DroidMemory<'a> {
     ///
     /// # Errors
     ///
-    /// [`DroidError`] if an image cannot be had or does not fit, or if file or device fail.
-    pub fn motion_px(&mut self, from: usize, to: usize) -> Result<f64, DroidError> {
+    /// [`NetError`] if an image cannot be had or does not fit, or if file or device fail.
+    pub fn motion_px(&mut self, from: usize, to: usize) -> Result<f64, NetError> {
         let [hidden, context] = self.first_state(from)?;
         let source = FeatureMap::new(self.features(from)?);
         let (w, h) = self.grid().unwrap_or_default();
@@ -171,7 +149,7 @@ impl<'a> DroidMemory<'a> {
     }
 
     /// Features of `frame`, `[h, w, 128]`.
-    fn features(&mut self, frame: usize) -> Result<Tensor<3>, DroidError> {
+    fn features(&mut self, frame: usize) -> Result<Tensor<3>, NetError> {
         if !self.store.contains(Key::Features(frame)) {
             let image = self.image(frame)?;
             self.add_frame(frame, &image)?;
@@ -182,7 +160,7 @@ impl<'a> DroidMemory<'a> {
     }
 
     /// Hidden state and context that edges of `frame` start with, `[1, 128, h, w]` each.
-    fn first_state(&mut self, frame: usize) -> Result<[Tensor<4>; 2], DroidError> {
+    fn first_state(&mut self, frame: usize) -> Result<[Tensor<4>; 2], NetError> {
         let keys = [Key::First(frame), Key::Context(frame)];
         if !keys.iter().all(|&key| self.store.contains(key)) {
             let image = self.image(frame)?;
@@ -195,7 +173,7 @@ impl<'a> DroidMemory<'a> {
     }
 
     /// Scores `[1, 196, h, w]` of `source` in `target` around `centres` `[h][w][2]`.
-    fn correlation(&mut self, source: &FeatureMap, target: usize, centres: Vec<f32>) -> Result<Tensor<4>, DroidError> {
+    fn correlation(&mut self, source: &FeatureMap, target: usize, centres: Vec<f32>) -> Result<Tensor<4>, NetError> {
         let target = Pyramid::new(self.features(target)?, LEVELS);
         let (w, h) = self.grid().unwrap_or_default();
         let centres = tensor(centres, [h, w, 2], &self.net.device).cast(DType::F32);
@@ -203,44 +181,45 @@ impl<'a> DroidMemory<'a> {
         Ok(found.permute([2, 0, 1]).unsqueeze())
     }
 
-    fn image(&mut self, frame: usize) -> Result<RgbImage, DroidError> {
-        let image = (self.images)(frame).map_err(|reason| DroidError::Image { frame, reason })?;
+    fn image(&mut self, frame: usize) -> Result<RgbImage, NetError> {
+        let image = (self.images)(frame).map_err(|reason| NetError::Frame { frame, reason })?;
         self.check_size(frame, &image)?;
         Ok(image)
     }
 
-    fn check_size(&mut self, frame: usize, image: &RgbImage) -> Result<(), DroidError> {
+    fn check_size(&mut self, frame: usize, image: &RgbImage) -> Result<(), NetError> {
         let got = image.size();
-        super::preprocess::check(got)?;
+        super::check(got)?;
         let expected = *self.size.get_or_insert(got);
         if got == expected {
             return Ok(());
         }
-        Err(DroidError::OtherSize { frame, got, expected })
+        refuse(format!(
+            "frame {frame} has {} x {} px where the frames before have {} x {}; a clip has one size",
+            got.0, got.1, expected.0, expected.1
+        ))
     }
 
-    fn keep<const D: usize>(&mut self, key: Key, values: Tensor<D>) -> Result<(), DroidError> {
+    fn keep<const D: usize>(&mut self, key: Key, values: Tensor<D>) -> Result<(), NetError> {
         let values = read(values)?;
         self.store.put(key, &values).map_err(|e| self.scratch_failed(e))
     }
 
-    fn kept(&mut self, key: Key) -> Result<Vec<f32>, DroidError> {
+    fn kept(&mut self, key: Key) -> Result<Vec<f32>, NetError> {
         let found = self.store.get(key).map_err(|e| self.scratch_failed(e))?;
         found.ok_or_else(|| self.scratch_failed(io::ErrorKind::NotFound.into()))
     }
 
     /// What is under `key` as a map, `[1, 128, h, w]`.
-    fn map(&mut self, key: Key) -> Result<Tensor<4>, DroidError> {
+    fn map(&mut self, key: Key) -> Result<Tensor<4>, NetError> {
         let (w, h) = self.grid().unwrap_or_default();
         Ok(tensor(self.kept(key)?, [1, WIDTH, h, w], &self.net.device).cast(self.net.dtype()))
     }
 
-    fn scratch_failed(&self, reason: io::Error) -> DroidError {
-        DroidError::Scratch { folder: self.store.folder().clone(), reason }
+    fn scratch_failed(&self, reason: io::Error) -> NetError {
+        let folder = self.store.folder().display();
+        NetError::Input(format!(
+            "the network's state cannot be stored in a file in {folder}: {reason}; is the disk full?"
+        ))
     }
-}
-
-/// The numbers of a tensor, in 32 bits.
-fn read<const D: usize>(values: Tensor<D>) -> Result<Vec<f32>, DroidError> {
-    values.try_into_vec_as().map_err(|error| DroidError::Device(error.to_string()))
 }

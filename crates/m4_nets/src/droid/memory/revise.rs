@@ -1,10 +1,11 @@
 //! One update of all edges of a source frame.
 
 use super::{DroidMemory, Edge, Key, read};
+use crate::NetError;
 use crate::correlation::FeatureMap;
-use crate::droid::{DroidError, upsampling};
+use crate::error::refuse;
 use crate::ops::tensor;
-use burn_core::tensor::{DType, Device, Tensor};
+use burn_core::tensor::{Device, Tensor};
 use std::collections::HashSet;
 
 /// Edges whose maps are in memory at a time: on the processor, where more are not faster, and elsewhere.
@@ -27,26 +28,17 @@ pub struct EdgeUpdate<'a> {
     pub static_confidence: &'a mut Vec<f32>,
 }
 
-/// What the edges of a source say together.
-#[derive(Debug, Clone)]
-pub struct SourceUpdate {
-    /// Damping of the disparities, `[h * w]`, above 0.
-    pub eta: Vec<f32>,
-    /// What upsampling starts from, `[1, 128, h, w]`.
-    shared: Tensor<4>,
-}
-
 impl DroidMemory<'_> {
-    /// One update of `edges`, which are all that start at `source` and take part in this step: damping and static confidence
+    /// One update of `edges`: the damping of the disparities of `source`, `[h * w]`, above 0. They are all that start at `source` and take part in this step: damping and static confidence
     /// come from means over them.
     ///
     /// Holds maps of some edges at a time, and one map of each edge.
     ///
     /// # Errors
     ///
-    /// [`DroidError`] if an edge is not known, starts elsewhere or is there twice, if there is none, if a plane has another size,
+    /// [`NetError`] if an edge is not known, starts elsewhere or is there twice, if there is none, if a plane has another size,
     /// if an image cannot be had, or if file or device fail. Answers of some edges may be written by then.
-    pub fn revise_source(&mut self, source: usize, edges: &mut [EdgeUpdate<'_>]) -> Result<SourceUpdate, DroidError> {
+    pub fn revise_source(&mut self, source: usize, edges: &mut [EdgeUpdate<'_>]) -> Result<Vec<f32>, NetError> {
         let known = self.check(source, edges)?;
         let [first, context] = self.first_state(source)?;
         let features = FeatureMap::new(self.features(source)?);
@@ -83,7 +75,9 @@ impl DroidMemory<'_> {
             alone.push(said);
         }
         let (Some(sum), Some(together)) = (sum, together) else {
-            return Err(DroidError::NoEdges { source_frame: source });
+            return Err(NetError::Input(format!(
+                "frame {source} is to be revised without an edge; its damping is a mean over its edges"
+            )));
         };
         let n = edges.len() as f32;
         let together = update.agg_motion.together(together.div_scalar(n));
@@ -95,46 +89,34 @@ impl DroidMemory<'_> {
             }
         }
         let shared = update.agg.of_mean(sum.div_scalar(n));
-        Ok(SourceUpdate { eta: read(update.agg.eta(shared.clone()))?, shared })
-    }
-
-    /// `disparity` `[h * w]` of the frame that `update` is of, at the size of the image: `[8 h * 8 w]`.
-    ///
-    /// # Errors
-    ///
-    /// [`DroidError`] if it has another size than the grid, or the device fails.
-    pub fn upsampled(&self, update: &SourceUpdate, disparity: &[f32]) -> Result<Vec<f32>, DroidError> {
-        let [_, _, h, w] = update.shared.dims();
-        if disparity.len() != h * w {
-            return Err(DroidError::Disparity { got: disparity.len(), expected: h * w });
-        }
-        let disparity = tensor(disparity.to_vec(), [h, w], &self.net.device).cast(DType::F32);
-        let mask = self.net.net.update.agg.upmask(update.shared.clone());
-        read(upsampling::convex(disparity, mask))
+        read(update.agg.eta(shared))
     }
 
     /// The edges, if they can be revised together.
-    fn check(&self, source: usize, edges: &[EdgeUpdate<'_>]) -> Result<Vec<Edge>, DroidError> {
+    fn check(&self, source: usize, edges: &[EdgeUpdate<'_>]) -> Result<Vec<Edge>, NetError> {
         let mut seen = HashSet::new();
-        let edges = edges.iter().map(|edge| {
-            let id = edge.id;
-            let known = *self.edges.get(&id).ok_or(DroidError::UnknownEdge { id })?;
-            if known.source != source || !seen.insert(id) {
-                let source_frame = known.source;
-                return Err(DroidError::WrongEdge { id, source_frame });
-            }
-            Ok(known)
-        });
-        edges.collect()
+        let known = |edge: &EdgeUpdate<'_>| match self.edges.get(&edge.id) {
+            None => refuse(format!("edge {} is not known to the tracking network; let it enter first", edge.id)),
+            Some(known) if known.source != source || !seen.insert(edge.id) => refuse(format!(
+                "edge {} does not belong here: it starts at frame {}, and each edge of a source is revised once a time",
+                edge.id, known.source
+            )),
+            Some(known) => Ok(*known),
+        };
+        edges.iter().map(known).collect()
     }
 
-    fn check_planes(&self, edges: &[EdgeUpdate<'_>]) -> Result<(), DroidError> {
+    fn check_planes(&self, edges: &[EdgeUpdate<'_>]) -> Result<(), NetError> {
         let (w, h) = self.grid().unwrap_or_default();
         for edge in edges {
             let target = edge.target_px.iter().map(Vec::len);
             let mut sizes = edge.projected_px.iter().map(|p| p.len()).chain(target);
             if let Some(got) = sizes.find(|&n| n != w * h) {
-                return Err(DroidError::Plane { id: edge.id, got, expected: w * h });
+                return refuse(format!(
+                    "edge {} has a plane of {got} numbers where the grid has {} pixels",
+                    edge.id,
+                    w * h
+                ));
             }
         }
         Ok(())

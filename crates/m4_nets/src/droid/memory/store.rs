@@ -116,6 +116,7 @@ impl<K: Copy + Eq + Hash> Store<K> {
     }
 
     /// Bytes of the file.
+    #[cfg(test)]
     pub const fn spilled(&self) -> u64 {
         self.end
     }
@@ -129,10 +130,6 @@ impl<K: Copy + Eq + Hash> Store<K> {
     }
 
     /// Keeps `values` under `key`, instead of what was there.
-    ///
-    /// # Errors
-    ///
-    /// If the file fails.
     pub fn put(&mut self, key: K, values: &[f32]) -> io::Result<()> {
         let bytes = self.storage.encode(values);
         if self.entries.get(&key).is_some_and(|e| e.size != bytes.len()) {
@@ -151,10 +148,6 @@ impl<K: Copy + Eq + Hash> Store<K> {
     }
 
     /// What was put under `key`, rounded.
-    ///
-    /// # Errors
-    ///
-    /// If the file fails.
     pub fn get(&mut self, key: K) -> io::Result<Option<Vec<f32>>> {
         let Some(entry) = self.entries.get_mut(&key) else {
             return Ok(None);

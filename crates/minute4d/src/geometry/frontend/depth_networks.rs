@@ -7,7 +7,7 @@ use crate::error::NetworkError;
 use crate::steps::Steps;
 use m4_core::{Plane, ResizeFilter, RgbImage, resize_rgb};
 use m4_geometry::megasam::MegasamError;
-use m4_nets::{Compute, DepthAnything, LoadError, MoGe, MoGeError, MoGeMap, MoGeOptions, UniDepth, cpu};
+use m4_nets::{Compute, DepthAnything, LoadError, MoGe, MoGeMap, MoGeOptions, NetError, UniDepth, cpu};
 use std::path::Path;
 
 /// Longer side of the maps that are kept, pixels: those of MegaSaM's metric depth.
@@ -56,14 +56,12 @@ fn load<T>(
 
 /// What MoGe-2 says: z-depth in metres, 0 where unknown, and the field of view. All sky, or no points of a camera: nothing is known.
 fn of_moge(
-    found: Result<MoGeMap, MoGeError>,
+    found: Result<MoGeMap, NetError>,
     image: &RgbImage,
 ) -> Result<(Plane<f32>, Option<f64>), Box<dyn std::error::Error + Send + Sync>> {
     match found {
         Ok(map) => Ok((map.depth_m, Some(map.fov_x_rad))),
-        Err(MoGeError::NothingValid | MoGeError::NoFocal) => {
-            Ok((Plane::filled(image.width(), image.height(), 0.0), None))
-        }
+        Err(NetError::NoDepth(_)) => Ok((Plane::filled(image.width(), image.height(), 0.0), None)),
         Err(error) => Err(error.into()),
     }
 }

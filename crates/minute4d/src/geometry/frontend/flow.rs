@@ -4,7 +4,7 @@ use m4_core::{Flow, Plane, RgbImage};
 use m4_geometry::classical::dense::{FlowError, FlowImage, FlowSource};
 use m4_geometry::megasam::cvd::pairs::FramePair;
 use m4_geometry::megasam::{PairFlow, PairFlowError};
-use m4_nets::{Raft, raft::LowFlow};
+use m4_nets::Raft;
 use std::collections::HashMap;
 
 const RAFT: &str = "raft";
@@ -20,7 +20,7 @@ pub struct RaftSource {
 }
 
 impl RaftSource {
-    fn measure(&self, a: &RgbImage, b: &RgbImage) -> Result<(Flow, Flow), m4_nets::FlowError> {
+    fn measure(&self, a: &RgbImage, b: &RgbImage) -> Result<(Flow, Flow), m4_nets::NetError> {
         let (a, b) = (self.net.encode(a)?, self.net.encode(b)?);
         let [there, back] = self.net.flow_both(&a, &b, self.iterations, None)?;
         Ok((there.flow, back.flow))
@@ -43,9 +43,9 @@ pub struct RaftPairs {
     net: Raft,
     iterations: usize,
     /// By the frame that it starts in.
-    there: HashMap<usize, LowFlow>,
+    there: HashMap<usize, Flow>,
     /// By the frame that it starts in, which is the later one.
-    back: HashMap<usize, LowFlow>,
+    back: HashMap<usize, Flow>,
 }
 
 impl RaftPairs {
@@ -53,7 +53,7 @@ impl RaftPairs {
         Self { net, iterations, there: HashMap::new(), back: HashMap::new() }
     }
 
-    fn measure(&mut self, pair: FramePair, a: &RgbImage, b: &RgbImage) -> Result<[Flow; 2], m4_nets::FlowError> {
+    fn measure(&mut self, pair: FramePair, a: &RgbImage, b: &RgbImage) -> Result<[Flow; 2], m4_nets::NetError> {
         let begin = match (self.there.get(&pair.source), self.back.get(&pair.target)) {
             (Some(there), Some(back)) if pair.target > pair.source + 1 => Some([there, back]),
             _ => None,

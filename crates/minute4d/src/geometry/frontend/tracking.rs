@@ -8,7 +8,7 @@ use m4_geometry::megasam::TrackingSize;
 use m4_geometry::megasam::graph::EdgeChanges;
 use m4_geometry::megasam::tracker::{Correspondence, CorrespondenceError, Revision};
 use m4_nets::droid::{DroidMemory, DroidNet, EdgeUpdate, MemoryOptions, Storage};
-use m4_nets::{Compute, DroidError};
+use m4_nets::{Compute, NetError};
 use std::sync::Arc;
 
 /// The network's memory of one clip.
@@ -75,7 +75,7 @@ fn memory(budget_mb: usize) -> MemoryOptions {
     }
 }
 
-fn failed(error: DroidError) -> CorrespondenceError {
+fn failed(error: NetError) -> CorrespondenceError {
     CorrespondenceError(Box::new(error))
 }
 
@@ -102,8 +102,8 @@ impl Correspondence for NetworkCorrespondence<'_> {
                     static_confidence: &mut *edge.static_confidence,
                 })
                 .collect();
-            let update = self.memory.revise_source(source.frame, &mut edges).map_err(failed)?;
-            source.damping.copy_from_slice(&update.eta);
+            let eta = self.memory.revise_source(source.frame, &mut edges).map_err(failed)?;
+            source.damping.copy_from_slice(&eta);
             if let Some(moving) = self.moving.as_ref().and_then(|m| m.get(source.frame)) {
                 for edge in edges {
                     let confident = edge.static_confidence.iter_mut().zip(moving);

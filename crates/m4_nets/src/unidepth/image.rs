@@ -1,10 +1,12 @@
 //! Images of any size as the network takes them, and depth in their size.
 
-use super::UniDepthError;
+use crate::NetError;
 use crate::dinov2::PATCH;
-use crate::ops::{IMAGENET_MEAN, IMAGENET_STD, Kernels, planes, resampled, tensor};
-use burn_core::tensor::{Device, Tensor};
+use crate::error::refuse;
+use crate::ops::{IMAGENET_MEAN, IMAGENET_STD, Kernels, bilinear, image_tensor, resampled};
+use burn_core::tensor::{DType, Device, Tensor, TensorData};
 use m4_core::{Intrinsics, Plane, RgbImage};
+use std::f32::consts::PI;
 
 /// The longer side may be this many times the shorter one: the network was trained up to 2.
 const LONGEST: f64 = 16.0;
@@ -22,17 +24,16 @@ pub struct Patches {
 
 impl Patches {
     /// Of an image of `width` by `height`, about `n` in all, of its shape.
-    ///
-    /// # Errors
-    ///
-    /// [`UniDepthError`] if it has no pixels or is too narrow.
-    pub fn of(width: usize, height: usize, n: usize) -> Result<Self, UniDepthError> {
+    pub fn of((width, height): (usize, usize), n: usize) -> Result<Self, NetError> {
         if width == 0 || height == 0 {
-            return Err(UniDepthError::Empty);
+            return refuse("depth needs an image with pixels");
         }
         let ratio = width as f64 / height as f64;
         if !(1.0 / LONGEST..=LONGEST).contains(&ratio) {
-            return Err(UniDepthError::Narrow { width, height });
+            return refuse(format!(
+                "an image of {width} x {height} pixels is too narrow for depth: cut it so that one side is at most 16 times \
+                 the other"
+            ));
         }
         let rows = ((n as f64 / ratio).sqrt() - 0.5).ceil().max(1.0);
         let columns = (rows * ratio - 0.5).ceil().max(1.0);
@@ -47,12 +48,7 @@ impl Patches {
 
     /// The image `[1, 3, height, width]` of the sides [`Patches::inside`], normalised.
     pub fn tensor(self, image: &RgbImage, device: &Device) -> Tensor<4> {
-        let (width, height) = self.inside();
-        let values = planes(image, IMAGENET_MEAN, IMAGENET_STD);
-        let columns = Kernels::triangle(self.width, width);
-        let rows = Kernels::triangle(self.height, height);
-        let values = resampled(&values, self.width, self.height, &columns, &rows);
-        tensor(values, [1, 3, height, width], device)
+        image_tensor(image, self.inside(), Kernels::triangle, [IMAGENET_MEAN, IMAGENET_STD], device)
     }
 
     /// The camera that four numbers of the camera's head mean, of what the network sees.
@@ -95,10 +91,7 @@ impl Patches {
             softplus((x + offset) * scale) as f32
         };
         let depth: Vec<f32> = logarithms.iter().map(depth).collect();
-        let (width, height) = self.inside();
-        let columns = Kernels::linear(width, self.width);
-        let rows = Kernels::linear(height, self.height);
-        let depth = resampled(&depth, width, height, &columns, &rows);
+        let depth = bilinear(&depth, self.inside(), (self.width, self.height));
         Plane::from_fn(self.width, self.height, |x, y| depth[y * self.width + x])
     }
 }
@@ -106,4 +99,59 @@ impl Patches {
 /// `ln(1 + exp(BETA x)) / BETA`, and `x` where that is the same in 32 bits.
 fn softplus(x: f64) -> f64 {
     if x * BETA > 20.0 { x } else { (x * BETA).exp().ln_1p() / BETA }
+}
+
+/// Frequencies of each of the three components of a ray.
+const BANDS: usize = 32;
+/// Channels of an encoded ray.
+pub const CHANNELS: usize = 3 * BANDS + 3;
+
+/// Unit vectors towards the pixels of the network's image, `[3][height][width]`.
+#[derive(Debug, Clone)]
+pub struct Rays {
+    planes: Vec<f32>,
+    width: usize,
+    height: usize,
+}
+
+impl Rays {
+    /// Through the centres of the pixels of `camera`.
+    pub fn of(camera: &Intrinsics) -> Self {
+        let (width, height) = (camera.width, camera.height);
+        let ray = |i: usize| {
+            let x = ((i % width) as f64 + 0.5 - camera.cx) / camera.fx;
+            let y = ((i / width) as f64 + 0.5 - camera.cy) / camera.fy;
+            let length = (x * x + y * y + 1.0).sqrt();
+            [x / length, y / length, 1.0 / length].map(|v| v as f32)
+        };
+        let rays: Vec<[f32; 3]> = (0..width * height).map(ray).collect();
+        let planes = (0..3).flat_map(|c| rays.iter().map(move |r| r[c])).collect();
+        Self { planes, width, height }
+    }
+
+    /// For a map of `h` by `w`: sines of the rays there at frequencies that grow by a factor from 1/2 to half the map's longer side,
+    /// component by component, then the rays; `[h w, 99]` in 32 bits.
+    pub fn encoded(&self, h: usize, w: usize, device: &Device) -> Tensor<2> {
+        let columns = Kernels::triangle(self.width, w);
+        let rows = Kernels::triangle(self.height, h);
+        let planes = if (w, h) == (self.width, self.height) {
+            self.planes.clone()
+        } else {
+            resampled(&self.planes, self.width, self.height, &columns, &rows)
+        };
+        let n = h * w;
+        let mut rays = Vec::with_capacity(3 * n);
+        for i in 0..n {
+            let ray = [0, 1, 2].map(|c| f64::from(planes[c * n + i]));
+            let length = ray.iter().map(|v| v * v).sum::<f64>().sqrt().max(1e-12);
+            rays.extend(ray.map(|v| (v / length) as f32));
+        }
+        let highest = (h.max(w) / 2).max(1) as f64;
+        let band = |i: usize| highest.powf(i as f64 / (BANDS - 1) as f64) as f32 * PI;
+        let bands = TensorData::new((0..BANDS).map(band).collect(), [1, 1, BANDS]);
+        let bands: Tensor<3> = Tensor::from_data(bands, (device, DType::F32));
+        let rays: Tensor<2> = Tensor::from_data(TensorData::new(rays, [n, 3]), (device, DType::F32));
+        let waves = (rays.clone().unsqueeze_dim::<3>(2) * bands).sin();
+        Tensor::cat(vec![waves.reshape([n, 3 * BANDS]), rays], 1)
+    }
 }

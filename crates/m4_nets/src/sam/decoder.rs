@@ -1,12 +1,13 @@
 //! The decoder's transformer: tokens that look at the image and an image that looks at the tokens, in turn (Kirillov et al.,
 //! "Segment Anything", ICCV 2023, appendix A).
 
-use super::{WIDTH, heads};
-use crate::ops::{linear, norm};
+use super::WIDTH;
+use crate::ops::{attend_heads, fine_norm, gelu, linear, norm, upscaling_conv};
 use burn_core as burn;
 use burn_core::module::Module;
 use burn_core::tensor::activation::relu;
 use burn_core::tensor::{Device, Tensor};
+use burn_nn::conv::ConvTranspose2d;
 use burn_nn::{LayerNorm, Linear};
 
 const HEADS: usize = 8;
@@ -41,14 +42,14 @@ impl Attention {
         let shape = q.dims();
         let k = self.k_proj.forward(k);
         let v = self.v_proj.forward(v);
-        let found = heads(split(q), split(k), split(v), None);
+        let found = attend_heads(split(q), split(k), split(v));
         self.out_proj.forward(found.swap_dims(1, 2).reshape(shape))
     }
 }
 
 /// The feed-forward layer of the tokens.
 #[derive(Module, Debug)]
-pub struct Mlp {
+struct FeedForward {
     lin1: Linear,
     lin2: Linear,
 }
@@ -60,7 +61,7 @@ pub struct Layer {
     norm1: LayerNorm,
     cross_attn_token_to_image: Attention,
     norm2: LayerNorm,
-    mlp: Mlp,
+    mlp: FeedForward,
     norm3: LayerNorm,
     norm4: LayerNorm,
     cross_attn_image_to_token: Attention,
@@ -74,7 +75,10 @@ impl Layer {
             norm1: norm(),
             cross_attn_token_to_image: Attention::new(WIDTH / 2, device),
             norm2: norm(),
-            mlp: Mlp { lin1: linear(WIDTH, MLP_WIDTH, true, device), lin2: linear(MLP_WIDTH, WIDTH, true, device) },
+            mlp: FeedForward {
+                lin1: linear(WIDTH, MLP_WIDTH, true, device),
+                lin2: linear(MLP_WIDTH, WIDTH, true, device),
+            },
             norm3: norm(),
             norm4: norm(),
             cross_attn_image_to_token: Attention::new(WIDTH / 2, device),
@@ -139,5 +143,70 @@ impl TwoWay {
             pixels.clone(),
         );
         (self.norm_final_attn.forward(tokens + found), pixels)
+    }
+}
+
+/// Channels of the map that masks are made of.
+pub const MAP_WIDTH: usize = WIDTH / 8;
+
+/// Three linear layers.
+#[derive(Module, Debug)]
+pub struct Mlp {
+    layers: [Linear; 3],
+}
+
+impl Mlp {
+    pub fn new(to: usize, device: &Device) -> Self {
+        Self { layers: [WIDTH, WIDTH, to].map(|to| linear(WIDTH, to, true, device)) }
+    }
+
+    /// Of `[n, 256]`: `[n, to]`.
+    pub fn forward(&self, x: Tensor<2>) -> Tensor<2> {
+        let [a, b, c] = &self.layers;
+        c.forward(relu(b.forward(relu(a.forward(x)))))
+    }
+}
+
+/// To four times the embedding's size. Named `0`, `1` and `3` in the checkpoint.
+#[derive(Module, Debug)]
+pub struct Upscaling {
+    twice: ConvTranspose2d,
+    norm: LayerNorm,
+    again: ConvTranspose2d,
+}
+
+impl Upscaling {
+    pub fn new(device: &Device) -> Self {
+        Self {
+            twice: upscaling_conv([WIDTH, WIDTH / 4], 2, device),
+            norm: fine_norm(WIDTH / 4, device),
+            again: upscaling_conv([WIDTH / 4, MAP_WIDTH], 2, device),
+        }
+    }
+
+    /// Of `[b, h, w, 256]`: `[b, 4 h, 4 w, 32]`. `fine` are finer maps of the image to be added where sizes are those, `[1, 2 h, 2 w, 64]`
+    /// and `[1, 4 h, 4 w, 32]`, or `b` of them.
+    pub fn forward(&self, x: Tensor<4>, fine: Option<[Tensor<4>; 2]>) -> Tensor<4> {
+        let [half, whole] = fine.map_or([None, None], |fine| fine.map(Some));
+        let add = |x: Tensor<4>, fine: Option<Tensor<4>>| match fine {
+            Some(fine) => x + fine,
+            None => x,
+        };
+        let x = gelu(self.norm.forward(add(doubled(&self.twice, x), half)));
+        gelu(add(doubled(&self.again, x), whole))
+    }
+}
+
+/// `conv`, whose kernel and steps are 2 by 2, of `x` `[b, h, w, c]`: one matrix product, as its kernels do not overlap.
+fn doubled(conv: &ConvTranspose2d, x: Tensor<4>) -> Tensor<4> {
+    let weight = conv.weight.val();
+    let [c, to, _, _] = weight.dims();
+    let [b, h, w, _] = x.dims();
+    let weight = weight.permute([0, 2, 3, 1]).reshape([c, 4 * to]);
+    let spread = x.reshape([b * h * w, c]).matmul(weight).reshape([b, h, w, 2, 2, to]);
+    let x = spread.permute([0, 1, 3, 2, 4, 5]).reshape([b, 2 * h, 2 * w, to]);
+    match &conv.bias {
+        Some(bias) => x + bias.val().reshape([1, 1, 1, to]),
+        None => x,
     }
 }

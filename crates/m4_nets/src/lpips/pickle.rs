@@ -5,9 +5,7 @@
 //! stand for themselves and call nothing. Objects lie in lists and refer to one another by number, so that nothing here recurses;
 //! steps are counted, numbers stay where they are in the file, and a length is compared with what is left of it.
 
-mod tree;
-
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// Most steps that a file may take; a network of 13 layers takes 948.
 const MAX_STEPS: usize = 100_000;
@@ -88,10 +86,6 @@ struct Machine<'a> {
 }
 
 /// The arrays of the pickled dictionary `file` by their keys from the outermost dictionary on, joined by `/`.
-///
-/// # Errors
-///
-/// [`Refused`] if it is anything but a dictionary of dictionaries of arrays of 32-bit numbers, each there once.
 pub fn arrays(file: &[u8]) -> Result<BTreeMap<String, Array<'_>>, Refused> {
     let mut machine = Machine {
         file,
@@ -187,7 +181,31 @@ impl<'a> Machine<'a> {
 
     /// One step; true at the end of the program.
     fn step(&mut self) -> Result<bool, Refused> {
-        match self.byte()? {
+        let step = self.byte()?;
+        let value = match step {
+            b'N' => Value::None,
+            b'\x88' | b'\x89' => Value::Bool(step == b'\x88'),
+            b'K' => Value::Int(i64::from(self.byte()?)),
+            b'M' => Value::Int(i64::from(u16::from_le_bytes(self.fixed()?))),
+            b'J' => Value::Int(i64::from(i32::from_le_bytes(self.fixed()?))),
+            b'X' => {
+                let bytes = self.counted()?;
+                Value::Text(self.text(bytes)?)
+            }
+            b'B' => Value::Bytes(self.counted()?),
+            b'C' => {
+                let n = self.byte()?;
+                Value::Bytes(self.take(usize::from(n))?)
+            }
+            _ => return self.operation(step),
+        };
+        self.stack.push(value);
+        Ok(false)
+    }
+
+    /// A step that does not just push a value; true at the end of the program.
+    fn operation(&mut self, step: u8) -> Result<bool, Refused> {
+        match step {
             b'\x80' => {
                 if !(2..=3).contains(&self.byte()?) {
                     return Err(self.refused("a pickle of another protocol than 2 or 3"));
@@ -206,35 +224,6 @@ impl<'a> Machine<'a> {
             b't' => {
                 let values = self.above_mark()?;
                 self.push_tuple(values);
-            }
-            b'N' => self.stack.push(Value::None),
-            b'\x88' => self.stack.push(Value::Bool(true)),
-            b'\x89' => self.stack.push(Value::Bool(false)),
-            b'K' => {
-                let n = self.byte()?;
-                self.stack.push(Value::Int(i64::from(n)));
-            }
-            b'M' => {
-                let n = u16::from_le_bytes(self.fixed()?);
-                self.stack.push(Value::Int(i64::from(n)));
-            }
-            b'J' => {
-                let n = i32::from_le_bytes(self.fixed()?);
-                self.stack.push(Value::Int(i64::from(n)));
-            }
-            b'X' => {
-                let bytes = self.counted()?;
-                let text = self.text(bytes)?;
-                self.stack.push(Value::Text(text));
-            }
-            b'B' => {
-                let bytes = self.counted()?;
-                self.stack.push(Value::Bytes(bytes));
-            }
-            b'C' => {
-                let n = self.byte()?;
-                let bytes = self.take(usize::from(n))?;
-                self.stack.push(Value::Bytes(bytes));
             }
             b'c' => {
                 let (module, name) = (self.line()?, self.line()?);
@@ -367,5 +356,51 @@ impl<'a> Machine<'a> {
         };
         let sides = sides.iter().map(side).collect::<Option<_>>();
         sides.ok_or_else(|| self.refused("a shape is not of whole numbers"))
+    }
+}
+
+/// Most dictionaries within one another.
+const MAX_DEPTH: usize = 8;
+
+impl<'a> Machine<'a> {
+    /// What the dictionary on the stack holds.
+    pub(super) fn finish(mut self) -> Result<BTreeMap<String, Array<'a>>, Refused> {
+        if self.at != self.file.len() {
+            return Err(self.refused("something comes after the end"));
+        }
+        let root = self.pop()?;
+        let (Value::Dict(root), true) = (root, self.stack.is_empty()) else {
+            return Err(self.refused("what was pickled is not a dictionary"));
+        };
+        let mut found = BTreeMap::new();
+        let mut seen = BTreeSet::from([root]);
+        let mut open = vec![(root, String::new(), 1)];
+        while let Some((dict, prefix, depth)) = open.pop() {
+            let entries = std::mem::take(&mut self.dicts[dict]);
+            let mut keys = BTreeSet::new();
+            for (key, value) in entries {
+                if !keys.insert(key) {
+                    return Err(self.refused("a key is there twice"));
+                }
+                let name = format!("{prefix}{key}");
+                match value {
+                    Value::Dict(inner) if depth < MAX_DEPTH && seen.insert(inner) => {
+                        open.push((inner, name + "/", depth + 1));
+                    }
+                    Value::Dict(_) => {
+                        return Err(self.refused("dictionaries lie in one another too deep, or in two places"));
+                    }
+                    Value::Array(array) => {
+                        let array = self.arrays[array].take();
+                        let array = array.ok_or_else(|| self.refused("an array is empty or in two places"))?;
+                        if found.insert(name, array).is_some() {
+                            return Err(self.refused("a name is there twice"));
+                        }
+                    }
+                    _ => return Err(self.refused("a dictionary holds something that is not an array")),
+                }
+            }
+        }
+        Ok(found)
     }
 }
