@@ -1,7 +1,6 @@
 //! Benchmark cases on a GPU.
 
-use super::measure::{Millis, Step, Timed, case, mean_over, ms};
-use super::{BenchConfig, Case, GpuCase, GpuMachine};
+use super::{BenchConfig, Case, GpuCase, GpuMachine, Millis, Step, Timed, case, mean_over, ms};
 use crate::device::DeviceChoice;
 use crate::{Error, Observer};
 use cpu_time::ProcessTime;

@@ -4,9 +4,9 @@ use super::SplitRecord;
 use super::choices::{Choices, FrameChoice, Headline, MaskChoice, PoseChoice, PoseTreatment, ResolutionChoice, poses};
 use super::covisible::{MaskSource, Masks};
 use super::perceptual::Perceptual;
+use super::poses::{Moved, Refiner};
 use super::protocol::{FrameRule, Protocol, Rules, StartPose};
-use super::refine::{Moved, Refiner};
-use super::views::{EvalOptions, HeldOut};
+use super::{EvalOptions, HeldOut};
 use crate::render::SceneRenderer;
 use crate::{Error, Observer, Refusal};
 use m4_core::{Camera, CompactMask};
@@ -189,7 +189,7 @@ pub(super) fn score(
         },
         render: RENDER.to_owned(),
         metrics: metrics(&images),
-        lpips: lpips.into_choices(),
+        lpips: lpips.choices,
         poses,
         headline: headline(rules, &images),
         note: rules.note,

@@ -20,7 +20,6 @@ pub enum Grade {
 
 impl Grade {
     /// Returns the grade as a word.
-    #[must_use]
     pub fn name(self) -> &'static str {
         match self {
             Self::Good => "good",
@@ -34,11 +33,11 @@ impl Grade {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Focal {
-    /// The user or the file said it.
+    /// Known from the user or the file.
     Given,
-    /// The clip revealed it.
+    /// Estimated from the clip.
     Estimated,
-    /// A usual one was taken.
+    /// A typical value.
     Assumed,
 }
 
@@ -49,13 +48,13 @@ pub struct Confidence {
     pub grade: Grade,
     /// What to do about it, where it is not good.
     pub advice: Option<String>,
-    /// The angle under which the camera's way is seen from the points it measured, median, degrees.
+    /// The angle under which the camera's path is seen from the points that it measured, median, degrees.
     pub parallax_deg: f64,
     /// The same as pixels of the frames.
     pub parallax_px: f64,
-    /// Share of the tracks that rest and are explained within a pixel.
+    /// Share of the tracks that are static with an error of less than a pixel.
     pub inlier_share: f64,
-    /// Share of all pixels that rest.
+    /// Share of all pixels that are static.
     pub static_share: f64,
     /// Where the focal length comes from.
     pub focal: Focal,
@@ -67,7 +66,7 @@ pub struct Confidence {
     pub measured_share: f64,
 }
 
-/// What a track is explained within to count, pixels.
+/// Largest reprojection error of an inlier, pixels.
 const INLIER_PX: f64 = 1.0;
 /// Confidence of a pixel from which on its depth counts as measured.
 const MEASURED: f32 = 0.5;
@@ -92,7 +91,7 @@ impl Confidence {
         known_depth: Option<f64>,
     ) -> Self {
         let pixels = dense.iter().map(|d| d.mask.data().len()).sum::<usize>().max(1) as f64;
-        let resting = dense.iter().flat_map(|d| d.mask.data()).filter(|&&m| m == 0).count() as f64;
+        let still = dense.iter().flat_map(|d| d.mask.data()).filter(|&&m| m == 0).count() as f64;
         let measured = dense.iter().flat_map(|d| d.confidence.data()).filter(|&&c| c >= MEASURED);
         let measured = measured.count() as f64 / pixels;
         let judged = sparse.tracks.iter().filter(|t| t.motion != Motion::Unknown).count();
@@ -111,7 +110,7 @@ impl Confidence {
             parallax_deg: parallax_rad.to_degrees(),
             parallax_px: parallax_rad * focal_px,
             inlier_share: inliers.count() as f64 / judged.max(1) as f64,
-            static_share: resting / pixels,
+            static_share: still / pixels,
             focal: source,
             focal_sigma_percent: sigma.map(|s| 100.0 * s),
             residual_px: sparse.residual_px,
@@ -196,7 +195,6 @@ impl Confidence {
     }
 
     /// Returns a one-line summary.
-    #[must_use]
     pub fn description(&self) -> String {
         let focal = match (self.focal, self.focal_sigma_percent) {
             (Focal::Given, _) => "focal length given".to_owned(),
@@ -275,7 +273,7 @@ mod tests {
         weak(&|c| c.measured_share = 0.2, MOVING, Grade::Fair, "--depth");
         let tripod = Circumstances { camera_motion: CameraMotion::Static, ..MOVING };
         weak(&|c| c.focal = Focal::Assumed, tripod, Grade::Poor, "is static");
-        let told = Circumstances { depth_given: true, ..tripod };
-        weak(&|c| c.focal = Focal::Assumed, told, Grade::Fair, "--fov");
+        let given = Circumstances { depth_given: true, ..tripod };
+        weak(&|c| c.focal = Focal::Assumed, given, Grade::Fair, "--fov");
     }
 }

@@ -2,23 +2,22 @@
 //!
 //! ```text
 //! --frontend WORD+WORD --parse--> Frontend --plan: which weights are here--> Plan
-//!   Plan --load--> FlowSource, MonoMaps    (cameras from tracked corners: compute.rs)
+//!   Plan --load--> FlowSource, MonoMaps    (cameras from tracked corners: classical.rs)
 //!              --> tracking network, PairFlow, DepthPrior    (megasam.rs)
 //! ```
 
-#[cfg(feature = "nets")]
-mod depth_networks;
-#[cfg(feature = "nets")]
+mod depth;
 mod flow;
-mod mono;
 mod plan;
-mod source;
 #[cfg(feature = "nets")]
 mod tracking;
 
-pub(super) use mono::MonoClip;
+pub(super) use depth::MonoClip;
+pub(super) use flow::CachedFlow;
 pub use plan::UsedNetwork;
 pub(super) use plan::{Cameras, Plan, plan};
+#[cfg(feature = "nets")]
+pub(crate) use plan::{network, unusable};
 #[cfg(feature = "nets")]
 pub(super) use tracking::NetworkCorrespondence;
 
@@ -49,7 +48,6 @@ impl Part {
         [Self::Megasam, Self::Classical, Self::Raft, Self::Moge, Self::Unidepth, Self::DepthAnything];
 
     /// As options and records name it.
-    #[must_use]
     pub fn name(self) -> &'static str {
         match self {
             Self::Megasam => "megasam",
@@ -111,10 +109,6 @@ fn names() -> String {
 
 impl Frontend {
     /// Of parts, which are put in order.
-    ///
-    /// # Errors
-    ///
-    /// [`UnknownFrontend::Twice`] for two with one task.
     pub fn of(mut parts: Vec<Part>) -> Result<Self, UnknownFrontend> {
         parts.sort_unstable();
         for (k, a) in parts.iter().enumerate() {
@@ -126,13 +120,11 @@ impl Frontend {
     }
 
     /// True where the program is to choose.
-    #[must_use]
     pub fn is_auto(&self) -> bool {
         self.parts.is_empty()
     }
 
     /// True if `part` was named.
-    #[must_use]
     pub fn has(&self, part: Part) -> bool {
         self.parts.contains(&part)
     }
