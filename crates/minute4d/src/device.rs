@@ -9,8 +9,7 @@ use std::str::FromStr;
 /// Where kernels are asked to run.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub enum DeviceChoice {
-    /// The best GPU, or the processor where there is none. Software that plays GPU is never chosen: the processor's own
-    /// path is faster.
+    /// The best GPU, or the processor where there is none; never a software GPU, since the processor's own path is faster.
     Auto,
     /// The processor.
     #[default]

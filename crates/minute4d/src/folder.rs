@@ -121,8 +121,7 @@ pub(crate) struct Lock {
 }
 
 impl Lock {
-    /// Locks the folder itself, so that no lock file is left behind. Systems that cannot lock a folder
-    /// run without a lock.
+    /// Locks the folder itself, so that no lock file is left behind; without effect on systems that cannot lock a folder.
     pub fn take(folder: &Path) -> Result<Self, Error> {
         let Ok(handle) = File::open(folder) else {
             return Ok(Self { _folder: None });

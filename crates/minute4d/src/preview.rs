@@ -5,7 +5,7 @@ use crate::folder::{CAPTURE_FOLDER, PREVIEW_FILE, SCENE_FILE};
 use crate::record::{FileRecord, RUN_FILE, RunRecord};
 use crate::render::{SceneRenderer, SwingConfig, source_fps, swing};
 use crate::settings::{Settings, part_to_toml};
-use crate::stage::RecordingObserver;
+use crate::stage::{RecordingObserver, check_stop};
 use crate::workspace::{Task, Workspace};
 use crate::{Error, StageEvent, hash, train};
 use m4_core::{
@@ -78,9 +78,7 @@ fn draw(run: &Workspace<'_>, capture: &Capture, scene: &Scene, keeper: &Recordin
     let swing_config = SwingConfig { period_frames: (total as f64 / swings).round() as usize, ..config.swing };
     let cameras = swing(&still.camera.resized(size.0, size.1), distance, total, &swing_config);
     for (i, camera) in cameras.iter().enumerate() {
-        if keeper.cancelled() {
-            return Err(Error::Stopped { stage: STAGE, saved: true });
-        }
+        check_stop(keeper, STAGE, true)?;
         let source = &scene.source[i % n];
         let photo = capture.frames.get(i % n).and_then(|f| resize_rgb(&f.rgb, size.0, size.1, ResizeFilter::Triangle));
         let again = renderer.image(&source.camera.resized(size.0, size.1), source.t, &source.exposure)?;

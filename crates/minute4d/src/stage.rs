@@ -67,6 +67,11 @@ pub(crate) fn run<'a, F: StageFolder<'a>, R>(
     Ok(result)
 }
 
+/// Fails with [`Error::Stopped`] if a stop was requested; `saved` says whether there is something to resume from.
+pub(crate) fn check_stop(progress: &dyn Progress, stage: &'static str, saved: bool) -> Result<(), Error> {
+    if progress.cancelled() { Err(Error::Stopped { stage, saved }) } else { Ok(()) }
+}
+
 /// An event of a stage.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]

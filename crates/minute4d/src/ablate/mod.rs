@@ -13,6 +13,7 @@ use crate::evaluate::{self, EvalOptions};
 use crate::folder::CAPTURE_FOLDER;
 use crate::record::{GeometryRecord, RunRecord, Status, write_json};
 use crate::settings::{Enhancement, UnknownName, by_name};
+use crate::stage::check_stop;
 use crate::{Error, Job, Settings, is_capture};
 use m4_core::{Capture, CompactMask};
 use m4_geometry::resample::resize_bilinear;
@@ -327,9 +328,7 @@ impl Bench<'_> {
         }
         let ended = command.stdin(Stdio::null()).stdout(Stdio::null()).output();
         let ended = ended.map_err(|source| Error::Read { path: self.options.program.clone(), source })?;
-        if self.job.observer.cancelled() {
-            return Err(Error::Stopped { stage: "ablate", saved: true });
-        }
+        check_stop(self.job.observer, "ablate", true)?;
         if let Some(record) = RunRecord::read(folder)?.filter(|record| record.status == Status::Finished)
             && ended.status.success()
         {

@@ -2,6 +2,7 @@
 
 use crate::evaluate::HeldOut;
 use crate::render::SceneRenderer;
+use crate::stage::check_stop;
 use crate::{Error, Job};
 use m4_core::{Plane, RgbImage};
 use m4_kernels::SimdLevel;
@@ -30,9 +31,7 @@ pub fn write(folders: &[PathBuf; 2], data: &Path, path: &Path, job: &Job<'_>) ->
     let mut draw_with = SceneRenderer::new(&with.scene, level, gpu.as_ref())?;
     let mut best: Option<Place> = None;
     for frame in &with.test.frames {
-        if job.observer.cancelled() {
-            return Err(Error::Stopped { stage: "ablate", saved: true });
-        }
+        check_stop(job.observer, "ablate", true)?;
         let drawn = [&without.draw(&mut draw_without, frame)?, &with.draw(&mut draw_with, frame)?];
         let here = most_gained(&frame.rgb, drawn);
         if here.gain > best.as_ref().map_or(0.0, |place| place.gain) {

@@ -3,6 +3,7 @@
 use super::Machine;
 use super::table::{self, aligned, today};
 use crate::record::RunRecord;
+use crate::stage::check_stop;
 use crate::{Error, Observer};
 use m4_core::Silent;
 use m4_io::capture::Split;
@@ -75,9 +76,7 @@ pub fn memory(program: &Path, config: &MemoryConfig, observer: &dyn Observer) ->
     let mut cases = Vec::new();
     for (i, &frames) in config.frames.iter().enumerate() {
         observer.update("bench", i, config.frames.len(), &format!("{frames} frames"));
-        if observer.cancelled() {
-            return Err(Error::Stopped { stage: "bench", saved: false });
-        }
+        check_stop(observer, "bench", false)?;
         cases.push(case(program, config, frames)?);
         observer.update("bench", i + 1, config.frames.len(), &format!("{frames} frames"));
     }
@@ -145,7 +144,7 @@ impl MemoryReport {
     ///
     /// [`Error::Write`].
     pub fn save(&self, folder: &Path) -> Result<PathBuf, Error> {
-        table::save(folder, "-memory", &self.machine, self, &self.to_markdown())
+        table::save(folder, (&self.date, "-memory"), &self.machine, self, &self.to_markdown())
     }
 
     /// One row per clip.

@@ -14,6 +14,7 @@ pub use report::{BenchReport, Bound, Case, GpuCase, GpuMachine, KernelRow, Machi
 pub(crate) use table::{aligned, number, today};
 
 use crate::device::DeviceChoice;
+use crate::stage::check_stop;
 use crate::{Error, Observer, with_threads};
 use cpu_time::ProcessTime;
 use m4_kernels::SimdLevel;
@@ -100,9 +101,7 @@ pub fn run(config: &BenchConfig, observer: &dyn Observer) -> Result<BenchReport,
         let counts: Vec<_> = (0..bench.views()).map(|view| bench.count(view)).collect();
         let mut cases = Vec::new();
         for &threads in &config.threads {
-            if observer.cancelled() {
-                return Err(stopped());
-            }
+            check_stop(observer, "bench", false)?;
             cases.push(with_threads(Some(threads), || on_processor(level, scene, &counts, config, &mut bench))?);
         }
         Ok(cases)
@@ -122,17 +121,11 @@ fn each(
     for scene in scenes {
         let note = format!("{} splats, {} x {}, {}", scene.splats, scene.width, scene.height, scene.kind.name());
         observer.update("bench", cases.len(), total, &note);
-        if observer.cancelled() {
-            return Err(stopped());
-        }
+        check_stop(observer, "bench", false)?;
         cases.extend(of(scene)?);
         observer.update("bench", cases.len(), total, &note);
     }
     Ok(cases)
-}
-
-fn stopped() -> Error {
-    Error::Stopped { stage: "bench", saved: false }
 }
 
 /// Least and most bytes that the probe of memory streams.
@@ -152,7 +145,7 @@ fn on_processor(
     let bytes: f64 = kernels(config).map(|kernel| mean_work(kernel, counts).bytes).sum();
     let probe = Probe::run(level, bytes.clamp(PROBE_BYTES.0, PROBE_BYTES.1) as usize);
     let steps = if config.render_only { None } else { Some(time_steps(bench, config.steps)) };
-    let (render_ms, drawn) = time_frames(bench, config.steps);
+    let (drawn, render_ms) = time_frames(bench, config.steps);
     let timed =
         Timed { kernels: steps.as_ref().map_or(drawn, |steps| steps.0), step: steps.map(|steps| steps.1), render_ms };
     case(scene, counts, config, Some(level), &probe, timed, None)
@@ -244,52 +237,64 @@ fn mean_work(kernel: Kernel, counts: &[Counts]) -> Work {
 /// Kernel by kernel, milliseconds.
 type Millis = [f64; Kernel::ALL.len()];
 
-/// The fastest of some, a view; then the mean over the views.
+/// The fastest times of each view, milliseconds: kernel by kernel, and of the whole.
+struct Fastest(Vec<(Millis, f64)>);
+
+impl Fastest {
+    fn of(views: usize) -> Self {
+        Self(vec![([f64::INFINITY; Kernel::ALL.len()], f64::INFINITY); views])
+    }
+
+    fn add(&mut self, view: usize, kernels: [Duration; Kernel::ALL.len()], whole: Duration) {
+        let (best, best_whole) = &mut self.0[view];
+        for (best, now) in best.iter_mut().zip(kernels) {
+            *best = best.min(ms(now));
+        }
+        *best_whole = best_whole.min(ms(whole));
+    }
+
+    /// Means over the views.
+    fn mean(&self) -> (Millis, f64) {
+        let mean = |of: &dyn Fn(&(Millis, f64)) -> f64| mean_over(self.0.iter().map(of), self.0.len());
+        (std::array::from_fn(|k| mean(&|best| best.0[k])), mean(&|best| best.1))
+    }
+}
+
+/// The fastest steps of each view, as means over the views.
 fn time_steps(bench: &mut Bench, steps: usize) -> (Millis, Step) {
     let views = bench.views();
-    let mut best = vec![([f64::INFINITY; Kernel::ALL.len()], f64::INFINITY); views];
+    let mut best = Fastest::of(views);
     let mut loss = [0.0; 2];
-    for (view, _) in best.iter().enumerate() {
+    for view in 0..views {
         loss[0] += bench.step(view).loss / views as f64;
     }
     let (wall, cpu) = (Instant::now(), ProcessTime::now());
     for _ in 0..steps.max(1) {
         loss[1] = 0.0;
-        for (view, (kernels, whole)) in best.iter_mut().enumerate() {
-            let Times { kernels: now, step, loss: value } = bench.step(view);
-            for (best, now) in kernels.iter_mut().zip(now) {
-                *best = best.min(ms(now));
-            }
-            *whole = whole.min(ms(step));
+        for view in 0..views {
+            let Times { kernels, step, loss: value } = bench.step(view);
+            best.add(view, kernels, step);
             loss[1] += value / views as f64;
         }
     }
     let (cpu, wall) = (cpu.elapsed().as_secs_f64(), wall.elapsed().as_secs_f64());
-    let step = Step {
-        ms: mean_over(best.iter().map(|b| b.1), views),
-        busy: cpu / (wall * rayon::current_num_threads() as f64),
-        loss,
-    };
-    (std::array::from_fn(|k| mean_over(best.iter().map(|b| b.0[k]), views)), step)
+    let (kernels, ms) = best.mean();
+    (kernels, Step { ms, busy: cpu / (wall * rayon::current_num_threads() as f64), loss })
 }
 
-/// Frames alone: milliseconds per frame and a kernel.
-fn time_frames(bench: &mut Bench, frames: usize) -> (f64, Millis) {
-    let views = bench.views();
-    let mut best = vec![([f64::INFINITY; Kernel::ALL.len()], f64::INFINITY); views];
+/// The fastest frames of each view, as means over the views: per kernel, and of whole frames.
+fn time_frames(bench: &mut Bench, frames: usize) -> (Millis, f64) {
+    let mut best = Fastest::of(bench.views());
     for round in 0..=frames {
-        for (view, (kernels, whole)) in best.iter_mut().enumerate() {
-            let (now, frame) = bench.render(view);
+        for view in 0..bench.views() {
+            let (kernels, frame) = bench.render(view);
             // the first round fills the memory of the renderer
             if round > 0 {
-                for (best, now) in kernels.iter_mut().zip(now) {
-                    *best = best.min(ms(now));
-                }
-                *whole = whole.min(ms(frame));
+                best.add(view, kernels, frame);
             }
         }
     }
-    (mean_over(best.iter().map(|b| b.1), views), std::array::from_fn(|k| mean_over(best.iter().map(|b| b.0[k]), views)))
+    best.mean()
 }
 
 fn mean_over(values: impl Iterator<Item = f64>, n: usize) -> f64 {

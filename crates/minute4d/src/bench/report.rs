@@ -91,8 +91,7 @@ pub enum Bound {
     Memory,
     /// Operations of the definition at this machine's rate of multiply-adds.
     Arithmetic,
-    /// Useful evaluations at the peak rate of the blending loop
-    /// ([`m4_kernels::bench::PEAK_EVALUATIONS`]).
+    /// Useful evaluations at the peak rate of the blending loop ([`m4_kernels::bench::PEAK_EVALUATIONS`]).
     Evaluation,
 }
 
@@ -246,7 +245,7 @@ impl BenchReport {
     ///
     /// [`Error::Write`].
     pub fn save(&self, folder: &Path) -> Result<PathBuf, Error> {
-        table::save(folder, "", &self.machine, self, &self.to_markdown())
+        table::save(folder, (&self.date, ""), &self.machine, self, &self.to_markdown())
     }
 }
 

@@ -30,16 +30,16 @@ pub(crate) fn aligned(rows: &[Vec<String>]) -> String {
     lines.concat()
 }
 
-/// Writes a report of `subject` as JSON and as Markdown into `folder`, named by day and machine; returns the path of the JSON file.
+/// Writes a report of `subject` as JSON and as Markdown into `folder`, named by `date` and machine; returns the path of the JSON file.
 /// A report of the same day and machine is replaced.
 pub(super) fn save(
     folder: &Path,
-    subject: &str,
+    (date, subject): (&str, &str),
     machine: &Machine,
     report: &impl Serialize,
     markdown: &str,
 ) -> Result<PathBuf, Error> {
-    let name = format!("{}-{}{subject}", today(), slug(machine));
+    let name = format!("{date}-{}{subject}", slug(machine));
     let json = folder.join(format!("{name}.json"));
     write_json(&json, report)?;
     let path = folder.join(format!("{name}.md"));

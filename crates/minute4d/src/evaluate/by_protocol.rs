@@ -8,6 +8,7 @@ use super::poses::{Moved, Refiner};
 use super::protocol::{FrameRule, Protocol, Rules, StartPose};
 use super::{EvalOptions, HeldOut};
 use crate::render::SceneRenderer;
+use crate::stage::check_stop;
 use crate::{Error, Observer, Refusal};
 use m4_core::{Camera, CompactMask};
 use m4_eval::image::{ImageReport, MeanScore, Metric, PlanarImage, PsnrKind};
@@ -108,9 +109,7 @@ pub(super) fn score(
     let mut moved: Vec<Moved> = Vec::new();
     let (mut drawing_s, mut share) = (0.0, 0.0);
     for (i, view) in views.iter().enumerate() {
-        if observer.cancelled() {
-            return Err(Error::Stopped { stage: "eval", saved: false });
-        }
+        check_stop(observer, "eval", false)?;
         let (t, reference) = (held.moment(view), PlanarImage::from(&view.rgb));
         let moving = view.mask.as_ref().map(CompactMask::to_mask);
         let given = held.camera(view);

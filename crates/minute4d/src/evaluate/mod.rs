@@ -26,6 +26,7 @@ use crate::folder::{EVAL_FILE, SCENE_FILE};
 use crate::record::write_json;
 use crate::render::SceneRenderer;
 use crate::settings::Settings;
+use crate::stage::check_stop;
 use crate::{Error, Observer, Refusal, hash};
 use m4_core::{Camera, Capture, CaptureFrame, CompactMask, Exposure, RgbImage, Scene};
 use m4_eval::geometry::{GeometryReport, evaluate};
@@ -190,9 +191,7 @@ fn plain(
     let mut images = ImageReport::new(data.display().to_string(), grow_mask);
     let mut drawing_s = 0.0;
     for (i, frame) in views.iter().enumerate() {
-        if observer.cancelled() {
-            return Err(Error::Stopped { stage: "eval", saved: false });
-        }
+        check_stop(observer, "eval", false)?;
         let t = held.moment(frame);
         let begin = Instant::now();
         let drawn = held.draw(renderer, frame)?;

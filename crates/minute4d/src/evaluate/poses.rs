@@ -12,6 +12,7 @@
 
 use super::protocol::RefineRule;
 use crate::render::{Painter, view};
+use crate::stage::check_stop;
 use crate::{Error, Observer};
 use m4_core::nalgebra::{Matrix3, Vector3, Vector6};
 use m4_core::{Camera, Scene, Sim3};
@@ -210,9 +211,7 @@ impl<'a> Refiner<'a> {
         let mut camera = *start;
         let mut before = None;
         for step in 1..=rule.steps {
-            if observer.cancelled() {
-                return Err(Error::Stopped { stage: "eval", saved: false });
-            }
+            check_stop(observer, "eval", false)?;
             let (mse, g) = self.gradient(&camera, t, reference);
             before.get_or_insert(mse);
             let power = i32::try_from(step).unwrap_or(i32::MAX);

@@ -5,7 +5,7 @@
 //! [`MOST_PER_STEP`] frames per kept one.
 
 use super::Context;
-use super::frontend::{Cameras, Plan};
+use super::frontend::Plan;
 use super::given::Given;
 use crate::{Error, Observer, Settings};
 use m4_core::{Camera, Capture, CaptureFrame, CompactDepth, CompactMask, Plane, RgbImage, Tracks, Video};
@@ -112,7 +112,7 @@ impl Between {
     /// more per frame than all the rest.
     pub fn of(settings: &Settings, plan: &Plan) -> Self {
         let kept = settings.video.max_frames;
-        let small_steps = plan.cameras == Cameras::Corners && plan.used.is_empty() && !settings.geometry.any_given();
+        let small_steps = !plan.is_megasam() && plan.used.is_empty() && !settings.geometry.any_given();
         let read = kept.map(|kept| if small_steps { to_read(kept) } else { kept });
         Self { kept, read }
     }

@@ -134,61 +134,50 @@ impl Confidence {
             }
         };
         let high = |value: f64, fair: f64, poor: f64| low(-value, -fair, -poor);
-        let moves = around.camera_motion == CameraMotion::Parallax;
+        let parallax = around.camera_motion == CameraMotion::Parallax;
         let crowded = self.static_share < 0.5 && !around.masks_given;
-        let mut findings: Vec<(Grade, &str)> = Vec::new();
-        if !around.depth_given {
-            findings.push(match around.camera_motion {
-                CameraMotion::Static => (
-                    Grade::Poor,
-                    "the camera is static, so depth is a placeholder: film while walking sideways, or give --depth",
-                ),
-                CameraMotion::RotationOnly => (
-                    Grade::Poor,
-                    "the camera only rotates, so depth is a placeholder: film while walking sideways, or give --depth",
-                ),
-                CameraMotion::Parallax => (
-                    low(self.parallax_deg, 2.0, 0.7),
-                    "the camera moves little compared with the distance of what it sees: film while walking sideways",
-                ),
-            });
-        }
-        if moves {
-            findings.push((
-                low(self.inlier_share, 0.4, 0.15),
-                if crowded {
-                    "dynamic objects fill the frame: give --masks, or film with more of the surroundings"
-                } else {
-                    "few points can be tracked: film slower, in more light, with textured objects in view"
-                },
-            ));
-        }
-        findings.push(match (self.focal, self.focal_sigma_percent) {
+        const CROWDED: &str = "dynamic objects fill the frame: give --masks, or film with more of the surroundings";
+        let motion = match around.camera_motion {
+            CameraMotion::Static => (
+                Grade::Poor,
+                "the camera is static, so depth is a placeholder: film while walking sideways, or give --depth",
+            ),
+            CameraMotion::RotationOnly => (
+                Grade::Poor,
+                "the camera only rotates, so depth is a placeholder: film while walking sideways, or give --depth",
+            ),
+            CameraMotion::Parallax => (
+                low(self.parallax_deg, 2.0, 0.7),
+                "the camera moves little compared with the distance of what it sees: film while walking sideways",
+            ),
+        };
+        let few = "few points can be tracked: film slower, in more light, with textured objects in view";
+        let tracks = (low(self.inlier_share, 0.4, 0.15), if crowded { CROWDED } else { few });
+        let focal = match (self.focal, self.focal_sigma_percent) {
             (Focal::Assumed, _) => (Grade::Fair, "the field of view is a guess: give --fov"),
             (Focal::Estimated, Some(sigma)) => {
                 (high(sigma, 3.0, 10.0), "the clip says little about the field of view: give --fov")
             }
             _ => (Grade::Good, ""),
-        });
-        if moves {
-            findings.push((
-                high(self.residual_px, 0.75, 1.5),
-                "points do not stay where they should: film without zoom and with a short exposure, or give --intrinsics",
-            ));
-        }
-        if !around.masks_given {
-            findings.push((
-                low(self.static_share, 0.6, 0.35),
-                "dynamic objects fill the frame: give --masks, or film with more of the surroundings",
-            ));
-        }
-        if moves && !around.depth_given {
-            findings.push((
-                low(self.measured_share, 0.35, 0.1),
-                "little of the depth was measured, the rest is filled in: film textured objects while walking sideways, or \
-                 give --depth",
-            ));
-        }
+        };
+        let residual = (
+            high(self.residual_px, 0.75, 1.5),
+            "points do not stay where they should: film without zoom and with a short exposure, or give --intrinsics",
+        );
+        let measured = (
+            low(self.measured_share, 0.35, 0.1),
+            "little of the depth was measured, the rest is filled in: film textured objects while walking sideways, or \
+             give --depth",
+        );
+        let all = [
+            (!around.depth_given, motion),
+            (parallax, tracks),
+            (true, focal),
+            (parallax, residual),
+            (!around.masks_given, (low(self.static_share, 0.6, 0.35), CROWDED)),
+            (parallax && !around.depth_given, measured),
+        ];
+        let findings: Vec<_> = all.into_iter().filter_map(|(counts, finding)| counts.then_some(finding)).collect();
         let worst = findings.iter().map(|(grade, _)| *grade).max().unwrap_or(Grade::Good);
         let advice = findings.iter().find(|(grade, _)| *grade == worst && worst != Grade::Good);
         (worst, advice.map(|(_, advice)| (*advice).to_owned()))

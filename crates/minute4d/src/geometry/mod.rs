@@ -39,7 +39,6 @@ use crate::settings::part_to_toml;
 use crate::steps::Steps;
 use crate::{Category, Error, Job, Observer, Settings, hash};
 use clip::{Between, Clip};
-use frontend::Cameras;
 use given::Sources;
 use m4_geometry::classical::dense::DenseError;
 use m4_geometry::classical::sparse::SparseError;
@@ -103,7 +102,7 @@ pub fn make(input: &Path, capture: &Path, job: &Job<'_>) -> Result<GeometryRecor
         geometry: &settings.geometry,
         frontend: &name,
         weights: frontend.hashes(),
-        megasam: (frontend.cameras == Cameras::Megasam).then_some(&settings.megasam),
+        megasam: (frontend.is_megasam()).then_some(&settings.megasam),
         device: device.name(),
         segmenter: segmenter.name(),
         segmenter_weights: segmenter.weights_hash(),
@@ -142,10 +141,10 @@ impl Methods {
     /// Resolves `options`; fails if weights are missing, the build has no networks, or the GPU does not start.
     fn resolve(options: &GeometryOptions, device: DeviceChoice) -> Result<Self, Error> {
         let frontend = frontend::plan(&options.frontend, device)?;
-        let (asked, before) = match frontend.cameras {
-            // Masks are made of its map of motion afterwards.
-            Cameras::Megasam => (Segmenter::None, Before::Motion),
-            Cameras::Corners => (options.segmenter, Before::Classical),
+        // Masks are made of MegaSaM's map of motion afterwards.
+        let (asked, before) = match frontend.is_megasam() {
+            true => (Segmenter::None, Before::Motion),
+            false => (options.segmenter, Before::Classical),
         };
         let segmenter = segmenter::resolve(asked)?;
         // Masks that the user gave stay.
@@ -181,9 +180,9 @@ fn compute(input: &Path, folder: &Path, context: &Context<'_>) -> Result<Geometr
     let observer = context.observer();
     let between = Between::of(context.settings, &context.methods.frontend);
     let clip = Clip::read(input, between, context)?;
-    let (capture, mut found) = match context.methods.frontend.cameras {
+    let (capture, mut found) = match context.methods.frontend.is_megasam() {
         #[cfg(feature = "nets")]
-        Cameras::Megasam => megasam::compute(clip, context)?,
+        true => megasam::compute(clip, context)?,
         _ => classical::compute(clip, context)?,
     };
     let capture = between.keep(capture, observer)?;

@@ -163,8 +163,7 @@ fn nearest<'a>(key: &str, known: &'a [String]) -> Option<&'a str> {
         .map(|(_, word)| word)
 }
 
-/// A setting of that very name in another table, the least deep one: `--set iterations=10` meant
-/// `train.iterations`.
+/// A setting of that name in another table, the least deep one: `--set iterations=10` meant `train.iterations`.
 fn elsewhere(key: &str, table: &Table) -> Option<String> {
     let mut level: Vec<(String, &Table)> = vec![(String::new(), table)];
     while !level.is_empty() {

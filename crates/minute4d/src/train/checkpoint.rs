@@ -82,8 +82,7 @@ impl Checkpoints {
     }
 }
 
-/// Stops a trainer when it is time for a checkpoint, when a page requests the scene, or when the
-/// user says so.
+/// Stops a trainer when it is time for a checkpoint, when a page requests the scene, or on request of the user.
 pub(super) struct CheckpointTimer<'a> {
     inner: &'a dyn Progress,
     observer: &'a dyn Observer,

@@ -211,8 +211,7 @@ fn note_progress(record: &mut RunRecord, trainer: &Trainer<'_>) {
     record.splats = Some(SplatCount { r#static: splats.n_static(), dynamic: splats.n_dynamic() });
 }
 
-/// Writes the finished scene with the state of the optimiser, reads both back and compares: only then is it
-/// a success.
+/// Writes the finished scene with the state of the optimiser, reads both back and compares.
 fn publish(path: &Path, scene: &Scene, state: &TrainState<'_>) -> Result<(), Error> {
     if !scene.splats.is_finite() {
         return Err(Error::Internal { what: "training ended with values that are not finite".to_owned() });

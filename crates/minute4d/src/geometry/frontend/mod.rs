@@ -15,7 +15,7 @@ mod tracking;
 pub(super) use depth::MonoClip;
 pub(super) use flow::CachedFlow;
 pub use plan::UsedNetwork;
-pub(super) use plan::{Cameras, Plan, plan};
+pub(super) use plan::{Plan, plan};
 #[cfg(feature = "nets")]
 pub(crate) use plan::{network, unusable};
 #[cfg(feature = "nets")]

@@ -12,15 +12,6 @@ use serde::{Deserialize, Serialize};
 #[cfg(feature = "nets")]
 use std::path::PathBuf;
 
-/// The method for cameras.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Cameras {
-    /// Tracked corners and bundle adjustment.
-    Corners,
-    /// The tracking network.
-    Megasam,
-}
-
 /// A network that took part, for the record.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct UsedNetwork {
@@ -39,8 +30,6 @@ pub struct UsedNetwork {
 pub struct Plan {
     /// What was chosen, never `auto`.
     pub frontend: Frontend,
-    /// The method for cameras.
-    pub cameras: Cameras,
     /// The networks, in the order of the parts.
     pub used: Vec<UsedNetwork>,
     /// What the user should know about the choice.
@@ -50,6 +39,11 @@ pub struct Plan {
 }
 
 impl Plan {
+    /// Whether cameras come from MegaSaM's tracking network; else from tracked corners and bundle adjustment.
+    pub fn is_megasam(&self) -> bool {
+        self.frontend.has(Part::Megasam)
+    }
+
     /// Hashes of the networks' weights.
     pub fn hashes(&self) -> Vec<&str> {
         self.used.iter().map(|network| network.blake3.as_str()).collect()
@@ -116,8 +110,7 @@ pub fn plan(asked: &Frontend, device: DeviceChoice) -> Result<Plan, Error> {
             network.weights, network.licence
         ));
     }
-    let cameras = if frontend.has(Part::Megasam) { Cameras::Megasam } else { Cameras::Corners };
-    Ok(Plan { cameras, frontend, used, notes, files })
+    Ok(Plan { frontend, used, notes, files })
 }
 
 /// Finds what `asked` needs; fails for networks, which the build lacks.
@@ -126,12 +119,7 @@ pub fn plan(asked: &Frontend, _: DeviceChoice) -> Result<Plan, Error> {
     let network = Part::ALL.into_iter().find(|&p| p != Part::Classical && asked.has(p));
     match network {
         Some(part) => Err(NetworkError::NotBuilt { method: NetworkMethod::FrontEnd(part) }.into()),
-        None => Ok(Plan {
-            frontend: Frontend { parts: vec![Part::Classical] },
-            cameras: Cameras::Corners,
-            used: Vec::new(),
-            notes: Vec::new(),
-        }),
+        None => Ok(Plan { frontend: Frontend { parts: vec![Part::Classical] }, used: Vec::new(), notes: Vec::new() }),
     }
 }
 

@@ -193,8 +193,7 @@ impl Clip {
         self.in_order(what, folder, files)
     }
 
-    /// One of `items` a frame, by order: they are as many as the frames, or as the images that the frames were chosen
-    /// from.
+    /// One of `items` per frame, in order: as many as the frames, or as the images that the frames were chosen from.
     pub fn in_order<T: Clone>(&self, what: &'static str, path: &Path, items: Vec<T>) -> Result<Vec<T>, Error> {
         if items.len() == self.frames {
             return Ok(items);
