@@ -5,9 +5,6 @@ use m4_core::{Capture, CompactDepth, CompactMask, Plane};
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 
-/// Records that the program itself writes next to an input, which are not part of it.
-const OWN_RECORDS: [&str; 1] = [crate::record::GEOMETRY_FILE];
-
 /// Returns the BLAKE3 hash of a file's bytes, or of the names and bytes of everything in a folder; hexadecimal.
 ///
 /// Hidden files and the program's own records are left out.
@@ -36,7 +33,6 @@ pub fn of_path(path: &Path) -> Result<String, Error> {
 }
 
 /// Returns the BLAKE3 hash of several texts, which depends on the boundaries between them.
-#[must_use]
 pub fn of_parts(parts: &[&str]) -> String {
     let mut hasher = blake3::Hasher::new();
     for part in parts {
@@ -47,15 +43,12 @@ pub fn of_parts(parts: &[&str]) -> String {
 }
 
 /// Returns the BLAKE3 hash of everything that training reads of a capture: cameras, times, images, depth, masks and tracks.
-#[must_use]
 pub fn of_capture(capture: &Capture) -> String {
     let mut hasher = blake3::Hasher::new();
     hasher.update(&(capture.time_frames as u64).to_le_bytes());
     for frame in &capture.frames {
         let k = &frame.camera.intrinsics;
-        for n in [k.width, k.height] {
-            hasher.update(&(n as u64).to_le_bytes());
-        }
+        size_into((k.width, k.height), &mut hasher);
         let pose = &frame.camera.c2w;
         let numbers = [k.fx, k.fy, k.cx, k.cy, frame.t];
         for x in numbers.iter().chain(pose.rotation.iter()).chain(pose.translation.iter()) {
@@ -63,11 +56,9 @@ pub fn of_capture(capture: &Capture) -> String {
         }
         size_into(frame.rgb.size(), &mut hasher);
         hasher.update(frame.rgb.data().as_flattened());
-        let depth = frame.depth.as_ref();
-        size_into(depth.map_or((0, 0), CompactDepth::size), &mut hasher);
-        if let Some(depth) = depth {
-            let bytes: Vec<u8> = depth.every(1).flat_map(f32::to_le_bytes).collect();
-            hasher.update(&bytes);
+        size_into(frame.depth.as_ref().map_or((0, 0), CompactDepth::size), &mut hasher);
+        if let Some(depth) = &frame.depth {
+            hasher.update(&depth.every(1).flat_map(f32::to_le_bytes).collect::<Vec<u8>>());
         }
         let mask = frame.mask.as_ref().map(CompactMask::to_mask);
         size_into(mask.as_ref().map_or((0, 0), Plane::size), &mut hasher);
@@ -76,11 +67,8 @@ pub fn of_capture(capture: &Capture) -> String {
     // Without tracks the hash is what it was before there were any.
     if let Some(tracks) = &capture.tracks {
         size_into((tracks.frames(), tracks.count()), &mut hasher);
-        let places = tracks.xyz().as_flattened();
-        let bytes: Vec<u8> = places.iter().flat_map(|v| v.to_le_bytes()).collect();
-        hasher.update(&bytes);
-        let visible: Vec<u8> = tracks.visible().iter().map(|&v| u8::from(v)).collect();
-        hasher.update(&visible);
+        hasher.update(&tracks.xyz().as_flattened().iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<u8>>());
+        hasher.update(&tracks.visible().iter().map(|&v| u8::from(v)).collect::<Vec<u8>>());
     }
     hasher.finalize().to_hex().to_string()
 }
@@ -104,7 +92,8 @@ fn list(root: &Path, folder: &Path, files: &mut Vec<PathBuf>) -> Result<(), Erro
         let entry = entry.map_err(failed)?;
         let name = entry.file_name();
         let text = name.to_string_lossy();
-        if text.starts_with('.') || OWN_RECORDS.contains(&text.as_ref()) {
+        // the record is not part of the input
+        if text.starts_with('.') || text == crate::record::GEOMETRY_FILE {
             continue;
         }
         let relative = folder.join(&name);

@@ -4,7 +4,7 @@ use crate::folder::SCENE_FILE;
 use crate::record::{RUN_FILE, RunRecord, Status};
 use crate::settings::Settings;
 use crate::{Error, Observer, hash, is_capture};
-use m4_core::{Capture, CompactMask, Scene};
+use m4_core::{Capture, Scene};
 use m4_io::capture::{CaptureOptions, Split};
 use m4_io::reach::Reach;
 use m4_io::scene::safetensors;
@@ -32,80 +32,72 @@ pub enum Inspection {
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct VideoFacts {
     /// Frames that can be decoded.
-    pub frames: usize,
+    frames: usize,
     /// Width and height, upright, pixels.
-    pub size: [usize; 2],
+    size: [usize; 2],
     /// Seconds from the first to the last frame.
-    pub duration_s: f64,
+    duration_s: f64,
     /// Mean frames per second.
-    pub fps: Option<f64>,
+    fps: Option<f64>,
     /// Longest over median time between frames: 1 for an even clock.
-    pub longest_gap: Option<f64>,
+    longest_gap: Option<f64>,
     /// Focal length of the frames in the file, pixels, if the file states it.
-    pub focal_px: Option<f64>,
-    /// Damaged frames, tone mapping and the like.
-    pub warnings: Vec<String>,
+    focal_px: Option<f64>,
+    warnings: Vec<String>,
 }
 
 /// Facts about a capture.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct CaptureFacts {
     /// Training frames.
-    pub frames: usize,
+    frames: usize,
     /// Width and height of the first, pixels.
-    pub size: [usize; 2],
+    size: [usize; 2],
     /// Horizontal field of view of the first, degrees.
-    pub fov_deg: f64,
+    fov_deg: f64,
     /// Seconds from the first to the last frame, where known.
-    pub duration_s: Option<f64>,
+    duration_s: Option<f64>,
     /// True when a unit is a metre.
-    pub metric: bool,
+    metric: bool,
     /// Length of the camera's path, units.
-    pub path_length: f64,
-    /// Frames with depth.
-    pub with_depth: usize,
-    /// Frames with a mask.
-    pub with_mask: usize,
+    path_length: f64,
+    with_depth: usize,
+    with_mask: usize,
     /// Share of pixels that the masks mark as dynamic.
-    pub moving_share: Option<f64>,
+    moving_share: Option<f64>,
     /// Held-out views listed, if the list can be read.
-    pub test_views: Option<usize>,
+    test_views: Option<usize>,
 }
 
 /// Facts about a scene.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct SceneFacts {
     /// Splats without time parameters.
-    pub splats_static: usize,
+    splats_static: usize,
     /// Splats with time parameters.
-    pub splats_dynamic: usize,
+    splats_dynamic: usize,
     /// True if splats have one scale instead of three.
-    pub isotropic: bool,
-    /// Degree of the spatial harmonics.
-    pub sh_degree: usize,
+    isotropic: bool,
+    sh_degree: usize,
     /// Highest temporal harmonic.
-    pub time_degree: usize,
-    /// Frames of the source video.
-    pub time_frames: usize,
+    time_degree: usize,
+    time_frames: usize,
     /// Seconds, where known.
-    pub duration_s: Option<f64>,
-    /// Cameras of the source video.
-    pub cameras: usize,
+    duration_s: Option<f64>,
+    cameras: usize,
     /// True if training can be resumed from it.
-    pub with_optimiser: bool,
-    /// True when every number is finite.
-    pub finite: bool,
+    with_optimiser: bool,
+    finite: bool,
 }
 
 /// Facts about a run.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct RunFacts {
-    /// Its record.
-    pub record: RunRecord,
+    record: RunRecord,
     /// Files that are missing or have changed.
-    pub damaged: Vec<String>,
+    damaged: Vec<String>,
     /// Its scene, if it has one that can be read.
-    pub scene: Option<SceneFacts>,
+    scene: Option<SceneFacts>,
 }
 
 /// Describes the contents of `path`; a capture may refer to files within `reach`.
@@ -169,9 +161,6 @@ fn capture_facts(path: &Path, capture: &Capture) -> CaptureFacts {
     let lens = capture.frames.first().map(|f| f.camera.intrinsics);
     let centres = capture.frames.iter().map(|f| f.camera.centre());
     let steps = centres.clone().zip(centres.skip(1)).map(|(a, b)| (b - a).norm());
-    let masks = || capture.frames.iter().filter_map(|f| f.mask.as_ref());
-    let pixels: usize = masks().map(|m| m.size().0 * m.size().1).sum();
-    let moving: usize = masks().map(CompactMask::count).sum();
     CaptureFacts {
         frames: capture.frames.len(),
         size: lens.map_or([0, 0], |k| [k.width, k.height]),
@@ -180,8 +169,8 @@ fn capture_facts(path: &Path, capture: &Capture) -> CaptureFacts {
         metric: capture.metric,
         path_length: steps.sum(),
         with_depth: capture.frames.iter().filter(|f| f.depth.is_some()).count(),
-        with_mask: masks().count(),
-        moving_share: (pixels > 0).then(|| moving as f64 / pixels as f64),
+        with_mask: capture.frames.iter().filter(|f| f.mask.is_some()).count(),
+        moving_share: crate::enhance::moving_share(capture),
         test_views: test_views(path),
     }
 }

@@ -1,6 +1,5 @@
-//! The whole pipeline, and the job that every stage gets.
+//! The whole pipeline, the job that every stage gets, and the time limit of a run.
 
-use crate::clock::Clock;
 use crate::device::DeviceRequest;
 use crate::folder::{CAPTURE_FOLDER, Existing};
 use crate::geometry::GeometryOptions;
@@ -10,6 +9,7 @@ use crate::workspace::Workspace;
 use crate::{Error, Observer, Settings, geometry, hash, train};
 use m4_kernels::SimdLevel;
 use std::path::Path;
+use std::time::{Duration, Instant};
 
 /// Turns a video, a folder of images, or a capture into a scene; finished stages of an earlier run are reused
 /// with [`Existing::Resume`].
@@ -35,14 +35,13 @@ pub fn run(input: &Path, out: &Path, job: &Job<'_>) -> Result<RunRecord, Error> 
     let source = Input { path: input.display().to_string(), blake3: hash::of_path(input)? };
     Workspace::open(out, source, job, clock)?.finish(|run| {
         let folder = run.path(CAPTURE_FOLDER);
-        let keeper = RecordingObserver::new(job.observer).until(clock.end());
+        let recorder = RecordingObserver::new(job.observer).until(clock.end());
         let stage_job = Job {
             settings: job.settings.clone(),
-            // The folder of the run was taken over; so is the capture in it.
             // geometry runs on the CPU
             device: DeviceRequest::default(),
             existing: Existing::Resume,
-            observer: &keeper,
+            observer: &recorder,
         };
         let made = geometry::make(input, &folder, &stage_job)
             .map_err(|error| clock.blame(error, geometry::STAGE, job.observer.cancelled()))?;
@@ -101,7 +100,90 @@ pub fn with_threads<R: Send>(threads: Option<usize>, f: impl FnOnce() -> R + Sen
 }
 
 /// Threads of the current pool.
-#[must_use]
 pub fn threads() -> usize {
     rayon::current_num_threads()
+}
+
+/// Reserve for reading back, page and preview: share of the time left when training starts, and its maximum in seconds.
+const RESERVE: f64 = 0.25;
+const MOST_RESERVE_S: f64 = 120.0;
+
+/// The start and the time limit of a run.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Clock {
+    started: Instant,
+    limit: Option<Duration>,
+}
+
+impl Clock {
+    /// Starts now.
+    pub fn start(settings: &Settings) -> Self {
+        let seconds = settings.limit.time_s;
+        let limit = Duration::try_from_secs_f64(seconds).ok().filter(|_| seconds > 0.0);
+        Self { started: Instant::now(), limit }
+    }
+
+    /// Returns the end of the time limit.
+    pub fn end(&self) -> Option<Instant> {
+        self.started.checked_add(self.limit?)
+    }
+
+    /// Returns true after the limit is reached.
+    pub fn is_over(&self) -> bool {
+        self.end().is_some_and(|end| Instant::now() >= end)
+    }
+
+    /// Returns the time by which training that starts now must end.
+    pub fn end_of_training(&self) -> Option<Instant> {
+        let left_s = self.end()?.saturating_duration_since(Instant::now()).as_secs_f64();
+        let reserve_s = (RESERVE * left_s).min(MOST_RESERVE_S);
+        Some(Instant::now() + Duration::from_secs_f64(left_s - reserve_s))
+    }
+
+    /// Returns the same failure, or "time is up" if only the clock asked to stop.
+    pub fn blame(&self, error: Error, stage: &'static str, asked_to_stop: bool) -> Error {
+        match self.limit {
+            Some(limit) if error.is_stop() && !asked_to_stop && self.is_over() => {
+                Error::TimeLimit { stage, seconds: limit.as_secs_f64() }
+            }
+            _ => error,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::Clock;
+    use crate::{Category, Error, Settings};
+
+    fn clock(time_s: f64) -> Clock {
+        let mut settings = Settings::fast();
+        settings.limit.time_s = time_s;
+        Clock::start(&settings)
+    }
+
+    #[test]
+    fn no_limit_never_expires() {
+        for none in [0.0, -1.0, f64::NAN, f64::INFINITY] {
+            let clock = clock(none);
+            assert!(clock.end().is_none() && clock.end_of_training().is_none() && !clock.is_over());
+        }
+    }
+
+    #[test]
+    fn training_leaves_time_for_the_rest() {
+        let clock = clock(1000.0);
+        let (end, training) = (clock.end().unwrap(), clock.end_of_training().unwrap());
+        let reserve_s = (end - training).as_secs_f64();
+        assert!((119.0..=121.0).contains(&reserve_s), "{reserve_s}");
+    }
+
+    #[test]
+    fn stop_without_a_request_is_the_time_limit() {
+        let stop = || Error::Stopped { stage: "geometry", saved: true };
+        let over = clock(1e-9);
+        assert_eq!(over.blame(stop(), "geometry", false).category(), Category::TryAgain);
+        assert_eq!(over.blame(stop(), "geometry", true).category(), Category::Stopped);
+        assert_eq!(clock(1000.0).blame(stop(), "geometry", false).category(), Category::Stopped);
+    }
 }

@@ -4,7 +4,7 @@
 //! folder: [`Status::Running`] without a running process means that the process was killed.
 
 use crate::geometry::{Confidence, UsedNetwork};
-use crate::{Error, Settings};
+use crate::{Error, Settings, hash};
 use m4_io::atomic;
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 use serde_json::Value;
@@ -108,6 +108,15 @@ pub struct FileRecord {
     pub bytes: u64,
     /// BLAKE3 of its bytes, hexadecimal.
     pub blake3: String,
+}
+
+impl FileRecord {
+    /// Of the file at `path`.
+    pub(crate) fn of(path: &Path) -> Result<Self, Error> {
+        let blake3 = hash::of_path(path)?;
+        let bytes = fs::metadata(path).map_err(|source| Error::Read { path: path.to_path_buf(), source })?.len();
+        Ok(Self { bytes, blake3 })
+    }
 }
 
 /// `run.json`.
@@ -231,7 +240,7 @@ pub struct GeometryRecord {
 }
 
 /// The results of the geometry stage.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct GeometrySummary {
     /// Frames of the capture.
     pub frames: usize,

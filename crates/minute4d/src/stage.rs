@@ -34,11 +34,8 @@ pub(crate) struct Ended {
     pub warnings: Vec<String>,
 }
 
-/// Runs the work of a stage, and records its start and its end in `folder`. `because` says why an earlier result is not reused.
-///
-/// # Errors
-///
-/// Those of `work`, where a stop is [`Error::Stopped`], and of the record.
+/// Runs the work of a stage, and records its start and its end in `folder`. `because` says why an earlier result is not reused. A stop is
+/// returned as [`Error::Stopped`].
 pub(crate) fn run<'a, F: StageFolder<'a>, R>(
     folder: &mut F,
     stage: &'static str,
@@ -68,6 +65,11 @@ pub(crate) fn run<'a, F: StageFolder<'a>, R>(
     let seconds = ended.seconds;
     observer.stage(stage, StageEvent::Finished { seconds });
     Ok(result)
+}
+
+/// Fails with [`Error::Stopped`] if a stop was requested; `saved` says whether there is something to resume from.
+pub(crate) fn check_stop(progress: &dyn Progress, stage: &'static str, saved: bool) -> Result<(), Error> {
+    if progress.cancelled() { Err(Error::Stopped { stage, saved }) } else { Ok(()) }
 }
 
 /// An event of a stage.

@@ -49,10 +49,6 @@ impl<'a> Steps<'a> {
 
     /// Returns the value of a step: from disk, with its warnings repeated, or computed by `work` and stored. Warnings of
     /// `work` go to the observer that it is given.
-    ///
-    /// # Errors
-    ///
-    /// Those of `work`.
     pub fn keep<T: Serialize + DeserializeOwned, E>(
         &self,
         name: &str,

@@ -1,8 +1,8 @@
 //! A run in progress: its folder, its record, and its observer.
 
-use crate::clock::Clock;
 use crate::device::OpenGpu;
 use crate::folder::{self, Lock};
+use crate::pipeline::Clock;
 use crate::record::{Device, FileRecord, Input, RunRecord, StageRecord, Status, peak_memory_bytes};
 use crate::stage::{self, Ended, RecordingObserver, StageFolder};
 use crate::{Error, Job, Observer, hash};
@@ -25,11 +25,11 @@ pub(crate) struct Workspace<'a> {
     pub clock: Clock,
     /// The time from which an optional stage is asked to stop.
     until: Option<Instant>,
-    room: Room,
+    room: Option<Room>,
     _lock: Lock,
 }
 
-/// Reserved disk space, so that the record can be written when the disk is full.
+/// Reserved disk space, so that the record can be written when the disk is full; free when this is dropped.
 struct Room(PathBuf);
 
 /// More than the size of a record, bytes.
@@ -37,22 +37,18 @@ const ROOM: usize = 1 << 18;
 
 impl Room {
     /// Reserves the space if possible; otherwise the error appears at the next write.
-    fn keep(folder: &Path) -> Self {
+    fn reserve(folder: &Path) -> Self {
         let path = folder.join(".room");
         if fs::write(&path, vec![0xa5; ROOM]).is_err() {
             let _ = fs::remove_file(&path);
         }
         Self(path)
     }
-
-    fn free(&self) {
-        let _ = fs::remove_file(&self.0);
-    }
 }
 
 impl Drop for Room {
     fn drop(&mut self) {
-        self.free();
+        let _ = fs::remove_file(&self.0);
     }
 }
 
@@ -78,7 +74,7 @@ impl<'a> Workspace<'a> {
             record.iterations = earlier.iterations;
         }
         record.write(path)?;
-        let room = Room::keep(path);
+        let room = Some(Room::reserve(path));
         Ok(Self { folder: path.to_path_buf(), job, level, gpu, record, earlier, clock, until: None, room, _lock: lock })
     }
 
@@ -92,7 +88,7 @@ impl<'a> Workspace<'a> {
                 self.record.error = Some(error.to_string());
             }
         }
-        self.room.free();
+        self.room = None;
         let written = self.record.write(&self.folder);
         outcome?;
         written?;
@@ -186,10 +182,8 @@ impl<'a> Workspace<'a> {
         stage::run(self, name, because, |run, recorder| {
             let result = work(run, recorder)?;
             for &file in files {
-                let path = run.path(file);
-                let blake3 = hash::of_path(&path)?;
-                let bytes = fs::metadata(&path).map_err(|source| Error::Read { path, source })?.len();
-                run.record.files.insert(file.to_owned(), FileRecord { bytes, blake3 });
+                let written = FileRecord::of(&run.path(file))?;
+                run.record.files.insert(file.to_owned(), written);
             }
             Ok(result)
         })

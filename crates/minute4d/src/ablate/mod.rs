@@ -6,21 +6,21 @@
 //!
 //! Rows share the geometry, except for the row without segmentation, which has its own. All rows take as many steps as the full one.
 
-mod report;
 mod tracking_effect;
 
-pub use report::{AblationReport, Row, RowReport, UnknownRow};
-
-use crate::bench::today;
-use crate::evaluate::{self, EvalOptions, EvalReport};
+use crate::bench::{aligned, number, today};
+use crate::evaluate::{self, EvalOptions};
 use crate::folder::CAPTURE_FOLDER;
 use crate::record::{GeometryRecord, RunRecord, Status, write_json};
+use crate::settings::{Enhancement, UnknownName, by_name};
+use crate::stage::check_stop;
 use crate::{Error, Job, Settings, is_capture};
 use m4_core::{Capture, CompactMask};
 use m4_geometry::resample::resize_bilinear;
 use m4_io::atomic;
 use m4_io::capture::Split;
 use m4_io::reach::Reach;
+use serde::{Deserialize, Serialize};
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
@@ -29,6 +29,145 @@ use std::process::{Command, Stdio};
 pub const ABLATION_FILE: &str = "ablation.json";
 /// Name of the table.
 pub const TABLE_FILE: &str = "ablation.md";
+
+/// One row: everything, or everything but a part (paper, table 3).
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Row {
+    /// Everything. Always there: the others are compared with it.
+    #[default]
+    Full,
+    /// Masks are what motion and colours say.
+    NoSeg,
+    /// No points are followed or carried from one frame to another.
+    NoTrack,
+    /// Splats are neither added nor pruned.
+    NoDensity,
+}
+
+impl Row {
+    /// In the order of tables.
+    pub const ALL: [Self; 4] = [Self::Full, Self::NoSeg, Self::NoTrack, Self::NoDensity];
+
+    /// As options and folders call it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Full => "full",
+            Self::NoSeg => "no-seg",
+            Self::NoTrack => "no-track",
+            Self::NoDensity => "no-density",
+        }
+    }
+
+    /// Returns the name in tables.
+    pub fn title(self) -> &'static str {
+        match self {
+            Self::Full => "full",
+            Self::NoSeg => "without segmentation",
+            Self::NoTrack => "without tracking",
+            Self::NoDensity => "without density control",
+        }
+    }
+
+    /// What it goes without.
+    pub fn without(self) -> Option<Enhancement> {
+        match self {
+            Self::Full => None,
+            Self::NoSeg => Some(Enhancement::Segmentation),
+            Self::NoTrack => Some(Enhancement::Tracking),
+            Self::NoDensity => Some(Enhancement::Density),
+        }
+    }
+}
+
+impl std::str::FromStr for Row {
+    type Err = UnknownName;
+
+    fn from_str(text: &str) -> Result<Self, UnknownName> {
+        by_name("row", text, &Self::ALL, Self::name)
+    }
+}
+
+/// One row.
+#[derive(Debug, Clone, Default, PartialEq, Serialize)]
+pub struct RowReport {
+    row: Row,
+    /// Why it was not made, where it was not: then everything else is absent.
+    skipped: Option<String>,
+    /// Mean PSNR of the held-out views, dB.
+    psnr_db: Option<f64>,
+    /// The same inside the masks of dynamic regions, where there are any.
+    moving_psnr_db: Option<f64>,
+    /// Mean SSIM of the held-out views.
+    ssim: Option<f64>,
+    /// The same inside the masks.
+    moving_ssim: Option<f64>,
+    /// Wall-clock seconds of the geometry that it stands on; absent where the input brought it.
+    geometry_s: Option<f64>,
+    /// Wall-clock seconds of the first splats and their optimisation.
+    train_s: Option<f64>,
+    /// Most memory that its process held, bytes; only where the system tells.
+    peak_memory_bytes: Option<u64>,
+    splats: Option<usize>,
+    iterations: Option<usize>,
+}
+
+/// `ablation.json`.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct AblationReport {
+    format: String,
+    version: u32,
+    minute4d: String,
+    date: String,
+    /// What the scenes were made of.
+    input: PathBuf,
+    /// The capture whose held-out views were scored.
+    data: PathBuf,
+    /// Threads; the scenes do not depend on them.
+    threads: usize,
+    rows: Vec<RowReport>,
+    /// An image of what tracking brings, where both rows are there.
+    pub image: Option<PathBuf>,
+}
+
+impl AblationReport {
+    /// One Markdown row each, with the difference to everything in brackets.
+    pub fn to_markdown(&self) -> String {
+        let head =
+            ["", "PSNR dB", "SSIM", "PSNR dB moving", "SSIM moving", "splats", "geometry s", "train s", "peak MB"];
+        let full = self.rows.iter().find(|row| row.row == Row::Full);
+        let with_difference = |row: &RowReport, of: &dyn Fn(&RowReport) -> Option<f64>, digits: usize| {
+            let value = of(row);
+            match (value, full.and_then(of)) {
+                (Some(here), Some(there)) if row.row != Row::Full => {
+                    format!("{here:.digits$} ({:+.digits$})", here - there)
+                }
+                _ => number(value, digits),
+            }
+        };
+        let mut table = vec![head.map(str::to_owned).to_vec()];
+        table.extend(self.rows.iter().map(|row| {
+            vec![
+                row.row.title().to_owned(),
+                with_difference(row, &|r| r.psnr_db, 2),
+                with_difference(row, &|r| r.ssim, 4),
+                with_difference(row, &|r| r.moving_psnr_db, 2),
+                with_difference(row, &|r| r.moving_ssim, 4),
+                number(row.splats.map(|n| n as f64), 0),
+                number(row.geometry_s, 0),
+                number(row.train_s, 0),
+                number(row.peak_memory_bytes.map(|bytes| bytes as f64 / 1e6), 0),
+            ]
+        }));
+        let mut out = aligned(&table);
+        for row in &self.rows {
+            if let Some(why) = &row.skipped {
+                out.push_str(&format!("\n{}: not made, {why}\n", row.row.title()));
+            }
+        }
+        out
+    }
+}
 
 /// What to leave out, and what to score.
 #[derive(Debug, Clone)]
@@ -114,8 +253,8 @@ impl Bench<'_> {
             Row::NoSeg if !from_frames => match self.coarse()? {
                 Some(capture) => capture,
                 None => {
-                    let why = "the capture has masks but no motion map";
-                    return Ok(RowReport::skipped(row, why.to_owned()));
+                    let skipped = Some("the capture has masks but no motion map".to_owned());
+                    return Ok(RowReport { row, skipped, ..RowReport::default() });
                 }
             },
             // nothing that these rows change is older than the capture
@@ -126,10 +265,15 @@ impl Bench<'_> {
         if let Some(part) = row.without() {
             settings.switch_off(part);
         }
-        self.run(&input, &folder, row, &settings)?;
-        let record = RunRecord::read(&folder)?
-            .ok_or_else(|| Error::Missing { what: "record of the run", path: folder.clone() })?;
-        let scores = self.scores(&folder)?;
+        settings.viewer.write = false;
+        let record = self.run(&input, &folder, row, &settings)?;
+        let options = EvalOptions {
+            grow_mask: self.options.grow_mask,
+            device: self.job.device.choice,
+            reach: self.job.settings.capture.reach,
+            ..EvalOptions::default()
+        };
+        let scores = evaluate::views(&folder, self.data, &options, self.job.observer)?;
         let mean = scores.mean;
         let stage = |name: &str| record.stages.get(name).map(|stage| stage.seconds);
         let shared = GeometryRecord::read(&input)?.filter(|_| from_frames).map(|record| record.seconds);
@@ -170,10 +314,7 @@ impl Bench<'_> {
         Ok(Some(folder))
     }
 
-    fn run(&self, input: &Path, folder: &Path, row: Row, settings: &Settings) -> Result<(), Error> {
-        let mut settings = settings.clone();
-        // they are not needed
-        settings.viewer.write = false;
+    fn run(&self, input: &Path, folder: &Path, row: Row, settings: &Settings) -> Result<RunRecord, Error> {
         let config = self.out.join(format!("{}.toml", row.name()));
         let text = settings.to_toml()?;
         atomic::write(&config, text.as_bytes()).map_err(|source| Error::Write { path: config.clone(), source })?;
@@ -187,12 +328,11 @@ impl Bench<'_> {
         }
         let ended = command.stdin(Stdio::null()).stdout(Stdio::null()).output();
         let ended = ended.map_err(|source| Error::Read { path: self.options.program.clone(), source })?;
-        if self.job.observer.cancelled() {
-            return Err(Error::Stopped { stage: "ablate", saved: true });
-        }
-        let finished = RunRecord::read(folder)?.is_some_and(|record| record.status == Status::Finished);
-        if ended.status.success() && finished {
-            return Ok(());
+        check_stop(self.job.observer, "ablate", true)?;
+        if let Some(record) = RunRecord::read(folder)?.filter(|record| record.status == Status::Finished)
+            && ended.status.success()
+        {
+            return Ok(record);
         }
         Err(Error::Row {
             row: row.name(),
@@ -200,14 +340,33 @@ impl Bench<'_> {
             message: String::from_utf8_lossy(&ended.stderr).trim().to_owned(),
         })
     }
+}
 
-    fn scores(&self, folder: &Path) -> Result<EvalReport, Error> {
-        let options = EvalOptions {
-            grow_mask: self.options.grow_mask,
-            device: self.job.device.choice,
-            reach: self.job.settings.capture.reach,
-            ..EvalOptions::default()
+#[cfg(test)]
+mod tests {
+    use super::{AblationReport, Row, RowReport};
+
+    #[test]
+    fn differences_are_to_the_full_row() {
+        let row = |row, psnr| RowReport { row, psnr_db: Some(psnr), ..RowReport::default() };
+        let skipped = Some("there is nothing to segment".to_owned());
+        let report = AblationReport {
+            format: String::new(),
+            version: 1,
+            minute4d: String::new(),
+            date: String::new(),
+            input: "clip".into(),
+            data: "clip".into(),
+            threads: 2,
+            rows: vec![
+                row(Row::Full, 25.0),
+                row(Row::NoTrack, 24.25),
+                RowReport { row: Row::NoSeg, skipped, ..RowReport::default() },
+            ],
+            image: None,
         };
-        evaluate::views_by(folder, self.data, &options, self.job.observer)
+        let text = report.to_markdown();
+        assert!(text.contains("24.25 (-0.75)") && text.contains("25.00"), "{text}");
+        assert!(text.contains("without segmentation: not made, there is nothing to segment"), "{text}");
     }
 }

@@ -1,6 +1,8 @@
 //! The effect of tracking as an image: the region of a held-out view that it changes most.
 
 use crate::evaluate::HeldOut;
+use crate::render::SceneRenderer;
+use crate::stage::check_stop;
 use crate::{Error, Job};
 use m4_core::{Plane, RgbImage};
 use m4_kernels::SimdLevel;
@@ -20,26 +22,16 @@ struct Place {
 }
 
 /// Writes the ground truth of that region and the renders of the scenes in `folders` (without, with) side by side to `path`;
-/// `None` if tracking improves no region.
-///
-/// # Errors
-///
-/// What could not be read, drawn or written.
 pub fn write(folders: &[PathBuf; 2], data: &Path, path: &Path, job: &Job<'_>) -> Result<Option<PathBuf>, Error> {
     let level = SimdLevel::detect()?;
     let gpu = job.device.choice.open()?;
-    let [without, with] = folders;
-    let (without, with) = (
-        HeldOut::read(without, data, job.settings.capture.reach, job.observer)?,
-        HeldOut::read(with, data, job.settings.capture.reach, job.observer)?,
-    );
-    let (mut draw_without, mut draw_with) =
-        (without.renderer(level, gpu.as_ref())?, with.renderer(level, gpu.as_ref())?);
+    let read = |run: &Path| HeldOut::read(run, data, job.settings.capture.reach, job.observer);
+    let (without, with) = (read(&folders[0])?, read(&folders[1])?);
+    let mut draw_without = SceneRenderer::new(&without.scene, level, gpu.as_ref())?;
+    let mut draw_with = SceneRenderer::new(&with.scene, level, gpu.as_ref())?;
     let mut best: Option<Place> = None;
     for frame in &with.test.frames {
-        if job.observer.cancelled() {
-            return Err(Error::Stopped { stage: "ablate", saved: true });
-        }
+        check_stop(job.observer, "ablate", true)?;
         let drawn = [&without.draw(&mut draw_without, frame)?, &with.draw(&mut draw_with, frame)?];
         let here = most_gained(&frame.rgb, drawn);
         if here.gain > best.as_ref().map_or(0.0, |place| place.gain) {

@@ -1,21 +1,21 @@
 //! Benchmark cases on a GPU.
 
-use super::measure::{Millis, Step, Timed, case, mean_over, ms};
-use super::{BenchConfig, Case, GpuCase, GpuMachine};
+use super::{BenchConfig, Case, Fastest, GpuCase, GpuMachine, Millis, Step, Timed, case, mean_over};
 use crate::device::DeviceChoice;
+use crate::stage::check_stop;
 use crate::{Error, Observer};
 use cpu_time::ProcessTime;
-use m4_kernels::bench::{Bench as Host, Counts, Kernel, SceneConfig};
+use m4_kernels::bench::{Bench as Host, Counts, SceneConfig};
 use m4_kernels::gpu::{Choice, Gpu, GpuError, Laps, Plan, adapters, best};
 use m4_kernels::{SimdLevel, StepStats};
 use m4_train::backend::gpu::{Bench, Drawing};
 use std::time::{Duration, Instant};
 
-/// Steps behind one another are repeated until they take this long at least, so that the one wait does not count.
+/// Steps are repeated until they take at least this long, so that the one wait does not count.
 const LONG: Duration = Duration::from_millis(500);
-/// That so often: the fastest counts.
+/// Repetitions; the fastest counts.
 const REPEATS: usize = 3;
-/// Steps behind one another at most.
+/// Most steps without waiting between them.
 const MOST: usize = 20_000;
 /// Share of SSIM in the loss, as [`Bench`] has it.
 const LAMBDA_SSIM: f64 = 0.2;
@@ -50,7 +50,6 @@ pub(super) fn run(
     config: &BenchConfig,
     observer: &dyn Observer,
 ) -> Result<Case, Error> {
-    let cancelled = || observer.cancelled();
     let mut host = Host::new(level, scene).map_err(|e| Error::Internal { what: e.to_string() })?;
     let mut counts: Vec<Counts> = (0..host.views()).map(|view| host.count(view)).collect();
     let drawn = host.into_scene();
@@ -76,10 +75,10 @@ pub(super) fn run(
     let plan = plan(bench.room());
     plan.check(limit)?;
     let own_clock = bench.own_clock();
-    let steps = if config.render_only { None } else { Some(time_steps(&mut bench, config.steps, &cancelled)?) };
+    let steps = if config.render_only { None } else { Some(time_steps(&mut bench, config.steps, observer)?) };
     let memory = bench.memory();
     let mut drawing = bench.into_drawing()?;
-    let frames = time_frames(&mut drawing, config.steps, &cancelled)?;
+    let frames = time_frames(&mut drawing, config.steps, observer)?;
     drop(drawing);
     let probe = gpu.probe()?;
     let figures = GpuCase {
@@ -101,13 +100,13 @@ struct Steps {
     count: usize,
 }
 
-fn time_steps(bench: &mut Bench, steps: usize, cancelled: &dyn Fn() -> bool) -> Result<Steps, Error> {
+fn time_steps(bench: &mut Bench, steps: usize, observer: &dyn Observer) -> Result<Steps, Error> {
     let views = bench.views();
     let kernels = fastest(views, steps, |view| bench.laps(view))?;
     bench.stats()?;
     all_views(bench, views)?;
     let before = loss(&bench.stats()?);
-    let (ms, busy, count) = behind_one_another(steps, views, cancelled, |rounds| {
+    let (ms, busy, count) = behind_one_another(steps, views, observer, |rounds| {
         for _ in 0..rounds {
             all_views(bench, views)?;
         }
@@ -133,13 +132,13 @@ struct Frames {
     count: usize,
 }
 
-fn time_frames(drawing: &mut Drawing, frames: usize, cancelled: &dyn Fn() -> bool) -> Result<Frames, Error> {
+fn time_frames(drawing: &mut Drawing, frames: usize, observer: &dyn Observer) -> Result<Frames, Error> {
     let views = drawing.views();
     // the first round compiles kernels
     (0..views).for_each(|view| drawing.draw(view));
     drawing.wait()?;
     let kernels = fastest(views, frames, |view| drawing.laps(view))?;
-    let (ms, _, count) = behind_one_another(frames, views, cancelled, |rounds| {
+    let (ms, _, count) = behind_one_another(frames, views, observer, |rounds| {
         for _ in 0..rounds {
             (0..views).for_each(|view| drawing.draw(view));
         }
@@ -164,23 +163,21 @@ fn fastest(
     rounds: usize,
     mut laps: impl FnMut(usize) -> Result<Laps, GpuError>,
 ) -> Result<Millis, Error> {
-    let mut best = vec![[f64::INFINITY; Kernel::ALL.len()]; views];
+    let mut best = Fastest::of(views);
     for _ in 0..rounds.max(1) {
-        for (view, best) in best.iter_mut().enumerate() {
-            for (best, now) in best.iter_mut().zip(laps(view)?) {
-                *best = best.min(ms(now));
-            }
+        for view in 0..views {
+            best.add(view, laps(view)?, Duration::ZERO);
         }
     }
-    Ok(std::array::from_fn(|k| mean_over(best.iter().map(|b| b[k]), views)))
+    Ok(best.mean().0)
 }
 
-/// Milliseconds a step, processor time over wall clock, and how many were behind one another, the fastest of some
-/// repetitions; `run` does this many rounds over all views, and waits once.
+/// Milliseconds per step, processor time over wall clock, and the number of steps without waiting between them, of the fastest
+/// repetition; `run` does this many rounds over all views, and waits once.
 fn behind_one_another(
     steps: usize,
     views: usize,
-    cancelled: &dyn Fn() -> bool,
+    observer: &dyn Observer,
     mut run: impl FnMut(usize) -> Result<(), GpuError>,
 ) -> Result<(f64, f64, usize), Error> {
     let start = Instant::now();
@@ -191,9 +188,7 @@ fn behind_one_another(
     let count = rounds * views;
     let (mut best, mut busy) = (f64::INFINITY, 0.0);
     for _ in 0..REPEATS {
-        if cancelled() {
-            return Err(super::stopped());
-        }
+        check_stop(observer, "bench", false)?;
         let (wall, cpu) = (Instant::now(), ProcessTime::now());
         run(rounds)?;
         let (cpu, wall) = (cpu.elapsed().as_secs_f64(), wall.elapsed().as_secs_f64());

@@ -1,15 +1,16 @@
 //! Peak memory of training: the program trains on a synthetic clip, and the peak is read from its record.
 
 use super::Machine;
-use super::table::{aligned, today};
+use super::table::{self, aligned, today};
 use crate::record::RunRecord;
+use crate::stage::check_stop;
 use crate::{Error, Observer};
 use m4_core::Silent;
 use m4_io::capture::Split;
 use m4_kernels::SimdLevel;
 use m4_kernels::bench::film;
 use serde::Serialize;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 /// What to train on.
@@ -35,42 +36,33 @@ impl Default for MemoryConfig {
 /// One run.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct MemoryCase {
-    /// Frames of the clip.
-    pub frames: usize,
-    /// Columns of a frame.
-    pub width: usize,
-    /// Rows of a frame.
-    pub height: usize,
+    frames: usize,
+    width: usize,
+    height: usize,
     /// Static splats at the end.
-    pub splats_static: usize,
+    splats_static: usize,
     /// Dynamic splats at the end.
-    pub splats_dynamic: usize,
-    /// Steps taken.
-    pub iterations: usize,
+    splats_dynamic: usize,
+    iterations: usize,
     /// Most memory that the process held (resident set), bytes: reading, initialisation, training,
     /// checkpoints, writing the scene and the preview. None where the system does not tell.
-    pub peak_bytes: Option<u64>,
+    peak_bytes: Option<u64>,
     /// Images, depth and masks in memory, bytes: part of the above.
-    pub capture_bytes: u64,
+    capture_bytes: u64,
     /// Size of the finished scene file, bytes.
-    pub scene_bytes: u64,
+    scene_bytes: u64,
     /// Seconds of initialisation and training.
-    pub seconds: f64,
+    seconds: f64,
 }
 
 /// What `minute4d bench --memory` measured.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct MemoryReport {
-    /// `minute4d-bench-memory`.
-    pub format: String,
-    /// Of the format.
-    pub version: u32,
-    /// Day, UTC, `YYYY-MM-DD`.
-    pub date: String,
-    /// Where.
-    pub machine: Machine,
-    /// One per clip.
-    pub cases: Vec<MemoryCase>,
+    format: String,
+    version: u32,
+    date: String,
+    machine: Machine,
+    cases: Vec<MemoryCase>,
 }
 
 /// Trains `program` (the executable of minute4d) on each clip in a process of its own.
@@ -84,9 +76,7 @@ pub fn memory(program: &Path, config: &MemoryConfig, observer: &dyn Observer) ->
     let mut cases = Vec::new();
     for (i, &frames) in config.frames.iter().enumerate() {
         observer.update("bench", i, config.frames.len(), &format!("{frames} frames"));
-        if observer.cancelled() {
-            return Err(Error::Stopped { stage: "bench", saved: false });
-        }
+        check_stop(observer, "bench", false)?;
         cases.push(case(program, config, frames)?);
         observer.update("bench", i + 1, config.frames.len(), &format!("{frames} frames"));
     }
@@ -148,6 +138,15 @@ fn case(program: &Path, config: &MemoryConfig, frames: usize) -> Result<MemoryCa
 }
 
 impl MemoryReport {
+    /// Writes the report as JSON and as Markdown into `folder`; returns the path of the JSON file.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Write`].
+    pub fn save(&self, folder: &Path) -> Result<PathBuf, Error> {
+        table::save(folder, (&self.date, "-memory"), &self.machine, self, &self.to_markdown())
+    }
+
     /// One row per clip.
     #[must_use]
     pub fn to_markdown(&self) -> String {

@@ -1,6 +1,6 @@
-//! Formats reports as Markdown whose columns also line up in a terminal, and saves them: `DATE-MACHINE.json` and `.md`.
+//! Markdown tables whose columns also line up in a terminal, and reports saved as `DATE-MACHINE.json` and `.md`.
 
-use super::{BenchReport, Case, GpuCase, KernelRow, Machine, MemoryReport};
+use super::Machine;
 use crate::Error;
 use crate::record::write_json;
 use m4_io::atomic;
@@ -9,222 +9,41 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::{SystemTime, UNIX_EPOCH};
 
-impl BenchReport {
-    /// The whole report: the machine, one row a case, then one table a case.
-    #[must_use]
-    pub fn to_markdown(&self) -> String {
-        let mut text = format!(
-            "# Bench, {}\n\n{}; fastest of {} steps a view{}\n\n",
-            self.date,
-            self.machine.line(),
-            self.steps,
-            if self.machine.gpu.is_some() { "; whole steps and frames without waiting between them" } else { "" },
-        );
-        text += &self.overview();
-        for case in &self.cases {
-            text += "\n";
-            text += &case.to_markdown();
-        }
-        text
-    }
-
-    /// One row a case: milliseconds per kernel and a step.
-    fn overview(&self) -> String {
-        let mut rows = vec![vec!["scene", "splats", "size", "threads"]];
-        let names: Vec<&str> = match self.cases.iter().max_by_key(|c| c.kernels.len()) {
-            Some(case) => case.kernels.iter().map(|k| k.kernel.as_str()).collect(),
-            None => Vec::new(),
-        };
-        rows[0].extend(names);
-        rows[0].extend(["step ms", "steps/s", "busy", "frames/s"]);
-        let mut table: Vec<Vec<String>> = vec![rows.remove(0).into_iter().map(str::to_owned).collect()];
-        for case in &self.cases {
-            let mut row = vec![
-                case.scene.clone(),
-                case.splats.to_string(),
-                format!("{}x{}", case.width, case.height),
-                match case.gpu {
-                    Some(_) => "GPU".to_owned(),
-                    None => case.threads.to_string(),
-                },
-            ];
-            row.extend(case.kernels.iter().map(|k| millis(k.ms)));
-            let step = case.step.map(|s| [millis(s.ms), format!("{:.1}", s.per_s), format!("{:.0} %", 100.0 * s.busy)]);
-            row.extend(step.unwrap_or_else(|| std::array::from_fn(|_| "-".to_owned())));
-            row.push(format!("{:.0}", case.frames_per_s));
-            table.push(row);
-        }
-        aligned(&table)
-    }
-}
-
-impl Case {
-    fn to_markdown(&self) -> String {
-        let place = match (&self.gpu, self.threads) {
-            (Some(_), _) => "GPU".to_owned(),
-            (None, 1) => "1 thread".to_owned(),
-            (None, threads) => format!("{threads} threads"),
-        };
-        let mut text =
-            format!("## {} splats, {} x {}, {}, {place}\n\n", self.splats, self.width, self.height, self.scene,);
-        text += &format!(
-            "{:.0} alive, {:.0} in the image, {:.0} touched, {:.0} pairs; {:.1} blends a pixel, {:.0} % of the lanes \
-             useful; memory {:.1} GB/s, multiply-adds {:.1} G/s\n\n",
-            self.alive,
-            self.visible,
-            self.touched,
-            self.pairs,
-            self.blends_per_pixel,
-            100.0 * self.useful_share,
-            self.stream_gb_per_s,
-            self.multiply_add_g_per_s,
-        );
-        let head = ["kernel", "ms", "ns/item", "item", "Geval/s", "MB", "GB/s", "bound ms", "bound by", "x bound"];
-        let mut table = vec![head.map(str::to_owned).to_vec()];
-        table.extend(self.kernels.iter().map(kernel_row));
-        if let Some(step) = &self.step {
-            let dash = || "-".to_owned();
-            table.push(vec![
-                "step".to_owned(),
-                millis(step.ms),
-                dash(),
-                dash(),
-                dash(),
-                format!("{:.1}", self.kernels.iter().map(|k| k.bytes).sum::<f64>() / 1e6),
-                dash(),
-                millis(step.bound_ms),
-                "all".to_owned(),
-                format!("{:.1}", step.ms / step.bound_ms.max(1e-9)),
-            ]);
-        }
-        text += &aligned(&table);
-        if let Some(gpu) = &self.gpu {
-            text += &gpu.to_markdown();
-        }
-        text
-    }
-}
-
-impl GpuCase {
-    fn to_markdown(self) -> String {
-        let mb = |bytes: u64| bytes as f64 / 1e6;
-        format!(
-            "\nkernels timed by {}; {} behind one another; memory {:.0} MB planned, {:.0} MB in use, {:.0} MB taken from \
-             the driver; {:.0} frames/s where each is copied to the host\n",
-            if self.own_clock { "the GPU's own clock" } else { "waiting for the GPU after each" },
-            self.behind_one_another,
-            mb(self.planned_bytes),
-            mb(self.in_use_bytes),
-            mb(self.reserved_bytes),
-            self.read_frames_per_s,
-        )
-    }
-}
-
-fn kernel_row(k: &KernelRow) -> Vec<String> {
-    vec![
-        k.kernel.clone(),
-        millis(k.ms),
-        format!("{:.1}", k.ns_per_item),
-        k.item.clone(),
-        k.evaluations_g_per_s.map_or_else(|| "-".to_owned(), |v| format!("{v:.2}")),
-        format!("{:.1}", k.bytes / 1e6),
-        format!("{:.1}", k.gb_per_s),
-        format!("{:.3}", k.bound_ms),
-        k.bound.name().to_owned(),
-        format!("{:.1}", k.times_bound),
-    ]
-}
-
-/// To a hundredth, below a millisecond to a thousandth.
-fn millis(ms: f64) -> String {
-    if ms < 1.0 { format!("{ms:.3}") } else { format!("{ms:.2}") }
+/// A cell with this many digits, or a dash.
+pub(crate) fn number(value: Option<f64>, digits: usize) -> String {
+    value.map_or_else(|| "-".to_owned(), |value| format!("{value:.digits$}"))
 }
 
 /// A Markdown table whose cells are padded to the width of their column; the first row is the head.
 pub(crate) fn aligned(rows: &[Vec<String>]) -> String {
     let columns = rows.iter().map(Vec::len).max().unwrap_or(0);
     let cell = |row: &Vec<String>, c: usize| row.get(c).cloned().unwrap_or_default();
-    let widths: Vec<usize> =
-        (0..columns).map(|c| rows.iter().map(|row| cell(row, c).chars().count()).max().unwrap_or(0)).collect();
-    let mut text = String::new();
-    for (r, row) in rows.iter().enumerate() {
-        text.push('|');
-        for (c, &width) in widths.iter().enumerate() {
-            text += &format!(" {:>width$} |", cell(row, c));
-        }
-        text.push('\n');
-        if r == 0 {
-            text.push('|');
-            for width in &widths {
-                text += &format!("{}:|", "-".repeat(width + 1));
-            }
-            text.push('\n');
-        }
-    }
-    text
+    let width = |c: usize| rows.iter().map(|row| cell(row, c).chars().count()).max().unwrap_or(0);
+    let widths: Vec<usize> = (0..columns).map(width).collect();
+    let line = |row: &Vec<String>| -> String {
+        let cells = widths.iter().enumerate().map(|(c, &width)| format!(" {:>width$} |", cell(row, c)));
+        format!("|{}\n", cells.collect::<String>())
+    };
+    let mut lines: Vec<String> = rows.iter().map(line).collect();
+    let rule: String = widths.iter().map(|width| format!("{}:|", "-".repeat(width + 1))).collect();
+    lines.insert(lines.len().min(1), format!("|{rule}\n"));
+    lines.concat()
 }
 
-/// A report that can be saved.
-pub trait SavedReport: Serialize {
-    /// Part of the file's name that says what was measured; may be empty.
-    fn subject(&self) -> &'static str;
-    /// The day, `YYYY-MM-DD`.
-    fn date(&self) -> &str;
-    /// Where it was measured.
-    fn machine(&self) -> &Machine;
-    /// The report for people.
-    fn markdown(&self) -> String;
-}
-
-impl SavedReport for BenchReport {
-    fn subject(&self) -> &'static str {
-        ""
-    }
-
-    fn date(&self) -> &str {
-        &self.date
-    }
-
-    fn machine(&self) -> &Machine {
-        &self.machine
-    }
-
-    fn markdown(&self) -> String {
-        self.to_markdown()
-    }
-}
-
-impl SavedReport for MemoryReport {
-    fn subject(&self) -> &'static str {
-        "-memory"
-    }
-
-    fn date(&self) -> &str {
-        &self.date
-    }
-
-    fn machine(&self) -> &Machine {
-        &self.machine
-    }
-
-    fn markdown(&self) -> String {
-        self.to_markdown()
-    }
-}
-
-/// Writes the report as JSON and as Markdown into `folder`; returns the name of the JSON file. A
-/// report of the same day and machine is replaced.
-///
-/// # Errors
-///
-/// [`Error::Write`].
-pub fn save(folder: &Path, report: &impl SavedReport) -> Result<PathBuf, Error> {
-    let name = format!("{}-{}{}", report.date(), slug(report.machine()), report.subject());
+/// Writes a report of `subject` as JSON and as Markdown into `folder`, named by `date` and machine; returns the path of the JSON file.
+/// A report of the same day and machine is replaced.
+pub(super) fn save(
+    folder: &Path,
+    (date, subject): (&str, &str),
+    machine: &Machine,
+    report: &impl Serialize,
+    markdown: &str,
+) -> Result<PathBuf, Error> {
+    let name = format!("{date}-{}{subject}", slug(machine));
     let json = folder.join(format!("{name}.json"));
     write_json(&json, report)?;
     let path = folder.join(format!("{name}.md"));
-    atomic::write(&path, report.markdown().as_bytes()).map_err(|source| Error::Write { path, source })?;
+    atomic::write(&path, markdown.as_bytes()).map_err(|source| Error::Write { path, source })?;
     Ok(json)
 }
 

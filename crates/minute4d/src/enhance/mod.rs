@@ -4,131 +4,246 @@
 //! capture (motion maps, or masks) --m4_geometry::masks, with an object tracker--> capture (masks, instances), report
 //! ```
 //!
-//! [`make`] is `minute4d enhance`, which also follows points in the new masks ([`m4_geometry::tracks`]); the geometry stage does the same to what its
-//! front ends find. [`masks`] does the first half on a capture in memory, with any [`VideoSegmenter`]; [`Follower`] is the one that needs no network
-//! with a memory.
+//! [`make`] is `minute4d enhance`, which also follows points in the new masks ([`m4_geometry::tracks`]); the geometry stage does the same to
+//! what its front ends find.
 
-mod config;
+mod masks;
+#[cfg(feature = "nets")]
+mod networks;
 mod plan;
-#[cfg(feature = "nets")]
-mod sam2;
-mod stage;
-#[cfg(feature = "nets")]
-mod tapip3d;
 
-pub use config::{EnhanceConfig, Tapip3dConfig, Tracker};
+pub use masks::masks;
+pub(crate) use masks::{REPORT_FILE, write};
 pub(crate) use plan::{Before, Plan};
+pub use plan::{EnhanceConfig, Tapip3dConfig, Tracker};
+
+use crate::device::NetworkDevice;
 #[cfg(feature = "nets")]
-pub use sam2::Sam2Follower;
-pub use stage::{EnhanceReport, STAGE, make};
-pub(crate) use stage::{apply, moving_share};
+use crate::error::NetworkMethod;
+use crate::folder::CaptureFolder;
+use crate::geometry::UsedNetwork;
 #[cfg(feature = "nets")]
-pub use tapip3d::Tapip3dTracker;
+use crate::geometry::{Segmenter, resolve_segmenter, unusable};
+use crate::record::{GeometryRecord, Input, plain_json};
+use crate::stage::RecordingObserver;
+use crate::steps::Steps;
+use crate::{Category, Error, Job, Refusal, Settings, hash};
+use m4_core::{Capture, CompactMask, Progress};
+use m4_geometry::classical::dense::{DenseConfig, FlowSource, InverseSearch};
+#[cfg(feature = "nets")]
+use m4_geometry::masks::FlowFollower;
+use m4_geometry::masks::{InstanceError, InstanceReport};
+use m4_geometry::tracks::{CaptureClip, FlowTracker, QueryGrid, TrackConfig, TrackError, Tracker3d};
+use plan::{Segmentation, Tracking};
+use serde::Serialize;
+use std::path::{Path, PathBuf};
+#[cfg(feature = "nets")]
+use std::sync::Arc;
+use std::time::Instant;
 
-use crate::error::Category;
-use crate::geometry::{self, Segmenter};
-use crate::record::write_json;
-use crate::{Error, Refusal};
-use m4_core::{Capture, CompactIds, CompactMask, Plane, Progress, RgbImage};
-use m4_geometry::classical::dense::{self, FlowSource, InverseSearch};
-use m4_geometry::masks::{
-    Coarse, FlowFollower, FrameSource, ImageError, InstanceError, InstanceReport, RefineInput, RefineSettings,
-    RefinedFrame, VideoSegmenter, refine,
-};
-use m4_geometry::tracks::TrackError;
-use m4_io::capture::Split;
-use std::borrow::Cow;
-use std::path::Path;
+/// Name of the stage.
+pub const STAGE: &str = "enhance";
 
-/// What was found, beside a capture's list of frames.
-pub const REPORT_FILE: &str = "instances.json";
+/// What was done to a capture.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct EnhanceReport {
+    /// The capture that was made.
+    pub path: PathBuf,
+    /// The segmentation method: `none`, `mobilesam` or `sam2`.
+    pub segmenter: String,
+    /// The tracking method: `none`, `flow` or `tapip3d`.
+    pub tracker: String,
+    /// Networks that took part.
+    pub networks: Vec<UsedNetwork>,
+    /// Number of objects.
+    pub instances: usize,
+    /// Share of all pixels that move, before and after; `None` where the capture had no masks.
+    pub moving_share: [Option<f64>; 2],
+    /// Points that were followed.
+    pub tracks: usize,
+    /// Wall-clock seconds.
+    pub seconds: f64,
+}
 
-/// The frames of a capture.
-struct Frames<'a>(&'a Capture);
+/// The settings that this stage depends on.
+#[derive(Serialize)]
+struct Part<'a> {
+    enhance: &'a EnhanceConfig,
+    dense: &'a DenseConfig,
+    segmenter: &'a str,
+    tracker: &'a str,
+    networks: &'a [UsedNetwork],
+}
 
-impl FrameSource for Frames<'_> {
-    fn frames(&self) -> usize {
-        self.0.frames.len()
+/// Reads the capture `input`, refines its masks, follows points in them, and writes a capture into the folder `out`.
+///
+/// # Errors
+///
+/// [`Error`]: the capture cannot be read or says nothing of the dynamic part, weights are missing, the folder cannot be used, or the user stops.
+pub fn make(input: &Path, out: &Path, job: &Job<'_>) -> Result<EnhanceReport, Error> {
+    if !input.exists() {
+        return Err(Error::Missing { what: "capture", path: input.to_path_buf() });
     }
-
-    fn size(&self) -> (usize, usize) {
-        self.0.frames.first().map_or((0, 0), |frame| frame.rgb.size())
+    let settings = &job.settings;
+    let (segmenter, tracker) = (settings.geometry.segmenter, settings.geometry.tracker);
+    let plan = Plan::of(segmenter, tracker, Before::Motion)?;
+    if plan.nothing() {
+        return Err(nothing_to_do());
     }
+    let start = Instant::now();
+    let recorder = RecordingObserver::new(job.observer);
+    // Read before the folder is made, so that a wrong path leaves nothing behind.
+    let capture = crate::train::read(input, settings, &recorder)?;
+    let part = Part {
+        enhance: &settings.enhance,
+        dense: &settings.dense,
+        segmenter: plan.segmenter(),
+        tracker: plan.tracker(),
+        networks: &plan.used,
+    };
+    let part = plain_json(&part)?;
+    let source = Input { path: input.display().to_string(), blake3: hash::of_capture(&capture) };
+    let key = hash::of_parts(&[STAGE, env!("CARGO_PKG_VERSION"), &source.blake3, &part.to_string()]);
+    let mut record = GeometryRecord::begin(source, key, part);
+    record.seconds = start.elapsed().as_secs_f64();
+    record.warnings = recorder.warnings();
+    let before = moving_share(&capture);
+    let mut folder = CaptureFolder::open(out, job.existing, record, job.observer)?;
+    let (capture, found) = folder.stage(STAGE, |folder, steps| {
+        let device = if plan.has_network() { job.device.choice.for_networks()? } else { NetworkDevice::processor() };
+        let (capture, found) = apply(capture, &plan, settings, &device, steps)?;
+        write(&folder.path, &capture, found.as_ref(), steps.observer())?;
+        Ok((capture, found))
+    })?;
+    let seconds = folder.record.seconds;
+    Ok(EnhanceReport {
+        path: out.to_path_buf(),
+        segmenter: plan.segmenter().to_owned(),
+        tracker: plan.tracker().to_owned(),
+        networks: plan.used,
+        instances: found.map_or(0, |report| report.instances.len()),
+        moving_share: [before, moving_share(&capture)],
+        tracks: capture.tracks.as_ref().map_or(0, m4_core::Tracks::count),
+        seconds,
+    })
+}
 
-    fn image(&self, frame: usize) -> Result<Cow<'_, RgbImage>, ImageError> {
-        match self.0.frames.get(frame) {
-            Some(frame) => Ok(Cow::Borrowed(&frame.rgb)),
-            None => Err(format!("the capture has {} frames", self.0.frames.len()).into()),
+/// Share of the pixels in masks; `None` without masks.
+pub(crate) fn moving_share(capture: &Capture) -> Option<f64> {
+    let masks = || capture.frames.iter().filter_map(|frame| frame.mask.as_ref());
+    let pixels: usize = masks().map(|mask| mask.size().0 * mask.size().1).sum();
+    let moving: usize = masks().map(CompactMask::count).sum();
+    (pixels > 0).then(|| moving as f64 / pixels as f64)
+}
+
+/// The refusal of a plan without a method, or none that is available.
+fn nothing_to_do() -> Error {
+    let message =
+        "there is nothing to do: --segmenter none and --tracker none leave a capture unchanged; omit one of them";
+    Refusal::usage(message).into()
+}
+
+/// Refines masks, then tracks points in them, each a step; returns the statistics of objects if a method tracked them.
+pub(crate) fn apply(
+    mut capture: Capture,
+    plan: &Plan,
+    settings: &Settings,
+    device: &NetworkDevice,
+    steps: &Steps<'_>,
+) -> Result<(Capture, Option<InstanceReport>), Error> {
+    let config = &settings.enhance;
+    let flow = InverseSearch;
+    let mut report = None;
+    if plan.segmentation != Segmentation::Unchanged {
+        // The report as text, the form in which it is written in the end: its variants are distinguished by names.
+        let (frames, text): (Vec<_>, String) = steps.keep("masks", |progress| {
+            let (refined, report) = segmented(&capture, &plan.segmentation, config, &flow, device, progress)?;
+            let frames = refined.frames.into_iter().map(|frame| (frame.mask, frame.instances));
+            Ok::<_, Error>((frames.collect(), plain_json(&report)?.to_string()))
+        })?;
+        for (frame, (mask, ids)) in capture.frames.iter_mut().zip(frames) {
+            (frame.mask, frame.instances) = (mask, ids);
+        }
+        let read = serde_json::from_str(&text).map_err(|e| Error::Internal { what: e.to_string() })?;
+        report = Some(read);
+    }
+    if let Some(tracker) = tracker(&plan.tracking, settings, &flow, device)? {
+        let clip = CaptureClip::new(&capture, settings.dense.working_side_px);
+        let found = steps.keep("tracks", |progress| {
+            let followed = tracker.follow_grid(&clip, &grid(&plan.tracking, config), progress);
+            followed.map(|found| found.tracks).map_err(EnhanceError::from)
+        })?;
+        capture.tracks = (found.count() > 0).then_some(found);
+    }
+    Ok((capture, report))
+}
+
+/// Refines masks with the method that tracks objects; unchanged without one.
+#[cfg_attr(not(feature = "nets"), expect(unused_variables, reason = "only networks need it"))]
+fn segmented(
+    capture: &Capture,
+    method: &Segmentation,
+    config: &EnhanceConfig,
+    flow: &dyn FlowSource,
+    device: &NetworkDevice,
+    progress: &dyn Progress,
+) -> Result<(Capture, InstanceReport), Error> {
+    match method {
+        Segmentation::Unchanged => Err(nothing_to_do()),
+        #[cfg(feature = "nets")]
+        Segmentation::Mobilesam => {
+            let segmenter = resolve_segmenter(Segmenter::Mobilesam)?.load()?;
+            let follower = FlowFollower::new(&InverseSearch, segmenter.as_deref());
+            masks(capture.clone(), &config.masks, &follower, Some(flow), progress)
+        }
+        #[cfg(feature = "nets")]
+        Segmentation::Sam2(path) => {
+            let method = NetworkMethod::Segmenter(Segmenter::Sam2);
+            let net = m4_nets::Sam2::load(path, &device.device).map_err(unusable(method))?;
+            let follower = networks::Sam2Follower(Arc::new(net));
+            masks(capture.clone(), &config.masks, &follower, Some(flow), progress)
         }
     }
 }
 
-/// The capture with refined masks and maps of instances at the size of its images, and what was found. Everything else stays as it is, the maps of
-/// motion, too. The dynamic part roughly is read from the maps of motion where every frame has one, else from the masks. `flow` checks whether maps
-/// of motion are the right way round, besides their looks.
-///
-/// # Errors
-///
-/// [`Error::Refused`]: a frame says nothing about the dynamic part. [`Error::Enhance`]: the maps are the wrong way round, the settings make
-/// no sense, `segmenter` fails or `progress` says to stop.
-pub fn masks(
-    mut capture: Capture,
-    settings: &RefineSettings,
-    segmenter: &dyn VideoSegmenter,
-    flow: Option<&dyn FlowSource>,
-    progress: &dyn Progress,
-) -> Result<(Capture, InstanceReport), Error> {
-    let coarse = coarse(&capture)?;
-    let input = RefineInput { clip: &Frames(&capture), coarse: &coarse, flow };
-    let refined = refine(&input, segmenter, settings, progress).map_err(EnhanceError::from)?;
-    for (frame, found) in capture.frames.iter_mut().zip(refined.frames) {
-        let (mask, ids) = at_size(found, frame.rgb.size());
-        frame.mask = Some(mask);
-        frame.instances = Some(ids);
+#[cfg_attr(not(feature = "nets"), expect(unused_variables, reason = "only networks need it"))]
+fn tracker<'a>(
+    method: &Tracking,
+    settings: &Settings,
+    flow: &'a InverseSearch,
+    device: &NetworkDevice,
+) -> Result<Option<Box<dyn Tracker3d + 'a>>, Error> {
+    match method {
+        Tracking::Unchanged => Ok(None),
+        Tracking::Flow if !settings.dense.tracks => Ok(None),
+        Tracking::Flow => Ok(Some(Box::new(FlowTracker { flow, config: TrackConfig::default() }))),
+        #[cfg(feature = "nets")]
+        Tracking::Tapip3d(path) => {
+            let method = NetworkMethod::Tracker(Tracker::Tapip3d);
+            let net = m4_nets::Tapip3d::load(path, &device.device).map_err(unusable(method))?;
+            let config = &settings.enhance.tapip3d;
+            let side = |n: usize| ((n as f64 * config.size).round() as usize).max(1);
+            let (w, h) = net.published_size();
+            let options = m4_nets::Tapip3dOptions {
+                iterations: config.iterations,
+                memory_bytes: config.memory_mb.saturating_mul(1_000_000),
+                ..m4_nets::Tapip3dOptions::at((side(w), side(h)))
+            };
+            Ok(Some(Box::new(networks::Tapip3dTracker { net, options })))
+        }
     }
-    Ok((capture, refined.report))
 }
 
-/// Writes a capture, with its report if it has one, into `folder`; see [`m4_io::capture::write()`].
-pub(crate) fn write(
-    folder: &Path,
-    capture: &Capture,
-    report: Option<&InstanceReport>,
-    progress: &dyn Progress,
-) -> Result<(), Error> {
-    m4_io::capture::write(folder, capture, Split::Train, progress)?;
-    report.map_or(Ok(()), |report| write_json(&folder.join(REPORT_FILE), report))
-}
-
-fn coarse(capture: &Capture) -> Result<Coarse<'_>, Refusal> {
-    if let Some(maps) = capture.frames.iter().map(|frame| frame.motion.as_ref()).collect() {
-        return Ok(Coarse::Motion(maps));
+/// Where points start.
+#[cfg_attr(not(feature = "nets"), expect(unused_variables, reason = "only networks need it"))]
+fn grid(method: &Tracking, config: &EnhanceConfig) -> QueryGrid {
+    match method {
+        #[cfg(feature = "nets")]
+        Tracking::Tapip3d(_) => {
+            QueryGrid { every: config.tapip3d.every, spacing_px: config.tapip3d.spacing_px, most: config.tapip3d.most }
+        }
+        _ => QueryGrid::chains(),
     }
-    let masks = capture.frames.iter().enumerate().map(|(i, frame)| {
-        frame.mask.as_ref().ok_or_else(|| {
-            Refusal::bad_input(format!(
-                "frame {i} ({:?}) has neither a motion map nor a mask, so there is nothing to refine; create the capture with masks \
-                 (`minute4d geometry`), or import it with them",
-                frame.name
-            ))
-        })
-    });
-    masks.collect::<Result<_, _>>().map(Coarse::Masks)
-}
-
-/// A frame at another size: each pixel that of the working size in which its middle lies.
-fn at_size(found: RefinedFrame, (width, height): (usize, usize)) -> (CompactMask, CompactIds) {
-    let (w, h) = found.mask.size();
-    if (w, h) == (width, height) {
-        return (found.mask, found.ids);
-    }
-    let at = |x: usize, y: usize| ((2 * x + 1) * w / (2 * width), (2 * y + 1) * h / (2 * height));
-    let ids = found.ids.to_plane();
-    let mask = CompactMask::from_fn(width, height, |x, y| {
-        let (x, y) = at(x, y);
-        found.mask.at(x, y)
-    });
-    (mask, CompactIds::from(&Plane::from_fn(width, height, |x, y| ids[at(x, y)])))
 }
 
 /// Why masks could not be refined or points not be followed.
@@ -145,7 +260,6 @@ pub enum EnhanceError {
 
 impl EnhanceError {
     /// Returns the category of the failure.
-    #[must_use]
     pub fn category(&self) -> Category {
         match self {
             Self::Instances(InstanceError::Cancelled { .. }) | Self::Tracks(TrackError::Cancelled { .. }) => {
@@ -156,127 +270,5 @@ impl EnhanceError {
             }
             Self::Instances(_) | Self::Tracks(_) => Category::BadInput,
         }
-    }
-}
-
-/// Classical flow, and a segmenter of single images or none.
-pub struct Follower {
-    segmenter: Option<Box<dyn dense::Segmenter>>,
-    weights_hash: Option<String>,
-}
-
-impl Follower {
-    /// Loads the weights of the requested segmenter.
-    ///
-    /// # Errors
-    ///
-    /// [`Error::Network`] if the build has no networks, or the weights are missing or cannot be used.
-    pub fn load(segmenter: Segmenter) -> Result<Self, Error> {
-        let resolved = geometry::resolve_segmenter(segmenter)?;
-        Ok(Self { segmenter: resolved.load()?, weights_hash: resolved.weights_hash().map(str::to_owned) })
-    }
-
-    /// Returns the segmenter that propagates masks along flow.
-    #[must_use]
-    pub fn segmenter(&self) -> FlowFollower<'_> {
-        FlowFollower::new(&InverseSearch, self.segmenter.as_deref())
-    }
-
-    /// Returns the source of flow, which also checks motion maps.
-    #[must_use]
-    pub fn flow(&self) -> &dyn FlowSource {
-        &InverseSearch
-    }
-
-    /// BLAKE3 of the weights, for records.
-    #[must_use]
-    pub fn weights_hash(&self) -> Option<&str> {
-        self.weights_hash.as_deref()
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::{Follower, REPORT_FILE, masks, write};
-    use crate::geometry::Segmenter;
-    use crate::{Category, Error};
-    use m4_core::{Camera, Capture, CaptureFrame, CompactMask, Intrinsics, Plane, Silent};
-    use m4_geometry::masks::{InstanceReport, RefineSettings};
-    use m4_io::capture::{CaptureOptions, Split};
-
-    const SIZE: (usize, usize) = (96, 72);
-
-    /// A patterned square that moves by two pixels per frame in front of a pattern that rests.
-    fn on_square(x: usize, y: usize, i: usize) -> bool {
-        (10 + 2 * i..34 + 2 * i).contains(&x) && (20..44).contains(&y)
-    }
-
-    fn capture(frames: usize) -> Capture {
-        let frame = |i: usize| {
-            let wave = |x: f32, y: f32| {
-                (128.0 + 50.0 * (x * 0.6).sin() * (y * 0.5).cos() + 40.0 * (0.31 * (x + 2.0 * y)).sin()) as u8
-            };
-            let rgb = Plane::from_fn(SIZE.0, SIZE.1, |x, y| {
-                if on_square(x, y, i) {
-                    [wave(3.0 + 1.3 * (x - 2 * i) as f32, 0.9 * y as f32), 20, 20]
-                } else {
-                    [30, wave(x as f32, y as f32), 160]
-                }
-            });
-            CaptureFrame {
-                name: format!("{i:05}"),
-                camera: Camera { intrinsics: Intrinsics::centred(SIZE.0, SIZE.1, 90.0), c2w: m4_core::Se3::identity() },
-                t: i as f64,
-                rgb,
-                depth: None,
-                mask: Some(CompactMask::from_fn(SIZE.0, SIZE.1, |x, y| on_square(x + 2, y + 2, i))),
-                motion: None,
-                instances: None,
-                camera_index: None,
-            }
-        };
-        Capture {
-            frames: (0..frames).map(frame).collect(),
-            time_frames: frames,
-            duration_s: None,
-            metric: false,
-            tracks: None,
-        }
-    }
-
-    #[test]
-    fn a_capture_gets_numbers_that_are_written_and_read() {
-        let follower = Follower::load(Segmenter::None).unwrap();
-        let settings = RefineSettings::default();
-        let (found, report) =
-            masks(capture(12), &settings, &follower.segmenter(), Some(follower.flow()), &Silent).unwrap();
-        assert_eq!((report.instances.len(), report.coarse.as_str()), (1, "masks"));
-        assert_eq!((report.instances[0].frames, report.instances[0].id), (12, 1));
-        for (i, frame) in found.frames.iter().enumerate() {
-            let ids = frame.instances.as_ref().unwrap();
-            assert_eq!((ids.size(), ids.at(20 + 2 * i, 30), ids.at(90, 65)), (SIZE, 1, 0), "frame {i}");
-            assert!(frame.mask.as_ref().unwrap().at(20 + 2 * i, 30));
-        }
-        let dir = tempfile::tempdir().unwrap();
-        write(dir.path(), &found, Some(&report), &Silent).unwrap();
-        let again = m4_io::capture::read(dir.path(), Split::Train, &CaptureOptions::default(), &Silent).unwrap();
-        for (a, b) in again.frames.iter().zip(&found.frames) {
-            assert_eq!((&a.instances, &a.mask), (&b.instances, &b.mask));
-        }
-        let text = std::fs::read(dir.path().join(REPORT_FILE)).unwrap();
-        assert_eq!(serde_json::from_slice::<InstanceReport>(&text).unwrap(), report);
-    }
-
-    #[test]
-    fn a_frame_that_says_nothing_is_named() {
-        let follower = Follower::load(Segmenter::None).unwrap();
-        let mut given = capture(4);
-        given.frames[2].mask = None;
-        let error = masks(given, &RefineSettings::default(), &follower.segmenter(), None, &Silent).unwrap_err();
-        assert!(matches!(error, Error::Refused(_)) && error.to_string().contains("00002"), "{error}");
-        assert_eq!(error.category(), Category::BadInput);
-        let wrong = RefineSettings { every_frames: 0, ..RefineSettings::default() };
-        let error = masks(capture(4), &wrong, &follower.segmenter(), None, &Silent).unwrap_err();
-        assert_eq!(error.category(), Category::BadSettings);
     }
 }

@@ -1,21 +1,79 @@
-//! Chooses the segmentation and tracking methods by the installed weights.
+//! Settings of the stage, and its methods by the installed weights.
 
-use super::Tracker;
 use crate::Error;
-use crate::error::{NetworkError, NetworkMethod};
+#[cfg(not(feature = "nets"))]
+use crate::error::NetworkError;
+use crate::error::NetworkMethod;
 use crate::geometry::{Segmenter, UsedNetwork};
-#[cfg(feature = "nets")]
-use crate::weights::{self, State, Store, WeightsError};
+use m4_geometry::masks::RefineSettings;
+use serde::{Deserialize, Serialize};
 #[cfg(feature = "nets")]
 use std::path::PathBuf;
 
 /// Sizes of SAM 2.1, the best first.
 #[cfg(feature = "nets")]
 const SAM2: [&str; 4] = ["sam2.1-large", "sam2.1-base-plus", "sam2.1-small", "sam2.1-tiny"];
-#[cfg(feature = "nets")]
-const MOBILE_SAM: &str = "mobile-sam";
-#[cfg(feature = "nets")]
-const TAPIP3D: &str = "tapip3d";
+
+/// Tracking method of dynamic points.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Tracker {
+    /// [`Self::Flow`].
+    #[default]
+    Auto,
+    /// Points are not tracked.
+    None,
+    /// Chains of flow, lifted with depth and carried on behind what hides them; needs no weights.
+    Flow,
+    /// TAPIP3D, a pretrained network; needs its weights.
+    Tapip3d,
+}
+
+impl Tracker {
+    /// As options and records name it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Auto => "auto",
+            Self::None => "none",
+            Self::Flow => "flow",
+            Self::Tapip3d => "tapip3d",
+        }
+    }
+}
+
+/// Masks over time, and points followed in three dimensions (section 3.2 of the paper).
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct EnhanceConfig {
+    /// How objects are found and separated.
+    pub masks: RefineSettings,
+    /// Options of TAPIP3D.
+    pub tapip3d: Tapip3dConfig,
+}
+
+/// Options of TAPIP3D.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Tapip3dConfig {
+    /// Points start in every n-th frame. Paper: 10 for DyCheck and DAVIS, 1 for NVIDIA.
+    pub every: usize,
+    /// Distance of the points, pixels of frames of at most 480 on their longer side.
+    pub spacing_px: usize,
+    /// Most points; more are thinned everywhere alike. 4,096: the specification's, since time grows with them.
+    pub most: usize,
+    /// Times that each window of 16 frames is revised. Published: 6.
+    pub iterations: usize,
+    /// Frames are brought to this share of the published sides (724 x 543 for a network of 512 x 384): 1, or less where time counts.
+    pub size: f64,
+    /// Megabytes to work with: more lets more points be followed together.
+    pub memory_mb: usize,
+}
+
+impl Default for Tapip3dConfig {
+    fn default() -> Self {
+        Self { every: 10, spacing_px: 4, most: 4096, iterations: 6, size: 1.0, memory_mb: 2000 }
+    }
+}
 
 /// The segmentation method.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -92,108 +150,49 @@ impl Plan {
         }
     }
 
-    /// Finds what is asked for.
-    ///
-    /// # Errors
-    ///
-    /// [`NetworkError::Weights`] if weights are missing, [`NetworkError::NotBuilt`] if the build has no networks.
+    /// Finds the methods; fails if weights are missing, or the build has no networks.
+    pub fn of(segmenter: Segmenter, tracker: Tracker, before: Before) -> Result<Self, Error> {
+        let by_flow = before == Before::Motion && matches!(tracker, Tracker::Auto | Tracker::Flow);
+        let tracking = if by_flow { Tracking::Flow } else { Tracking::Unchanged };
+        let plan = Self { segmentation: Segmentation::Unchanged, tracking, used: Vec::new() };
+        plan.with_networks(segmenter, tracker, before)
+    }
+
     #[cfg(feature = "nets")]
-    pub fn of(segmenter: Segmenter, tracker: Tracker, before: Before) -> Result<Self, Error> {
-        let mut used = Vec::new();
-        let sam2 = || SAM2.iter().find_map(|name| here(name));
-        let found = match segmenter {
-            Segmenter::Sam2 => Some(sam2().ok_or_else(|| NetworkError::Weights {
-                method: NetworkMethod::Segmenter(Segmenter::Sam2),
-                source: missing(SAM2[0]),
-            })?),
-            Segmenter::Auto => sam2(),
-            Segmenter::None | Segmenter::Mobilesam => None,
-        };
-        let segmentation = match (found, segmenter, before) {
-            (Some((entry, path)), ..) => {
-                used.push(used_network(entry, &path)?);
-                Segmentation::Sam2(path)
-            }
-            (None, Segmenter::Mobilesam | Segmenter::Auto, Before::Motion) => match here(MOBILE_SAM) {
-                Some((entry, path)) => {
-                    used.push(used_network(entry, &path)?);
-                    Segmentation::Mobilesam
-                }
-                None if segmenter == Segmenter::Mobilesam => {
-                    return Err(NetworkError::Weights {
-                        method: NetworkMethod::Segmenter(segmenter),
-                        source: missing(MOBILE_SAM),
-                    }
-                    .into());
-                }
-                None => Segmentation::Unchanged,
-            },
-            _ => Segmentation::Unchanged,
-        };
-        let tracking = match (tracker, before) {
-            (Tracker::Tapip3d, _) => {
-                let (entry, path) = here(TAPIP3D).ok_or_else(|| NetworkError::Weights {
-                    method: NetworkMethod::Tracker(tracker),
-                    source: missing(TAPIP3D),
-                })?;
-                used.push(used_network(entry, &path)?);
-                Tracking::Tapip3d(path)
-            }
-            (Tracker::Auto | Tracker::Flow, Before::Motion) => Tracking::Flow,
-            _ => Tracking::Unchanged,
-        };
-        Ok(Self { segmentation, tracking, used })
-    }
+    fn with_networks(mut self, segmenter: Segmenter, tracker: Tracker, before: Before) -> Result<Self, Error> {
+        use crate::geometry::network;
 
-    /// Finds what is asked for.
-    ///
-    /// # Errors
-    ///
-    /// [`NetworkError::NotBuilt`]: the build has no networks.
-    #[cfg(not(feature = "nets"))]
-    pub fn of(segmenter: Segmenter, tracker: Tracker, before: Before) -> Result<Self, Error> {
-        if matches!(segmenter, Segmenter::Mobilesam | Segmenter::Sam2) {
-            let method = NetworkMethod::Segmenter(segmenter);
-            return Err(NetworkError::NotBuilt { method }.into());
+        let method = NetworkMethod::Segmenter(segmenter);
+        let (auto, single) = (segmenter == Segmenter::Auto, segmenter == Segmenter::Mobilesam);
+        let sam2 = segmenter == Segmenter::Sam2;
+        if (auto || sam2)
+            && let Some((network, path)) = network(&SAM2, sam2, method)?
+        {
+            self.used.push(network);
+            self.segmentation = Segmentation::Sam2(path);
+        } else if (auto || single)
+            && before == Before::Motion
+            && let Some((network, _)) = network(&["mobile-sam"], single, method)?
+        {
+            self.used.push(network);
+            self.segmentation = Segmentation::Mobilesam;
         }
-        let tracking = match (tracker, before) {
-            (Tracker::Tapip3d, _) => {
-                let method = NetworkMethod::Tracker(tracker);
-                return Err(NetworkError::NotBuilt { method }.into());
-            }
-            (Tracker::Auto | Tracker::Flow, Before::Motion) => Tracking::Flow,
-            _ => Tracking::Unchanged,
+        if tracker == Tracker::Tapip3d
+            && let Some((network, path)) = network(&["tapip3d"], true, NetworkMethod::Tracker(tracker))?
+        {
+            self.used.push(network);
+            self.tracking = Tracking::Tapip3d(path);
+        }
+        Ok(self)
+    }
+
+    #[cfg(not(feature = "nets"))]
+    fn with_networks(self, segmenter: Segmenter, tracker: Tracker, _: Before) -> Result<Self, Error> {
+        let method = match (segmenter, tracker) {
+            (Segmenter::Mobilesam | Segmenter::Sam2, _) => NetworkMethod::Segmenter(segmenter),
+            (_, Tracker::Tapip3d) => NetworkMethod::Tracker(tracker),
+            _ => return Ok(self),
         };
-        Ok(Self { segmentation: Segmentation::Unchanged, tracking, used: Vec::new() })
+        Err(NetworkError::NotBuilt { method }.into())
     }
-}
-
-#[cfg(feature = "nets")]
-fn here(name: &str) -> Option<(&'static weights::Entry, PathBuf)> {
-    let entry = weights::find(name).ok()?;
-    match Store::of_user().ok()?.state(entry) {
-        State::Stored(path) | State::InHub(path) => Some((entry, path)),
-        State::Absent => None,
-    }
-}
-
-/// Why the weights `name` are not here, and how to get them.
-#[cfg(feature = "nets")]
-fn missing(name: &str) -> WeightsError {
-    let entry = match weights::find(name) {
-        Ok(entry) => entry,
-        Err(error) => return error,
-    };
-    let error = Store::of_user().and_then(|store| store.require(entry));
-    error.err().unwrap_or(WeightsError::NoFolder)
-}
-
-#[cfg(feature = "nets")]
-fn used_network(entry: &weights::Entry, path: &std::path::Path) -> Result<UsedNetwork, Error> {
-    Ok(UsedNetwork {
-        weights: entry.name.to_owned(),
-        licence: entry.licence.to_owned(),
-        commercial: entry.commercial,
-        blake3: crate::hash::of_path(path)?,
-    })
 }

@@ -4,10 +4,11 @@ use super::SplitRecord;
 use super::choices::{Choices, FrameChoice, Headline, MaskChoice, PoseChoice, PoseTreatment, ResolutionChoice, poses};
 use super::covisible::{MaskSource, Masks};
 use super::perceptual::Perceptual;
+use super::poses::{Moved, Refiner};
 use super::protocol::{FrameRule, Protocol, Rules, StartPose};
-use super::refine::{Moved, Refiner};
-use super::views::{EvalOptions, HeldOut};
+use super::{EvalOptions, HeldOut};
 use crate::render::SceneRenderer;
+use crate::stage::check_stop;
 use crate::{Error, Observer, Refusal};
 use m4_core::{Camera, CompactMask};
 use m4_eval::image::{ImageReport, MeanScore, Metric, PlanarImage, PsnrKind};
@@ -108,9 +109,7 @@ pub(super) fn score(
     let mut moved: Vec<Moved> = Vec::new();
     let (mut drawing_s, mut share) = (0.0, 0.0);
     for (i, view) in views.iter().enumerate() {
-        if observer.cancelled() {
-            return Err(Error::Stopped { stage: "eval", saved: false });
-        }
+        check_stop(observer, "eval", false)?;
         let (t, reference) = (held.moment(view), PlanarImage::from(&view.rgb));
         let moving = view.mask.as_ref().map(CompactMask::to_mask);
         let given = held.camera(view);
@@ -189,7 +188,7 @@ pub(super) fn score(
         },
         render: RENDER.to_owned(),
         metrics: metrics(&images),
-        lpips: lpips.into_choices(),
+        lpips: lpips.choices,
         poses,
         headline: headline(rules, &images),
         note: rules.note,

@@ -3,8 +3,7 @@
 use super::covisible::MaskSource;
 use super::perceptual::LpipsChoice;
 use super::protocol::{FrameRule, RefineRule, Task};
-use super::refine::Moved;
-use super::{Alignment, Protocol, SplitRecord};
+use super::{Alignment, Moved, Protocol, SplitRecord};
 use m4_eval::image::MeanScore;
 use serde::Serialize;
 use std::collections::BTreeMap;

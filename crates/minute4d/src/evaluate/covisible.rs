@@ -255,34 +255,15 @@ pub(crate) fn adopt(capture: &Path, views: &Capture, from: impl Fn(&str) -> Path
 #[cfg(test)]
 mod tests {
     use super::{Masks, Training};
-    use m4_core::{Camera, Capture, CaptureFrame, Intrinsics, Plane, Se3, nalgebra::Vector3};
-
-    fn frame(x: f64, t: f64, depth: bool) -> CaptureFrame {
-        let camera = Camera {
-            intrinsics: Intrinsics::centred(32, 16, 16.0),
-            c2w: Se3 { translation: Vector3::new(x, 0.0, 0.0), ..Se3::identity() },
-        };
-        CaptureFrame {
-            name: format!("test/{t}.png"),
-            camera,
-            t,
-            rgb: Plane::filled(32, 16, [9; 3]),
-            depth: depth.then(|| Plane::filled(32, 16, 4.0).into()),
-            mask: None,
-            motion: None,
-            instances: None,
-            camera_index: None,
-        }
-    }
+    use crate::test_clips::plain_clip;
+    use m4_core::{Capture, Plane};
 
     fn capture(n: usize, depth: bool) -> Capture {
-        Capture {
-            frames: (0..n).map(|i| frame(0.0, i as f64, depth)).collect(),
-            time_frames: n,
-            duration_s: None,
-            metric: false,
-            tracks: None,
+        let mut capture = plain_clip(n, (32, 16));
+        for frame in &mut capture.frames {
+            frame.depth = depth.then(|| Plane::filled(32, 16, 4.0).into());
         }
+        capture
     }
 
     /// A wall at depth 4: a test camera a unit and a half to the right sees 6 columns that no training camera saw.
@@ -290,7 +271,9 @@ mod tests {
     fn pixels_unseen_in_training_are_masked_out() {
         let training = Training::of(capture(8, true)).unwrap();
         let masks = Masks::Computed(Box::new(training));
-        let mask = masks.mask(&frame(1.5, 3.0, false)).unwrap().unwrap();
+        let mut view = capture(4, false).frames.remove(3);
+        view.camera.c2w.translation.x = 1.5;
+        let mask = masks.mask(&view).unwrap().unwrap();
         for y in 0..16 {
             for x in 0..32 {
                 let seen = mask[(x, y)] != 0;

@@ -5,35 +5,41 @@
 //! scene, its held-out views --views (Rules: masks, metrics, poses)--> eval.json with every choice
 //! ```
 
-mod align;
 mod by_protocol;
 mod choices;
 mod covisible;
 mod perceptual;
+mod poses;
 pub mod protocol;
-mod refine;
 mod split;
-mod views;
 
-pub use align::Alignment;
 pub use choices::{Choices, FrameChoice, Headline, MaskChoice, PoseChoice, PoseTreatment, ResolutionChoice};
 pub(crate) use covisible::adopt as adopt_covisible;
 pub use covisible::{COVISIBLE_FOLDER, MaskSource};
 pub use perceptual::LpipsChoice;
+pub use poses::{Alignment, Moved};
 pub use protocol::{FrameRule, Protocol, Task};
-pub use refine::Moved;
-pub use split::{Parts, SPLIT_FILE, SplitRecord, parts, split};
-pub(crate) use views::HeldOut;
-pub use views::{EvalOptions, EvalReport, OtherMean, views, views_by};
+pub use split::{SPLIT_FILE, SplitRecord, split};
 
+use crate::device::DeviceChoice;
+use crate::folder::{EVAL_FILE, SCENE_FILE};
+use crate::record::write_json;
+use crate::render::SceneRenderer;
 use crate::settings::Settings;
-use crate::{Error, Observer, Refusal};
-use m4_core::Capture;
+use crate::stage::check_stop;
+use crate::{Error, Observer, Refusal, hash};
+use m4_core::{Camera, Capture, CaptureFrame, CompactMask, Exposure, RgbImage, Scene};
 use m4_eval::geometry::{GeometryReport, evaluate};
+use m4_eval::image::{ImageReport, MeanScore, PlanarImage};
 use m4_io::capture::{CaptureOptions, Split};
 use m4_io::dataset::llff;
 use m4_io::reach::Reach;
-use std::path::Path;
+use m4_io::scene::safetensors;
+use m4_kernels::SimdLevel;
+use serde::Serialize;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
 
 /// Compares the cameras, depth and masks of a capture with a reference for the same video: another
 /// capture, or a JSON file of LLFF poses. `reach` is which files both may name.
@@ -44,18 +50,15 @@ use std::path::Path;
 pub fn geometry(capture: &Path, truth: &Path, reach: Reach, observer: &dyn Observer) -> Result<GeometryReport, Error> {
     let options = CaptureOptions { reach, ..Settings::fast().capture };
     let estimate = m4_io::capture::read(capture, Split::Train, &options, observer)?;
-    let truth = known(truth, &options, observer)?;
+    if !truth.exists() {
+        return Err(Error::Missing { what: "known geometry", path: truth.to_path_buf() });
+    }
+    let truth = if truth.is_file() && llff::detect(truth) {
+        llff::read(truth)?
+    } else {
+        m4_io::capture::read(truth, Split::Train, &options, observer)?
+    };
     Ok(evaluate(&estimate, &truth)?)
-}
-
-fn known(path: &Path, options: &CaptureOptions, observer: &dyn Observer) -> Result<Capture, Error> {
-    if !path.exists() {
-        return Err(Error::Missing { what: "known geometry", path: path.to_path_buf() });
-    }
-    if path.is_file() && llff::detect(path) {
-        return Ok(llff::read(path)?);
-    }
-    Ok(m4_io::capture::read(path, Split::Train, options, observer)?)
 }
 
 /// The refusal of a capture without held-out views.
@@ -64,4 +67,189 @@ pub(crate) fn no_test_list(data: &Path) -> Refusal {
         "{} has no transforms_test.json, so there are no held-out views to compare with; give a capture that has some",
         data.display()
     ))
+}
+
+/// A mean over the views that have a score.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct OtherMean {
+    /// The mean.
+    pub mean: f64,
+    /// Number of views with it.
+    pub views: usize,
+}
+
+/// Options of scoring.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct EvalOptions {
+    /// Masks of dynamic regions are grown by this many pixels first.
+    pub grow_mask: usize,
+    /// Where views are drawn and LPIPS is computed.
+    pub device: DeviceChoice,
+    /// The protocol; `None` for joint PSNR and SSIM of what the capture holds out, in 8 bits.
+    pub protocol: Option<Protocol>,
+    /// Masks of co-visibility, for protocols that have some; `None` for those of the capture, or made ones.
+    pub covisible: Option<PathBuf>,
+    /// Refine the poses of test images as the protocol's peers do.
+    pub refine_poses: bool,
+    /// Which files the capture may name.
+    pub reach: Reach,
+}
+
+/// `eval.json`.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct EvalReport {
+    /// Release of the program that wrote it.
+    pub minute4d: String,
+    /// The scene that was judged.
+    pub scene: PathBuf,
+    /// BLAKE3 of its file.
+    pub scene_blake3: String,
+    /// The capture whose held-out views were used.
+    pub data: PathBuf,
+    /// Alignment of the held-out cameras, if the scene has a world of its own.
+    pub alignment: Option<Alignment>,
+    /// Splats of the scene.
+    pub splats: usize,
+    /// Means over all views.
+    pub mean: Option<MeanScore>,
+    /// Protocol, and one row per view.
+    pub images: ImageReport,
+    /// Means of the scores by other metrics.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    pub mean_others: BTreeMap<String, OtherMean>,
+    /// Everything that the protocol chose, where there was one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub choices: Option<Choices>,
+    /// Images a second while drawing, one after the other, each copied to the host.
+    pub frames_per_s: Option<f64>,
+    /// Rendering device: `cpu`, or the GPU's name.
+    pub device: String,
+    /// Seconds it took.
+    pub seconds: f64,
+}
+
+/// Renders the held-out views of the capture `data` and compares them with its images; writes `eval.json` into the run `out`. Where the
+/// options name a protocol, its rules hold and `eval.json` names every choice.
+///
+/// A scene that was trained on another capture of the same video has a world of its own; the held-out cameras are then placed by the
+/// similarity that takes the training cameras of `data` to those of the scene, and a warning says how well that fits.
+///
+/// # Errors
+///
+/// [`Error::Refused`] without held-out views, or if the capture cannot be judged by the protocol; else what could not be read, compared
+/// or written.
+pub fn views(out: &Path, data: &Path, options: &EvalOptions, observer: &dyn Observer) -> Result<EvalReport, Error> {
+    let start = Instant::now();
+    let level = SimdLevel::detect()?;
+    // before anything large is read
+    let split = match options.protocol {
+        Some(protocol) => by_protocol::check(data, protocol, options)?,
+        None => None,
+    };
+    let held = HeldOut::read(out, data, options.reach, observer)?;
+    let gpu = options.device.open()?;
+    let mut renderer = SceneRenderer::new(&held.scene, level, gpu.as_ref())?;
+    let (images, choices, drawing_s) = match options.protocol {
+        None => {
+            let (images, drawing_s) = plain(&held, data, options.grow_mask, &mut renderer, observer)?;
+            (images, None, drawing_s)
+        }
+        Some(protocol) => {
+            let scored = by_protocol::score(&held, data, protocol, split, options, (level, &mut renderer), observer)?;
+            (scored.images, Some(scored.choices), scored.drawing_s)
+        }
+    };
+    let means = images.mean_others().into_iter();
+    let report = EvalReport {
+        minute4d: env!("CARGO_PKG_VERSION").to_owned(),
+        scene_blake3: hash::of_path(&held.path)?,
+        data: data.to_path_buf(),
+        splats: held.scene.splats.n(),
+        mean: images.mean(),
+        mean_others: means.map(|(name, (mean, views))| (name, OtherMean { mean, views })).collect(),
+        choices,
+        frames_per_s: (drawing_s > 0.0).then(|| images.frames.len() as f64 / drawing_s),
+        device: gpu.as_ref().map_or("cpu", |gpu| gpu.name()).to_owned(),
+        images,
+        scene: held.path,
+        alignment: held.alignment,
+        seconds: start.elapsed().as_secs_f64(),
+    };
+    write_json(&out.join(EVAL_FILE), &report)?;
+    Ok(report)
+}
+
+/// Joint PSNR and SSIM of images in 8 bits, and the seconds of drawing.
+fn plain(
+    held: &HeldOut,
+    data: &Path,
+    grow_mask: usize,
+    renderer: &mut SceneRenderer<'_>,
+    observer: &dyn Observer,
+) -> Result<(ImageReport, f64), Error> {
+    let views = &held.test.frames;
+    let mut images = ImageReport::new(data.display().to_string(), grow_mask);
+    let mut drawing_s = 0.0;
+    for (i, frame) in views.iter().enumerate() {
+        check_stop(observer, "eval", false)?;
+        let t = held.moment(frame);
+        let begin = Instant::now();
+        let drawn = held.draw(renderer, frame)?;
+        drawing_s += begin.elapsed().as_secs_f64();
+        let (image, reference) = (PlanarImage::from(&drawn), PlanarImage::from(&frame.rgb));
+        let index = frame.camera_index;
+        let mask = frame.mask.as_ref().map(CompactMask::to_mask);
+        let score = images.add(&frame.name, t, index, &image, &reference, mask.as_ref())?;
+        let note = format!("{:.2} dB", score.psnr_db);
+        observer.update("eval", i + 1, views.len(), &note);
+    }
+    Ok((images, drawing_s))
+}
+
+/// A scene and the views that it is judged by.
+pub(crate) struct HeldOut {
+    /// The file of the scene.
+    path: PathBuf,
+    pub scene: Scene,
+    pub test: Capture,
+    /// Alignment of the held-out cameras, if the scene has a world of its own.
+    alignment: Option<Alignment>,
+    stretch: f64,
+}
+
+impl HeldOut {
+    /// The scene of the run `out` and the held-out views of the capture `data`, which may name files within `reach`.
+    /// Refused without held-out views.
+    pub fn read(out: &Path, data: &Path, reach: Reach, observer: &dyn Observer) -> Result<Self, Error> {
+        let path = out.join(SCENE_FILE);
+        let scene = safetensors::read(&path)?.scene;
+        let options = CaptureOptions { reach, ..Settings::fast().capture };
+        if !data.exists() {
+            return Err(Error::Missing { what: "capture", path: data.to_path_buf() });
+        }
+        if data.is_dir() && !data.join(Split::Test.file_name()).is_file() {
+            return Err(no_test_list(data).into());
+        }
+        let test = m4_io::capture::read(data, Split::Test, &options, observer)?;
+        let alignment = poses::between(&scene, data, observer)?;
+        let stretch = (scene.time_frames.max(2) - 1) as f64 / (test.time_frames.max(2) - 1) as f64;
+        Ok(Self { path, scene, test, alignment, stretch })
+    }
+
+    /// When a view was taken, frames of the scene.
+    pub fn moment(&self, frame: &CaptureFrame) -> f64 {
+        frame.t * self.stretch
+    }
+
+    /// The scene as a view's camera sees it.
+    pub fn draw(&self, renderer: &mut SceneRenderer<'_>, frame: &CaptureFrame) -> Result<RgbImage, Error> {
+        renderer.image(&self.camera(frame), self.moment(frame), &Exposure::IDENTITY)
+    }
+
+    /// A view's camera in the world of the scene.
+    pub fn camera(&self, frame: &CaptureFrame) -> Camera {
+        self.alignment
+            .as_ref()
+            .map_or(frame.camera, |a| Camera { c2w: a.similarity().transform_pose(&frame.camera.c2w), ..frame.camera })
+    }
 }

@@ -48,7 +48,7 @@ fn choice(net: LpipsRule, masked: bool, absent: Option<String>) -> LpipsChoice {
 pub(super) struct Perceptual {
     #[cfg(feature = "nets")]
     nets: Vec<(LpipsRule, m4_nets::lpips::Lpips)>,
-    choices: Vec<LpipsChoice>,
+    pub choices: Vec<LpipsChoice>,
 }
 
 #[cfg(feature = "nets")]
@@ -93,11 +93,8 @@ mod with_nets {
                     ))
                 } else {
                     let entry = find(rule.weights())?;
-                    match store
-                        .as_ref()
-                        .map_err(ToString::to_string)
-                        .and_then(|store| store.require(entry).map_err(|absent| absent.to_string()))
-                    {
+                    let store = store.as_ref().map_err(ToString::to_string);
+                    match store.and_then(|store| store.require(entry).map_err(|absent| absent.to_string())) {
                         Err(absent) => Some(absent),
                         Ok(path) => {
                             let loaded = Lpips::load(net, &path, &device.device).map_err(|e| {
@@ -124,8 +121,7 @@ mod with_nets {
             mask: Option<&Mask>,
         ) -> Result<(), Error> {
             let failed = |e: m4_nets::NetError| {
-                let message = format!("LPIPS of the view {name} failed: {e}");
-                Refusal::new(Category::NoDevice, message)
+                Refusal::new(Category::NoDevice, format!("LPIPS of the view {name} failed: {e}"))
             };
             if self.nets.is_empty() {
                 return Ok(());
@@ -143,8 +139,7 @@ mod with_nets {
                         report.add_other(rule.scores()[0], title, score.distance);
                     }
                     Some(mask) => {
-                        let score = net.compare_inside(&image, &reference, mask).map_err(failed)?;
-                        if let Some(score) = score {
+                        if let Some(score) = net.compare_inside(&image, &reference, mask).map_err(failed)? {
                             let title = format!(
                                 "{title}, both images black outside a mask, the map averaged over it (DyCheck)"
                             );
@@ -175,11 +170,5 @@ impl Perceptual {
         _: Option<&Mask>,
     ) -> Result<(), Error> {
         Ok(())
-    }
-}
-
-impl Perceptual {
-    pub fn into_choices(self) -> Vec<LpipsChoice> {
-        self.choices
     }
 }

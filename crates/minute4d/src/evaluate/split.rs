@@ -4,8 +4,8 @@ use super::{FrameRule, Protocol};
 use crate::error::OutputError;
 use crate::folder::{self, Existing, Lock};
 use crate::record::write_json;
-use crate::{Error, Observer, Refusal, Settings, capture_folder, hash};
-use m4_core::Capture;
+use crate::{Error, Observer, Refusal, Settings, hash};
+use m4_core::{Capture, CaptureFrame};
 use m4_io::capture::{Split, TRACKS_FILE};
 use m4_io::reach::Reach;
 use serde::{Deserialize, Serialize};
@@ -14,7 +14,6 @@ use std::path::{Path, PathBuf};
 
 /// Says how a capture was split.
 pub const SPLIT_FILE: &str = "split.json";
-const FORMAT: &str = "minute4d-split";
 
 /// `split.json`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -59,24 +58,19 @@ impl SplitRecord {
     }
 }
 
-/// The two parts of a video.
-#[derive(Debug, Clone)]
-pub struct Parts {
-    /// Frames that train; moments and `time_frames` are those of the whole video, tracks lack the held-out frames.
-    pub train: Capture,
-    /// Held-out frames, with the same moments.
-    pub test: Capture,
+/// The two parts of a video. Moments and `time_frames` are those of the whole video.
+#[derive(Debug)]
+struct Parts {
+    /// Tracks lack the held-out frames.
+    train: Capture,
+    test: Capture,
     /// Indices of the held-out frames in the video.
-    pub held_out: Vec<usize>,
+    held_out: Vec<usize>,
 }
 
-/// Parts the frames of a video by a protocol. Moments stay, so that a frame is of the same time in both parts.
-///
-/// # Errors
-///
-/// A refusal for protocols whose views come with the data, if fewer than two frames would train or none judge, or if tracks do not go
-/// with the frames.
-pub fn parts(capture: Capture, protocol: Protocol) -> Result<Parts, Refusal> {
+/// Splits the frames of a video by a protocol. Refused for protocols whose views come with the data, if fewer than two frames would train
+/// or none test, or if tracks do not match the frames.
+fn parts(capture: Capture, protocol: Protocol) -> Result<Parts, Refusal> {
     let frames = capture.frames.len();
     let rule = protocol.rules().frames;
     let held_out = rule.held_out(frames).ok_or_else(|| {
@@ -97,22 +91,16 @@ pub fn parts(capture: Capture, protocol: Protocol) -> Result<Parts, Refusal> {
         let hint = "compute them again with `minute4d enhance`";
         Refusal::bad_input(format!("tracks of the capture do not match its frames: {e}; {hint}"))
     })?;
-    let (mut kept, mut judged) = (Vec::with_capacity(train), Vec::with_capacity(test));
-    for (i, frame) in capture.frames.into_iter().enumerate() {
-        if held_out.binary_search(&i).is_ok() {
-            judged.push(frame);
-        } else {
-            kept.push(frame);
-        }
-    }
-    let part = |frames, tracks| Capture {
-        frames,
+    let frames = capture.frames.into_iter().enumerate();
+    let (test, train): (Vec<_>, Vec<_>) = frames.partition(|(i, _)| held_out.binary_search(i).is_ok());
+    let part = |frames: Vec<(usize, CaptureFrame)>, tracks| Capture {
+        frames: frames.into_iter().map(|(_, frame)| frame).collect(),
         time_frames: capture.time_frames,
         duration_s: capture.duration_s,
         metric: capture.metric,
         tracks,
     };
-    Ok(Parts { train: part(kept, tracks), test: part(judged, None), held_out })
+    Ok(Parts { train: part(train, tracks), test: part(test, None), held_out })
 }
 
 /// Splits the training frames of the capture `data` by a protocol and writes the capture `out`, whose record is
@@ -122,7 +110,7 @@ pub fn parts(capture: Capture, protocol: Protocol) -> Result<Parts, Refusal> {
 ///
 /// # Errors
 ///
-/// As [`parts`]; [`Error::Output`] for a folder that holds something; else what could not be read or written.
+/// [`Error::Refused`] for a protocol or a capture that cannot be split; [`Error::Output`] for a folder that holds something; else what could not be read or written.
 pub fn split(
     data: &Path,
     protocol: Protocol,
@@ -149,7 +137,7 @@ pub fn split(
     let names: Vec<String> = capture.frames.iter().map(|f| f.name.clone()).collect();
     let parts = parts(capture, protocol)?;
     let record = SplitRecord {
-        format: FORMAT.to_owned(),
+        format: "minute4d-split".to_owned(),
         version: 1,
         minute4d: env!("CARGO_PKG_VERSION").to_owned(),
         protocol,
@@ -188,7 +176,7 @@ fn clear(out: &Path) -> Result<(), Error> {
     folder::remove_file(&out.join(SPLIT_FILE))?;
     folder::remove_file(&out.join(TRACKS_FILE))?;
     for split in [Split::Train, Split::Test] {
-        capture_folder::clear_split(out, split)?;
+        folder::clear_split(out, split)?;
     }
     Ok(())
 }
@@ -197,31 +185,20 @@ fn clear(out: &Path) -> Result<(), Error> {
 mod tests {
     use super::{Parts, parts, split};
     use crate::evaluate::Protocol;
+    use crate::test_clips::plain_clip;
     use crate::{Category, Error, Existing, OutputError, Silent};
-    use m4_core::{Camera, Capture, CaptureFrame, Intrinsics, Plane, Se3, Tracks};
+    use m4_core::{Capture, Plane, Tracks};
     use m4_io::capture::{self, CaptureOptions, Split};
     use m4_io::reach::Reach;
 
     fn clip(n: usize) -> Capture {
-        let frame = |i: usize| CaptureFrame {
-            name: format!("{i:05}"),
-            camera: Camera { intrinsics: Intrinsics::centred(16, 12, 15.0), c2w: Se3::identity() },
-            t: i as f64,
-            rgb: Plane::filled(16, 12, [i as u8; 3]),
-            depth: Some(Plane::filled(16, 12, 2.0 + i as f32).into()),
-            mask: None,
-            motion: None,
-            instances: None,
-            camera_index: None,
-        };
-        let xyz = (0..n).map(|i| [i as f32, 0.0, 1.0]).collect();
-        Capture {
-            frames: (0..n).map(frame).collect(),
-            time_frames: n,
-            duration_s: Some(3.0),
-            metric: true,
-            tracks: Some(Tracks::new(n, 1, xyz, vec![true; n]).unwrap()),
+        let mut clip = plain_clip(n, (16, 12));
+        for (i, frame) in clip.frames.iter_mut().enumerate() {
+            frame.depth = Some(Plane::filled(16, 12, 2.0 + i as f32).into());
         }
+        let xyz = (0..n).map(|i| [i as f32, 0.0, 1.0]).collect();
+        let tracks = Some(Tracks::new(n, 1, xyz, vec![true; n]).unwrap());
+        Capture { duration_s: Some(3.0), metric: true, tracks, ..clip }
     }
 
     #[test]

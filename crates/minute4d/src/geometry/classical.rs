@@ -1,24 +1,20 @@
 //! Cameras from tracked corners, depth and masks along the flow, and both once more without the tracks of dynamic regions.
 
-use super::cached_flow::CachedFlow;
+use super::Context;
 use super::clip::{Clip, FrameGeometry};
 use super::confidence::{Confidence, Grade};
 use super::depth::{KnownDepth, rescale};
+use super::frontend::CachedFlow;
 use super::given::Given;
 use super::iterate;
-use super::methods::Context;
 use crate::Error;
 use crate::record::GeometrySummary;
-use m4_core::{Camera, Capture, DepthMap, RgbImage, Tracks};
-use m4_geometry::classical::CameraMotion;
+use m4_core::{Camera, Capture, RgbImage, Tracks};
 use m4_geometry::classical::dense::{Dense, MonoDepth, NoDepth, Segmenter, SensorDepth, Sources, estimate};
+use m4_geometry::classical::CameraMotion;
 use m4_geometry::classical::sparse::{self, FeatureTracks, Recovered, SparseConfig};
 
 /// Reconstructs `clip`.
-///
-/// # Errors
-///
-/// [`Error`]: weights cannot be used, nothing can be reconstructed, or the user stops.
 pub(super) fn compute(clip: Clip, context: &Context<'_>) -> Result<(Capture, GeometrySummary), Error> {
     let (pass, found) = Reconstruction::new(&clip, context)?.run()?;
     let (cameras, dense) = (pass.recovered.sparse.cameras, pass.dense);
@@ -150,7 +146,10 @@ impl<'a> Reconstruction<'a> {
     /// Grades the result, warns of a doubtful one, and describes it.
     fn summary(&self, pass: &Pass, rounds: usize) -> GeometrySummary {
         let (sparse, dense, methods) = (&pass.recovered.sparse, &pass.dense, self.context.methods);
-        let known = self.given.depth.as_deref().map(known_share);
+        let known = self.given.depth.as_deref().map(|maps| {
+            let pixels = maps.iter().map(|d| d.data().len()).sum::<usize>().max(1);
+            maps.iter().flat_map(|d| d.data()).filter(|&&z| z > 0.0).count() as f64 / pixels as f64
+        });
         let masked = self.given.masks.is_some();
         let confidence = Confidence::of(sparse, pass.recovered.focal, &dense.frames, masked, known);
         if let (true, Some(advice)) = (confidence.grade != Grade::Good, &confidence.advice) {
@@ -178,19 +177,11 @@ impl<'a> Reconstruction<'a> {
             moving_share: moving.count() as f64 / pixels.max(1) as f64,
             frontend: methods.frontend.frontend.to_string(),
             networks: methods.frontend.used.clone(),
-            keyframes: None,
-            megasam_units_a_metre: None,
             segmenter: methods.segmenter.name().to_owned(),
             given: self.given.names(),
             rounds,
             confidence: Some(confidence),
+            ..GeometrySummary::default()
         }
     }
-}
-
-/// Share of the pixels whose depth was given.
-fn known_share(depth: &[DepthMap]) -> f64 {
-    let pixels = depth.iter().map(|d| d.data().len()).sum::<usize>().max(1);
-    let known = depth.iter().flat_map(|d| d.data()).filter(|&&z| z > 0.0).count();
-    known as f64 / pixels as f64
 }

@@ -4,9 +4,9 @@
 //! from frame to frame: where a clip is thinned, an object moves too far from one kept frame to the next, so geometry runs on up to
 //! [`MOST_PER_STEP`] frames per kept one.
 
-use super::frontend::{Cameras, Plan};
+use super::Context;
+use super::frontend::Plan;
 use super::given::Given;
-use super::methods::Context;
 use crate::{Error, Observer, Settings};
 use m4_core::{Camera, Capture, CaptureFrame, CompactDepth, CompactMask, Plane, RgbImage, Tracks, Video};
 use m4_geometry::classical::sparse::SparseConfig;
@@ -32,11 +32,7 @@ pub(super) struct FrameGeometry {
 }
 
 impl Clip {
-    /// Reads the clip and the files that the user provides.
-    ///
-    /// # Errors
-    ///
-    /// [`Error`]: a file is missing, damaged, or does not fit the clip.
+    /// Reads the clip and the files that the user provides; fails where one is missing, damaged, or does not fit the clip.
     pub fn read(input: &Path, between: Between, context: &Context<'_>) -> Result<Self, Error> {
         let (settings, observer) = (context.settings, context.observer());
         let video = m4_io::video::read(input, &between.to_read(&settings.video), observer)?;
@@ -116,7 +112,7 @@ impl Between {
     /// more per frame than all the rest.
     pub fn of(settings: &Settings, plan: &Plan) -> Self {
         let kept = settings.video.max_frames;
-        let small_steps = plan.cameras == Cameras::Corners && plan.used.is_empty() && !settings.geometry.any_given();
+        let small_steps = !plan.is_megasam() && plan.used.is_empty() && !settings.geometry.any_given();
         let read = kept.map(|kept| if small_steps { to_read(kept) } else { kept });
         Self { kept, read }
     }
@@ -127,10 +123,6 @@ impl Between {
     }
 
     /// Keeps the frames that were asked for, with their times; tracks lose the others.
-    ///
-    /// # Errors
-    ///
-    /// [`Error::Internal`] if tracks have fewer frames than the capture.
     pub fn keep(self, capture: Capture, observer: &dyn Observer) -> Result<Capture, Error> {
         let all = capture.frames.len();
         let chosen = evenly(all, self.kept);
@@ -161,7 +153,8 @@ fn to_read(kept: usize) -> usize {
 mod tests {
     use super::{Between, MOST_FRAMES, to_read};
     use crate::Silent;
-    use m4_core::{Camera, Capture, CaptureFrame, Intrinsics, Plane, Se3, Tracks};
+    use crate::test_clips::plain_clip;
+    use m4_core::{Capture, Tracks};
     use m4_io::video::evenly;
 
     #[test]
@@ -182,25 +175,9 @@ mod tests {
 
     #[test]
     fn kept_frames_keep_their_times_and_tracks() {
-        let frame = |i: usize| CaptureFrame {
-            name: format!("{i:05}"),
-            camera: Camera { intrinsics: Intrinsics::centred(2, 1, 1.0), c2w: Se3::identity() },
-            t: i as f64,
-            rgb: Plane::filled(2, 1, [i as u8; 3]),
-            depth: None,
-            mask: None,
-            motion: None,
-            instances: None,
-            camera_index: None,
-        };
         let places = (0..9).map(|i| [i as f32, 0.0, 1.0]).collect();
-        let capture = Capture {
-            frames: (0..9).map(frame).collect(),
-            time_frames: 9,
-            duration_s: Some(1.0),
-            metric: false,
-            tracks: Some(Tracks::new(9, 1, places, vec![true; 9]).unwrap()),
-        };
+        let tracks = Some(Tracks::new(9, 1, places, vec![true; 9]).unwrap());
+        let capture = Capture { tracks, ..plain_clip(9, (2, 1)) };
         let between = Between { kept: Some(3), read: Some(9) };
         let thin = between.keep(capture.clone(), &Silent).unwrap();
         let times: Vec<f64> = thin.frames.iter().map(|f| f.t).collect();

@@ -20,7 +20,6 @@ pub enum Grade {
 
 impl Grade {
     /// Returns the grade as a word.
-    #[must_use]
     pub fn name(self) -> &'static str {
         match self {
             Self::Good => "good",
@@ -34,11 +33,11 @@ impl Grade {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Focal {
-    /// The user or the file said it.
+    /// Known from the user or the file.
     Given,
-    /// The clip revealed it.
+    /// Estimated from the clip.
     Estimated,
-    /// A usual one was taken.
+    /// A typical value.
     Assumed,
 }
 
@@ -49,13 +48,13 @@ pub struct Confidence {
     pub grade: Grade,
     /// What to do about it, where it is not good.
     pub advice: Option<String>,
-    /// The angle under which the camera's way is seen from the points it measured, median, degrees.
+    /// The angle under which the camera's path is seen from the points that it measured, median, degrees.
     pub parallax_deg: f64,
     /// The same as pixels of the frames.
     pub parallax_px: f64,
-    /// Share of the tracks that rest and are explained within a pixel.
+    /// Share of the tracks that are static with an error of less than a pixel.
     pub inlier_share: f64,
-    /// Share of all pixels that rest.
+    /// Share of all pixels that are static.
     pub static_share: f64,
     /// Where the focal length comes from.
     pub focal: Focal,
@@ -67,7 +66,7 @@ pub struct Confidence {
     pub measured_share: f64,
 }
 
-/// What a track is explained within to count, pixels.
+/// Largest reprojection error of an inlier, pixels.
 const INLIER_PX: f64 = 1.0;
 /// Confidence of a pixel from which on its depth counts as measured.
 const MEASURED: f32 = 0.5;
@@ -92,7 +91,7 @@ impl Confidence {
         known_depth: Option<f64>,
     ) -> Self {
         let pixels = dense.iter().map(|d| d.mask.data().len()).sum::<usize>().max(1) as f64;
-        let resting = dense.iter().flat_map(|d| d.mask.data()).filter(|&&m| m == 0).count() as f64;
+        let still = dense.iter().flat_map(|d| d.mask.data()).filter(|&&m| m == 0).count() as f64;
         let measured = dense.iter().flat_map(|d| d.confidence.data()).filter(|&&c| c >= MEASURED);
         let measured = measured.count() as f64 / pixels;
         let judged = sparse.tracks.iter().filter(|t| t.motion != Motion::Unknown).count();
@@ -111,7 +110,7 @@ impl Confidence {
             parallax_deg: parallax_rad.to_degrees(),
             parallax_px: parallax_rad * focal_px,
             inlier_share: inliers.count() as f64 / judged.max(1) as f64,
-            static_share: resting / pixels,
+            static_share: still / pixels,
             focal: source,
             focal_sigma_percent: sigma.map(|s| 100.0 * s),
             residual_px: sparse.residual_px,
@@ -135,68 +134,56 @@ impl Confidence {
             }
         };
         let high = |value: f64, fair: f64, poor: f64| low(-value, -fair, -poor);
-        let moves = around.camera_motion == CameraMotion::Parallax;
+        let parallax = around.camera_motion == CameraMotion::Parallax;
         let crowded = self.static_share < 0.5 && !around.masks_given;
-        let mut findings: Vec<(Grade, &str)> = Vec::new();
-        if !around.depth_given {
-            findings.push(match around.camera_motion {
-                CameraMotion::Static => (
-                    Grade::Poor,
-                    "the camera is static, so depth is a placeholder: film while walking sideways, or give --depth",
-                ),
-                CameraMotion::RotationOnly => (
-                    Grade::Poor,
-                    "the camera only rotates, so depth is a placeholder: film while walking sideways, or give --depth",
-                ),
-                CameraMotion::Parallax => (
-                    low(self.parallax_deg, 2.0, 0.7),
-                    "the camera moves little compared with the distance of what it sees: film while walking sideways",
-                ),
-            });
-        }
-        if moves {
-            findings.push((
-                low(self.inlier_share, 0.4, 0.15),
-                if crowded {
-                    "dynamic objects fill the frame: give --masks, or film with more of the surroundings"
-                } else {
-                    "few points can be tracked: film slower, in more light, with textured objects in view"
-                },
-            ));
-        }
-        findings.push(match (self.focal, self.focal_sigma_percent) {
+        const CROWDED: &str = "dynamic objects fill the frame: give --masks, or film with more of the surroundings";
+        let motion = match around.camera_motion {
+            CameraMotion::Static => (
+                Grade::Poor,
+                "the camera is static, so depth is a placeholder: film while walking sideways, or give --depth",
+            ),
+            CameraMotion::RotationOnly => (
+                Grade::Poor,
+                "the camera only rotates, so depth is a placeholder: film while walking sideways, or give --depth",
+            ),
+            CameraMotion::Parallax => (
+                low(self.parallax_deg, 2.0, 0.7),
+                "the camera moves little compared with the distance of what it sees: film while walking sideways",
+            ),
+        };
+        let few = "few points can be tracked: film slower, in more light, with textured objects in view";
+        let tracks = (low(self.inlier_share, 0.4, 0.15), if crowded { CROWDED } else { few });
+        let focal = match (self.focal, self.focal_sigma_percent) {
             (Focal::Assumed, _) => (Grade::Fair, "the field of view is a guess: give --fov"),
             (Focal::Estimated, Some(sigma)) => {
                 (high(sigma, 3.0, 10.0), "the clip says little about the field of view: give --fov")
             }
             _ => (Grade::Good, ""),
-        });
-        if moves {
-            findings.push((
-                high(self.residual_px, 0.75, 1.5),
-                "points do not stay where they should: film without zoom and with a short exposure, or give --intrinsics",
-            ));
-        }
-        if !around.masks_given {
-            findings.push((
-                low(self.static_share, 0.6, 0.35),
-                "dynamic objects fill the frame: give --masks, or film with more of the surroundings",
-            ));
-        }
-        if moves && !around.depth_given {
-            findings.push((
-                low(self.measured_share, 0.35, 0.1),
-                "little of the depth was measured, the rest is filled in: film textured objects while walking sideways, or \
-                 give --depth",
-            ));
-        }
+        };
+        let residual = (
+            high(self.residual_px, 0.75, 1.5),
+            "points do not stay where they should: film without zoom and with a short exposure, or give --intrinsics",
+        );
+        let measured = (
+            low(self.measured_share, 0.35, 0.1),
+            "little of the depth was measured, the rest is filled in: film textured objects while walking sideways, or \
+             give --depth",
+        );
+        let all = [
+            (!around.depth_given, motion),
+            (parallax, tracks),
+            (true, focal),
+            (parallax, residual),
+            (!around.masks_given, (low(self.static_share, 0.6, 0.35), CROWDED)),
+            (parallax && !around.depth_given, measured),
+        ];
+        let findings: Vec<_> = all.into_iter().filter_map(|(counts, finding)| counts.then_some(finding)).collect();
         let worst = findings.iter().map(|(grade, _)| *grade).max().unwrap_or(Grade::Good);
         let advice = findings.iter().find(|(grade, _)| *grade == worst && worst != Grade::Good);
         (worst, advice.map(|(_, advice)| (*advice).to_owned()))
     }
 
     /// Returns a one-line summary.
-    #[must_use]
     pub fn description(&self) -> String {
         let focal = match (self.focal, self.focal_sigma_percent) {
             (Focal::Given, _) => "focal length given".to_owned(),
@@ -275,7 +262,7 @@ mod tests {
         weak(&|c| c.measured_share = 0.2, MOVING, Grade::Fair, "--depth");
         let tripod = Circumstances { camera_motion: CameraMotion::Static, ..MOVING };
         weak(&|c| c.focal = Focal::Assumed, tripod, Grade::Poor, "is static");
-        let told = Circumstances { depth_given: true, ..tripod };
-        weak(&|c| c.focal = Focal::Assumed, told, Grade::Fair, "--fov");
+        let given = Circumstances { depth_given: true, ..tripod };
+        weak(&|c| c.focal = Focal::Assumed, given, Grade::Fair, "--fov");
     }
 }

@@ -37,11 +37,8 @@ impl<'a> KnownDepth<'a> {
         }
     }
 
-    /// Brings a reconstruction to the unit of the known depth; true if lengths are metres then. Given poses (`posed`) keep theirs.
-    ///
-    /// # Errors
-    ///
-    /// [`Error::Refused`] if given depth covers too few points.
+    /// Brings a reconstruction to the unit of the known depth; true if lengths are metres then. Given poses (`posed`) stay: they must have
+    /// that unit. Refused if given depth covers too few points.
     pub fn set_unit(
         &self,
         sparse: &mut SparseReconstruction,
@@ -50,26 +47,28 @@ impl<'a> KnownDepth<'a> {
     ) -> Result<bool, Error> {
         let parallax = sparse.camera_motion == CameraMotion::Parallax;
         match self {
+            Self::Given(_) if !parallax => Ok(true),
             Self::Given(maps) => {
-                if parallax {
-                    to_metres(sparse, maps, posed, observer)?;
+                let ratio = depth_ratio(sparse, maps)?;
+                if !posed {
+                    *sparse = rescale(sparse, ratio);
+                } else if !(1.0 / UNITS..=UNITS).contains(&ratio) {
+                    observer.warn(&format!(
+                        "given depth and given poses have different units: points are {ratio:.3} times as far away by the depth maps \
+                         (millimetres in the files) as by the poses; give poses in metres"
+                    ));
                 }
                 Ok(true)
             }
-            Self::Network(mono) => match mono.metric_m().filter(|_| parallax && !posed) {
-                Some(maps) => match depth_ratio(sparse, maps) {
-                    Ok(ratio) => {
-                        *sparse = rescale(sparse, ratio);
-                        Ok(true)
-                    }
-                    Err(error) => {
-                        observer.warn(&format!("lengths stay without unit: {error}"));
-                        Ok(false)
-                    }
-                },
-                None => Ok(false),
-            },
-            Self::Unknown => Ok(false),
+            Self::Network(MonoClip { metric_m: Some(maps), .. }) if parallax && !posed => {
+                let ratio = depth_ratio(sparse, maps);
+                match &ratio {
+                    Ok(ratio) => *sparse = rescale(sparse, *ratio),
+                    Err(error) => observer.warn(&format!("lengths stay without unit: {error}")),
+                }
+                Ok(ratio.is_ok())
+            }
+            Self::Network(_) | Self::Unknown => Ok(false),
         }
     }
 
@@ -77,30 +76,11 @@ impl<'a> KnownDepth<'a> {
     pub fn unit(&self, sparse: &SparseReconstruction, posed: bool) -> f64 {
         let maps = match self {
             Self::Given(maps) => Some(*maps),
-            Self::Network(mono) => mono.metric_m(),
+            Self::Network(mono) => mono.metric_m.as_deref(),
             Self::Unknown => None,
         };
         if posed || maps.is_some() { typical_depth(sparse, maps) } else { 1.0 }
     }
-}
-
-/// Brings a reconstruction of any unit to that of the given depth. Given poses stay: they must have that unit.
-fn to_metres(
-    sparse: &mut SparseReconstruction,
-    depth: &[DepthMap],
-    posed: bool,
-    observer: &dyn Observer,
-) -> Result<(), Error> {
-    let ratio = depth_ratio(sparse, depth)?;
-    if !posed {
-        *sparse = rescale(sparse, ratio);
-    } else if !(1.0 / UNITS..=UNITS).contains(&ratio) {
-        observer.warn(&format!(
-            "given depth and given poses have different units: points are {ratio:.3} times as far away by the depth maps \
-             (millimetres in the files) as by the poses; give poses in metres"
-        ));
-    }
-    Ok(())
 }
 
 /// Fewest points whose depth must be given.
@@ -118,11 +98,7 @@ pub(super) fn rescale(sparse: &SparseReconstruction, by: f64) -> SparseReconstru
     scaled
 }
 
-/// Given depth over reconstructed depth, the median over all sightings of points.
-///
-/// # Errors
-///
-/// A refusal if too few points have a given depth.
+/// Given depth over reconstructed depth, the median over all sightings of points; refused if too few points have a given depth.
 pub(super) fn depth_ratio(sparse: &SparseReconstruction, depth: &[DepthMap]) -> Result<f64, Refusal> {
     let mut ratios = Vec::new();
     let mut found = 0;

@@ -15,17 +15,13 @@ use std::collections::HashMap;
 const SHIFT_PX: f64 = 0.25;
 /// Share of tracks outside the masks whose verdict changes that matters.
 const VERDICTS: f64 = 0.03;
-/// Fewest points that both have, and that say something of a frame.
+/// Fewest points that both have, in total and per frame.
 const POINTS: usize = 30;
 const POINTS_A_FRAME: usize = 10;
-/// New cameras must let this share of the tracks rest that rested before, masks left out: else they found less.
-const AS_MANY: f64 = 0.9;
+/// At least this share of the tracks outside masks that were static before must be static by the new cameras.
+const STATIC_SHARE: f64 = 0.9;
 
 /// Cameras from tracks outside the masks of `frames`, if they differ enough from the `first` ones for depth and masks to be estimated again.
-///
-/// # Errors
-///
-/// [`Error`] if the user stops.
 pub(super) fn without_masked(
     followed: &FeatureTracks,
     first: &SparseReconstruction,
@@ -34,7 +30,7 @@ pub(super) fn without_masked(
     steps: &Steps<'_>,
 ) -> Result<Option<Recovered>, Error> {
     const PHASE: &str = "cameras from static points";
-    let masks = take_masks(frames);
+    let masks: Vec<Mask> = frames.iter_mut().map(|f| std::mem::replace(&mut f.mask, Plane::filled(0, 0, 0))).collect();
     let mut found = None;
     if worth(first, &masks) {
         let observer = steps.observer();
@@ -48,10 +44,16 @@ pub(super) fn without_masked(
         })?;
         let change =
             second.as_ref().map(|second| Change::between(first, &second.sparse, |track| within(&masks, track)));
-        observer.update(PHASE, 1, 1, &change.map_or_else(String::new, |change| change.description()));
+        let note = change.map_or_else(String::new, |change| {
+            let (shift_px, percent) = (change.shift_px, 100.0 * change.verdicts);
+            format!("projections differ by {shift_px:.2} px, {percent:.1} % of tracks are classified differently")
+        });
+        observer.update(PHASE, 1, 1, &note);
         found = second.filter(|_| change.is_some_and(|change| change.matters()));
     }
-    put_back(frames, masks);
+    for (frame, mask) in frames.iter_mut().zip(masks) {
+        frame.mask = mask;
+    }
     Ok(found)
 }
 
@@ -76,26 +78,17 @@ struct Change {
     /// The frame that changed most: how far apart the two see the same points, median over them, pixels; infinite where too few
     /// points are in both.
     pub shift_px: f64,
-    /// Share of the tracks judged by both, outside the masks, that rest for one and move for the other.
+    /// Share of the tracks classified by both, outside the masks, that are static for one and dynamic for the other.
     pub verdicts: f64,
-    /// Resting tracks outside the masks of the second, over those of the first.
-    pub kept: f64,
+    /// Static tracks outside the masks of the second, over those of the first.
+    pub still_static: f64,
 }
 
 impl Change {
     /// Whether depth and masks are to be computed again with the second.
     pub fn matters(&self) -> bool {
         let differs = self.shift_px > SHIFT_PX || self.verdicts > VERDICTS;
-        differs && self.kept >= AS_MANY
-    }
-
-    /// Returns a short description.
-    pub fn description(&self) -> String {
-        format!(
-            "projections differ by {:.2} px, {:.1} % of tracks are classified differently",
-            self.shift_px,
-            100.0 * self.verdicts
-        )
+        differs && self.still_static >= STATIC_SHARE
     }
 
     /// Of two reconstructions of the same tracks, where `masked` says which of the second lie within masks.
@@ -108,15 +101,13 @@ impl Change {
         let pairs: Vec<(&Track, &Track)> =
             second.tracks.iter().filter(|t| !masked(t)).filter_map(|t| Some((*by_start.get(&key(t)?)?, t))).collect();
         let judged = pairs.iter().filter(|(a, b)| a.motion != Motion::Unknown && b.motion != Motion::Unknown);
-        let (judged, turned) =
-            judged.fold((0_usize, 0_usize), |(n, turned), (a, b)| (n + 1, turned + usize::from(a.motion != b.motion)));
-        let rest =
-            |motion: &dyn Fn(&(&Track, &Track)) -> Motion| pairs.iter().filter(|p| motion(p) == Motion::Static).count();
-        let (before, after) = (rest(&|p| p.0.motion), rest(&|p| p.1.motion));
+        let changed = judged.clone().filter(|(a, b)| a.motion != b.motion).count();
+        let before = pairs.iter().filter(|(a, _)| a.motion == Motion::Static).count();
+        let after = pairs.iter().filter(|(_, b)| b.motion == Motion::Static).count();
         Self {
             shift_px: shift_px(first, second, &pairs),
-            verdicts: turned as f64 / judged.max(1) as f64,
-            kept: after as f64 / before.max(1) as f64,
+            verdicts: changed as f64 / judged.count().max(1) as f64,
+            still_static: after as f64 / before.max(1) as f64,
         }
     }
 }
@@ -179,19 +170,6 @@ fn worth(sparse: &SparseReconstruction, masks: &[Mask]) -> bool {
         all &= *m > 0;
     }
     sparse.camera_motion == CameraMotion::Parallax && any && !all
-}
-
-/// Takes the masks out of frames; [`put_back`] undoes that.
-fn take_masks(frames: &mut [DenseFrame]) -> Vec<Mask> {
-    let empty = || Plane::filled(0, 0, 0);
-    frames.iter_mut().map(|f| std::mem::replace(&mut f.mask, empty())).collect()
-}
-
-/// Gives frames their masks.
-fn put_back(frames: &mut [DenseFrame], masks: Vec<Mask>) {
-    for (frame, mask) in frames.iter_mut().zip(masks) {
-        frame.mask = mask;
-    }
 }
 
 #[cfg(test)]

@@ -1,10 +1,9 @@
 //! Computes a capture with MegaSaM's networks (Minute4D sec. 3.1).
 
-use super::cached_flow::CachedFlow;
+use super::Context;
 use super::clip::{Clip, FrameGeometry};
 use super::depth::KnownDepth;
-use super::frontend::NetworkCorrespondence;
-use super::methods::Context;
+use super::frontend::{CachedFlow, NetworkCorrespondence};
 use crate::record::GeometrySummary;
 use crate::{Error, Observer, Refusal, enhance};
 use m4_core::{Camera, Capture, CompactMask, Intrinsics, Mask, Plane};
@@ -16,11 +15,7 @@ use m4_geometry::resample::resize_bilinear;
 /// Share of moving pixels beyond which it is likelier that the network is misread than that so much moves (docs/spec/front-end.md 1.9).
 const TOO_MUCH_MOTION: f64 = 0.6;
 
-/// Reconstructs `clip`.
-///
-/// # Errors
-///
-/// [`Error`]: weights cannot be used, poses were given, nothing can be reconstructed, or the user stops.
+/// Reconstructs `clip`; refused where poses were given.
 pub(super) fn compute(mut clip: Clip, context: &Context<'_>) -> Result<(Capture, GeometrySummary), Error> {
     let (settings, steps, observer) = (&context.settings.megasam, context.steps, context.observer());
     let (plan, device) = (&context.methods.frontend, &context.methods.device);
@@ -142,9 +137,6 @@ fn summary(
         fov_deg: lens.horizontal_fov_rad().to_degrees(),
         camera_motion: if geometry.observability.has_parallax() { "parallax" } else { "rotation_only" }.to_owned(),
         residual_px: geometry.residual_px,
-        tracks: 0,
-        points: 0,
-        moving_tracks: 0,
         moving_share: enhance::moving_share(capture).unwrap_or(0.0),
         frontend: plan.frontend.to_string(),
         networks: plan.used.clone(),
@@ -153,6 +145,6 @@ fn summary(
         segmenter: "none".to_owned(),
         given,
         rounds: 1,
-        confidence: None,
+        ..GeometrySummary::default()
     }
 }

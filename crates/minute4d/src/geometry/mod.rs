@@ -12,7 +12,6 @@
 //! An interrupted stage resumes after the last of these steps (`steps`): optical flow of each pair of frames, depth from networks of each
 //! frame, the reconstruction of cameras, and dense depth; the last two again for a second pass.
 
-mod cached_flow;
 mod classical;
 mod clip;
 mod confidence;
@@ -22,26 +21,30 @@ mod given;
 mod iterate;
 #[cfg(feature = "nets")]
 mod megasam;
-mod methods;
 mod segmenter;
 
 pub use confidence::{Confidence, Focal, Grade};
 pub use frontend::{Frontend, Part as FrontendPart, UnknownFrontend, UsedNetwork};
+#[cfg(feature = "nets")]
+pub(crate) use frontend::{network, unusable};
 pub use segmenter::Segmenter;
+#[cfg(feature = "nets")]
 pub(crate) use segmenter::resolve as resolve_segmenter;
 
-use crate::capture_folder::CaptureFolder;
-use crate::enhance::{EnhanceConfig, Tracker};
-use crate::record::{GeometryRecord, Input, plain_json};
+use crate::device::{DeviceChoice, NetworkDevice};
+use crate::enhance::{self, Before, EnhanceConfig, Tracker};
+use crate::folder::CaptureFolder;
+use crate::record::{GeometryRecord, GeometrySummary, Input, plain_json};
 use crate::settings::part_to_toml;
-use crate::{Category, Error, Job, hash};
-use frontend::Cameras;
+use crate::steps::Steps;
+use crate::{Category, Error, Job, Observer, Settings, hash};
+use clip::{Between, Clip};
 use given::Sources;
 use m4_geometry::classical::dense::DenseError;
 use m4_geometry::classical::sparse::SparseError;
 use m4_geometry::megasam::MegasamError;
 use m4_geometry::tracks::TrackError;
-use methods::{Context, Methods, compute};
+use segmenter::Resolved;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
@@ -99,7 +102,7 @@ pub fn make(input: &Path, capture: &Path, job: &Job<'_>) -> Result<GeometryRecor
         geometry: &settings.geometry,
         frontend: &name,
         weights: frontend.hashes(),
-        megasam: (frontend.cameras == Cameras::Megasam).then_some(&settings.megasam),
+        megasam: (frontend.is_megasam()).then_some(&settings.megasam),
         device: device.name(),
         segmenter: segmenter.name(),
         segmenter_weights: segmenter.weights_hash(),
@@ -122,6 +125,80 @@ pub fn make(input: &Path, capture: &Path, job: &Job<'_>) -> Result<GeometryRecor
         Ok(())
     })?;
     Ok(folder.record)
+}
+
+/// The methods that the options come to: which weights are installed, and the device of networks.
+struct Methods {
+    frontend: frontend::Plan,
+    /// Sharpens the masks of the classical front end.
+    segmenter: Resolved,
+    /// What is done to the capture afterwards.
+    enhance: enhance::Plan,
+    device: NetworkDevice,
+}
+
+impl Methods {
+    /// Resolves `options`; fails if weights are missing, the build has no networks, or the GPU does not start.
+    fn resolve(options: &GeometryOptions, device: DeviceChoice) -> Result<Self, Error> {
+        let frontend = frontend::plan(&options.frontend, device)?;
+        // Masks are made of MegaSaM's map of motion afterwards.
+        let (asked, before) = match frontend.is_megasam() {
+            true => (Segmenter::None, Before::Motion),
+            false => (options.segmenter, Before::Classical),
+        };
+        let segmenter = segmenter::resolve(asked)?;
+        // Masks that the user gave stay.
+        let refined = if options.masks.is_some() { Segmenter::None } else { options.segmenter };
+        let enhance = enhance::Plan::of(refined, options.tracker, before)?;
+        let device = if frontend.used.is_empty() && !enhance.has_network() {
+            // A GPU that is not needed is not started, and does not count as a difference between results.
+            NetworkDevice::processor()
+        } else {
+            device.for_networks()?
+        };
+        Ok(Self { frontend, segmenter, enhance, device })
+    }
+}
+
+/// What all parts of the stage use.
+#[derive(Clone, Copy)]
+struct Context<'a> {
+    settings: &'a Settings,
+    methods: &'a Methods,
+    steps: &'a Steps<'a>,
+}
+
+impl<'a> Context<'a> {
+    /// Receives progress and warnings, and says when to stop.
+    fn observer(&self) -> &'a dyn Observer {
+        self.steps.observer()
+    }
+}
+
+/// Reads the clip, finds its geometry, refines masks and tracks points as planned, and writes the capture into `folder`.
+fn compute(input: &Path, folder: &Path, context: &Context<'_>) -> Result<GeometrySummary, Error> {
+    let observer = context.observer();
+    let between = Between::of(context.settings, &context.methods.frontend);
+    let clip = Clip::read(input, between, context)?;
+    let (capture, mut found) = match context.methods.frontend.is_megasam() {
+        #[cfg(feature = "nets")]
+        true => megasam::compute(clip, context)?,
+        _ => classical::compute(clip, context)?,
+    };
+    let capture = between.keep(capture, observer)?;
+    found.frames = capture.frames.len();
+    let plan = &context.methods.enhance;
+    let (capture, report) = enhance::apply(capture, plan, context.settings, &context.methods.device, context.steps)?;
+    enhance::write(folder, &capture, report.as_ref(), observer)?;
+    found.networks.extend(plan.used.iter().cloned());
+    if report.is_some() {
+        plan.segmenter().clone_into(&mut found.segmenter);
+        found.moving_share = enhance::moving_share(&capture).unwrap_or(0.0);
+    }
+    if let Some(tracks) = &capture.tracks {
+        found.moving_tracks = tracks.count();
+    }
+    Ok(found)
 }
 
 /// Methods of the geometry stage, and what the user knows already. Files are hashed with the input: another content is another
@@ -149,7 +226,6 @@ pub struct GeometryOptions {
 
 impl GeometryOptions {
     /// True when the user gave anything that replaces what would be computed.
-    #[must_use]
     pub fn any_given(&self) -> bool {
         self.intrinsics.is_some() || self.poses.is_some() || self.masks.is_some() || self.depth.is_some()
     }
@@ -172,7 +248,6 @@ pub enum ReconstructionError {
 
 impl ReconstructionError {
     /// Returns the category of the failure.
-    #[must_use]
     pub fn category(&self) -> Category {
         match self {
             Self::Sparse(SparseError::Setting { .. }) | Self::Dense(DenseError::Setting { .. }) => {

@@ -2,9 +2,12 @@
 
 use crate::Error;
 #[cfg(not(feature = "nets"))]
-use crate::error::{NetworkError, NetworkMethod};
+use crate::error::NetworkError;
+use crate::error::NetworkMethod;
 use m4_geometry::classical::dense;
 use serde::{Deserialize, Serialize};
+#[cfg(feature = "nets")]
+use std::path::PathBuf;
 
 /// The segmentation method.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -24,7 +27,6 @@ pub enum Segmenter {
 
 impl Segmenter {
     /// As options and records name it.
-    #[must_use]
     pub fn name(self) -> &'static str {
         match self {
             Self::Auto => "auto",
@@ -38,36 +40,31 @@ impl Segmenter {
 /// A segmenter that can be used: its weights were found.
 pub(crate) struct Resolved {
     #[cfg(feature = "nets")]
-    weights: Option<network::Weights>,
+    weights: Option<(super::UsedNetwork, PathBuf)>,
 }
 
-/// Finds what `asked` needs.
-///
-/// # Errors
-///
-/// [`Error::Network`] if weights are missing, [`Error::Read`] if they cannot be read.
 #[cfg(feature = "nets")]
-pub(crate) fn resolve(asked: Segmenter) -> Result<Resolved, Error> {
-    let weights = match asked {
-        // SAM 2 follows things through the clip afterwards
+const METHOD: NetworkMethod = NetworkMethod::Segmenter(Segmenter::Mobilesam);
+
+/// Finds the weights of `segmenter`; fails if they are missing or cannot be read.
+#[cfg(feature = "nets")]
+pub(crate) fn resolve(segmenter: Segmenter) -> Result<Resolved, Error> {
+    let weights = match segmenter {
+        // SAM 2 follows objects through the clip afterwards
         Segmenter::None | Segmenter::Sam2 => None,
-        Segmenter::Auto => network::Weights::present()?,
-        Segmenter::Mobilesam => Some(network::Weights::find()?),
+        Segmenter::Auto => super::network(&["mobile-sam"], false, METHOD)?,
+        Segmenter::Mobilesam => super::network(&["mobile-sam"], true, METHOD)?,
     };
     Ok(Resolved { weights })
 }
 
-/// Finds what `asked` needs.
-///
-/// # Errors
-///
-/// [`Error::Network`]: the build has no networks.
+/// Finds what `segmenter` needs; fails for networks, which the build lacks.
 #[cfg(not(feature = "nets"))]
-pub(crate) fn resolve(asked: Segmenter) -> Result<Resolved, Error> {
-    match asked {
+pub(crate) fn resolve(segmenter: Segmenter) -> Result<Resolved, Error> {
+    match segmenter {
         Segmenter::None | Segmenter::Auto => Ok(Resolved {}),
         Segmenter::Mobilesam | Segmenter::Sam2 => {
-            Err(NetworkError::NotBuilt { method: NetworkMethod::Segmenter(asked) }.into())
+            Err(NetworkError::NotBuilt { method: NetworkMethod::Segmenter(segmenter) }.into())
         }
     }
 }
@@ -81,20 +78,17 @@ impl Resolved {
     /// BLAKE3 of its weights.
     pub(crate) fn weights_hash(&self) -> Option<&str> {
         #[cfg(feature = "nets")]
-        return self.weights.as_ref().map(|w| w.hash.as_str());
+        return self.weights.as_ref().map(|(network, _)| network.blake3.as_str());
         #[cfg(not(feature = "nets"))]
         None
     }
 
-    /// The segmenter, loaded.
-    ///
-    /// # Errors
-    ///
-    /// [`Error::Network`] if the weights cannot be used.
+    /// The segmenter, loaded; fails if the weights cannot be used.
     pub(crate) fn load(&self) -> Result<Option<Box<dyn dense::Segmenter>>, Error> {
         #[cfg(feature = "nets")]
-        if let Some(weights) = &self.weights {
-            return Ok(Some(Box::new(weights.load()?)));
+        if let Some((_, path)) = &self.weights {
+            let net = m4_nets::MobileSam::load(path, m4_nets::cpu()).map_err(super::unusable(METHOD))?;
+            return Ok(Some(Box::new(network::MobileSamSegmenter(net))));
         }
         Ok(None)
     }
@@ -105,63 +99,15 @@ mod network {
     //! MobileSAM as a segmenter.
 
     use super::Segmenter;
-    use crate::error::{NetworkError, NetworkMethod};
-    use crate::weights::{self, State, Store, WeightsError};
-    use crate::{Error, hash};
     use m4_core::{Plane, RgbImage};
     use m4_geometry::classical::dense::{self, SegmentError, SegmentMask, SegmentPrompt};
     use m4_nets::{MobileSam, PointPrompt, Prompt};
-    use std::path::PathBuf;
-
-    /// The name of the weights.
-    const ENTRY: &str = "mobile-sam";
-    const METHOD: NetworkMethod = NetworkMethod::Segmenter(Segmenter::Mobilesam);
-
-    /// Weights that are there.
-    pub struct Weights {
-        path: PathBuf,
-        pub hash: String,
-    }
-
-    fn missing(source: WeightsError) -> Error {
-        Error::from(NetworkError::Weights { method: METHOD, source })
-    }
-
-    impl Weights {
-        /// Those of the user's store; an error that says how to get them without.
-        pub fn find() -> Result<Self, Error> {
-            let entry = weights::find(ENTRY).map_err(missing)?;
-            Self::at(Store::of_user().and_then(|s| s.require(entry)).map_err(missing)?)
-        }
-
-        /// Those of the user's store, if there is one and they are in it.
-        pub fn present() -> Result<Option<Self>, Error> {
-            let entry = weights::find(ENTRY).map_err(missing)?;
-            match Store::of_user().map(|store| store.state(entry)) {
-                Ok(State::Stored(path) | State::InHub(path)) => Self::at(path).map(Some),
-                Ok(State::Absent) | Err(_) => Ok(None),
-            }
-        }
-
-        fn at(path: PathBuf) -> Result<Self, Error> {
-            let hash = hash::of_path(&path)?;
-            Ok(Self { path, hash })
-        }
-
-        pub fn load(&self) -> Result<MobileSamSegmenter, Error> {
-            let net = MobileSam::load(&self.path, m4_nets::cpu())
-                .map_err(|source| NetworkError::Load { method: METHOD, source: Box::new(source) })?;
-            Ok(MobileSamSegmenter { net })
-        }
-    }
 
     /// The network; an image is encoded once for all of its prompts.
-    pub struct MobileSamSegmenter {
-        net: MobileSam,
-    }
+    pub struct MobileSamSegmenter(pub MobileSam);
 
     /// A prompt of an image of `size` as one of `image`.
-    fn ours(prompt: &SegmentPrompt, belief: Plane<f32>, image: &RgbImage, size: (usize, usize)) -> Prompt {
+    fn converted(prompt: &SegmentPrompt, belief: Plane<f32>, image: &RgbImage, size: (usize, usize)) -> Prompt {
         let (sx, sy) = (image.width() as f32 / size.0 as f32, image.height() as f32 / size.1 as f32);
         let point = |&[x, y]: &[f32; 2], on_object: bool| PointPrompt { at_px: [x * sx, y * sy], on_object };
         let on = prompt.points_px.iter().map(|p| point(p, true));
@@ -181,11 +127,11 @@ mod network {
             size: (usize, usize),
             prompts: &[SegmentPrompt],
         ) -> Result<Vec<SegmentMask>, Box<dyn std::error::Error + Send + Sync>> {
-            let embedding = self.net.encode(image)?;
+            let embedding = self.0.encode(image)?;
             let one = |prompt: &SegmentPrompt| {
                 let belief = Plane::from_vec(size.0, size.1, prompt.belief.clone())?;
                 let belief = embedding.mask_logits(&belief);
-                let masks = self.net.masks(&embedding, &ours(prompt, belief, image, size))?;
+                let masks = self.0.masks(&embedding, &converted(prompt, belief, image, size))?;
                 // The first: box, points and belief leave no doubt which thing is meant.
                 let mask = masks.first().ok_or("the network gave no mask")?;
                 Ok(SegmentMask { logits: mask.logits_at(size).data().to_vec(), quality: mask.iou })
@@ -215,9 +161,9 @@ mod network {
 
 #[cfg(all(test, feature = "nets"))]
 mod tests {
-    use super::network::Weights;
+    use super::{Segmenter, resolve};
     use m4_core::{Plane, RgbImage};
-    use m4_geometry::classical::dense::{SegmentPrompt, Segmenter};
+    use m4_geometry::classical::dense::SegmentPrompt;
 
     const FULL: (usize, usize) = (480, 270);
     const SMALL: (usize, usize) = (240, 135);
@@ -239,7 +185,7 @@ mod tests {
 
     #[test]
     fn a_coarse_disc_becomes_the_disc() {
-        let Some(weights) = Weights::present().unwrap() else {
+        let Some(segmenter) = resolve(Segmenter::Auto).unwrap().load().unwrap() else {
             m4_testkit::skip(m4_testkit::Need::Weights, "mobile-sam is not here");
             return;
         };
@@ -259,7 +205,7 @@ mod tests {
             box_px: edges.map(|v| v * SMALL.0 as f32),
             belief: coarse.iter().map(|&c| if c { 2.0 } else { -2.0 }).collect(),
         };
-        let found = weights.load().unwrap().masks(&colour_image(), SMALL, &[prompt]).unwrap();
+        let found = segmenter.masks(&colour_image(), SMALL, &[prompt]).unwrap();
         let found: Vec<bool> = found[0].logits.iter().map(|&logit| logit > 0.0).collect();
         let overlap = |mask: &[bool]| {
             let count = |f: &dyn Fn(bool, bool) -> bool| mask.iter().zip(&truth).filter(|(a, b)| f(**a, **b)).count();

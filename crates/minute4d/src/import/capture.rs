@@ -1,8 +1,8 @@
 //! Imports a capture, and checks it against the flow of its images.
 
 use super::{ImportJob, ImportOptions, STAGE};
-use crate::capture_folder::{self, CaptureFolder};
 use crate::evaluate::{COVISIBLE_FOLDER, adopt_covisible};
+use crate::folder::CaptureFolder;
 use crate::record::{GeometryRecord, Input, Status, plain_json};
 use crate::stage::RecordingObserver;
 use crate::{Error, Observer, Refusal, Settings, StageEvent, folder, hash};
@@ -84,9 +84,9 @@ pub(super) fn make(
     let key = hash::of_parts(&[STAGE, env!("CARGO_PKG_VERSION"), &input.blake3, &settings.to_string()]);
     let mut capture = CaptureFolder::open(out, job.existing, GeometryRecord::begin(input, key, settings), observer)?;
     let ours = GeometryRecord::read(out)?.is_some_and(|record| record.settings.get("import").is_some());
-    capture_folder::clear(out)?;
+    folder::clear_capture(out)?;
     if ours {
-        capture_folder::clear_split(out, Split::Test)?;
+        folder::clear_split(out, Split::Test)?;
         folder::remove_folder(&out.join(COVISIBLE_FOLDER))?;
     }
     let record = &mut capture.record;

@@ -16,9 +16,9 @@ pub use capture::{CaptureReport, Checked};
 pub use format::ImportFormat;
 pub use m4_io::dataset::{ImportOptions, SourceFormat};
 
-use crate::clock::Clock;
 use crate::export::{Format, Losses};
 use crate::folder::{Existing, SCENE_FILE};
+use crate::pipeline::Clock;
 use crate::record::{Input, RunRecord, SplatCount};
 use crate::workspace::Workspace;
 use crate::{DataError, Error, Job, Observer, Refusal, Settings, hash};

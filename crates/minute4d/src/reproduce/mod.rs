@@ -14,12 +14,12 @@ mod published;
 mod report;
 mod scene;
 mod suite;
-mod table;
 
 pub use published::{Published, published};
 pub use report::{MissingScene, ReproduceReport, SceneAblation, SceneRow, TableReport};
-pub use suite::{Suite, UnknownSuite};
+pub use suite::Suite;
 
+use crate::ablate::{self, AblateOptions, Row};
 use crate::bench::today;
 use crate::evaluate::Protocol;
 use crate::record::write_json;
@@ -33,6 +33,9 @@ use std::path::{Path, PathBuf};
 pub const REPORT_FILE: &str = "reproduce.json";
 /// Name of the tables.
 pub const TABLE_FILE: &str = "reproduce.md";
+
+/// Pixels by which masks of dynamic regions are grown before they are scored, in ablations.
+const GROW_MASK: usize = 2;
 
 /// Whose poses and depth a scene is trained with.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
@@ -81,16 +84,15 @@ pub fn reproduce(
     }
     job.check()?;
     let protocols = suite.protocols_of(&options.protocols)?;
-    let scenes = suite.find(data, &options.scenes);
-    let (found, missing) = scenes;
+    let (found, missing) = suite.find(data, &options.scenes);
     if found.is_empty() {
         let missing: Vec<String> = missing.iter().map(|m| format!("{} ({})", m.scene, m.why)).collect();
         let message =
-            format!("no scene of {suite} is in {}: {}. {}", data.display(), missing.join(", "), suite.source());
+            format!("no scene of {suite} is in {}: {}. {}", data.display(), missing.join(", "), suite.facts().source);
         return Err(Refusal::new(Category::NoInput, message).into());
     }
     for scene in &missing {
-        job.observer.warn(&format!("{}: {}; {}", scene.scene, scene.why, suite.source()));
+        job.observer.warn(&format!("{}: {}; {}", scene.scene, scene.why, suite.facts().source));
     }
     fs::create_dir_all(out).map_err(|source| Error::Write { path: out.to_path_buf(), source })?;
     let total = found.len() * protocols.len();
@@ -102,7 +104,14 @@ pub fn reproduce(
             job.observer.update("scenes", done, total, &format!("{protocol} {}", found.name));
             let made = scene::make(suite, found, protocol, out, options, job)?;
             if let Some(program) = &options.ablations {
-                ablations.push(report::of(&made, program, job)?);
+                let options = AblateOptions {
+                    program: program.clone(),
+                    rows: Row::ALL.to_vec(),
+                    data: Some(made.views),
+                    grow_mask: GROW_MASK,
+                };
+                let report = ablate::ablate(&made.capture, &made.folder.join("ablation"), &options, job)?;
+                ablations.push(SceneAblation { scene: made.row.scene.clone(), report });
             }
             rows.push(made.row);
             done += 1;
@@ -123,7 +132,7 @@ pub fn reproduce(
         missing,
     };
     for table in &report.tables {
-        table::write(&out.join(table.plot_file()), table)?;
+        report::write_plot(&out.join(table.plot_file()), table)?;
     }
     write_json(&out.join(REPORT_FILE), &report)?;
     let path = out.join(TABLE_FILE);

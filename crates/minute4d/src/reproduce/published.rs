@@ -9,24 +9,21 @@ use serde::Serialize;
 /// A row of a published table.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Published {
-    /// The method.
-    pub method: &'static str,
+    pub(super) method: &'static str,
     /// What its poses are: `slam` (estimated with the held-out frames), `estimated`, `given`; absent where that was not seen stated.
-    pub poses: Option<&'static str>,
+    pub(super) poses: Option<&'static str>,
     /// Mean of the score that stands for the protocol, dB.
-    pub psnr_db: f64,
+    pub(super) psnr_db: f64,
     /// Mean SSIM, of the kind of the protocol.
-    pub ssim: Option<f64>,
+    pub(super) ssim: Option<f64>,
     /// Mean LPIPS with AlexNet.
-    pub lpips: Option<f64>,
-    /// The training time.
-    pub training: Option<&'static str>,
-    /// Images a second.
-    pub frames_per_s: Option<f64>,
+    pub(super) lpips: Option<f64>,
+    pub(super) training: Option<&'static str>,
+    pub(super) frames_per_s: Option<f64>,
     /// Scenes of the mean, where that was seen stated.
-    pub scenes: Option<usize>,
+    pub(super) scenes: Option<usize>,
     /// `paper`: the Minute4D paper's table; `peers`: their own papers, or tables of others, not all read at the source.
-    pub source: &'static str,
+    pub(super) source: &'static str,
 }
 
 /// A table of rows with a dash where nothing was seen stated.
@@ -142,12 +139,8 @@ mod tests {
     #[test]
     fn tasks_are_not_mixed() {
         let of = |protocol| published(protocol).iter().map(|p| p.psnr_db).collect::<Vec<_>>();
-        let paper = |protocol| published(protocol).iter().find(|p| p.method == "Minute4D").copied();
-        assert_eq!(paper(Protocol::Instant4d).unwrap().psnr_db, 25.77);
-        assert_eq!(paper(Protocol::Instant4d).unwrap().training, Some("29 s"));
-        assert_eq!(paper(Protocol::Nvidia).unwrap().frames_per_s, Some(1218.0));
         // the paper has no number of DyCheck's own test
-        assert_eq!(paper(Protocol::Dycheck), None);
+        assert!(published(Protocol::Dycheck).iter().all(|p| p.method != "Minute4D"));
         for protocol in Protocol::ALL {
             for other in Protocol::ALL {
                 let same = protocol.rules().task == other.rules().task;

@@ -1,118 +1,89 @@
-//! The report of a reproduction.
+//! The report of a reproduction: its numbers, its tables as Markdown, and its plots.
 
+use super::Suite;
 use super::published::{Published, caveat, published};
-use super::scene::SceneResult;
-use super::{Suite, table};
-use crate::ablate::{self, AblateOptions, AblationReport, Row};
-use crate::evaluate::{PoseTreatment, Protocol, Task};
+use crate::ablate::AblationReport;
+use crate::bench::{aligned, number};
+use crate::evaluate::{Protocol, Task};
 use crate::settings::Profile;
-use crate::{Error, Job};
+use crate::{Category, Refusal};
+use plotters::prelude::*;
 use serde::{Deserialize, Serialize};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 /// `reproduce.json`.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct ReproduceReport {
-    /// `minute4d-reproduce`.
-    pub format: String,
-    /// Its version.
-    pub version: u32,
-    /// Release of the program.
-    pub minute4d: String,
-    /// Day, year-month-day.
-    pub date: String,
-    /// The data set.
-    pub suite: Suite,
-    /// The folder.
-    pub data: PathBuf,
-    /// Profile of the settings.
-    pub profile: Profile,
-    /// Threads.
-    pub threads: usize,
-    /// One per protocol.
-    pub tables: Vec<TableReport>,
+    pub(super) format: String,
+    pub(super) version: u32,
+    pub(super) minute4d: String,
+    pub(super) date: String,
+    pub(super) suite: Suite,
+    pub(super) data: PathBuf,
+    pub(super) profile: Profile,
+    pub(super) threads: usize,
+    pub(super) tables: Vec<TableReport>,
     /// Scenes that are missing, and what they lack.
-    pub missing: Vec<MissingScene>,
+    pub(super) missing: Vec<MissingScene>,
 }
 
 /// A scene that is missing.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct MissingScene {
-    /// Its name.
-    pub scene: String,
-    /// The missing files.
-    pub why: String,
+    pub(super) scene: String,
+    pub(super) why: String,
 }
 
 /// One table: scenes of one data set by one protocol.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct TableReport {
-    /// The data set.
-    pub suite: Suite,
-    /// The protocol.
-    pub protocol: Protocol,
-    /// The task.
-    pub task: Task,
+    pub(super) suite: Suite,
+    pub(super) protocol: Protocol,
+    pub(super) task: Task,
     /// Name of the score that stands for it.
-    pub headline: String,
-    /// Scenes that are there.
-    pub rows: Vec<SceneRow>,
+    pub(super) headline: String,
+    pub(super) rows: Vec<SceneRow>,
     /// Means over them, by name: `headline`, `psnr_db`, `ssim`, the other scores, `train_s`, `frames_per_s`.
-    pub mean: BTreeMap<String, f64>,
+    pub(super) mean: BTreeMap<String, f64>,
     /// Over how many of the scenes of the published mean ours is.
-    pub scenes_of_published: [usize; 2],
+    pub(super) scenes_of_published: [usize; 2],
     /// The scenes again without each part of the method, where that was asked for.
     #[serde(skip_serializing_if = "Vec::is_empty")]
-    pub ablations: Vec<SceneAblation>,
+    pub(super) ablations: Vec<SceneAblation>,
     /// Published numbers of the same task.
-    pub published: Vec<Published>,
-    /// Their caveat.
-    pub caveat: &'static str,
+    pub(super) published: Vec<Published>,
+    pub(super) caveat: &'static str,
 }
 
 /// A scene by a protocol.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct SceneRow {
-    /// Its name.
-    pub scene: String,
+    pub(super) scene: String,
     /// Views scored.
-    pub views: usize,
+    pub(super) views: usize,
     /// The score that stands for the protocol, mean over views; absent where no view has it.
-    pub headline: Option<f64>,
+    pub(super) headline: Option<f64>,
     /// PSNR of whole images, joint over channels, clamped, dB.
-    pub psnr_db: f64,
-    /// SSIM of whole images.
-    pub ssim: f64,
+    pub(super) psnr_db: f64,
+    pub(super) ssim: f64,
     /// Means of the other scores.
-    pub others: BTreeMap<String, f64>,
+    pub(super) others: BTreeMap<String, f64>,
     /// Whose poses the scene was trained with (`own`: found from the images), and how test images got theirs.
-    pub poses: String,
+    pub(super) poses: String,
     /// Where scores count, in words.
-    pub mask: String,
-    /// Columns and rows.
-    pub size_px: [usize; 2],
+    pub(super) mask: String,
+    pub(super) size_px: [usize; 2],
     /// Wall-clock seconds of the first splats and their optimisation.
-    pub train_s: Option<f64>,
+    pub(super) train_s: Option<f64>,
     /// Wall-clock seconds of the geometry, where it was estimated here.
-    pub geometry_s: Option<f64>,
+    pub(super) geometry_s: Option<f64>,
     /// Steps of optimisation.
-    pub iterations: Option<usize>,
-    /// Splats of the scene.
-    pub splats: usize,
+    pub(super) iterations: Option<usize>,
+    pub(super) splats: usize,
     /// Images a second while judging, each copied to the host.
-    pub frames_per_s: Option<f64>,
-    /// The device.
-    pub device: String,
-}
-
-/// Returns the name of a pose treatment in tables.
-pub(super) fn pose_word(treatment: PoseTreatment) -> &'static str {
-    match treatment {
-        PoseTreatment::Given => "given",
-        PoseTreatment::Sim3Aligned => "aligned",
-        PoseTreatment::Refined => "refined",
-    }
+    pub(super) frames_per_s: Option<f64>,
+    pub(super) device: String,
 }
 
 impl TableReport {
@@ -153,54 +124,33 @@ impl TableReport {
     }
 
     /// File name of its plot.
-    #[must_use]
     pub fn plot_file(&self) -> String {
         format!("reproduce-{}.svg", self.protocol)
     }
 
     /// Returns the name of our mean.
-    pub(super) fn ours(&self) -> String {
-        let poses: std::collections::BTreeSet<&str> = self.rows.iter().map(|r| r.poses.as_str()).collect();
-        let poses: Vec<&str> = poses.into_iter().collect();
+    fn ours(&self) -> String {
         let [counted, all] = self.scenes_of_published;
-        format!("this run ({counted} of {all} scenes, poses {})", poses.join(" and "))
+        format!("this run ({counted} of {all} scenes, poses {})", self.poses(" and "))
+    }
+
+    /// Where the poses of the rows come from.
+    fn poses(&self, separator: &str) -> String {
+        let poses: BTreeSet<&str> = self.rows.iter().map(|r| r.poses.as_str()).collect();
+        Vec::from_iter(poses).join(separator)
     }
 }
-
-impl ReproduceReport {
-    /// The tables as Markdown.
-    #[must_use]
-    pub fn to_markdown(&self) -> String {
-        table::markdown(self)
-    }
-}
-
-/// Pixels by which masks of dynamic regions are grown before they are scored.
-const GROW_MASK: usize = 2;
 
 /// What each part of the method is worth on a scene.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct SceneAblation {
-    /// The scene.
-    pub scene: String,
+    pub(super) scene: String,
     /// The rows; PSNR and SSIM are of whole images (clamped, 8 bits), whatever the protocol's headline is.
-    pub report: AblationReport,
+    pub(super) report: AblationReport,
 }
 
-/// Makes the rows in the folder of the scene; finished ones are not made again.
-pub(super) fn of(made: &SceneResult, program: &Path, job: &Job<'_>) -> Result<SceneAblation, Error> {
-    let options = AblateOptions {
-        program: program.to_path_buf(),
-        rows: Row::ALL.to_vec(),
-        data: Some(made.views.clone()),
-        grow_mask: GROW_MASK,
-    };
-    let report = ablate::ablate(&made.capture, &made.folder.join("ablation"), &options, job)?;
-    Ok(SceneAblation { scene: made.row.scene.clone(), report })
-}
-
-/// A part of the page; empty where nothing was asked for.
-pub(super) fn markdown(scenes: &[SceneAblation]) -> String {
+/// The part of the page on ablations; empty without any.
+fn ablations(scenes: &[SceneAblation]) -> String {
     if scenes.is_empty() {
         return String::new();
     }
@@ -212,4 +162,211 @@ pub(super) fn markdown(scenes: &[SceneAblation]) -> String {
         out += &format!("\n#### {}\n\n{}", scene.scene, scene.report.to_markdown());
     }
     out
+}
+
+impl ReproduceReport {
+    /// The tables as Markdown.
+    pub fn to_markdown(&self) -> String {
+        let mut out = format!(
+            "# {}\n\nminute4d {}, {}, profile {}, {} threads.\n",
+            self.suite.facts().title,
+            self.minute4d,
+            self.date,
+            self.profile.name(),
+            self.threads
+        );
+        for table in &self.tables {
+            out += &one(table);
+            out += &ablations(&table.ablations);
+        }
+        if !self.missing.is_empty() {
+            out += "\n## Scenes that are not here\n\n";
+            for scene in &self.missing {
+                out += &format!("- {}: {}\n", scene.scene, scene.why);
+            }
+            out += &format!("\n{}.\n", self.suite.facts().source);
+        }
+        out
+    }
+}
+
+/// Scores that have a column where a row has them: name, title, digits.
+const SCORES: [(&str, &str, usize); 11] = [
+    ("psnr_joint_masked", "mPSNR dB", 2),
+    ("ssim_dycheck_masked", "mSSIM", 4),
+    ("ssim_dycheck_masked_masked", "mSSIM", 4),
+    ("lpips_alex_masked", "mLPIPS Alex", 4),
+    ("psnr_eight_bit", "PSNR 8 bit dB", 2),
+    ("ssim_skimage_uniform", "SSIM scikit-image", 4),
+    ("psnr_per_channel", "PSNR per channel dB", 2),
+    ("psnr_per_channel_unclamped", "the same, unclamped", 2),
+    ("ssim_gaussian_zero_padded", "SSIM zero-padded", 4),
+    ("lpips_alex", "LPIPS Alex", 4),
+    ("lpips_vgg", "LPIPS VGG", 4),
+];
+
+fn one(table: &TableReport) -> String {
+    let rules = table.protocol.rules();
+    let mut out = format!(
+        "\n## {}: {}\n\nTask: {}. Held out: {}. {}.\n\n",
+        table.protocol,
+        rules.title,
+        table.task.title(),
+        rules.frames.description(),
+        sentence(rules.note)
+    );
+    out += &aligned(&ours(table));
+    let row = |r: &SceneRow| format!("{} {}x{}", r.mask, r.size_px[0], r.size_px[1]);
+    let how: BTreeSet<String> = table.rows.iter().map(row).collect();
+    for how in how {
+        out += &format!("\nScored: {how} pixels.\n");
+    }
+    let [counted, all] = table.scenes_of_published;
+    if table.published.is_empty() {
+        out += &format!("\n{}\n", table.caveat);
+        return out;
+    }
+    out +=
+        &format!("\n### Published, the same task\n\nOur mean is over {counted} of the {all} scenes of published means");
+    out += if counted == all && table.rows.len() == all { ".\n\n" } else { ": the two do not compare yet.\n\n" };
+    out += &aligned(&beside(table));
+    out += &format!("\n{}\n\n![{}]({})\n", table.caveat, table.protocol, table.plot_file());
+    out
+}
+
+fn sentence(text: &str) -> String {
+    let mut letters = text.chars();
+    letters.next().map_or_else(String::new, |first| first.to_uppercase().chain(letters).collect())
+}
+
+fn ours(table: &TableReport) -> Vec<Vec<String>> {
+    let has = |name: &str| table.rows.iter().any(|row| row.others.contains_key(name));
+    let scores: Vec<_> = SCORES.into_iter().filter(|(name, ..)| has(name)).collect();
+    let mut head: Vec<String> = ["scene", "views", "PSNR dB", "SSIM"].map(String::from).to_vec();
+    head.extend(scores.iter().map(|(_, title, _)| (*title).to_owned()));
+    head.extend(["poses", "training s", "steps", "splats", "images/s", "device"].map(String::from));
+    let mut lines = vec![head];
+    for row in &table.rows {
+        let mut line =
+            vec![row.scene.clone(), row.views.to_string(), number(Some(row.psnr_db), 2), number(Some(row.ssim), 4)];
+        line.extend(scores.iter().map(|&(name, _, digits)| number(row.others.get(name).copied(), digits)));
+        line.extend([
+            row.poses.clone(),
+            number(row.train_s, 1),
+            number(row.iterations.map(|n| n as f64), 0),
+            row.splats.to_string(),
+            number(row.frames_per_s, 0),
+            row.device.clone(),
+        ]);
+        lines.push(line);
+    }
+    let mean = |name: &str| table.mean.get(name).copied();
+    let mut line = vec![
+        format!("mean of {}", table.rows.len()),
+        String::new(),
+        number(mean("psnr_db"), 2),
+        number(mean("ssim"), 4),
+    ];
+    line.extend(scores.iter().map(|&(name, _, digits)| number(mean(name), digits)));
+    line.extend([
+        String::new(),
+        number(mean("train_s"), 1),
+        String::new(),
+        String::new(),
+        number(mean("frames_per_s"), 0),
+        String::new(),
+    ]);
+    lines.push(line);
+    lines
+}
+
+/// Ours and the published numbers, one task.
+fn beside(table: &TableReport) -> Vec<Vec<String>> {
+    let head = ["method", "PSNR dB", "SSIM", "LPIPS Alex", "poses", "training", "images/s", "scenes", "source"];
+    let mean = |name: &str| table.mean.get(name).copied();
+    let first = |names: &[&str]| names.iter().find_map(|name| mean(name));
+    let mut lines = vec![head.map(String::from).to_vec()];
+    lines.push(vec![
+        "this run".to_owned(),
+        number(mean("headline"), 2),
+        number(first(&["ssim_dycheck_masked_masked", "ssim_skimage_uniform", "ssim_gaussian_zero_padded", "ssim"]), 3),
+        number(first(&["lpips_alex_masked", "lpips_alex"]), 3),
+        table.poses(", "),
+        mean("train_s").map_or("-".to_owned(), |s| format!("{s:.1} s")),
+        number(mean("frames_per_s"), 0),
+        table.rows.len().to_string(),
+        "measured".to_owned(),
+    ]);
+    for p in &table.published {
+        lines.push(vec![
+            p.method.to_owned(),
+            number(Some(p.psnr_db), 2),
+            number(p.ssim, 3),
+            number(p.lpips, 3),
+            p.poses.unwrap_or("-").to_owned(),
+            p.training.unwrap_or("-").to_owned(),
+            number(p.frames_per_s, if p.frames_per_s.is_some_and(|f| f < 10.0) { 2 } else { 0 }),
+            number(p.scenes.map(|n| n as f64), 0),
+            p.source.to_owned(),
+        ]);
+    }
+    lines
+}
+
+const WIDTH: i32 = 860;
+const ROW: i32 = 26;
+/// The first and last column of the bars.
+const FROM: i32 = 330;
+const TO: i32 = 790;
+const TOP: i32 = 64;
+const OURS: RGBColor = RGBColor(214, 96, 36);
+const THEIRS: RGBColor = RGBColor(126, 142, 166);
+
+/// A bar.
+struct Bar {
+    name: String,
+    psnr_db: f64,
+    colour: RGBColor,
+}
+
+/// Draws the scenes of a table, its mean and the published means of the same task into an SVG file.
+pub(super) fn write_plot(path: &Path, table: &TableReport) -> Result<(), Refusal> {
+    let mut bars: Vec<Bar> = Vec::new();
+    let mut ours = |name: String, value: Option<f64>| {
+        bars.extend(value.filter(|v| v.is_finite()).map(|psnr_db| Bar { name, psnr_db, colour: OURS }));
+    };
+    ours(table.ours(), table.mean.get("headline").copied());
+    for row in &table.rows {
+        ours(format!("   {}", row.scene), row.headline);
+    }
+    bars.extend(table.published.iter().map(|p| Bar {
+        name: match p.poses {
+            Some(poses) => format!("{} (poses {poses})", p.method),
+            None => p.method.to_owned(),
+        },
+        psnr_db: p.psnr_db,
+        colour: THEIRS,
+    }));
+    draw(path, table, &bars)
+        .map_err(|what| Refusal::new(Category::CannotWrite, format!("cannot write {}: {what}", path.display())))
+}
+
+fn draw(path: &Path, table: &TableReport, bars: &[Bar]) -> Result<(), Box<dyn std::error::Error>> {
+    let height = TOP + ROW * bars.len() as i32 + 24;
+    let root = SVGBackend::new(path, (WIDTH as u32, height as u32)).into_drawing_area();
+    let text = |words: String, at: (i32, i32), size: i32| Text::new(words, at, ("sans-serif", size).into_font());
+    root.fill(&WHITE)?;
+    root.draw(&text(format!("{}: {}", table.suite.facts().title, table.protocol.rules().title), (16, 12), 18))?;
+    let unit = format!("{} of {}, dB; bars begin at 10 dB", table.headline, table.task.title());
+    root.draw(&text(unit, (16, 36), 14))?;
+    let most = bars.iter().map(|b| b.psnr_db).fold(20.0, f64::max);
+    for (i, bar) in bars.iter().enumerate() {
+        let top = TOP + ROW * i as i32;
+        let share = ((bar.psnr_db - 10.0) / (most - 10.0)).clamp(0.0, 1.0);
+        let end = FROM + (share * f64::from(TO - FROM)).round() as i32;
+        root.draw(&text(bar.name.clone(), (16, top + 4), 15))?;
+        root.draw(&Rectangle::new([(FROM, top + 3), (end, top + ROW - 5)], bar.colour.filled()))?;
+        root.draw(&text(format!("{:.2}", bar.psnr_db), (end + 6, top + 4), 15))?;
+    }
+    Ok(root.present()?)
 }

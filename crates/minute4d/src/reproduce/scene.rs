@@ -9,7 +9,7 @@
 //! OUT/PROTOCOL/SCENE/ablation     as of `minute4d ablate`
 //! ```
 
-use super::report::{SceneRow, pose_word};
+use super::report::SceneRow;
 use super::suite::{FoundScene, Suite};
 use super::{GeometrySource, ReproduceOptions};
 use crate::error::OutputError;
@@ -115,7 +115,7 @@ pub(super) fn make(
         refine_poses: options.refine_poses && protocol.rules().refine.is_some(),
         ..EvalOptions::default()
     };
-    let report = evaluate::views_by(&run, &views, &judging, job.observer)?;
+    let report = evaluate::views(&run, &views, &judging, job.observer)?;
     let treatment = report.choices.as_ref().map(|choices| choices.poses.treatment);
     if own && !splits && treatment == Some(PoseTreatment::Given) {
         return Err(Refusal::bad_input(format!(
@@ -193,6 +193,15 @@ fn whole_capture(
     import::write_capture(whole, &read, source, options.factor, job.observer)?;
     write_json(&file, &Imported { key })?;
     Ok(None)
+}
+
+/// The name of a pose treatment in tables.
+fn pose_word(treatment: PoseTreatment) -> &'static str {
+    match treatment {
+        PoseTreatment::Given => "given",
+        PoseTreatment::Sim3Aligned => "aligned",
+        PoseTreatment::Refined => "refined",
+    }
 }
 
 fn row(

@@ -3,6 +3,7 @@
 use super::MissingScene;
 use crate::Refusal;
 use crate::evaluate::Protocol;
+use crate::settings::{UnknownName, by_name};
 use m4_io::dataset::{SourceFormat, davis, detect};
 use serde::{Deserialize, Serialize};
 use std::fmt;
@@ -23,9 +24,9 @@ pub enum Suite {
 }
 
 /// What is known of a data set.
-struct Facts {
+pub(super) struct Facts {
     name: &'static str,
-    title: &'static str,
+    pub title: &'static str,
     /// Of the published tables; those of the paper's first table come first.
     scenes: &'static [&'static str],
     /// Folders in which scenes lie.
@@ -33,7 +34,8 @@ struct Facts {
     protocols: &'static [Protocol],
     /// May be asked for, and are not made otherwise.
     more_protocols: &'static [Protocol],
-    source: &'static str,
+    /// Where people get it.
+    pub source: &'static str,
 }
 
 const DYCHECK: Facts = Facts {
@@ -83,7 +85,7 @@ impl Suite {
     /// All variants.
     pub const ALL: [Self; 3] = [Self::Dycheck, Self::Nvidia, Self::Davis];
 
-    fn facts(self) -> &'static Facts {
+    pub(super) fn facts(self) -> &'static Facts {
         match self {
             Self::Dycheck => &DYCHECK,
             Self::Nvidia => &NVIDIA,
@@ -92,25 +94,11 @@ impl Suite {
     }
 
     /// Returns the name on the command line.
-    #[must_use]
     pub fn name(self) -> &'static str {
         self.facts().name
     }
 
-    /// Returns the name in tables.
-    #[must_use]
-    pub fn title(self) -> &'static str {
-        self.facts().title
-    }
-
-    /// Returns the source for downloading the data set.
-    #[must_use]
-    pub fn source(self) -> &'static str {
-        self.facts().source
-    }
-
     /// The scenes over which published numbers of a protocol are means.
-    #[must_use]
     pub fn scenes(self, protocol: Protocol) -> &'static [&'static str] {
         let all = self.facts().scenes;
         match (self, protocol) {
@@ -126,10 +114,9 @@ impl Suite {
         if asked.is_empty() {
             return Ok(facts.protocols.to_vec());
         }
-        let known: Vec<Protocol> = facts.protocols.iter().chain(facts.more_protocols).copied().collect();
+        let known = [facts.protocols, facts.more_protocols].concat();
         if let Some(&protocol) = asked.iter().find(|p| !known.contains(p)) {
-            let known: Vec<&str> = known.iter().map(|p| p.name()).collect();
-            let known = known.join(", ");
+            let known = known.iter().map(|p| p.name()).collect::<Vec<_>>().join(", ");
             return Err(Refusal::usage(format!(
                 "{self} is not scored by the protocol {protocol}; its protocols are {known}"
             )));
@@ -156,11 +143,16 @@ impl Suite {
         if name.is_empty() || name.contains(['/', '\\']) || name.contains("..") {
             return Err("is not the name of a scene".to_owned());
         }
+        let is_scene = |path: &Path| match self {
+            Self::Dycheck => detect(path) == Some(SourceFormat::Dycheck),
+            Self::Nvidia => detect(path) == Some(SourceFormat::Nvidia),
+            Self::Davis => davis::detect(path),
+        };
         let mut there = None;
         for below in self.facts().below {
             let path = data.join(below).join(name);
             if path.is_dir() {
-                if self.is_scene(&path) {
+                if is_scene(&path) {
                     return Ok(path);
                 }
                 there.get_or_insert(path);
@@ -171,14 +163,6 @@ impl Suite {
             None => "is not there".to_owned(),
         })
     }
-
-    fn is_scene(self, path: &Path) -> bool {
-        match self {
-            Self::Dycheck => detect(path) == Some(SourceFormat::Dycheck),
-            Self::Nvidia => detect(path) == Some(SourceFormat::Nvidia),
-            Self::Davis => davis::detect(path),
-        }
-    }
 }
 
 impl fmt::Display for Suite {
@@ -187,17 +171,11 @@ impl fmt::Display for Suite {
     }
 }
 
-/// The name of the data set is unknown.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("there is no data set {0:?}; the data sets are dycheck, nvidia and davis")]
-pub struct UnknownSuite(pub String);
-
 impl FromStr for Suite {
-    type Err = UnknownSuite;
+    type Err = UnknownName;
 
-    fn from_str(text: &str) -> Result<Self, UnknownSuite> {
-        let found = Self::ALL.into_iter().find(|s| s.name() == text);
-        found.ok_or_else(|| UnknownSuite(text.to_owned()))
+    fn from_str(text: &str) -> Result<Self, UnknownName> {
+        by_name("data set", text, &Self::ALL, Self::name)
     }
 }
 

@@ -24,9 +24,9 @@ impl Layers {
     pub fn file(self, path: &Path) -> Result<Self, SettingsError> {
         let text =
             std::fs::read_to_string(path).map_err(|source| SettingsError::Read { path: path.to_path_buf(), source })?;
-        let layer: Table = text.parse().map_err(|e: toml::de::Error| SettingsError::Syntax {
-            path: path.to_path_buf(),
-            reason: e.to_string().trim_end().to_owned(),
+        let layer: Table = text.parse().map_err(|e: toml::de::Error| {
+            let reason = shortened(e.to_string().trim_end());
+            SettingsError::Invalid(format!("{} is not valid TOML: {reason}", path.display()))
         })?;
         self.lay(layer, &path.display().to_string())
     }
@@ -37,7 +37,10 @@ impl Layers {
     ///
     /// [`SettingsError`] naming the argument.
     pub fn set(self, given: &str) -> Result<Self, SettingsError> {
-        let form = || SettingsError::Form { given: given.to_owned() };
+        let form = || {
+            let what = "is not of the form key=value, such as train.iterations=2000";
+            SettingsError::Invalid(format!("--set {given:?} {what}"))
+        };
         let (key, text) = given.split_once('=').ok_or_else(form)?;
         let parts: Vec<&str> = key.split('.').map(str::trim).collect();
         if parts.iter().any(|part| part.is_empty()) {
@@ -58,7 +61,6 @@ impl Layers {
     }
 
     /// The profile that a layer names.
-    #[must_use]
     pub fn profile(&self) -> Option<Profile> {
         self.named.get("profile")?.clone().try_into().ok()
     }
@@ -67,11 +69,14 @@ impl Layers {
     ///
     /// # Errors
     ///
-    /// [`SettingsError::OtherProfile`] if the layers name another profile than `base` has.
+    /// [`SettingsError::Invalid`] if the layers name another profile than `base` has.
     pub fn over(&self, base: &Settings) -> Result<Settings, SettingsError> {
         if let Some(named) = self.profile().filter(|named| *named != base.profile) {
-            let asked = base.profile;
-            return Err(SettingsError::OtherProfile { named, asked });
+            return Err(SettingsError::Invalid(format!(
+                "the settings file or --set names profile = {:?}, and {:?} was asked for; leave one of them out",
+                named.name(),
+                base.profile.name()
+            )));
         }
         read(&self.table_over(base)?, "the settings")
     }
@@ -86,7 +91,6 @@ impl Layers {
     }
 
     /// Whether a file or a `--set` named the key, dotted, whatever value it gave it.
-    #[must_use]
     pub fn named(&self, key: &str) -> bool {
         let mut parts = key.split('.');
         let first = parts.next().and_then(|part| self.named.get(part));
@@ -129,7 +133,6 @@ fn merge(base: &mut Table, layer: Table) {
 
 /// Turns what serde says into a message with a way out.
 fn explain(path: &str, message: &str, table: &Table, layer: &str) -> SettingsError {
-    let layer = layer.to_owned();
     if message.starts_with("unknown field") {
         let mut quoted = message.split('`').skip(1).step_by(2).map(str::to_owned);
         let key = quoted.next().unwrap_or_default();
@@ -139,13 +142,14 @@ fn explain(path: &str, message: &str, table: &Table, layer: &str) -> SettingsErr
             if parent.is_empty() { key.to_owned() } else { format!("{parent}.{key}") }
         };
         let suggestion = nearest(&key, &known).map(dotted).or_else(|| elsewhere(&key, table));
-        return SettingsError::UnknownKey { layer, key: dotted(&key), suggestion, known };
+        return SettingsError::UnknownKey { layer: layer.to_owned(), key: dotted(&key), suggestion, known };
     }
     let value = path
         .split('.')
         .try_fold(Value::Table(table.clone()), |value, part| value.get(part).cloned())
         .map_or_else(String::new, |value| value.to_string());
-    SettingsError::BadValue { layer, key: path.to_owned(), value, reason: message.to_owned() }
+    let (key, value, reason) = (shortened(path), shortened(&value), shortened(message));
+    SettingsError::Invalid(format!("{layer}: {key} = {value} does not work: {reason}"))
 }
 
 /// The known word closest to `key`, if it is close enough to be meant.
@@ -159,8 +163,7 @@ fn nearest<'a>(key: &str, known: &'a [String]) -> Option<&'a str> {
         .map(|(_, word)| word)
 }
 
-/// A setting of that very name in another table, the least deep one: `--set iterations=10` meant
-/// `train.iterations`.
+/// A setting of that name in another table, the least deep one: `--set iterations=10` meant `train.iterations`.
 fn elsewhere(key: &str, table: &Table) -> Option<String> {
     let mut level: Vec<(String, &Table)> = vec![(String::new(), table)];
     while !level.is_empty() {
@@ -191,20 +194,6 @@ pub enum SettingsError {
         /// Message of the system.
         source: std::io::Error,
     },
-    /// The file is not TOML.
-    #[error("{} is not valid TOML: {}", path.display(), shortened(reason))]
-    Syntax {
-        /// The file given.
-        path: PathBuf,
-        /// Line, column and what was expected there.
-        reason: String,
-    },
-    /// A `--set` without `=`, or with an empty key.
-    #[error("--set {given:?} is not of the form key=value, such as train.iterations=2000")]
-    Form {
-        /// The argument.
-        given: String,
-    },
     /// A key that no setting has.
     #[error("{layer}: there is no setting {:?}{}; known here: {}", shortened(key), suggest(suggestion), known.join(", "))]
     UnknownKey {
@@ -217,30 +206,9 @@ pub enum SettingsError {
         /// The keys known at that place.
         known: Vec<String>,
     },
-    /// A value of the wrong type or out of range.
-    #[error("{layer}: {} = {} does not work: {}", shortened(key), shortened(value), shortened(reason))]
-    BadValue {
-        /// The file or argument.
-        layer: String,
-        /// The whole key, dotted.
-        key: String,
-        /// The value given.
-        value: String,
-        /// What would work.
-        reason: String,
-    },
-    /// The layers were written for the other profile.
-    #[error(
-        "the settings file or --set names profile = {:?}, and {:?} was asked for; leave one of them out",
-        named.name(),
-        asked.name()
-    )]
-    OtherProfile {
-        /// The profile that the layers name.
-        named: Profile,
-        /// The profile of the settings under them.
-        asked: Profile,
-    },
+    /// A file that is not TOML, a malformed `--set`, a value of the wrong type or out of range, or two profiles.
+    #[error("{0}")]
+    Invalid(String),
     /// The built-in settings cannot be written as TOML, a bug of ours.
     #[error("the built-in settings cannot be written as TOML: {reason}")]
     Internal {
@@ -251,7 +219,6 @@ pub enum SettingsError {
 
 impl SettingsError {
     /// Returns the category of the failure.
-    #[must_use]
     pub fn category(&self) -> Category {
         match self {
             Self::Read { source, .. } => ErrorKind::of_read(source).into(),
@@ -334,7 +301,7 @@ mod tests {
     #[test]
     fn a_set_without_a_value_is_refused() {
         for given in ["train.seed", "=3", "train..seed=3"] {
-            assert!(matches!(set(given), Err(SettingsError::Form { .. })), "{given}");
+            assert!(refusal(given).contains("is not of the form key=value"), "{given}");
         }
     }
 }

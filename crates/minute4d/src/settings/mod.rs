@@ -1,18 +1,16 @@
-//! Every setting of the pipeline, and how layers of them are put together.
+//! Every setting of the pipeline: profiles, presets, switches, and layers over them.
 
 mod layers;
 #[cfg(test)]
 mod page;
-mod profile;
 mod train;
 
 pub use layers::{Layers, SettingsError};
-pub use profile::{Enhancement, Preset, Profile};
 pub use train::{ColourFitSettings, DensitySettings, InitSettings, LossSettings, RefinementSettings, TrainSettings};
 
 use crate::Error;
-use crate::enhance::EnhanceConfig;
-use crate::geometry::GeometryOptions;
+use crate::enhance::{EnhanceConfig, Tracker};
+use crate::geometry::{GeometryOptions, Segmenter};
 use crate::preview::PreviewConfig;
 use crate::viewer::ViewerConfig;
 use m4_geometry::classical::dense::DenseConfig;
@@ -23,6 +21,79 @@ use m4_io::video::VideoOptions;
 use m4_train::TrainConfig;
 use m4_train::init::InitConfig;
 use serde::{Deserialize, Serialize};
+
+/// The built-in settings that a run starts from. It also decides everything about the first splats and the training that has no
+/// key of its own.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Profile {
+    /// Minutes on a plain CPU.
+    #[default]
+    Fast,
+    /// The paper to the letter, with documented choices where it is silent.
+    Faithful,
+}
+
+impl Profile {
+    /// As options, files and records name it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Fast => "fast",
+            Self::Faithful => "faithful",
+        }
+    }
+
+    pub(super) fn init(self) -> InitConfig {
+        match self {
+            Self::Fast => InitConfig::fast(),
+            Self::Faithful => InitConfig::faithful(),
+        }
+    }
+
+    pub(super) fn train(self) -> TrainConfig {
+        match self {
+            Self::Fast => TrainConfig::fast(),
+            Self::Faithful => TrainConfig::faithful(),
+        }
+    }
+}
+
+/// A trade of time against quality, laid over a profile.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Preset {
+    /// A first impression in ten seconds of optimisation, with a third of the splats.
+    Draft,
+    /// The best scene within sixty seconds of optimisation on this machine, whatever the clip.
+    #[default]
+    Default,
+}
+
+impl Preset {
+    /// Changes `settings` accordingly.
+    pub fn apply(self, settings: &mut Settings) {
+        let (init, train) = (&mut settings.init, &mut settings.train);
+        train.budget_s = match self {
+            Self::Draft => 10.0,
+            Self::Default => 60.0,
+        };
+        if self == Self::Draft {
+            init.max_static /= 3;
+            init.max_dynamic /= 3;
+        }
+    }
+}
+
+/// A part of the method that works without: what ablations switch off (paper, table 3).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Enhancement {
+    /// Masks by a network that knows what things look like.
+    Segmentation,
+    /// Points followed through the clip: parts that a frame hides are filled from others, and first velocities.
+    Tracking,
+    /// Density control: splats added and pruned by the errors of frames.
+    Density,
+}
 
 /// Every setting of every stage; what `--print-config` shows and `--set` changes. `docs/settings.md` lists the keys.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -91,7 +162,6 @@ impl Default for Settings {
 
 impl Settings {
     /// The built-in settings of a profile.
-    #[must_use]
     pub fn of(profile: Profile) -> Self {
         Self {
             profile,
@@ -112,25 +182,21 @@ impl Settings {
     }
 
     /// Minutes on a plain CPU.
-    #[must_use]
     pub fn fast() -> Self {
         Self::of(Profile::Fast)
     }
 
     /// The paper to the letter, with documented choices where it is silent.
-    #[must_use]
     pub fn faithful() -> Self {
         Self::of(Profile::Faithful)
     }
 
     /// What the initialisation is given.
-    #[must_use]
     pub fn init_config(&self) -> InitConfig {
         self.init.config(self.profile)
     }
 
     /// What the trainer is given.
-    #[must_use]
     pub fn train_config(&self) -> TrainConfig {
         self.train.config(self.profile)
     }
@@ -148,6 +214,19 @@ impl Settings {
         self.sparse.seed = seed;
     }
 
+    /// Switches a part off in every stage that has it.
+    pub fn switch_off(&mut self, part: Enhancement) {
+        match part {
+            Enhancement::Segmentation => self.geometry.segmenter = Segmenter::None,
+            Enhancement::Tracking => {
+                self.geometry.tracker = Tracker::None;
+                self.dense.tracks = false;
+                self.init.tracks = false;
+            }
+            Enhancement::Density => self.train.density.enabled = false,
+        }
+    }
+
     /// As TOML, every key with its value.
     ///
     /// # Errors
@@ -158,6 +237,29 @@ impl Settings {
     }
 }
 
+/// A word on the command line that names none of the known values.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("there is no {what} {word:?}; the {what}s are {known}")]
+pub struct UnknownName {
+    what: &'static str,
+    word: String,
+    known: String,
+}
+
+/// The one of `all` (at least two) whose name is `word`.
+pub(crate) fn by_name<T: Copy>(
+    what: &'static str,
+    word: &str,
+    all: &[T],
+    name: impl Fn(T) -> &'static str,
+) -> Result<T, UnknownName> {
+    all.iter().copied().find(|&value| name(value) == word).ok_or_else(|| {
+        let names: Vec<&str> = all.iter().map(|&value| name(value)).collect();
+        let (last, first) = names.split_last().unwrap_or((&"", &[]));
+        UnknownName { what, word: word.to_owned(), known: format!("{} and {last}", first.join(", ")) }
+    })
+}
+
 /// Some settings as TOML: what keys of stages are made of.
 pub(crate) fn part_to_toml(part: &impl Serialize) -> Result<String, SettingsError> {
     toml::to_string_pretty(part).map_err(|e| SettingsError::Internal { reason: e.to_string() })
@@ -165,7 +267,7 @@ pub(crate) fn part_to_toml(part: &impl Serialize) -> Result<String, SettingsErro
 
 #[cfg(test)]
 mod tests {
-    use super::{Layers, Profile, Settings};
+    use super::{Enhancement, Layers, Preset, Profile, Settings};
     use m4_train::TrainConfig;
     use m4_train::init::InitConfig;
     use toml::{Table, Value};
@@ -189,23 +291,6 @@ mod tests {
         let mut endless = Settings::fast();
         endless.train.budget_s = f64::NAN;
         assert!(endless.check().unwrap_err().to_string().contains("`budget_s` is NaN"));
-    }
-
-    #[test]
-    fn settings_of_every_stage_can_be_changed() {
-        let sets = [
-            "train.iterations=7",
-            "init.keyframe_gaps=0.5",
-            "video.max_frames=12",
-            "sparse.fov_deg=60",
-            "dense.working_side_px=200",
-            "preview.swing.side_deg=5",
-            "checkpoint.every_s=1",
-        ];
-        let layers = sets.iter().try_fold(Layers::default(), |layers, set| layers.set(set)).unwrap();
-        let settings = layers.over(&Settings::fast()).unwrap();
-        assert_eq!((settings.train.iterations, settings.video.max_frames), (7, Some(12)));
-        assert_eq!((settings.sparse.fov_deg, settings.dense.working_side_px), (Some(60.0), 200));
     }
 
     /// Every key of `table`, and a value that is another one.
@@ -239,5 +324,38 @@ mod tests {
                 }
             }
         }
+    }
+
+    #[test]
+    fn a_preset_sets_its_time_and_draft_a_third_of_the_splats_and_nothing_else() {
+        let fast = Settings::fast();
+        for (preset, budget_s, share) in [(Preset::Draft, 10.0, 3), (Preset::Default, 60.0, 1)] {
+            let (mut settings, mut want) = (fast.clone(), fast.clone());
+            preset.apply(&mut settings);
+            want.train.budget_s = budget_s;
+            want.init.max_static = fast.init.max_static / share;
+            want.init.max_dynamic = fast.init.max_dynamic / share;
+            assert_eq!(settings, want, "{preset:?}");
+            settings.check().unwrap();
+        }
+        assert_eq!(Preset::default(), Preset::Default);
+    }
+
+    #[test]
+    fn each_part_changes_settings_of_its_own() {
+        let parts = [Enhancement::Segmentation, Enhancement::Tracking, Enhancement::Density];
+        let without = |part| {
+            let mut settings = Settings::fast();
+            settings.switch_off(part);
+            settings
+        };
+        for part in parts {
+            assert_ne!(without(part), Settings::fast(), "{part:?}");
+        }
+        let density = without(Enhancement::Density);
+        assert_eq!((density.geometry, density.init), (Settings::fast().geometry, Settings::fast().init));
+        let tracking = without(Enhancement::Tracking);
+        assert_eq!(tracking.train, Settings::fast().train);
+        assert_eq!(tracking.geometry.segmenter, Settings::fast().geometry.segmenter);
     }
 }

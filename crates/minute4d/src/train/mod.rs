@@ -1,23 +1,21 @@
 //! The second stage: trains a scene from a capture.
 
 mod checkpoint;
-mod metrics;
 
-use crate::clock::Clock;
 use crate::device::OpenGpu;
 use crate::error::OutputError;
 use crate::folder::{self, METRICS_FILE, SCENE_FILE, VIEWER_FILE};
+use crate::pipeline::Clock;
 use crate::record::{Input, RunRecord, SplatCount};
 use crate::settings::{InitSettings, Profile, TrainSettings, part_to_toml};
 use crate::stage::RecordingObserver;
 use crate::workspace::{Task, Workspace};
 use crate::{Error, Job, Observer, Settings, StageEvent, hash, preview, viewer};
-use checkpoint::{CheckpointTimer, Checkpoints};
+use checkpoint::{CheckpointTimer, Checkpoints, MetricsLog};
 use m4_core::{Capture, Progress, Scene, Splats, TrainState};
 use m4_io::capture::Split;
 use m4_io::scene::safetensors;
 use m4_train::{BackendError, BackendMaker, MetricsEvent, Outcome, TrainError, Trainer};
-use metrics::MetricsLog;
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -145,13 +143,13 @@ fn train(
     let observer = run.job.observer;
     let total = trainer.iterations();
     let every_s = settings.checkpoint.every_s;
-    let mut patience = CheckpointTimer::new(keeper, observer, every_s).at_most(end);
+    let mut timer = CheckpointTimer::new(keeper, observer, every_s).at_most(end);
     loop {
         let mut note = |event: &MetricsEvent| {
             log.push(event);
             observer.metrics(event, total);
         };
-        let outcome = match trainer.run(&patience, &mut note) {
+        let outcome = match trainer.run(&timer, &mut note) {
             Ok(outcome) => outcome,
             Err(error @ (TrainError::Diverged { .. } | TrainError::Device { .. })) => {
                 // The trainer is back in its last good state: worth keeping, not worth going on with.
@@ -167,18 +165,18 @@ fn train(
             let depth = f64::from(trainer.scale().median_depth);
             observer.scene(&mut || trainer.scene(), depth);
         }
-        if !patience.stopped_by_user() && end.is_some_and(|end| Instant::now() >= end) {
+        if !timer.stopped_by_user() && end.is_some_and(|end| Instant::now() >= end) {
             keeper.warn(&format!("the time limit ended training after {} of {total} iterations", trainer.iteration()));
             break;
         }
-        if patience.stopped_by_user() || patience.is_over() {
+        if timer.stopped_by_user() || timer.is_over() {
             save(run, &mut trainer, &mut checkpoints, &mut log)?;
-            if patience.stopped_by_user() {
+            if timer.stopped_by_user() {
                 return Err(Error::Stopped { stage: STAGE, saved: true });
             }
-            patience = CheckpointTimer::new(keeper, observer, every_s).at_most(end);
+            timer = CheckpointTimer::new(keeper, observer, every_s).at_most(end);
         }
-        patience.take_a_step();
+        timer.take_a_step();
     }
     log.write()?;
     note_progress(&mut run.record, &trainer);
@@ -189,11 +187,8 @@ fn train(
 
 /// Seconds that the number of iterations is to be measured for: the budget, where there is one, as far as time is left.
 fn affordable(budget_s: f64, left_s: Option<f64>) -> Option<f64> {
-    match (budget_s > 0.0, left_s) {
-        (true, Some(left_s)) => Some(budget_s.min(left_s)),
-        (true, None) => Some(budget_s),
-        (false, left_s) => left_s,
-    }
+    let budget_s = (budget_s > 0.0).then_some(budget_s);
+    budget_s.map(|budget_s| left_s.map_or(budget_s, |left_s| budget_s.min(left_s))).or(left_s)
 }
 
 /// A checkpoint: the scene so far, the metrics so far, the record.
@@ -216,8 +211,7 @@ fn note_progress(record: &mut RunRecord, trainer: &Trainer<'_>) {
     record.splats = Some(SplatCount { r#static: splats.n_static(), dynamic: splats.n_dynamic() });
 }
 
-/// Writes the finished scene with the state of the optimiser, reads both back and compares: only then is it
-/// a success.
+/// Writes the finished scene with the state of the optimiser, reads both back and compares.
 fn publish(path: &Path, scene: &Scene, state: &TrainState<'_>) -> Result<(), Error> {
     if !scene.splats.is_finite() {
         return Err(Error::Internal { what: "training ended with values that are not finite".to_owned() });

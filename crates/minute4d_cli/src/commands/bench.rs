@@ -8,10 +8,10 @@ use crate::options::{choice, image_size, vram_limit};
 use crate::output::Output;
 use clap::Args;
 use clap::builder::TypedValueParser;
-use minute4d::bench::{self, BenchConfig, MemoryConfig, SavedReport};
+use minute4d::bench::{self, BenchConfig, MemoryConfig};
 use minute4d::device::DeviceChoice;
 use minute4d::kernels::bench::SceneKind;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 /// `minute4d bench`
 #[derive(Debug, Args)]
@@ -71,7 +71,7 @@ pub fn run(args: &Bench, common: &Common, output: &Output) -> Result<(), Failure
     }
     let report = bench::run(&config(args, common)?, output)?;
     if let Some(folder) = &args.save {
-        save(folder, &report, output)?;
+        output.note(&format!("written to {}", report.save(folder)?.display()));
     }
     output.result(&report.to_markdown(), minute4d::plain_json(&report)?);
     Ok(())
@@ -90,15 +90,9 @@ fn memory(args: &Bench, output: &Output) -> Result<(), Failure> {
     }
     let report = bench::memory(&program()?, &config, output)?;
     if let Some(folder) = &args.save {
-        save(folder, &report, output)?;
+        output.note(&format!("written to {}", report.save(folder)?.display()));
     }
     output.result(&report.to_markdown(), minute4d::plain_json(&report)?);
-    Ok(())
-}
-
-fn save(folder: &Path, report: &impl SavedReport, output: &Output) -> Result<(), Failure> {
-    let path = bench::save(folder, report)?;
-    output.note(&format!("written to {}", path.display()));
     Ok(())
 }
 

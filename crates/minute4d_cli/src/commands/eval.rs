@@ -48,7 +48,7 @@ pub fn run(args: &Eval, output: &Output) -> Result<(), Failure> {
         refine_poses: args.refine_poses,
         reach: args.reach.reach(),
     };
-    let report = minute4d::evaluate::views_by(&args.out, &args.data, &options, output)?;
+    let report = minute4d::evaluate::views(&args.out, &args.data, &options, output)?;
     let mut text = report.images.table();
     if let Some(choices) = &report.choices {
         text += &describe(choices);

@@ -2,23 +2,22 @@
 //!
 //! ```text
 //! --frontend WORD+WORD --parse--> Frontend --plan: which weights are here--> Plan
-//!   Plan --load--> FlowSource, MonoMaps    (cameras from tracked corners: compute.rs)
+//!   Plan --load--> FlowSource, MonoMaps    (cameras from tracked corners: classical.rs)
 //!              --> tracking network, PairFlow, DepthPrior    (megasam.rs)
 //! ```
 
-#[cfg(feature = "nets")]
-mod depth_networks;
-#[cfg(feature = "nets")]
+mod depth;
 mod flow;
-mod mono;
 mod plan;
-mod source;
 #[cfg(feature = "nets")]
 mod tracking;
 
-pub(super) use mono::MonoClip;
+pub(super) use depth::MonoClip;
+pub(super) use flow::CachedFlow;
 pub use plan::UsedNetwork;
-pub(super) use plan::{Cameras, Plan, plan};
+pub(super) use plan::{Plan, plan};
+#[cfg(feature = "nets")]
+pub(crate) use plan::{network, unusable};
 #[cfg(feature = "nets")]
 pub(super) use tracking::NetworkCorrespondence;
 
@@ -49,7 +48,6 @@ impl Part {
         [Self::Megasam, Self::Classical, Self::Raft, Self::Moge, Self::Unidepth, Self::DepthAnything];
 
     /// As options and records name it.
-    #[must_use]
     pub fn name(self) -> &'static str {
         match self {
             Self::Megasam => "megasam",
@@ -83,56 +81,30 @@ pub struct Frontend {
     parts: Vec<Part>,
 }
 
-/// Words that are no front end.
+/// Words that name no front end, or two parts for one task.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[non_exhaustive]
-pub enum UnknownFrontend {
-    /// A word that names nothing.
-    #[error("there is no front end `{word}`; parts are auto (alone), {}, joined by `+`", names())]
-    Word {
-        /// It.
-        word: String,
-    },
-    /// Two parts for one task.
-    #[error("`{first}` and `{second}` both give {task}; leave one out")]
-    Twice {
-        /// The first of them.
-        first: &'static str,
-        /// The second.
-        second: &'static str,
-        /// The common task.
-        task: &'static str,
-    },
-}
-
-fn names() -> String {
-    Part::ALL.map(Part::name).join(", ")
-}
+#[error("{0}")]
+pub struct UnknownFrontend(String);
 
 impl Frontend {
     /// Of parts, which are put in order.
-    ///
-    /// # Errors
-    ///
-    /// [`UnknownFrontend::Twice`] for two with one task.
     pub fn of(mut parts: Vec<Part>) -> Result<Self, UnknownFrontend> {
         parts.sort_unstable();
         for (k, a) in parts.iter().enumerate() {
             if let Some(b) = parts[k + 1..].iter().find(|b| b.task() == a.task()) {
-                return Err(UnknownFrontend::Twice { first: a.name(), second: b.name(), task: a.task() });
+                let (first, second, task) = (a.name(), b.name(), a.task());
+                return Err(UnknownFrontend(format!("`{first}` and `{second}` both give {task}; leave one out")));
             }
         }
         Ok(Self { parts })
     }
 
     /// True where the program is to choose.
-    #[must_use]
     pub fn is_auto(&self) -> bool {
         self.parts.is_empty()
     }
 
     /// True if `part` was named.
-    #[must_use]
     pub fn has(&self, part: Part) -> bool {
         self.parts.contains(&part)
     }
@@ -157,7 +129,12 @@ impl FromStr for Frontend {
         }
         let part = |word: &str| {
             let found = Part::ALL.into_iter().find(|p| p.name() == word);
-            found.ok_or_else(|| UnknownFrontend::Word { word: word.to_owned() })
+            found.ok_or_else(|| {
+                let names = Part::ALL.map(Part::name).join(", ");
+                UnknownFrontend(format!(
+                    "there is no front end `{word}`; parts are auto (alone), {names}, joined by `+`"
+                ))
+            })
         };
         Self::of(text.split('+').map(part).collect::<Result<_, _>>()?)
     }
@@ -179,7 +156,7 @@ impl TryFrom<String> for Frontend {
 
 #[cfg(test)]
 mod tests {
-    use super::{Frontend, Part, UnknownFrontend};
+    use super::{Frontend, Part};
 
     #[test]
     fn words_are_front_ends() {
@@ -190,12 +167,12 @@ mod tests {
             assert_eq!(named(text).unwrap().to_string(), text);
         }
         for wrong in ["", "megasan", "gmflow", "auto+moge", "moge+", "MOGE"] {
-            let Err(UnknownFrontend::Word { .. }) = named(wrong) else {
-                panic!("{wrong}");
-            };
+            let text = named(wrong).unwrap_err().to_string();
+            assert!(text.contains("there is no front end"), "{wrong}: {text}");
         }
         for twice in ["classical+raft", "moge+unidepth", "moge+moge"] {
-            assert!(matches!(named(twice), Err(UnknownFrontend::Twice { .. })), "{twice}");
+            let text = named(twice).unwrap_err().to_string();
+            assert!(text.contains("both give"), "{twice}: {text}");
         }
     }
 }

@@ -5,19 +5,12 @@ use crate::Error;
 use crate::device::DeviceChoice;
 use crate::error::{NetworkError, NetworkMethod};
 #[cfg(feature = "nets")]
-use crate::weights::{self, State, Store, WeightsError};
+use crate::weights::{self, Entry, Store, WeightsError};
+#[cfg(feature = "nets")]
+use m4_nets::LoadError;
 use serde::{Deserialize, Serialize};
 #[cfg(feature = "nets")]
 use std::path::PathBuf;
-
-/// The method for cameras.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Cameras {
-    /// Tracked corners and bundle adjustment.
-    Corners,
-    /// The tracking network.
-    Megasam,
-}
 
 /// A network that took part, for the record.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -37,8 +30,6 @@ pub struct UsedNetwork {
 pub struct Plan {
     /// What was chosen, never `auto`.
     pub frontend: Frontend,
-    /// The method for cameras.
-    pub cameras: Cameras,
     /// The networks, in the order of the parts.
     pub used: Vec<UsedNetwork>,
     /// What the user should know about the choice.
@@ -48,7 +39,12 @@ pub struct Plan {
 }
 
 impl Plan {
-    /// What results are kept under: the networks' hashes.
+    /// Whether cameras come from MegaSaM's tracking network; else from tracked corners and bundle adjustment.
+    pub fn is_megasam(&self) -> bool {
+        self.frontend.has(Part::Megasam)
+    }
+
+    /// Hashes of the networks' weights.
     pub fn hashes(&self) -> Vec<&str> {
         self.used.iter().map(|network| network.blake3.as_str()).collect()
     }
@@ -83,21 +79,18 @@ const DEPTHS: [&[Part]; 5] =
     [&[Part::Moge], &[Part::Unidepth, Part::DepthAnything], &[Part::Unidepth], &[Part::DepthAnything], &[]];
 
 /// Finds what `asked` needs. `auto` is `classical` on the processor, by measurement (docs/geometry.md, "Front ends"); on a GPU it is
-/// `megasam` where the weights of all of its parts are here.
-///
-/// # Errors
-///
-/// [`NetworkError::Weights`] if weights are missing, [`Error::Gpu`] if a GPU is asked for and does not start.
+/// `megasam` where the weights of all of its parts are here. Fails if weights are missing, or if a requested GPU does not start.
 #[cfg(feature = "nets")]
 pub fn plan(asked: &Frontend, device: DeviceChoice) -> Result<Plan, Error> {
-    let store = Store::of_user();
-    let here = |part: Part| part == Part::Classical || store.as_ref().is_ok_and(|store| find(store, part).is_some());
+    let here = |part: Part| part == Part::Classical || installed(names(part)).is_some();
     let mut notes = Vec::new();
     let parts = if asked.is_auto() {
         let best = [Part::Megasam, Part::Raft];
         let depth = DEPTHS.iter().find(|d| !d.is_empty() && d.iter().all(|&p| here(p)));
         match depth {
-            Some(depth) if best.iter().all(|&p| here(p)) && has_gpu(device)? => [&best, *depth].concat(),
+            Some(depth) if best.iter().all(|&p| here(p)) && device != DeviceChoice::Cpu && device.open()?.is_some() => {
+                [&best, *depth].concat()
+            }
             _ => vec![Part::Classical],
         }
     } else {
@@ -106,20 +99,10 @@ pub fn plan(asked: &Frontend, device: DeviceChoice) -> Result<Plan, Error> {
     let frontend = Frontend::of(parts.clone()).map_err(|e| Error::Internal { what: e.to_string() })?;
     let (mut used, mut files) = (Vec::new(), Vec::new());
     for part in parts {
-        let Some(first) = names(part).first() else { continue };
-        let missing = |source| Error::from(NetworkError::Weights { method: NetworkMethod::FrontEnd(part), source });
-        let store = store.as_ref().map_err(|_| missing(WeightsError::NoFolder))?;
-        let Some((entry, path)) = find(store, part) else {
-            let entry = weights::find(first).map_err(missing)?;
-            return Err(missing(store.require(entry).err().unwrap_or(WeightsError::NoFolder)));
-        };
-        used.push(UsedNetwork {
-            weights: entry.name.to_owned(),
-            licence: entry.licence.to_owned(),
-            commercial: entry.commercial,
-            blake3: crate::hash::of_path(&path)?,
-        });
-        files.push((part, path));
+        if let Some((network, path)) = network(names(part), true, NetworkMethod::FrontEnd(part))? {
+            used.push(network);
+            files.push((part, path));
+        }
     }
     for network in used.iter().filter(|network| !network.commercial) {
         notes.push(format!(
@@ -127,37 +110,17 @@ pub fn plan(asked: &Frontend, device: DeviceChoice) -> Result<Plan, Error> {
             network.weights, network.licence
         ));
     }
-    Ok(Plan { cameras: cameras(&frontend), frontend, used, notes, files })
+    Ok(Plan { frontend, used, notes, files })
 }
 
-/// Finds what `asked` needs.
-///
-/// # Errors
-///
-/// [`NetworkError::NotBuilt`]: the build has no networks.
+/// Finds what `asked` needs; fails for networks, which the build lacks.
 #[cfg(not(feature = "nets"))]
 pub fn plan(asked: &Frontend, _: DeviceChoice) -> Result<Plan, Error> {
     let network = Part::ALL.into_iter().find(|&p| p != Part::Classical && asked.has(p));
     match network {
         Some(part) => Err(NetworkError::NotBuilt { method: NetworkMethod::FrontEnd(part) }.into()),
-        None => Ok(Plan {
-            frontend: Frontend { parts: vec![Part::Classical] },
-            cameras: Cameras::Corners,
-            used: Vec::new(),
-            notes: Vec::new(),
-        }),
+        None => Ok(Plan { frontend: Frontend { parts: vec![Part::Classical] }, used: Vec::new(), notes: Vec::new() }),
     }
-}
-
-/// Whether networks would run on a GPU.
-#[cfg(feature = "nets")]
-fn has_gpu(device: DeviceChoice) -> Result<bool, Error> {
-    Ok(device != DeviceChoice::Cpu && device.open()?.is_some())
-}
-
-#[cfg(feature = "nets")]
-fn cameras(frontend: &Frontend) -> Cameras {
-    if frontend.has(Part::Megasam) { Cameras::Megasam } else { Cameras::Corners }
 }
 
 /// The parts of `asked` with a flow, and with a depth where the tracking network wants one.
@@ -187,19 +150,45 @@ fn complete(asked: &Frontend, here: &dyn Fn(Part) -> bool, notes: &mut Vec<Strin
     parts
 }
 
+/// The first of `names` whose weights are installed, and their file.
 #[cfg(feature = "nets")]
-fn find(store: &Store, part: Part) -> Option<(&'static weights::Entry, PathBuf)> {
-    names(part).iter().find_map(|name| {
-        let entry = weights::find(name).ok()?;
-        match store.state(entry) {
-            State::Stored(path) | State::InHub(path) => Some((entry, path)),
-            State::Absent => None,
-        }
-    })
+fn installed(names: &[&str]) -> Option<(&'static Entry, PathBuf)> {
+    let store = Store::of_user().ok()?;
+    names.iter().filter_map(|name| weights::find(name).ok()).find_map(|entry| Some((entry, store.require(entry).ok()?)))
 }
 
-#[cfg(test)]
+/// The first of `names`, best first, whose weights are installed, and their file. Where there are none and they are `required`, fails with
+/// how to get the best.
 #[cfg(feature = "nets")]
+pub(crate) fn network(
+    names: &[&str],
+    required: bool,
+    method: NetworkMethod,
+) -> Result<Option<(UsedNetwork, PathBuf)>, Error> {
+    let Some((entry, path)) = installed(names) else {
+        let best = names.first().filter(|_| required);
+        return best.map_or(Ok(None), |name| {
+            let absent = weights::find(name).and_then(|entry| Store::of_user()?.require(entry));
+            let source = absent.err().unwrap_or(WeightsError::NoFolder);
+            Err(NetworkError::Weights { method, source }.into())
+        });
+    };
+    let used = UsedNetwork {
+        weights: entry.name.to_owned(),
+        licence: entry.licence.to_owned(),
+        commercial: entry.commercial,
+        blake3: crate::hash::of_path(&path)?,
+    };
+    Ok(Some((used, path)))
+}
+
+/// The error of weights of `method` that cannot be loaded.
+#[cfg(feature = "nets")]
+pub(crate) fn unusable(method: NetworkMethod) -> impl Fn(LoadError) -> Error {
+    move |source| NetworkError::Load { method, source: Box::new(source) }.into()
+}
+
+#[cfg(all(test, feature = "nets"))]
 mod tests {
     use super::{complete, names};
     use crate::geometry::frontend::{Frontend, Part};

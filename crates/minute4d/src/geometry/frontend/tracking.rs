@@ -1,8 +1,8 @@
 //! The tracking network as a source of correspondences.
 
-use super::source::unusable;
-use super::{Part, Plan};
+use super::{Part, Plan, unusable};
 use crate::Error;
+use crate::error::NetworkMethod;
 use m4_core::{Mask, Plane, RgbImage};
 use m4_geometry::megasam::TrackingSize;
 use m4_geometry::megasam::graph::EdgeChanges;
@@ -20,11 +20,7 @@ pub struct NetworkCorrespondence<'a> {
 
 impl<'a> NetworkCorrespondence<'a> {
     /// Reads the network of `plan`. `masks` (255 where something moves) are what the user knows better than it; `budget_mb` is
-    /// how much of features and states stays in memory.
-    ///
-    /// # Errors
-    ///
-    /// [`Error::Network`] if its weights cannot be used.
+    /// how much of features and states stays in memory. Fails if its weights cannot be used.
     pub fn load(
         plan: &Plan,
         images: &'a [&'a RgbImage],
@@ -34,10 +30,9 @@ impl<'a> NetworkCorrespondence<'a> {
         device: &Compute,
     ) -> Result<Self, Error> {
         let Some(path) = plan.file(Part::Megasam) else {
-            let what = "the front end has no tracking network".to_owned();
-            return Err(Error::Internal { what });
+            return Err(Error::Internal { what: "the front end has no tracking network".to_owned() });
         };
-        let net = DroidNet::load(path, device).map_err(unusable(Part::Megasam))?;
+        let net = DroidNet::load(path, device).map_err(unusable(NetworkMethod::FrontEnd(Part::Megasam)))?;
         Ok(Self::new(net, images, masks, size, memory(budget_mb)))
     }
 

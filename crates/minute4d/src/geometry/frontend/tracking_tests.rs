@@ -107,8 +107,8 @@ fn the_tracker_runs_the_specified_number_of_updates() {
     let mut keyframes = 0;
     for frame in 0..FRAMES {
         let input = FrameInput { frame, time_s: frame as f64 / 30.0, sensor: vec![0.5; size.grid().len()] };
-        let said = frontend.submit(&input, frame + 1 == FRAMES, &mut source).unwrap();
-        match said {
+        let outcome = frontend.submit(&input, frame + 1 == FRAMES, &mut source).unwrap();
+        match outcome {
             Submitted::Skipped => {}
             Submitted::Waiting => keyframes += 1,
             Submitted::Initialised => {
@@ -126,7 +126,7 @@ fn the_tracker_runs_the_specified_number_of_updates() {
                 assert!(source.edges <= settings.max_factors, "{} edges", source.edges);
             }
         }
-        assert_eq!(source.revisions, expected, "frame {frame}: {said:?}");
+        assert_eq!(source.revisions, expected, "frame {frame}: {outcome:?}");
         assert_eq!(frontend.keyframes.len(), keyframes);
         assert!(frontend.graph.active.iter().all(|e| e.age <= MAX_AGE + 3));
     }
@@ -179,18 +179,9 @@ fn the_published_loop_of_network_and_adjustment_is_met() {
     let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fixtures/droid/update_ba_loop.safetensors");
     let bytes = std::fs::read(file).unwrap();
     let all = SafeTensors::deserialize(&bytes).unwrap();
-    let doubles = |name: &str| -> Vec<f64> {
-        let data = all.tensor(name).unwrap();
-        data.data().as_chunks::<8>().0.iter().map(|b| f64::from_le_bytes(*b)).collect()
-    };
-    let singles = |name: &str| -> Vec<f32> {
-        let data = all.tensor(name).unwrap();
-        data.data().as_chunks::<4>().0.iter().map(|b| f32::from_le_bytes(*b)).collect()
-    };
-    let whole = |name: &str| -> Vec<usize> {
-        let data = all.tensor(name).unwrap();
-        data.data().as_chunks::<8>().0.iter().map(|b| i64::from_le_bytes(*b) as usize).collect()
-    };
+    let doubles = |name: &str| numbers(&all, name, f64::from_le_bytes);
+    let singles = |name: &str| numbers(&all, name, f32::from_le_bytes);
+    let whole = |name: &str| numbers(&all, name, |bytes| i64::from_le_bytes(bytes) as usize);
     let images = images(&all);
     let references: Vec<&RgbImage> = images.iter().collect();
     let size = TrackingSize { full: (192, 128), scaled: (192, 128), cropped: (192, 128) };
@@ -247,6 +238,11 @@ fn the_published_loop_of_network_and_adjustment_is_met() {
         })
         .collect();
     assert_close(&target, &singles("target_final"), 1e-4, "targets");
+}
+
+/// The values of a tensor.
+fn numbers<const N: usize, T>(all: &SafeTensors<'_>, name: &str, of: impl Fn([u8; N]) -> T) -> Vec<T> {
+    all.tensor(name).unwrap().data().as_chunks::<N>().0.iter().map(|bytes| of(*bytes)).collect()
 }
 
 fn assert_close(got: &[f32], want: &[f32], limit: f32, what: &str) {

@@ -1,7 +1,6 @@
 //! Geometry that the user provides: intrinsics, poses, masks, depth; read, checked against the clip, and hashed.
 
-mod lens;
-mod poses;
+mod cameras;
 
 use super::GeometryOptions;
 use crate::{Category, Error, Refusal, hash};
@@ -31,11 +30,7 @@ pub(super) struct Sources {
 }
 
 impl Sources {
-    /// Of `options`.
-    ///
-    /// # Errors
-    ///
-    /// [`Error`] naming the option and the file that is missing or cannot be read.
+    /// Of `options`; fails with the option and the file that is missing or cannot be read.
     pub(super) fn of(options: &GeometryOptions) -> Result<Self, Error> {
         let of = |option: &'static str, path: Option<&Path>| -> Result<Option<String>, Error> {
             let Some(path) = path else { return Ok(None) };
@@ -45,7 +40,7 @@ impl Sources {
             }
             hash::of_path(path).map(Some)
         };
-        let lens_file = options.intrinsics.as_deref().filter(|text| lens::numbers(text).is_none());
+        let lens_file = options.intrinsics.as_deref().filter(|text| cameras::numbers(text).is_none());
         Ok(Self {
             intrinsics: of("--intrinsics", lens_file.map(Path::new))?,
             poses: of("--poses", options.poses.as_deref())?,
@@ -69,12 +64,8 @@ pub(super) struct Given {
 }
 
 impl Given {
-    /// Reads what `options` name for the clip `video` that came from `input`; `focal_px` of the frames where it is known
-    /// otherwise.
-    ///
-    /// # Errors
-    ///
-    /// [`Error`] naming the file that is missing, damaged, or does not fit the clip.
+    /// Reads what `options` name for the clip `video` that came from `input`; `focal_px` of the frames where it is known otherwise. Fails
+    /// with the name of a file that is missing, damaged, or does not fit the clip.
     pub(super) fn read(
         options: &GeometryOptions,
         input: &Path,
@@ -87,20 +78,12 @@ impl Given {
         }
         let clip = Clip::of(input, video, folder_fps)?;
         let lens = options.intrinsics.as_deref();
-        let lens = lens.map(|given| lens::read(given, clip.size)).transpose()?;
+        let lens = lens.map(|given| cameras::lens(given, clip.size)).transpose()?;
         let known = lens.or_else(|| focal_px.map(|f| Intrinsics::centred(clip.size.0, clip.size.1, f)));
-        let cameras = match &options.poses {
-            Some(path) => Some(poses::read(path, &clip, lens, known)?),
-            None => None,
-        };
-        let masks = match &options.masks {
-            Some(folder) => Some(each(&clip, "masks", folder, mask, |m: &Mask| m.size())?),
-            None => None,
-        };
-        let depth = match &options.depth {
-            Some(folder) => Some(each(&clip, "depth maps", folder, depth, |d: &DepthMap| d.size())?),
-            None => None,
-        };
+        let cameras = options.poses.as_ref().map(|path| cameras::poses(path, &clip, lens, known)).transpose()?;
+        let masks = options.masks.as_ref().map(|folder| each(&clip, "masks", folder, mask)).transpose()?;
+        let depth = |path: &Path| -> Result<DepthMap, Error> { Ok(read_depth(path, DEPTH_UNIT)?.to_map()) };
+        let depth = options.depth.as_ref().map(|folder| each(&clip, "depth maps", folder, depth)).transpose()?;
         if let (Some(depth), Some(path)) = (&depth, &options.depth)
             && !depth.iter().flat_map(|d| d.data()).any(|&z| z > 0.0)
         {
@@ -127,20 +110,18 @@ fn each<T: Send>(
     clip: &Clip,
     what: &'static str,
     folder: &Path,
-    read: impl Fn(&Path) -> Result<T, Error> + Sync,
-    size: impl Fn(&T) -> (usize, usize) + Sync,
-) -> Result<Vec<T>, Error> {
+    read: impl Fn(&Path) -> Result<Plane<T>, Error> + Sync,
+) -> Result<Vec<Plane<T>>, Error> {
     let files = clip.files(what, folder)?;
     let one = |path: &PathBuf| {
         let value = read(path)?;
-        let found = size(&value);
-        if !same_shape(found, clip.size) {
-            return Err(other_shape(path, found, clip.size).into());
+        if !same_shape(value.size(), clip.size) {
+            return Err(other_shape(path, value.size(), clip.size).into());
         }
         Ok(value)
     };
     // The first in order that fails is the one that is named, whatever the number of threads.
-    let all: Vec<Result<T, Error>> = files.par_iter().map(one).collect();
+    let all: Vec<Result<Plane<T>, Error>> = files.par_iter().map(one).collect();
     all.into_iter().collect()
 }
 
@@ -169,11 +150,6 @@ fn mask(path: &Path) -> Result<Mask, Error> {
         return Ok(read_mask(path)?.to_mask());
     }
     Ok(read_rgb(path)?.map(|rgb| if rgb.iter().any(|&v| v > 0) { 255 } else { 0 }))
-}
-
-fn depth(path: &Path) -> Result<DepthMap, Error> {
-    let map: Plane<f32> = read_depth(path, DEPTH_UNIT)?.to_map();
-    Ok(map)
 }
 
 /// A clip as far as files are to be found for its frames.
@@ -217,8 +193,7 @@ impl Clip {
         self.in_order(what, folder, files)
     }
 
-    /// One of `items` a frame, by order: they are as many as the frames, or as the images that the frames were chosen
-    /// from.
+    /// One of `items` per frame, in order: as many as the frames, or as the images that the frames were chosen from.
     pub fn in_order<T: Clone>(&self, what: &'static str, path: &Path, items: Vec<T>) -> Result<Vec<T>, Error> {
         if items.len() == self.frames {
             return Ok(items);

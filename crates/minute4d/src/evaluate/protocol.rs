@@ -4,14 +4,13 @@
 //! name --Rules--> frames held out, resolution, masks, metrics, LPIPS, how test poses are treated
 //! ```
 //!
-//! The rules are plain data ([`Rules`], `rules.rs`), from the programs that made the published numbers. Two tasks are distinguished
+//! The rules are plain data ([`Rules`]), from the programs that made the published numbers (RoDyGS, Instant4D, `KAIR-BAIR/dycheck`,
+//! `facebookresearch/robust-dynrf`, MoSca); what such a program leaves open is stated in [`Rules::note`]. Two tasks are distinguished
 //! ([`Task`]): images of the *training* camera at moments that were held out, which is the table of the Minute4D and Instant4D
 //! papers, and images of *other* cameras, which is DyCheck's own test. The same scenes score 7 dB apart in the two.
 
-mod rules;
-
-pub use rules::{LpipsRule, RefineRule, Rules, StartPose};
-
+use crate::settings::{UnknownName, by_name};
+use m4_eval::image::{Metric, PsnrKind, SsimKind};
 use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::str::FromStr;
@@ -28,7 +27,6 @@ pub enum Task {
 
 impl Task {
     /// Title in tables.
-    #[must_use]
     pub fn title(self) -> &'static str {
         match self {
             Self::HeldOutFrames => "held-out frames of the training camera",
@@ -62,15 +60,14 @@ impl Protocol {
     pub const ALL: [Self; 6] = [Self::Holdout, Self::Instant4d, Self::Rodygs, Self::Dycheck, Self::Nvidia, Self::Davis];
 
     /// Returns the name on the command line.
-    #[must_use]
     pub fn name(self) -> &'static str {
         self.rules().name
     }
 
     /// Rules of the protocol.
-    #[must_use]
     pub fn rules(self) -> &'static Rules {
-        rules::of(self)
+        // in the order of `ALL`
+        &TABLE[self as usize]
     }
 }
 
@@ -80,17 +77,11 @@ impl fmt::Display for Protocol {
     }
 }
 
-/// No protocol of that name.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("there is no protocol {0:?}; the protocols are holdout, instant4d, rodygs, dycheck, nvidia and davis")]
-pub struct UnknownProtocol(pub String);
-
 impl FromStr for Protocol {
-    type Err = UnknownProtocol;
+    type Err = UnknownName;
 
-    fn from_str(text: &str) -> Result<Self, UnknownProtocol> {
-        let found = Self::ALL.into_iter().find(|p| p.name() == text);
-        found.ok_or_else(|| UnknownProtocol(text.to_owned()))
+    fn from_str(text: &str) -> Result<Self, UnknownName> {
+        by_name("protocol", text, &Self::ALL, Self::name)
     }
 }
 
@@ -116,7 +107,6 @@ pub enum FrameRule {
 
 impl FrameRule {
     /// Indices of the held-out frames of a video of `frames`, ascending; `None` where the capture brings its views.
-    #[must_use]
     pub fn held_out(self, frames: usize) -> Option<Vec<usize>> {
         match self {
             Self::Every { every, offset } => {
@@ -125,23 +115,13 @@ impl FrameRule {
             }
             Self::Linspace { train_share } => {
                 let train = linspace(frames, (frames as f64 * train_share) as usize);
-                // ascending, so each frame is looked for once
-                let mut next = train.into_iter().peekable();
-                let trains = |i: usize, next: &mut std::iter::Peekable<std::vec::IntoIter<usize>>| {
-                    let mut found = false;
-                    while next.next_if_eq(&i).is_some() {
-                        found = true;
-                    }
-                    found
-                };
-                Some((0..frames).filter(|&i| !trains(i, &mut next)).collect())
+                Some((0..frames).filter(|i| train.binary_search(i).is_err()).collect())
             }
             Self::TestSplit => None,
         }
     }
 
     /// Description for reports.
-    #[must_use]
     pub fn description(self) -> String {
         match self {
             Self::Every { every, offset: 0 } => format!("frame i of the training video where i mod {every} = 0"),
@@ -155,6 +135,153 @@ impl FrameRule {
         }
     }
 }
+
+/// Where the search for the pose of a test image starts.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum StartPose {
+    /// The pose that the capture gives, in the world of the scene.
+    Given,
+    /// The pose of the training frame that is nearest in time.
+    NearestTraining,
+}
+
+/// Refinement of the pose of a test image against the finished scene: Adam on the squared error of the image.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct RefineRule {
+    /// Steps of Adam.
+    pub steps: usize,
+    /// Learning rate: radians, and shares of the median depth in view.
+    pub lr: f64,
+    /// Where it starts.
+    pub start: StartPose,
+}
+
+/// A network whose features are compared.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum LpipsRule {
+    /// AlexNet.
+    Alex,
+    /// VGG-16.
+    Vgg,
+}
+
+/// Rules of a protocol.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Rules {
+    /// The protocol.
+    pub protocol: Protocol,
+    /// The name on the command line.
+    pub name: &'static str,
+    /// One line for people.
+    pub title: &'static str,
+    /// The task.
+    pub task: Task,
+    /// Which frames are held out.
+    pub frames: FrameRule,
+    /// Columns and rows of the images that published numbers are of; `None` where it takes those of the capture.
+    pub size_px: Option<[usize; 2]>,
+    /// Scores count where the training video saw the place.
+    pub covisible: bool,
+    /// Metrics of the whole image beside joint PSNR and SSIM over a Gaussian window.
+    pub whole: &'static [Metric],
+    /// Metrics inside the mask of co-visibility.
+    pub inside: &'static [Metric],
+    /// Networks of LPIPS; inside a mask AlexNet alone, as DyCheck's mLPIPS.
+    pub lpips: &'static [LpipsRule],
+    /// Name of the score that stands for the protocol in tables, of [`m4_eval::image::FrameScore::others`]; `None` for the joint PSNR of
+    /// the whole image.
+    pub headline: Option<&'static str>,
+    /// Refinement of test poses in published methods, if any.
+    pub refine: Option<RefineRule>,
+    /// Caveats for comparisons.
+    pub note: &'static str,
+}
+
+const PER_CHANNEL: Metric = Metric::Psnr(PsnrKind::PerChannel);
+const ZERO_PADDED: Metric = Metric::Ssim(SsimKind::GaussianZeroPadded);
+/// DyCheck's images at a factor of 2.
+const DYCHECK_2X: Option<[usize; 2]> = Some([360, 480]);
+
+/// What protocols have that hold frames out.
+const HELD_OUT: Rules = Rules {
+    protocol: Protocol::Holdout,
+    name: "holdout",
+    title: "every eighth frame of the training video held out",
+    task: Task::HeldOutFrames,
+    frames: FrameRule::Every { every: 8, offset: 0 },
+    size_px: None,
+    covisible: false,
+    whole: &[PER_CHANNEL, ZERO_PADDED],
+    inside: &[],
+    lpips: &[LpipsRule::Alex, LpipsRule::Vgg],
+    headline: None,
+    refine: None,
+    note: "the first frame is held out, so that the first moment is beyond what trained",
+};
+
+static TABLE: [Rules; 6] = [
+    HELD_OUT,
+    Rules {
+        protocol: Protocol::Instant4d,
+        name: "instant4d",
+        title: "15 % of the frames of DyCheck's camera 0 held out (Instant4D)",
+        frames: FrameRule::Linspace { train_share: 0.85 },
+        size_px: DYCHECK_2X,
+        note: "published numbers are the mean over channels of the PSNR of each, of images that were not clamped (psnr_per_channel_unclamped), \
+               with poses of a MegaSaM that saw the held-out frames; that linspace cuts fractions off is assumed",
+        ..HELD_OUT
+    },
+    Rules {
+        protocol: Protocol::Rodygs,
+        name: "rodygs",
+        title: "every eighth frame of DyCheck's camera 0 held out (RoDyGS)",
+        frames: FrameRule::Every { every: 8, offset: 4 },
+        size_px: DYCHECK_2X,
+        refine: Some(RefineRule { steps: 1000, lr: 5e-5, start: StartPose::NearestTraining }),
+        note: "RoDyGS estimates poses of the training frames alone and finds those of the held-out ones by refinement",
+        ..HELD_OUT
+    },
+    Rules {
+        protocol: Protocol::Dycheck,
+        name: "dycheck",
+        title: "views of DyCheck's other cameras, where the training video saw the place",
+        task: Task::NovelViews,
+        frames: FrameRule::TestSplit,
+        size_px: DYCHECK_2X,
+        covisible: true,
+        whole: &[],
+        inside: &[Metric::Psnr(PsnrKind::Joint), Metric::Ssim(SsimKind::DycheckMasked)],
+        lpips: &[LpipsRule::Alex],
+        headline: Some("psnr_joint_masked"),
+        refine: Some(RefineRule { steps: 30, lr: 3e-3, start: StartPose::Given }),
+        note: "older papers average 5 scenes at the full size, newer ones 7 at half of it; SSIM over 11 px windows that lie wholly inside",
+    },
+    Rules {
+        protocol: Protocol::Nvidia,
+        name: "nvidia",
+        title: "views of camera 0 of NVIDIA Dynamic Scenes (RoDynRF)",
+        task: Task::NovelViews,
+        frames: FrameRule::TestSplit,
+        size_px: Some([480, 270]),
+        covisible: false,
+        whole: &[Metric::Psnr(PsnrKind::EightBit), Metric::Ssim(SsimKind::SkimageUniform)],
+        inside: &[],
+        lpips: &[LpipsRule::Alex],
+        headline: Some("psnr_eight_bit"),
+        refine: Some(RefineRule { steps: 100, lr: 3e-4, start: StartPose::Given }),
+        note: "the view at time 0 is the first training image; scores are given with it, as the result bundle has it, and without",
+    },
+    Rules {
+        protocol: Protocol::Davis,
+        name: "davis",
+        title: "every fourth frame of a clip of DAVIS held out",
+        frames: FrameRule::Every { every: 4, offset: 2 },
+        note: "a substitute of this program: DAVIS has no other view, and the papers show images of it alone",
+        ..HELD_OUT
+    },
+];
 
 /// `numpy.linspace(0, n - 1, count).astype(int)`: in doubles, `i * step`, the last one `n - 1` itself.
 fn linspace(n: usize, count: usize) -> Vec<usize> {

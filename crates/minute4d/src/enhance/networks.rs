@@ -1,11 +1,14 @@
-//! SAM 2 as an object tracker.
+//! SAM 2 as an object tracker, and TAPIP3D as a point tracker.
 
-use m4_core::{CompactMask, Plane, Progress};
+use m4_core::{Camera, CompactMask, DepthMap, Plane, Progress, RgbImage};
 use m4_geometry::masks::{
     FrameSource, ObjectId, ObjectMask, ObjectPrompt, VideoError, VideoSegmenter, VideoSession, Visibility,
 };
+use m4_geometry::tracks::{PosedClip, QueryGrid, TrackError, TrackedPoints, Tracker3d};
 use m4_nets::sam2::{self, Clip as NetClip, Direction, VideoPredictor};
-use m4_nets::{NetError, PointPrompt, Prompt, Sam2, Sam2Size};
+use m4_nets::{
+    ClipError, NetError, PointPrompt, PointQuery, Prompt, Sam2, Sam2Size, Tapip3d, Tapip3dOptions, tapip3d,
+};
 use std::collections::BTreeMap;
 use std::ops::ControlFlow;
 use std::sync::Arc;
@@ -13,23 +16,12 @@ use std::sync::Arc;
 /// Pixels of holes that are filled, at the size of the network's masks: upstream's on CUDA.
 const HOLES_PX: usize = 8;
 
-/// The network, for any number of clips.
-#[derive(Debug)]
-pub struct Sam2Follower {
-    net: Arc<Sam2>,
-}
-
-impl Sam2Follower {
-    /// With this network.
-    #[must_use]
-    pub fn new(net: Sam2) -> Self {
-        Self { net: Arc::new(net) }
-    }
-}
+/// SAM 2, for any number of clips.
+pub(super) struct Sam2Follower(pub Arc<Sam2>);
 
 impl VideoSegmenter for Sam2Follower {
     fn name(&self) -> &str {
-        match self.net.size() {
+        match self.0.size() {
             Sam2Size::Tiny => "sam2.1-tiny",
             Sam2Size::Small => "sam2.1-small",
             Sam2Size::BasePlus => "sam2.1-base-plus",
@@ -45,7 +37,7 @@ impl VideoSegmenter for Sam2Follower {
         let name = self.name();
         let frames = NetClip { frames: clip.frames(), width: size.0, height: size.1 };
         let images = Box::new(move |frame| clip.image(frame).map(std::borrow::Cow::into_owned));
-        let predictor = VideoPredictor::new(Arc::clone(&self.net), frames, images, HOLES_PX)
+        let predictor = VideoPredictor::new(Arc::clone(&self.0), frames, images, HOLES_PX)
             .map_err(|error| failed(name, 0, error))?;
         Ok(Box::new(Session { predictor, name, size, frames: clip.frames() }))
     }
@@ -152,5 +144,60 @@ fn converted(object: ObjectId, mask: &sam2::ObjectMask, size: (usize, usize)) ->
         visibility: if mask_px.count() > 0 { Visibility::Visible } else { Visibility::Occluded },
         mask: mask_px,
         quality: Some(mask.iou),
+    }
+}
+
+/// Points are visible from this probability on: upstream's.
+const SEEN_FROM: f32 = 0.9;
+const NAME: &str = "tapip3d";
+
+/// TAPIP3D, for any number of clips.
+pub(super) struct Tapip3dTracker {
+    pub net: Tapip3d,
+    pub options: Tapip3dOptions,
+}
+
+struct Frames<'a>(&'a dyn PosedClip);
+
+impl tapip3d::PosedClip for Frames<'_> {
+    fn frames(&self) -> usize {
+        self.0.frames()
+    }
+
+    fn image(&self, frame: usize) -> Result<RgbImage, ClipError> {
+        Ok(self.0.read(frame)?.rgb)
+    }
+
+    fn depth(&self, frame: usize) -> Result<DepthMap, ClipError> {
+        Ok(self.0.read(frame)?.depth)
+    }
+
+    fn camera(&self, frame: usize) -> Result<Camera, ClipError> {
+        Ok(self.0.read(frame)?.camera)
+    }
+}
+
+impl Tracker3d for Tapip3dTracker {
+    fn follow_grid(
+        &self,
+        clip: &dyn PosedClip,
+        grid: &QueryGrid,
+        progress: &dyn Progress,
+    ) -> Result<TrackedPoints, TrackError> {
+        let frames = clip.frames();
+        let queries = grid.queries(NAME, clip, progress)?;
+        let asked: Vec<PointQuery> =
+            queries.iter().map(|query| PointQuery { frame: query.frame, world: query.xyz.map(f64::from) }).collect();
+        let found = self.net.track(&Frames(clip), &asked, &self.options, progress);
+        let found = found.map_err(|error| match error {
+            NetError::Cancelled => TrackError::Cancelled { phase: "tracking points" },
+            other => TrackError::Source { tracker: NAME.to_owned(), reason: Box::new(other) },
+        })?;
+        // the network's are ordered by query, ours by frame
+        let count = queries.len();
+        let at = |i: usize| i % count.max(1) * frames + i / count.max(1);
+        let reordered = |i: usize| (found.world[at(i)], found.visibility[at(i)]);
+        let (xyz, visibility) = (0..frames * count).map(reordered).unzip();
+        TrackedPoints::from_probabilities(frames, queries, xyz, visibility, SEEN_FROM)
     }
 }

@@ -1,0 +1,263 @@
+//! The device that kernels run on: CPU or GPU.
+
+pub use gpu::{GpuPainter, OpenGpu};
+
+use crate::Error;
+use std::fmt;
+use std::str::FromStr;
+
+/// Where kernels are asked to run.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub enum DeviceChoice {
+    /// The best GPU, or the processor where there is none; never a software GPU, since the processor's own path is faster.
+    Auto,
+    /// The processor.
+    #[default]
+    Cpu,
+    /// A GPU: the best, or the one of that index in the list of `doctor`, software too.
+    Gpu(Option<usize>),
+}
+
+/// A device that has no such name.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[error("expected auto, cpu, gpu, or gpu:N with an index that `minute4d doctor` lists")]
+pub struct UnknownDevice;
+
+impl FromStr for DeviceChoice {
+    type Err = UnknownDevice;
+
+    fn from_str(text: &str) -> Result<Self, Self::Err> {
+        match text {
+            "auto" => Ok(Self::Auto),
+            "cpu" => Ok(Self::Cpu),
+            "gpu" => Ok(Self::Gpu(None)),
+            other => match other.strip_prefix("gpu:").map(str::parse) {
+                Some(Ok(index)) => Ok(Self::Gpu(Some(index))),
+                _ => Err(UnknownDevice),
+            },
+        }
+    }
+}
+
+impl fmt::Display for DeviceChoice {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Auto => out.write_str("auto"),
+            Self::Cpu => out.write_str("cpu"),
+            Self::Gpu(None) => out.write_str("gpu"),
+            Self::Gpu(Some(index)) => write!(out, "gpu:{index}"),
+        }
+    }
+}
+
+impl DeviceChoice {
+    /// The GPU that is chosen, ready for work; `None` where that is the processor.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Gpu`] if there is no such GPU or it does not start; [`Error::NoGpuSupport`] where one is asked for and this
+    /// build has no support for it.
+    pub fn open(self) -> Result<Option<OpenGpu>, Error> {
+        match self {
+            Self::Cpu => Ok(None),
+            Self::Auto => OpenGpu::best(),
+            Self::Gpu(index) => OpenGpu::open(index).map(Some),
+        }
+    }
+
+    /// Where networks run by this choice.
+    ///
+    /// # Errors
+    ///
+    /// As [`DeviceChoice::open`].
+    pub fn for_networks(self) -> Result<NetworkDevice, Error> {
+        Ok(self.open()?.map_or_else(NetworkDevice::processor, |gpu| gpu.for_networks()))
+    }
+}
+
+/// Where a run is asked to train.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct DeviceRequest {
+    /// Processor or GPU.
+    pub choice: DeviceChoice,
+    /// Most memory that training may take on a GPU, megabytes; `None` for as much as it takes.
+    pub max_vram_mb: Option<usize>,
+}
+
+impl From<DeviceChoice> for DeviceRequest {
+    fn from(choice: DeviceChoice) -> Self {
+        Self { choice, max_vram_mb: None }
+    }
+}
+
+/// A device for networks.
+#[derive(Debug, Clone)]
+pub struct NetworkDevice {
+    #[cfg(feature = "nets")]
+    pub(crate) device: m4_nets::Compute,
+    name: String,
+}
+
+impl NetworkDevice {
+    /// `cpu`, or what the GPU is called.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    pub(crate) fn processor() -> Self {
+        Self {
+            #[cfg(feature = "nets")]
+            device: m4_nets::cpu().into(),
+            name: "cpu".to_owned(),
+        }
+    }
+}
+
+#[cfg(feature = "gpu")]
+mod gpu {
+    //! An open GPU.
+
+    use super::NetworkDevice;
+    use crate::Error;
+    use m4_core::Splats;
+    #[cfg(feature = "nets")]
+    use m4_kernels::gpu::Runtime;
+    use m4_kernels::gpu::{Choice, Gpu, Renderer, adapters, best};
+    use m4_kernels::{Frame, View};
+    use m4_train::backend::{Backend, gpu::GpuBackend};
+
+    /// A GPU that was started.
+    #[derive(Debug, Clone)]
+    pub struct OpenGpu {
+        gpu: Gpu,
+    }
+
+    impl OpenGpu {
+        pub(super) fn best() -> Result<Option<Self>, Error> {
+            match best(&adapters()) {
+                Some(_) => Self::open(None).map(Some),
+                None => Ok(None),
+            }
+        }
+
+        pub(super) fn open(index: Option<usize>) -> Result<Self, Error> {
+            let gpu = Gpu::open(index.map_or(Choice::Best, Choice::Index))?;
+            Ok(Self { gpu })
+        }
+
+        /// What it is called.
+        pub fn name(&self) -> &str {
+            &self.gpu.adapter().name
+        }
+
+        /// The same GPU for networks.
+        pub(super) fn for_networks(&self) -> NetworkDevice {
+            NetworkDevice {
+                #[cfg(feature = "nets")]
+                device: m4_nets::Compute::half(match self.gpu.adapter().runtime() {
+                    Runtime::Wgpu(device) => m4_nets::gpu(device),
+                    #[cfg(feature = "cuda")]
+                    Runtime::Cuda(ordinal) => m4_nets::cuda(ordinal),
+                }),
+                name: self.name().to_owned(),
+            }
+        }
+
+        /// Draws `splats` on it.
+        pub fn painter(&self, splats: &Splats) -> Result<GpuPainter, Error> {
+            Ok(GpuPainter { renderer: Renderer::new(self.gpu.clone(), splats)? })
+        }
+
+        /// Takes training steps of `batch` frames on it, within `max_vram_mb`.
+        pub fn training(&self, max_vram_mb: Option<usize>, batch: usize) -> Box<dyn Backend> {
+            Box::new(GpuBackend::new(self.gpu.clone(), max_vram_mb, batch))
+        }
+    }
+
+    /// Draws splats that lie on a GPU.
+    #[derive(Debug)]
+    pub struct GpuPainter {
+        renderer: Renderer,
+    }
+
+    impl GpuPainter {
+        /// The image of `view`.
+        pub fn frame(&mut self, view: &View) -> Result<Frame, Error> {
+            Ok(self.renderer.render(view)?)
+        }
+    }
+}
+
+#[cfg(not(feature = "gpu"))]
+mod gpu {
+    //! Replaces the GPU in a build without GPU support; every request is an error.
+
+    use crate::Error;
+    use m4_core::Splats;
+    use m4_kernels::{Frame, View};
+    use m4_train::Backend;
+
+    /// A GPU that was started; there is none in this build.
+    #[derive(Debug, Clone)]
+    pub enum OpenGpu {}
+
+    impl OpenGpu {
+        pub(super) fn best() -> Result<Option<Self>, Error> {
+            Ok(None)
+        }
+
+        pub(super) fn open(_: Option<usize>) -> Result<Self, Error> {
+            Err(Error::NoGpuSupport)
+        }
+
+        /// What it is called.
+        pub fn name(&self) -> &str {
+            match *self {}
+        }
+
+        pub(super) fn for_networks(&self) -> super::NetworkDevice {
+            match *self {}
+        }
+
+        /// Draws `splats` on it.
+        pub fn painter(&self, _: &Splats) -> Result<GpuPainter, Error> {
+            match *self {}
+        }
+
+        /// Takes training steps on it.
+        pub fn training(&self, _: Option<usize>, _: usize) -> Box<dyn Backend> {
+            match *self {}
+        }
+    }
+
+    /// What draws on a GPU; there is none in this build.
+    #[derive(Debug)]
+    pub enum GpuPainter {}
+
+    impl GpuPainter {
+        /// The image of `view`.
+        pub fn frame(&mut self, _: &View) -> Result<Frame, Error> {
+            match *self {}
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{DeviceChoice, UnknownDevice};
+
+    #[test]
+    fn devices_have_names() {
+        let named = |text: &str| text.parse::<DeviceChoice>();
+        assert_eq!(named("auto"), Ok(DeviceChoice::Auto));
+        assert_eq!(named("cpu"), Ok(DeviceChoice::Cpu));
+        assert_eq!(named("gpu"), Ok(DeviceChoice::Gpu(None)));
+        assert_eq!(named("gpu:2"), Ok(DeviceChoice::Gpu(Some(2))));
+        for name in ["auto", "cpu", "gpu", "gpu:2"] {
+            assert_eq!(named(name).map(|device| device.to_string()), Ok(name.to_owned()));
+        }
+        for wrong in ["", "GPU", "gpu:", "gpu:-1", "gpu:one", "cuda"] {
+            assert_eq!(named(wrong), Err(UnknownDevice), "{wrong}");
+        }
+    }
+}

@@ -1,0 +1,165 @@
+//! Refines the masks of a capture in memory, with any object tracker.
+
+use super::EnhanceError;
+use crate::record::write_json;
+use crate::{Error, Refusal};
+use m4_core::{Capture, CompactIds, CompactMask, Plane, Progress, RgbImage};
+use m4_geometry::classical::dense::FlowSource;
+use m4_geometry::masks::{
+    Coarse, FrameSource, ImageError, InstanceReport, RefineInput, RefineSettings, RefinedFrame, VideoSegmenter, refine,
+};
+use m4_io::capture::Split;
+use std::borrow::Cow;
+use std::path::Path;
+
+/// What was found, beside a capture's list of frames.
+pub(crate) const REPORT_FILE: &str = "instances.json";
+
+/// The frames of a capture.
+struct Frames<'a>(&'a Capture);
+
+impl FrameSource for Frames<'_> {
+    fn frames(&self) -> usize {
+        self.0.frames.len()
+    }
+
+    fn size(&self) -> (usize, usize) {
+        self.0.frames.first().map_or((0, 0), |frame| frame.rgb.size())
+    }
+
+    fn image(&self, frame: usize) -> Result<Cow<'_, RgbImage>, ImageError> {
+        match self.0.frames.get(frame) {
+            Some(frame) => Ok(Cow::Borrowed(&frame.rgb)),
+            None => Err(format!("the capture has {} frames", self.0.frames.len()).into()),
+        }
+    }
+}
+
+/// The capture with refined masks and maps of instances at the size of its images, and what was found; everything else, the maps of motion
+/// too, stays. The dynamic part is read from the maps of motion where every frame has one, else from the masks. `flow` also checks that maps
+/// of motion are not inverted. Refused where a frame says nothing about the dynamic part.
+pub fn masks(
+    mut capture: Capture,
+    settings: &RefineSettings,
+    segmenter: &dyn VideoSegmenter,
+    flow: Option<&dyn FlowSource>,
+    progress: &dyn Progress,
+) -> Result<(Capture, InstanceReport), Error> {
+    let coarse = coarse(&capture)?;
+    let input = RefineInput { clip: &Frames(&capture), coarse: &coarse, flow };
+    let refined = refine(&input, segmenter, settings, progress).map_err(EnhanceError::from)?;
+    for (frame, found) in capture.frames.iter_mut().zip(refined.frames) {
+        let (mask, ids) = at_size(found, frame.rgb.size());
+        frame.mask = Some(mask);
+        frame.instances = Some(ids);
+    }
+    Ok((capture, refined.report))
+}
+
+/// Writes a capture, with its report if it has one, into `folder`; see [`m4_io::capture::write()`].
+pub(crate) fn write(
+    folder: &Path,
+    capture: &Capture,
+    report: Option<&InstanceReport>,
+    progress: &dyn Progress,
+) -> Result<(), Error> {
+    m4_io::capture::write(folder, capture, Split::Train, progress)?;
+    report.map_or(Ok(()), |report| write_json(&folder.join(REPORT_FILE), report))
+}
+
+fn coarse(capture: &Capture) -> Result<Coarse<'_>, Refusal> {
+    if let Some(maps) = capture.frames.iter().map(|frame| frame.motion.as_ref()).collect() {
+        return Ok(Coarse::Motion(maps));
+    }
+    let masks = capture.frames.iter().enumerate().map(|(i, frame)| {
+        frame.mask.as_ref().ok_or_else(|| {
+            Refusal::bad_input(format!(
+                "frame {i} ({:?}) has neither a motion map nor a mask, so there is nothing to refine; create the capture with masks \
+                 (`minute4d geometry`), or import it with them",
+                frame.name
+            ))
+        })
+    });
+    masks.collect::<Result<_, _>>().map(Coarse::Masks)
+}
+
+/// A frame at another size: each pixel that of the working size in which its middle lies.
+fn at_size(found: RefinedFrame, (width, height): (usize, usize)) -> (CompactMask, CompactIds) {
+    let (w, h) = found.mask.size();
+    if (w, h) == (width, height) {
+        return (found.mask, found.ids);
+    }
+    let at = |x: usize, y: usize| ((2 * x + 1) * w / (2 * width), (2 * y + 1) * h / (2 * height));
+    let ids = found.ids.to_plane();
+    let masks = found.mask.to_mask();
+    let mask = CompactMask::from_fn(width, height, |x, y| masks[at(x, y)] != 0);
+    (mask, CompactIds::from(&Plane::from_fn(width, height, |x, y| ids[at(x, y)])))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{REPORT_FILE, masks, write};
+    use crate::test_clips::clip;
+    use crate::{Category, Error};
+    use m4_core::{Capture, CompactMask, Plane, Silent};
+    use m4_geometry::classical::dense::InverseSearch;
+    use m4_geometry::masks::{FlowFollower, InstanceReport, RefineSettings};
+    use m4_io::capture::{CaptureOptions, Split};
+
+    const SIZE: (usize, usize) = (96, 72);
+
+    /// A patterned square that moves by two pixels per frame in front of a static pattern.
+    fn on_square(x: usize, y: usize, i: usize) -> bool {
+        (10 + 2 * i..34 + 2 * i).contains(&x) && (20..44).contains(&y)
+    }
+
+    fn capture(frames: usize) -> Capture {
+        let wave = |x: f32, y: f32| {
+            (128.0 + 50.0 * (x * 0.6).sin() * (y * 0.5).cos() + 40.0 * (0.31 * (x + 2.0 * y)).sin()) as u8
+        };
+        let colour = |x: usize, y: usize, i: usize| match on_square(x, y, i) {
+            true => [wave(3.0 + 1.3 * (x - 2 * i) as f32, 0.9 * y as f32), 20, 20],
+            false => [30, wave(x as f32, y as f32), 160],
+        };
+        let mut capture = clip(frames, |i| Plane::from_fn(SIZE.0, SIZE.1, |x, y| colour(x, y, i)));
+        for (i, frame) in capture.frames.iter_mut().enumerate() {
+            frame.mask = Some(CompactMask::from_fn(SIZE.0, SIZE.1, |x, y| on_square(x + 2, y + 2, i)));
+        }
+        capture
+    }
+
+    #[test]
+    fn a_capture_gets_numbers_that_are_written_and_read() {
+        let follower = FlowFollower::new(&InverseSearch, None);
+        let settings = RefineSettings::default();
+        let (found, report) = masks(capture(12), &settings, &follower, Some(&InverseSearch), &Silent).unwrap();
+        assert_eq!((report.instances.len(), report.coarse.as_str()), (1, "masks"));
+        assert_eq!((report.instances[0].frames, report.instances[0].id), (12, 1));
+        for (i, frame) in found.frames.iter().enumerate() {
+            let ids = frame.instances.as_ref().unwrap();
+            assert_eq!((ids.size(), ids.at(20 + 2 * i, 30), ids.at(90, 65)), (SIZE, 1, 0), "frame {i}");
+            assert!(frame.mask.as_ref().unwrap().at(20 + 2 * i, 30));
+        }
+        let dir = tempfile::tempdir().unwrap();
+        write(dir.path(), &found, Some(&report), &Silent).unwrap();
+        let again = m4_io::capture::read(dir.path(), Split::Train, &CaptureOptions::default(), &Silent).unwrap();
+        for (a, b) in again.frames.iter().zip(&found.frames) {
+            assert_eq!((&a.instances, &a.mask), (&b.instances, &b.mask));
+        }
+        let text = std::fs::read(dir.path().join(REPORT_FILE)).unwrap();
+        assert_eq!(serde_json::from_slice::<InstanceReport>(&text).unwrap(), report);
+    }
+
+    #[test]
+    fn a_frame_that_says_nothing_is_named() {
+        let follower = FlowFollower::new(&InverseSearch, None);
+        let mut given = capture(4);
+        given.frames[2].mask = None;
+        let error = masks(given, &RefineSettings::default(), &follower, None, &Silent).unwrap_err();
+        assert!(matches!(error, Error::Refused(_)) && error.to_string().contains("00002"), "{error}");
+        assert_eq!(error.category(), Category::BadInput);
+        let wrong = RefineSettings { every_frames: 0, ..RefineSettings::default() };
+        let error = masks(capture(4), &wrong, &follower, None, &Silent).unwrap_err();
+        assert_eq!(error.category(), Category::BadSettings);
+    }
+}

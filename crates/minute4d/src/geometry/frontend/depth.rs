@@ -1,0 +1,227 @@
+//! Monocular depth of every frame.
+
+use super::Plan;
+use crate::Error;
+use crate::device::NetworkDevice;
+use crate::steps::Steps;
+use m4_core::{Plane, RgbImage};
+use m4_geometry::classical::dense::{MonoDepth, MonoError, MonoKind, MonoMap};
+#[cfg(feature = "nets")]
+use m4_geometry::megasam::{DepthPrior, MegasamError, TrackingSize};
+use std::borrow::Cow;
+
+/// Depth of every frame of a clip; the maps may be smaller than the images.
+pub struct MonoClip {
+    name: String,
+    /// z-depth, metres, 0 where unknown.
+    pub metric_m: Option<Vec<Plane<f32>>>,
+    /// Relative disparity.
+    relative: Option<Vec<Plane<f32>>>,
+    /// Horizontal field of view, radians: the median over the frames.
+    pub fov_rad: Option<f64>,
+}
+
+#[cfg(feature = "nets")]
+impl MonoClip {
+    /// As the tracker takes it; fails where the maps hold nothing.
+    pub fn prior(&self, size: &TrackingSize) -> Result<DepthPrior, MegasamError> {
+        match (&self.metric_m, &self.relative) {
+            (Some(metric), Some(relative)) => DepthPrior::aligned(metric, relative, size),
+            (Some(metric), None) => DepthPrior::metric(metric, size),
+            (None, relative) => DepthPrior::relative(relative.as_deref().unwrap_or_default(), size),
+        }
+    }
+}
+
+/// Relative disparity goes first where both are there, as the one with better edges.
+impl MonoDepth for MonoClip {
+    fn name(&self) -> &str {
+        &self.name
+    }
+
+    fn frames(&self) -> Option<usize> {
+        self.metric_m.as_ref().or(self.relative.as_ref()).map(Vec::len)
+    }
+
+    fn depth(&self, frame: usize, _: &RgbImage) -> Result<Option<MonoMap<'_>>, MonoError> {
+        let map = |kind, planes: &'_ Option<Vec<Plane<f32>>>| -> Option<MonoMap<'_>> {
+            let values = planes.as_ref()?.get(frame)?;
+            Some(MonoMap { kind, values: Cow::Owned(values.clone()) })
+        };
+        let relative = map(MonoKind::AffineDisparity, &self.relative);
+        Ok(relative.or_else(|| map(MonoKind::UpToScale, &self.metric_m)))
+    }
+}
+
+impl Plan {
+    /// Depth of every image from itself alone; `None` where the front end has no network for that. A focal length that is
+    /// known (pixels of the images) is given to networks that take one. Each frame is a step. Fails where a network cannot be loaded or
+    /// fails, or the user stops.
+    pub fn depth(
+        &self,
+        images: &[&RgbImage],
+        focal_px: Option<f64>,
+        device: &NetworkDevice,
+        steps: &Steps<'_>,
+    ) -> Result<Option<MonoClip>, Error> {
+        #[cfg(feature = "nets")]
+        return MonoClip::measure(self, images, focal_px, &device.device, steps);
+        #[cfg(not(feature = "nets"))]
+        {
+            let _ = (images, focal_px, device, steps);
+            Ok(None)
+        }
+    }
+}
+
+#[cfg(feature = "nets")]
+mod networks {
+    //! Networks for monocular depth.
+
+    use super::super::{Part, Plan, unusable};
+    use super::{Error, MonoClip, Plane, RgbImage, Steps};
+    use crate::error::{NetworkError, NetworkMethod};
+    use m4_core::{ResizeFilter, resize_rgb};
+    use m4_geometry::megasam::MegasamError;
+    use m4_nets::{Compute, DepthAnything, LoadError, MoGe, MoGeOptions, NetError, UniDepth, cpu};
+    use std::path::Path;
+
+    /// Longer side of the stored maps, pixels: those of MegaSaM's metric depth.
+    const STORED_SIDE: usize = 640;
+    /// Patches that MoGe-2 cuts an image into on the processor: the fewest that it was trained with. On a GPU it is the most.
+    const PROCESSOR_TOKENS: usize = 1200;
+    const PHASE: &str = "depth from one image";
+
+    type BoxedError = Box<dyn std::error::Error + Send + Sync>;
+
+    enum Metric {
+        MoGe(Box<MoGe>),
+        UniDepth(Box<UniDepth>),
+    }
+
+    struct Networks {
+        metric: Option<Metric>,
+        relative: Option<DepthAnything>,
+    }
+
+    /// The map with its longer side at most [`STORED_SIDE`].
+    fn limited(plane: Plane<f32>) -> Plane<f32> {
+        let (w, h) = plane.size();
+        let long = w.max(h);
+        if long <= STORED_SIDE {
+            return plane;
+        }
+        let side = |n: usize| (n * STORED_SIDE / long).max(1);
+        m4_geometry::resample::resize_nearest(&plane, side(w), side(h))
+    }
+
+    fn load<T>(
+        part: Part,
+        plan: &Plan,
+        device: &Compute,
+        load: impl Fn(&Path, &Compute) -> Result<T, LoadError>,
+    ) -> Result<Option<T>, Error> {
+        let Some(path) = plan.file(part) else { return Ok(None) };
+        load(path, device).map(Some).map_err(unusable(NetworkMethod::FrontEnd(part)))
+    }
+
+    impl MonoClip {
+        /// See [`Plan::depth`].
+        pub(super) fn measure(
+            plan: &Plan,
+            images: &[&RgbImage],
+            focal_px: Option<f64>,
+            device: &Compute,
+            steps: &Steps<'_>,
+        ) -> Result<Option<Self>, Error> {
+            let progress = steps.observer();
+            let moge = load(Part::Moge, plan, device, |path, on| MoGe::load(path, on))?;
+            let moge = moge.map(|net| Metric::MoGe(Box::new(net)));
+            let unidepth = load(Part::Unidepth, plan, device, |path, on| UniDepth::load(path, on))?;
+            let unidepth = unidepth.map(|net| Metric::UniDepth(Box::new(net)));
+            let networks = Networks {
+                metric: moge.or(unidepth),
+                relative: load(Part::DepthAnything, plan, device, |path, on| DepthAnything::load(path, on))?,
+            };
+            if networks.metric.is_none() && networks.relative.is_none() {
+                return Ok(None);
+            }
+            let name = [Part::Moge, Part::Unidepth, Part::DepthAnything];
+            let name: Vec<&str> = name.into_iter().filter(|&p| plan.frontend.has(p)).map(Part::name).collect();
+            let name = name.join("+");
+            let (mut metric_m, mut relative, mut fovs) = (Vec::new(), Vec::new(), Vec::new());
+            for (frame, image) in images.iter().enumerate() {
+                if progress.cancelled() {
+                    return Err(MegasamError::Cancelled.into());
+                }
+                let failed = |reason: BoxedError| NetworkError::Depth { networks: name.clone(), frame, reason };
+                let step = format!("depth-{frame:05}");
+                let (measured, disparity) = match steps.load(&step) {
+                    Some(made) => made,
+                    None => {
+                        let measured = networks.metric.as_ref().map(|n| n.depth(image, focal_px, device));
+                        let measured = measured.transpose().map_err(failed)?;
+                        let disparity = networks.relative.as_ref().map(|n| n.disparity(image));
+                        let disparity = disparity.transpose().map_err(|e| failed(Box::new(e)))?;
+                        let made =
+                            (measured.map(|(depth_m, fov_rad)| (limited(depth_m), fov_rad)), disparity.map(limited));
+                        steps.store(&step, &made);
+                        made
+                    }
+                };
+                if let Some((depth_m, fov_rad)) = measured {
+                    metric_m.push(depth_m);
+                    fovs.extend::<Option<f64>>(fov_rad);
+                }
+                relative.extend(disparity);
+                progress.update(PHASE, frame + 1, images.len(), &name);
+            }
+            let blind = metric_m.len() - fovs.len();
+            if blind > 0 {
+                progress.warn(&format!(
+                    "{name} sees no depth in {blind} of {} frames (sky alone, or nothing that a camera explains)",
+                    images.len()
+                ));
+            }
+            fovs.sort_unstable_by(f64::total_cmp);
+            Ok(Some(Self {
+                name,
+                fov_rad: (!fovs.is_empty()).then(|| 0.5 * (fovs[fovs.len() / 2] + fovs[(fovs.len() - 1) / 2])),
+                metric_m: networks.metric.is_some().then_some(metric_m),
+                relative: networks.relative.is_some().then_some(relative),
+            }))
+        }
+    }
+
+    impl Metric {
+        /// z-depth in metres, 0 where unknown, and the horizontal field of view, radians.
+        fn depth(
+            &self,
+            image: &RgbImage,
+            focal_px: Option<f64>,
+            device: &Compute,
+        ) -> Result<(Plane<f32>, Option<f64>), BoxedError> {
+            let moge =
+                MoGeOptions { tokens: (device.device == cpu()).then_some(PROCESSOR_TOKENS), known_focal_px: focal_px };
+            match self {
+                Self::MoGe(net) => match net.infer(image, &moge) {
+                    Ok(map) => Ok((map.depth_m, Some(map.fov_x_rad))),
+                    // all sky, or no points of a camera: nothing is known
+                    Err(NetError::NoDepth(_)) => {
+                        Ok((Plane::filled(image.width(), image.height(), 0.0), None))
+                    }
+                    Err(error) => Err(error.into()),
+                },
+                Self::UniDepth(net) => {
+                    // MegaSaM hands it images of this size.
+                    let (w, h) = image.size();
+                    let side = |n: usize| (n * STORED_SIDE.min(w.max(h)) / w.max(h).max(1)).max(1);
+                    let small =
+                        resize_rgb(image, side(w), side(h), ResizeFilter::Triangle).ok_or("the image is empty")?;
+                    let map = net.depth(&small)?;
+                    Ok((map.depth_m, Some(map.camera.horizontal_fov_rad())))
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,242 @@
+//! Reads intrinsics from the command line or a JSON file, and poses from `transforms.json` of our own captures and of nerfstudio, or a
+//! trajectory in the format of the TUM benchmark.
+
+use super::{Clip, other_shape, same_shape};
+use crate::{Error, Refusal};
+use m4_core::{Camera, Intrinsics, Se3};
+use m4_io::trajectory;
+use serde::Deserialize;
+use std::fs;
+use std::path::Path;
+
+/// The keys of `transforms.json` that are read.
+#[derive(Deserialize)]
+struct File {
+    fl_x: Option<f64>,
+    fl_y: Option<f64>,
+    cx: Option<f64>,
+    cy: Option<f64>,
+    w: Option<f64>,
+    h: Option<f64>,
+    k1: Option<f64>,
+    k2: Option<f64>,
+    k3: Option<f64>,
+    k4: Option<f64>,
+    p1: Option<f64>,
+    p2: Option<f64>,
+}
+
+/// `fx,fy,cx,cy`; `None` for the name of a file.
+pub fn numbers(text: &str) -> Option<Vec<f64>> {
+    text.split(',').map(|part| part.trim().parse().ok()).collect()
+}
+
+/// The lens for frames of `size`; refused if it is incomplete, distorted, or of images of another shape.
+pub fn lens(given: &str, size: (usize, usize)) -> Result<Intrinsics, Error> {
+    let bad = |reason: String| {
+        Refusal::bad_input(format!(
+            "the intrinsics {given:?} cannot be used: {reason}; give --intrinsics fx,fy,cx,cy in pixels of the frames, or a JSON file with \
+             fl_x, fl_y, cx, cy, w and h"
+        ))
+    };
+    let lens = match numbers(given) {
+        Some(numbers) => match numbers[..] {
+            [fx, fy, cx, cy] => Intrinsics { width: size.0, height: size.1, fx, fy, cx, cy },
+            _ => return Err(bad(format!("{} numbers where 4 were expected", numbers.len())).into()),
+        },
+        None => {
+            let bytes = fs::read(given).map_err(|source| Error::Read { path: given.into(), source })?;
+            let file: File = serde_json::from_slice(&bytes).map_err(|e| bad(format!("it is not such JSON ({e})")))?;
+            of_file(&file, size).map_err(bad)?
+        }
+    };
+    let positive = |f: f64| f.is_finite() && f > 0.0;
+    if !positive(lens.fx) || !positive(lens.fy) {
+        return Err(bad(format!("focal lengths of {} and {} pixels", lens.fx, lens.fy)).into());
+    }
+    let inside = |c: f64, side: usize| c > 0.0 && c < side as f64;
+    if !inside(lens.cx, size.0) || !inside(lens.cy, size.1) {
+        return Err(bad(format!(
+            "its principal point {}, {} lies outside the frames of {} x {} pixels",
+            lens.cx, lens.cy, size.0, size.1
+        ))
+        .into());
+    }
+    Ok(lens)
+}
+
+fn of_file(file: &File, size: (usize, usize)) -> Result<Intrinsics, String> {
+    let bent = [file.k1, file.k2, file.k3, file.k4, file.p1, file.p2];
+    if bent.into_iter().flatten().any(|k| k != 0.0) {
+        return Err("it has distortion; undistort the frames first".to_owned());
+    }
+    let fx = file.fl_x.ok_or("fl_x is missing")?;
+    let side = |given: Option<f64>, frame: usize| match given {
+        Some(side) if (1.0..=65_536.0).contains(&side) => Ok(side as usize),
+        Some(side) => Err(format!("a side of {side} pixels")),
+        None => Ok(frame),
+    };
+    let (width, height) = (side(file.w, size.0)?, side(file.h, size.1)?);
+    if !same_shape((width, height), size) {
+        return Err(format!(
+            "it is of images of {width} x {height} pixels, another aspect ratio than that of the frames, {} x {}",
+            size.0, size.1
+        ));
+    }
+    let lens = Intrinsics {
+        width,
+        height,
+        fx,
+        fy: file.fl_y.unwrap_or(fx),
+        cx: file.cx.unwrap_or(width as f64 / 2.0),
+        cy: file.cy.unwrap_or(height as f64 / 2.0),
+    };
+    Ok(lens.resized(size.0, size.1))
+}
+
+/// A camera per frame. `lens` replaces the lenses of the file; `known` is used where the file has none. Fails if the file cannot be read, has
+/// another number of poses, or there is no lens.
+pub fn poses(
+    path: &Path,
+    clip: &Clip,
+    lens: Option<Intrinsics>,
+    known: Option<Intrinsics>,
+) -> Result<Vec<Camera>, Error> {
+    let json = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("json"));
+    let cameras = if json {
+        let mut cameras = trajectory::read(path, clip.frames)?;
+        cameras.sort_by(|a, b| a.1.total_cmp(&b.1));
+        cameras.into_iter().map(|(camera, _)| camera).collect()
+    } else {
+        let text = fs::read_to_string(path).map_err(|source| Error::Read { path: path.to_path_buf(), source })?;
+        let bad = |(line, what): (usize, String)| {
+            Refusal::bad_input(format!(
+                "{}, line {line}: {what}; each line is `t tx ty tz qx qy qz qw`, camera to world",
+                path.display()
+            ))
+        };
+        let poses = trajectory_lines(&text).map_err(bad)?;
+        let Some(intrinsics) = known else {
+            return Err(Refusal::bad_input(format!(
+                "{} has poses without intrinsics; give --intrinsics, or --fov with the horizontal field of view",
+                path.display()
+            ))
+            .into());
+        };
+        poses.into_iter().map(|c2w| Camera { intrinsics, c2w }).collect()
+    };
+    let mut cameras = clip.in_order("poses", path, cameras)?;
+    for camera in &mut cameras {
+        let k = &camera.intrinsics;
+        if lens.is_none() && !same_shape((k.width, k.height), clip.size) {
+            return Err(other_shape(path, (k.width, k.height), clip.size).into());
+        }
+        camera.intrinsics = lens.unwrap_or_else(|| k.resized(clip.size.0, clip.size.1));
+    }
+    Ok(cameras)
+}
+
+/// Lines `t tx ty tz qx qy qz qw` in order of time; empty ones and those that begin with `#` are skipped.
+fn trajectory_lines(text: &str) -> Result<Vec<Se3<f64>>, (usize, String)> {
+    let mut poses = Vec::new();
+    let mut last = f64::NEG_INFINITY;
+    for (i, line) in text.lines().enumerate() {
+        let line = line.trim();
+        if line.is_empty() || line.starts_with('#') {
+            continue;
+        }
+        let bad = |what: String| (i + 1, what);
+        let numbers: Result<Vec<f64>, _> = line.split_whitespace().map(str::parse).collect();
+        let numbers = numbers.map_err(|e| bad(format!("{e}")))?;
+        let [t, pose @ ..] = numbers.as_slice() else {
+            return Err(bad("no number".to_owned()));
+        };
+        let pose: [f64; 7] =
+            pose.try_into().map_err(|_| bad(format!("{} numbers where 8 were expected", numbers.len())))?;
+        if !numbers.iter().all(|v| v.is_finite()) {
+            return Err(bad("a number is not finite".to_owned()));
+        }
+        if *t <= last {
+            return Err(bad(format!("its time {t} is not after {last}, that of the line before")));
+        }
+        last = *t;
+        let norm = pose[3..].iter().map(|q| q * q).sum::<f64>().sqrt();
+        if (norm - 1.0).abs() > 0.01 {
+            return Err(bad(format!("its quaternion has the length {norm:.3} instead of 1")));
+        }
+        let mut unit = pose;
+        for q in &mut unit[3..] {
+            *q /= norm;
+        }
+        poses.push(Se3::from_translation_quaternion(&unit));
+    }
+    Ok(poses)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{lens, trajectory_lines};
+    use m4_core::nalgebra::Vector3;
+
+    #[test]
+    fn numbers_are_of_the_frames() {
+        let found = lens("500, 510,310,250", (640, 480)).unwrap();
+        assert_eq!((found.fx, found.fy, found.cx, found.cy), (500.0, 510.0, 310.0, 250.0));
+        for (bad, word) in [
+            ("500,510,310", "3 numbers"),
+            ("500,510,700,250", "outside"),
+            ("-5,510,310,250", "focal"),
+            ("nan,510,310,250", "focal"),
+            ("no_such_lens.json", "no_such_lens.json"),
+        ] {
+            let text = lens(bad, (640, 480)).unwrap_err().to_string();
+            assert!(text.contains(word), "{text}");
+        }
+    }
+
+    #[test]
+    fn a_file_is_brought_to_the_size_of_the_frames() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("lens.json");
+        let write = |text: &str| std::fs::write(&path, text).unwrap();
+        let name = path.to_str().unwrap();
+        write(r#"{"fl_x": 1000, "fl_y": 1010, "cx": 620, "w": 1280, "h": 960}"#);
+        let found = lens(name, (640, 480)).unwrap();
+        assert_eq!((found.fx, found.fy, found.cx, found.cy), (500.0, 505.0, 310.0, 240.0));
+        for (text, word) in [
+            (r#"{"fl_x": 1000, "k1": 0.1}"#, "distortion"),
+            (r#"{"fl_x": 1000, "w": 480, "h": 640}"#, "aspect ratio"),
+            (r#"{"cx": 3}"#, "fl_x is missing"),
+            ("[]", "JSON"),
+        ] {
+            write(text);
+            let message = lens(name, (640, 480)).unwrap_err().to_string();
+            assert!(message.contains(word) && message.contains("lens.json"), "{message}");
+        }
+    }
+
+    #[test]
+    fn lines_are_poses_from_camera_to_world() {
+        let half = 0.5_f64.sqrt();
+        let text = format!("# t tx ty tz qx qy qz qw\n\n0 0 0 0 0 0 0 1\n0.1 1 2 3 0 {half} 0 {half}\n");
+        let poses = trajectory_lines(&text).unwrap();
+        // a rotation by 90 degrees about y takes z to x
+        let ahead = poses[1].transform(&Vector3::new(0.0, 0.0, 1.0));
+        assert_eq!(poses.len(), 2);
+        assert!((ahead - Vector3::new(2.0, 2.0, 3.0)).norm() < 1e-12, "{ahead}");
+    }
+
+    #[test]
+    fn malformed_pose_files_are_rejected_with_the_line() {
+        for (text, line, word) in [
+            ("0 0 0 0 0 0 0 1\n1 0 0 0 0 0 1", 2, "7 numbers"),
+            ("0 0 0 0 0 0 0 1\n0 0 0 0 0 0 0 1", 2, "not after"),
+            ("0 0 0 0 0 0 0 2", 1, "length 2.000"),
+            ("0 0 x 0 0 0 0 1", 1, "invalid"),
+            ("0 0 inf 0 0 0 0 1", 1, "finite"),
+        ] {
+            let (at, what) = trajectory_lines(text).unwrap_err();
+            assert!(at == line && what.contains(word), "{text:?}: {at} {what}");
+        }
+    }
+}

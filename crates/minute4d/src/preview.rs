@@ -1,0 +1,298 @@
+//! `preview.mp4`: source, re-render and frozen time with a swinging camera, side by side; and `poster.jpg`: a frame and its re-render, for
+//! overviews of many clips.
+
+use crate::folder::{CAPTURE_FOLDER, PREVIEW_FILE, SCENE_FILE};
+use crate::record::{FileRecord, RUN_FILE, RunRecord};
+use crate::render::{SceneRenderer, SwingConfig, source_fps, swing};
+use crate::settings::{Settings, part_to_toml};
+use crate::stage::{RecordingObserver, check_stop};
+use crate::workspace::{Task, Workspace};
+use crate::{Error, StageEvent, hash, train};
+use m4_core::{
+    Camera, Capture, CaptureFrame, Exposure, Plane, Progress, ResizeFilter, RgbImage, Scene, Silent, resize_rgb,
+};
+use m4_io::image::write_rgb;
+use m4_io::scene::safetensors;
+use m4_io::video::Mp4Writer;
+use m4_kernels::SimdLevel;
+use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
+
+/// Name of the stage.
+pub const STAGE: &str = "preview";
+
+/// Shape of the clip.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct PreviewConfig {
+    /// Longest side of each of the three panels, pixels. 480: three fit on a full-HD screen.
+    pub panel_px: usize,
+    /// Name the panels in the image.
+    pub labels: bool,
+    /// Shortest clip, seconds; shorter ones are played again until they are this long. 4: one swing.
+    pub min_seconds: f64,
+    /// The camera of the third panel.
+    pub swing: SwingConfig,
+}
+
+impl Default for PreviewConfig {
+    fn default() -> Self {
+        Self { panel_px: 480, labels: true, min_seconds: 4.0, swing: SwingConfig::default() }
+    }
+}
+
+/// Makes the preview within a run, unless that was done before.
+pub(crate) fn stage(run: &mut Workspace<'_>, capture: &Capture, scene: &Scene) -> Result<(), Error> {
+    let scene_hash = run.record.files.get(SCENE_FILE).map_or("", |f| f.blake3.as_str());
+    let config = part_to_toml(&run.job.settings.preview)?;
+    let key = hash::of_parts(&[STAGE, env!("CARGO_PKG_VERSION"), scene_hash, &hash::of_capture(capture), &config]);
+    let task = match run.task(STAGE, &key, &[PREVIEW_FILE])? {
+        Task::Reuse => {
+            run.job.observer.stage(STAGE, StageEvent::Reused);
+            return Ok(());
+        }
+        // A preview is computed again, so seconds of an earlier attempt do not count.
+        Task::Work { because, .. } => (because, 0.0),
+    };
+    run.stage(STAGE, key, task, &[PREVIEW_FILE], |run, keeper| draw(run, capture, scene, keeper))
+}
+
+fn draw(run: &Workspace<'_>, capture: &Capture, scene: &Scene, keeper: &RecordingObserver<'_>) -> Result<(), Error> {
+    let config = &run.job.settings.preview;
+    let Some(first) = scene.source.first() else {
+        return Err(Error::Internal { what: "the scene has no source frames".to_owned() });
+    };
+    let size = panel_size(&first.camera, config.panel_px);
+    let fps = source_fps(scene);
+    let mut writer = Mp4Writer::create(&run.path(PREVIEW_FILE), 3 * size.0 + 2 * GAP, size.1, fps)?;
+
+    let frozen = sharpest(capture).min(scene.source.len() - 1);
+    let still = &scene.source[frozen];
+    let mut renderer = SceneRenderer::new(scene, run.level, run.gpu.as_ref())?;
+    let distance = renderer.painter().median_depth(&still.camera, still.t).unwrap_or(1.0);
+    let n = scene.source.len();
+    let rounds = ((config.min_seconds * fps / n as f64).ceil() as usize).clamp(1, 100);
+    let total = n * rounds;
+    // At least one whole swing, and a whole number of them, so that the clip loops.
+    let swings = (total as f64 / config.swing.period_frames.max(2) as f64).round().max(1.0);
+    let swing_config = SwingConfig { period_frames: (total as f64 / swings).round() as usize, ..config.swing };
+    let cameras = swing(&still.camera.resized(size.0, size.1), distance, total, &swing_config);
+    for (i, camera) in cameras.iter().enumerate() {
+        check_stop(keeper, STAGE, true)?;
+        let source = &scene.source[i % n];
+        let photo = capture.frames.get(i % n).and_then(|f| resize_rgb(&f.rgb, size.0, size.1, ResizeFilter::Triangle));
+        let again = renderer.image(&source.camera.resized(size.0, size.1), source.t, &source.exposure)?;
+        let swung = renderer.image(camera, still.t, &Exposure::IDENTITY)?;
+        writer.push(&side_by_side(size, config.labels, [photo.as_ref(), Some(&again), Some(&swung)]))?;
+        keeper.update(STAGE, i + 1, total, "");
+    }
+    writer.finish()?;
+    Ok(())
+}
+
+/// The size of a panel: at most `longest` pixels per side, both sides even.
+fn panel_size(camera: &Camera, longest: usize) -> (usize, usize) {
+    let (w, h) = (camera.intrinsics.width, camera.intrinsics.height);
+    let scale = (longest.max(16) as f64 / w.max(h).max(1) as f64).min(1.0);
+    let even = |side: usize| ((side as f64 * scale / 2.0).round() as usize * 2).max(2);
+    (even(w), even(h))
+}
+
+/// Name of the file in the folder of a run.
+pub const POSTER_FILE: &str = "poster.jpg";
+/// Longest side of each of the two images, pixels: a page of a thousand posters stays under 50 MB.
+const SIDE_PX: usize = 240;
+
+/// Makes the poster of a finished run of `input` and notes it in the run's record. The frame is the one that
+/// the preview freezes.
+///
+/// # Errors
+///
+/// [`Error::Missing`] where the folder holds no run; [`Error`] where scene or capture cannot be read or nothing can be
+/// written.
+pub fn poster(run: &Path, input: &Path, settings: &Settings) -> Result<PathBuf, Error> {
+    let mut record = RunRecord::read(run)?.ok_or_else(|| Error::Missing { what: RUN_FILE, path: run.to_path_buf() })?;
+    // Warnings about the capture were given while the scene was made.
+    let made = run.join(CAPTURE_FOLDER);
+    let capture = train::read(if made.is_dir() { &made } else { input }, settings, &Silent)?;
+    let scene = safetensors::read(&run.join(SCENE_FILE))?.scene;
+    let frame = sharpest(&capture).min(scene.source.len().saturating_sub(1));
+    let (Some(source), Some(photo)) = (scene.source.get(frame), capture.frames.get(frame)) else {
+        return Err(Error::Internal { what: "the scene has no source frames".to_owned() });
+    };
+    let (width, height) = panel_size(&source.camera, SIDE_PX);
+    let photo = resize_rgb(&photo.rgb, width, height, ResizeFilter::Triangle);
+    let mut renderer = SceneRenderer::new(&scene, SimdLevel::detect()?, None)?;
+    let again = renderer.image(&source.camera.resized(width, height), source.t, &source.exposure)?;
+    let mut both = Plane::filled(2 * width, height, [0; 3]);
+    for y in 0..height {
+        let row = both.row_mut(y);
+        if let Some(photo) = &photo {
+            row[..width].copy_from_slice(photo.row(y));
+        }
+        row[width..].copy_from_slice(again.row(y));
+    }
+    let path = run.join(POSTER_FILE);
+    write_rgb(&path, &both)?;
+    record.files.insert(POSTER_FILE.to_owned(), FileRecord::of(&path)?);
+    record.write(run)?;
+    Ok(path)
+}
+
+/// Stride of the sampled pixels, columns and rows.
+const STEP: usize = 2;
+
+/// Index of the frame in which the dynamic regions are sharpest (everything, where nothing moves). It is one that shows at least three quarters
+/// of what the middle frame by that measure shows, away from the ends of the clip, where the scene is seen least.
+fn sharpest(capture: &Capture) -> usize {
+    let n = capture.frames.len();
+    let inner: Vec<usize> = (n / 5..n - n / 5).collect();
+    let details = |masked| -> Vec<(usize, f64)> { inner.iter().map(|&i| detail(&capture.frames[i], masked)).collect() };
+    let dynamic = details(true);
+    let details = if dynamic.iter().any(|(area, _)| *area > 0) { dynamic } else { details(false) };
+    let mut areas: Vec<usize> = details.iter().map(|(area, _)| *area).collect();
+    areas.sort_unstable();
+    let enough = areas.get(areas.len() / 2).map_or(0, |median| median * 3 / 4);
+    let candidates = inner.iter().zip(&details).filter(|(_, (area, _))| *area >= enough);
+    // The first of equals: the choice must not depend on chance.
+    let best = candidates.max_by(|(i, (_, a)), (j, (_, b))| a.total_cmp(b).then(j.cmp(i)));
+    best.map_or(0, |(&i, _)| i)
+}
+
+/// Sampled pixels of the dynamic regions of a frame (all pixels unless `masked`), and the mean squared brightness gradient over them.
+fn detail(frame: &CaptureFrame, masked: bool) -> (usize, f64) {
+    let (w, h) = frame.rgb.size();
+    let brightness = |x: usize, y: usize| frame.rgb[(x, y)].iter().map(|&c| f64::from(c)).sum::<f64>();
+    let counts = |x: usize, y: usize| match frame.mask.as_ref().filter(|_| masked) {
+        Some(mask) => mask.at(x * mask.size().0 / w, y * mask.size().1 / h),
+        None => true,
+    };
+    let (mut sum, mut count) = (0.0, 0usize);
+    for y in (0..h.saturating_sub(1)).step_by(STEP) {
+        for x in (0..w.saturating_sub(1)).step_by(STEP) {
+            if counts(x, y) {
+                let here = brightness(x, y);
+                sum += (brightness(x + 1, y) - here).powi(2) + (brightness(x, y + 1) - here).powi(2);
+                count += 1;
+            }
+        }
+    }
+    (count, sum / count.max(1) as f64)
+}
+
+/// Pixels between two panels.
+const GAP: usize = 4;
+/// The labels of the panels.
+const LABELS: [&str; 3] = ["SOURCE", "RE-RENDER", "FROZEN TIME"];
+
+/// Places panels of the same size side by side, with labels if they are wide enough; black where there is none.
+fn side_by_side((width, height): (usize, usize), labels: bool, panels: [Option<&RgbImage>; 3]) -> RgbImage {
+    let mut out = Plane::filled(3 * width + 2 * GAP, height, [0; 3]);
+    for (i, panel) in panels.into_iter().enumerate() {
+        let left = i * (width + GAP);
+        if let Some(panel) = panel {
+            for y in 0..height {
+                out.row_mut(y)[left..left + width].copy_from_slice(panel.row(y));
+            }
+        }
+        if labels && width >= 120 {
+            write_label(&mut out, left + 6, 6, LABELS[i]);
+        }
+    }
+    out
+}
+
+/// Columns and rows of a letter.
+const LETTER: (usize, usize) = (5, 7);
+/// Pixels a dot.
+const DOT: usize = 2;
+
+/// The rows of a letter, most significant of five bits to the left; `None` draws as a space.
+fn rows(letter: char) -> Option<[u8; 7]> {
+    Some(match letter {
+        'C' => [0x0e, 0x11, 0x10, 0x10, 0x10, 0x11, 0x0e],
+        'D' => [0x1e, 0x11, 0x11, 0x11, 0x11, 0x11, 0x1e],
+        'E' => [0x1f, 0x10, 0x10, 0x1e, 0x10, 0x10, 0x1f],
+        'F' => [0x1f, 0x10, 0x10, 0x1e, 0x10, 0x10, 0x10],
+        'I' => [0x0e, 0x04, 0x04, 0x04, 0x04, 0x04, 0x0e],
+        'M' => [0x11, 0x1b, 0x15, 0x15, 0x11, 0x11, 0x11],
+        'N' => [0x11, 0x19, 0x15, 0x13, 0x11, 0x11, 0x11],
+        'O' => [0x0e, 0x11, 0x11, 0x11, 0x11, 0x11, 0x0e],
+        'R' => [0x1e, 0x11, 0x11, 0x1e, 0x14, 0x12, 0x11],
+        'S' => [0x0f, 0x10, 0x10, 0x0e, 0x01, 0x01, 0x1e],
+        'T' => [0x1f, 0x04, 0x04, 0x04, 0x04, 0x04, 0x04],
+        'U' => [0x11, 0x11, 0x11, 0x11, 0x11, 0x11, 0x0e],
+        'Z' => [0x1f, 0x01, 0x02, 0x04, 0x08, 0x10, 0x1f],
+        '-' => [0x00, 0x00, 0x00, 0x1f, 0x00, 0x00, 0x00],
+        _ => return None,
+    })
+}
+
+/// Writes `text` in white on a darkened strip whose top left corner is at `(x, y)`; what does not fit is cut off.
+fn write_label(image: &mut RgbImage, x: usize, y: usize, text: &str) {
+    let advance = (LETTER.0 + 1) * DOT;
+    let strip = (text.chars().count() * advance + 2 * DOT, (LETTER.1 + 2) * DOT);
+    let (width, height) = image.size();
+    for v in y..(y + strip.1).min(height) {
+        for u in x..(x + strip.0).min(width) {
+            image[(u, v)] = image[(u, v)].map(|c| c / 3);
+        }
+    }
+    for (i, letter) in text.chars().enumerate() {
+        let Some(rows) = rows(letter) else { continue };
+        for (r, bits) in rows.iter().enumerate() {
+            for c in (0..LETTER.0).filter(|c| bits >> (LETTER.0 - 1 - c) & 1 == 1) {
+                let (left, top) = (x + DOT + i * advance + c * DOT, y + DOT + r * DOT);
+                for (dx, dy) in [(0, 0), (1, 0), (0, 1), (1, 1)] {
+                    if left + dx < width && top + dy < height {
+                        image[(left + dx, top + dy)] = [255; 3];
+                    }
+                }
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{GAP, LABELS, rows, sharpest, side_by_side, write_label};
+    use crate::test_clips::clip;
+    use m4_core::{CompactMask, Plane};
+
+    #[test]
+    fn panels_are_side_by_side() {
+        let [red, blue] = [[255, 0, 0], [0, 0, 255]].map(|c| Plane::filled(8, 6, c));
+        let out = side_by_side((8, 6), true, [Some(&red), None, Some(&blue)]);
+        assert_eq!(out.size(), (24 + 2 * GAP, 6));
+        assert_eq!((out[(0, 0)], out[(12, 3)], out[(31, 5)]), ([255, 0, 0], [0; 3], [0, 0, 255]));
+        assert_eq!(out[(9, 2)], [0; 3]);
+    }
+
+    #[test]
+    fn every_letter_exists_and_is_cut_off_at_the_border() {
+        let mut image = Plane::filled(40, 30, [90; 3]);
+        write_label(&mut image, 0, 0, "T");
+        assert_eq!((image[(2, 2)], image[(2, 10)], image[(6, 10)]), ([255; 3], [30; 3], [255; 3]));
+        assert_eq!(image[(39, 29)], [90; 3]);
+        write_label(&mut image, 36, 26, "FROZEN TIME");
+        for letter in LABELS.concat().chars().filter(|c| *c != ' ') {
+            assert!(rows(letter).is_some(), "{letter}");
+        }
+    }
+
+    #[test]
+    fn frame_with_most_dynamic_detail_wins() {
+        // Stripes to the left in frame 6; stronger ones to the right, where nothing moves, in frame 4; and
+        // in frame 3, where next to nothing is masked.
+        let stripes = |i: usize, x: usize| {
+            let striped = if i == 6 { x < 16 } else { i == 3 || i == 4 && x >= 16 };
+            let strength = if i == 6 { 100 } else { 255 };
+            [if striped && x % 2 == 0 { strength } else { 0 }; 3]
+        };
+        let mut capture = clip(10, |i| Plane::from_fn(32, 24, |x, _| stripes(i, x)));
+        for (i, frame) in capture.frames.iter_mut().enumerate() {
+            frame.mask = Some(CompactMask::from_fn(32, 24, |x, _| x < if i == 3 { 2 } else { 16 }));
+        }
+        assert_eq!(sharpest(&capture), 6);
+    }
+}
