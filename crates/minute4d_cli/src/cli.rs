@@ -1,9 +1,16 @@
 //! The command line as clap parses it: the commands, and the options that all of them have.
 
 use crate::commands::{
-    ablate::Ablate, batch::Batch, bench::Bench, enhance::Enhance, eval::Eval, eval::EvalGeometry, export::Export,
-    geometry::Geometry, import::Import, inspect::Inspect, render::Render, reproduce::Reproduce, run::Run, split::Split,
-    train::Train, view::View, weights::Weights,
+    batch::Batch,
+    bench::Bench,
+    eval::{Eval, EvalGeometry, Inspect, Split},
+    geometry::{Enhance, Geometry},
+    interchange::{Export, Import},
+    render::Render,
+    reproduce::{Ablate, Reproduce},
+    run::{Run, Train},
+    view::View,
+    weights::Weights,
 };
 use clap::{Args, Parser, Subcommand};
 
@@ -22,12 +29,10 @@ pub struct Cli {
     /// The command to run.
     #[command(subcommand)]
     pub command: Command,
-    /// Output and threads.
     #[command(flatten)]
     pub common: Common,
 }
 
-/// Options of every command.
 #[derive(Debug, Args)]
 pub struct Common {
     /// Print one JSON object per line on stdout; the last is {"event":"end","ok":..,"code":..,"reason":..}

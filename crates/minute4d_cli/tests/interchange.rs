@@ -1,5 +1,4 @@
 //! Scenes to the files of other tools and back, from outside.
-#![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
 use crate::common::Scratch;
 use m4_testkit::{SceneSpec, moving_scene, random_camera, random_splats};

@@ -42,7 +42,6 @@ pub(super) fn bake(scene: &Scene) -> Option<(Scene, Loss)> {
     Some((baked, loss))
 }
 
-/// A camera of the source.
 struct View {
     t: f64,
     camera: Pinhole<f64>,

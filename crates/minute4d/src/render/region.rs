@@ -23,7 +23,6 @@ pub struct Region {
 
 impl Region {
     /// The surroundings of a camera of the scene. Where it sees nothing, the distance is one unit.
-    #[must_use]
     pub fn of(scene: &Scene, painter: &mut Painter<'_>, stop: Stop) -> Self {
         let all = painter.median_depth(&stop.camera, stop.t).unwrap_or(1.0);
         // The dynamic part is what one looks at, and what bears a turn of the camera least: the turn is about it.
@@ -33,7 +32,6 @@ impl Region {
     }
 
     /// Returns the point that the camera looks at.
-    #[must_use]
     pub fn pivot(&self) -> Vector3<f64> {
         self.stop.camera.c2w.transform(&Vector3::new(0.0, 0.0, self.distance))
     }
