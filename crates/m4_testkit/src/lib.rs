@@ -24,5 +24,5 @@ pub use formula::{FormulaWeights, formula, formula_input, write_formula_weights}
 pub use mutate::{StopAtPoll, mutate};
 pub use skip::{Need, SKIPPED_VARIABLE, on_every_level, repository, shared, skip};
 pub use synthetic::{
-    MovingScene, SceneSpec, camera_looking_at, moving_scene, random_camera, random_scene, random_splats,
+    MovingScene, SceneSpec, bare_scene, camera_looking_at, moving_scene, random_camera, random_scene, random_splats,
 };

@@ -1,7 +1,6 @@
 //! What a machine may lack: tests that cannot run are reported in a list that is visible to the user. The root of the repository, and
 //! large inputs in a folder next to it, which may be absent.
 
-use std::fmt;
 use std::fs::OpenOptions;
 use std::io::Write;
 use std::panic::Location;
@@ -31,45 +30,23 @@ pub enum Need {
     Weights,
     /// Instructions that the processor lacks.
     Instructions,
-    /// A system that tells how much memory a process took.
-    PeakMemory,
 }
 
 impl Need {
-    /// The name that `cargo xtask test --require` takes.
-    pub fn name(self) -> &'static str {
+    /// The name that `cargo xtask test --require` takes, and a hint for installing it.
+    pub fn name_and_hint(self) -> (&'static str, &'static str) {
         match self {
-            Self::Ffmpeg => "ffmpeg",
-            Self::Chromium => "chromium",
-            Self::Vulkan => "vulkan",
-            Self::HalfPrecision => "half-precision",
-            Self::Npm => "npm",
-            Self::Shared => "shared",
-            Self::Weights => "weights",
-            Self::Instructions => "instructions",
-            Self::PeakMemory => "peak-memory",
+            Self::Ffmpeg => ("ffmpeg", "install ffmpeg (apt-get install ffmpeg)"),
+            Self::Chromium => {
+                ("chromium", "install Chromium (apt-get install chromium), or name one in MINUTE4D_CHROMIUM")
+            }
+            Self::Vulkan => ("vulkan", "install a Vulkan driver (apt-get install mesa-vulkan-drivers libvulkan1)"),
+            Self::HalfPrecision => ("half-precision", "run the tests on a GPU that computes with 16 bits"),
+            Self::Npm => ("npm", "install Node.js with npm, and let it reach its registry"),
+            Self::Shared => ("shared", "put the folder `shared` with the benchmark scenes beside the repository"),
+            Self::Weights => ("weights", "get the weights (docs/models.md)"),
+            Self::Instructions => ("instructions", "run the tests on a processor that has them"),
         }
-    }
-
-    /// Hint for installing it.
-    pub fn hint(self) -> &'static str {
-        match self {
-            Self::Ffmpeg => "install ffmpeg (apt-get install ffmpeg)",
-            Self::Chromium => "install Chromium (apt-get install chromium), or name one in MINUTE4D_CHROMIUM",
-            Self::Vulkan => "install a Vulkan driver (apt-get install mesa-vulkan-drivers libvulkan1)",
-            Self::HalfPrecision => "run the tests on a GPU that computes with 16 bits",
-            Self::Npm => "install Node.js with npm, and let it reach its registry",
-            Self::Shared => "put the folder `shared` with the benchmark scenes beside the repository",
-            Self::Weights => "get the weights (docs/models.md)",
-            Self::Instructions => "run the tests on a processor that has them",
-            Self::PeakMemory => "run the tests on Linux",
-        }
-    }
-}
-
-impl fmt::Display for Need {
-    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        out.write_str(self.name())
     }
 }
 
@@ -95,7 +72,8 @@ pub fn skip(need: Need, why: &str) {
 }
 
 fn line(need: Need, test: &str, place: &str, why: &str) -> String {
-    let fields = [need.name(), need.hint(), test, place, why];
+    let (name, hint) = need.name_and_hint();
+    let fields = [name, hint, test, place, why];
     let fields = fields.map(|field| field.split_whitespace().collect::<Vec<_>>().join(" "));
     fields.join("\t") + "\n"
 }
@@ -143,7 +121,8 @@ mod tests {
     fn a_skipped_test_is_one_line_of_five_fields() {
         let line = line(Need::Ffmpeg, "video::plays", "tests/video.rs:7", "not\tfound\nanywhere");
         let fields: Vec<&str> = line.trim_end_matches('\n').split('\t').collect();
-        let expected = ["ffmpeg", Need::Ffmpeg.hint(), "video::plays", "tests/video.rs:7", "not found anywhere"];
+        let expected =
+            ["ffmpeg", Need::Ffmpeg.name_and_hint().1, "video::plays", "tests/video.rs:7", "not found anywhere"];
         assert_eq!(fields, expected);
     }
 

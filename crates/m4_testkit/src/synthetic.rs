@@ -107,6 +107,11 @@ pub fn random_splats(seed: u64, camera: &Camera, spec: &SceneSpec) -> Splats {
     splats
 }
 
+/// A scene of these splats with a black background and without cameras, duration or Mip filter.
+pub fn bare_scene(splats: Splats, time_frames: usize) -> Scene {
+    Scene { splats, background: [0.0; 3], time_frames, duration_s: None, mip: false, near: 0.01, source: Vec::new() }
+}
+
 /// A clip of random splats with a camera a frame that walks past, for what writes and reads scenes: none of its
 /// facts is a default. Images of 64 x 48 pixels, `spec.time_frames` of them in 1.25 seconds, Mip filter.
 pub fn random_scene(spec: &SceneSpec) -> Scene {

@@ -35,6 +35,16 @@ fn a_scene_comes_back_out_of_the_page() {
     }
 }
 
+/// The manifest of a small scene with that title, its payload, and the page of both.
+fn small_page(title: &str) -> (Manifest, Vec<u8>, String) {
+    let scene = scene(4, 3);
+    let payload = encode(&scene, 4.0);
+    let manifest = Manifest { title: title.to_owned(), ..manifest_of(&scene, &payload) };
+    let parts = Parts { manifest: &manifest, payload: Some(&payload.bytes), frames: None };
+    let html = String::from_utf8(compose(MARKER, &parts, Effort::Quick).unwrap()).unwrap();
+    (manifest, payload.bytes, html)
+}
+
 /// Titles that end an element of a page, or begin what a browser does not end there: a clip may have any name.
 const HOSTILE: [&str; 5] = [
     "<!--<script>.mp4",
@@ -46,28 +56,18 @@ const HOSTILE: [&str; 5] = [
 
 #[test]
 fn titles_are_escaped() {
-    let scene = scene(4, 3);
-    let payload = encode(&scene, 4.0);
-    let mut manifest = manifest_of(&scene, &payload);
     for title in HOSTILE {
-        manifest.title = title.to_owned();
-        let parts = Parts { manifest: &manifest, payload: Some(&payload.bytes), frames: None };
-        let html = String::from_utf8(compose(MARKER, &parts, Effort::Quick).unwrap()).unwrap();
+        let (manifest, payload, html) = small_page(title);
         // the tags of two elements
         assert_eq!(html.matches('<').count(), 4, "{title}: {html}");
         let back = page::read(&html).unwrap();
-        assert_eq!((back.manifest, back.payload.is_some()), (manifest.clone(), true));
+        assert_eq!((back.manifest, back.payload), (manifest, Some(payload)));
     }
 }
 
 #[test]
 fn pages_that_browsers_cannot_parse_are_refused() {
-    let scene = scene(4, 3);
-    let payload = encode(&scene, 4.0);
-    let mut manifest = manifest_of(&scene, &payload);
-    manifest.title = "a clip".to_owned();
-    let parts = Parts { manifest: &manifest, payload: Some(&payload.bytes), frames: None };
-    let html = String::from_utf8(compose(MARKER, &parts, Effort::Quick).unwrap()).unwrap();
+    let (_, _, html) = small_page("a clip");
     for title in ["<!--", "<!--<script>", "a <!-- b -->"] {
         let read = page::read(&html.replace("a clip", title));
         assert!(matches!(read, Err(PageError::Comment(_))), "{title}");
@@ -88,14 +88,11 @@ fn a_page_that_waits_has_no_splats() {
 
 #[test]
 fn damaged_pages_are_errors() {
-    let scene = scene(4, 3);
-    let payload = encode(&scene, 4.0);
-    let manifest = manifest_of(&scene, &payload);
-    let parts = Parts { manifest: &manifest, payload: Some(&payload.bytes), frames: None };
+    let (manifest, payload, html) = small_page("a clip");
+    let parts = Parts { manifest: &manifest, payload: Some(&payload), frames: None };
     for template in ["<html></html>".to_owned(), MARKER.repeat(2)] {
         assert!(matches!(compose(&template, &parts, Effort::Quick), Err(PageError::Marker(_))));
     }
-    let html = String::from_utf8(compose(MARKER, &parts, Effort::Quick).unwrap()).unwrap();
     assert!(matches!(page::read("<html></html>"), Err(PageError::Missing(_))));
     let start = html.find("m4-splats\">").unwrap() + "m4-splats\">".len();
     let with = |at: usize, text: &str| {

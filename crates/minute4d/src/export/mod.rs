@@ -1,7 +1,7 @@
 //! Exports a scene for other tools, and reports bytes, seconds, and the loss in decibels against our own rendering.
 //!
-//! Adding a format: a variant of [`Format`] with its row in `format.rs`, an arm in `write.rs`, and, where
-//! there is a reader, one in `crate::import`. Formats of captures have an arm in `capture.rs` instead.
+//! Adding a format: a variant of [`Format`] with its row in the table, an arm in `write.rs`, and, where
+//! there is a reader, one in `crate::import`.
 
 mod bake;
 mod report;

@@ -202,15 +202,7 @@ mod tests {
                 splats.column_mut(Column::Mean, k)[i] = mean[k];
             }
         }
-        Scene {
-            splats,
-            background: [0.0; 3],
-            time_frames: 1,
-            duration_s: None,
-            mip: false,
-            near: 0.01,
-            source: Vec::new(),
-        }
+        m4_testkit::bare_scene(splats, 1)
     }
 
     #[test]

@@ -23,15 +23,7 @@ fn scene(tremble: f64) -> Scene {
             exposure: Exposure { offset: [k as f32; 3], ..Exposure::IDENTITY },
         }
     });
-    Scene {
-        splats: Splats::zeros(LAYOUT, 0, 0),
-        background: [0.0; 3],
-        time_frames: 31,
-        duration_s: Some(3.0),
-        mip: false,
-        near: 0.01,
-        source: source.collect(),
-    }
+    Scene { duration_s: Some(3.0), source: source.collect(), ..m4_testkit::bare_scene(Splats::zeros(LAYOUT, 0, 0), 31) }
 }
 
 const LAYOUT: SplatLayout = SplatLayout { isotropic: false, sh_degree: 0, time_degree: 0 };
