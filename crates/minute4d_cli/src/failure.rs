@@ -84,7 +84,7 @@ mod tests {
         });
         assert!(caught.is_err());
         let report = super::last_report();
-        assert!(report.contains("the promise is broken") && report.contains("panics.rs"), "{report}");
+        assert!(report.contains("the promise is broken") && report.contains("failure.rs"), "{report}");
         assert!(report.contains("please report"), "{report}");
     }
 }
