@@ -9,8 +9,6 @@ pub mod files;
 pub mod reader;
 #[path = "../crates/minute4d/tests/fuzz/table/mod.rs"]
 pub mod table;
-#[path = "../crates/minute4d/tests/fuzz/valid.rs"]
-pub mod valid;
 
 use reader::{Reader, Stage};
 use std::cell::{Cell, OnceCell};

@@ -1,4 +1,5 @@
-//! Which crate may depend on which: the table of ARCHITECTURE.md against `cargo metadata`.
+//! Which crate may depend on which: the table of ARCHITECTURE.md against `cargo metadata`. Where dependencies come from: registries
+//! alone.
 
 use anyhow::{Context, Result, bail};
 use std::collections::{BTreeMap, BTreeSet};
@@ -37,10 +38,6 @@ pub struct Actual {
 }
 
 /// Asks `cargo metadata` for the crates under `root` and their dependencies on one another.
-///
-/// # Errors
-///
-/// If `cargo metadata` fails or prints something else than its documented JSON.
 pub fn actual(root: &Path) -> Result<Actual> {
     let cargo = std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
     let output = Command::new(cargo)
@@ -55,10 +52,6 @@ pub fn actual(root: &Path) -> Result<Actual> {
 }
 
 /// Reads the arrows from the JSON of `cargo metadata --no-deps`; `xtask` itself is left out.
-///
-/// # Errors
-///
-/// If the JSON lacks a field that `cargo metadata` documents.
 pub fn from_metadata(metadata: &serde_json::Value) -> Result<Actual> {
     let packages = metadata["packages"].as_array().context("metadata has no packages")?;
     let text = |v: &serde_json::Value| v.as_str().map(str::to_owned);
@@ -89,7 +82,6 @@ pub fn from_metadata(metadata: &serde_json::Value) -> Result<Actual> {
 /// crate, with or without backticks and the `m4_` prefix; its last cell names what that crate may
 /// depend on. `all` means every crate of the
 /// table but the row's own and those named after `but`. Words that name no crate mean nothing.
-#[must_use]
 pub fn allowed(markdown: &str, crates: &BTreeSet<String>) -> Arrows {
     let crate_of = |word: &str| {
         let prefixed = format!("m4_{word}");
@@ -128,7 +120,6 @@ pub fn allowed(markdown: &str, crates: &BTreeSet<String>) -> Arrows {
 }
 
 /// Compares what is with what may be; one line a mistake, empty when all is well.
-#[must_use]
 pub fn violations(actual: &Actual, allowed: &Arrows) -> Vec<String> {
     let mut found = Vec::new();
     for (kind, arrows) in [("", &actual.normal), ("dev-", &actual.dev)] {
@@ -154,10 +145,6 @@ pub fn violations(actual: &Actual, allowed: &Arrows) -> Vec<String> {
 }
 
 /// Checks the workspace at `root` against its ARCHITECTURE.md.
-///
-/// # Errors
-///
-/// If the file or `cargo metadata` cannot be read, or with every arrow that is not allowed.
 pub fn check(root: &Path) -> Result<()> {
     let path = root.join("ARCHITECTURE.md");
     let markdown = std::fs::read_to_string(&path).with_context(|| format!("cannot read {}", path.display()))?;
@@ -165,4 +152,29 @@ pub fn check(root: &Path) -> Result<()> {
     let crates = actual.normal.keys().cloned().collect();
     let found = violations(&actual, &allowed(&markdown, &crates));
     if found.is_empty() { Ok(()) } else { bail!("{}", found.join("\n")) }
+}
+
+/// The packages of a Cargo.lock that come from a git repository, each as `name: source`.
+pub fn git_sources(lock: &str) -> Vec<String> {
+    let mut name = "";
+    let mut found = Vec::new();
+    for line in lock.lines() {
+        if let Some(value) = line.strip_prefix("name = ") {
+            name = value.trim_matches('"');
+        } else if let Some(value) = line.strip_prefix("source = ") {
+            let source = value.trim_matches('"');
+            if source.starts_with("git+") {
+                found.push(format!("{name}: {source}"));
+            }
+        }
+    }
+    found
+}
+
+/// Checks the Cargo.lock of the workspace at `root`.
+pub fn check_lock(root: &Path) -> Result<()> {
+    let path = root.join("Cargo.lock");
+    let lock = std::fs::read_to_string(&path).with_context(|| format!("cannot read {}", path.display()))?;
+    let found = git_sources(&lock);
+    if found.is_empty() { Ok(()) } else { bail!("packages from git:\n{}", found.join("\n")) }
 }

@@ -6,17 +6,14 @@
 #![forbid(unsafe_code)]
 
 pub mod arrows;
-pub mod lock;
 pub mod page;
 pub mod paper;
-pub mod plot;
 pub mod results;
 pub mod tests;
 
 use std::path::{Path, PathBuf};
 
 /// The root of the workspace: the folder above this crate.
-#[must_use]
 pub fn root() -> PathBuf {
     let here = Path::new(env!("CARGO_MANIFEST_DIR"));
     here.parent().unwrap_or(here).to_path_buf()

@@ -35,7 +35,7 @@ fn main() -> ExitCode {
         ["check"] => check(&root, true),
         ["check", "--skip-tests"] => check(&root, false),
         ["arrows"] => step("arrows", || xtask::arrows::check(&root)),
-        ["lock"] => step("lock", || xtask::lock::check(&root)),
+        ["lock"] => step("lock", || xtask::arrows::check_lock(&root)),
         ["deny"] => step("deny", || deny(&root)),
         ["page"] => step("page", || xtask::page::build(&root, &root.join("target/page"))),
         ["settings"] => step("settings", || settings(&root, true)),
@@ -78,7 +78,7 @@ fn main() -> ExitCode {
 fn check(root: &Path, tests: bool) -> Result<()> {
     step("fmt", || cargo(root, &["fmt", "--all", "--", "--check"], &[]))?;
     step("arrows", || xtask::arrows::check(root))?;
-    step("lock", || xtask::lock::check(root))?;
+    step("lock", || xtask::arrows::check_lock(root))?;
     step("deny", || deny(root))?;
     let lints = ["clippy", "--workspace", "--all-targets"];
     let deny_warnings = ["--", "-D", "warnings"];
@@ -103,7 +103,6 @@ fn settings(root: &Path, write: bool) -> Result<()> {
     cargo(root, &["test", "--quiet", "-p", "minute4d", "--lib", "settings::page"], env)
 }
 
-/// Prints what was measured.
 fn table(rows: Result<String>) -> Result<()> {
     print!("{}", rows?);
     Ok(())

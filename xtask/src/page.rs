@@ -36,10 +36,6 @@ pub enum Outcome {
 }
 
 /// Builds the page from its sources and keeps it.
-///
-/// # Errors
-///
-/// If npm is missing, a package cannot be had, or the sources do not build.
 pub fn build(root: &Path, work: &Path) -> Result<()> {
     let folder = copied(root, work)?;
     npm(&folder, &["ci", "--no-audit", "--no-fund"])?;
@@ -49,11 +45,6 @@ pub fn build(root: &Path, work: &Path) -> Result<()> {
 }
 
 /// Builds the page in `work`, runs its own tests (those in a browser where there is one), and compares it byte for byte with the one that is kept.
-///
-/// # Errors
-///
-/// If the sources do not build, a test of theirs fails, or a file cannot be read. A missing npm, and packages that
-/// cannot be had, are [`Outcome::Skipped`].
 pub fn compare(root: &Path, work: &Path) -> Result<Outcome> {
     let found = Command::new("npm").arg("--version").output();
     if !found.is_ok_and(|o| o.status.success()) {

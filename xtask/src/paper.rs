@@ -29,7 +29,6 @@ fn number(text: &str) -> &str {
 }
 
 /// The markers of a source: `Minute4D Eq. 9` as `Eq. 9`, `Minute4D sec. 3.1` as `sec. 3.1`.
-#[must_use]
 pub fn markers(source: &str) -> BTreeSet<String> {
     let mut found = BTreeSet::new();
     for (at, _) in source.match_indices(PAPER) {
@@ -45,7 +44,6 @@ pub fn markers(source: &str) -> BTreeSet<String> {
 }
 
 /// The rows of the table whose header starts with `paper`.
-#[must_use]
 pub fn rows(markdown: &str) -> Rows {
     let mut rows = Rows::new();
     let mut in_table = false;
@@ -65,7 +63,6 @@ pub fn rows(markdown: &str) -> Rows {
 }
 
 /// Compares table and sources; one line per mistake, empty when all is well.
-#[must_use]
 pub fn violations(rows: &[(String, Vec<String>)], sources: &Sources) -> Vec<String> {
     let mut found = Vec::new();
     for item in ITEMS {
@@ -100,7 +97,6 @@ pub fn violations(rows: &[(String, Vec<String>)], sources: &Sources) -> Vec<Stri
 }
 
 /// The numbers of the headings of a specification: `## 3. Optimisation` as `3`, `### 4.4 Reading` as `4.4`.
-#[must_use]
 pub fn headings(markdown: &str) -> BTreeSet<String> {
     let titles = markdown.lines().filter(|line| line.starts_with("##"));
     let numbers = titles.map(|line| number(line.trim_start_matches('#').trim_start()));
@@ -109,7 +105,6 @@ pub fn headings(markdown: &str) -> BTreeSet<String> {
 
 /// Citations such as `docs/spec/optimiser.md 4.4` whose file or heading does not exist; `headings` are those of each
 /// specification by its path.
-#[must_use]
 pub fn dangling(sources: &Sources, headings: &BTreeMap<String, BTreeSet<String>>) -> Vec<String> {
     let mut found = Vec::new();
     for (file, text) in sources {
@@ -155,10 +150,6 @@ fn collect(folder: &Path, name: &str, sources: &mut Sources) -> Result<()> {
 }
 
 /// The Rust and TypeScript files of the crates under `root`.
-///
-/// # Errors
-///
-/// If a folder or a file cannot be read.
 pub fn sources(root: &Path) -> Result<Sources> {
     let mut sources = Sources::new();
     collect(&root.join("crates"), "crates", &mut sources)?;
@@ -166,10 +157,6 @@ pub fn sources(root: &Path) -> Result<Sources> {
 }
 
 /// Checks the sources under `root` against the table of its ARCHITECTURE.md and the headings of `docs/spec`.
-///
-/// # Errors
-///
-/// If a file cannot be read, or with every mistake.
 pub fn check(root: &Path) -> Result<()> {
     let sources = sources(root)?;
     let mut found = violations(&rows(&read(&root.join("ARCHITECTURE.md"))?), &sources);

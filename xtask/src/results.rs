@@ -4,18 +4,15 @@
 //! (`run.json`, `eval.json`) or prints (`eval-geometry`).
 
 mod ablation;
-mod raw;
 
 pub use ablation::ablation;
-pub use raw::raw;
 
-use crate::plot::{self, Curve};
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result, anyhow, bail};
+use plotters::prelude::*;
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-/// A training that one row of the held-out table shows.
 struct Variant {
     name: &'static str,
     args: &'static [&'static str],
@@ -33,10 +30,6 @@ const VARIANTS: [Variant; 4] = [
 
 /// Trains each scene in every variant with its own geometry and scores the held-out views: one Markdown
 /// row each, returned together.
-///
-/// # Errors
-///
-/// If the program cannot be built or started, ends with an error, or leaves a file that cannot be read.
 pub fn held_out(root: &Path, scenes: &[&str], work: &Path) -> Result<String> {
     let program = program(root)?;
     let mut table = String::from(
@@ -46,12 +39,7 @@ pub fn held_out(root: &Path, scenes: &[&str], work: &Path) -> Result<String> {
         let name = stem(scene);
         for variant in &VARIANTS {
             let out = work.join(format!("{name}-{}", variant.name.replace([',', ' '], "")));
-            let out_text = out.to_string_lossy().into_owned();
-            let mut train = vec!["train", scene, "-o", &out_text, "--force", "--quiet"];
-            train.extend(variant.args);
-            run(&program, &train)?;
-            run(&program, &["eval", &out_text, "--data", scene, "--quiet"])?;
-            let (record, eval) = (json(&out.join("run.json"))?, json(&out.join("eval.json"))?);
+            let [record, eval] = train_and_score(&program, scene, scene, &out, variant.args)?;
             let mean = &eval["mean"];
             table += &format!(
                 "| {name} | {} | {} | {:.0} | {:.2} | {:.3} | {:.2} | {:.3} |\n",
@@ -68,7 +56,16 @@ pub fn held_out(root: &Path, scenes: &[&str], work: &Path) -> Result<String> {
     Ok(table)
 }
 
-/// The last line of the metrics of a run.
+/// Trains `input` into `out`, replacing what is there unless `--resume` is an option, and scores the held-out views of `scene`: `run.json`
+/// and `eval.json`.
+fn train_and_score(program: &Path, input: &str, scene: &str, out: &Path, options: &[&str]) -> Result<[Value; 2]> {
+    let text = out.to_string_lossy().into_owned();
+    let existing: &[&str] = if options.contains(&"--resume") { &[] } else { &["--force"] };
+    run(program, &[&["train", input, "-o", &text, "--quiet"], existing, options].concat())?;
+    run(program, &["eval", &text, "--data", scene, "--quiet"])?;
+    Ok([json(&out.join("run.json"))?, json(&out.join("eval.json"))?])
+}
+
 fn last_metrics(run: &Path) -> Result<Value> {
     let path = run.join("metrics.jsonl");
     let text = std::fs::read_to_string(&path).with_context(|| format!("cannot read {}", path.display()))?;
@@ -78,10 +75,6 @@ fn last_metrics(run: &Path) -> Result<Value> {
 
 /// Trains each scene in both profiles for this many seconds of optimisation and scores the held-out views: one Markdown
 /// row each, returned together, and `time-to-quality.svg` in `work`.
-///
-/// # Errors
-///
-/// As [`held_out`].
 pub fn time_to_quality(root: &Path, seconds: &[f64], scenes: &[&str], work: &Path) -> Result<String> {
     let program = program(root)?;
     let mut curves = Vec::new();
@@ -94,12 +87,9 @@ pub fn time_to_quality(root: &Path, seconds: &[f64], scenes: &[&str], work: &Pat
             let mut curve = Curve { name: format!("{name}, {profile}"), points: Vec::new() };
             for &s in seconds {
                 let out = work.join(format!("{name}-{profile}-{s}s"));
-                let out_text = out.to_string_lossy().into_owned();
                 let budget = format!("train.budget_s={s:?}");
-                let train = ["train", scene, "-o", &out_text, "--force", "--quiet", "--profile", profile];
-                run(&program, &[&train[..], &["--set", &budget]].concat())?;
-                run(&program, &["eval", &out_text, "--data", scene, "--quiet"])?;
-                let (record, eval) = (json(&out.join("run.json"))?, json(&out.join("eval.json"))?);
+                let options = ["--profile", profile, "--set", &budget];
+                let [record, eval] = train_and_score(&program, scene, scene, &out, &options)?;
                 let mean = &eval["mean"];
                 let psnr = number(&mean["psnr_db"]);
                 curve.points.push((s, psnr));
@@ -114,17 +104,13 @@ pub fn time_to_quality(root: &Path, seconds: &[f64], scenes: &[&str], work: &Pat
             curves.push(curve);
         }
     }
-    plot::time_to_quality(&work.join("time-to-quality.svg"), &curves)?;
+    plot_time_to_quality(&work.join("time-to-quality.svg"), &curves)?;
     Ok(table)
 }
 
 /// Recovers the geometry of each input from its images alone and compares it with the truth, pairs
 /// `input=truth`: one Markdown row each, returned together. Options of `minute4d geometry`, each with its value, may come
 /// before the pairs (`--frontend raft`).
-///
-/// # Errors
-///
-/// As [`held_out`], or if a pair has no `=`, or there is none.
 pub fn geometry(root: &Path, args: &[&str], work: &Path) -> Result<String> {
     let program = program(root)?;
     let (options, pairs) = options(args)?;
@@ -213,4 +199,111 @@ fn number(value: &Value) -> f64 {
 
 fn stem(path: &str) -> String {
     Path::new(path).file_stem().map_or_else(|| path.to_owned(), |s| s.to_string_lossy().into_owned())
+}
+
+/// For each scene (`args`, after options of `minute4d geometry`) with truth and held-out views: recovers the geometry of its training images, trains both that and the
+/// scene as given, and scores the same held-out views. One Markdown row each; the last columns are the difference.
+pub fn raw(root: &Path, args: &[&str], work: &Path) -> Result<String> {
+    let program = program(root)?;
+    let (options, scenes) = options(args)?;
+    let mut table = String::from(
+        "| scene | geometry, s | PSNR from frames | moving | PSNR, given geometry | moving | cost, dB | moving |\n\
+         |---|---|---|---|---|---|---|---|\n",
+    );
+    for scene in scenes {
+        let name = stem(scene);
+        let images = format!("{scene}/train");
+        let place = |what: &str| work.join(format!("{name}-{what}"));
+        let capture = place("raw-capture").to_string_lossy().into_owned();
+        let all = ["geometry", &images, "-o", &capture, "--force", "--quiet"];
+        run(&program, &[&all, options].concat())?;
+        let seconds = number(&json(&Path::new(&capture).join("geometry.json"))?["seconds"]);
+        let score = |input: &str, what: &str| -> Result<[f64; 2]> {
+            let [_, eval] = train_and_score(&program, input, scene, &place(what), &["--no-viewer"])?;
+            Ok(["psnr_db", "masked_psnr_db"].map(|metric| number(&eval["mean"][metric])))
+        };
+        let found = score(&capture, "raw")?;
+        let given = score(scene, "given")?;
+        table += &format!(
+            "| {name} | {seconds:.0} | {:.2} | {:.2} | {:.2} | {:.2} | {:.2} | {:.2} |\n",
+            found[0],
+            found[1],
+            given[0],
+            given[1],
+            given[0] - found[0],
+            given[1] - found[1],
+        );
+    }
+    Ok(table)
+}
+
+/// Points of one curve: seconds and decibels.
+struct Curve {
+    /// What it is called in the legend.
+    name: String,
+    /// In order of time.
+    points: Vec<(f64, f64)>,
+}
+
+/// Draws curves over a logarithmic axis of seconds into an SVG file.
+fn plot_time_to_quality(path: &Path, curves: &[Curve]) -> Result<()> {
+    let all = || curves.iter().flat_map(|c| &c.points);
+    let range = |pick: fn(&(f64, f64)) -> f64| {
+        all().map(pick).fold(None, |r: Option<(f64, f64)>, v| Some(r.map_or((v, v), |(a, b)| (a.min(v), b.max(v)))))
+    };
+    let (Some(x), Some(y)) = (range(|p| p.0), range(|p| p.1)) else {
+        return Err(anyhow!("nothing to plot"));
+    };
+    let failed = |e: &dyn std::fmt::Display| anyhow!("{}: {e}", path.display());
+    let root = SVGBackend::new(path, (860, 480)).into_drawing_area();
+    root.fill(&WHITE).map_err(|e| failed(&e))?;
+    let mut chart = ChartBuilder::on(&root)
+        .margin(16)
+        .x_label_area_size(56)
+        .y_label_area_size(68)
+        .build_cartesian_2d((0.9 * x.0..1.1 * x.1).log_scale(), y.0 - 0.5..y.1 + 0.5)
+        .map_err(|e| failed(&e))?;
+    chart
+        .configure_mesh()
+        .x_desc("seconds of optimisation")
+        .y_desc("PSNR of held-out views, dB")
+        .x_label_formatter(&|s| format!("{s:.0}"))
+        .light_line_style(TRANSPARENT)
+        .label_style(("sans-serif", 18))
+        .axis_desc_style(("sans-serif", 18))
+        .draw()
+        .map_err(|e| failed(&e))?;
+    for (i, curve) in curves.iter().enumerate() {
+        let colour = Palette99::pick(i).stroke_width(2);
+        chart
+            .draw_series(LineSeries::new(curve.points.iter().copied(), colour).point_size(3))
+            .map_err(|e| failed(&e))?
+            .label(&curve.name)
+            .legend(move |(x, y)| PathElement::new([(x, y), (x + 18, y)], colour));
+    }
+    chart
+        .configure_series_labels()
+        .position(SeriesLabelPosition::MiddleRight)
+        .label_font(("sans-serif", 17))
+        .background_style(WHITE)
+        .border_style(BLACK.mix(0.2))
+        .draw()
+        .map_err(|e| failed(&e))?;
+    root.present().map_err(|e| failed(&e))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Curve, plot_time_to_quality};
+
+    #[test]
+    fn curves_are_plotted_and_an_empty_table_is_rejected() {
+        let path = std::env::temp_dir().join(format!("minute4d-plot-{}.svg", std::process::id()));
+        let curve = Curve { name: "fast".to_owned(), points: vec![(5.0, 27.0), (60.0, 31.0)] };
+        plot_time_to_quality(&path, &[curve]).unwrap();
+        let text = std::fs::read_to_string(&path).unwrap();
+        std::fs::remove_file(&path).unwrap();
+        assert!(text.contains("<polyline") && text.contains("fast"));
+        assert!(plot_time_to_quality(&path, &[]).is_err());
+    }
 }

@@ -59,10 +59,6 @@ pub struct Tests {
 
 impl Tests {
     /// Reads `[--full] [--require NEED,...] [-- ARGUMENT...]`.
-    ///
-    /// # Errors
-    ///
-    /// For anything else.
     pub fn of_arguments(words: &[&str]) -> Result<Self> {
         let mut tests = Self::default();
         let mut words = words.iter();
@@ -97,10 +93,6 @@ pub struct Skipped {
 }
 
 /// Runs the tests and prints the skipped ones.
-///
-/// # Errors
-///
-/// If a test fails, or one was skipped for the lack of something that is required.
 pub fn run(root: &Path, tests: &Tests) -> Result<()> {
     let list = root.join("target/skipped-tests.tsv");
     // Absent where CARGO_TARGET_DIR names another folder.
@@ -130,10 +122,6 @@ pub fn run(root: &Path, tests: &Tests) -> Result<()> {
 }
 
 /// Reads the lines that tests left, each once.
-///
-/// # Errors
-///
-/// If a line has not five fields.
 pub fn parse(text: &str) -> Result<Vec<Skipped>> {
     let lines: Result<BTreeSet<Skipped>> = text
         .lines()
@@ -152,7 +140,6 @@ pub fn parse(text: &str) -> Result<Vec<Skipped>> {
 }
 
 /// The skipped tests by missing requirement; the end of a run of tests.
-#[must_use]
 pub fn summary(skipped: &[Skipped]) -> String {
     if skipped.is_empty() {
         return "\nEvery test could run on this machine.\n".to_owned();
@@ -175,10 +162,6 @@ pub fn summary(skipped: &[Skipped]) -> String {
 }
 
 /// Fails where a test was skipped for the lack of something that must be there.
-///
-/// # Errors
-///
-/// With the names of what is missing.
 pub fn lacking(skipped: &[Skipped], required: &BTreeSet<String>) -> Result<()> {
     let missing: BTreeSet<&str> = skipped.iter().map(|s| s.need.as_str()).collect();
     let missing: Vec<&str> = missing.into_iter().filter(|need| required.contains(*need)).collect();
@@ -206,7 +189,6 @@ const ALONE: &str = "xtask (test it)";
 struct Program {
     /// Package and target.
     name: String,
-    /// The executable.
     path: PathBuf,
     /// The package's folder, where cargo would start it.
     folder: PathBuf,

@@ -1,12 +1,12 @@
-//! The integration tests of this crate, in one program: what is made of the lines that skipped tests leave, and whether the page that
-//! is kept is the one that its sources build to.
-
-mod arrows;
-mod paper;
+//! The integration tests of this crate, in one program: the tables of ARCHITECTURE.md and the citations of docs/spec are true and the
+//! checks that say so can fail; what is made of the lines that skipped tests leave; whether the page that is kept is the one that its
+//! sources build to.
 
 use m4_testkit::{Need, find_chromium, skip};
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
+use xtask::arrows::{Actual, Arrows, allowed, violations};
 use xtask::page::{Outcome, compare};
+use xtask::paper::{self, ITEMS, Rows, Sources, dangling, headings, markers, rows};
 use xtask::tests::{Tests, lacking, parse, summary};
 
 const LINES: &str = "ffmpeg\tinstall ffmpeg\tvideo::plays\tcrates/m4_io/tests/video.rs:7\tit is not on the PATH\n\
@@ -53,5 +53,196 @@ fn committed_page_matches_its_sources() {
         Outcome::Same => {}
         Outcome::Skipped { reason } => skip(Need::Npm, &reason),
         differs @ Outcome::Differs { .. } => panic!("{differs:?}: run `cargo xtask page` and commit what it writes"),
+    }
+}
+
+fn set(names: &[&str]) -> BTreeSet<String> {
+    names.iter().map(|&n| n.to_owned()).collect()
+}
+
+fn arrows_of(rows: &[(&str, &[&str])]) -> Arrows {
+    rows.iter().map(|&(from, to)| (from.to_owned(), set(to))).collect()
+}
+
+const CRATES: &str = "
+| crate | what it is |
+|---|---|
+| `m4_core` | Knows no kernel and no io. |
+
+| crate | one sentence | depends on |
+|---|---|---|
+| `m4_core` | Vectors, or all of them. | nothing of ours |
+| `m4_kernels` | What exists. | `m4_core` |
+| `m4_io` | Bytes. | core, kernels |
+| `m4_testkit` | Tests. | core, kernels |
+| `minute4d` | The library. | all of the above but testkit |
+| `minute4d_cli` | The program. | minute4d |
+";
+
+fn crates() -> BTreeSet<String> {
+    set(&["m4_core", "m4_kernels", "m4_io", "m4_testkit", "minute4d", "minute4d_cli"])
+}
+
+#[test]
+fn this_workspace_keeps_to_its_table() {
+    xtask::arrows::check(&xtask::root()).unwrap();
+}
+
+#[test]
+fn nothing_comes_from_git() {
+    xtask::arrows::check_lock(&xtask::root()).unwrap();
+    let lock = "[[package]]\nname = \"a\"\nsource = \"git+https://example.org/a#1\"\n";
+    assert_eq!(xtask::arrows::git_sources(lock), ["a: git+https://example.org/a#1"]);
+}
+
+#[test]
+fn the_table_is_read_with_and_without_prefixes() {
+    let want = arrows_of(&[
+        ("m4_core", &[]),
+        ("m4_kernels", &["m4_core"]),
+        ("m4_io", &["m4_core", "m4_kernels"]),
+        ("m4_testkit", &["m4_core", "m4_kernels"]),
+        ("minute4d", &["m4_io", "m4_core", "m4_kernels"]),
+        ("minute4d_cli", &["minute4d"]),
+    ]);
+    assert_eq!(allowed(CRATES, &crates()), want);
+}
+
+#[test]
+fn an_arrow_that_points_back_is_found() {
+    let may = allowed(CRATES, &crates());
+    let mut actual = Actual { normal: may.clone(), dev: arrows_of(&[("m4_io", &["m4_testkit"])]) };
+    assert_eq!(violations(&actual, &may), Vec::<String>::new(), "testkit is for the tests of every crate");
+
+    actual.normal.insert("m4_kernels".to_owned(), set(&["m4_core", "m4_io"]));
+    actual.dev.insert("m4_core".to_owned(), set(&["m4_kernels"]));
+    let found = violations(&actual, &may);
+    assert_eq!(found.len(), 2, "{found:?}");
+    assert!(found[0].contains("m4_kernels has a dependency on m4_io"), "{found:?}");
+    assert!(found[1].contains("m4_core has a dev-dependency on m4_kernels"), "{found:?}");
+}
+
+#[test]
+fn only_tests_of_measuring_crates_may_read_data() {
+    let may = arrows_of(&[("m4_train", &[]), ("m4_core", &[])]);
+    let with = |normal: &[&str], dev: &[&str], from: &str| {
+        let mut actual = Actual { normal: may.clone(), dev: Arrows::new() };
+        actual.normal.insert(from.to_owned(), set(normal));
+        actual.dev.insert(from.to_owned(), set(dev));
+        violations(&actual, &may).len()
+    };
+    assert_eq!(with(&[], &["m4_io"], "m4_train"), 0);
+    assert_eq!(with(&["m4_io"], &[], "m4_train"), 1);
+    assert_eq!(with(&[], &["m4_io"], "m4_core"), 1);
+    assert_eq!(with(&[], &["m4_geometry"], "m4_train"), 1);
+}
+
+#[test]
+fn a_crate_without_a_row_and_a_row_without_a_crate_are_found() {
+    let may = allowed(CRATES, &crates());
+    let mut normal = may.clone();
+    normal.remove("m4_io");
+    normal.insert("m4_new".to_owned(), set(&[]));
+    let found = violations(&Actual { normal, dev: Arrows::new() }, &may);
+    assert_eq!(found.len(), 2, "{found:?}");
+    assert!(found.iter().any(|f| f.starts_with("m4_new has no row")), "{found:?}");
+    assert!(found.iter().any(|f| f.contains("row for m4_io")), "{found:?}");
+}
+
+const EQUATIONS: &str = "
+| crate | one sentence |
+|---|---|
+| `m4_core` | Vectors. |
+
+| paper | what it is | computed in |
+|---|---|---|
+| Eq. 1 | A Gaussian. | [reference](crates/a/src/one.rs), [gpu](crates/b/src/one.rs) |
+| Eq. 10 | A score. | [ten.rs](crates/a/src/ten.rs) |
+
+Text with a [link](docs/spec/optimiser.md).
+";
+
+/// A table with every row, each of a file of its own that carries its marker.
+fn complete() -> (Rows, Sources) {
+    let file = |item: &str| format!("crates/a/src/{}.rs", item.replace([' ', '.'], "_"));
+    let rows = ITEMS.map(|item| (item.to_owned(), vec![file(item)])).to_vec();
+    let sources = ITEMS.map(|item| (file(item), format!("/// A sum (Minute4D {item}).\nfn f() {{}}\n")));
+    (rows, BTreeMap::from(sources))
+}
+
+#[test]
+fn table_and_citations_of_this_workspace_are_true() {
+    paper::check(&xtask::root()).unwrap();
+}
+
+#[test]
+fn rows_and_markers_are_read() {
+    let files = |names: &[&str]| names.iter().map(|&n| n.to_owned()).collect::<Vec<_>>();
+    let want = vec![
+        ("Eq. 1".to_owned(), files(&["crates/a/src/one.rs", "crates/b/src/one.rs"])),
+        ("Eq. 10".to_owned(), files(&["crates/a/src/ten.rs"])),
+    ];
+    assert_eq!(rows(EQUATIONS), want);
+    let found = markers(
+        "//! Minute4D Eq. 1. Minute4D sec. 3.3, and Minute4D (Minute4D Eq. 10).\n//! Eq. 7 of another paper, Minute4D Eq. x",
+    );
+    let want = ["Eq. 1", "Eq. 10", "sec. 3.3"].map(str::to_owned);
+    assert_eq!(found, BTreeSet::from(want));
+}
+
+#[test]
+fn each_kind_of_mistake_in_the_table_is_found() {
+    let (rows, sources) = complete();
+    assert_eq!(paper::violations(&rows, &sources), Vec::<String>::new());
+    let one = |rows: &[(String, Vec<String>)], sources: &Sources, what: &str| {
+        let found = paper::violations(rows, sources);
+        assert_eq!(found.len(), 1, "{found:?}");
+        assert!(found[0].contains(what), "{found:?}");
+    };
+
+    let mut twice = rows.clone();
+    twice.push(rows[3].clone());
+    one(&twice, &sources, "2 rows for Eq. 4");
+
+    let mut missing = sources.clone();
+    missing.remove(&rows[0].1[0]);
+    one(&rows, &missing, "which is no source file");
+
+    let mut bare = rows.clone();
+    bare[11].1.clear();
+    let mut unmarked = sources.clone();
+    unmarked.remove(&rows[11].1[0]);
+    one(&bare, &unmarked, "the row for sec. 3.2 names no file");
+
+    // Eq. 10 is no marker of Eq. 1
+    let mut other = sources.clone();
+    other.insert(rows[0].1[0].clone(), "Minute4D Eq. 10".to_owned());
+    let found = paper::violations(&rows, &other);
+    assert_eq!(found.len(), 2, "{found:?}");
+    assert!(found[0].contains("lacks the marker `Minute4D Eq. 1`"), "{found:?}");
+    assert!(found[1].contains("no row for it names the file"), "{found:?}");
+
+    let mut extra = sources;
+    extra.insert("crates/b/src/new.rs".to_owned(), "Minute4D sec. 3.1".to_owned());
+    one(&rows, &extra, "crates/b/src/new.rs has the marker `Minute4D sec. 3.1`");
+
+    // a row that is missing leaves its marker without one
+    let found = paper::violations(&rows[1..], &complete().1);
+    assert_eq!(found.len(), 2, "{found:?}");
+    assert!(found[0].contains("0 rows for Eq. 1 "), "{found:?}");
+}
+
+#[test]
+fn citations_of_missing_sections_are_found() {
+    let text = "# Title\n\n## 3. Optimisation\n### 4.4 Reading\n## Notes\n";
+    let sections = headings(text);
+    assert_eq!(sections, BTreeSet::from(["3", "4.4"].map(str::to_owned)));
+    let specifications = BTreeMap::from([("docs/spec/a.md".to_owned(), sections)]);
+    let source = |text: &str| Sources::from([("crates/a/src/lib.rs".to_owned(), text.to_owned())]);
+    let good = source("(docs/spec/a.md 4.4) and docs/spec/a.md 3; docs/spec/a.md\n3, too");
+    assert_eq!(dangling(&good, &specifications), Vec::<String>::new());
+    for bad in ["docs/spec/a.md 4.5", "docs/spec/a.md", "docs/spec/b.md 3", "docs/spec/a 3"] {
+        let found = dangling(&source(bad), &specifications);
+        assert_eq!(found.len(), 1, "{bad}: {found:?}");
     }
 }

@@ -32,7 +32,6 @@ const HALF: [[f64; 3]; 4] = [[12.0, 9.0, 0.1], [0.11, 3.0, 0.1], [0.42, 0.35, 0.
 
 impl BoxScene {
     /// A clip of this many images of `width` x `height` pixels.
-    #[must_use]
     pub fn new(width: usize, height: usize, frames: usize) -> Self {
         let camera = |t: usize| {
             let u = part(t, frames);
@@ -55,13 +54,11 @@ impl BoxScene {
     }
 
     /// Number of frames.
-    #[must_use]
     pub fn frames(&self) -> usize {
         self.cameras.len()
     }
 
     /// Whether a body moves.
-    #[must_use]
     pub fn moves(body: usize) -> bool {
         body >= FIRST_MOVING
     }
@@ -78,7 +75,6 @@ impl BoxScene {
     }
 
     /// Casts a ray from the camera of frame `t` through pixel coordinates `(u, v)` (centre of the first pixel: 0, 0).
-    #[must_use]
     pub fn cast(&self, t: usize, u: f64, v: f64) -> Hit {
         let camera = &self.cameras[t];
         let (origin, ray) = (camera.centre(), camera.unproject(u, v, 1.0) - camera.centre());
@@ -101,25 +97,21 @@ impl BoxScene {
     }
 
     /// Casts a ray through a pixel of frame `t`.
-    #[must_use]
     pub fn hit(&self, t: usize, x: usize, y: usize) -> Hit {
         self.hits[t][y * self.cameras[t].intrinsics.width + x]
     }
 
     /// Where a point of a body is in frame `t`.
-    #[must_use]
     pub fn place(&self, body: usize, local: &Vector3<f64>, t: usize) -> Vector3<f64> {
         self.pose(body, t).transform(local)
     }
 
     /// The point of a body that is at `place` in frame `t`.
-    #[must_use]
     pub fn local(&self, body: usize, place: &Vector3<f64>, t: usize) -> Vector3<f64> {
         self.pose(body, t).inverse().transform(place)
     }
 
     /// Distance of a point from the surface of a box in frame `t`, inside or outside, world units.
-    #[must_use]
     pub fn surface_distance(&self, body: usize, place: &Vector3<f64>, t: usize) -> f64 {
         let local = self.local(body, place, t);
         let off = Vector3::from_fn(|k, _| local[k].abs() - HALF[body][k]);
@@ -128,7 +120,6 @@ impl BoxScene {
     }
 
     /// Whether frame `t` sees a point of a body.
-    #[must_use]
     pub fn sees(&self, body: usize, local: &Vector3<f64>, t: usize) -> bool {
         let ([u, v], z) = self.cameras[t].project(&self.place(body, local, t));
         let k = &self.cameras[t].intrinsics;
@@ -145,26 +136,22 @@ impl BoxScene {
     }
 
     /// The image of frame `t`.
-    #[must_use]
     pub fn rgb(&self, t: usize) -> RgbImage {
         self.plane(t, |hit| texture(hit.body, &hit.local))
     }
 
     /// z-depth of frame `t`.
-    #[must_use]
     pub fn depth(&self, t: usize) -> DepthMap {
         self.plane(t, |hit| hit.depth as f32)
     }
 
     /// The dynamic part in frame `t`.
-    #[must_use]
     pub fn mask(&self, t: usize) -> Mask {
         self.plane(t, |hit| if Self::moves(hit.body) { 255 } else { 0 })
     }
 
     /// True displacement, pixels, of what each pixel of frame `from` shows, to frame `to`, whether it is seen there or not: to the
     /// right and downwards, `[height][width]`.
-    #[must_use]
     pub fn flow(&self, from: usize, to: usize) -> (Vec<f32>, Vec<f32>) {
         let width = self.cameras[from].intrinsics.width;
         let one = |(i, hit): (usize, &Hit)| {

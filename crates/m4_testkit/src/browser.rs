@@ -11,7 +11,6 @@ use std::process::{Child, Command, Stdio};
 use std::time::Duration;
 use tungstenite::{Message, WebSocket};
 
-/// Columns and rows of the window.
 const WINDOW: (u32, u32) = (960, 600);
 /// Names under which distributions install it, and the variable that overrules them.
 const NAMES: [&str; 4] = ["chromium", "chromium-browser", "google-chrome", "google-chrome-stable"];
@@ -39,7 +38,6 @@ const FLAGS: [&str; 14] = [
 ];
 
 /// The program, if this machine has it; else the test is listed as skipped.
-#[must_use]
 #[track_caller]
 pub fn find_chromium() -> Option<PathBuf> {
     if let Some(path) = std::env::var_os(VARIABLE) {
@@ -67,7 +65,6 @@ pub struct Chromium {
 
 impl Chromium {
     /// Opens `url` and waits until its script has run, not until a scene is there.
-    #[must_use]
     pub fn open(program: PathBuf, url: &str) -> Self {
         let profile = tempfile::tempdir().unwrap();
         let mut process = Command::new(program)

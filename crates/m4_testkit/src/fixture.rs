@@ -91,7 +91,6 @@ pub struct GradientCase {
 
 impl GradientCase {
     /// For messages.
-    #[must_use]
     pub fn name(&self) -> String {
         format!("{}{}", self.model, if self.mip { " with Mip filter" } else { "" })
     }
@@ -119,11 +118,6 @@ pub struct GradientFixtures {
 }
 
 /// Loads the gradient fixtures.
-///
-/// # Panics
-///
-/// If the file is missing or broken: it is part of the repository.
-#[must_use]
 pub fn gradient_fixtures() -> GradientFixtures {
     let path = PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../../fixtures/gradients/4dgs_gradients.json"));
     let text = fs::read_to_string(&path).unwrap_or_else(|e| panic!("cannot read {}: {e}", path.display()));

@@ -23,7 +23,6 @@ pub fn formula(name: &str, n: usize) -> impl Iterator<Item = f64> + use<> {
 }
 
 /// A random input that a fixture describes instead of holding it: `offset + scale u` of `n` numbers.
-#[must_use]
 pub fn formula_input(key: &str, offset: f64, scale: f64, n: usize) -> Vec<f32> {
     formula(key, n).map(|u| (offset + scale * u) as f32).collect()
 }
@@ -45,11 +44,6 @@ struct FormulaTensor {
 impl FormulaWeights {
     /// Of the tensors of `list`: lines of a name and a shape, separated by spaces. A constant of the official module that the rule
     /// leaves alone (`image_mean`, `image_std`) is that of ImageNet.
-    ///
-    /// # Panics
-    ///
-    /// If a line is no name with a shape.
-    #[must_use]
     pub fn of_keys(list: &str) -> Self {
         let tensor = |line: &str| {
             let mut words = line.split_whitespace();
@@ -68,11 +62,6 @@ impl FormulaWeights {
     }
 
     /// Puts `values` instead of those of `name`.
-    ///
-    /// # Panics
-    ///
-    /// If there is no such tensor or it has another number of values.
-    #[must_use]
     pub fn with(mut self, name: &str, values: &[f32]) -> Self {
         let tensor = self.at(name);
         assert_eq!(tensor.len(), values.len(), "{name}");
@@ -81,22 +70,12 @@ impl FormulaWeights {
     }
 
     /// Multiplies the values of `name`, in 32 bits.
-    ///
-    /// # Panics
-    ///
-    /// If there is no such tensor.
-    #[must_use]
     pub fn scaled(mut self, name: &str, factor: f32) -> Self {
         self.at(name).iter_mut().for_each(|x| *x *= factor);
         self
     }
 
     /// Multiplies each of the values of `name`, in 32 bits, by what `factor` says of its row-major index.
-    ///
-    /// # Panics
-    ///
-    /// If there is no such tensor.
-    #[must_use]
     pub fn scaled_by(mut self, name: &str, factor: impl Fn(usize) -> f32) -> Self {
         let values = self.at(name).iter_mut().enumerate();
         values.for_each(|(i, x)| *x *= factor(i));
@@ -104,11 +83,6 @@ impl FormulaWeights {
     }
 
     /// Gives `name` the values of `of`, which is the same tensor under another name.
-    ///
-    /// # Panics
-    ///
-    /// If there is no such tensor, or the two have other numbers of values.
-    #[must_use]
     pub fn alias(mut self, name: &str, of: &str) -> Self {
         let values = self.at(of).clone();
         self = self.with(name, &values);
@@ -116,19 +90,11 @@ impl FormulaWeights {
     }
 
     /// Writes a safetensors file.
-    ///
-    /// # Panics
-    ///
-    /// If it cannot be written.
     pub fn write(&self, path: &Path) {
         self.write_with(None, path);
     }
 
     /// Writes a safetensors file whose metadata has one entry, a name and its text, or none.
-    ///
-    /// # Panics
-    ///
-    /// If it cannot be written.
     pub fn write_with(&self, metadata: Option<(&str, &str)>, path: &Path) {
         let bytes: Vec<(Dtype, Vec<u8>)> = self.tensors.iter().map(FormulaTensor::bytes).collect();
         let views = self.tensors.iter().zip(&bytes).map(|(t, (dtype, bytes))| {
@@ -150,10 +116,6 @@ impl FormulaTensor {
 }
 
 /// Writes a checkpoint of the tensors of `list` as [`FormulaWeights::of_keys`] reads it.
-///
-/// # Panics
-///
-/// As the methods of [`FormulaWeights`].
 pub fn write_formula_weights(list: &str, path: &Path) {
     FormulaWeights::of_keys(list).write(path);
 }

@@ -1,9 +1,10 @@
-//! Reports tests that cannot run on this machine, in a list that is visible to the user.
+//! What a machine may lack: tests that cannot run are reported in a list that is visible to the user. The root of the repository, and
+//! large inputs in a folder next to it, which may be absent.
 
-use std::fmt;
 use std::fs::OpenOptions;
 use std::io::Write;
 use std::panic::Location;
+use std::path::PathBuf;
 
 /// The file to which every skipped test is added, a line each: need, hint, test, where, why, separated by tabs.
 /// `cargo xtask test` sets it, and prints the lines when the tests are done.
@@ -29,56 +30,28 @@ pub enum Need {
     Weights,
     /// Instructions that the processor lacks.
     Instructions,
-    /// A system that tells how much memory a process took.
-    PeakMemory,
 }
 
 impl Need {
-    /// The name that `cargo xtask test --require` takes.
-    #[must_use]
-    pub fn name(self) -> &'static str {
+    /// The name that `cargo xtask test --require` takes, and a hint for installing it.
+    pub fn name_and_hint(self) -> (&'static str, &'static str) {
         match self {
-            Self::Ffmpeg => "ffmpeg",
-            Self::Chromium => "chromium",
-            Self::Vulkan => "vulkan",
-            Self::HalfPrecision => "half-precision",
-            Self::Npm => "npm",
-            Self::Shared => "shared",
-            Self::Weights => "weights",
-            Self::Instructions => "instructions",
-            Self::PeakMemory => "peak-memory",
+            Self::Ffmpeg => ("ffmpeg", "install ffmpeg (apt-get install ffmpeg)"),
+            Self::Chromium => {
+                ("chromium", "install Chromium (apt-get install chromium), or name one in MINUTE4D_CHROMIUM")
+            }
+            Self::Vulkan => ("vulkan", "install a Vulkan driver (apt-get install mesa-vulkan-drivers libvulkan1)"),
+            Self::HalfPrecision => ("half-precision", "run the tests on a GPU that computes with 16 bits"),
+            Self::Npm => ("npm", "install Node.js with npm, and let it reach its registry"),
+            Self::Shared => ("shared", "put the folder `shared` with the benchmark scenes beside the repository"),
+            Self::Weights => ("weights", "get the weights (docs/models.md)"),
+            Self::Instructions => ("instructions", "run the tests on a processor that has them"),
         }
-    }
-
-    /// Hint for installing it.
-    #[must_use]
-    pub fn hint(self) -> &'static str {
-        match self {
-            Self::Ffmpeg => "install ffmpeg (apt-get install ffmpeg)",
-            Self::Chromium => "install Chromium (apt-get install chromium), or name one in MINUTE4D_CHROMIUM",
-            Self::Vulkan => "install a Vulkan driver (apt-get install mesa-vulkan-drivers libvulkan1)",
-            Self::HalfPrecision => "run the tests on a GPU that computes with 16 bits",
-            Self::Npm => "install Node.js with npm, and let it reach its registry",
-            Self::Shared => "put the folder `shared` with the benchmark scenes beside the repository",
-            Self::Weights => "get the weights (docs/models.md)",
-            Self::Instructions => "run the tests on a processor that has them",
-            Self::PeakMemory => "run the tests on Linux",
-        }
-    }
-}
-
-impl fmt::Display for Need {
-    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        out.write_str(self.name())
     }
 }
 
 /// Says that the running test, or a part of it, cannot run here: on stderr, which the harness hides, and in the file that
 /// [`SKIPPED_VARIABLE`] names. The test returns after it.
-///
-/// # Panics
-///
-/// If the file cannot be written: a test that is skipped in silence would be worse.
 #[track_caller]
 #[expect(clippy::print_stderr, reason = "a test that does not run says so")]
 pub fn skip(need: Need, why: &str) {
@@ -99,20 +72,70 @@ pub fn skip(need: Need, why: &str) {
 }
 
 fn line(need: Need, test: &str, place: &str, why: &str) -> String {
-    let fields = [need.name(), need.hint(), test, place, why];
+    let (name, hint) = need.name_and_hint();
+    let fields = [name, hint, test, place, why];
     let fields = fields.map(|field| field.split_whitespace().collect::<Vec<_>>().join(" "));
     fields.join("\t") + "\n"
 }
 
+/// Returns the root of the repository.
+pub fn repository() -> PathBuf {
+    PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../.."))
+}
+
+/// Path of `name` in `shared` (such as `bench/quad-1`), beside the repository's root; `None` where this machine does
+/// not have it, and the test is listed as skipped.
+#[track_caller]
+pub fn shared(name: &str) -> Option<PathBuf> {
+    let path = PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared")).join(name);
+    if path.exists() {
+        return Some(path);
+    }
+    skip(Need::Shared, &format!("there is no shared/{name} beside the repository"));
+    None
+}
+
+/// Runs `test` on every level of `available` and lists each name of `wanted` that this machine lacks as skipped, so that a
+/// run shows what it did not cover.
+#[track_caller]
+pub fn on_every_level<L: Copy>(
+    available: &[L],
+    name: impl Fn(L) -> &'static str,
+    wanted: &[&str],
+    mut test: impl FnMut(L),
+) {
+    assert!(!available.is_empty(), "no SIMD level: nothing would be tested");
+    for missing in wanted.iter().filter(|w| !available.iter().any(|&l| name(l) == **w)) {
+        skip(Need::Instructions, &format!("not tested on {missing}"));
+    }
+    for &level in available {
+        test(level);
+    }
+}
+
 #[cfg(test)]
 mod tests {
-    use super::{Need, line};
+    use super::{Need, line, on_every_level};
 
     #[test]
     fn a_skipped_test_is_one_line_of_five_fields() {
         let line = line(Need::Ffmpeg, "video::plays", "tests/video.rs:7", "not\tfound\nanywhere");
         let fields: Vec<&str> = line.trim_end_matches('\n').split('\t').collect();
-        let expected = ["ffmpeg", Need::Ffmpeg.hint(), "video::plays", "tests/video.rs:7", "not found anywhere"];
+        let expected =
+            ["ffmpeg", Need::Ffmpeg.name_and_hint().1, "video::plays", "tests/video.rs:7", "not found anywhere"];
         assert_eq!(fields, expected);
+    }
+
+    #[test]
+    fn every_level_runs_once() {
+        let mut seen = Vec::new();
+        on_every_level(&["a", "b"], |l| l, &["a", "c"], |l| seen.push(l));
+        assert_eq!(seen, ["a", "b"]);
+    }
+
+    #[test]
+    #[should_panic(expected = "nothing would be tested")]
+    fn no_level_is_a_failure() {
+        on_every_level::<&'static str>(&[], |l| l, &[], |_| {});
     }
 }

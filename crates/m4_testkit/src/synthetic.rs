@@ -37,7 +37,6 @@ impl Default for SceneSpec {
 }
 
 /// A camera at `centre` that looks at `target`; y points down.
-#[must_use]
 pub fn camera_looking_at(intrinsics: Intrinsics, centre: [f64; 3], target: [f64; 3]) -> Camera {
     let (centre, target) = (Vector3::from(centre), Vector3::from(target));
     let z = (target - centre).normalize();
@@ -49,7 +48,6 @@ pub fn camera_looking_at(intrinsics: Intrinsics, centre: [f64; 3], target: [f64;
 
 /// A camera at a random pose within a unit of the origin, with unequal focal lengths and a principal
 /// point off the middle.
-#[must_use]
 pub fn random_camera(seed: u64, width: usize, height: usize) -> Camera {
     let mut rng = CounterRng::new(seed, 0xca_3e_7a, 0);
     let mut between = |low: f64, high: f64| low + (high - low) * rng.uniform();
@@ -68,7 +66,6 @@ pub fn random_camera(seed: u64, width: usize, height: usize) -> Camera {
 }
 
 /// Splats in front of `camera`, 2 to 6 units away, some past the edges of the image.
-#[must_use]
 pub fn random_splats(seed: u64, camera: &Camera, spec: &SceneSpec) -> Splats {
     let mut splats = Splats::zeros(spec.layout, spec.n_static, spec.n_dynamic);
     let k = &camera.intrinsics;
@@ -110,9 +107,13 @@ pub fn random_splats(seed: u64, camera: &Camera, spec: &SceneSpec) -> Splats {
     splats
 }
 
+/// A scene of these splats with a black background and without cameras, duration or Mip filter.
+pub fn bare_scene(splats: Splats, time_frames: usize) -> Scene {
+    Scene { splats, background: [0.0; 3], time_frames, duration_s: None, mip: false, near: 0.01, source: Vec::new() }
+}
+
 /// A clip of random splats with a camera a frame that walks past, for what writes and reads scenes: none of its
 /// facts is a default. Images of 64 x 48 pixels, `spec.time_frames` of them in 1.25 seconds, Mip filter.
-#[must_use]
 pub fn random_scene(spec: &SceneSpec) -> Scene {
     let frame = |i: usize| SourceFrame {
         camera: camera_looking_at(Intrinsics::centred(64, 48, 50.0), [0.1 * i as f64, -0.2, -3.0], [0.0, 0.1, 1.0]),
@@ -147,7 +148,6 @@ pub struct MovingScene {
 
 /// A scene of `frames` frames: a patterned wall at depth 4 behind a ball of radius 0.4 at depth 2.5
 /// that moves 1.2 units to the right while the camera moves 0.3 to the left.
-#[must_use]
 pub fn moving_scene(intrinsics: Intrinsics, frames: usize) -> MovingScene {
     const WALL: usize = 24;
     const BALL: usize = 60;
@@ -192,34 +192,4 @@ pub fn moving_scene(intrinsics: Intrinsics, frames: usize) -> MovingScene {
         })
         .collect();
     MovingScene { splats, cameras, velocity, start, radius }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::{SceneSpec, moving_scene, random_camera, random_splats};
-    use m4_core::{Column, Intrinsics, nalgebra::Vector3};
-
-    #[test]
-    fn random_splats_are_in_front_of_the_camera() {
-        let camera = random_camera(3, 40, 30);
-        let splats = random_splats(3, &camera, &SceneSpec::default());
-        assert!(splats.is_finite());
-        for row in 0..splats.n() {
-            let mean = Vector3::from_fn(|k, _| f64::from(splats.column(Column::Mean, k)[row]));
-            let ([u, v], z) = camera.project(&mean);
-            assert!((1.99..6.01).contains(&z) && (-7.0..47.0).contains(&u) && (-6.0..36.0).contains(&v));
-        }
-    }
-
-    #[test]
-    fn ball_starts_at_its_position() {
-        let scene = moving_scene(Intrinsics::centred(64, 48, 60.0), 8);
-        assert_eq!(scene.cameras.len(), 8);
-        let (mut x, n) = (0.0, scene.splats.n_dynamic());
-        for row in 0..n {
-            let mean = scene.splats.column(Column::Mean, 0)[scene.splats.n_static() + row];
-            x += mean - scene.velocity[0] * scene.splats.column(Column::TimeMean, 0)[row];
-        }
-        assert!((x / n as f32 - scene.start[0]).abs() < 0.02);
-    }
 }

@@ -39,7 +39,7 @@ pub enum FramesError {
     /// An image without pixels.
     #[error("frame {index} is {width} x {height} pixels; it must have some")]
     Empty {
-        /// The name of the weights.
+        /// The frame.
         index: usize,
         /// Columns.
         width: usize,
@@ -49,7 +49,7 @@ pub enum FramesError {
     /// The encoder.
     #[error("frame {index} cannot be written as a JPEG: {reason}")]
     Encode {
-        /// The name of the weights.
+        /// The frame.
         index: usize,
         /// Its message.
         reason: String,
@@ -67,10 +67,6 @@ const LEAST_SIDE_PX: usize = 96;
 const SAMPLES: usize = 8;
 
 /// The images as JPEGs of one size within the limits, as far as those can be held; `None` for none.
-///
-/// # Errors
-///
-/// [`FramesError`] naming the frame.
 pub fn encode_frames(images: &[&RgbImage], limits: &FrameLimits) -> Result<Option<Frames>, FramesError> {
     for (index, image) in images.iter().enumerate() {
         let (width, height) = image.size();

@@ -9,7 +9,6 @@
 //! The page itself is TypeScript in `crates/m4_viewer/page`, built and kept as `page.html`.
 #![forbid(unsafe_code)]
 
-pub mod live;
 pub mod page;
 pub mod payload;
 pub mod server;

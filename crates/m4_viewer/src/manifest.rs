@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 pub const MANIFEST_VERSION: u32 = 1;
 
 /// The JSON in the page. Axes, units and colours are those of [`m4_core`].
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Manifest {
     /// [`MANIFEST_VERSION`].
     pub version: u32,
@@ -43,7 +43,7 @@ pub struct Manifest {
 }
 
 /// Number of splats by kind.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct SplatFacts {
     /// Splats without time parameters.
     pub r#static: usize,
@@ -111,7 +111,7 @@ impl SourceCamera {
 }
 
 /// Camera distance at which the page begins to fade.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct SafeOrbit {
     /// From the nearest source camera, world units.
     pub radius: f64,
@@ -133,7 +133,7 @@ pub struct FrameIndex {
 pub struct Live {
     /// Address of an event stream; each event is a JSON object with an `event`.
     pub events: String,
-    /// Address of the newest scene, see [`crate::live`].
+    /// Address of the newest scene, see [`crate::server`].
     pub scene: String,
     /// Token that every request must carry.
     pub token: String,
@@ -152,7 +152,6 @@ pub struct About<'a> {
 
 impl Manifest {
     /// Describes a scene and its payload; without frames and without a server.
-    #[must_use]
     pub fn new(scene: &Scene, payload: &Payload, about: &About<'_>) -> Self {
         let middle = scene.source.get(scene.source.len() / 2).map(|s| s.camera);
         let depth = usable_depth(about.median_depth);
@@ -179,33 +178,22 @@ impl Manifest {
             live: None,
         }
     }
-}
 
-impl Manifest {
     /// Describes nothing yet: for the page of a server whose first scene is still to come.
-    #[must_use]
     pub fn waiting(title: &str) -> Self {
         Self {
             version: MANIFEST_VERSION,
             title: title.to_owned(),
-            splats: SplatFacts { r#static: 0, dynamic: 0, sh_degree: 0, time_degree: 0, isotropic: false, bytes: 0 },
-            background: [0.0; 3],
             time_frames: 1,
-            duration_s: None,
             fps: 30.0,
             mip: true,
-            near: 0.0,
             period_frames: 1.0,
-            cameras: Vec::new(),
-            centre: [0.0; 3],
-            safe: SafeOrbit { radius: 0.0 },
-            frames: None,
-            live: None,
+            ..Self::default()
         }
     }
 }
 
-pub(crate) fn usable_depth(median_depth: f64) -> f64 {
+fn usable_depth(median_depth: f64) -> f64 {
     if median_depth.is_finite() && median_depth > 0.0 { median_depth } else { 1.0 }
 }
 

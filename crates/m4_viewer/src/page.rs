@@ -55,49 +55,29 @@ impl From<Effort> for Compression {
 #[non_exhaustive]
 pub enum PageError {
     /// The template has no single marker.
-    #[error("the page has {found} places for a scene where it must have one; build crates/m4_viewer/page again")]
-    Marker {
-        /// Their number.
-        found: usize,
-    },
+    #[error("the page has {0} places for a scene where it must have one; build crates/m4_viewer/page again")]
+    Marker(usize),
     /// The manifest cannot be written or read as JSON.
-    #[error("the manifest of the page is invalid: {source}")]
-    Manifest {
-        /// The fault.
-        #[from]
-        source: serde_json::Error,
-    },
+    #[error("the manifest of the page is invalid: {0}")]
+    Manifest(#[from] serde_json::Error),
     /// Compression, in memory.
-    #[error("the splats cannot be packed or unpacked: {source}")]
-    Gzip {
-        /// The fault.
-        #[from]
-        source: std::io::Error,
-    },
+    #[error("the splats cannot be packed or unpacked: {0}")]
+    Gzip(#[from] std::io::Error),
     /// An element that is missing.
-    #[error("the page has no element {id}; it was not written by minute4d, or only in part")]
-    Missing {
-        /// The name of the weights.
-        id: &'static str,
-    },
+    #[error("the page has no element {0}; it was not written by minute4d, or only in part")]
+    Missing(&'static str),
     /// An element in which a browser would look for the end of a comment.
     #[error(
-        "the element {id} of the page holds <!--, behind which browsers do not find its end; write the page again from its scene"
+        "the element {0} of the page holds <!--, behind which browsers do not find its end; write the page again from its scene"
     )]
-    Comment {
-        /// The name of the weights.
-        id: &'static str,
-    },
+    Comment(&'static str),
     /// Offsets that do not fit the frames.
-    #[error("the offsets of the frames do not divide the {found} bytes of the frames; the page is damaged")]
-    Offsets {
-        /// Bytes of all frames.
-        found: usize,
-    },
+    #[error("the offsets of the frames do not divide the {0} bytes of the frames; the page is damaged")]
+    Offsets(usize),
     /// An element that is not base64.
     #[error("the element {id} of the page is damaged: {source}")]
     Base64 {
-        /// The name of the weights.
+        /// The name of the element.
         id: &'static str,
         /// The fault.
         source: base64::DecodeError,
@@ -116,14 +96,10 @@ pub struct Parts<'a> {
 }
 
 /// The page as bytes of HTML.
-///
-/// # Errors
-///
-/// [`PageError::Marker`] for a template that is none.
 pub fn compose(template: &str, parts: &Parts<'_>, effort: Effort) -> Result<Vec<u8>, PageError> {
     let found = template.matches(MARKER).count();
     let Some((before, after)) = template.split_once(MARKER).filter(|_| found == 1) else {
-        return Err(PageError::Marker { found });
+        return Err(PageError::Marker(found));
     };
     // In JSON it is nowhere but in strings.
     let json = serde_json::to_string(parts.manifest)?.replace('<', "\\u003c");
@@ -181,10 +157,6 @@ pub struct Contents {
 const MOST_BYTES: u64 = 4 << 30;
 
 /// Takes a page apart.
-///
-/// # Errors
-///
-/// [`PageError`] saying which element is missing or damaged.
 pub fn read(html: &str) -> Result<Contents, PageError> {
     let manifest = manifest_of(html)?;
     let payload = match find(html, SPLATS)? {
@@ -201,16 +173,12 @@ pub fn read(html: &str) -> Result<Contents, PageError> {
 }
 
 /// The frames of a page, without its splats.
-///
-/// # Errors
-///
-/// As [`read`].
 pub fn read_frames(html: &str) -> Result<Option<Frames>, PageError> {
     frames_of(html, &manifest_of(html)?)
 }
 
 fn manifest_of(html: &str) -> Result<Manifest, PageError> {
-    let text = find(html, MANIFEST)?.ok_or(PageError::Missing { id: MANIFEST.1 })?;
+    let text = find(html, MANIFEST)?.ok_or(PageError::Missing(MANIFEST.1))?;
     Ok(serde_json::from_str(text)?)
 }
 
@@ -218,11 +186,11 @@ fn frames_of(html: &str, manifest: &Manifest) -> Result<Option<Frames>, PageErro
     let Some(index) = manifest.frames.clone() else {
         return Ok(None);
     };
-    let text = find(html, FRAMES)?.ok_or(PageError::Missing { id: FRAMES.1 })?;
+    let text = find(html, FRAMES)?.ok_or(PageError::Missing(FRAMES.1))?;
     let bytes = bytes(FRAMES.1, text)?;
     let ordered = index.offsets.windows(2).all(|w| w[0] <= w[1]);
     if !ordered || index.offsets.last() != Some(&bytes.len()) {
-        return Err(PageError::Offsets { found: bytes.len() });
+        return Err(PageError::Offsets(bytes.len()));
     }
     Ok(Some(Frames { index, bytes }))
 }
@@ -232,7 +200,7 @@ fn find<'a>(html: &'a str, name: (&str, &'static str)) -> Result<Option<&'a str>
     let rest = html.split_once(opening(name).as_str()).map(|(_, rest)| rest);
     let text = rest.and_then(|rest| rest.split_once(END)).map(|(text, _)| text);
     if text.is_some_and(|text| text.contains("<!--")) {
-        return Err(PageError::Comment { id: name.1 });
+        return Err(PageError::Comment(name.1));
     }
     Ok(text)
 }

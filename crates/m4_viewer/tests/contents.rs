@@ -1,17 +1,12 @@
 //! The page with a scene in it, and what comes out of it again.
 
-use crate::common::{manifest_of, scene};
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
-use m4_core::{Plane, RgbImage};
+use m4_core::{Exposure, Intrinsics, Plane, RgbImage, Scene, SourceFrame, SplatLayout};
+use m4_testkit::{SceneSpec, camera_looking_at, random_splats};
 use m4_viewer::page::{self, Effort, MARKER, PageError, Parts, TEMPLATE, compose};
-use m4_viewer::payload::{decode, encode};
-use m4_viewer::{FrameLimits, encode_frames};
-
-#[test]
-fn the_page_has_one_place_for_a_scene() {
-    assert_eq!(TEMPLATE.matches(MARKER).count(), 1);
-}
+use m4_viewer::payload::{Payload, decode, encode};
+use m4_viewer::{About, FrameLimits, Manifest, encode_frames};
 
 #[test]
 fn a_scene_comes_back_out_of_the_page() {
@@ -40,6 +35,16 @@ fn a_scene_comes_back_out_of_the_page() {
     }
 }
 
+/// The manifest of a small scene with that title, its payload, and the page of both.
+fn small_page(title: &str) -> (Manifest, Vec<u8>, String) {
+    let scene = scene(4, 3);
+    let payload = encode(&scene, 4.0);
+    let manifest = Manifest { title: title.to_owned(), ..manifest_of(&scene, &payload) };
+    let parts = Parts { manifest: &manifest, payload: Some(&payload.bytes), frames: None };
+    let html = String::from_utf8(compose(MARKER, &parts, Effort::Quick).unwrap()).unwrap();
+    (manifest, payload.bytes, html)
+}
+
 /// Titles that end an element of a page, or begin what a browser does not end there: a clip may have any name.
 const HOSTILE: [&str; 5] = [
     "<!--<script>.mp4",
@@ -51,31 +56,21 @@ const HOSTILE: [&str; 5] = [
 
 #[test]
 fn titles_are_escaped() {
-    let scene = scene(4, 3);
-    let payload = encode(&scene, 4.0);
-    let mut manifest = manifest_of(&scene, &payload);
     for title in HOSTILE {
-        manifest.title = title.to_owned();
-        let parts = Parts { manifest: &manifest, payload: Some(&payload.bytes), frames: None };
-        let html = String::from_utf8(compose(MARKER, &parts, Effort::Quick).unwrap()).unwrap();
+        let (manifest, payload, html) = small_page(title);
         // the tags of two elements
         assert_eq!(html.matches('<').count(), 4, "{title}: {html}");
         let back = page::read(&html).unwrap();
-        assert_eq!((back.manifest, back.payload.is_some()), (manifest.clone(), true));
+        assert_eq!((back.manifest, back.payload), (manifest, Some(payload)));
     }
 }
 
 #[test]
 fn pages_that_browsers_cannot_parse_are_refused() {
-    let scene = scene(4, 3);
-    let payload = encode(&scene, 4.0);
-    let mut manifest = manifest_of(&scene, &payload);
-    manifest.title = "a clip".to_owned();
-    let parts = Parts { manifest: &manifest, payload: Some(&payload.bytes), frames: None };
-    let html = String::from_utf8(compose(MARKER, &parts, Effort::Quick).unwrap()).unwrap();
+    let (_, _, html) = small_page("a clip");
     for title in ["<!--", "<!--<script>", "a <!-- b -->"] {
         let read = page::read(&html.replace("a clip", title));
-        assert!(matches!(read, Err(PageError::Comment { .. })), "{title}");
+        assert!(matches!(read, Err(PageError::Comment(_))), "{title}");
     }
     // what earlier versions wrote, and every browser reads
     assert_eq!(page::read(&html.replace("a clip", "a <\\/b> clip")).unwrap().manifest.title, "a </b> clip");
@@ -83,7 +78,7 @@ fn pages_that_browsers_cannot_parse_are_refused() {
 
 #[test]
 fn a_page_that_waits_has_no_splats() {
-    let manifest = m4_viewer::Manifest::waiting("later");
+    let manifest = Manifest::waiting("later");
     let parts = Parts { manifest: &manifest, payload: None, frames: None };
     let html = String::from_utf8(compose(TEMPLATE, &parts, Effort::Small).unwrap()).unwrap();
     assert!(!html.contains("<img"));
@@ -93,15 +88,12 @@ fn a_page_that_waits_has_no_splats() {
 
 #[test]
 fn damaged_pages_are_errors() {
-    let scene = scene(4, 3);
-    let payload = encode(&scene, 4.0);
-    let manifest = manifest_of(&scene, &payload);
-    let parts = Parts { manifest: &manifest, payload: Some(&payload.bytes), frames: None };
+    let (manifest, payload, html) = small_page("a clip");
+    let parts = Parts { manifest: &manifest, payload: Some(&payload), frames: None };
     for template in ["<html></html>".to_owned(), MARKER.repeat(2)] {
-        assert!(matches!(compose(&template, &parts, Effort::Quick), Err(PageError::Marker { .. })));
+        assert!(matches!(compose(&template, &parts, Effort::Quick), Err(PageError::Marker(_))));
     }
-    let html = String::from_utf8(compose(MARKER, &parts, Effort::Quick).unwrap()).unwrap();
-    assert!(matches!(page::read("<html></html>"), Err(PageError::Missing { .. })));
+    assert!(matches!(page::read("<html></html>"), Err(PageError::Missing(_))));
     let start = html.find("m4-splats\">").unwrap() + "m4-splats\">".len();
     let with = |at: usize, text: &str| {
         let mut html = html.clone();
@@ -110,12 +102,12 @@ fn damaged_pages_are_errors() {
     };
     assert!(matches!(page::read(&with(start + 20, "!")), Err(PageError::Base64 { .. })));
     // half of the bytes turned around: gzip has a checksum
-    assert!(matches!(page::read(&with(start + 40, "AAAAAAAAAAAA")), Err(PageError::Gzip { .. })));
+    assert!(matches!(page::read(&with(start + 40, "AAAAAAAAAAAA")), Err(PageError::Gzip(_))));
     let mut told = manifest.clone();
     told.frames = Some(m4_viewer::FrameIndex { width: 4, height: 4, offsets: vec![0, 9] });
     let lies = Parts { manifest: &told, ..parts };
     let html = String::from_utf8(compose(MARKER, &lies, Effort::Quick).unwrap()).unwrap();
-    assert!(matches!(page::read(&html), Err(PageError::Missing { .. })));
+    assert!(matches!(page::read(&html), Err(PageError::Missing(_))));
 }
 
 #[test]
@@ -135,4 +127,33 @@ fn the_safe_radius_is_between_shares_of_the_depth() {
         source.camera.c2w.translation.x *= 100.0;
     }
     assert!((manifest_of(&scene, &payload).safe.radius - 2.0).abs() < 1e-12, "half of the depth");
+}
+
+const FRAMES: usize = 6;
+
+pub fn scene(n_static: usize, n_dynamic: usize) -> Scene {
+    let camera = camera_looking_at(Intrinsics::centred(160, 120, 140.0), [0.3, 0.1, -0.5], [0.3, 0.1, 4.0]);
+    let spec = SceneSpec {
+        layout: SplatLayout { isotropic: false, sh_degree: 0, time_degree: 0 },
+        n_static,
+        n_dynamic,
+        time_frames: FRAMES,
+        ..SceneSpec::default()
+    };
+    let source = (0..FRAMES).map(|i| SourceFrame { camera, t: i as f64, exposure: Exposure::IDENTITY });
+    Scene {
+        splats: random_splats(5, &camera, &spec),
+        background: [0.1, 0.2, 0.3],
+        time_frames: FRAMES,
+        duration_s: Some(0.5),
+        mip: true,
+        near: 0.05,
+        source: source.collect(),
+    }
+}
+
+/// The page's metadata of a scene with a median depth of 4.
+pub fn manifest_of(scene: &Scene, payload: &Payload) -> Manifest {
+    let about = About { title: "a test", median_depth: 4.0, fps: 10.0 };
+    Manifest::new(scene, payload, &about)
 }

@@ -1,6 +1,6 @@
 //! The integration tests of this crate, in one program.
+#![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
-mod common;
 mod contents;
 mod page;
 mod payload_fixture;

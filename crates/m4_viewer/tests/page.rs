@@ -1,8 +1,6 @@
 //! The page in a real browser: what it draws, from a file and from the server. What its controls do is
 //! tested beside its sources.
 
-#![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
-
 use base64::Engine;
 use m4_core::{
     Camera, Exposure, Intrinsics, RgbImage, Scene, Se3, SourceFrame, SplatLayout,
@@ -79,7 +77,6 @@ fn told(scene: &Scene) -> (Manifest, Vec<u8>) {
     (Manifest::new(scene, &payload, &about), payload.bytes)
 }
 
-/// The page of a scene as a file.
 fn written(scene: &Scene, folder: &Path) -> String {
     let (mut manifest, payload) = told(scene);
     let images: Vec<RgbImage> = scene.source.iter().map(|s| drawn(scene, &s.camera, s.t)).collect();

@@ -1,8 +1,6 @@
 //! The server from outside: responses and events.
 
-#![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
-
-use crate::common::{manifest_of, scene};
+use crate::contents::{manifest_of, scene};
 use m4_viewer::Manifest;
 use m4_viewer::page;
 use m4_viewer::payload::{decode, encode};
@@ -12,14 +10,12 @@ use std::net::{Ipv4Addr, TcpListener, TcpStream};
 use std::sync::Arc;
 use std::time::Duration;
 
-/// A scene and its metadata for the page.
 fn shown(n_static: usize) -> (Manifest, Vec<u8>) {
     let scene = scene(n_static, 3);
     let payload = encode(&scene, 4.0);
     (manifest_of(&scene, &payload), payload.bytes)
 }
 
-/// Address, token and host of a server.
 struct Place {
     port: u16,
     token: String,
@@ -43,7 +39,6 @@ impl Place {
         stream
     }
 
-    /// Status, head and body of an answer.
     fn ask(&self, method: &str, target: &str, host: &str) -> (u16, String, Vec<u8>) {
         let mut all = Vec::new();
         self.send(method, target, host).read_to_end(&mut all).unwrap();
@@ -68,7 +63,6 @@ impl Place {
     }
 }
 
-/// The data of the next event.
 fn next_event(stream: &mut BufReader<TcpStream>) -> serde_json::Value {
     loop {
         let mut line = String::new();
@@ -190,7 +184,7 @@ fn a_port_in_use_is_an_error() {
     let taken = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).unwrap();
     let port = taken.local_addr().unwrap().port();
     let error = Server::start(Hub::waiting("x"), port).unwrap_err();
-    assert!(matches!(error, ServeError::InUse { port: p } if p == port), "{error}");
+    assert!(matches!(error, ServeError::InUse(p) if p == port), "{error}");
     assert!(error.to_string().contains("--port"));
 }
 

@@ -1,9 +1,16 @@
 //! The command line as clap parses it: the commands, and the options that all of them have.
 
 use crate::commands::{
-    ablate::Ablate, batch::Batch, bench::Bench, enhance::Enhance, eval::Eval, eval::EvalGeometry, export::Export,
-    geometry::Geometry, import::Import, inspect::Inspect, render::Render, reproduce::Reproduce, run::Run, split::Split,
-    train::Train, view::View, weights::Weights,
+    batch::Batch,
+    bench::Bench,
+    eval::{Eval, EvalGeometry, Inspect, Split},
+    geometry::{Enhance, Geometry},
+    interchange::{Export, Import},
+    render::Render,
+    reproduce::{Ablate, Reproduce},
+    run::{Run, Train},
+    view::View,
+    weights::Weights,
 };
 use clap::{Args, Parser, Subcommand};
 
@@ -22,12 +29,10 @@ pub struct Cli {
     /// The command to run.
     #[command(subcommand)]
     pub command: Command,
-    /// Output and threads.
     #[command(flatten)]
     pub common: Common,
 }
 
-/// Options of every command.
 #[derive(Debug, Args)]
 pub struct Common {
     /// Print one JSON object per line on stdout; the last is {"event":"end","ok":..,"code":..,"reason":..}
@@ -98,15 +103,11 @@ mod tests {
     #[test]
     fn numeric_arguments_are_validated_when_parsed() {
         let bad = [
-            "run a -o b --iterations 0",
             "run a -o b --threads 0",
             "run a -o b --fov 200",
             "run a -o b --fov nan",
             "run a -o b --start -1",
             "run a -o b --max-frames 1",
-            "run a -o b --resume --force",
-            "run a -o b --profile best",
-            "run a",
             "render a --fps 0 -o b",
             "bench --size 480",
             "bench --size 480x8",

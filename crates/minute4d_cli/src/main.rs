@@ -3,27 +3,27 @@
 
 mod cli;
 mod commands;
-mod decoder;
 mod failure;
 mod options;
 mod output;
-mod panics;
 
 use clap::Parser;
 use cli::Cli;
 use failure::Failure;
+use minute4d::io::video::{DecoderProgram, serve_decoder, set_decoder_program};
 use output::{Output, StopSignal};
 use std::ffi::OsString;
 use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
     let args: Vec<OsString> = std::env::args_os().collect();
-    if let Some(code) = decoder::serve(&args) {
+    if let Some(code) = serve_as_decoder(&args) {
         return code;
     }
-    panics::report_instead_of_abort();
-    decoder::register(&args);
+    failure::report_instead_of_abort();
+    register_decoder(&args);
     let cli = match Cli::try_parse_from(&args) {
         Ok(cli) => cli,
         Err(error) => return refuse(&error, &args),
@@ -38,7 +38,7 @@ fn main() -> ExitCode {
     let (code, reason) = match outcome {
         Ok(Ok(())) => (0, "done".to_owned()),
         Ok(Err(Failure { code, reason })) => (code, reason),
-        Err(_) => (1, panics::last_report()),
+        Err(_) => (1, failure::last_report()),
     };
     output.end(code, &reason);
     ExitCode::from(code)
@@ -63,4 +63,36 @@ fn refuse(error: &clap::Error, args: &[OsString]) -> ExitCode {
         output::end_of_json(2, &first_paragraph(&error.to_string()));
     }
     ExitCode::from(2)
+}
+
+/// The first argument of a decoder process. It is internal and not shown in the help.
+const ARGUMENT: &str = "__decode-h264";
+
+/// Runs the decoder if this process was started as one; returns its exit code.
+fn serve_as_decoder(args: &[OsString]) -> Option<ExitCode> {
+    if args.get(1).is_none_or(|arg| arg != ARGUMENT) {
+        return None;
+    }
+    let served = serve_decoder(&args[2..], std::io::stdin().lock(), std::io::stdout().lock());
+    Some(match served {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            output::to_stderr(&format!("minute4d {ARGUMENT}: {error}"));
+            ExitCode::FAILURE
+        }
+    })
+}
+
+/// Registers this program as the one to start for decoding.
+fn register_decoder(args: &[OsString]) {
+    // On Linux this is the file of the running program, even if another version was installed over it since.
+    let running = Path::new("/proc/self/exe");
+    let program = if cfg!(target_os = "linux") && running.exists() {
+        running.to_path_buf()
+    } else {
+        let by_name = || PathBuf::from(args.first().cloned().unwrap_or_else(|| "minute4d".into()));
+        std::env::current_exe().unwrap_or_else(|_| by_name())
+    };
+    // No other code registers a program, so this cannot fail.
+    let _ = set_decoder_program(DecoderProgram::new(program, ARGUMENT));
 }

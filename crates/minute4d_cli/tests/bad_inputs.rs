@@ -1,7 +1,7 @@
 //! What the program says to bad inputs: each case names its exit code and the words that must be in
 //! the message, and `--json` must end with `ok: false`.
 
-use crate::common::{Scratch, edit_transforms, write_capture, write_images, write_video};
+use crate::common::{Scratch, edit_transforms, finished_run, write_capture, write_images, write_video};
 use m4_testkit::{Need, skip};
 use minute4d::core::Plane;
 use minute4d::io::image::{write_depth, write_rgb};
@@ -9,20 +9,6 @@ use serde_json::{Value, json};
 use std::fs;
 use std::path::Path;
 use std::process::Command;
-use std::sync::OnceLock;
-
-/// A finished run, made once for all tests that only read it.
-fn finished_run() -> &'static str {
-    static RUN: OnceLock<(Scratch, String)> = OnceLock::new();
-    let (_, path) = RUN.get_or_init(|| {
-        let dir = Scratch::new();
-        write_capture(&dir.path("capture"), false);
-        dir.succeed("train capture -o out --iterations 10");
-        let path = dir.at("out");
-        (dir, path)
-    });
-    path
-}
 
 /// `geometry INPUT`, which must be refused.
 fn bad_video(dir: &Scratch, input: &str, code: i32, words: &[&str]) {

@@ -1,17 +1,13 @@
 //! Enhancement and ablation from outside.
-#![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
 #[cfg(feature = "nets")]
 use crate::common::Ended;
-use crate::common::{Scratch, capture, mean_image_psnr_db, write_capture};
-use minute4d::io::capture::{self as captures, CaptureOptions, Split};
-use minute4d::{BUILD_FULL, Silent};
+use crate::common::{Scratch, capture, mean_image_psnr_db, read_capture, write_capture};
+use minute4d::BUILD_FULL;
+#[cfg(feature = "nets")]
+use minute4d::Silent;
+use minute4d::io::capture::Split;
 use std::fs;
-use std::path::Path;
-
-fn read(path: &Path) -> minute4d::core::Capture {
-    captures::read(path, Split::Train, &CaptureOptions::default(), &Silent).unwrap()
-}
 
 #[test]
 fn points_are_tracked_without_weights() {
@@ -20,7 +16,8 @@ fn points_are_tracked_without_weights() {
     let line = "enhance capture -o better --segmenter none";
     let report = dir.succeed(&format!("{line} --tracker flow --json")).result()["record"].clone();
     assert_eq!((&report["segmenter"], &report["tracker"]), (&"none".into(), &"flow".into()));
-    let (before, after) = (read(&dir.path("capture")), read(&dir.path("better")));
+    let (before, after) =
+        (read_capture(&dir.path("capture"), Split::Train), read_capture(&dir.path("better"), Split::Train));
     assert_eq!(before.frames.len(), after.frames.len());
     let count = after.tracks.as_ref().map_or(0, |tracks| tracks.count());
     assert_eq!(report["tracks"], count);
@@ -100,7 +97,7 @@ fn networks_enhance_a_capture() {
     FormulaWeights::of_keys(keys)
         .scaled("point_updater.flow_head.weight", 0.005)
         .write_with(Some(("config", config)), &store.join("tapip3d/tapip3d.safetensors"));
-    captures::write(&dir.path("capture"), &capture(3, false), Split::Train, &Silent).unwrap();
+    minute4d::io::capture::write(&dir.path("capture"), &capture(3, false), Split::Train, &Silent).unwrap();
     let line = "enhance capture -o better --json --segmenter sam2 --tracker tapip3d --set enhance.tapip3d.size=1.0 \
                 --set enhance.tapip3d.iterations=1 --set enhance.tapip3d.most=40 --set enhance.tapip3d.every=1";
     let mut command = dir.command(line);
@@ -114,6 +111,6 @@ fn networks_enhance_a_capture() {
     assert_eq!(report["networks"][1]["commercial"], false);
     assert!(report["tracks"].as_u64().unwrap() > 0, "{report}");
     assert_eq!(dir.json("better/instances.json")["segmenter"], "sam2.1-tiny");
-    let better = read(&dir.path("better"));
+    let better = read_capture(&dir.path("better"), Split::Train);
     assert!(better.frames.iter().all(|frame| frame.instances.is_some() && frame.mask.is_some()));
 }

@@ -1,13 +1,11 @@
 //! Clips that other tools posed, from outside.
-#![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
-use crate::common::{Scratch, write_capture};
-use minute4d::Silent;
+use crate::common::{Scratch, read_capture, write_capture};
 use minute4d::core::Capture;
-use minute4d::io::capture::{self, CaptureOptions, Split};
+use minute4d::io::capture::Split;
 use serde_json::Value;
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 fn fixture(name: &str) -> String {
     format!("{}/../../fixtures/import/{name}", env!("CARGO_MANIFEST_DIR"))
@@ -34,7 +32,7 @@ fn source_formats_are_detected_and_imported() {
         assert_eq!(report["format"], format, "{name}");
         assert!(report["frames"].as_u64().unwrap() > 2, "{name}: {report}");
         assert!(report["check"]["verdict"].is_string(), "{name}: {report}");
-        let train = capture::read(&dir.path(format), Split::Train, &CaptureOptions::default(), &Silent).unwrap();
+        let train = read_capture(&dir.path(format), Split::Train);
         assert_eq!(train.frames.len() as u64, report["frames"].as_u64().unwrap());
         assert!(report["held_out"].as_u64().unwrap() >= held_out, "{name}: {report}");
         let listed = dir.path(format).join(Split::Test.file_name()).is_file();
@@ -93,8 +91,7 @@ fn wrong_axes_are_detected_and_corrected() {
     let right = told("-o right --fix");
     assert_eq!(right["check"]["verdict"], "good", "{right}");
     assert_eq!(causes(&right["check"]["repaired"]), ["masks", "axes"]);
-    let read = |path: &Path| capture::read(path, Split::Test, &CaptureOptions::default(), &Silent).unwrap();
-    let (truth, fixed) = (read(&scene), read(&dir.path("right")));
+    let [truth, fixed] = [&scene, &dir.path("right")].map(|path| read_capture(path, Split::Test));
     assert_eq!(truth.frames.len(), fixed.frames.len());
     for (a, b) in truth.frames.iter().zip(&fixed.frames) {
         assert!((a.camera.c2w.matrix() - b.camera.c2w.matrix()).amax() < 1e-9);
@@ -106,7 +103,7 @@ fn wrong_axes_are_detected_and_corrected() {
 fn exported_captures_import_to_the_same_capture() {
     let dir = Scratch::new();
     dir.succeed(&format!("import '{}' -o own --no-check", fixture("dycheck")));
-    let read = |name: &str, split| capture::read(&dir.path(name), split, &CaptureOptions::default(), &Silent).unwrap();
+    let read = |name: &str, split| read_capture(&dir.path(name), split);
     let (train, test) = (read("own", Split::Train), read("own", Split::Test));
     let moves = |c: &Capture| c.frames.iter().filter_map(|f| f.mask.as_ref()).map(|m| m.count()).sum::<usize>();
     for (format, views) in [("nerfstudio", true), ("colmap", false)] {
@@ -167,10 +164,6 @@ fn data_sets_that_name_outside_files_need_permission() {
     dir.refused(set, 78, &["capture.reach"]);
 }
 
-fn read(folder: &Path) -> Capture {
-    capture::read(folder, Split::Train, &CaptureOptions::default(), &Silent).unwrap()
-}
-
 fn megasam(name: &str) -> String {
     fixture(&format!("../megasam/{name}"))
 }
@@ -189,7 +182,7 @@ fn every_layout_is_imported_and_trained() {
         assert_eq!((&report["frames"], &report["format"]), (&3.into(), &"megasam".into()));
         // the archives find the map of motion in the folder of reconstructions beside them
         assert!(report["moving_share"].is_number(), "{report}");
-        let back = read(&dir.path(name));
+        let back = read_capture(&dir.path(name), Split::Train);
         assert_eq!((back.metric, back.time_frames), (false, 3));
         assert!((back.duration_s.unwrap() - 0.2).abs() < 1e-9);
         let record = dir.json(&format!("{name}/geometry.json"));
@@ -214,7 +207,7 @@ fn numpy_files_are_imported() {
     let again = format!("import '{}' -o out", megasam("outputs/dog_droid.npz"));
     dir.refused(&again, 73, &["--force"]);
     dir.succeed(&format!("{again} --force"));
-    let capture = read(&dir.path("out"));
+    let capture = read_capture(&dir.path("out"), Split::Train);
     assert!(capture.frames.iter().all(|f| f.mask.is_some() && f.depth.is_some()));
 }
 

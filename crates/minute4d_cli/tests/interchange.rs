@@ -1,8 +1,7 @@
 //! Scenes to the files of other tools and back, from outside.
-#![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
 use crate::common::Scratch;
-use m4_testkit::{SceneSpec, moving_scene, random_camera, random_splats};
+use m4_testkit::{SceneSpec, bare_scene, moving_scene, random_camera, random_splats};
 use minute4d::core::{Column, Exposure, Intrinsics, Scene, SourceFrame, SplatLayout};
 use minute4d::io::scene::safetensors;
 use serde_json::Value;
@@ -141,15 +140,7 @@ fn static_ply_of_another_program_gets_cameras() {
         n_dynamic: 0,
         ..SceneSpec::default()
     };
-    let scene = Scene {
-        splats: random_splats(5, &random_camera(3, 64, 48), &spec),
-        background: [0.0; 3],
-        time_frames: 1,
-        duration_s: None,
-        mip: false,
-        near: 0.01,
-        source: Vec::new(),
-    };
+    let scene = bare_scene(random_splats(5, &random_camera(3, 64, 48), &spec), 1);
     safetensors::write(&dir.path("a.safetensors"), &scene, None, &BTreeMap::new()).unwrap();
     // without cameras there is nothing to compare from, and no clip
     let report = dir.succeed("export a.safetensors --format ply -o a.ply --json").result();

@@ -1,20 +1,17 @@
 //! The integration tests of this crate, in one program.
+#![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
 mod bad_inputs;
 mod batch;
 mod common;
-mod decoder;
 mod enhance;
 mod faults;
 mod features;
-mod geometry_failures;
-mod geometry_given;
+mod geometry;
 mod import;
 mod interchange;
 mod networks;
 mod pipeline;
-mod playback;
-mod render_paths;
+mod render;
 mod reproduce;
 mod view;
-mod weights;

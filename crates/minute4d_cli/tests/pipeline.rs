@@ -1,5 +1,4 @@
 //! The happy path from outside: train, render, eval, inspect, stop, resume.
-#![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
 use crate::common::{Ended, Running, Scratch, capture, mean_image_psnr_db, write_capture, write_images};
 use minute4d::Silent;
@@ -8,9 +7,8 @@ use minute4d::io::capture::Split;
 use serde_json::Value;
 use std::fs;
 use std::io::{BufRead, BufReader};
-use std::process::{ChildStdout, Command, Stdio};
+use std::process::{ChildStdout, Stdio};
 
-/// A folder with a capture, with or without held-out views, called `capture`.
 fn with_capture(with_test: bool) -> Scratch {
     let dir = Scratch::new();
     write_capture(&dir.path("capture"), with_test);
@@ -120,12 +118,6 @@ fn start(dir: &Scratch, line: &str) -> (Running, BufReader<ChildStdout>) {
 }
 
 #[cfg(unix)]
-fn signal(running: &Running, name: &str) {
-    let status = Command::new("kill").args([name, &running.0.id().to_string()]).status().unwrap();
-    assert!(status.success());
-}
-
-#[cfg(unix)]
 #[test]
 fn signal_saves_and_resume_gives_identical_bits() {
     let dir = with_capture(false);
@@ -133,7 +125,7 @@ fn signal_saves_and_resume_gives_identical_bits() {
     let train = "train capture -o parts --iterations 600";
     for (name, code, more) in [("-INT", 130, ""), ("-TERM", 143, " --resume")] {
         let (mut running, rest) = start(&dir, &format!("{train}{more}"));
-        signal(&running, name);
+        running.signal(name);
         let rest: Vec<String> = rest.lines().map(Result::unwrap).collect();
         assert_eq!(running.0.wait().unwrap().code(), Some(code));
         let end: Value = serde_json::from_str(rest.last().unwrap()).unwrap();
@@ -167,7 +159,7 @@ fn killed_run_resumes_from_its_last_checkpoint() {
     let second = dir.call(&format!("{train} --resume"));
     assert_eq!(second.code, 75, "one folder, one process: {}", second.stderr);
     assert!(second.stderr.contains("another minute4d is using"));
-    signal(&running, "-KILL");
+    running.signal("-KILL");
     running.0.wait().unwrap();
     let left = fs::read_dir(&saved)
         .unwrap()

@@ -1,6 +1,6 @@
 //! Protocols from outside: frames are split, scenes judged, and the tables of data sets made from folders in their exact layouts.
 
-use crate::common::data_sets::{write_dycheck, write_dycheck_of, write_nvidia};
+use crate::common::clips::{write_dycheck, write_dycheck_of, write_nvidia};
 use crate::common::{SIZE, Scratch, capture, clips, mean_image_psnr_db, seen_from, write_capture};
 use minute4d::Silent;
 use minute4d::core::{Camera, Capture, CaptureFrame, Plane};

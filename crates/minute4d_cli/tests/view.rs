@@ -1,5 +1,4 @@
 //! The page of a run and its server, from outside.
-#![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
 use crate::common::{Running, Scratch, write_capture};
 use m4_testkit::{Chromium, find_chromium};
@@ -10,10 +9,9 @@ use serde_json::Value;
 use std::fs;
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{Ipv4Addr, TcpListener, TcpStream};
-use std::process::{ChildStdout, Command, Stdio};
+use std::process::{ChildStdout, Stdio};
 use std::time::{Duration, Instant};
 
-/// A folder with the capture `capture`.
 fn with_capture() -> Scratch {
     let dir = Scratch::new();
     write_capture(&dir.path("capture"), false);
@@ -122,12 +120,6 @@ fn run_writes_a_page_with_its_scene() {
     assert!(again.stderr.contains("train: already done") && again.stderr.contains("viewer.html"), "{}", again.stderr);
 }
 
-#[cfg(unix)]
-fn interrupt(running: &Running) {
-    let status = Command::new("kill").args(["-INT", &running.0.id().to_string()]).status();
-    assert!(status.unwrap().success());
-}
-
 #[test]
 fn view_shows_the_scene_and_its_replacement() {
     let dir = with_capture();
@@ -176,7 +168,7 @@ fn view_shows_the_scene_and_its_replacement() {
 
     #[cfg(unix)]
     {
-        interrupt(&running);
+        running.signal("-INT");
         assert_eq!(running.0.wait().unwrap().code(), Some(0));
     }
 }

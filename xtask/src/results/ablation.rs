@@ -1,6 +1,6 @@
 //! What each choice is worth: trainings with one thing changed each.
 
-use super::{json, last_metrics, number, program, run, stem};
+use super::{last_metrics, number, program, run, stem, train_and_score};
 use anyhow::{Context, Result, bail};
 use std::path::Path;
 
@@ -99,7 +99,6 @@ impl Row {
     }
 }
 
-/// The measurements of one row.
 #[derive(Debug, Clone, Copy)]
 struct Figures {
     psnr: f64,
@@ -112,10 +111,6 @@ struct Figures {
 /// Trains each scene in every row, for as many frames each, and scores the held-out views: one Markdown row each,
 /// returned together, with the difference to the default in brackets. Splats and figures are the same on any number of
 /// threads and however busy the machine is; seconds are processor time of the optimisation alone, of all cores together.
-///
-/// # Errors
-///
-/// As [`held_out`](super::held_out), or if `words` (`[--iterations N] [--rows NAME,...] [--reuse] SCENE...`) are not understood.
 pub fn ablation(root: &Path, words: &[&str], work: &Path) -> Result<String> {
     let ask = Ask::parse(words)?;
     let program = program(root)?;
@@ -145,14 +140,10 @@ pub fn ablation(root: &Path, words: &[&str], work: &Path) -> Result<String> {
 }
 
 fn measure(program: &Path, scene: &str, row: &Row, ask: &Ask<'_>, out: &Path) -> Result<Figures> {
-    let out_text = out.to_string_lossy().into_owned();
-    let existing = if ask.reuse { "--resume" } else { "--force" };
     let settings = row.settings(ask.iterations);
     let sets = settings.iter().flat_map(|set| ["--set", set]);
-    let train: Vec<&str> = ["train", scene, "-o", &out_text, existing, "--quiet"].into_iter().chain(sets).collect();
-    run(program, &train)?;
-    run(program, &["eval", &out_text, "--data", scene, "--quiet"])?;
-    let eval = json(&out.join("eval.json"))?;
+    let options: Vec<&str> = ask.reuse.then_some("--resume").into_iter().chain(sets).collect();
+    let [_, eval] = train_and_score(program, scene, scene, out, &options)?;
     let last = last_metrics(out)?;
     let mean = &eval["mean"];
     Ok(Figures {

@@ -1,7 +1,7 @@
 //! Decodes bytes to splats.
 
-use super::codec::{Linear, Sinh, rotation_value};
 use super::{HEADER_BYTES, MAGIC, VERSION, bytes_per_splat};
+use super::{Linear, Sinh, rotation_value};
 use m4_core::{Column, SplatLayout, Splats};
 
 /// Why bytes are not the splats of a page.
@@ -9,17 +9,11 @@ use m4_core::{Column, SplatLayout, Splats};
 #[non_exhaustive]
 pub enum PayloadError {
     /// Too short for a header, or another first word.
-    #[error("these {bytes} bytes do not begin with the header of a minute4d page")]
-    Header {
-        /// The number of them.
-        bytes: usize,
-    },
+    #[error("these {0} bytes do not begin with the header of a minute4d page")]
+    Header(usize),
     /// A later layout.
-    #[error("the splats are of version {found}, this program reads version {VERSION}; write the page again")]
-    Version {
-        /// The value in the file.
-        found: u32,
-    },
+    #[error("the splats are of version {0}, this program reads version {VERSION}; write the page again")]
+    Version(u32),
     /// Degrees of the colour that do not exist.
     #[error(
         "the header names harmonics of degree {sh_degree} in space and {time_degree} in time; 3 and 2 are the highest"
@@ -58,16 +52,12 @@ pub enum PayloadError {
 const OPAQUE: f64 = 1.0 - 1.0 / 2048.0;
 
 /// The splats, as a renderer takes them.
-///
-/// # Errors
-///
-/// [`PayloadError`] if the bytes are not what [`super::encode()`] makes.
 pub fn decode(bytes: &[u8]) -> Result<Splats, PayloadError> {
     let header = bytes.first_chunk::<HEADER_BYTES>().filter(|h| h.starts_with(MAGIC));
-    let header = header.ok_or(PayloadError::Header { bytes: bytes.len() })?;
+    let header = header.ok_or(PayloadError::Header(bytes.len()))?;
     let word = |at: usize| u32::from_le_bytes([header[at], header[at + 1], header[at + 2], header[at + 3]]);
     if word(4) != VERSION {
-        return Err(PayloadError::Version { found: word(4) });
+        return Err(PayloadError::Version(word(4)));
     }
     let (sh_degree, time_degree) = (header[16], header[17]);
     if sh_degree > 3 || time_degree > 2 {
@@ -94,60 +84,52 @@ pub fn decode(bytes: &[u8]) -> Result<Splats, PayloadError> {
     Ok(fill(Splats::zeros(layout, n_static, n_dynamic), &numbers, &bytes[HEADER_BYTES..]))
 }
 
-/// Takes one component after the other.
-struct Reader<'a> {
-    rest: &'a [u8],
+/// Takes the next component of `rows` values of `width` bytes from `rest`.
+fn component<'a>(rest: &mut &'a [u8], width: usize, rows: usize) -> impl Fn(usize) -> u32 + use<'a> {
+    let (planes, behind) = rest.split_at(width * rows);
+    *rest = behind;
+    move |row| (0..width).fold(0, |q, k| q | u32::from(planes[k * rows + row]) << (8 * k))
 }
 
-impl<'a> Reader<'a> {
-    /// The next component of `rows` values of `width` bytes.
-    fn component(&mut self, width: usize, rows: usize) -> impl Fn(usize) -> u32 + use<'a> {
-        let (planes, rest) = self.rest.split_at(width * rows);
-        self.rest = rest;
-        move |row| (0..width).fold(0, |q, k| q | u32::from(planes[k * rows + row]) << (8 * k))
-    }
-}
-
-fn fill(mut splats: Splats, numbers: &[f64; 14], planes: &[u8]) -> Splats {
+fn fill(mut splats: Splats, numbers: &[f64; 14], mut planes: &[u8]) -> Splats {
     let [cx, cy, cz, spread, step, scale_low, scale_step, colour_step, rest @ ..] = *numbers;
     let [time_low, time_step, sd_low, sd_step, velocity_spread, velocity_step] = rest;
     let linear = |low, step| Linear { low, step, top: 0.0 };
     let (layout, n, late) = (splats.layout(), splats.n(), splats.n_dynamic());
-    let mut reader = Reader { rest: planes };
     let mut put = |column, offset, value: &dyn Fn(usize) -> f32| {
         for (row, v) in splats.column_mut(column, offset).iter_mut().enumerate() {
             *v = value(row);
         }
     };
     for (k, centre) in [cx, cy, cz].into_iter().enumerate() {
-        let (q, sinh) = (reader.component(3, n), Sinh::mean(centre, spread, step));
+        let (q, sinh) = (component(&mut planes, 3, n), Sinh::mean(centre, spread, step));
         put(Column::Mean, k, &|row| sinh.value(q(row)));
     }
     for k in 0..layout.range(Column::LogScale).len() {
-        let (q, code) = (reader.component(1, n), linear(scale_low, scale_step));
+        let (q, code) = (component(&mut planes, 1, n), linear(scale_low, scale_step));
         put(Column::LogScale, k, &|row| code.value(q(row)) as f32);
     }
     if !layout.isotropic {
-        let q = reader.component(4, n);
+        let q = component(&mut planes, 4, n);
         for k in 0..4 {
             put(Column::Quat, k, &|row| rotation_value(q(row))[k]);
         }
     }
-    let q = reader.component(1, n);
+    let q = component(&mut planes, 1, n);
     put(Column::Opacity, 0, &|row| {
         let opacity = (f64::from(q(row)) / 255.0).clamp(1.0 - OPAQUE, OPAQUE);
         (opacity / (1.0 - opacity)).ln() as f32
     });
     for k in 0..layout.range(Column::Colour).len() {
-        let q = reader.component(2, n);
+        let q = component(&mut planes, 2, n);
         put(Column::Colour, k, &|row| (colour_step * (f64::from(q(row)) - super::MIDDLE_16)) as f32);
     }
-    let (q, code) = (reader.component(2, late), linear(time_low, time_step));
+    let (q, code) = (component(&mut planes, 2, late), linear(time_low, time_step));
     put(Column::TimeMean, 0, &|row| code.value(q(row)) as f32);
-    let (q, code) = (reader.component(1, late), linear(sd_low, sd_step));
+    let (q, code) = (component(&mut planes, 1, late), linear(sd_low, sd_step));
     put(Column::LogTimeSd, 0, &|row| code.value(q(row)) as f32);
     for k in 0..3 {
-        let (q, sinh) = (reader.component(2, late), Sinh::velocity(velocity_spread, velocity_step));
+        let (q, sinh) = (component(&mut planes, 2, late), Sinh::velocity(velocity_spread, velocity_step));
         put(Column::Velocity, k, &|row| sinh.value(q(row)));
     }
     splats

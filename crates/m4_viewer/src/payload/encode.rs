@@ -1,7 +1,7 @@
 //! Encodes splats as bytes.
 
-use super::codec::{Linear, Planes, Sinh, rotation_code};
-use super::{LIFE_SDS, MAGIC, MARGINAL_MIN, MIDDLE_16, VERSION, bytes_per_splat};
+use super::{LIFE_SDS, MAGIC, MARGINAL_MIN, MIDDLE_16, VERSION, bytes_per_splat, push_planes};
+use super::{Linear, Sinh, rotation_code};
 use m4_core::{Column, Scene, SplatLayout, Splats};
 
 /// The splats of a scene as bytes, and what is in them.
@@ -36,7 +36,6 @@ const ALPHA_MIN: f64 = 1.0 / 255.0;
 /// The splats that can be seen. Those whose opacity never exceeds 1/255 in the time of the scene, or
 /// that have a NaN or infinite parameter, are left out. `median_depth` is that of what the
 /// source cameras see, world units: it sets the size of a pixel.
-#[must_use]
 pub fn encode(scene: &Scene, median_depth: f64) -> Payload {
     let splats = &scene.splats;
     let rows = visible_rows(scene);
@@ -57,14 +56,13 @@ pub fn encode(scene: &Scene, median_depth: f64) -> Payload {
         bytes.extend_from_slice(&v.to_le_bytes());
     }
 
-    let mut planes = Planes::after(bytes);
     let mut values = vec![0u32; n];
     let mut column = |width: usize, rows: &[usize], code: &dyn Fn(usize) -> u32| {
         values.resize(rows.len(), 0);
         for (value, &row) in values.iter_mut().zip(rows) {
             *value = code(row);
         }
-        planes.push(width, &values);
+        push_planes(&mut bytes, width, &values);
     };
     for (k, sinh) in codes.mean.iter().enumerate() {
         let from = splats.column(Column::Mean, k);
@@ -92,10 +90,9 @@ pub fn encode(scene: &Scene, median_depth: f64) -> Payload {
         let from = splats.column(Column::Velocity, k);
         column(2, &late, &|r| codes.velocity.code(from[r]));
     }
-    Payload { bytes: planes.finish(), n_static, n_dynamic, layout }
+    Payload { bytes, n_static, n_dynamic, layout }
 }
 
-/// Codecs of the parameters of a scene.
 struct Codes {
     mean: [Sinh; 3],
     scale: Linear,
@@ -135,7 +132,6 @@ impl Codes {
         }
     }
 
-    /// In the order of the header.
     fn numbers(&self) -> [f64; 14] {
         let [x, y, z] = &self.mean;
         [

@@ -1,5 +1,5 @@
-use super::codec::{Linear, Sinh, rotation_code, rotation_value};
 use super::{HEADER_BYTES, PayloadError, bytes_per_splat, decode, encode};
+use super::{Linear, Sinh, rotation_code, rotation_value};
 use m4_core::{Column, CounterRng, Exposure, Intrinsics, Scene, SourceFrame, SplatLayout, Splats};
 use m4_testkit::{SceneSpec, camera_looking_at, random_splats};
 
@@ -139,13 +139,13 @@ fn other_bytes_are_errors() {
         bytes[at] = byte;
         decode(&bytes).unwrap_err()
     };
-    assert!(matches!(with(0, b'X'), PayloadError::Header { .. }));
-    assert!(matches!(with(4, 2), PayloadError::Version { found: 2 }));
+    assert!(matches!(with(0, b'X'), PayloadError::Header(_)));
+    assert!(matches!(with(4, 2), PayloadError::Version(2)));
     assert!(matches!(with(16, 4), PayloadError::Degree { .. }));
     assert!(matches!(with(8, 200), PayloadError::Length { .. }));
     assert!(matches!(with(15, 255), PayloadError::Length { .. }), "no overflow, no allocation");
     assert!(matches!(decode(&good[..good.len() - 1]), Err(PayloadError::Length { .. })));
-    assert!(matches!(decode(&good[..100]), Err(PayloadError::Header { bytes: 100 })));
+    assert!(matches!(decode(&good[..100]), Err(PayloadError::Header(100))));
     let mut infinite = good.clone();
     infinite[24..32].copy_from_slice(&f64::INFINITY.to_le_bytes());
     assert!(matches!(decode(&infinite), Err(PayloadError::Number { index: 0, .. })));

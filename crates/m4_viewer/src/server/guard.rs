@@ -28,7 +28,7 @@ impl Guard {
     /// With a new token, for a server on this port.
     pub fn new(port: u16) -> Result<Self, ServeError> {
         let mut random = [0u8; TOKEN_BYTES];
-        getrandom::fill(&mut random).map_err(|e| ServeError::Random { reason: e.to_string() })?;
+        getrandom::fill(&mut random).map_err(|e| ServeError::Random(e.to_string()))?;
         let names = ["127.0.0.1", "localhost"];
         let mut hosts: Vec<String> = names.iter().map(|name| format!("{name}:{port}")).collect();
         if port == 80 {

@@ -1,8 +1,7 @@
 //! Serves the page from this machine, and notifies it of newer scenes.
 //!
 //! It listens on 127.0.0.1 alone and answers three addresses: `/` (the page with the newest scene and
-//! the frames in it), `/scene` (the newest scene, see [`crate::live`]) and `/events` (server-sent
-//! events). Nothing that it answers comes from a path in a request, so there is no way into the file
+//! the frames in it), `/scene` (the newest scene) and `/events` (server-sent events). Nothing that it answers comes from a path in a request, so there is no way into the file
 //! system. Every request must name this machine as its host (a page of elsewhere whose name was made to
 //! point here does not) and carry the token that the address of the page ends in; all others get 403.
 //!
@@ -15,14 +14,15 @@
 //! ```
 //!
 //! A page that connects late gets every `metrics` so far; of several scenes that were not fetched only the newest is kept.
+//!
+//! The answer to `/scene` is the length of the manifest (u32, little endian), a [`Manifest`](crate::Manifest) as JSON that describes
+//! this scene, and the payload without gzip.
 
-mod events;
 mod guard;
 mod hub;
 
 pub use hub::{Hub, Metrics};
 
-use crate::live;
 use crate::page::{self, Effort, PageError, TEMPLATE};
 use axum::Router;
 use axum::body::Bytes;
@@ -42,11 +42,8 @@ use tokio::sync::oneshot;
 #[non_exhaustive]
 pub enum ServeError {
     /// Something else listens there.
-    #[error("port {port} of 127.0.0.1 is in use; choose another one with --port, or omit --port to use a free one")]
-    InUse {
-        /// The port that was asked for.
-        port: u16,
-    },
+    #[error("port {0} of 127.0.0.1 is in use; choose another one with --port, or omit --port to use a free one")]
+    InUse(u16),
     /// The port cannot be had.
     #[error("cannot listen on port {port} of 127.0.0.1: {source}; choose another one with --port")]
     Listen {
@@ -56,19 +53,11 @@ pub enum ServeError {
         source: io::Error,
     },
     /// No random numbers for the token.
-    #[error(
-        "the system provides no random numbers, without which any user of this machine could read the scene: {reason}"
-    )]
-    Random {
-        /// The error of the operating system.
-        reason: String,
-    },
+    #[error("the system provides no random numbers, without which any user of this machine could read the scene: {0}")]
+    Random(String),
     /// No thread or no event loop.
-    #[error("cannot start the server: {source}")]
-    Start {
-        /// The error of the operating system.
-        source: io::Error,
-    },
+    #[error("cannot start the server: {0}")]
+    Start(#[source] io::Error),
 }
 
 /// A server at work; it ends when this is dropped.
@@ -87,7 +76,7 @@ impl Server {
     /// [`ServeError`]: the port cannot be had, or the system gives no random numbers or no thread.
     pub fn start(hub: Arc<Hub>, port: u16) -> Result<Self, ServeError> {
         let listen = |source: io::Error| match source.kind() {
-            io::ErrorKind::AddrInUse => ServeError::InUse { port },
+            io::ErrorKind::AddrInUse => ServeError::InUse(port),
             _ => ServeError::Listen { port, source },
         };
         let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, port)).map_err(listen)?;
@@ -97,8 +86,11 @@ impl Server {
         let url = format!("http://127.0.0.1:{port}/?token={}", guard.token());
         let app = router(hub, Arc::new(guard));
         let (stop, stopped) = oneshot::channel();
-        let start = |source| ServeError::Start { source };
-        let runtime = tokio::runtime::Builder::new_current_thread().enable_io().enable_time().build().map_err(start)?;
+        let runtime = tokio::runtime::Builder::new_current_thread()
+            .enable_io()
+            .enable_time()
+            .build()
+            .map_err(ServeError::Start)?;
         let thread = std::thread::Builder::new()
             .name("viewer".to_owned())
             .spawn(move || {
@@ -112,12 +104,11 @@ impl Server {
                 // pages that are open would keep a graceful end waiting
                 runtime.shutdown_background();
             })
-            .map_err(start)?;
+            .map_err(ServeError::Start)?;
         Ok(Self { url, stop: Some(stop), thread: Some(thread) })
     }
 
     /// The address of the page, token included.
-    #[must_use]
     pub fn url(&self) -> &str {
         &self.url
     }
@@ -135,7 +126,6 @@ impl Drop for Server {
     }
 }
 
-/// State shared by all requests.
 #[derive(Debug, Clone)]
 struct Shared {
     hub: Arc<Hub>,
@@ -147,12 +137,11 @@ fn router(hub: Arc<Hub>, guard: Arc<Guard>) -> Router {
     Router::new()
         .route("/", get(show_page))
         .route("/scene", get(show_scene))
-        .route("/events", get(events::stream))
+        .route("/events", get(hub::stream))
         .layer(axum::middleware::from_fn_with_state(shared.clone(), guard::check))
         .with_state(shared)
 }
 
-/// The page, with the newest scene in it.
 async fn show_page(State(shared): State<Shared>) -> Response {
     let made = tokio::task::spawn_blocking(move || {
         let token = shared.guard.token();
@@ -161,13 +150,15 @@ async fn show_page(State(shared): State<Shared>) -> Response {
     answer(made.await, "text/html; charset=utf-8")
 }
 
-/// The newest scene alone.
 async fn show_scene(State(shared): State<Shared>) -> Response {
     let made = tokio::task::spawn_blocking(move || {
         let token = shared.guard.token();
         shared.hub.with_parts(token, |parts| -> Result<_, PageError> {
             match parts.payload {
-                Some(payload) => Ok(Some(live::answer(parts.manifest, payload)?)),
+                Some(payload) => {
+                    let json = serde_json::to_vec(parts.manifest)?;
+                    Ok(Some([&(json.len() as u32).to_le_bytes()[..], &json, payload].concat()))
+                }
                 None => Ok(None),
             }
         })

@@ -12,7 +12,6 @@ use std::sync::Mutex;
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// How often a child is looked at.
 const LOOK: Duration = Duration::from_millis(50);
 /// How long a child may take to save before it is killed. It promises ten seconds.
 const PATIENCE: Duration = Duration::from_secs(60);
@@ -37,10 +36,6 @@ pub(crate) struct Ended {
 }
 
 /// Runs a child to its end. What it says on standard error goes to `log`, and which stages it went through.
-///
-/// # Errors
-///
-/// The failure to start it or to wait for it.
 pub(crate) fn run(mut command: Command, log: File, watch: &dyn Watch) -> io::Result<Ended> {
     let stages = log.try_clone()?;
     command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(log);
@@ -134,7 +129,6 @@ fn read_events(
 /// Beginnings of names that belong to services, whose variables are accounts or lead to them.
 const SERVICES: &[&str] =
     &["AWS_", "AZURE_", "GOOGLE_", "GCP_", "GCLOUD_", "CLOUDSDK_", "GITHUB_", "GITLAB_", "VAULT_"];
-/// Parts of names.
 const WORDS: &[&str] = &[
     "TOKEN",
     "SECRET",
@@ -147,7 +141,6 @@ const WORDS: &[&str] = &[
     "ACCESS_KEY",
     "PRIVATE_KEY",
 ];
-/// Ends of names.
 const ENDS: &[&str] = &["_KEY", "_PASS", "_PAT", "_JWT"];
 /// Whole names: agents that sign, and files of passwords.
 const NAMES: &[&str] =

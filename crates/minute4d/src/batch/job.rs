@@ -4,8 +4,8 @@
 //! input is bad, nothing of an earlier attempt was used, and the input still has the bytes that were planned. Everything else
 //! may succeed on another machine or later, so the job may be started again.
 
+use crate::batch::BatchError;
 use crate::batch::child::{self, Ended, Watch};
-use crate::batch::error::BatchError;
 use crate::batch::layout::{JobRecord, Layout, Outcome, RUN_FILE, now_s, write_json};
 use crate::batch::manifest::{Job, Manifest, VERSION};
 use crate::batch::publish::{Present, Published, present, publish, recover, remove};
@@ -48,15 +48,14 @@ pub struct JobEnd {
     pub seconds: Option<f64>,
 }
 
-/// The first index that a scheduler gives, if one does.
-///
-/// # Errors
-///
-/// [`BatchError::Index`] for a variable that is no number.
+/// The first index that a scheduler gives, if one does; an error for a variable that is no number.
 pub fn index_of_environment(get: impl Fn(&str) -> Option<String>) -> Result<Option<usize>, BatchError> {
     for name in INDEX_VARIABLES {
         if let Some(value) = get(name).filter(|v| !v.is_empty()) {
-            let index = value.parse().map_err(|_| BatchError::Index { name, value })?;
+            let index = value.parse().map_err(|_| {
+                let message = format!("{name}={value:?} is not the index of a job; give --index");
+                BatchError::refused(m4_io::ErrorKind::NotFound, message)
+            })?;
             return Ok(Some(index));
         }
     }
@@ -77,7 +76,10 @@ pub fn run_job(
     watch: &dyn Watch,
 ) -> Result<JobEnd, BatchError> {
     let jobs = manifest.jobs.len();
-    let job = manifest.jobs.get(index).ok_or(BatchError::NoSuchJob { index, jobs })?;
+    let job = manifest.jobs.get(index).ok_or_else(|| {
+        let message = format!("there is no job {index}: the manifest lists {jobs}, counted from 0");
+        BatchError::refused(m4_io::ErrorKind::NotFound, message)
+    })?;
     let attempt = Attempt {
         job,
         manifest,
@@ -137,7 +139,6 @@ fn again(reason: &str) -> JobEnd {
     JobEnd { outcome: Outcome::Retryable, reason: reason.to_owned(), seconds: None }
 }
 
-/// One attempt at one job.
 struct Attempt<'a> {
     job: &'a Job,
     manifest: &'a Manifest,
@@ -201,7 +202,6 @@ impl Attempt<'_> {
         }
     }
 
-    /// One run.
     fn run(&self) -> Result<Ended, BatchError> {
         let id = &self.job.id;
         let (settings, log) = (self.layout.settings(id), self.layout.log(id));
@@ -226,8 +226,7 @@ impl Attempt<'_> {
 
     /// The message for a folder that is not ours where a result should go.
     fn in_the_way(&self) -> String {
-        let path = self.layout.result(&self.job.id);
-        BatchError::NotOurs { path }.to_string()
+        BatchError::not_ours(&self.layout.result(&self.job.id)).to_string()
     }
 
     /// The input must be what was planned: results are kept under its hash. What is missing here, or is another, is so on this

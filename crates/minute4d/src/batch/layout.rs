@@ -1,7 +1,7 @@
 //! The folder of results: names of jobs, which are safe as folder names on any system, where everything of a job lies, and the record
 //! of its outcome, `.state/ID.json`.
 
-use crate::batch::error::BatchError;
+use crate::batch::BatchError;
 use crate::batch::manifest::VERSION;
 use m4_io::atomic;
 use serde::de::DeserializeOwned;
@@ -27,25 +27,21 @@ pub struct Layout {
 
 impl Layout {
     /// Results under `root`.
-    #[must_use]
     pub fn new(root: &Path) -> Self {
         let root = root.to_path_buf();
         Self { root }
     }
 
-    /// The folder of results.
     pub(crate) fn root(&self) -> &Path {
         &self.root
     }
 
     /// The published result of a clip.
-    #[must_use]
     pub fn result(&self, id: &str) -> PathBuf {
         self.root.join(id)
     }
 
     /// Where a clip's scene is made.
-    #[must_use]
     pub fn work(&self, id: &str) -> PathBuf {
         self.root.join(".work").join(id)
     }
@@ -66,13 +62,11 @@ impl Layout {
     }
 
     /// What came of a clip.
-    #[must_use]
     pub fn state(&self, id: &str) -> PathBuf {
         self.states().join(format!("{id}.json"))
     }
 
     /// Log of the runs of a clip.
-    #[must_use]
     pub fn log(&self, id: &str) -> PathBuf {
         self.root.join(".log").join(format!("{id}.txt"))
     }
@@ -179,7 +173,6 @@ impl JobRecord {
     }
 }
 
-/// Seconds since 1970 by this machine's clock.
 pub(crate) fn now_s() -> u64 {
     SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_secs())
 }

@@ -17,7 +17,6 @@ pub enum DataError {
 
 impl DataError {
     /// Returns the category of the failure.
-    #[must_use]
     pub fn category(&self) -> Category {
         match self {
             Self::Read(e) => e.kind().into(),
@@ -55,7 +54,6 @@ pub enum Category {
 impl Category {
     /// Returns the exit code of this category, after `sysexits.h`. That of [`Category::Stopped`] depends
     /// on the signal; 130 here.
-    #[must_use]
     pub fn exit_code(self) -> u8 {
         match self {
             Self::Internal => 1,
@@ -137,7 +135,6 @@ pub enum OutputError {
 
 impl OutputError {
     /// Returns the category of the failure.
-    #[must_use]
     pub fn category(&self) -> Category {
         match self {
             Self::Busy { .. } => Category::TryAgain,

@@ -4,13 +4,11 @@
 //! Requests and inputs that cannot be used are [`Refusal`]s, whose messages stand where they are refused. Each says its [`Category`].
 
 mod data;
-mod network;
 
 pub use data::{Category, DataError, OutputError, Refusal};
-pub use network::{NetworkError, NetworkMethod};
 
-use crate::enhance::EnhanceError;
-use crate::geometry::ReconstructionError;
+use crate::enhance::{EnhanceError, Tracker};
+use crate::geometry::{FrontendPart, ReconstructionError, Segmenter};
 use crate::render::TimeError;
 use crate::settings::SettingsError;
 use crate::viewer::ViewerError;
@@ -26,8 +24,8 @@ use m4_train::init::InitError;
 use m4_viewer::FramesError;
 use m4_viewer::page::PageError;
 use m4_viewer::server::ServeError;
-use std::io;
 use std::path::PathBuf;
+use std::{fmt, io};
 
 /// The command that builds the program with GPU support and networks, for messages about missing features.
 pub const BUILD_FULL: &str = "cargo build --release -p minute4d_cli --features full";
@@ -173,7 +171,6 @@ from_parts_of! {
 
 impl Error {
     /// Returns the category of the failure.
-    #[must_use]
     pub fn category(&self) -> Category {
         match self {
             Self::Read { source, .. } => ErrorKind::of_read(source).into(),
@@ -207,27 +204,116 @@ impl Error {
     }
 
     /// Returns true if the same work may succeed later or on another machine, so that finished work is worth keeping.
-    #[must_use]
     pub fn may_pass(&self) -> bool {
         matches!(self.category(), Category::CannotWrite | Category::Io | Category::TryAgain | Category::NoDevice)
     }
 
     /// True when the caller asked to stop.
-    #[must_use]
     pub fn is_stop(&self) -> bool {
         self.category() == Category::Stopped
     }
 }
 
+/// A method that needs a pretrained network; printed as its kind and its name, such as `front end raft`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum NetworkMethod {
+    /// A part of the front end.
+    FrontEnd(FrontendPart),
+    /// A segmenter.
+    Segmenter(Segmenter),
+    /// A point tracker.
+    Tracker(Tracker),
+}
+
+impl NetworkMethod {
+    /// Returns the option that works without a network.
+    fn without(self) -> &'static str {
+        match self {
+            Self::FrontEnd(_) => "--frontend classical",
+            Self::Segmenter(_) => "--segmenter none",
+            Self::Tracker(_) => "--tracker flow",
+        }
+    }
+}
+
+impl fmt::Display for NetworkMethod {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::FrontEnd(part) => write!(f, "front end {}", part.name()),
+            Self::Segmenter(segmenter) => write!(f, "segmenter {}", segmenter.name()),
+            Self::Tracker(tracker) => write!(f, "tracker {}", tracker.name()),
+        }
+    }
+}
+
+/// Why a network could not be used.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum NetworkError {
+    /// The program was built without networks.
+    #[error(
+        "this program was built without networks, which the {method} needs: `{BUILD_FULL}` builds it with them; \
+         {} works without",
+        method.without()
+    )]
+    NotBuilt {
+        /// The method.
+        method: NetworkMethod,
+    },
+    /// The weights are missing.
+    #[cfg(feature = "nets")]
+    #[error("the {method} cannot be used: {source}; {} works without", method.without())]
+    Weights {
+        /// The method.
+        method: NetworkMethod,
+        /// What is missing, and how to get it.
+        source: crate::weights::WeightsError,
+    },
+    /// The weights are invalid.
+    #[cfg(feature = "nets")]
+    #[error("the {method} cannot be used: {source}; {} works without", method.without())]
+    Load {
+        /// The method.
+        method: NetworkMethod,
+        /// The fault.
+        source: Box<m4_nets::LoadError>,
+    },
+    /// The networks for depth from one image failed.
+    #[cfg(feature = "nets")]
+    #[error("{networks} estimated no depth of frame {frame}: {reason}")]
+    Depth {
+        /// Their names, joined by `+`.
+        networks: String,
+        /// The frame.
+        frame: usize,
+        /// What went wrong.
+        reason: Box<dyn std::error::Error + Send + Sync>,
+    },
+}
+
+impl NetworkError {
+    /// Returns the category of the failure.
+    pub fn category(&self) -> Category {
+        match self {
+            Self::NotBuilt { .. } => Category::NoDevice,
+            #[cfg(feature = "nets")]
+            Self::Weights { source, .. } => source.category(),
+            #[cfg(feature = "nets")]
+            Self::Load { .. } | Self::Depth { .. } => Category::NoDevice,
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
-    use super::{Category, Error, OutputError, ServeError};
+    use super::{Category, Error, ServeError};
     use m4_geometry::classical::dense::DenseError;
     use m4_geometry::tracks::TrackError;
     use m4_io::Fault;
     use std::error::Error as _;
     use std::io;
-    use std::path::{Path, PathBuf};
+    use std::path::Path;
 
     #[test]
     fn a_stop_is_no_fault_of_the_input_however_deep_it_was_noticed() {
@@ -253,14 +339,5 @@ mod tests {
             assert_eq!(cause, expected_cause);
             assert!(error.source().and_then(|cause| cause.source()).is_none());
         }
-    }
-
-    #[test]
-    fn a_folder_in_use_may_be_free_later_and_other_outputs_cannot_be_written() {
-        let path = PathBuf::from("out");
-        let busy = Error::from(OutputError::Busy { path: path.clone() });
-        assert_eq!(busy.category(), Category::TryAgain);
-        let taken = Error::from(OutputError::WouldReplace { path });
-        assert_eq!(taken.category(), Category::CannotWrite);
     }
 }

@@ -42,7 +42,6 @@ pub(super) fn bake(scene: &Scene) -> Option<(Scene, Loss)> {
     Some((baked, loss))
 }
 
-/// A camera of the source.
 struct View {
     t: f64,
     camera: Pinhole<f64>,
@@ -146,15 +145,7 @@ mod tests {
             t,
             exposure: Exposure::IDENTITY,
         };
-        Scene {
-            splats,
-            background: [0.0; 3],
-            time_frames: 2,
-            duration_s: None,
-            mip: true,
-            near: 0.01,
-            source: vec![frame(1.0), frame(0.0)],
-        }
+        Scene { mip: true, source: vec![frame(1.0), frame(0.0)], ..m4_testkit::bare_scene(splats, 2) }
     }
 
     #[test]

@@ -51,7 +51,6 @@ pub struct Losses {
 
 impl Losses {
     /// Sorts losses by kind.
-    #[must_use]
     pub fn of(losses: Vec<Loss>) -> Self {
         let mut all = Self::default();
         for loss in losses {
@@ -94,9 +93,7 @@ impl ExportReport {
             path: written.path,
         }
     }
-}
 
-impl ExportReport {
     /// What was written of a capture.
     pub(super) fn of_capture(format: Format, path: PathBuf, bytes: u64, losses: Losses, encode_s: f64) -> Self {
         Self {
@@ -143,7 +140,6 @@ impl fmt::Display for ExportReport {
     }
 }
 
-/// Views that are compared.
 const VIEWS: usize = 4;
 
 /// How close the file is to the scene.

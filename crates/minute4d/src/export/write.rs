@@ -85,7 +85,6 @@ fn write_video(out: &Path, scene: &Scene, fps: Option<f64>, observer: &dyn Obser
     })
 }
 
-/// Writes the capture at `input`.
 pub(super) fn make_capture(input: &Path, job: &ExportJob, observer: &dyn Observer) -> Result<ExportReport, Error> {
     let name = job.format.file_name();
     let out = match &job.out {

@@ -54,7 +54,6 @@ struct Part<'a> {
     format: SourceFormat,
 }
 
-/// Reads `file` and writes a capture into the folder `out`.
 pub(super) fn make(
     file: &Path,
     out: &Path,

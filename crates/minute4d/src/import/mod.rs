@@ -6,14 +6,12 @@
 //! capture  a posed clip -> Capture -> check -> corrected on request -> written
 //! ```
 
-mod cameras;
 mod capture;
 mod format;
 
-pub use cameras::default_cameras;
 pub(crate) use capture::write as write_capture;
 pub use capture::{CaptureReport, Checked};
-pub use format::ImportFormat;
+pub use format::{ImportFormat, default_cameras};
 pub use m4_io::dataset::{ImportOptions, SourceFormat};
 
 use crate::export::{Format, Losses};
@@ -153,7 +151,6 @@ pub struct ImportJob {
 
 impl ImportJob {
     /// Everything as the files say.
-    #[must_use]
     pub fn new(format: Option<ImportFormat>) -> Self {
         Self { format, existing: Existing::Refuse, options: ImportOptions::default(), check: true, fix: false }
     }
@@ -181,7 +178,6 @@ impl ImportJob {
     }
 }
 
-/// The scene in a file.
 fn read(format: Format, path: &Path) -> Result<Imported, Error> {
     let read = read_back(format, path, 0).ok_or_else(|| format::write_only(format))?;
     Ok(read?)

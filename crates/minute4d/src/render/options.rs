@@ -69,7 +69,6 @@ impl Default for PathConfig {
 
 impl CameraPath {
     /// The options that mean something for this path.
-    #[must_use]
     pub fn takes(&self) -> &'static [&'static str] {
         match self {
             Self::Train => &["--at"],
@@ -84,10 +83,6 @@ impl CameraPath {
 
 impl PathOptions {
     /// Refuses what means nothing for the path, and numbers that cannot work.
-    ///
-    /// # Errors
-    ///
-    /// A refusal that names the option.
     pub fn check(&self, path: &CameraPath) -> Result<(), Refusal> {
         let given = [
             ("--seconds", self.seconds.is_some()),
@@ -127,22 +122,4 @@ pub(super) fn unused(option: &str, path: &str, known: &[&str]) -> Refusal {
         known => known.join(", "),
     };
     Refusal::usage(format!("{option} has no meaning for the camera path {path}; it takes {takes}"))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::{CameraPath, PathOptions};
-
-    #[test]
-    fn unused_options_are_rejected() {
-        let held = PathOptions { hold_s: Some(3.0), ..PathOptions::default() };
-        assert_eq!(held.check(&CameraPath::Bullet), Ok(()));
-        let error = held.check(&CameraPath::Swing).unwrap_err();
-        assert!(error.to_string().contains("--hold-s") && error.to_string().contains("--degrees"), "{error}");
-        let strong = PathOptions { strength: Some(1.5), ..PathOptions::default() };
-        let error = strong.check(&CameraPath::Stabilised).unwrap_err();
-        assert_eq!(error.to_string(), "--strength is 1.5; 0 to 1 was expected");
-        let nan = PathOptions { amount: Some(f64::NAN), ..PathOptions::default() };
-        assert!(nan.check(&CameraPath::Swing).is_err());
-    }
 }

@@ -23,7 +23,6 @@ pub struct Region {
 
 impl Region {
     /// The surroundings of a camera of the scene. Where it sees nothing, the distance is one unit.
-    #[must_use]
     pub fn of(scene: &Scene, painter: &mut Painter<'_>, stop: Stop) -> Self {
         let all = painter.median_depth(&stop.camera, stop.t).unwrap_or(1.0);
         // The dynamic part is what one looks at, and what bears a turn of the camera least: the turn is about it.
@@ -33,7 +32,6 @@ impl Region {
     }
 
     /// Returns the point that the camera looks at.
-    #[must_use]
     pub fn pivot(&self) -> Vector3<f64> {
         self.stop.camera.c2w.transform(&Vector3::new(0.0, 0.0, self.distance))
     }
@@ -83,7 +81,7 @@ fn reach(stop: &Stop, centres: &[Vector3<f64>]) -> f64 {
 mod tests {
     use super::moving_depth;
     use crate::render::Stop;
-    use m4_core::{Camera, Column, Exposure, Intrinsics, Scene, Se3, SplatLayout, Splats};
+    use m4_core::{Camera, Column, Exposure, Intrinsics, Se3, SplatLayout, Splats};
 
     #[test]
     fn depth_is_that_of_visible_dynamic_splats() {
@@ -101,15 +99,7 @@ mod tests {
         splats.column_mut(Column::TimeMean, 0)[120..].fill(30.0);
         splats.column_mut(Column::LogTimeSd, 0).fill(1.0);
         splats.column_mut(Column::Velocity, 2)[..60].fill(0.5);
-        let mut scene = Scene {
-            splats,
-            background: [0.0; 3],
-            time_frames: 31,
-            duration_s: None,
-            mip: false,
-            near: 0.01,
-            source: Vec::new(),
-        };
+        let mut scene = m4_testkit::bare_scene(splats, 31);
         let stop = Stop {
             camera: Camera { intrinsics: Intrinsics::centred(64, 48, 50.0), c2w: Se3::identity() },
             t: 10.0,

@@ -19,7 +19,6 @@ pub struct Spline<const N: usize> {
 
 impl<const N: usize> Spline<N> {
     /// Through `points` at `times`, which increase; both of the same length, at least 1.
-    #[must_use]
     pub fn new(times: Vec<f64>, points: Vec<SVector<f64, N>>) -> Self {
         let steps: Vec<_> = (1..points.len()).map(|i| points[i] - points[i - 1]).collect();
         let slopes = slopes(&times, &steps);
@@ -27,7 +26,6 @@ impl<const N: usize> Spline<N> {
     }
 
     /// The point at a time; before the first node and after the last one the nearest node.
-    #[must_use]
     pub fn at(&self, time: f64) -> SVector<f64, N> {
         let (i, u) = place(&self.times, time);
         if u == 0.0 {
@@ -53,7 +51,6 @@ pub struct PoseSpline {
 
 impl PoseSpline {
     /// Through `poses` (camera to world) at `times`, which increase; both of the same length, at least 1.
-    #[must_use]
     pub fn new(times: Vec<f64>, poses: Vec<Se3<f64>>) -> Self {
         let turns: Vec<_> = poses.iter().map(|p| quaternion(&p.rotation)).collect();
         let steps: Vec<_> = (1..turns.len()).map(|i| (turns[i - 1].inverse() * turns[i]).scaled_axis()).collect();
@@ -63,7 +60,6 @@ impl PoseSpline {
     }
 
     /// The pose at a time: exactly that of a node at its time, the nearest node's outside.
-    #[must_use]
     pub fn at(&self, time: f64) -> Se3<f64> {
         let times = &self.centres.times;
         let (i, u) = place(times, time);

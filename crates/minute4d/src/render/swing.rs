@@ -1,9 +1,9 @@
-//! A camera that swings around the centre of its view.
+//! Cameras that swing around the centre of their view, and bullet time: plays, freezes time while the camera moves around, and plays on.
 
-use m4_core::{
-    Camera, Se3, exp_so3,
-    nalgebra::{Matrix3, Vector3},
-};
+use super::{PathConfig, PathOptions, Region, SourcePath, Stop};
+use crate::Refusal;
+use m4_core::nalgebra::{Matrix3, Vector3};
+use m4_core::{Camera, Se3, exp_so3};
 use serde::{Deserialize, Serialize};
 use std::f64::consts::TAU;
 
@@ -28,7 +28,6 @@ impl Default for SwingConfig {
 
 /// `n` cameras that look at the point `distance` in front of `camera` (world units), swinging to both
 /// sides on a flat figure of eight; the first is `camera` itself.
-#[must_use]
 pub fn swing(camera: &Camera, distance: f64, n: usize, config: &SwingConfig) -> Vec<Camera> {
     let pivot = camera.c2w.transform(&Vector3::new(0.0, 0.0, distance));
     let period = config.period_frames.max(2) as f64;
@@ -56,13 +55,137 @@ pub(super) fn orbit(camera: &Camera, pivot: &Vector3<f64>, side: f64, up: f64) -
     Camera { intrinsics: camera.intrinsics, c2w: about_pivot.compose(&camera.c2w) }
 }
 
+/// When a bullet path does what; seconds.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Bullet {
+    /// The moment that is static, from the first frame of the source.
+    freeze_s: f64,
+    /// Seconds of the source that are played before it and after it.
+    played_s: [f64; 2],
+    /// In which time slows down, and speeds up again.
+    ease_s: [f64; 2],
+    /// For which time is frozen.
+    hold_s: f64,
+}
+
+impl Bullet {
+    /// A bullet that is static at `freeze_s` of a source of `source_s`; with a length asked for, less of the
+    /// source is played, or time is frozen for longer.
+    ///
+    /// # Errors
+    ///
+    /// A refusal of a path that is over before time is frozen.
+    pub fn new(freeze_s: f64, source_s: f64, options: &PathOptions, config: &PathConfig) -> Result<Self, Refusal> {
+        let all = [freeze_s, (source_s - freeze_s).max(0.0)];
+        // Slowing down over e seconds covers e / 2 seconds of the source.
+        let ease_s = all.map(|s| config.ease_s.min(2.0 * s).max(0.0));
+        let mut bullet = Self { freeze_s, played_s: all, ease_s, hold_s: options.hold_s.unwrap_or(config.hold_s) };
+        if let Some(seconds) = options.seconds {
+            let short = seconds - bullet.seconds();
+            let kept = source_s + short;
+            if short > 0.0 && options.hold_s.is_none() {
+                bullet.hold_s += short;
+            } else if short < 0.0 {
+                let least: f64 = ease_s.iter().sum::<f64>() * 0.5;
+                if kept < least {
+                    let hold_s = bullet.hold_s + 2.0 * least;
+                    return Err(Refusal::usage(format!(
+                        "--seconds {seconds} leaves no time besides the {hold_s} s for which time is frozen; choose more, or less with \
+                         --hold-s"
+                    )));
+                }
+                // Both sides give in proportion, but keep what the slowing down needs.
+                let spare = all.iter().zip(ease_s).map(|(a, e)| a - 0.5 * e).sum::<f64>();
+                let share = if spare > 0.0 { (kept - least) / spare } else { 0.0 };
+                bullet.played_s = std::array::from_fn(|i| 0.5 * ease_s[i] + share * (all[i] - 0.5 * ease_s[i]));
+            }
+        }
+        Ok(bullet)
+    }
+
+    /// Length of the path.
+    pub fn seconds(&self) -> f64 {
+        self.lead_s() + self.hold_s + self.played_s[1] + 0.5 * self.ease_s[1]
+    }
+
+    /// When time begins to be frozen.
+    fn lead_s(&self) -> f64 {
+        self.played_s[0] + 0.5 * self.ease_s[0]
+    }
+
+    /// The moment of the source at a time of the path, and how far the camera is on its way round, 0..1.
+    pub fn at(&self, path_s: f64) -> (f64, f64) {
+        let left = self.lead_s() - path_s;
+        if left > 0.0 {
+            return (self.freeze_s - eased(left, self.ease_s[0]), 0.0);
+        }
+        let held = -left;
+        if held <= self.hold_s {
+            return (self.freeze_s, held / self.hold_s);
+        }
+        (self.freeze_s + eased(held - self.hold_s, self.ease_s[1]), 1.0)
+    }
+
+    /// The camera at a time of the path; `region` is where time is frozen.
+    pub fn stop(
+        &self,
+        path_s: f64,
+        source: &SourcePath,
+        region: &Region,
+        options: &PathOptions,
+        config: &PathConfig,
+    ) -> Stop {
+        let (source_s, round) = self.at(path_s);
+        if round <= 0.0 || round >= 1.0 {
+            return source.at(source.moment(source_s));
+        }
+        // At rest at both ends.
+        let phase = TAU * round * round * (3.0 - 2.0 * round);
+        let side = side_rad(region, options, config);
+        let (side, up) = (side * phase.sin(), side.abs() * config.up_share * (2.0 * phase).sin());
+        Stop { camera: orbit(&region.stop.camera, &region.pivot(), side, up), ..region.stop }
+    }
+}
+
+/// Seconds of the source in `s` seconds after standing still, with speed growing evenly for `ease_s`.
+fn eased(s: f64, ease_s: f64) -> f64 {
+    if s < ease_s { s * s / (2.0 * ease_s) } else { s - 0.5 * ease_s }
+}
+
+/// Greatest turn to either side that is good for the scene, radians, or what was asked for.
+pub fn side_rad(region: &Region, options: &PathOptions, config: &PathConfig) -> f64 {
+    let [least, most] = config.side_deg.map(f64::to_radians);
+    let good = (region.reach / region.distance).atan().clamp(least, most.max(least));
+    options.degrees.map_or(good, f64::to_radians) * options.amount.unwrap_or(1.0)
+}
+
+/// The swing at a share of its length: a figure of eight, twice.
+pub fn swing_camera(region: &Region, share: f64, options: &PathOptions, config: &PathConfig) -> Camera {
+    let own = &config.swing;
+    let scale = options.amount.unwrap_or(1.0) * options.degrees.map_or(1.0, |d| d / own.side_deg);
+    let (side, up) = figure_of_eight(2.0 * TAU * share, own);
+    orbit(&region.stop.camera, &region.pivot(), side * scale, up * scale)
+}
+
+/// The pose at `centre` with `target` on its axis and `down` downwards, as far as it can be.
+pub fn looking(centre: Vector3<f64>, target: &Vector3<f64>, down: &Vector3<f64>) -> Se3<f64> {
+    let ahead = (target - centre).normalize();
+    let across = down.cross(&ahead);
+    // Straight up or down there is no side; any will do.
+    let across = if across.norm() > 1e-9 * down.norm() {
+        across.normalize()
+    } else {
+        let least = ahead.iamin();
+        Vector3::ith(least, 1.0).cross(&ahead).normalize()
+    };
+    Se3 { rotation: Matrix3::from_columns(&[across, ahead.cross(&across), ahead]), translation: centre }
+}
+
 #[cfg(test)]
 mod tests {
     use super::{SwingConfig, swing};
-    use m4_core::{
-        Camera, Intrinsics, Se3,
-        nalgebra::{Vector3, Vector6},
-    };
+    use m4_core::nalgebra::{Vector3, Vector6};
+    use m4_core::{Camera, Intrinsics, Se3};
 
     #[test]
     fn every_camera_looks_at_the_pivot_from_the_same_distance() {

@@ -31,18 +31,12 @@ pub enum TimePath {
 pub enum TimeError {
     /// The text has none of the known forms.
     #[error(
-        "{given:?} is not a time; write source, play, freeze@T or A..B, where T, A and B are frame numbers (12.5), or seconds with the suffix s (1.5s)"
+        "{0:?} is not a time; write source, play, freeze@T or A..B, where T, A and B are frame numbers (12.5), or seconds with the suffix s (1.5s)"
     )]
-    Form {
-        /// The given text.
-        given: String,
-    },
+    Form(String),
     /// The text is not a time.
-    #[error("{given:?} is not a time; write a frame number (12.5), or seconds with the suffix s (1.5s)")]
-    Moment {
-        /// The given text.
-        given: String,
-    },
+    #[error("{0:?} is not a time; write a frame number (12.5), or seconds with the suffix s (1.5s)")]
+    Moment(String),
     /// Before the first or after the last frame.
     #[error("{moment} lies outside the scene, which has frames 0 to {last}{}", seconds_of(duration_s))]
     Outside {
@@ -80,7 +74,7 @@ impl FromStr for Moment {
     type Err = TimeError;
 
     fn from_str(text: &str) -> Result<Self, TimeError> {
-        parse_moment(text.trim()).ok_or_else(|| TimeError::Moment { given: text.to_owned() })
+        parse_moment(text.trim()).ok_or_else(|| TimeError::Moment(text.to_owned()))
     }
 }
 
@@ -88,7 +82,7 @@ impl FromStr for TimePath {
     type Err = TimeError;
 
     fn from_str(text: &str) -> Result<Self, TimeError> {
-        let form = || TimeError::Form { given: text.to_owned() };
+        let form = || TimeError::Form(text.to_owned());
         let moment = |t: &str| parse_moment(t.trim()).ok_or_else(form);
         if text == "source" {
             return Ok(Self::Source);
@@ -193,7 +187,7 @@ mod tests {
         assert_eq!(read("freeze@1.5s"), TimePath::Freeze(Moment::Seconds(1.5)));
         assert_eq!(read("3..0.5s"), TimePath::Range(Moment::Frames(3.0), Moment::Seconds(0.5)));
         for bad in ["", "now", "freeze", "freeze@", "freeze@x", "1..", "..2", "nan..2", "1..2..3", "freeze@1ms"] {
-            assert!(matches!(bad.parse::<TimePath>(), Err(TimeError::Form { .. })), "{bad}");
+            assert!(matches!(bad.parse::<TimePath>(), Err(TimeError::Form(_))), "{bad}");
         }
     }
 
@@ -202,7 +196,7 @@ mod tests {
         assert_eq!("1.5s".parse(), Ok(Moment::Seconds(1.5)));
         assert_eq!(" 7 ".parse(), Ok(Moment::Frames(7.0)));
         for bad in ["", "s", "inf", "1..2", "freeze@2"] {
-            assert!(matches!(bad.parse::<Moment>(), Err(TimeError::Moment { .. })), "{bad}");
+            assert!(matches!(bad.parse::<Moment>(), Err(TimeError::Moment(_))), "{bad}");
         }
     }
 

@@ -1,6 +1,6 @@
 //! Shows the scene in the browser during training.
 
-use super::source::{Source, event};
+use super::view::{Source, event};
 use super::{LiveConfig, pack};
 use crate::folder::VIEWER_FILE;
 use crate::{Error, Observer, StageEvent};
@@ -32,7 +32,6 @@ pub struct Broadcast<'a> {
     pace: Arc<Mutex<Pace>>,
 }
 
-/// A scene on its way to the pages.
 struct Copied {
     scene: Scene,
     median_depth: f64,
@@ -45,7 +44,6 @@ struct Copied {
 struct Pace {
     config: LiveConfig,
     threads: f64,
-    /// A scene is being packed.
     busy: bool,
     next: Instant,
 }
@@ -89,16 +87,11 @@ impl<'a> Broadcast<'a> {
     }
 
     /// The address of the page, token included.
-    #[must_use]
     pub fn url(&self) -> &str {
         self.server.url()
     }
 
     /// Shows the result of a run, if it has one, and tells the pages that it ended.
-    ///
-    /// # Errors
-    ///
-    /// [`Error::Read`] or [`Error::Viewer`] if the page of the run cannot be read.
     pub fn finish(&mut self, out: &Path, ok: bool) -> Result<(), Error> {
         if let Some((send, thread)) = self.worker.take() {
             drop(send);
@@ -142,7 +135,6 @@ impl<'a> Broadcast<'a> {
     }
 }
 
-/// Packs scene after scene until no more come.
 fn pack_all(scenes: &Receiver<Copied>, title: &str, hub: &Hub, pace: &Mutex<Pace>) {
     while let Ok(copied) = scenes.recv() {
         let start = Instant::now();

@@ -4,24 +4,28 @@
 //! shows every newer one; [`Broadcast`] does the same from within the training process.
 
 mod broadcast;
-mod file;
-mod source;
 mod view;
 
 pub use broadcast::Broadcast;
-pub(crate) use file::stage;
-pub use file::title;
 pub use view::{Viewing, view};
 
+use crate::error::OutputError;
+use crate::folder::{CAPTURE_FOLDER, SCENE_FILE, VIEWER_FILE};
 use crate::render::{Painter, source_fps};
-use crate::{Category, Error};
+use crate::settings::part_to_toml;
+use crate::workspace::{Task, Workspace};
+use crate::{Category, Error, StageEvent, hash};
 use m4_core::{Capture, RgbImage, Scene};
+use m4_io::atomic::AtomicFile;
 use m4_kernels::SimdLevel;
-use m4_viewer::page::PageError;
+use m4_viewer::page::{self, Effort, PageError, Parts, TEMPLATE};
 use m4_viewer::payload::{Payload, encode};
 use m4_viewer::server::ServeError;
-use m4_viewer::{About, FrameLimits, Frames, FramesError, Manifest, encode_frames};
+use m4_viewer::{About, FrameLimits, Frames, FramesError, Manifest, encode_frames, payload};
 use serde::{Deserialize, Serialize};
+use std::fs;
+use std::io::Write;
+use std::path::Path;
 
 /// Name of the stage.
 pub const STAGE: &str = "viewer";
@@ -75,7 +79,6 @@ pub enum ViewerError {
 
 impl ViewerError {
     /// Returns the category of the failure.
-    #[must_use]
     pub fn category(&self) -> Category {
         match self {
             Self::Page(_) => Category::BadInput,
@@ -107,4 +110,66 @@ fn frames(capture: &Capture, scene: &Scene, config: &ViewerConfig) -> Result<Opt
     }
     let images: Vec<&RgbImage> = capture.frames.iter().map(|f| &f.rgb).collect();
     Ok(encode_frames(&images, &config.frames)?)
+}
+
+/// Writes the page within a run, unless that was done before or is not wanted.
+pub(crate) fn stage(run: &mut Workspace<'_>, capture: &Capture, scene: &Scene) -> Result<(), Error> {
+    let config = &run.job.settings.viewer;
+    if !config.write {
+        return Ok(());
+    }
+    let scene_hash = run.record.files.get(SCENE_FILE).map_or("", |f| f.blake3.as_str());
+    let title = title(&run.folder, &run.record.input.path);
+    let key = hash::of_parts(&[
+        STAGE,
+        env!("CARGO_PKG_VERSION"),
+        scene_hash,
+        &hash::of_capture(capture),
+        &part_to_toml(config)?,
+        &hash::of_parts(&[TEMPLATE, &title]),
+    ]);
+    let task = match run.task(STAGE, &key, &[VIEWER_FILE])? {
+        Task::Reuse => {
+            run.job.observer.stage(STAGE, StageEvent::Reused);
+            return Ok(());
+        }
+        // A page is written again, so seconds of an earlier attempt do not count.
+        Task::Work { because, .. } => (because, 0.0),
+    };
+    run.stage(STAGE, key, task, &[VIEWER_FILE], |run, _| write(run, &title, capture, scene))
+}
+
+fn write(run: &Workspace<'_>, title: &str, capture: &Capture, scene: &Scene) -> Result<(), Error> {
+    let config = &run.job.settings.viewer;
+    let (mut manifest, payload) = pack(scene, title, median_depth(scene, run.level));
+    let frames = frames(capture, scene, config)?;
+    manifest.frames = frames.as_ref().map(|f| f.index.clone());
+    let parts = Parts { manifest: &manifest, payload: Some(&payload.bytes), frames: frames.as_ref() };
+    let html = page::compose(TEMPLATE, &parts, Effort::Small)?;
+    let path = run.path(VIEWER_FILE);
+    let failed = |source| Error::Write { path: path.clone(), source };
+    let mut file = AtomicFile::create(&path).map_err(failed)?;
+    file.write_all(&html).map_err(failed)?;
+    drop(html);
+    file.sync().map_err(failed)?;
+    let differs = |what: &str| Error::from(OutputError::Verify { path: path.clone(), what: what.to_owned() });
+    let text =
+        fs::read_to_string(file.temporary_path()).map_err(|source| Error::Read { path: path.clone(), source })?;
+    let back = page::read(&text)?;
+    let splats = payload::decode(back.payload.as_deref().unwrap_or_default()).map_err(|e| differs(&e.to_string()))?;
+    if (splats.n_static(), splats.n_dynamic()) != (payload.n_static, payload.n_dynamic) {
+        return Err(differs("it holds another number of splats"));
+    }
+    if back.manifest != manifest || back.payload.as_ref() != Some(&payload.bytes) || back.frames != frames {
+        return Err(differs("the scene in it differs"));
+    }
+    file.commit().map_err(failed)
+}
+
+/// Title of the page: the name of the clip, or of the run where that is more telling.
+pub fn title(folder: &Path, input: &str) -> String {
+    let stem = Path::new(input).file_stem().and_then(|s| s.to_str());
+    let own = folder.file_name().and_then(|s| s.to_str());
+    let stem = stem.filter(|s| *s != CAPTURE_FOLDER && !s.starts_with("transforms"));
+    stem.or(own).unwrap_or("scene").to_owned()
 }

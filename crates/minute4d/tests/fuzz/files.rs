@@ -11,18 +11,15 @@ use zip::{CompressionMethod, ZipArchive, ZipWriter};
 /// Files of earlier findings: `CORPUS/READER/NAME`, below the root of the repository.
 pub const CORPUS: &str = "crates/minute4d/tests/fuzz/corpus";
 
-/// `fixtures/NAME`.
 pub fn fixture(name: &str) -> PathBuf {
     repository().join("fixtures").join(name)
 }
 
-/// The bytes of `fixtures/NAME`.
 pub fn fixture_bytes(name: &str) -> Vec<u8> {
     let path = fixture(name);
     fs::read(&path).unwrap_or_else(|e| panic!("cannot read {}: {e}", path.display()))
 }
 
-/// Copies a file, or a folder with all that is in it.
 pub fn copy(from: &Path, to: &Path) -> io::Result<()> {
     if from.is_file() {
         if let Some(folder) = to.parent() {
@@ -71,7 +68,6 @@ impl Wrap {
         Self::Member(name.to_owned(), others)
     }
 
-    /// The file of these bytes.
     pub fn on(&self, bytes: &[u8]) -> Vec<u8> {
         match self {
             Self::Plain => bytes.to_vec(),
@@ -128,7 +124,6 @@ fn png(bytes: &[u8]) -> Vec<u8> {
     out
 }
 
-/// The checksum of a chunk of PNG.
 fn crc(bytes: &[u8]) -> u32 {
     let mut sum = flate2::Crc::new();
     sum.update(bytes);

@@ -3,9 +3,8 @@
 //!
 //! ```text
 //! table     all readers of m4_io and of the program itself: a name, a file among others, valid contents, the call
-//! reader    one of them: its folder, the bytes put where they belong, the outcome
+//! reader    one of them: its folder, the bytes put where they belong, the outcome; whether what was read is valid, and if not, the fault
 //! files     fixtures, earlier findings, and what bytes are wrapped in so that mutations get past checksums
-//! valid     whether what was read is valid, and if not, the fault
 //! malformed valid files with extremes in each field of the header, truncated, or mutated at random
 //! process   the process that reads within a limit of memory, and the one that watches it
 //! ```
@@ -19,7 +18,6 @@ mod malformed;
 mod process;
 mod reader;
 mod table;
-mod valid;
 
 use files::{CORPUS, corpus};
 use m4_testkit::repository;
@@ -40,9 +38,7 @@ static MEMORY: PeakAlloc = PeakAlloc;
 const READER: &str = "MINUTE4D_FUZZ_READER";
 const FROM: &str = "MINUTE4D_FUZZ_FROM";
 const FOLDER: &str = "MINUTE4D_FUZZ_FOLDER";
-/// Malformed variants of each valid file.
 const MALFORMED: usize = 300;
-/// Random mutations per reader.
 const MUTATED: usize = 100;
 
 /// Earlier findings, valid files, and malformed ones made of them.

@@ -6,7 +6,6 @@ use std::ops::Range;
 
 /// Bytes at the start in which a field may lie.
 const HEADER: usize = 96;
-/// Cuts of a file.
 const CUTS: usize = 24;
 /// What a field of a header is set to: more than any file holds, more than a type holds, less than nothing, nothing.
 const EXTREMES: [u64; 6] = [u64::MAX, 0x7fff_ffff_ffff_ffff, 0x4000_0000_4000_0000, 0x7fff_7fff_7fff_7fff, 1 << 20, 0];
@@ -16,7 +15,6 @@ const NUMBERS: [&str; 9] =
 /// Numbers of a text that are replaced.
 const NUMBERS_REPLACED: usize = 24;
 
-/// A kind of malformation.
 enum Mutation {
     /// Only this many bytes remain.
     Cut(usize),
@@ -165,7 +163,6 @@ fn boxes(valid: &[u8]) -> Vec<usize> {
     all
 }
 
-/// Numbers of a text, replaced.
 fn numbers(valid: &[u8]) -> Vec<Mutation> {
     let digit = |i: usize| valid.get(i).is_some_and(|b| b.is_ascii_digit() || b"+-.eE".contains(b));
     let mut places = Vec::new();

@@ -5,7 +5,7 @@
 //! at I NAME                input I is read; its bytes lie in FOLDER/READER-current, should the process not come back
 //! read I, refused I        how it ended; neither where the reader panicked
 //! found I WHY              a panic, something not valid, a long message, much memory, much time; the input lies in FOLDER/READER-I
-//! done PEAK I              the most memory that one took, bytes, and which
+//! done                     all inputs are through
 //! ```
 
 use crate::reader::{Outcome, Reader, Stage};
@@ -29,11 +29,9 @@ const MAX_TIME: Duration = Duration::from_secs(20);
 /// How much memory is taken; the allocator counts for the whole process.
 #[derive(Clone, Copy)]
 pub struct Meter {
-    /// Forgets the peak.
     pub reset: fn(),
     /// The peak since then, bytes.
     pub peak: fn() -> usize,
-    /// The allocated memory, bytes.
     pub now: fn() -> usize,
 }
 
@@ -68,7 +66,6 @@ pub fn work(
     let mut out = io::stdout().lock();
     // the frame of tests may have begun a line
     writeln!(out)?;
-    let mut most = (0, 0);
     for (i, (name, bytes)) in inputs(&stage).enumerate().skip(from) {
         writeln!(out, "at {i} {name}")?;
         out.flush()?;
@@ -81,9 +78,6 @@ pub fn work(
         let start = Instant::now();
         let outcome = catch_unwind(AssertUnwindSafe(|| stage.read(&bytes)));
         let (taken, time) = ((meter.peak)().saturating_sub(before), start.elapsed());
-        if taken > most.0 {
-            most = (taken, i);
-        }
         let fault = match outcome {
             Err(_) => Some(said.lock().map(|s| s.clone()).unwrap_or_default()),
             Ok(outcome) => {
@@ -103,7 +97,7 @@ pub fn work(
             out.flush()?;
         }
     }
-    writeln!(out, "done {} {}", most.0, most.1)?;
+    writeln!(out, "done")?;
     out.flush()?;
     match fs::remove_file(&current) {
         Err(e) if e.kind() != io::ErrorKind::NotFound => Err(e),
@@ -112,49 +106,33 @@ pub fn work(
 }
 
 /// Limits the address space of this process, bytes: what asks for more is aborted, whatever the machine has.
-#[cfg(unix)]
 fn limit_memory(bytes: u64) -> io::Result<()> {
-    use rustix::process::{Resource, Rlimit, setrlimit};
-    let limit = Rlimit { current: Some(bytes), maximum: Some(bytes) };
-    setrlimit(Resource::As, limit).map_err(io::Error::from)
-}
-
-/// Limits the address space of this process, bytes: what asks for more is aborted, whatever the machine has.
-#[cfg(not(unix))]
-fn limit_memory(_bytes: u64) -> io::Result<()> {
-    Err(io::Error::from(io::ErrorKind::Unsupported))
+    #[cfg(unix)]
+    {
+        use rustix::process::{Resource, Rlimit, setrlimit};
+        let limit = Rlimit { current: Some(bytes), maximum: Some(bytes) };
+        setrlimit(Resource::As, limit).map_err(io::Error::from)
+    }
+    #[cfg(not(unix))]
+    Err(io::Error::other(format!("{bytes} bytes cannot be made the limit on this system")))
 }
 
 /// Findings after which a reader is left alone.
 const MAX_FINDINGS: usize = 12;
 
-/// An input that failed.
 #[derive(Debug, Clone)]
 pub struct Finding {
-    /// The reader.
     pub reader: String,
-    /// The mutation of the file.
     pub input: String,
-    /// The fault that it caused.
     pub why: String,
-    /// The file of the input.
     pub saved: PathBuf,
 }
 
-/// What came of all inputs of one reader.
 #[derive(Debug, Clone, Default)]
 pub struct Report {
-    /// Inputs that were read.
     pub read: usize,
-    /// Inputs that were refused.
     pub refused: usize,
-    /// Inputs in all.
     pub executions: usize,
-    /// The most memory that one took, bytes.
-    pub peak_bytes: usize,
-    /// The input.
-    pub peak_input: String,
-    /// The findings.
     pub findings: Vec<Finding>,
 }
 
@@ -173,7 +151,6 @@ pub fn watch(reader: &str, folder: &Path, mut command: impl FnMut(usize) -> Comm
             .spawn()?;
         let lines = lines(&mut child)?;
         let mut at = (from, "the start".to_owned());
-        let mut names = Vec::new();
         let ended = loop {
             let line = match lines.recv_timeout(2 * MAX_TIME) {
                 Ok(line) => line,
@@ -189,19 +166,12 @@ pub fn watch(reader: &str, folder: &Path, mut command: impl FnMut(usize) -> Comm
             match kind {
                 Some("at") => {
                     at = (number, rest.to_owned());
-                    names.push(rest.to_owned());
                     report.executions += 1;
                 }
                 Some("read") => report.read += 1,
                 Some("refused") => report.refused += 1,
                 Some("found") => save(&mut report, reader, folder, &at, rest),
-                Some("done") => {
-                    if let Some(which) = rest.parse::<usize>().ok().filter(|_| number > report.peak_bytes) {
-                        report.peak_bytes = number;
-                        report.peak_input = names.get(which.wrapping_sub(from)).cloned().unwrap_or_default();
-                    }
-                    break None;
-                }
+                Some("done") => break None,
                 // what the frame of tests says
                 _ => {}
             }

@@ -13,7 +13,6 @@ use minute4d::device::DeviceChoice;
 use minute4d::kernels::bench::SceneKind;
 use std::path::PathBuf;
 
-/// `minute4d bench`
 #[derive(Debug, Args)]
 pub struct Bench {
     /// Numbers of splats in the synthetic scenes [default: 20000,100000,300000]
@@ -62,7 +61,6 @@ fn scene_kinds() -> impl TypedValueParser<Value = SceneKind> {
     ])
 }
 
-/// Number of steps per view with `--quick`.
 const QUICK_STEPS: usize = 5;
 
 pub fn run(args: &Bench, common: &Common, output: &Output) -> Result<(), Failure> {

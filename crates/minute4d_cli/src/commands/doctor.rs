@@ -28,7 +28,6 @@ struct Machine {
     notes: Vec<String>,
 }
 
-/// A graphics adapter, and whether it is used.
 #[derive(Debug, Serialize)]
 struct GpuAdapter {
     index: usize,
@@ -95,7 +94,6 @@ fn examine() -> Result<Machine, Failure> {
     Ok(machine)
 }
 
-/// Returns the name of the processor.
 pub(super) fn processor() -> Option<String> {
     let mut system = System::new().ok()?;
     system.refresh_cpu_all();

@@ -1,15 +1,16 @@
-//! `minute4d eval`: scores a scene on held-out views; `minute4d eval-geometry`: scores a capture against ground truth.
+//! `minute4d eval`: scores a scene on held-out views; `minute4d eval-geometry`: scores a capture against ground truth; `minute4d split`:
+//! splits a capture into training and held-out frames; `minute4d inspect`: describes the contents of a file or folder.
 
 use crate::failure::Failure;
 use crate::options::ReachArgs;
 use crate::output::Output;
 use clap::Args;
+use minute4d::Existing;
 use minute4d::device::DeviceChoice;
 use minute4d::evaluate::{Choices, EvalOptions, Protocol};
 use std::fmt::Write;
 use std::path::PathBuf;
 
-/// `minute4d eval`
 #[derive(Debug, Args)]
 pub struct Eval {
     /// The folder of a run; eval.json is written into it
@@ -34,7 +35,6 @@ pub struct Eval {
     /// Device that renders the views: `cpu`, `gpu`, `gpu:N` or `auto`
     #[arg(long, value_name = "DEVICE", default_value = "cpu")]
     pub device: DeviceChoice,
-    /// Which files the capture may refer to.
     #[command(flatten)]
     pub reach: ReachArgs,
 }
@@ -81,7 +81,6 @@ fn describe(c: &Choices) -> String {
     out
 }
 
-/// `minute4d eval-geometry`
 #[derive(Debug, Args)]
 pub struct EvalGeometry {
     /// The capture to evaluate
@@ -89,7 +88,6 @@ pub struct EvalGeometry {
     /// Ground truth: a capture folder, a transforms file, or a JSON file of LLFF poses
     #[arg(long, value_name = "SCENE")]
     pub truth: PathBuf,
-    /// Which files the capture may refer to.
     #[command(flatten)]
     pub reach: ReachArgs,
 }
@@ -99,5 +97,51 @@ pub fn run_geometry(args: &EvalGeometry, output: &Output) -> Result<(), Failure>
     let value = minute4d::plain_json(&report)?;
     // Indented, and in the order of the report.
     output.result(&minute4d::pretty_json(&report)?, value);
+    Ok(())
+}
+
+#[derive(Debug, Args)]
+pub struct Split {
+    /// A capture of the whole video: folder with transforms_train.json
+    pub capture: PathBuf,
+    /// Protocol that chooses the held-out frames: holdout, instant4d, rodygs or davis
+    #[arg(long, value_name = "PROTOCOL")]
+    pub protocol: Protocol,
+    /// Folder for the new capture, with the held-out frames in its test list only
+    #[arg(long, short, value_name = "DIR")]
+    pub out: PathBuf,
+    /// Replace an earlier split in the folder; other files are kept
+    #[arg(long)]
+    pub force: bool,
+    #[command(flatten)]
+    pub reach: ReachArgs,
+}
+
+pub fn split(args: &Split, output: &Output) -> Result<(), Failure> {
+    let existing = if args.force { Existing::Force } else { Existing::Refuse };
+    let reach = args.reach.reach();
+    let record = minute4d::evaluate::split(&args.capture, args.protocol, &args.out, existing, reach, output)?;
+    output.note(&format!(
+        "{} of {} frames are held out: {}",
+        record.held_out.len(),
+        record.frames,
+        record.frame_rule.description()
+    ));
+    output.result(&args.out.display().to_string(), minute4d::plain_json(&record)?);
+    Ok(())
+}
+
+#[derive(Debug, Args)]
+pub struct Inspect {
+    /// A video, a capture folder, a scene file or the folder of a run
+    pub path: PathBuf,
+    #[command(flatten)]
+    pub reach: ReachArgs,
+}
+
+pub fn inspect(args: &Inspect, output: &Output) -> Result<(), Failure> {
+    let found = minute4d::inspect::inspect(&args.path, args.reach.reach(), output)?;
+    let value = minute4d::plain_json(&found)?;
+    output.result(&found.to_string(), value);
     Ok(())
 }

@@ -1,16 +1,18 @@
-//! `minute4d geometry`: turns a video into a capture.
+//! `minute4d geometry`: turns a video into a capture. `minute4d enhance`: improves the masks of a capture and tracks points.
 
 use crate::failure::Failure;
-use crate::options::{OutArgs, SettingsArgs, VideoArgs, WithoutArgs, print_config, settings};
+use crate::options::{
+    OutArgs, ReachArgs, SettingsArgs, VideoArgs, WithoutArgs, print_config, segmenters, settings, trackers,
+};
 use crate::output::Output;
 use clap::Args;
 use minute4d::Job;
 use minute4d::device::DeviceChoice;
+use minute4d::enhance::Tracker;
 use minute4d::geometry::Segmenter;
 use serde_json::json;
 use std::path::PathBuf;
 
-/// `minute4d geometry`
 #[derive(Debug, Args)]
 pub struct Geometry {
     /// A video or a folder of images
@@ -19,19 +21,15 @@ pub struct Geometry {
     /// Folder for the capture
     #[arg(long, short, value_name = "DIR", required_unless_present = "print_config")]
     pub out: Option<PathBuf>,
-    /// The part of the video.
     #[command(flatten)]
     pub video: VideoArgs,
     /// Device for networks: `cpu`, `gpu` (the best one), `gpu:N` (`minute4d doctor` lists them), or `auto`
     #[arg(long, value_name = "DEVICE", default_value = "cpu")]
     pub device: DeviceChoice,
-    /// Parts of the method to switch off.
     #[command(flatten)]
     pub without: WithoutArgs,
-    /// Settings.
     #[command(flatten)]
     pub settings: SettingsArgs,
-    /// What may happen to an existing folder.
     #[command(flatten)]
     pub existing: OutArgs,
 }
@@ -67,5 +65,55 @@ pub fn run(args: &Geometry, output: &Output) -> Result<(), Failure> {
         }
     }
     output.result(&out.display().to_string(), json!({"path": out, "record": minute4d::plain_json(&record)?}));
+    Ok(())
+}
+
+#[derive(Debug, Args)]
+pub struct Enhance {
+    /// A capture with motion maps or masks of dynamic regions
+    #[arg(required_unless_present = "print_config")]
+    pub capture: Option<PathBuf>,
+    /// Folder for the enhanced capture
+    #[arg(long, short, value_name = "DIR", required_unless_present = "print_config")]
+    pub out: Option<PathBuf>,
+    /// Segmentation method [default: auto]
+    #[arg(long, value_parser = segmenters())]
+    pub segmenter: Option<Segmenter>,
+    /// Tracking method [default: auto]
+    #[arg(long, value_parser = trackers())]
+    pub tracker: Option<Tracker>,
+    /// Device for networks: `cpu`, `gpu` (the best one), `gpu:N` (`minute4d doctor` lists them), or `auto`
+    #[arg(long, value_name = "DEVICE", default_value = "cpu")]
+    pub device: DeviceChoice,
+    #[command(flatten)]
+    pub settings: SettingsArgs,
+    #[command(flatten)]
+    pub existing: OutArgs,
+    #[command(flatten)]
+    pub reach: ReachArgs,
+}
+
+pub fn enhance(args: &Enhance, output: &Output) -> Result<(), Failure> {
+    let mut settings = settings(&args.settings, None, None)?;
+    settings.capture.reach = args.reach.reach();
+    let geometry = &mut settings.geometry;
+    geometry.segmenter = args.segmenter.unwrap_or(geometry.segmenter);
+    geometry.tracker = args.tracker.unwrap_or(geometry.tracker);
+    let (Some(capture), Some(out), false) = (&args.capture, &args.out, args.settings.print_config) else {
+        return print_config(&settings, output);
+    };
+    let job = Job { settings, device: args.device.into(), existing: args.existing.mode(), observer: output };
+    let report = minute4d::enhance::make(capture, out, &job)?;
+    let share = |share: Option<f64>| share.map_or_else(|| "unknown".to_owned(), |s| format!("{:.1} %", 100.0 * s));
+    output.note(&format!(
+        "segmentation {}: {} objects; dynamic pixels {} before, {} now; tracking {}: {} points",
+        report.segmenter,
+        report.instances,
+        share(report.moving_share[0]),
+        share(report.moving_share[1]),
+        report.tracker,
+        report.tracks
+    ));
+    output.result(&out.display().to_string(), json!({"path": out, "record": minute4d::plain_json(&report)?}));
     Ok(())
 }

@@ -1,23 +1,36 @@
-//! One file per command: its options, the call of the library, and the result that is printed.
+//! The commands: its options, the call of the library, and the result that is printed.
 
-pub mod ablate;
 pub mod batch;
 pub mod bench;
 pub mod doctor;
-pub mod enhance;
 pub mod eval;
-pub mod export;
 pub mod geometry;
-pub mod import;
-pub mod inspect;
+pub mod interchange;
 pub mod render;
 pub mod reproduce;
 pub mod run;
-pub mod split;
-pub mod train;
 pub mod view;
-#[cfg_attr(not(feature = "nets"), path = "no_weights.rs")]
+#[cfg(feature = "nets")]
 pub mod weights;
+/// In a build without networks the command accepts any arguments, so that the error can say how to build with them.
+#[cfg(not(feature = "nets"))]
+pub mod weights {
+    use crate::failure::Failure;
+    use minute4d::{BUILD_FULL, Category};
+
+    #[derive(Debug, clap::Args)]
+    pub struct Weights {
+        #[arg(trailing_var_arg = true, allow_hyphen_values = true, hide = true)]
+        _rest: Vec<String>,
+    }
+
+    pub fn run(_: &Weights, _: &crate::output::Output) -> Result<(), Failure> {
+        let reason = format!(
+            "this program was built without networks, so it uses no weights; `{BUILD_FULL}` builds it with networks"
+        );
+        Err(Failure { code: Category::NoDevice.exit_code(), reason })
+    }
+}
 
 use crate::cli::{Cli, Command};
 use crate::failure::Failure;
@@ -34,19 +47,19 @@ pub fn run(cli: &Cli, output: &Output) -> Result<(), Failure> {
     let outcome = minute4d::with_threads(threads, || match &cli.command {
         Command::Run(args) => run::run(args, output),
         Command::Geometry(args) => geometry::run(args, output),
-        Command::Enhance(args) => enhance::run(args, output),
-        Command::Train(args) => train::run(args, output),
+        Command::Enhance(args) => geometry::enhance(args, output),
+        Command::Train(args) => run::train(args, output),
         Command::Render(args) => render::run(args, output),
-        Command::Export(args) => export::run(args, output),
-        Command::Import(args) => import::run(args, output),
+        Command::Export(args) => interchange::export(args, output),
+        Command::Import(args) => interchange::import(args, output),
         Command::View(args) => view::run(args, output),
         Command::Eval(args) => eval::run(args, output),
-        Command::Split(args) => split::run(args, output),
+        Command::Split(args) => eval::split(args, output),
         Command::Reproduce(args) => reproduce::run(args, output),
-        Command::Ablate(args) => ablate::run(args, output),
+        Command::Ablate(args) => reproduce::ablate(args, output),
         Command::EvalGeometry(args) => eval::run_geometry(args, output),
         Command::Batch(args) => batch::run(args, &cli.common, output),
-        Command::Inspect(args) => inspect::run(args, output),
+        Command::Inspect(args) => eval::inspect(args, output),
         Command::Doctor => doctor::run(output),
         Command::Bench(args) => bench::run(args, &cli.common, output),
         Command::Weights(args) => weights::run(args, output),

@@ -10,7 +10,6 @@ use minute4d::render::{CameraPath, Fit, Moment, PathOptions, RenderJob};
 use serde_json::json;
 use std::path::PathBuf;
 
-/// `minute4d render`
 #[derive(Debug, Args)]
 pub struct Render {
     /// The folder of a run, or a scene file

@@ -1,4 +1,4 @@
-//! `minute4d run`: turns a video into a scene.
+//! `minute4d run`: turns a video into a scene. `minute4d train`: trains a scene from a capture.
 
 use super::view::{PageArgs, while_training};
 use crate::failure::Failure;
@@ -11,7 +11,6 @@ use minute4d::{Job, Observer};
 use serde_json::json;
 use std::path::{Path, PathBuf};
 
-/// `minute4d run`
 #[derive(Debug, Args)]
 pub struct Run {
     /// A video, a folder of images, or a capture folder (whose geometry is then used)
@@ -20,16 +19,12 @@ pub struct Run {
     /// Folder for all results: scene.safetensors, viewer.html, preview.mp4, run.json, metrics.jsonl, capture/
     #[arg(long, short, value_name = "DIR", required_unless_present = "print_config")]
     pub out: Option<PathBuf>,
-    /// The part of the video.
     #[command(flatten)]
     pub video: VideoArgs,
-    /// How to train.
     #[command(flatten)]
     pub training: TrainingArgs,
-    /// The viewer page.
     #[command(flatten)]
     pub page: PageArgs,
-    /// What may happen to an existing folder.
     #[command(flatten)]
     pub existing: OutArgs,
     /// Also write poster.jpg, for overviews of many clips.
@@ -63,4 +58,34 @@ pub fn report(out: &Path, done: &RunRecord, output: &Output) -> Result<(), Failu
     output.note(&format!("finished in {}{open}", duration(done.seconds)));
     output.result(&out.display().to_string(), json!({"path": out, "record": minute4d::plain_json(done)?}));
     Ok(())
+}
+
+#[derive(Debug, Args)]
+pub struct Train {
+    /// A capture: a folder with transforms_train.json, images, depth and masks
+    #[arg(required_unless_present = "print_config")]
+    pub capture: Option<PathBuf>,
+    /// Folder for the scene and its records
+    #[arg(long, short, value_name = "DIR", required_unless_present = "print_config")]
+    pub out: Option<PathBuf>,
+    #[command(flatten)]
+    pub training: TrainingArgs,
+    #[command(flatten)]
+    pub page: PageArgs,
+    #[command(flatten)]
+    pub existing: OutArgs,
+}
+
+pub fn train(args: &Train, output: &Output) -> Result<(), Failure> {
+    let mut settings = args.training.settings(None)?;
+    settings.capture.reach = args.training.reach.reach();
+    let (Some(capture), Some(out), false) = (&args.capture, &args.out, args.training.settings.print_config) else {
+        return print_config(&settings, output);
+    };
+    let device = args.training.device.request()?;
+    let work = |observer: &dyn Observer| {
+        let job = Job { settings, device, existing: args.existing.mode(), observer };
+        minute4d::train::make(capture, out, &job)
+    };
+    while_training(&args.page, (capture, out), output, work, |done| report(out, done, output))
 }

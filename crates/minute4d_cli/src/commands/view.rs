@@ -10,7 +10,6 @@ use serde_json::json;
 use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
 
-/// `minute4d view`
 #[derive(Debug, Args)]
 pub struct View {
     /// The folder of a run (finished, stopped or still training), or a scene file
@@ -23,7 +22,6 @@ pub struct View {
     pub no_open: bool,
 }
 
-/// The viewer page of a run.
 #[derive(Debug, Args)]
 pub struct PageArgs {
     /// Show the scene in the browser during training; on a terminal the page stays until Ctrl-C

@@ -8,7 +8,6 @@ use minute4d::weights::{self, Condition, Entry, Origin, Record, State, Store, We
 use serde::Serialize;
 use std::path::PathBuf;
 
-/// `minute4d weights`
 #[derive(Debug, Args)]
 pub struct Weights {
     /// What to do with weights
@@ -16,7 +15,6 @@ pub struct Weights {
     pub action: WeightsAction,
 }
 
-/// The actions on weights.
 #[derive(Debug, Subcommand)]
 pub enum WeightsAction {
     /// List names, sizes, licences and uses, and whether they are installed
@@ -79,7 +77,6 @@ fn find_entry(name: &str) -> Result<&'static Entry, Failure> {
     Ok(weights::find(name).map_err(minute4d::Error::from)?)
 }
 
-/// A row of the list.
 #[derive(Debug, Serialize)]
 struct Row {
     name: &'static str,
@@ -114,7 +111,7 @@ fn list(store: &Store, output: &Output) -> Result<(), Failure> {
             _ => "add",
         },
         command: entry.command(),
-        without: entry.without(),
+        without: entry.without,
         origin: entry.origin.description(),
         path: match store.state(entry) {
             State::Absent => None,
@@ -163,7 +160,6 @@ fn report_installed(store: &Store, records: &[Record], output: &Output) -> Resul
     Ok(())
 }
 
-/// The verification result of one file.
 #[derive(Debug, Serialize)]
 struct CheckedFile {
     name: &'static str,

@@ -1,24 +1,22 @@
 //! Options that several commands have.
 
-mod settings;
 mod values;
 
-pub use settings::{print_config, settings};
 pub use values::{choice, image_size, positive, rate, render_size, share, zoom};
 
 use crate::failure::Failure;
+use crate::output::Output;
 use clap::Args;
 use clap::builder::TypedValueParser;
+use minute4d::Existing;
 use minute4d::device::{DeviceChoice, DeviceRequest};
 use minute4d::enhance::Tracker;
 use minute4d::geometry::{Frontend, Segmenter};
 use minute4d::io::reach::Reach;
-use minute4d::settings::{Enhancement, Preset, Profile};
-use minute4d::{Existing, Settings};
+use minute4d::settings::{Enhancement, Layers, Preset, Profile, Settings};
 use std::path::PathBuf;
 use values::{degrees, duration, seconds};
 
-/// The device for training.
 #[derive(Debug, Args)]
 pub struct DeviceArgs {
     /// Device for training and networks: `cpu`, `gpu` (the best one), `gpu:N` (`minute4d doctor` lists them), or `auto` (a hardware
@@ -32,7 +30,6 @@ pub struct DeviceArgs {
 }
 
 impl DeviceArgs {
-    /// Returns the request in the library's type.
     pub fn request(&self) -> Result<DeviceRequest, Failure> {
         Ok(DeviceRequest { choice: self.device, max_vram_mb: vram_limit(self.device, self.max_vram)? })
     }
@@ -48,7 +45,6 @@ pub fn vram_limit(device: DeviceChoice, max_vram: Option<u32>) -> Result<Option<
     Ok(max_vram.map(|mb| mb as usize))
 }
 
-/// What may happen to an output folder that already exists.
 #[derive(Debug, Args)]
 pub struct OutArgs {
     /// Continue an earlier run; finished stages are not repeated
@@ -60,7 +56,6 @@ pub struct OutArgs {
 }
 
 impl OutArgs {
-    /// Returns the choice in the library's type.
     pub fn mode(&self) -> Existing {
         match (self.resume, self.force) {
             (true, _) => Existing::Resume,
@@ -70,7 +65,6 @@ impl OutArgs {
     }
 }
 
-/// Which files a data set may refer to.
 #[derive(Debug, Args)]
 pub struct ReachArgs {
     /// Also read images, depth, masks and tracks outside the folder of the data set, by path or by link. Only for data sets
@@ -80,13 +74,11 @@ pub struct ReachArgs {
 }
 
 impl ReachArgs {
-    /// Returns the choice in the library's type.
     pub fn reach(&self) -> Reach {
         if self.allow_outside { Reach::Anywhere } else { Reach::Inside }
     }
 }
 
-/// The part of a video that is read, and how.
 #[derive(Debug, Args)]
 pub struct VideoArgs {
     /// Maximum number of frames to train on, sampled evenly over the clip; geometry may use up to four times as many
@@ -135,7 +127,6 @@ pub struct VideoArgs {
     pub strict_video: bool,
 }
 
-/// Parses a segmentation method.
 pub fn segmenters() -> impl TypedValueParser<Value = Segmenter> {
     choice([
         (
@@ -153,7 +144,6 @@ pub fn segmenters() -> impl TypedValueParser<Value = Segmenter> {
     ])
 }
 
-/// Parses a tracking method.
 pub fn trackers() -> impl TypedValueParser<Value = Tracker> {
     choice([
         ("auto", "`flow`", Tracker::Auto),
@@ -190,7 +180,6 @@ fn profiles() -> impl TypedValueParser<Value = Profile> {
     ])
 }
 
-/// The length of training.
 #[derive(Debug, Args)]
 pub struct LengthArgs {
     /// Time budget of training on this machine, for the fast profile [default: default]
@@ -223,7 +212,6 @@ pub struct WithoutArgs {
 }
 
 impl WithoutArgs {
-    /// Applies the switches to the settings.
     pub fn apply(&self, settings: &mut Settings) {
         let parts = [
             (self.no_seg, Enhancement::Segmentation),
@@ -239,26 +227,21 @@ impl WithoutArgs {
 /// How a scene is trained: `run`, `train` and the jobs of a batch have these options.
 #[derive(Debug, Args)]
 pub struct TrainingArgs {
-    /// The length of training.
     #[command(flatten)]
     pub length: LengthArgs,
     /// Time limit, such as 90s, 10m or 1.5h: training is shortened to the time left and the preview may be skipped; geometry that
     /// takes longer is saved (exit code 75, continue with --resume)
     #[arg(long, value_name = "TIME", value_parser = duration)]
     pub time_limit: Option<f64>,
-    /// The device for training.
     #[command(flatten)]
     pub device: DeviceArgs,
-    /// Parts of the method to switch off.
     #[command(flatten)]
     pub without: WithoutArgs,
-    /// Settings.
     #[command(flatten)]
     pub settings: SettingsArgs,
     /// Do not write viewer.html
     #[arg(long)]
     pub no_viewer: bool,
-    /// Which files a capture may refer to.
     #[command(flatten)]
     pub reach: ReachArgs,
 }
@@ -275,4 +258,76 @@ impl TrainingArgs {
         }
         Ok(settings)
     }
+}
+
+const PRESET_OF_FAITHFUL: &str = "--preset applies to the fast profile only; for the faithful one use --iterations N, or a time budget in seconds with \
+     --set train.budget_s=60";
+
+/// Combines the layers of settings; `length` is given for commands that train.
+pub fn settings(
+    args: &SettingsArgs,
+    video: Option<&VideoArgs>,
+    length: Option<&LengthArgs>,
+) -> Result<Settings, Failure> {
+    let mut layers = Layers::default();
+    if let Some(path) = &args.config {
+        layers = layers.file(path)?;
+    }
+    for given in &args.set {
+        layers = layers.set(given)?;
+    }
+    let profile = args.profile.or_else(|| layers.profile());
+    let mut base = Settings::of(profile.unwrap_or_default());
+    let preset = length.and_then(|l| l.preset);
+    match base.profile {
+        Profile::Fast => preset.unwrap_or_default().apply(&mut base),
+        Profile::Faithful if preset.is_some() => return Err(Failure::usage(PRESET_OF_FAITHFUL)),
+        Profile::Faithful => {}
+    }
+    let mut settings = layers.over(&base)?;
+    // a number of iterations without a time budget switches the budget off
+    let iterations_only = layers.named("train.iterations") && !layers.named("train.budget_s");
+    let iterations = length.and_then(|l| l.iterations);
+    if let Some(n) = iterations {
+        settings.train.iterations = n as usize;
+    }
+    if iterations_only || iterations.is_some() {
+        settings.train.budget_s = 0.0;
+    }
+    if let Some(seed) = args.seed {
+        settings.set_seed(seed);
+    }
+    if let Some(video) = video {
+        apply_video(&mut settings, video);
+    }
+    Ok(settings)
+}
+
+fn apply_video(settings: &mut Settings, args: &VideoArgs) {
+    let video = &mut settings.video;
+    video.max_frames = args.max_frames.map(|n| n as usize).or(video.max_frames);
+    video.size = args.size.map(|px| px as usize).or(video.size);
+    video.start_s = args.start.or(video.start_s);
+    video.end_s = args.end.or(video.end_s);
+    video.strict |= args.strict_video;
+    settings.sparse.fov_deg = args.fov.or(settings.sparse.fov_deg);
+    settings.sparse.static_camera |= args.static_camera;
+    let geometry = &mut settings.geometry;
+    if let Some(frontend) = &args.frontend {
+        geometry.frontend.clone_from(frontend);
+    }
+    geometry.segmenter = args.segmenter.unwrap_or(geometry.segmenter);
+    geometry.tracker = args.tracker.unwrap_or(geometry.tracker);
+    geometry.intrinsics = args.intrinsics.clone().or(geometry.intrinsics.take());
+    geometry.poses = args.poses.clone().or(geometry.poses.take());
+    geometry.masks = args.masks.clone().or(geometry.masks.take());
+    geometry.depth = args.depth.clone().or(geometry.depth.take());
+}
+
+/// Prints the effective settings as a file for `--config`.
+pub fn print_config(settings: &Settings, output: &Output) -> Result<(), Failure> {
+    let text = settings.to_toml()?;
+    let value = minute4d::plain_json(settings)?;
+    output.result(&text, value);
+    Ok(())
 }

@@ -31,7 +31,6 @@ fn size(text: &str, least: usize, most: usize) -> Result<(usize, usize), String>
         .ok_or_else(|| format!("a size is WIDTHxHEIGHT, such as 480x360, each side {least} to {most}"))
 }
 
-/// Parses a finite number.
 pub fn number(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
         Ok(value) if value.is_finite() => Ok(value),
@@ -61,28 +60,23 @@ pub fn duration(text: &str) -> Result<f64, String> {
     }
 }
 
-/// Parses a field of view in degrees.
 pub fn degrees(text: &str) -> Result<f64, String> {
     let reason = "a field of view must lie between 5 and 170 degrees";
     checked(text, |value| (5.0..=170.0).contains(&value), reason)
 }
 
-/// Parses frames per second.
 pub fn rate(text: &str) -> Result<f64, String> {
     checked(text, |value| (0.1..=240.0).contains(&value), "it must lie between 0.1 and 240")
 }
 
-/// Parses a finite number above 0.
 pub fn positive(text: &str) -> Result<f64, String> {
     checked(text, |value| value > 0.0, "it must be above 0")
 }
 
-/// Parses a fraction from 0 to 1.
 pub fn share(text: &str) -> Result<f64, String> {
     checked(text, |value| (0.0..=1.0).contains(&value), "it must lie between 0 and 1")
 }
 
-/// Parses a zoom factor.
 pub fn zoom(text: &str) -> Result<f64, String> {
     checked(text, |value| (0.1..=10.0).contains(&value), "it must lie between 0.1 and 10")
 }

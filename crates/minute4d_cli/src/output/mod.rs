@@ -1,20 +1,17 @@
 //! Output of the program: the result on stdout and messages on stderr, or events as JSON lines.
 
-mod events;
+mod progress;
 mod stop;
-mod terminal;
 
 pub use stop::{StopSignal, stop_at_eof, watch_signals};
 
-use events::Events;
-pub use events::end_of_json;
 use minute4d::{Observer, Progress, StageEvent};
+pub use progress::end_of_json;
+use progress::{Bars, Events, Lines};
 use serde_json::Value;
 use std::io::{ErrorKind, IsTerminal, Write};
 use std::sync::{Arc, Mutex, PoisonError};
-use terminal::{Bars, Lines};
 
-/// The destination of progress.
 enum Mode {
     /// One JSON object per line on stdout.
     Json(Events),
@@ -50,12 +47,10 @@ impl Output {
         Arc::new(Self { mode, stop, warned: Mutex::new(Vec::new()) })
     }
 
-    /// Returns the state of stop requests.
     pub fn stop(&self) -> &StopSignal {
         &self.stop
     }
 
-    /// Returns true if progress is shown on stderr.
     fn talks(&self) -> bool {
         matches!(self.mode, Mode::Bars(_) | Mode::Lines(_))
     }
@@ -75,7 +70,6 @@ impl Output {
         }
     }
 
-    /// Returns true for `--json`.
     pub fn is_json(&self) -> bool {
         matches!(self.mode, Mode::Json(_))
     }

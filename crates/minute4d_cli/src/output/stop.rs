@@ -7,7 +7,6 @@ use std::sync::atomic::{AtomicBool, AtomicU8, Ordering};
 /// Exit code of a program that SIGTERM stopped.
 const TERM: u8 = 143;
 
-/// How to respond to a signal.
 #[derive(Debug, PartialEq, Eq)]
 enum Answer {
     /// Save and stop.

@@ -1,15 +1,14 @@
-//! Generated clips of a textured room, as folders of images.
+//! Generated clips of a textured room as folders of images, and data sets in their published layouts.
 
-use minute4d::core::{
-    Camera, Intrinsics, Plane, RgbImage, Se3, exp_so3,
-    nalgebra::{Vector3, Vector6},
-};
-use minute4d::io::image::write_rgb;
+use super::{capture, seen_from};
+use minute4d::core::nalgebra::{Vector3, Vector6};
+use minute4d::core::{Camera, Capture, CaptureFrame, Intrinsics, Plane, RgbImage, Se3, exp_so3};
+use minute4d::io::image::{write_mask, write_rgb};
+use serde_json::{Value, json};
+use std::fs;
 use std::path::Path;
 
-/// Size of the images.
 pub const SIZE: (usize, usize) = (160, 120);
-/// Focal length, pixels.
 pub const FOCAL_PX: f64 = 150.0;
 
 /// Brightness of a wall: waves of many lengths, none of which repeats over the image.
@@ -66,15 +65,140 @@ pub fn walk(n: usize) -> Vec<Camera> {
         .collect()
 }
 
-/// What a camera sees.
 pub fn frame_image(camera: &Camera) -> RgbImage {
     Plane::from_fn(camera.intrinsics.width, camera.intrinsics.height, |x, y| see(camera, x as f64, y as f64).0)
 }
 
 /// Writes images as `00000.png`...
 pub fn write(folder: &Path, images: impl IntoIterator<Item = RgbImage>) {
-    std::fs::create_dir_all(folder).unwrap();
+    fs::create_dir_all(folder).unwrap();
     for (i, frame_image) in images.into_iter().enumerate() {
         write_rgb(&folder.join(format!("{i:05}.png")), &frame_image).unwrap();
     }
+}
+
+/// Numbers as numpy saves them, `<f4` or `<f8`.
+fn write_npy(path: &Path, shape: &[usize], values: &[f64], double: bool) {
+    let (name, shape) = (if double { "<f8" } else { "<f4" }, format!("{shape:?}").replace(['[', ']'], ""));
+    let mut header = format!("{{'descr': '{name}', 'fortran_order': False, 'shape': ({shape},), }}");
+    while !(10 + header.len() + 1).is_multiple_of(64) {
+        header.push(' ');
+    }
+    header.push('\n');
+    let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
+    bytes.extend((header.len() as u16).to_le_bytes());
+    bytes.extend(header.as_bytes());
+    for v in values {
+        if double {
+            bytes.extend(v.to_le_bytes());
+        } else {
+            bytes.extend((*v as f32).to_le_bytes());
+        }
+    }
+    fs::write(path, bytes).unwrap();
+}
+
+/// `camera/ID.json` of DyCheck: of images twice as large.
+fn dycheck_camera(path: &Path, camera: &Camera) {
+    let r = camera.c2w.rotation;
+    let orientation: Vec<Vec<f64>> = (0..3).map(|i| (0..3).map(|j| r[(j, i)]).collect()).collect();
+    let c = camera.centre();
+    let k = &camera.intrinsics;
+    let value = json!({
+        "orientation": orientation,
+        "position": [c.x, c.y, c.z],
+        "focal_length": 2.0 * k.fx,
+        "principal_point": [2.0 * k.cx, 2.0 * k.cy],
+        "image_size": [2 * k.width, 2 * k.height],
+        "skew": 0.0,
+        "pixel_aspect_ratio": 1.0,
+        "radial_distortion": [0.0, 0.0, 0.0],
+        "tangential_distortion": [0.0, 0.0],
+    });
+    fs::write(path, value.to_string()).unwrap();
+}
+
+/// A scene as DyCheck publishes it: `n` frames of camera 0 with depth, every fourth moment from camera 1 with a mask of co-visibility.
+pub fn write_dycheck(root: &Path, n: usize, with_masks: bool) {
+    write_dycheck_of(root, [capture(n, false), capture(n, true)], with_masks);
+}
+
+/// The same of training frames and views.
+pub fn write_dycheck_of(root: &Path, [train, test]: [Capture; 2], with_masks: bool) {
+    let n = train.frames.len();
+    for folder in ["camera", "rgb/2x", "depth/2x", "splits", "covisible/2x/val"] {
+        fs::create_dir_all(root.join(folder)).unwrap();
+    }
+    let mut meta = serde_json::Map::new();
+    let mut put = |frame: &CaptureFrame, camera: usize, i: usize| {
+        let id = format!("{camera}_{i:05}");
+        dycheck_camera(&root.join(format!("camera/{id}.json")), &frame.camera);
+        write_rgb(&root.join(format!("rgb/2x/{id}.png")), &frame.rgb).unwrap();
+        meta.insert(id.clone(), json!({"appearance_id": i, "camera_id": camera, "warp_id": i}));
+        id
+    };
+    let mut train_ids = Vec::new();
+    for (i, frame) in train.frames.iter().enumerate() {
+        let id = put(frame, 0, i);
+        let depth = frame.depth.as_ref().unwrap().to_map();
+        let values: Vec<f64> = depth.data().iter().map(|&z| f64::from(z)).collect();
+        let shape = [depth.height(), depth.width(), 1];
+        write_npy(&root.join(format!("depth/2x/{id}.npy")), &shape, &values, false);
+        train_ids.push(id);
+    }
+    let mut val_ids = Vec::new();
+    for (i, frame) in test.frames.iter().enumerate().skip(1).step_by(4) {
+        let id = put(frame, 1, i);
+        if with_masks {
+            let (w, h) = frame.rgb.size();
+            let mask = Plane::from_fn(w, h, |x, _| if x < w - 8 { 255 } else { 0 });
+            write_mask(&root.join(format!("covisible/2x/val/{id}.png")), &mask).unwrap();
+        }
+        val_ids.push(id);
+    }
+    let split = |ids: &[String]| {
+        let part = |id: &String, k: usize| id.split('_').nth(k).unwrap().parse::<u32>().unwrap();
+        json!({
+            "frame_names": ids,
+            "camera_ids": ids.iter().map(|id| part(id, 0)).collect::<Vec<_>>(),
+            "time_ids": ids.iter().map(|id| part(id, 1)).collect::<Vec<_>>(),
+        })
+    };
+    let put = |name: &str, value: &Value| fs::write(root.join(name), value.to_string()).unwrap();
+    put("splits/train.json", &split(&train_ids));
+    put("splits/val.json", &split(&val_ids));
+    let ids: Vec<&String> = train_ids.iter().chain(&val_ids).collect();
+    let dataset =
+        json!({"count": ids.len(), "num_exemplars": n, "ids": ids, "train_ids": train_ids, "val_ids": val_ids});
+    put("dataset.json", &dataset);
+    put("metadata.json", &Value::Object(meta));
+    put("scene.json", &json!({"center": [0.0, 0.0, 3.0], "scale": 1.0, "near": 2.0, "far": 6.0}));
+    put("extra.json", &json!({"factor": 2, "fps": 10, "lookat": [0.0, 0.0, 4.0], "up": [0.0, -1.0, 0.0]}));
+}
+
+/// A scene in the layout of RoDynRF's bundle: camera `i` took image `i`, camera 0 is judged at all moments.
+pub fn write_nvidia(root: &Path, n: usize) {
+    for folder in ["images_2", "disp", "motion_masks", "gt"] {
+        fs::create_dir_all(root.join(folder)).unwrap();
+    }
+    let train = capture(n, false);
+    let mut poses = Vec::new();
+    for (i, frame) in train.frames.iter().enumerate() {
+        let (r, c, k) = (frame.camera.c2w.rotation, frame.camera.centre(), &frame.camera.intrinsics);
+        let hwf = [2.0 * k.height as f64, 2.0 * k.width as f64, 2.0 * k.fx];
+        for row in 0..3 {
+            // down, right, back
+            poses.extend([r[(row, 1)], r[(row, 0)], -r[(row, 2)], c[row], hwf[row]]);
+        }
+        poses.extend([2.5, 4.0]);
+        write_rgb(&root.join(format!("images_2/{i:03}.png")), &frame.rgb).unwrap();
+        write_mask(&root.join(format!("motion_masks/{i:03}.png")), &frame.mask.as_ref().unwrap().to_mask()).unwrap();
+        let depth = frame.depth.as_ref().unwrap().to_map();
+        let disparity: Vec<f64> = depth.data().iter().map(|&z| 1.0 / f64::from(z)).collect();
+        let shape = [depth.height(), depth.width()];
+        write_npy(&root.join(format!("disp/{i:03}.npy")), &shape, &disparity, false);
+        let truth = seen_from(&train.frames[0].camera, i, n);
+        write_rgb(&root.join(format!("gt/v000_t{i:03}.png")), &truth).unwrap();
+    }
+    write_npy(&root.join("poses_bounds.npy"), &[n, 17], &poses, true);
 }

@@ -1,8 +1,6 @@
 //! The program from outside: arguments, exit codes, messages.
-#![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
 pub mod clips;
-pub mod data_sets;
 
 use minute4d::Silent;
 use minute4d::core::{Camera, Capture, CaptureFrame, Intrinsics, Plane, RgbImage, Se3, nalgebra::Vector6};
@@ -12,21 +10,11 @@ use minute4d::io::video::Mp4Writer;
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output};
+use std::sync::OnceLock;
 use tempfile::TempDir;
 
-/// Size of the images of every test.
 pub const SIZE: (usize, usize) = (64, 48);
 
-/// The program, without progress that depends on the terminal.
-pub fn program() -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_minute4d"));
-    // No weights that this machine may have: what is found does not depend on them.
-    let none = Path::new(env!("CARGO_TARGET_TMPDIR")).join("no-weights");
-    command.env_remove("MINUTE4D_SIMD").env("MINUTE4D_WEIGHTS", none).env("TERM", "dumb");
-    command
-}
-
-/// How a call ended.
 #[derive(Debug)]
 pub struct Ended {
     pub code: i32,
@@ -61,7 +49,6 @@ impl Ended {
         end
     }
 
-    /// The value of the `result` event.
     pub fn result(&self) -> Value {
         let events = self.events();
         let found = events.iter().find(|e| e["event"] == "result");
@@ -69,28 +56,21 @@ impl Ended {
     }
 }
 
-/// Expects a call of the program to be refused with that code and these words, on stderr and as events.
-fn check_refusal(command: &mut Command, code: i32, words: &[&str]) {
-    let ended = Ended::of(command.output().unwrap());
-    let args: Vec<_> = command.get_args().collect();
-    assert_eq!(ended.code, code, "{args:?}\n{}\n{}", ended.stdout, ended.stderr);
-    let end = ended.end();
-    let reason = end["reason"].as_str().unwrap();
-    for word in words {
-        assert!(reason.contains(word), "{args:?}: {word:?} is not in {reason:?}");
-        assert!(ended.stderr.contains(word), "{args:?}: {word:?} is not in {:?}", ended.stderr);
-    }
-    let lower = ended.stderr.to_lowercase();
-    assert!(!lower.contains("panicked") && !lower.contains("internal error"), "{}", ended.stderr);
-}
-
-/// The path as an argument.
 pub fn text(path: &Path) -> &str {
     path.to_str().unwrap()
 }
 
 /// A process; killed and reaped when a test ends early.
 pub struct Running(pub Child);
+
+impl Running {
+    /// Sends a signal, such as `-INT`.
+    #[cfg(unix)]
+    pub fn signal(&self, name: &str) {
+        let status = Command::new("kill").args([name, &self.0.id().to_string()]).status().unwrap();
+        assert!(status.success());
+    }
+}
 
 impl Drop for Running {
     fn drop(&mut self) {
@@ -112,7 +92,6 @@ impl Scratch {
         self.0.path().join(name)
     }
 
-    /// A path as text, for arguments.
     pub fn at(&self, name: &str) -> String {
         text(&self.path(name)).to_owned()
     }
@@ -120,7 +99,10 @@ impl Scratch {
     /// The program with arguments as they are typed, started in this folder: words with spaces between them; what stands in single
     /// quotes is one word.
     pub fn command(&self, line: &str) -> Command {
-        let mut command = program();
+        let mut command = Command::new(env!("CARGO_BIN_EXE_minute4d"));
+        // No weights that this machine may have, and no progress that depends on the terminal.
+        let none = Path::new(env!("CARGO_TARGET_TMPDIR")).join("no-weights");
+        command.env_remove("MINUTE4D_SIMD").env("MINUTE4D_WEIGHTS", none).env("TERM", "dumb");
         command.current_dir(self.0.path());
         for (i, part) in line.split('\'').enumerate() {
             match i % 2 {
@@ -131,12 +113,10 @@ impl Scratch {
         command
     }
 
-    /// Calls the program as typed.
     pub fn call(&self, line: &str) -> Ended {
         Ended::of(self.command(line).output().unwrap())
     }
 
-    /// Calls the program as typed and expects success.
     pub fn succeed(&self, line: &str) -> Ended {
         let ended = self.call(line);
         assert_eq!(ended.code, 0, "{line}\n{}\n{}", ended.stdout, ended.stderr);
@@ -151,20 +131,28 @@ impl Scratch {
     /// As [`Self::refused`], with environment variables.
     pub fn refused_with(&self, line: &str, env: &[(&str, &str)], code: i32, words: &[&str]) {
         let mut command = self.command(line);
-        check_refusal(command.arg("--json").envs(env.iter().copied()), code, words);
+        command.arg("--json").envs(env.iter().copied());
+        let ended = Ended::of(command.output().unwrap());
+        let args: Vec<_> = command.get_args().collect();
+        assert_eq!(ended.code, code, "{args:?}\n{}\n{}", ended.stdout, ended.stderr);
+        let end = ended.end();
+        let reason = end["reason"].as_str().unwrap();
+        for word in words {
+            assert!(reason.contains(word), "{args:?}: {word:?} is not in {reason:?}");
+            assert!(ended.stderr.contains(word), "{args:?}: {word:?} is not in {:?}", ended.stderr);
+        }
+        let lower = ended.stderr.to_lowercase();
+        assert!(!lower.contains("panicked") && !lower.contains("internal error"), "{}", ended.stderr);
     }
 
-    /// The JSON file of that name.
     pub fn json(&self, name: &str) -> Value {
         serde_json::from_slice(&std::fs::read(self.path(name)).unwrap()).unwrap()
     }
 
-    /// The contents of a file.
     pub fn read(&self, name: &str) -> Vec<u8> {
         std::fs::read(self.path(name)).unwrap()
     }
 
-    /// The number of files in a folder.
     pub fn count(&self, name: &str) -> usize {
         std::fs::read_dir(self.path(name)).unwrap().count()
     }
@@ -268,7 +256,6 @@ fn capture_of(size: (usize, usize), n: usize, held_out: bool) -> Capture {
     }
 }
 
-/// Writes a capture of six frames, with or without held-out views.
 pub fn write_capture(folder: &Path, with_test: bool) {
     capture::write(folder, &capture(6, false), Split::Train, &Silent).unwrap();
     if with_test {
@@ -276,7 +263,24 @@ pub fn write_capture(folder: &Path, with_test: bool) {
     }
 }
 
-/// Writes a capture of `n` frames of another size and rate.
+/// Reads a capture.
+pub fn read_capture(folder: &Path, split: Split) -> Capture {
+    capture::read(folder, split, &Default::default(), &Silent).unwrap()
+}
+
+/// The folder of a finished run of six frames in half a second, trained once for all tests that only read it.
+pub fn finished_run() -> &'static str {
+    static RUN: OnceLock<(Scratch, String)> = OnceLock::new();
+    let (_, path) = RUN.get_or_init(|| {
+        let dir = Scratch::new();
+        write_capture(&dir.path("capture"), false);
+        dir.succeed("train capture -o out --iterations 60");
+        let path = dir.at("out");
+        (dir, path)
+    });
+    path
+}
+
 pub fn write_clip(folder: &Path, size: (usize, usize), n: usize, fps: f64) {
     let clip = Capture { duration_s: Some((n - 1) as f64 / fps), ..capture_of(size, n, false) };
     capture::write(folder, &clip, Split::Train, &Silent).unwrap();
@@ -290,7 +294,6 @@ pub fn edit_transforms(folder: &Path, edit: impl FnOnce(&mut Value)) {
     std::fs::write(&path, serde_json::to_vec(&list).unwrap()).unwrap();
 }
 
-/// A short H.264 clip of the same scene.
 pub fn write_video(path: &Path, n: usize) {
     let mut writer = Mp4Writer::create(path, SIZE.0, SIZE.1, 10.0).unwrap();
     for frame in capture(n, false).frames {

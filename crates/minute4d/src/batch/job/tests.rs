@@ -27,7 +27,6 @@ fn install(script: &str, program: &Path) {
     assert!(command.args(["-m", "755"]).args([&text, program]).status().unwrap().success());
 }
 
-/// Never asks to stop.
 struct Patient;
 
 impl Watch for Patient {
@@ -38,7 +37,6 @@ impl Watch for Patient {
 }
 
 impl Batch {
-    /// One clip.
     fn new() -> Self {
         let dir = tempfile::tempdir().unwrap();
         let (results, input) = (dir.path().join("results"), dir.path().join("clip.mp4"));
@@ -98,7 +96,6 @@ impl Batch {
         self.dir.path().join(name)
     }
 
-    /// How often the program was called.
     fn calls(&self) -> usize {
         fs::read_to_string(self.path("calls")).map_or(0, |text| text.lines().count())
     }

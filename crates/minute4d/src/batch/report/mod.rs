@@ -1,13 +1,11 @@
 //! The report of a batch, read from the results alone.
 
-mod page;
-
-pub use page::page;
-
-use crate::batch::error::BatchError;
-use crate::batch::layout::{JobRecord, Layout, Outcome, RUN_FILE, read_json};
+use crate::batch::BatchError;
+use crate::batch::layout::{JobRecord, Layout, Outcome, POSTER_FILE, RUN_FILE, read_json};
 use crate::batch::manifest::{Job, Manifest};
 use crate::batch::publish::{Present, present};
+use base64::Engine;
+use base64::engine::general_purpose::STANDARD;
 use serde::Serialize;
 use serde_json::Value;
 use std::collections::BTreeMap;
@@ -33,7 +31,6 @@ impl ClipState {
     pub const ALL: [Self; 4] = [Self::Done, Self::Waiting, Self::Retryable, Self::Failed];
 
     /// Its name.
-    #[must_use]
     pub fn name(self) -> &'static str {
         match self {
             Self::Done => "done",
@@ -44,7 +41,6 @@ impl ClipState {
     }
 
     /// Returns true for jobs that need attention.
-    #[must_use]
     pub fn is_trouble(self) -> bool {
         matches!(self, Self::Retryable | Self::Failed)
     }
@@ -92,10 +88,6 @@ pub struct Report {
 
 impl Report {
     /// Reads how far every clip is.
-    ///
-    /// # Errors
-    ///
-    /// [`BatchError::Read`] for what is there and cannot be read.
     pub fn read(manifest: &Manifest) -> Result<Self, BatchError> {
         let layout = Layout::new(Path::new(&manifest.results));
         let mut clips = Vec::with_capacity(manifest.jobs.len());
@@ -119,7 +111,6 @@ impl Report {
     }
 
     /// The table, for people: a line per clip, then the sums; `failed` for troubles alone.
-    #[must_use]
     pub fn table(&self, failed: bool) -> String {
         let width = self.clips.iter().map(|c| c.id.len()).max().unwrap_or(0).clamp(4, 40);
         let mut text = format!(
@@ -143,7 +134,6 @@ impl Report {
         text
     }
 
-    /// How many clips there are, and how many of them in each state.
     fn sums(&self) -> String {
         let counts = ClipState::ALL.map(|s| (s.name(), self.counts.get(s.name()).copied().unwrap_or(0)));
         let counts = counts.iter().filter(|(_, n)| *n > 0);
@@ -196,12 +186,141 @@ fn clip(layout: &Layout, job: &Job, key: &str) -> Result<ClipReport, BatchError>
     Ok(clip)
 }
 
-/// PSNR of the last event of training, dB.
 fn last_psnr(path: &Path) -> Option<f64> {
     let text = fs::read_to_string(path).ok()?;
     let last = text.lines().rfind(|l| !l.trim().is_empty())?;
     serde_json::from_str::<Value>(last).ok()?["psnr"].as_f64()
 }
 
+/// Largest poster that is put into the page, bytes.
+const LARGEST: u64 = 1 << 20;
+
+/// The page. It loads nothing from anywhere; posters are read from the results and put into it.
+pub fn page(report: &Report, title: &str) -> String {
+    fill(include_str!("page.html"), |name| match name {
+        "title" => escape(title),
+        "counts" => escape(&report.sums()),
+        "clips" => report.clips.iter().map(card).collect(),
+        _ => String::new(),
+    })
+}
+
+/// A template with what `value` says instead of each `{{name}}`.
+fn fill(template: &str, value: impl Fn(&str) -> String) -> String {
+    let (mut text, mut rest) = (String::new(), template);
+    while let Some((before, (name, after))) =
+        rest.split_once("{{").and_then(|(before, after)| Some((before, after.split_once("}}")?)))
+    {
+        text += before;
+        text += &value(name);
+        rest = after;
+    }
+    text + rest
+}
+
+fn card(clip: &ClipReport) -> String {
+    let state = clip.state.name();
+    let rows = [
+        ("PSNR", clip.psnr_db.map(|p| format!("{p:.2} dB"))),
+        ("splats", clip.splats.map(|n| n.to_string())),
+        ("time", clip.seconds.map(|s| format!("{s:.1} s"))),
+        ("memory", clip.peak_memory_bytes.map(|b| format!("{} MB", b / 1_000_000))),
+        ("machine", clip.host.clone()),
+        ("reason", clip.reason.clone()),
+        ("input", Some(clip.input.clone())),
+    ];
+    let row = |(name, value): (&str, Option<String>)| Some(format!("<dt>{name}</dt><dd>{}</dd>", escape(&value?)));
+    fill(include_str!("clip.html"), |name| match name {
+        "image" => poster(clip).unwrap_or_else(|| format!("<div class=\"none\">{state}</div>")),
+        "id" => escape(&clip.id),
+        "state" => state.to_owned(),
+        "rows" => rows.clone().into_iter().filter_map(row).collect(),
+        _ => String::new(),
+    })
+}
+
+fn poster(clip: &ClipReport) -> Option<String> {
+    let path = Path::new(&clip.output).join(POSTER_FILE);
+    let small = clip.state == ClipState::Done && fs::metadata(&path).is_ok_and(|m| m.len() <= LARGEST);
+    let bytes = small.then(|| fs::read(&path).ok()).flatten()?;
+    let alt = escape(&format!("a frame of {} and its re-render", clip.id));
+    Some(format!("<img alt=\"{alt}\" src=\"data:image/jpeg;base64,{}\">", STANDARD.encode(bytes)))
+}
+
+/// Text that means nothing but itself.
+fn escape(text: &str) -> String {
+    let mut out = String::with_capacity(text.len());
+    for c in text.chars() {
+        match c {
+            '&' => out += "&amp;",
+            '<' => out += "&lt;",
+            '>' => out += "&gt;",
+            '"' => out += "&quot;",
+            '\'' => out += "&#39;",
+            c => out.push(c),
+        }
+    }
+    out
+}
+
 #[cfg(test)]
-mod tests;
+mod tests {
+    use super::{ClipReport, ClipState, Report, page};
+    use std::fs;
+
+    fn clip(id: &str, state: ClipState, reason: Option<&str>, output: &str) -> ClipReport {
+        ClipReport {
+            id: id.to_owned(),
+            input: format!("/clips/{id}.mp4"),
+            state,
+            reason: reason.map(str::to_owned),
+            code: None,
+            seconds: Some(2.5),
+            splats: Some(10),
+            psnr_db: Some(30.123),
+            peak_memory_bytes: Some(5_000_000),
+            host: Some("h<1>".to_owned()),
+            output: output.to_owned(),
+        }
+    }
+
+    #[test]
+    fn status_counts_add_up_and_failures_have_reasons() {
+        let clips = vec![
+            clip("a", ClipState::Done, None, "/r/a"),
+            clip("b7", ClipState::Failed, Some("/clips/b7.mp4 is empty"), "/r/b7"),
+            clip("c9", ClipState::Failed, Some("/clips/c9.mp4 is empty"), "/r/c9"),
+            clip("d", ClipState::Waiting, None, "/r/d"),
+        ];
+        let report = Report::of(clips);
+        assert_eq!(report.counts.values().sum::<usize>(), report.jobs);
+        assert_eq!(report.seconds, 2.5);
+        let table = report.table(false);
+        assert!(
+            table.contains("4 clips: 1 done, 1 waiting, 2 failed")
+                && table.contains("30.12")
+                && table.contains("b7.mp4 is empty"),
+            "{table}"
+        );
+        let troubles = report.table(true);
+        assert!(troubles.lines().any(|l| l.starts_with("b7")) && !troubles.lines().any(|l| l.starts_with("a ")));
+    }
+
+    #[test]
+    fn the_page_holds_everything_and_escapes_it() {
+        let dir = tempfile::tempdir().unwrap();
+        fs::write(dir.path().join("poster.jpg"), [0xff, 0xd8, 0xff]).unwrap();
+        let output = dir.path().to_str().unwrap();
+        let clips = vec![
+            clip("a", ClipState::Done, None, output),
+            clip("b", ClipState::Failed, Some("<script>alert('{{id}}')</script>"), output),
+        ];
+        let page = page(&Report::of(clips), "my \"clips\" {{clips}}");
+        assert_eq!(page.matches("data:image/jpeg;base64,/9j/").count(), 1);
+        assert!(!page.contains("<script") && page.contains("&lt;script&gt;alert(&#39;{{id}}&#39;)"), "{page}");
+        assert!(
+            page.contains("my &quot;clips&quot; {{clips}}") && page.contains("h&lt;1&gt;") && page.contains("30.12 dB")
+        );
+        assert!(!page.contains("http"), "it loads nothing");
+    }
+}

@@ -1,8 +1,8 @@
 //! Interpolates cameras between the keyframes of a file.
 
-use super::bullet::looking;
 use super::{SourcePath, Stop};
 use crate::render::spline::{PoseSpline, Spline};
+use crate::render::swing::looking;
 use crate::render::{Moment, Span, TimeError};
 use m4_core::{
     Camera, Exposure, Intrinsics,
@@ -38,10 +38,6 @@ enum Interpolation {
 
 impl KeyedPath {
     /// The path through the keyframes of a file; what they leave open is as in the source.
-    ///
-    /// # Errors
-    ///
-    /// [`TimeError`] where a keyframe names a moment that the scene does not have.
     pub fn new(keyed: &Keyed, source: &SourcePath, span: &Span) -> Result<Self, TimeError> {
         let (first_moment, _) = source.span();
         let own = source.at(first_moment).camera;

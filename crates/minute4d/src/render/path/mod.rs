@@ -1,15 +1,14 @@
 //! Camera paths: the cameras and their times.
 
-mod bullet;
 mod keyed;
 mod source;
 
 pub use source::SourcePath;
 
 use super::options::unused;
+use super::swing::{Bullet, swing_camera};
 use super::{Painter, PathConfig, PathOptions, Region, RenderJob, Span, TimePath, source_fps};
 use crate::{Error, Refusal};
-use bullet::Bullet;
 use keyed::KeyedPath;
 use m4_core::{Camera, Exposure, Scene};
 use m4_io::trajectory::{self, Trajectory};
@@ -17,7 +16,6 @@ use source::Smoothing;
 use std::fmt;
 use std::path::{Path, PathBuf};
 
-/// Most images of a path.
 const MAX_FRAMES: usize = 100_000;
 /// Sources with fewer frames per second than this do not look smooth, so paths that can have more get
 /// [`super::DEFAULT_FPS`].
@@ -77,7 +75,6 @@ pub struct Plan {
 
 impl CameraPath {
     /// The path of that name; a name that is none of the words is a file.
-    #[must_use]
     pub fn named(name: &str) -> Self {
         match name {
             "train" => Self::Train,
@@ -154,7 +151,6 @@ fn limited(frames: f64, seconds: f64, fps: f64) -> Result<usize, Refusal> {
     }
 }
 
-/// The inputs of a path.
 struct Maker<'a> {
     scene: &'a Scene,
     source: &'a SourcePath,
@@ -214,7 +210,7 @@ impl Maker<'_> {
         let seconds = self.options.seconds.unwrap_or(self.config.seconds);
         let n = closed_frames(seconds, self.fps)?;
         let stops = (0..n).map(|i| Stop {
-            camera: bullet::swing(&region, i as f64 / n as f64, self.options, self.config),
+            camera: swing_camera(&region, i as f64 / n as f64, self.options, self.config),
             t: region.stop.t,
             exposure: Exposure::IDENTITY,
         });

@@ -44,27 +44,23 @@ impl SourcePath {
     }
 
     /// First and last moment, frames.
-    #[must_use]
     pub fn span(&self) -> (f64, f64) {
         (self.times[0], self.times[self.times.len() - 1])
     }
 
     /// From the first to the last frame, seconds.
-    #[must_use]
     pub fn seconds(&self) -> f64 {
         let (first, last) = self.span();
         (last - first) / self.frames_per_s
     }
 
     /// The moment (frames) this many seconds after the first frame.
-    #[must_use]
     pub fn moment(&self, seconds: f64) -> f64 {
         let (first, last) = self.span();
         (first + seconds * self.frames_per_s).clamp(first, last)
     }
 
     /// Camera and exposure at a moment (frames); lens and exposure go evenly from frame to frame.
-    #[must_use]
     pub fn at(&self, t: f64) -> Stop {
         let last = self.times.len() - 1;
         let next = self.times.partition_point(|time| *time <= t).min(last);
@@ -116,7 +112,6 @@ pub struct Smoothing {
 }
 
 /// The smoothed poses of the source, by moment (frames).
-#[must_use]
 pub fn stabilised(source: &SourcePath, how: &Smoothing) -> PoseSpline {
     let (first, last) = source.span();
     let seconds = source.seconds();

@@ -3,8 +3,7 @@
 
 use super::{alone, among, within};
 use crate::files::{Wrap, copy, fixture, fixture_bytes};
-use crate::reader::{Around, Outcome, Reader};
-use crate::valid;
+use crate::reader::{self, Around, Outcome, Reader};
 use m4_core::Silent;
 use m4_io::dataset::SourceFormat::{self, Colmap, Dycheck, Megasam, Nerfstudio, Nvidia, Record3d, Vipe};
 use m4_io::dataset::side::depth::{decode_exr, decode_pfm, read_depth};
@@ -18,11 +17,10 @@ use std::path::{Path, PathBuf};
 fn clip(path: &Path, format: SourceFormat, options: &ImportOptions) -> Outcome {
     let _ = m4_io::dataset::detect(path);
     Outcome::of(m4_io::dataset::read(path, format, options, &Silent), |found| {
-        valid::capture(&found.train).or_else(|| found.test.as_ref().and_then(valid::capture))
+        reader::capture(&found.train).or_else(|| found.test.as_ref().and_then(reader::capture))
     })
 }
 
-/// A file of a fixture.
 fn plain(name: &'static str, format: SourceFormat, source: &str, file: &str) -> Reader {
     let reader = among(name, &format!("import/{source}"), file, move |p| clip(p, format, &ImportOptions::default()));
     let wrap = if file.ends_with(".png") { Wrap::Png } else { Wrap::Plain };
@@ -35,7 +33,6 @@ fn with_images(name: &'static str, format: SourceFormat, source: &str, file: &st
     among(name, &format!("import/{source}"), file, move |p| clip(p, format, &options))
 }
 
-/// A member of an archive of a fixture.
 fn member(name: &'static str, format: SourceFormat, source: &str, file: &str, inside: &'static str) -> Reader {
     within(name, inside, plain(name, format, source, file))
 }
@@ -137,7 +134,7 @@ fn data_sets() -> Vec<Reader> {
     let annotation = among("import-davis-annotation", "import/davis", "Annotations/480p/ball/00001.png", |p| {
         let folder = p.join("JPEGImages/480p/ball");
         let read = davis::read_clip(&folder, &VideoOptions::default(), &Silent);
-        Outcome::of(read, |clip| valid::video(&clip.video))
+        Outcome::of(read, |clip| reader::video(&clip.video))
     });
     vec![
         without_splits(plain("import-dycheck-dataset", Dycheck, "dycheck", "dataset.json")),
@@ -154,7 +151,6 @@ fn data_sets() -> Vec<Reader> {
     ]
 }
 
-/// A valid clip with side files.
 fn beside(change: impl FnOnce(&mut ImportOptions)) -> Outcome {
     let mut options = ImportOptions { depth_unit: Some(0.0005), ..ImportOptions::default() };
     change(&mut options);
@@ -183,7 +179,7 @@ fn contents(files: &'static [&'static str]) -> impl Fn() -> Vec<Vec<u8>> + Send 
 }
 
 fn one_map(path: &Path) -> Outcome {
-    Outcome::of(read_depth(path, 0.001), valid::depth)
+    Outcome::of(read_depth(path, 0.001), reader::depth)
 }
 
 fn side_files() -> Vec<Reader> {
@@ -194,8 +190,8 @@ fn side_files() -> Vec<Reader> {
     let seen = |p: &Path| Outcome::of(read_mask(p, false), |_| None);
     let jpegs = || vec![fixture_bytes("import/nerfstudio/images/frame_1.jpg")];
     vec![
-        alone("side-exr", "a.exr", contents(exrs), move |p| Outcome::of(decode_exr(&bytes(p)), valid::map)),
-        alone("side-pfm", "a.pfm", contents(pfms), move |p| Outcome::of(decode_pfm(&bytes(p)), valid::map)),
+        alone("side-exr", "a.exr", contents(exrs), move |p| Outcome::of(decode_exr(&bytes(p)), reader::map)),
+        alone("side-pfm", "a.pfm", contents(pfms), move |p| Outcome::of(decode_pfm(&bytes(p)), reader::map)),
         alone(
             "side-depth",
             "a",

@@ -1,9 +1,8 @@
 //! Readers of `m4_io`, but for those of clips of other tools.
 
-use super::{alone, among, made, within};
+use super::{alone, among, within};
 use crate::files::{Wrap, fixture_bytes, members};
-use crate::reader::{Around, Outcome, Reader};
-use crate::valid;
+use crate::reader::{self, Around, Outcome, Reader};
 use m4_core::{Plane, Silent};
 use m4_io::capture::{self, CaptureOptions, Split};
 use m4_io::dataset::colmap;
@@ -33,12 +32,12 @@ fn png(reader: Reader) -> Reader {
 fn images() -> Vec<Reader> {
     let jpegs = || {
         vec![
-            made::image("a.jpg"),
+            super::image("a.jpg"),
             fixture_bytes("import/nerfstudio/images/frame_1.jpg"),
             with_exif(&fixture_bytes("import/davis/JPEGImages/480p/ball/00001.jpg")),
         ]
     };
-    let pngs = || vec![made::image("a.png"), fixture_bytes("import/side/masks_palette/frame8.png")];
+    let pngs = || vec![super::image("a.png"), fixture_bytes("import/side/masks_palette/frame8.png")];
     let depths = || vec![fixture_bytes("import/side/depth_png/frame8.png")];
     let greys =
         || vec![fixture_bytes("import/nvidia/motion_masks/001.png"), fixture_bytes("import/side/depth_png/frame8.png")];
@@ -53,7 +52,7 @@ fn images() -> Vec<Reader> {
         let bytes = std::fs::read(p).unwrap_or_default();
         Outcome::of(image::decode_rgb(&bytes, p, 1 << 20), |_| None)
     };
-    let depth = |p: &Path| Outcome::of(image::read_depth(p, 0.001), valid::depth);
+    let depth = |p: &Path| Outcome::of(image::read_depth(p, 0.001), reader::depth);
     let ids = |p: &Path| Outcome::of(image::read_ids(p), |_| None);
     let ids_of_bytes = |p: &Path| {
         let bytes = std::fs::read(p).unwrap_or_default();
@@ -109,8 +108,8 @@ fn arrays() -> Vec<Reader> {
         alone(
             "io-tracks",
             "tracks.npz",
-            || vec![made::written("t.npz", |p| tracks::write(p, &made::tracks()))],
-            |p| Outcome::of(tracks::read(p, 2, MAX_ARRAY_BYTES), valid::tracks),
+            || vec![super::written("t.npz", |p| tracks::write(p, &super::tracks()))],
+            |p| Outcome::of(tracks::read(p, 2, MAX_ARRAY_BYTES), reader::tracks),
         ),
         within("io-tracks-coords", "coords.npy", among("", "tracks/numpy.npz", "", numpy_tracks)),
         within("io-tracks-visibs", "visibs.npy", among("", "tracks/numpy.npz", "", numpy_tracks)),
@@ -118,7 +117,7 @@ fn arrays() -> Vec<Reader> {
 }
 
 fn numpy_tracks(path: &Path) -> Outcome {
-    Outcome::of(tracks::read(path, 3, MAX_ARRAY_BYTES), valid::tracks)
+    Outcome::of(tracks::read(path, 3, MAX_ARRAY_BYTES), reader::tracks)
 }
 
 fn npy(path: &Path, whole: bool) -> Result<(), Fault> {
@@ -160,7 +159,7 @@ fn paths() -> Vec<Reader> {
         ];
         texts.map(|t| t.as_bytes().to_vec()).to_vec()
     };
-    vec![alone("io-camera-path", "path.json", seeds, |p| Outcome::of(trajectory::load(p, 11), valid::trajectory))]
+    vec![alone("io-camera-path", "path.json", seeds, |p| Outcome::of(trajectory::load(p, 11), reader::trajectory))]
 }
 
 /// A row for one file of a capture of ours.
@@ -169,12 +168,12 @@ fn of_capture(name: &'static str, file: &str, split: Split) -> Reader {
         name,
         file: file.to_owned(),
         given: String::new(),
-        around: Around::Made(made::capture_into),
+        around: Around::Made(super::capture_into),
         wrap: if file.ends_with(".png") { Wrap::Png } else { Wrap::Plain },
         seeds: Box::new(|file| vec![std::fs::read(file).unwrap_or_else(|e| panic!("{}: {e}", file.display()))]),
         call: Box::new(move |folder| {
             let read = capture::read(folder, split, &CaptureOptions::default(), &Silent);
-            Outcome::of(read, valid::capture)
+            Outcome::of(read, reader::capture)
         }),
     }
 }
@@ -191,7 +190,7 @@ fn scenes() -> Vec<Reader> {
     let seeds = || {
         let write = |degree| {
             let pairs = BTreeMap::from([("a".to_owned(), "b".to_owned())]);
-            made::written("s", |p| safetensors::write(p, &made::scene(degree), None, &pairs))
+            super::written("s", |p| safetensors::write(p, &super::scene(degree), None, &pairs))
         };
         vec![write(0), write(2)]
     };
@@ -208,11 +207,11 @@ fn sealed_scene(path: &Path) -> Outcome {
         if let Some(at) = at.filter(|_| expected.len() == found.len()) {
             bytes[at..at + found.len()].copy_from_slice(found.as_bytes());
             if std::fs::write(path, bytes).is_ok() {
-                return Outcome::of(safetensors::read(path), |file| valid::scene(&file.scene));
+                return Outcome::of(safetensors::read(path), |file| reader::scene(&file.scene));
             }
         }
     }
-    Outcome::of(read, |file| valid::scene(&file.scene))
+    Outcome::of(read, |file| reader::scene(&file.scene))
 }
 
 /// The checksum that a file has, and the one that it says.
@@ -233,7 +232,7 @@ fn own_video() -> VideoOptions {
 
 fn videos() -> Vec<Reader> {
     let seeds = || {
-        let ours = made::written("a.mp4", |path| {
+        let ours = super::written("a.mp4", |path| {
             let mut to = Mp4Writer::create(path, 32, 16, 24.0)?;
             for i in 0..3u8 {
                 to.push(&Plane::from_fn(32, 16, |x, y| [x as u8 * 8, y as u8 * 8, i * 40]))?;
@@ -242,7 +241,7 @@ fn videos() -> Vec<Reader> {
         });
         vec![ours, fixture_bytes("import/vipe/rgb/dog.mp4")]
     };
-    let read = |p: &Path| Outcome::of(video::read(p, &own_video(), &Silent), valid::video);
+    let read = |p: &Path| Outcome::of(video::read(p, &own_video(), &Silent), reader::video);
     vec![alone("io-mp4", "a.mp4", seeds, read), png(among("io-video-folder", "import/clip/images", "00002.png", read))]
 }
 
@@ -250,7 +249,7 @@ fn colmap_points() -> Vec<Reader> {
     let points = || {
         let dir = tempfile::tempdir().unwrap_or_else(|e| panic!("no temporary folder: {e}"));
         let folder = dir.path().join("c");
-        let written = colmap::write(&folder, &made::clip(), &Silent);
+        let written = colmap::write(&folder, &super::clip(), &Silent);
         written.unwrap_or_else(|e| panic!("a valid model: {e}"));
         let bytes = std::fs::read(folder.join("sparse/0/points3D.bin"));
         vec![bytes.unwrap_or_else(|e| panic!("a valid model: {e}"))]
@@ -268,20 +267,20 @@ fn splats() -> Vec<Reader> {
     let clips = || {
         let one = |degree| {
             let encoded =
-                fourdgs::encode(Path::new("a.4dgs"), &made::scene(degree), &fourdgs::FourdgsConfig::default());
+                fourdgs::encode(Path::new("a.4dgs"), &super::scene(degree), &fourdgs::FourdgsConfig::default());
             encoded.unwrap_or_else(|e| panic!("a valid clip: {e}")).0
         };
         DEGREES.map(one).to_vec()
     };
     let instants = || {
-        let one = |degree| made::written("a.ply", |p| ply::write(p, &made::scene(degree), 1.0));
+        let one = |degree| super::written("a.ply", |p| ply::write(p, &super::scene(degree), 1.0));
         let mut all = DEGREES.map(one).to_vec();
         all.push(text_of(&all[0]));
         all
     };
     vec![
-        alone("formats-4dgs", "a.4dgs", clips, |p| Outcome::of(fourdgs::read(p), |found| valid::scene(&found.scene))),
-        alone("formats-ply", "a.ply", instants, |p| Outcome::of(ply::read(p), |found| valid::scene(&found.scene))),
+        alone("formats-4dgs", "a.4dgs", clips, |p| Outcome::of(fourdgs::read(p), |found| reader::scene(&found.scene))),
+        alone("formats-ply", "a.ply", instants, |p| Outcome::of(ply::read(p), |found| reader::scene(&found.scene))),
     ]
 }
 

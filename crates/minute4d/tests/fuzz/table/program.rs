@@ -1,6 +1,6 @@
 //! Readers of the program and its batches: settings, records of runs, manifests, records of jobs.
 
-use super::{alone, made};
+use super::alone;
 use crate::reader::{Around, Outcome, Reader};
 use minute4d::batch::{Arguments, ClipReport, Job, JobRecord, Manifest, Outcome as JobOutcome, Report, VERSION};
 use minute4d::record::{self, Device, GEOMETRY_FORMAT, GeometryRecord, Input, RunRecord, Status};
@@ -99,7 +99,7 @@ fn manifest(results: &str) -> Manifest {
 }
 
 fn manifests() -> Vec<Vec<u8>> {
-    vec![made::written("jobs.jsonl", |p| manifest("/results").write(p, false))]
+    vec![super::written("jobs.jsonl", |p| manifest("/results").write(p, false))]
 }
 
 /// What is seen of a batch whose results are in `folder`.

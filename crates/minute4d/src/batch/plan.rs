@@ -1,9 +1,10 @@
 //! Plans a manifest from the files, folders and lists that a user names.
 
-use crate::batch::error::BatchError;
+use crate::batch::BatchError;
 use crate::batch::layout::{self, Layout};
 use crate::batch::manifest::{Arguments, Job, Manifest};
 use crate::batch::publish::{Present, present};
+use m4_io::ErrorKind;
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::{fs, io};
@@ -23,10 +24,6 @@ pub struct Plan<'a> {
 }
 
 /// Lists the clips with their sizes and hashes, in the order of their ids, and makes the folder of results.
-///
-/// # Errors
-///
-/// [`BatchError`].
 pub fn plan(plan: &Plan<'_>) -> Result<Manifest, BatchError> {
     let paths = inputs(plan.given, plan.recursive)?;
     let mut named = Vec::with_capacity(paths.len());
@@ -38,7 +35,7 @@ pub fn plan(plan: &Plan<'_>) -> Result<Manifest, BatchError> {
     for id in &ids {
         let result = layout.result(id);
         if present(&result, "")? == Present::NotOurs {
-            return Err(BatchError::NotOurs { path: result });
+            return Err(BatchError::not_ours(&result));
         }
     }
     let mut jobs = Vec::with_capacity(named.len());
@@ -53,9 +50,9 @@ pub fn plan(plan: &Plan<'_>) -> Result<Manifest, BatchError> {
 }
 
 fn text(path: &Path) -> Result<String, BatchError> {
-    path.to_str().map(str::to_owned).ok_or_else(|| BatchError::Input {
-        given: path.display().to_string(),
-        reason: "is not UTF-8, which a manifest cannot hold; rename it",
+    path.to_str().map(str::to_owned).ok_or_else(|| {
+        let message = format!("{} is not UTF-8, which a manifest cannot hold; rename it", path.display());
+        BatchError::refused(ErrorKind::BadData, message)
     })
 }
 
@@ -92,10 +89,6 @@ const IMAGE_EXTENSIONS: [&str; 3] = ["png", "jpg", "jpeg"];
 const CAPTURES: [&str; 2] = ["transforms_train.json", "transforms.json"];
 
 /// The clips that a user named: files and folders, each once, with their whole paths.
-///
-/// # Errors
-///
-/// [`BatchError`] for what does not exist, holds nothing, or cannot be read.
 pub(crate) fn inputs(given: &[String], recursive: bool) -> Result<Vec<PathBuf>, BatchError> {
     let mut paths = BTreeSet::new();
     for one in given {
@@ -110,10 +103,10 @@ pub(crate) fn inputs(given: &[String], recursive: bool) -> Result<Vec<PathBuf>, 
 fn expand(given: &str) -> Result<Vec<PathBuf>, BatchError> {
     let Some(list) = given.strip_prefix('@') else {
         return match given.contains("://") {
-            true => Err(BatchError::Input {
-                given: given.to_owned(),
-                reason: "is an address, not a path; mount the store as a folder, or download the clip first",
-            }),
+            true => Err(BatchError::refused(
+                ErrorKind::BadData,
+                format!("{given} is an address, not a path; mount the store as a folder, or download the clip first"),
+            )),
             false => Ok(vec![PathBuf::from(given)]),
         };
     };
@@ -132,19 +125,17 @@ fn expand(given: &str) -> Result<Vec<PathBuf>, BatchError> {
 }
 
 fn nothing(given: &str, recursive: bool) -> BatchError {
-    BatchError::Input {
-        given: given.to_owned(),
-        reason: match recursive {
-            true => "holds no video",
-            false => "holds no video; --recursive looks into folders in it",
-        },
-    }
+    let hint = if recursive { "" } else { "; --recursive looks into folders in it" };
+    BatchError::refused(ErrorKind::BadData, format!("{given} holds no video{hint}"))
 }
 
 fn add(path: &Path, recursive: bool, found: &mut BTreeSet<PathBuf>) -> Result<(), BatchError> {
     // `canonicalize` follows links, so that a clip that is named twice is one clip.
     let path = fs::canonicalize(path).map_err(|e| match e.kind() {
-        io::ErrorKind::NotFound | io::ErrorKind::NotADirectory => BatchError::Missing { path: path.to_path_buf() },
+        io::ErrorKind::NotFound | io::ErrorKind::NotADirectory => {
+            let message = format!("there is no video, folder or list at {}", path.display());
+            BatchError::refused(ErrorKind::NotFound, message)
+        }
         _ => BatchError::read(path)(e),
     })?;
     if !path.is_dir() {
@@ -229,11 +220,5 @@ mod tests {
         assert!(message(&at("none.mp4")).contains("there is no"));
         fs::create_dir(root.join("empty")).unwrap();
         assert!(message(&at("empty")).contains("--recursive"));
-    }
-
-    #[test]
-    fn urls_are_refused_as_inputs() {
-        let message = inputs(&["s3://bucket/a.mp4".to_owned()], false).unwrap_err();
-        assert!(message.to_string().contains("mount the store"), "{message}");
     }
 }

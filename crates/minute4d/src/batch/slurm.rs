@@ -1,7 +1,9 @@
 //! A batch as an array of Slurm jobs.
 
-use crate::batch::error::BatchError;
+use crate::batch::BatchError;
+use m4_io::ErrorKind;
 use std::ffi::OsStr;
+use std::fmt;
 use std::path::Path;
 use std::process::Command;
 
@@ -31,7 +33,6 @@ pub struct Script<'a> {
 
 impl Script<'_> {
     /// The arrays that all jobs take, one task a job: the first job of each, and its indices as Slurm writes them.
-    #[must_use]
     pub fn arrays(&self) -> Vec<(usize, String)> {
         let largest = self.largest.max(1);
         let parallel = self.max_parallel.map_or_else(String::new, |n| format!("%{n}"));
@@ -43,10 +44,7 @@ impl Script<'_> {
     }
 
     /// The text of it. Its argument is the first job of its array, 0 where there is none.
-    ///
-    /// # Errors
-    ///
-    /// [`BatchError::Text`] for a value that cannot be written into a script.
+    /// A value that cannot be written into a script is an error.
     pub fn text(&self) -> Result<String, BatchError> {
         let mut text = "#!/bin/bash\n# Written by `minute4d batch submit`.\n".to_owned();
         let mut directives = vec![
@@ -108,17 +106,25 @@ fi
 exit "$code"
 "#;
 
+/// The error for a value that no script can hold.
+fn unusable(text: impl fmt::Debug, reason: &str) -> BatchError {
+    BatchError::refused(ErrorKind::BadData, format!("{text:?} cannot be used: {reason}"))
+}
+
+/// The error for a program of Slurm that refused.
+fn refused(program: &str, message: &str, script: &Path) -> BatchError {
+    let message = format!("{program} refused: {message}; the script is {}", script.display());
+    BatchError::refused(ErrorKind::Io, message)
+}
+
 fn utf8(path: &Path) -> Result<&str, BatchError> {
-    path.to_str().ok_or_else(|| BatchError::Text { text: path.display().to_string(), reason: "it is not UTF-8" })
+    path.to_str().ok_or_else(|| unusable(path, "it is not UTF-8"))
 }
 
 /// A word of a directive, in quotes where it needs them.
 fn directive_text(text: &str) -> Result<String, BatchError> {
     if text.contains(['\n', '\r', '"', '\\']) {
-        return Err(BatchError::Text {
-            text: text.to_owned(),
-            reason: "a line of #SBATCH cannot hold quotes, backslashes or a line end",
-        });
+        return Err(unusable(text, "a line of #SBATCH cannot hold quotes, backslashes or a line end"));
     }
     Ok(if text.contains([' ', '\t', '#']) { format!("\"{text}\"") } else { text.to_owned() })
 }
@@ -126,7 +132,7 @@ fn directive_text(text: &str) -> Result<String, BatchError> {
 /// A word that the shell takes as it is.
 fn shell(word: &str) -> Result<String, BatchError> {
     if word.contains('\0') {
-        return Err(BatchError::Text { text: word.to_owned(), reason: "no argument can hold a zero byte" });
+        return Err(unusable(word, "no argument can hold a zero byte"));
     }
     let plain = |c: char| c.is_ascii_alphanumeric() || "/._-=+:,@%".contains(c);
     Ok(if !word.is_empty() && word.chars().all(plain) {
@@ -140,7 +146,6 @@ fn shell(word: &str) -> Result<String, BatchError> {
 const DEFAULT_ARRAY: usize = 1001;
 
 /// Returns the maximum number of tasks of an array: Slurm's setting, or its default.
-#[must_use]
 pub fn largest_array() -> usize {
     let told = Command::new("scontrol").args(["show", "config"]).output();
     let text = told.ok().filter(|o| o.status.success()).and_then(|o| String::from_utf8(o.stdout).ok());
@@ -154,10 +159,6 @@ fn max_array_size(config: &str) -> Option<usize> {
 }
 
 /// Submits the script as the array `tasks` of the jobs from `first` on, asks Slurm for it again, and gives its number.
-///
-/// # Errors
-///
-/// [`BatchError`] where Slurm is not here, refuses, or does not know the array afterwards.
 pub fn submit(script: &Path, first: usize, tasks: &str) -> Result<String, BatchError> {
     let (array, index) = (format!("--array={tasks}"), first.to_string());
     let mut arguments: Vec<&OsStr> = vec!["--parsable".as_ref()];
@@ -169,28 +170,26 @@ pub fn submit(script: &Path, first: usize, tasks: &str) -> Result<String, BatchE
     let answer = call("sbatch", &arguments, script)?;
     // The cluster's name follows where there are several.
     let id = answer.trim().split(';').next().unwrap_or_default().to_owned();
-    let refused = |program, message| BatchError::Refused { program, message, script: script.to_path_buf() };
     if id.is_empty() || !id.chars().all(|c| c.is_ascii_digit()) {
         let message = format!("it answered {answer:?}, which is not a job id");
-        return Err(refused("sbatch", message));
+        return Err(refused("sbatch", &message, script));
     }
     let known = call("scontrol", &["show".as_ref(), "job".as_ref(), id.as_ref()], script)?;
     if !known.contains(&format!("={id}")) {
         let message = format!("it does not know job {id} although sbatch took it");
-        return Err(refused("scontrol", message));
+        return Err(refused("scontrol", &message, script));
     }
     Ok(id)
 }
 
-fn call(program: &'static str, args: &[&OsStr], script: &Path) -> Result<String, BatchError> {
+fn call(program: &str, args: &[&OsStr], script: &Path) -> Result<String, BatchError> {
     let output = Command::new(program).args(args).output();
-    let output = output.map_err(|source| BatchError::Start { program, source })?;
+    let output = output.map_err(|source| {
+        let hint = "submit on a machine that has Slurm, or use --dry-run to write only the script";
+        BatchError::refused(ErrorKind::NotFound, format!("cannot start {program}: {source}; {hint}"))
+    })?;
     if !output.status.success() {
-        return Err(BatchError::Refused {
-            program,
-            message: String::from_utf8_lossy(&output.stderr).trim().to_owned(),
-            script: script.to_path_buf(),
-        });
+        return Err(refused(program, String::from_utf8_lossy(&output.stderr).trim(), script));
     }
     Ok(String::from_utf8_lossy(&output.stdout).into_owned())
 }

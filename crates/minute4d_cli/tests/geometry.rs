@@ -1,12 +1,12 @@
-//! What the user gives for the geometry of a clip replaces what would be computed; what does not fit is refused by name.
-#![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
+//! Geometry from outside. What the user gives replaces what would be computed, and what does not fit is refused by name; clips that
+//! geometry cannot make much of end in a capture with a warning, or in a refusal that says what to do (docs/geometry.md has the table).
 
-use crate::common::Scratch;
-use crate::common::clips::{self, FOCAL_PX, SIZE, frame_image, see, walk};
+use crate::common::clips::{self, FOCAL_PX, SIZE, camera, frame_image, see, walk};
 #[cfg(feature = "nets")]
 use crate::common::text;
+use crate::common::{Ended, Scratch, read_capture};
 use minute4d::Silent;
-use minute4d::core::{Camera, Capture, CaptureFrame, DepthMap, Mask, Plane};
+use minute4d::core::{Camera, Capture, CaptureFrame, CounterRng, DepthMap, Mask, Plane, RgbImage};
 use minute4d::io::capture::{self, Split};
 use minute4d::io::image::{read_depth, read_mask, write_depth, write_mask};
 use serde_json::{Value, json};
@@ -55,13 +55,12 @@ fn known() -> (Scratch, Vec<Camera>) {
     (dir, cameras)
 }
 
-/// `geometry` of the clip.
 const GEOMETRY: &str = "geometry clip -o out --force";
 
 /// `geometry` of the clip with these options: the record and the capture.
 fn geometry(dir: &Scratch, options: &str) -> (Value, Capture) {
     let ended = dir.succeed(&format!("{GEOMETRY} --json {options}"));
-    let made = capture::read(&dir.path("out"), Split::Train, &Default::default(), &Silent).unwrap();
+    let made = read_capture(&dir.path("out"), Split::Train);
     (ended.result()["record"].clone(), made)
 }
 
@@ -257,4 +256,115 @@ fn changed_masks_invalidate_the_result() {
     write_mask(&dir.path("masks/00000.png"), &mask).unwrap();
     let (second, _) = geometry(&dir, "--masks masks");
     assert_ne!(first["key"], second["key"]);
+}
+
+fn record_of(dir: &Scratch, images: Vec<RgbImage>) -> Ended {
+    clips::write(&dir.path("clip"), images);
+    dir.succeed("geometry clip -o out --json")
+}
+
+/// What is found in these images, and all warnings in one text.
+fn found(images: Vec<RgbImage>) -> (Value, String) {
+    let ended = record_of(&Scratch::new(), images);
+    assert!(!ended.stderr.contains("panicked"), "{}", ended.stderr);
+    let record = ended.result()["record"].clone();
+    let warnings = record["warnings"].as_array().unwrap().iter();
+    let warnings: Vec<&str> = warnings.map(|w| w.as_str().unwrap()).collect();
+    (record["found"].clone(), warnings.join("\n"))
+}
+
+fn contains(text: &str, words: &[&str]) {
+    for word in words {
+        assert!(text.contains(word), "{word:?} is not in {text:?}");
+    }
+}
+
+/// What an honest sensor adds.
+fn noisy(image: &RgbImage, frame: u64) -> RgbImage {
+    let mut rng = CounterRng::new(5, 0, frame);
+    image.map(|rgb| rgb.map(|v| (f64::from(v) + 2.0 * rng.normal()).clamp(0.0, 255.0) as u8))
+}
+
+#[test]
+fn translating_camera_is_reconstructed() {
+    let cameras = walk(24);
+    let (found, warnings) = found(cameras.iter().map(frame_image).collect());
+    assert_eq!(found["camera_motion"], "parallax", "{found} {warnings}");
+    let confidence = &found["confidence"];
+    assert!(confidence["parallax_deg"].as_f64().unwrap() > 2.0, "{confidence}");
+    assert!(confidence["residual_px"].as_f64().unwrap() < 0.5, "{confidence}");
+    assert_eq!(found["frontend"], "classical");
+}
+
+#[test]
+fn poor_camera_motion_is_reported() {
+    let turns = (0..20).map(|i| frame_image(&camera(0.0, 0.02 * f64::from(i) - 0.2, FOCAL_PX)));
+    let still = frame_image(&camera(0.0, 0.0, FOCAL_PX));
+    for (images, motion, words) in [
+        (
+            turns.collect(),
+            "rotation_only",
+            &["the camera rotates", "rotations only", "geometry is poor", "sideways"][..],
+        ),
+        // a tripod
+        (
+            (0..12).map(|i| noisy(&still, i)).collect(),
+            "static",
+            &["appears to be static", "geometry is poor", "--depth"],
+        ),
+        (vec![still.clone(); 8], "static", &["appears to be static"]),
+    ] {
+        let identical = images == vec![still.clone(); 8];
+        let (found, warnings): (Value, String) = found(images);
+        assert_eq!(found["camera_motion"], motion, "{found}");
+        contains(&warnings, words);
+        assert!(!identical || found["moving_share"] == 0.0, "{found}");
+        assert!(motion == "static" || found["confidence"]["grade"] == "poor", "{found}");
+    }
+}
+
+#[test]
+fn zoom_without_translation_is_reported() {
+    // The focal length doubles; the camera stays.
+    let zoom = (0..16).map(|i| frame_image(&camera(0.0, 0.0, FOCAL_PX * 2.0_f64.powf(f64::from(i) / 15.0))));
+    let dir = Scratch::new();
+    let record = record_of(&dir, zoom.collect()).result()["record"].clone();
+    assert_eq!(record["found"]["camera_motion"], "rotation_only", "{record}");
+    assert_eq!(record["found"]["confidence"]["grade"], "poor", "{record}");
+    contains(&record["warnings"].to_string(), &["the lens zooms", "without zoom", "geometry is poor"]);
+    // Every frame has its own lens.
+    let capture = dir.json("out/transforms_train.json");
+    let focal = |i: usize| capture["frames"][i]["fl_x"].as_f64().unwrap();
+    let ratio = focal(15) / focal(0);
+    assert!((ratio / 2.0 - 1.0).abs() < 0.03, "{ratio}");
+}
+
+#[test]
+fn forward_motion_is_not_a_zoom() {
+    let ahead = |i: i32| {
+        let mut camera = camera(0.0, 0.0, FOCAL_PX);
+        camera.c2w.translation.z = 0.08 * f64::from(i);
+        camera
+    };
+    let (found, warnings) = found((0..16).map(|i| frame_image(&ahead(i))).collect());
+    assert_eq!(found["camera_motion"], "parallax", "{found} {warnings}");
+    assert!(!warnings.contains("zooms"), "{warnings}");
+}
+
+/// A clip that is refused with code 65 and these words, and leaves no capture.
+fn refuses(images: Vec<RgbImage>, words: &[&str]) {
+    let dir = Scratch::new();
+    clips::write(&dir.path("clip"), images);
+    dir.refused("geometry clip -o out", 65, words);
+    assert!(!dir.path("out/transforms_train.json").exists());
+}
+
+#[test]
+fn one_frame_a_black_clip_and_a_cut_are_rejected() {
+    refuses(vec![frame_image(&camera(0.0, 0.0, FOCAL_PX))], &["at least 2"]);
+    let black: RgbImage = Plane::filled(SIZE.0, SIZE.1, [0; 3]);
+    refuses(vec![black; 6], &["only 0 points", "--static-camera"]);
+    let before = walk(6).iter().map(frame_image).collect::<Vec<_>>();
+    let after = (0..6).map(|i| frame_image(&camera(50.0 + 0.1 * f64::from(i), 0.0, FOCAL_PX)));
+    refuses(before.into_iter().chain(after).collect(), &["a cut"]);
 }
