@@ -1,5 +1,6 @@
 //! Depth and masks on a drawn scene whose answer is known: a textured wall, a static box in front of it,
 //! and a dynamic one.
+#![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
 use m4_core::{Camera, Intrinsics, Mask, Plane, Progress, RgbImage, Se3, Silent, nalgebra::Vector3};
 use m4_geometry::classical::dense::{

@@ -1,5 +1,4 @@
 //! Depth-Anything V1 as it is called: images of any size, threads. Its layers are compared with the authors' module in the crate.
-#![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
 use crate::common::{loaded, same_on_any_threads, test_image};
 use m4_nets::{DepthAnything, cpu};

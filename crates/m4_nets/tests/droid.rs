@@ -1,5 +1,4 @@
 //! MegaSaM's tracking network: its checkpoint and its images.
-#![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
 use m4_core::{Plane, RgbImage};
 use m4_nets::droid::{DroidMemory, MemoryOptions, Storage};

@@ -58,7 +58,8 @@ fn checkpoint(weights: &FormulaWeights) -> (TempDir, PathBuf) {
 /// The GPU in half precision, if it has that; else the test is listed as skipped in part.
 #[track_caller]
 fn half(gpu: Device) -> Option<Compute> {
-    if let Some(compute) = half(gpu) {
+    let compute = Compute::half(gpu);
+    if compute.is_half() {
         return Some(compute);
     }
     skip(Need::HalfPrecision, "32 bits are tested");

@@ -1,6 +1,5 @@
 //! MoGe-2 as it is called: checkpoints, images of any size, options, threads. Its layers are compared with the authors' module in the
 //! crate's own tests.
-#![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
 use crate::common::{loaded, same_on_any_threads, test_image};
 use m4_nets::{MoGe, MoGeOptions, NetError, cpu};

@@ -287,7 +287,7 @@ mod tests {
         let stripes = |i: usize, x: usize| {
             let striped = if i == 6 { x < 16 } else { i == 3 || i == 4 && x >= 16 };
             let strength = if i == 6 { 100 } else { 255 };
-            [if striped && x % 2 == 0 { strength } else { 0 }; 3]
+            [if striped && x.is_multiple_of(2) { strength } else { 0 }; 3]
         };
         let mut capture = clip(10, |i| Plane::from_fn(32, 24, |x, _| stripes(i, x)));
         for (i, frame) in capture.frames.iter_mut().enumerate() {

@@ -122,15 +122,13 @@ mod tests {
 
     #[test]
     fn frames_pair_by_name_then_order_then_time() {
-        let cases: [(&[&str], &[&str], Matching, &[(usize, usize)]); 3] = [
-            (&["b.png", "a.png"], &["train/a.jpg", "train/b.jpg", "train/c.jpg"], Matching::Name, &[(0, 1), (1, 0)]),
-            (&["1", "2", "3"], &["0", "1", "2"], Matching::Order, &[(0, 0), (1, 1), (2, 2)]),
-            // three frames that span the same clip as five
-            (&["x", "y", "z"], &["0", "1", "2", "3", "4"], Matching::Time, &[(0, 0), (1, 2), (2, 4)]),
-        ];
-        for (estimate, truth, matching, pairs) in cases {
+        let check = |estimate: &[&str], truth: &[&str], matching, pairs: &[(usize, usize)]| {
             assert_eq!(pair(&named(estimate), &named(truth)).unwrap(), (matching, pairs.to_vec()));
-        }
+        };
+        check(&["b.png", "a.png"], &["train/a.jpg", "train/b.jpg", "train/c.jpg"], Matching::Name, &[(0, 1), (1, 0)]);
+        check(&["1", "2", "3"], &["0", "1", "2"], Matching::Order, &[(0, 0), (1, 1), (2, 2)]);
+        // three frames that span the same clip as five
+        check(&["x", "y", "z"], &["0", "1", "2", "3", "4"], Matching::Time, &[(0, 0), (1, 2), (2, 4)]);
     }
 
     #[test]

@@ -234,14 +234,14 @@ mod tests {
         };
         let by_tanh =
             |x: f64| 0.5 * x * (1.0 + ((2.0 / std::f64::consts::PI).sqrt() * (x + 0.044_715 * x * x * x)).tanh());
-        let pairs: [(Vec<f32>, &dyn Fn(f64) -> f64, f64); 2] =
-            [(of(gelu, &xs), &exact, 1e-6), (of(gelu_by_tanh, &xs), &by_tanh, 2e-6)];
-        for (got, want, limit) in pairs {
+        let check = |got: Vec<f32>, want: &dyn Fn(f64) -> f64, limit: f64| {
             for (x, got) in xs.iter().map(|&x| f64::from(x)).zip(got) {
                 let want = want(x);
                 assert!((f64::from(got) - want).abs() < limit * (1.0 + x.abs()), "{x}: {got}, not {want}");
             }
-        }
+        };
+        check(of(gelu, &xs), &exact, 1e-6);
+        check(of(gelu_by_tanh, &xs), &by_tanh, 2e-6);
     }
 
     #[test]

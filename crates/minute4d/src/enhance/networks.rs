@@ -6,9 +6,7 @@ use m4_geometry::masks::{
 };
 use m4_geometry::tracks::{PosedClip, QueryGrid, TrackError, TrackedPoints, Tracker3d};
 use m4_nets::sam2::{self, Clip as NetClip, Direction, VideoPredictor};
-use m4_nets::{
-    ClipError, NetError, PointPrompt, PointQuery, Prompt, Sam2, Sam2Size, Tapip3d, Tapip3dOptions, tapip3d,
-};
+use m4_nets::{ClipError, NetError, PointPrompt, PointQuery, Prompt, Sam2, Sam2Size, Tapip3d, Tapip3dOptions, tapip3d};
 use std::collections::BTreeMap;
 use std::ops::ControlFlow;
 use std::sync::Arc;

@@ -10,8 +10,8 @@ use super::iterate;
 use crate::Error;
 use crate::record::GeometrySummary;
 use m4_core::{Camera, Capture, RgbImage, Tracks};
-use m4_geometry::classical::dense::{Dense, MonoDepth, NoDepth, Segmenter, SensorDepth, Sources, estimate};
 use m4_geometry::classical::CameraMotion;
+use m4_geometry::classical::dense::{Dense, MonoDepth, NoDepth, Segmenter, SensorDepth, Sources, estimate};
 use m4_geometry::classical::sparse::{self, FeatureTracks, Recovered, SparseConfig};
 
 /// Reconstructs `clip`.

@@ -246,8 +246,7 @@ impl Entry {
 
 #[cfg(test)]
 mod tests {
-    use super::{NOTHING, Origin, all, find};
-    use crate::weights::find;
+    use super::{Origin, all, find};
     use std::collections::BTreeSet;
 
     #[test]

@@ -208,7 +208,7 @@ impl Store {
         file.as_file().sync_all().map_err(failed)?;
         // the record first: a file without one would look like one that nothing is known of
         let mut beside = NamedTempFile::new_in(&folder).map_err(failed)?;
-        io::Write::write_all(&mut beside, &text).map_err(failed)?;
+        beside.write_all(&text).map_err(failed)?;
         beside.persist(folder.join(RECORD)).map_err(|error| failed(error.error))?;
         file.persist(&path).map_err(|error| failed(error.error))?;
         Ok(record)

@@ -25,8 +25,7 @@
 //! * Depth. PNG files of 16 bits, and numbers of npy and EXR files too, are multiplied by `depth_unit_scale_factor` (0.001 where it
 //!   is missing, as in nerfstudio), or by the option `depth_unit`.
 //! * Masks. nerfstudio trains where `mask_path` is not 0 and leaves out what is 0: the dynamic part is **0**. Our own
-//! captures, told by the
-//!   key `axes`, have 255 where something moves. The option `invert_masks` turns both round.
+//!   captures, known by the key `axes`, have 255 there. The option `invert_masks` inverts both.
 //! * `applied_scale` and `applied_transform` are undone, so that poses are again in the unit of the depth maps and in the world of
 //!   the tool that computed them.
 //! * The principal point is measured from the image's corner, as ours. `k4` of a lens that is no fisheye is not read: programs

@@ -207,9 +207,7 @@ mod networks {
                 Self::MoGe(net) => match net.infer(image, &moge) {
                     Ok(map) => Ok((map.depth_m, Some(map.fov_x_rad))),
                     // all sky, or no points of a camera: nothing is known
-                    Err(NetError::NoDepth(_)) => {
-                        Ok((Plane::filled(image.width(), image.height(), 0.0), None))
-                    }
+                    Err(NetError::NoDepth(_)) => Ok((Plane::filled(image.width(), image.height(), 0.0), None)),
                     Err(error) => Err(error.into()),
                 },
                 Self::UniDepth(net) => {

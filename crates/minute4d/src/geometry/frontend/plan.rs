@@ -188,7 +188,8 @@ pub(crate) fn unusable(method: NetworkMethod) -> impl Fn(LoadError) -> Error {
     move |source| NetworkError::Load { method, source: Box::new(source) }.into()
 }
 
-#[cfg(all(test, feature = "nets"))]
+#[cfg(test)]
+#[cfg(feature = "nets")]
 mod tests {
     use super::{complete, names};
     use crate::geometry::frontend::{Frontend, Part};
