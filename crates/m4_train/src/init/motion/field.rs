@@ -4,8 +4,7 @@ use crate::init::{
     InitError,
     config::stopped,
     motion::{
-        patches::PatchImage,
-        register::{KeyframeTracks, View, register},
+        register::{Keyframe, KeyframeTracks, View, register},
         rigid::Rigid,
     },
     voxel::Centroids,
@@ -42,31 +41,26 @@ pub(crate) fn fields(
     progress: &dyn Progress,
 ) -> Result<Vec<Fields>, InitError> {
     let mut out: Vec<Fields> = Vec::new();
-    let patches = |view: &View<'_>| view.frame.and_then(PatchImage::new);
-    // two images at a time: all of them would be most of the memory of a run
-    let mut ahead = keyframes.first().and_then(patches);
-    for (i, pair) in keyframes.windows(2).enumerate() {
+    // two at a time: the images of all would be most of the memory of a run
+    let mut prepared = keyframes.iter().map(|view| Keyframe::new(*view, reach));
+    let mut ahead = prepared.next();
+    for i in 1..keyframes.len() {
         stopped(progress)?;
-        progress.update("motions", i, keyframes.len() - 1, "");
-        let (a, b) = (&pair[0], &pair[1]);
-        let behind = std::mem::replace(&mut ahead, patches(b));
+        progress.update("motions", i - 1, keyframes.len() - 1, "");
+        let behind = std::mem::replace(&mut ahead, prepared.next());
+        let (Some(a), Some(b)) = (&behind, &ahead) else { break };
         let shifts_between = |from, to| tracks.and_then(|w| w.between(from, to));
-        let images = behind.as_ref().zip(ahead.as_ref());
-        // What moved on goes on moving: the last motion is a good first guess.
+        let (from, to) = (&a.view.nodes.xyz, &b.view.nodes.xyz);
+        // Motion continues: the last one is a good first guess.
         let guess = match out.last() {
-            Some(last) => shifts(&a.nodes.xyz, &last.forward.onward(&a.nodes.xyz)),
-            None => shifts(&a.nodes.xyz, &a.nodes.xyz),
+            Some(last) => shifts(from, &last.forward.onward(from)),
+            None => shifts(from, from),
         };
-        let forward = Field {
-            nodes: a.nodes.xyz.clone(),
-            motion: register(a, b, images.map(|(a, b)| [a, b]), shifts_between(i, i + 1), guess, reach),
-        };
-        let guess = shifts(&b.nodes.xyz, &forward.inverse().places(&b.nodes.xyz));
-        let backward = Field {
-            nodes: b.nodes.xyz.clone(),
-            motion: register(b, a, images.map(|(a, b)| [b, a]), shifts_between(i + 1, i), guess, reach),
-        };
-        out.push(Fields { forward, backward });
+        let motion = register(a, b, shifts_between(i - 1, i), guess, reach);
+        let forward = Field { nodes: from.clone(), motion };
+        let guess = shifts(to, &forward.inverse().places(to));
+        let motion = register(b, a, shifts_between(i, i - 1), guess, reach);
+        out.push(Fields { forward, backward: Field { nodes: to.clone(), motion } });
     }
     Ok(out)
 }

@@ -3,9 +3,9 @@
 use m4_core::{Camera, CaptureFrame, DepthMap, Plane};
 
 /// Half the side of a patch, pixels.
-const RADIUS: i32 = 3;
+const RADIUS: usize = 3;
 /// Values that a patch must have at least: a third of the pixels, in three colours.
-const LEAST: usize = 49;
+const LEAST: f64 = 49.0;
 /// Noise of a smoothed image, 0..1: less contrast than this is nothing to track.
 const NOISE: f64 = 0.01;
 /// A mean difference of this size between a patch and its match halves the trust in it.
@@ -17,6 +17,11 @@ const STEPS: usize = 4;
 /// A match that is this share of its depth off the expected depth is none.
 const DEPTH_JUMP: f64 = 0.05;
 
+/// Pixels along the side of a patch.
+const SIDE: usize = 2 * RADIUS + 1;
+/// Pixels of a patch.
+const AREA: usize = SIDE * SIDE;
+
 /// Smoothed image, depth and mask of one frame, all of the size of the image.
 #[derive(Debug, Clone)]
 pub(crate) struct PatchImage {
@@ -24,19 +29,24 @@ pub(crate) struct PatchImage {
     /// Red, green, blue, 0..1.
     rgb: [Plane<f32>; 3],
     depth: DepthMap,
-    moves: Plane<bool>,
+    dynamic: Plane<bool>,
 }
 
-/// One value of a patch: where it is from the middle, in which colour, and how it changes from pixel to pixel.
-struct Texel {
-    colour: usize,
-    d: [f64; 2],
-    value: f64,
-    slope: [f64; 2],
+/// The dynamic pixels around a place of a [`PatchImage`], to be found in another one.
+pub(crate) struct Patch {
+    /// Of each colour and pixel: its value and how it changes along u and v, 0..1 per pixel; 0 for static pixels.
+    values: [[f32; AREA]; 3],
+    slopes: [[[f32; AREA]; 2]; 3],
+    /// 1 for dynamic pixels, 0 for static ones.
+    weight: [f32; AREA],
+    /// Number of values.
+    count: f64,
+    /// Sums of the products of slopes: uu, uv, vv.
+    products: [f64; 3],
 }
 
 impl PatchImage {
-    /// `None` without depth or mask: then nothing moves there.
+    /// `None` without depth or mask: then nothing is dynamic there.
     pub fn new(frame: &CaptureFrame) -> Option<Self> {
         let (depth, mask) = (frame.depth.as_ref()?, frame.mask.as_ref()?);
         let (w, h) = frame.rgb.size();
@@ -51,7 +61,7 @@ impl PatchImage {
                 let (x, y) = at(x, y, depth.size());
                 depth.at(x, y)
             }),
-            moves: Plane::from_fn(w, h, |x, y| {
+            dynamic: Plane::from_fn(w, h, |x, y| {
                 let (x, y) = at(x, y, mask.size());
                 mask.at(x, y)
             }),
@@ -61,100 +71,135 @@ impl PatchImage {
     /// Whether a whole patch around the place, and its slopes, are in the image.
     fn holds(&self, [u, v]: [f64; 2]) -> bool {
         let (w, h) = self.depth.size();
-        let r = f64::from(RADIUS) + 1.0;
+        let r = (RADIUS + 1) as f64;
         u >= r && v >= r && u + r + 1.0 < w as f64 && v + r + 1.0 < h as f64
     }
 
-    /// Bilinear; the image holds the place.
-    fn sample(&self, colour: usize, u: f64, v: f64) -> f64 {
-        let (a, b) = (u.fract(), v.fract());
-        let (x, y) = (u as usize, v as usize);
-        let p = |x, y| f64::from(self.rgb[colour][(x, y)]);
-        (1.0 - b) * ((1.0 - a) * p(x, y) + a * p(x + 1, y)) + b * ((1.0 - a) * p(x, y + 1) + a * p(x + 1, y + 1))
+    /// The `N` x `N` values around a place, bilinear, row by row; the image holds it.
+    fn samples<const N: usize>(&self, colour: usize, [u, v]: [f64; 2]) -> [[f32; N]; N] {
+        let (a, b) = (u.fract() as f32, v.fract() as f32);
+        let (x, y) = (u as usize - N / 2, v as usize - N / 2);
+        let image = &self.rgb[colour];
+        let width = image.width();
+        let along = |row: usize| -> [f32; N] {
+            let row = &image.data()[(y + row) * width + x..][..N + 1];
+            std::array::from_fn(|k| (1.0 - a) * row[k] + a * row[k + 1])
+        };
+        let mut above = along(0);
+        std::array::from_fn(|row| {
+            let below = along(row + 1);
+            let out = std::array::from_fn(|k| (1.0 - b) * above[k] + b * below[k]);
+            above = below;
+            out
+        })
     }
 
-    /// The moving pixels around a place that the image holds.
-    fn patch(&self, [u, v]: [f64; 2]) -> Vec<Texel> {
-        let mut out = Vec::new();
-        for dy in -RADIUS..=RADIUS {
-            for dx in -RADIUS..=RADIUS {
-                let d = [f64::from(dx), f64::from(dy)];
-                let (x, y) = (u + d[0], v + d[1]);
-                if !self.moves[(x.round() as usize, y.round() as usize)] {
-                    continue;
-                }
-                out.extend((0..3).map(|colour| Texel {
-                    colour,
-                    d,
-                    value: self.sample(colour, x, y),
-                    slope: [
-                        0.5 * (self.sample(colour, x + 1.0, y) - self.sample(colour, x - 1.0, y)),
-                        0.5 * (self.sample(colour, x, y + 1.0) - self.sample(colour, x, y - 1.0)),
-                    ],
-                }));
+    /// The patch around `p`, a point that this frame sees, world units. `None` where the image ends or too few pixels are dynamic.
+    pub fn patch(&self, p: [f32; 3]) -> Option<Patch> {
+        let (centre, z) = self.camera.project(&p.map(f64::from).into());
+        if z <= 0.0 || !self.holds(centre) {
+            return None;
+        }
+        let (x, y) = (centre[0].round() as usize - RADIUS, centre[1].round() as usize - RADIUS);
+        let weight: [f32; AREA] = std::array::from_fn(|k| f32::from(self.dynamic[(x + k % SIDE, y + k / SIDE)]));
+        let count = 3.0 * f64::from(weight.iter().sum::<f32>());
+        if count < LEAST {
+            return None;
+        }
+        let mut patch =
+            Patch { values: [[0.0; AREA]; 3], slopes: [[[0.0; AREA]; 2]; 3], weight, count, products: [0.0; 3] };
+        for colour in 0..3 {
+            let around = self.samples::<{ SIDE + 2 }>(colour, centre);
+            let [du, dv] = &mut patch.slopes[colour];
+            for k in 0..AREA {
+                let (x, y) = (k % SIDE + 1, k / SIDE + 1);
+                patch.values[colour][k] = weight[k] * around[y][x];
+                du[k] = weight[k] * 0.5 * (around[y][x + 1] - around[y][x - 1]);
+                dv[k] = weight[k] * 0.5 * (around[y + 1][x] - around[y - 1][x]);
+            }
+            for (sum, [a, b]) in patch.products.iter_mut().zip([[&*du, &*du], [&*du, &*dv], [&*dv, &*dv]]) {
+                *sum += f64::from(dot(a, b));
             }
         }
-        out
+        Some(patch)
     }
 
-    /// Where `p`, a point that this frame sees, is in the frame `to`, which is expected to see it at `guess`; and
-    /// how much that can be trusted, 0..1. World units. `None` where it is not seen or has nothing to track.
+    /// Where this frame sees the `patch` of another frame, which is expected at `guess`; and how much that can be trusted,
+    /// 0..1. World units. `None` where it is not seen or has nothing to track.
     ///
-    /// The patch around `p` is tracked by the method of Lucas and Kanade (1981) in its inverse form, moving pixels
-    /// alone, all three colours; the depth map of `to` says how far away it is.
-    pub fn track(&self, to: &Self, p: [f32; 3], guess: [f32; 3]) -> Option<([f32; 3], f32)> {
-        let (centre, z) = self.camera.project(&p.map(f64::from).into());
-        let (start, expected) = to.camera.project(&guess.map(f64::from).into());
-        if z <= 0.0 || expected <= 0.0 || !self.holds(centre) || !to.holds(start) {
+    /// The patch is tracked by the method of Lucas and Kanade (1981) in its inverse form, dynamic pixels alone, all three
+    /// colours; the depth map says how far away it is.
+    pub fn find(&self, patch: &Patch, guess: [f32; 3]) -> Option<([f32; 3], f32)> {
+        let (start, expected) = self.camera.project(&guess.map(f64::from).into());
+        if expected <= 0.0 || !self.holds(start) {
             return None;
         }
-        let patch = self.patch(centre);
-        if patch.len() < LEAST {
-            return None;
-        }
-        let n = patch.len() as f64;
-        let sum = |f: &dyn Fn(&Texel) -> f64| patch.iter().map(f).sum::<f64>();
-        let [xx, xy, yy] =
-            [sum(&|t| t.slope[0] * t.slope[0]), sum(&|t| t.slope[0] * t.slope[1]), sum(&|t| t.slope[1] * t.slope[1])];
-        let damping = n * NOISE * NOISE;
-        let (a, d) = (xx + damping, yy + damping);
-        let determinant = a * d - xy * xy;
+        let [uu, uv, vv] = patch.products;
+        let damping = patch.count * NOISE * NOISE;
+        let (a, d) = (uu + damping, vv + damping);
+        let determinant = a * d - uv * uv;
         let (mut at, mut rest) = (start, 0.0);
         for _ in 0..STEPS {
             let (mut b, mut squares) = ([0.0; 2], 0.0);
-            for t in &patch {
-                let e = t.value - to.sample(t.colour, at[0] + t.d[0], at[1] + t.d[1]);
-                b = [b[0] + t.slope[0] * e, b[1] + t.slope[1] * e];
-                squares += e * e;
+            for (colour, [du, dv]) in patch.slopes.iter().enumerate() {
+                let here = self.samples::<SIDE>(colour, at);
+                let here = here.as_flattened();
+                let off: [f32; AREA] = std::array::from_fn(|k| patch.values[colour][k] - patch.weight[k] * here[k]);
+                b = [b[0] + f64::from(dot(du, &off)), b[1] + f64::from(dot(dv, &off))];
+                squares += f64::from(dot(&off, &off));
             }
-            rest = squares / n;
-            at[0] += (d * b[0] - xy * b[1]) / determinant;
-            at[1] += (a * b[1] - xy * b[0]) / determinant;
-            if (at[0] - start[0]).hypot(at[1] - start[1]) > FARTHEST_PX || !to.holds(at) {
+            rest = squares / patch.count;
+            at[0] += (d * b[0] - uv * b[1]) / determinant;
+            at[1] += (a * b[1] - uv * b[0]) / determinant;
+            if (at[0] - start[0]).hypot(at[1] - start[1]) > FARTHEST_PX || !self.holds(at) {
                 return None;
             }
         }
         let pixel = (at[0].round() as usize, at[1].round() as usize);
-        let depth = f64::from(to.depth[pixel]);
-        if !to.moves[pixel] || (depth - expected).abs() > DEPTH_JUMP * expected {
+        let depth = f64::from(self.depth[pixel]);
+        if !self.dynamic[pixel] || (depth - expected).abs() > DEPTH_JUMP * expected {
             return None;
         }
         // contrast across the weakest direction: the smaller eigenvalue
-        let least = 0.5 * (xx + yy) - (0.25 * (xx - yy).powi(2) + xy * xy).sqrt();
+        let least = 0.5 * (uu + vv) - (0.25 * (uu - vv).powi(2) + uv * uv).sqrt();
         let trust = least.max(0.0) / (least.max(0.0) + damping) / (1.0 + rest / (UNLIKE * UNLIKE));
-        let q = to.camera.unproject(at[0], at[1], depth);
+        let q = self.camera.unproject(at[0], at[1], depth);
         Some(([q.x as f32, q.y as f32, q.z as f32], trust as f32))
     }
 }
 
+/// The sum of the products, in eight partial sums that the compiler adds at a time.
+fn dot(a: &[f32; AREA], b: &[f32; AREA]) -> f32 {
+    let mut sums = [0.0f32; 8];
+    let (a, a_rest) = a.as_chunks::<8>();
+    let (b, b_rest) = b.as_chunks::<8>();
+    for (a, b) in a.iter().zip(b) {
+        for k in 0..8 {
+            sums[k] += a[k] * b[k];
+        }
+    }
+    sums.iter().sum::<f32>() + a_rest.iter().zip(b_rest).map(|(a, b)| a * b).sum::<f32>()
+}
+
 /// `[1 4 6 4 1] / 16` along both axes; edges repeat.
 fn smooth(plane: &Plane<f32>) -> Plane<f32> {
-    const TAPS: [f32; 5] = [1.0 / 16.0, 0.25, 0.375, 0.25, 1.0 / 16.0];
     let (w, h) = plane.size();
+    let taps = |v: [f32; 5]| (v[0] + v[4]) / 16.0 + (v[1] + v[3]) * 0.25 + v[2] * 0.375;
     let near = |x: usize, k: usize, n: usize| (x + k).saturating_sub(2).min(n - 1);
-    let sum = |f: &dyn Fn(usize) -> f32| (0..5).map(|k| TAPS[k] * f(k)).sum::<f32>();
-    let rows = Plane::from_fn(w, h, |x, y| sum(&|k| plane[(near(x, k, w), y)]));
-    Plane::from_fn(w, h, |x, y| sum(&|k| rows[(x, near(y, k, h))]))
+    let mut rows = Plane::filled(w, h, 0.0f32);
+    for (row, out) in plane.data().chunks_exact(w.max(1)).zip(rows.data_mut().chunks_exact_mut(w.max(1))) {
+        for (x, out) in out.iter_mut().enumerate() {
+            *out = taps(std::array::from_fn(|k| row[near(x, k, w)]));
+        }
+    }
+    let mut out = Plane::filled(w, h, 0.0f32);
+    for (y, out) in out.data_mut().chunks_exact_mut(w.max(1)).enumerate() {
+        let rows: [&[f32]; 5] = std::array::from_fn(|k| &rows.data()[near(y, k, h) * w..][..w]);
+        for (x, out) in out.iter_mut().enumerate() {
+            *out = taps(rows.map(|row| row[x]));
+        }
+    }
+    out
 }
 
 #[cfg(test)]
@@ -193,15 +238,16 @@ mod tests {
             [p.x as f32, p.y as f32, p.z as f32]
         };
         for (x, y) in [(30.0, 20.0), (41.0, 15.0), (36.5, 25.0)] {
-            let (q, trust) = from.track(&to, place(x, y), place(x, y)).unwrap();
+            let (q, trust) = to.find(&from.patch(place(x, y)).unwrap(), place(x, y)).unwrap();
             let ([u, v], z) = b.camera.project(&q.map(f64::from).into());
             assert!((u - x - 1.3).hypot(v - y + 0.7) < 0.1, "({x}, {y}) went to ({u}, {v})");
             assert!((z - 2.0).abs() < 1e-5 && trust > 0.5);
         }
-        assert!(from.track(&to, place(10.0, 20.0), place(10.0, 20.0)).is_none(), "a static pixel");
-        assert!(from.track(&to, place(1.0, 20.0), place(1.0, 20.0)).is_none(), "at the border");
-        assert!(from.track(&to, place(30.0, 20.0), place(90.0, 20.0)).is_none(), "outside");
-        assert!(from.track(&to, place(30.0, 20.0), [0.0, 0.0, -1.0]).is_none(), "behind");
+        assert!(from.patch(place(10.0, 20.0)).is_none(), "a static pixel");
+        assert!(from.patch(place(1.0, 20.0)).is_none(), "at the border");
+        let patch = from.patch(place(30.0, 20.0)).unwrap();
+        assert!(to.find(&patch, place(90.0, 20.0)).is_none(), "outside");
+        assert!(to.find(&patch, [0.0, 0.0, -1.0]).is_none(), "behind");
     }
 
     #[test]
@@ -209,7 +255,7 @@ mod tests {
         let a = PatchImage::new(&frame([0.0; 2], true)).unwrap();
         let p = a.camera.unproject(40.0, 20.0, 2.0);
         let p = [p.x as f32, p.y as f32, p.z as f32];
-        assert!(a.track(&a, p, p).unwrap().1 < 1e-3);
+        assert!(a.find(&a.patch(p).unwrap(), p).unwrap().1 < 1e-3);
         let without = CaptureFrame { mask: None, ..frame([0.0; 2], true) };
         assert!(PatchImage::new(&without).is_none());
     }

@@ -1,7 +1,10 @@
 //! Registers the dynamic points of two keyframes, with the help of the capture's tracks.
 
 use crate::init::{
-    motion::{patches::PatchImage, rigid::Rigid},
+    motion::{
+        patches::{Patch, PatchImage},
+        rigid::Rigid,
+    },
     voxel::Centroids,
 };
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
@@ -45,79 +48,95 @@ pub(crate) struct View<'a> {
     pub sees: &'a (dyn Fn([f32; 3]) -> bool + Sync),
 }
 
+/// A keyframe with what registering from it and to it needs; neighbours share it.
+pub(crate) struct Keyframe<'a> {
+    pub view: View<'a>,
+    /// The nodes nearest to each node, the nearest first; none if they have no order in space.
+    near: Vec<Vec<u32>>,
+    /// Points in place and colour; `None` without points.
+    points: Option<ImmutableKdTree<f32, 6>>,
+    image: Option<PatchImage>,
+}
+
+impl<'a> Keyframe<'a> {
+    /// Prepares `view`; `reach` in world units.
+    pub fn new(view: View<'a>, reach: f32) -> Self {
+        let (near, (points, image)) = rayon::join(
+            || neighbours(&view.nodes.xyz),
+            || {
+                let joint = view.points.xyz.iter().zip(&view.points.rgb).map(|(p, c)| joint(*p, *c, reach));
+                let joint: Vec<[f32; 6]> = joint.collect();
+                let points = ImmutableKdTree::new_from_slice(&joint).ok().filter(|_| !joint.is_empty());
+                (points, view.frame.and_then(PatchImage::new))
+            },
+        );
+        Self { view, near, points, image }
+    }
+}
+
+fn neighbours(nodes: &[[f32; 3]]) -> Vec<Vec<u32>> {
+    let (Ok(tree), Some(count)) =
+        (ImmutableKdTree::<f32, 3>::new_from_slice(nodes), NonZero::new((FIRST * NEIGHBOURS).min(nodes.len())))
+    else {
+        return Vec::new();
+    };
+    let near = nodes.par_iter().map(|p| tree.query(p).nearest_n::<SquaredEuclidean<f32>>(count).execute());
+    near.map(|found| found.into_iter().map(|n| n.item).collect()).collect()
+}
+
 /// A motion for every node of `from`, that brings them onto `to`, starting from `guess`; `reach` in world units.
 ///
 /// Each round matches every displaced node to the nearest point of `to` in place and colour; then the motion of
 /// a node is the rigid one that fits what the matches of its neighbours ask for, matches of unlike colour or far
 /// away weighing little, and nodes that go where they cannot be seen nothing at all. Neighbourhoods shrink from
 /// round to round: large pieces first, then their parts. Then nodes near `tracks` are moved with them; the last
-/// rounds track patches of `images`, which is exact to a fraction of a pixel.
+/// rounds track patches of the images, which is exact to a fraction of a pixel.
 pub(crate) fn register(
-    from: &View<'_>,
-    to: &View<'_>,
-    images: Option<[&PatchImage; 2]>,
+    from: &Keyframe<'_>,
+    to: &Keyframe<'_>,
     tracks: Option<TrackShifts>,
     guess: Vec<Rigid>,
     reach: f32,
 ) -> Vec<Rigid> {
-    let nodes = from.nodes;
+    let (nodes, near) = (from.view.nodes, &from.near);
     let mut motion = guess;
-    let colours = to.points.xyz.iter().zip(&to.points.rgb);
-    let targets: Vec<[f32; 6]> = colours.map(|(p, c)| joint(*p, *c, reach)).collect();
-    let (Ok(tree), Ok(places), Some(count)) = (
-        ImmutableKdTree::<f32, 6>::new_from_slice(&targets),
-        ImmutableKdTree::<f32, 3>::new_from_slice(&nodes.xyz),
-        NonZero::new((FIRST * NEIGHBOURS).min(nodes.xyz.len())),
-    ) else {
+    let Some(points) = to.points.as_ref().filter(|_| !near.is_empty()) else {
         return motion;
     };
-    if targets.is_empty() {
-        return motion;
-    }
-    let near: Vec<Vec<u32>> = nodes
-        .xyz
-        .par_iter()
-        .map(|p| {
-            let found = places.query(p).nearest_n::<SquaredEuclidean<f32>>(count).execute();
-            found.into_iter().map(|n| n.item).collect()
-        })
-        .collect();
     for round in 0..ROUNDS {
-        let wanted = wanted(nodes, &motion, |_, place, rgb| {
-            let n = tree.query(&joint(place, rgb, reach)).nearest_one::<SquaredEuclidean<f32>>().execute();
-            let match_ = to.points.xyz[n.item as usize];
-            (to.sees)(place).then(|| (match_, 1.0 / (1.0 + n.distance).powi(2)))
+        let wanted = wanted(nodes, &motion, |i, place| {
+            let n = points.query(&joint(place, nodes.rgb[i], reach)).nearest_one::<SquaredEuclidean<f32>>().execute();
+            let match_ = to.view.points.xyz[n.item as usize];
+            (to.view.sees)(place).then(|| (match_, 1.0 / (1.0 + n.distance).powi(2)))
         });
         // from FIRST to 1 in the first two thirds of the rounds
         let left = 1.0 - (1.5 * round as f32 / ROUNDS as f32).min(1.0);
         let pieces = NEIGHBOURS as f32 * (FIRST as f32).powf(left);
-        motion = fitted(nodes, &motion, &near, &wanted, pieces as usize);
+        motion = fitted(nodes, &motion, near, &wanted, pieces as usize);
     }
     if let Some(tracks) = tracks {
-        let wanted = wanted(nodes, &motion, |p, _, _| tracks.shifted(p));
-        motion = fitted(nodes, &motion, &near, &wanted, NEIGHBOURS);
+        let wanted = wanted(nodes, &motion, |i, _| tracks.shifted(nodes.xyz[i]));
+        motion = fitted(nodes, &motion, near, &wanted, NEIGHBOURS);
     }
-    if let Some([from, to]) = images {
+    if let (Some(from), Some(to)) = (&from.image, &to.image) {
+        let patches: Vec<Option<Patch>> = nodes.xyz.par_iter().map(|p| from.patch(*p)).collect();
         for _ in 0..IMAGE_ROUNDS {
-            let wanted = wanted(nodes, &motion, |p, place, _| from.track(to, p, place));
-            motion = fitted(nodes, &motion, &near, &wanted, NEIGHBOURS);
+            let wanted = wanted(nodes, &motion, |i, place| to.find(patches[i].as_ref()?, place));
+            motion = fitted(nodes, &motion, near, &wanted, NEIGHBOURS);
         }
     }
     motion
 }
 
-/// Where each node should go and how much that weighs, by `ask(node, its place so far, its colour)`.
+/// Where each node should go and how much that weighs, by `ask(node, its place so far)`.
 fn wanted(
     nodes: &Centroids,
     motion: &[Rigid],
-    ask: impl Fn([f32; 3], [f32; 3], [f32; 3]) -> Option<([f32; 3], f32)> + Sync,
+    ask: impl Fn(usize, [f32; 3]) -> Option<([f32; 3], f32)> + Sync,
 ) -> Vec<(Vector3<f32>, f32)> {
-    nodes
-        .xyz
-        .par_iter()
-        .zip(&nodes.rgb)
-        .zip(motion)
-        .map(|((p, rgb), m)| match ask(*p, m.apply(*p), *rgb) {
+    let places = nodes.xyz.par_iter().zip(motion).enumerate();
+    places
+        .map(|(i, (p, m))| match ask(i, m.apply(*p)) {
             Some((q, weight)) => (q.into(), weight),
             None => (Vector3::zeros(), 0.0),
         })
