@@ -14,8 +14,8 @@ use rayon::prelude::*;
 use std::time::Instant;
 
 /// Trial steps; the first of them prepare memory and are not counted.
-const STEPS: usize = 24;
-const WARM_UP: usize = 8;
+const STEPS: usize = 16;
+const WARM_UP: usize = 4;
 /// Share of the time that is planned with; the rest is for density control, checks and checkpoints, and for what
 /// other programs take away.
 const PLANNED: f64 = 0.95;

@@ -17,6 +17,8 @@ use m4_io::video::Mp4Writer;
 use m4_kernels::SimdLevel;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
+use std::sync::mpsc;
+use std::{panic, thread};
 
 /// Name of the stage.
 pub const STAGE: &str = "preview";
@@ -77,17 +79,32 @@ fn draw(run: &Workspace<'_>, capture: &Capture, scene: &Scene, keeper: &Recordin
     let swings = (total as f64 / config.swing.period_frames.max(2) as f64).round().max(1.0);
     let swing_config = SwingConfig { period_frames: (total as f64 / swings).round() as usize, ..config.swing };
     let cameras = swing(&still.camera.resized(size.0, size.1), distance, total, &swing_config);
-    for (i, camera) in cameras.iter().enumerate() {
+    let mut panels = |i: usize, camera: &Camera| -> Result<RgbImage, Error> {
         check_stop(keeper, STAGE, true)?;
         let source = &scene.source[i % n];
         let photo = capture.frames.get(i % n).and_then(|f| resize_rgb(&f.rgb, size.0, size.1, ResizeFilter::Triangle));
         let again = renderer.image(&source.camera.resized(size.0, size.1), source.t, &source.exposure)?;
         let swung = renderer.image(camera, still.t, &Exposure::IDENTITY)?;
-        writer.push(&side_by_side(size, config.labels, [photo.as_ref(), Some(&again), Some(&swung)]))?;
         keeper.update(STAGE, i + 1, total, "");
-    }
-    writer.finish()?;
-    Ok(())
+        Ok(side_by_side(size, config.labels, [photo.as_ref(), Some(&again), Some(&swung)]))
+    };
+    // One image is encoded while the next is rendered.
+    let writer = thread::scope(|scope| {
+        let (images, rendered) = mpsc::sync_channel(1);
+        let encoder = scope.spawn(move || {
+            rendered.into_iter().try_for_each(|image| writer.push(&image))?;
+            Ok::<_, Error>(writer)
+        });
+        for (i, camera) in cameras.iter().enumerate() {
+            // closed where encoding failed
+            if images.send(panels(i, camera)?).is_err() {
+                break;
+            }
+        }
+        drop(images);
+        encoder.join().unwrap_or_else(|panic| panic::resume_unwind(panic))
+    })?;
+    Ok(writer.finish()?)
 }
 
 /// The size of a panel: at most `longest` pixels per side, both sides even.

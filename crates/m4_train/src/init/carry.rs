@@ -80,11 +80,11 @@ pub(crate) fn hidden(
     progress: &dyn Progress,
 ) -> Result<Vec<Moving>, InitError> {
     let n = moving.len();
-    let mut out: Vec<Vec<Point>> = vec![Vec::new(); n];
     if by.keyframes == 0 {
         return Ok(vec![Moving::default(); n]);
     }
-    for forward in [true, false] {
+    let along = |forward: bool| -> Result<Vec<Vec<Point>>, InitError> {
+        let mut out: Vec<Vec<Point>> = vec![Vec::new(); n];
         let mut carried: Vec<Point> = Vec::new();
         for step in 1..n {
             stopped(progress)?;
@@ -103,10 +103,13 @@ pub(crate) fn hidden(
             let moved = own.chain(go_on(&carried, field, gap, by.reach));
             let unseen = moved.filter(|p| p.age <= by.keyframes && !is_seen(frame, p.xyz, by.margin));
             carried = youngest(unseen.collect(), grid);
-            out[to].extend_from_slice(&carried);
+            out[to].clone_from(&carried);
         }
-    }
-    let mut out: Vec<Vec<Point>> = out.into_iter().map(|points| youngest(points, grid)).collect();
+        Ok(out)
+    };
+    let (onwards, back) = rayon::join(|| along(true), || along(false));
+    let both = onwards?.into_par_iter().zip(back?);
+    let mut out: Vec<Vec<Point>> = both.map(|(a, b)| youngest([a, b].concat(), grid)).collect();
     let oldest = oldest_kept(out.iter().flatten().map(|p| p.age), by);
     for points in &mut out {
         points.retain(|p| p.age <= oldest);

@@ -26,6 +26,9 @@ const ENOUGH: usize = 3;
 const SAME_FOCAL: f64 = 0.05;
 /// A rival explains at least this share of what the winner explains.
 const RIVAL: f64 = 0.9;
+/// Bundle adjustment ends when a step lowers the loss by less than this share: before tracks are classified anew, and at the end.
+const ROUGH: f64 = 1e-4;
+const FINE: f64 = 1e-6;
 
 /// Two keyframes, `a` before `b`, with enough in common and enough between them.
 #[derive(Clone, Copy, PartialEq)]
@@ -148,7 +151,7 @@ impl Clip<'_> {
         let (tracks, free_focal) = (&self.tracks, self.free_focal());
         let triangulate = |map: &mut Map| map.triangulate(tracks, &[], &self.limits);
         let adjust = |map: &mut Map, iterations: usize, free_focal: bool| {
-            let options = BundleOptions { cauchy_px: self.limits.cauchy_px, iterations, tolerance: 1e-4, free_focal };
+            let options = BundleOptions { cauchy_px: self.limits.cauchy_px, iterations, tolerance: ROUGH, free_focal };
             map.adjust(tracks, &options, self.progress);
         };
         let mut map = Map::new(start.focal, vec![None; self.frames], tracks);
@@ -223,7 +226,7 @@ impl Clip<'_> {
             let mut narrow = self.limits;
             narrow.sharpen(least);
             for map in &mut maps {
-                map.adjust(tracks, &BundleOptions::last(&narrow, free_focal), self.progress);
+                map.adjust(tracks, &BundleOptions::whole(&narrow, FINE, free_focal), self.progress);
             }
             stopped(self.progress)?;
         }
@@ -240,7 +243,7 @@ impl Clip<'_> {
     /// Warns when the clip fits another focal length than the given one clearly better.
     fn check_given_focal(&mut self, map: &Map) -> Result<(), SparseError> {
         let (mut held, mut freed) = (map.clone(), map.clone());
-        let (with, without) = (self.adjust(&mut held, false)?, self.adjust(&mut freed, true)?);
+        let (with, without) = (self.adjust(&mut held, false, FINE)?, self.adjust(&mut freed, true, FINE)?);
         if (freed.focal / map.focal).ln().abs() > 0.1 && without.cost < 0.8 * with.cost {
             self.warn(format!(
                 "the given field of view of {:.1} degrees was kept, but the clip fits one of {:.1} degrees better (mean \
@@ -260,7 +263,7 @@ impl Clip<'_> {
         let mut motions = Vec::new();
         self.register_all(&mut map)?;
         map.triangulate(&self.tracks, &motions, &self.limits);
-        let mut report = self.adjust(&mut map, free_focal)?;
+        let mut report = self.adjust(&mut map, free_focal, ROUGH)?;
         for round in 0..ROUNDS {
             let note = format!("focal {:.1} px", map.focal / self.size.scale);
             self.progress.update("bundle adjustment", round, ROUNDS, &note);
@@ -270,16 +273,18 @@ impl Clip<'_> {
             motions = classify(&map, &self.tracks);
             map.triangulate(&self.tracks, &motions, &self.limits);
             self.register_all(&mut map)?;
-            report = self.adjust(&mut map, free_focal)?;
+            let tolerance = if round + 1 < ROUNDS { ROUGH } else { FINE };
+            report = self.adjust(&mut map, free_focal, tolerance)?;
         }
         map.triangulate(&self.tracks, &motions, &self.limits);
         self.progress.update("bundle adjustment", ROUNDS, ROUNDS, "");
         Ok((map, motions, report))
     }
 
-    /// The final bundle adjustment of all poses and points, an error where it was interrupted.
-    fn adjust(&self, map: &mut Map, free_focal: bool) -> Result<BundleReport, SparseError> {
-        let report = map.adjust(&self.tracks, &BundleOptions::last(&self.limits, free_focal), self.progress);
+    /// Bundle adjustment of all poses and points, an error where it was interrupted.
+    fn adjust(&self, map: &mut Map, free_focal: bool, tolerance: f64) -> Result<BundleReport, SparseError> {
+        let options = BundleOptions::whole(&self.limits, tolerance, free_focal);
+        let report = map.adjust(&self.tracks, &options, self.progress);
         stopped(self.progress).map(|()| report)
     }
 

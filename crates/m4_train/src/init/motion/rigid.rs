@@ -25,11 +25,17 @@ impl Rigid {
     /// The rotation is the rotational part of the cross-covariance (Müller et al. 2016, "A robust method to
     /// extract the rotational part of deformations"), found by turning `start` until nothing is left to turn.
     /// Where the points say nothing (a line, a single point) it stays at `start`.
-    pub fn fit(pairs: impl Iterator<Item = Pair> + Clone, start: UnitQuaternion<f32>) -> Option<Self> {
+    pub fn fit(pairs: impl Iterator<Item = Pair>, start: UnitQuaternion<f32>) -> Option<Self> {
+        let mut pairs = pairs.peekable();
+        // from here, or the sums would lose digits
+        let origin = pairs.peek()?.0;
         let (mut from, mut to, mut total) = (Vector3::zeros(), Vector3::zeros(), 0.0f32);
-        for (p, q, w) in pairs.clone() {
+        let mut a = Matrix3::<f32>::zeros();
+        for (p, q, w) in pairs {
+            let (p, q) = (p - origin, w * (q - origin));
             from += w * p;
-            to += w * q;
+            to += q;
+            a += q * p.transpose();
             total += w;
         }
         if !(total > 0.0 && total.is_finite()) {
@@ -37,10 +43,9 @@ impl Rigid {
         }
         from /= total;
         to /= total;
-        let mut a = Matrix3::<f32>::zeros();
-        for (p, q, w) in pairs {
-            a += (w / total) * (q - to) * (p - from).transpose();
-        }
+        a = a / total - to * from.transpose();
+        from += origin;
+        to += origin;
         // the turn does not depend on the unit of length
         let size = a.norm();
         let mut rotation = start;

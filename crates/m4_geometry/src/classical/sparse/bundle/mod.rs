@@ -47,9 +47,9 @@ pub(crate) struct BundleOptions {
 }
 
 impl BundleOptions {
-    /// Those of the last adjustments of a map.
-    pub fn last(limits: &Limits, free_focal: bool) -> Self {
-        Self { cauchy_px: limits.cauchy_px, iterations: 30, tolerance: 1e-6, free_focal }
+    /// Those of the adjustments of a whole map.
+    pub fn whole(limits: &Limits, tolerance: f64, free_focal: bool) -> Self {
+        Self { cauchy_px: limits.cauchy_px, iterations: 30, tolerance, free_focal }
     }
 }
 
