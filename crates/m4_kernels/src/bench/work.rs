@@ -10,7 +10,7 @@
 //! division or comparison is 1, an `exp` 11, a `log2` 14. Good to a fifth.
 //!
 //! **Evaluations** are pairs of a pixel and a splat that changes it
-//! ([`useful_evaluations`](super::useful_evaluations)).
+//! ([`super::useful_evaluations`]).
 
 use crate::{
     View,

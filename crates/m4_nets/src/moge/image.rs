@@ -67,8 +67,8 @@ impl Grid {
 /// How to look at an image.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct MoGeOptions {
-    /// Patches that the image is cut into, about; `None` for the most that the network was trained with
-    /// ([`MoGe::tokens`](super::MoGe::tokens)). Fewer are faster and coarser.
+    /// Patches that the image is cut into, about; `None` for the most that the network was trained with. Fewer are faster and
+    /// coarser.
     pub tokens: Option<usize>,
     /// The focal length of the image, pixels, where it is known. Else it is found with the depth.
     pub known_focal_px: Option<f64>,

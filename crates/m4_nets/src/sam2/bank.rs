@@ -141,7 +141,7 @@ pub fn pointer_frames(frames: usize) -> usize {
 /// The mask of an object in an image.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ObjectMask {
-    /// `[256][256]` (or [as many](super::Sam2::mask_side) as the network's side gives), over the whole image, which is squeezed to that
+    /// `[256][256]` (or as many as the network's side gives), over the whole image, which is squeezed to that
     /// square: above 0 where the object is. May be part of another [`Prompt`](crate::Prompt). All -1024 where a clip's object is
     /// not there.
     pub logits: Plane<f32>,

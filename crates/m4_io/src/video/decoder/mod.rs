@@ -112,7 +112,7 @@ pub(super) fn clear_environment(command: &mut Command) {
 
 static REGISTERED: OnceLock<DecoderProgram> = OnceLock::new();
 
-/// A program that calls [`super::super::serve_decoder`], and what it must be told to do so. The limits are
+/// A program that calls [`super::serve_decoder`], and what it must be told to do so. The limits are
 /// two more arguments, behind these; on Linux a command line may follow, which the program becomes under these limits.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct DecoderProgram {
@@ -136,7 +136,7 @@ impl DecoderProgram {
     }
 }
 
-/// From now on [`super::super::read()`] has H.264 decoded by `program`, in a process of its own, and on Linux ffmpeg
+/// From now on [`super::read()`] has H.264 decoded by `program`, in a process of its own, and on Linux ffmpeg
 /// started by it, so that it is limited before it reads a byte. A program calls this once, at its start, most often with
 /// [`std::env::current_exe`]; without it OpenH264 decodes inside of the calling process.
 /// Returns the program if another one was registered before.
