@@ -25,7 +25,7 @@ pub struct TrainConfig {
     /// SSIM on held-out views at no loss of PSNR).
     pub lambda_ssim: f32,
     /// In a clip with one centre of projection: weight of the growth of dynamic splats, [`m4_kernels::cover`], as the least
-    /// difference in colour, 0..1, that is assumed between them and what is behind. 0 for none. 0.01 (measured: docs/geometry.md,
+    /// difference in colour, 0..1, that is assumed between them and what is behind. 0 for none. 0.015 (measured: docs/geometry.md,
     /// "Layers without parallax").
     pub cover: f32,
     /// How fast parameters move.
@@ -76,7 +76,7 @@ impl TrainConfig {
             seed: 0,
             colour_fit_rounds: 1,
             lambda_ssim: 0.4,
-            cover: 0.01,
+            cover: 0.015,
             lr: RateConfig::default(),
             adam: AdamConfig::default(),
             density: DensityConfig::fast(),
