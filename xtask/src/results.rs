@@ -127,8 +127,7 @@ pub fn geometry(root: &Path, args: &[&str], work: &Path) -> Result<String> {
         let all = ["geometry", input, "-o", &out_text, "--force", "--quiet"];
         run(&program, &[&all, options].concat())?;
         let seconds = start.elapsed().as_secs_f64();
-        let text = run(&program, &["eval-geometry", &out_text, "--truth", truth, "--quiet"])?;
-        let report: Value = serde_json::from_str(&text).context("eval-geometry printed no JSON")?;
+        let report = result(&run(&program, &["eval-geometry", &out_text, "--truth", truth, "--json"])?)?;
         let cell = |value: &Value, digits: usize| match value.as_f64() {
             Some(v) => format!("{v:.digits$}"),
             None => "-".to_owned(),
@@ -186,6 +185,13 @@ fn run(program: &Path, args: &[&str]) -> Result<String> {
         bail!("minute4d {} failed:\n{}", args.join(" "), String::from_utf8_lossy(&output.stderr));
     }
     Ok(String::from_utf8_lossy(&output.stdout).into_owned())
+}
+
+/// The result among the events that `--json` prints.
+fn result(lines: &str) -> Result<Value> {
+    let mut events = lines.lines().filter_map(|line| serde_json::from_str::<Value>(line).ok());
+    let event = events.find(|event| event["event"] == "result").context("the program printed no result")?;
+    Ok(event["result"].clone())
 }
 
 fn json(path: &Path) -> Result<Value> {

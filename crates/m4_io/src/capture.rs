@@ -45,7 +45,7 @@ pub const TRACKS_FILE: &str = "tracks.npz";
 /// Bytes of eight pixels: colour, 16-bit depth and mask, 3 + 2 + 1/8 per pixel.
 const BYTES_PER_8_PIXELS: u64 = 41;
 
-/// The two lists of frames that a capture has.
+/// The lists of frames that a capture has.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Split {
@@ -53,6 +53,10 @@ pub enum Split {
     Train,
     /// Held-out views, for scoring alone.
     Test,
+    /// Held-out views close to the training camera, for scoring alone; benchmark scenes have them.
+    Near,
+    /// Held-out views of the training camera between training frames, for scoring alone; benchmark scenes have them.
+    Between,
 }
 
 impl Split {
@@ -62,6 +66,8 @@ impl Split {
         match self {
             Self::Train => "transforms_train.json",
             Self::Test => "transforms_test.json",
+            Self::Near => "transforms_near.json",
+            Self::Between => "transforms_between.json",
         }
     }
 
@@ -70,6 +76,8 @@ impl Split {
         match self {
             Self::Train => TRACKS_FILE,
             Self::Test => "test_tracks.npz",
+            Self::Near => "near_tracks.npz",
+            Self::Between => "between_tracks.npz",
         }
     }
 
@@ -79,6 +87,8 @@ impl Split {
         match self {
             Self::Train => ["train", "depth", "mask", "motion", "instance"],
             Self::Test => ["test", "test_depth", "test_mask", "test_motion", "test_instance"],
+            Self::Near => ["near", "near_depth", "near_mask", "near_motion", "near_instance"],
+            Self::Between => ["between", "between_depth", "between_mask", "between_motion", "between_instance"],
         }
     }
 }
@@ -185,7 +195,7 @@ pub fn write(folder: &Path, capture: &Capture, split: Split, progress: &dyn Prog
         axes: Some(Axes::OpenGl),
         metric: Some(capture.metric),
         duration_s: capture.duration_s,
-        time_frames: (split == Split::Test).then_some(capture.time_frames),
+        time_frames: (split != Split::Train).then_some(capture.time_frames),
         tracks_path,
         frames,
         ..Transforms::default()

@@ -48,6 +48,16 @@ fn train_render_eval_inspect() {
     assert!(report["mean"]["masked_psnr_db"].is_number() && report["mean"]["masked_ssim"].is_number());
     assert_eq!(dir.json("out/eval.json")["mean"], report["mean"]);
 
+    // views near the training camera have rows of their own; here they are the same views
+    fs::copy(dir.path("capture/transforms_test.json"), dir.path("capture/transforms_near.json")).unwrap();
+    let both = dir.succeed("eval out --data capture --json").result();
+    let sets: Vec<&Value> = both["sets"].as_array().unwrap().iter().collect();
+    let of = |name: &str| sets.iter().find(|set| set["set"] == name).map(|set| &set["mean"]);
+    assert_eq!((of("far"), of("near"), of("between")), (Some(&report["mean"]), Some(&report["mean"]), None), "{both}");
+    assert!(of("far").unwrap()["static_psnr_db"].is_number());
+    let table = dir.succeed("eval out --data capture").stdout;
+    assert!(table.contains("near") && table.contains("LPIPS"), "{table}");
+
     let inspect = |what: &str| dir.succeed(&format!("inspect {what} --json")).result();
     assert_eq!(inspect("out")["kind"], "run");
     assert_eq!(inspect("capture")["test_views"], 6);
@@ -55,6 +65,9 @@ fn train_render_eval_inspect() {
     assert_eq!(inspect("out/scene.safetensors")["with_optimiser"], true);
     let same = dir.succeed("eval-geometry capture --truth capture --json").result();
     assert!(same["trajectory"]["rmse"].as_f64().unwrap() < 1e-6, "{same}");
+    let object = &same["objects"][0];
+    assert_eq!((&object["distance"], &object["relief"], &object["missed"]), (&0.0.into(), &0.0.into(), &0.0.into()));
+    assert!(dir.succeed("eval-geometry capture --truth capture").stdout.contains("distance"));
 }
 
 #[test]

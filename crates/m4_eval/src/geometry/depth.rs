@@ -23,19 +23,19 @@ impl Sum {
     }
 }
 
-fn usable(z: f32) -> bool {
+pub(super) fn usable(z: f32) -> bool {
     z.is_finite() && z > 0.0
 }
 
 /// The pixel of a plane of size `to` that covers the centre of pixel `(x, y)` of one of size `from`.
-fn covering((x, y): (usize, usize), from: (usize, usize), to: (usize, usize)) -> Option<(usize, usize)> {
+pub(super) fn covering((x, y): (usize, usize), from: (usize, usize), to: (usize, usize)) -> Option<(usize, usize)> {
     let at = |i: usize, n: usize, m: usize| (2 * i + 1) * m / (2 * n);
     let (x, y) = (at(x, from.0, to.0), at(y, from.1, to.1));
     (x < to.0 && y < to.1).then_some((x, y))
 }
 
 /// Whether a mask of any size is set at pixel `at` of `size`.
-fn is_set(mask: &CompactMask, at: (usize, usize), size: (usize, usize)) -> bool {
+pub(super) fn is_set(mask: &CompactMask, at: (usize, usize), size: (usize, usize)) -> bool {
     covering(at, size, mask.size()).is_some_and(|(x, y)| mask.at(x, y))
 }
 

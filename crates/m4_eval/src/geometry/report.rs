@@ -1,6 +1,7 @@
 //! The comparison of two captures.
 
 use super::matching::{Matching, Side, pair};
+use super::objects::{self, ObjectError, object_errors};
 use super::{
     AbsoluteError, PathAlignment, RelativeError, RotationError, TrajectoryError, absolute_error, depth, relative_error,
     trajectory,
@@ -70,8 +71,48 @@ pub struct GeometryReport {
     pub depth: Option<DepthError>,
     /// Motion masks, where both sides have them.
     pub mask: Option<MaskScore>,
+    /// Depth of each dynamic object, where both sides have depth and masks: the instances of the truth, or all of them as one.
+    #[serde(default)]
+    pub objects: Vec<ObjectError>,
     /// Parts that could not be compared and why, one sentence each.
     pub notes: Vec<String>,
+}
+
+impl GeometryReport {
+    /// The report as a table for people.
+    #[must_use]
+    pub fn table(&self) -> String {
+        let mut out = String::new();
+        let mut line = |name: &str, text: String| out += &format!("{name:<12} {text}\n");
+        let by = match self.matching {
+            Matching::Name => "file name",
+            Matching::Order => "order",
+            Matching::Time => "time",
+        };
+        line("frames", format!("{}, paired by {by}", self.frames));
+        if let Some(path) = &self.trajectory {
+            line("trajectory", format!("{:.2} % of the path (root mean square, after alignment)", path.rmse_percent));
+        }
+        if let Some(rotation) = &self.rotation {
+            line("rotation", format!("{:.2} degrees (mean)", rotation.mean_deg));
+        }
+        line("focal length", format!("{:+.2} %", self.focal_error_percent));
+        if let Some(depth) = &self.depth {
+            let cell = |v: Option<f64>| v.map_or("-".to_owned(), |v| format!("{v:.4}"));
+            let (fixed, moving) = (cell(depth.static_abs_rel), cell(depth.moving_abs_rel));
+            line("depth", format!("AbsRel {fixed} static, {moving} dynamic (all pixels of the true masks)"));
+        }
+        if let Some(mask) = &self.mask {
+            line("masks", format!("IoU {:.3}, precision {:.3}, recall {:.3}", mask.iou, mask.precision, mask.recall));
+        }
+        if !self.objects.is_empty() {
+            out += &objects::table(&self.objects);
+        }
+        for note in &self.notes {
+            out += &format!("note: {note}\n");
+        }
+        out
+    }
 }
 
 /// Compares the training frames of an estimate (those without a held-out camera) with the truth.
@@ -83,6 +124,7 @@ pub struct GeometryReport {
 /// [`GeometryError`] if a side is empty, frames cannot be paired, or a camera is not finite.
 pub fn evaluate(estimate: &Capture, truth: &Capture) -> Result<GeometryReport, GeometryError> {
     let metric = truth.metric;
+    let seconds_per_frame = truth.duration_s.map(|s| s / (truth.time_frames.max(2) - 1) as f64);
     let (estimate, truth) = (training(estimate), training(truth));
     check_finite("estimate", &estimate)?;
     check_finite("truth", &truth)?;
@@ -95,6 +137,8 @@ pub fn evaluate(estimate: &Capture, truth: &Capture) -> Result<GeometryReport, G
     let relative_focal = |c: &Camera| c.intrinsics.fx / c.intrinsics.width as f64;
     let focal_error = |(e, t): (&Camera, &Camera)| relative_focal(e) / relative_focal(t) - 1.0;
     let focal_sum: f64 = cameras.0.iter().zip(&cameras.1).map(focal_error).sum();
+    let depth = depth::depth_error(&pairs);
+    let objects = depth.map_or_else(Vec::new, |depth| object_errors(&pairs, depth.scale, seconds_per_frame));
     let report = GeometryReport {
         frames: pairs.len(),
         matching,
@@ -105,8 +149,9 @@ pub fn evaluate(estimate: &Capture, truth: &Capture) -> Result<GeometryReport, G
         absolute: absolute_error(&estimated, &true_poses, PathAlignment::Sim3).ok(),
         relative: relative_error(&estimated, &true_poses, PathAlignment::Sim3, 1).ok(),
         focal_error_percent: 100.0 * focal_sum / pairs.len() as f64,
-        depth: depth::depth_error(&pairs),
+        depth,
         mask: depth::mask_score(&pairs),
+        objects,
         notes: Vec::new(),
     };
     Ok(with_notes(report, &estimate, &truth))

@@ -50,19 +50,22 @@ pub struct FrameScore {
     pub ssim: f64,
     /// Inside the mask, where there was one with any pixel.
     pub masked: Option<MaskedScore>,
+    /// Outside the mask, where there was one and it leaves any pixel.
+    #[serde(default)]
+    pub outside: Option<MaskedScore>,
     /// Scores by other metrics, by name.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub others: BTreeMap<String, f64>,
 }
 
-/// Scores inside a mask.
+/// Scores inside a mask, or outside it.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct MaskedScore {
-    /// Over the pixels of the mask, dB.
+    /// Over these pixels, dB.
     pub psnr_db: f64,
-    /// SSIM map averaged over the mask; `None` if the mask lies outside the valid region.
+    /// SSIM map averaged over these pixels; `None` if all lie outside the valid region.
     pub ssim: Option<f64>,
-    /// Pixels of the (grown) mask.
+    /// Pixels inside or outside the (grown) mask.
     pub pixels: usize,
 }
 
@@ -81,6 +84,12 @@ pub struct MeanScore {
     pub masked_psnr_db: Option<f64>,
     /// Mean SSIM inside the mask over those views.
     pub masked_ssim: Option<f64>,
+    /// Mean PSNR outside the mask over the views that have one, dB: static content alone.
+    #[serde(default)]
+    pub static_psnr_db: Option<f64>,
+    /// Mean SSIM outside the mask over those views.
+    #[serde(default)]
+    pub static_ssim: Option<f64>,
 }
 
 /// The scores of a set of views of one size.
@@ -131,14 +140,18 @@ impl ImageReport {
         }
         let map = ssim_map(SsimKind::GaussianValid, image, reference, None)?;
         let whole = psnr_db(PsnrKind::Joint, image, reference, None)?.unwrap_or(f64::NAN);
-        let masked = match mask.map(|mask| dilated(mask, self.protocol.mask_dilation_px)) {
-            None => None,
-            Some(mask) => psnr_db(PsnrKind::Joint, image, reference, Some(&mask))?.map(|psnr_db| MaskedScore {
+        let score = |region: Option<Mask>| -> Result<Option<MaskedScore>, ImageError> {
+            let Some(region) = region else { return Ok(None) };
+            let psnr_db = psnr_db(PsnrKind::Joint, image, reference, Some(&region))?;
+            Ok(psnr_db.map(|psnr_db| MaskedScore {
                 psnr_db,
-                ssim: map.mean_inside(&mask),
-                pixels: mask.data().iter().filter(|&&m| m != 0).count(),
-            }),
+                ssim: map.mean_inside(&region),
+                pixels: region.data().iter().filter(|&&m| m != 0).count(),
+            }))
         };
+        let mask = mask.map(|mask| dilated(mask, self.protocol.mask_dilation_px));
+        let outside = score(mask.as_ref().map(|mask| mask.map(|&m| if m == 0 { 255 } else { 0 })))?;
+        let masked = score(mask)?;
         (self.protocol.width, self.protocol.height) = reference.size();
         self.frames.push(FrameScore {
             name: name.into(),
@@ -147,6 +160,7 @@ impl ImageReport {
             psnr_db: whole,
             ssim: map.mean(),
             masked,
+            outside,
             others: BTreeMap::new(),
         });
         Ok(&self.frames[self.frames.len() - 1])
@@ -198,15 +212,25 @@ impl ImageReport {
     /// Means over all views; `None` if there are none.
     #[must_use]
     pub fn mean(&self) -> Option<MeanScore> {
+        self.mean_where(|_| true)
+    }
+
+    /// Means over the views, by index, that `counts` chooses; `None` if it chooses none.
+    #[must_use]
+    pub fn mean_where(&self, counts: impl Fn(usize) -> bool) -> Option<MeanScore> {
+        let frames: Vec<&FrameScore> = (0..).zip(&self.frames).filter(|(i, _)| counts(*i)).map(|(_, f)| f).collect();
         let mean = |values: Vec<f64>| (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64);
-        let masked: Vec<MaskedScore> = self.frames.iter().filter_map(|f| f.masked).collect();
+        let masked: Vec<MaskedScore> = frames.iter().filter_map(|f| f.masked).collect();
+        let outside: Vec<MaskedScore> = frames.iter().filter_map(|f| f.outside).collect();
         Some(MeanScore {
-            frames: self.frames.len(),
-            psnr_db: mean(self.frames.iter().map(|f| f.psnr_db).collect())?,
-            ssim: mean(self.frames.iter().map(|f| f.ssim).collect())?,
+            frames: frames.len(),
+            psnr_db: mean(frames.iter().map(|f| f.psnr_db).collect())?,
+            ssim: mean(frames.iter().map(|f| f.ssim).collect())?,
             masked_frames: masked.len(),
             masked_psnr_db: mean(masked.iter().map(|m| m.psnr_db).collect()),
             masked_ssim: mean(masked.iter().filter_map(|m| m.ssim).collect()),
+            static_psnr_db: mean(outside.iter().map(|m| m.psnr_db).collect()),
+            static_ssim: mean(outside.iter().filter_map(|m| m.ssim).collect()),
         })
     }
 

@@ -11,6 +11,7 @@ mod covisible;
 mod perceptual;
 mod poses;
 pub mod protocol;
+mod sets;
 mod split;
 
 pub use choices::{Choices, FrameChoice, Headline, MaskChoice, PoseChoice, PoseTreatment, ResolutionChoice};
@@ -19,6 +20,7 @@ pub use covisible::{COVISIBLE_FOLDER, MaskSource};
 pub use perceptual::LpipsChoice;
 pub use poses::{Alignment, Moved};
 pub use protocol::{FrameRule, Protocol, Task};
+pub use sets::SetScore;
 pub use split::{SPLIT_FILE, SplitRecord, split};
 
 use crate::device::DeviceChoice;
@@ -36,6 +38,8 @@ use m4_io::dataset::llff;
 use m4_io::reach::Reach;
 use m4_io::scene::safetensors;
 use m4_kernels::SimdLevel;
+use perceptual::Perceptual;
+use protocol::LpipsRule;
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -56,9 +60,27 @@ pub fn geometry(capture: &Path, truth: &Path, reach: Reach, observer: &dyn Obser
     let truth = if truth.is_file() && llff::detect(truth) {
         llff::read(truth)?
     } else {
-        m4_io::capture::read(truth, Split::Train, &options, observer)?
+        let mut read = m4_io::capture::read(truth, Split::Train, &options, observer)?;
+        add_instances(&mut read, &truth.join(INSTANCE_FOLDER))?;
+        read
     };
     Ok(evaluate(&estimate, &truth)?)
+}
+
+/// Folder of a benchmark scene with an instance map per training image; its list of frames does not name them, so that no training
+/// reads them.
+const INSTANCE_FOLDER: &str = "instance";
+
+/// Adds the instance maps that lie in a folder, by the names of the images, to frames without.
+fn add_instances(truth: &mut Capture, folder: &Path) -> Result<(), Error> {
+    for frame in truth.frames.iter_mut().filter(|frame| frame.instances.is_none()) {
+        let name = Path::new(&frame.name).with_extension("png");
+        let file = name.file_name().map(|name| folder.join(name)).filter(|file| file.is_file());
+        if let Some(file) = file {
+            frame.instances = Some(m4_io::image::read_ids(&file)?);
+        }
+    }
+    Ok(())
 }
 
 /// The refusal of a capture without held-out views.
@@ -112,8 +134,20 @@ pub struct EvalReport {
     pub splats: usize,
     /// Means over all views.
     pub mean: Option<MeanScore>,
-    /// Protocol, and one row per view.
+    /// Means by set of held-out views: far (the test list), near, between; without a protocol alone.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub sets: Vec<SetScore>,
+    /// Protocol, and one row per view of the test list.
     pub images: ImageReport,
+    /// As `images`, of the views near the training camera, where the capture lists some.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub near: Option<ImageReport>,
+    /// As `images`, of the views between training frames, where the capture lists some.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub between: Option<ImageReport>,
+    /// State of LPIPS without a protocol; a protocol's is in `choices`.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub lpips: Vec<LpipsChoice>,
     /// Means of the scores by other metrics.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     pub mean_others: BTreeMap<String, OtherMean>,
@@ -149,14 +183,14 @@ pub fn views(out: &Path, data: &Path, options: &EvalOptions, observer: &dyn Obse
     let held = HeldOut::read(out, data, options.reach, observer)?;
     let gpu = options.device.open()?;
     let mut renderer = SceneRenderer::new(&held.scene, level, gpu.as_ref())?;
-    let (images, choices, drawing_s) = match options.protocol {
+    let (images, other, choices, drawing_s) = match options.protocol {
         None => {
-            let (images, drawing_s) = plain(&held, data, options.grow_mask, &mut renderer, observer)?;
-            (images, None, drawing_s)
+            let (images, other, drawing_s) = plain(&held, data, options, &mut renderer, observer)?;
+            (images, other, None, drawing_s)
         }
         Some(protocol) => {
             let scored = by_protocol::score(&held, data, protocol, split, options, (level, &mut renderer), observer)?;
-            (scored.images, Some(scored.choices), scored.drawing_s)
+            (scored.images, OtherSets::default(), Some(scored.choices), scored.drawing_s)
         }
     };
     let means = images.mean_others().into_iter();
@@ -170,7 +204,11 @@ pub fn views(out: &Path, data: &Path, options: &EvalOptions, observer: &dyn Obse
         choices,
         frames_per_s: (drawing_s > 0.0).then(|| images.frames.len() as f64 / drawing_s),
         device: gpu.as_ref().map_or("cpu", |gpu| gpu.name()).to_owned(),
+        sets: other.rows,
         images,
+        near: other.near,
+        between: other.between,
+        lpips: other.lpips,
         scene: held.path,
         alignment: held.alignment,
         seconds: start.elapsed().as_secs_f64(),
@@ -179,15 +217,56 @@ pub fn views(out: &Path, data: &Path, options: &EvalOptions, observer: &dyn Obse
     Ok(report)
 }
 
-/// Joint PSNR and SSIM of images in 8 bits, and the seconds of drawing.
+/// What is scored beside the test list.
+#[derive(Default)]
+struct OtherSets {
+    rows: Vec<SetScore>,
+    near: Option<ImageReport>,
+    between: Option<ImageReport>,
+    lpips: Vec<LpipsChoice>,
+}
+
+/// Joint PSNR and SSIM of images in 8 bits, LPIPS where it is installed, of every list of held-out views; and the seconds of drawing.
 fn plain(
     held: &HeldOut,
     data: &Path,
-    grow_mask: usize,
+    options: &EvalOptions,
     renderer: &mut SceneRenderer<'_>,
     observer: &dyn Observer,
+) -> Result<(ImageReport, OtherSets, f64), Error> {
+    let read = CaptureOptions { reach: options.reach, ..Settings::fast().capture };
+    let size = held.test.frames.first().map_or((0, 0), |v| v.rgb.size());
+    let lpips = Perceptual::load(&[LpipsRule::Alex], false, size.0.min(size.1), options.device)?;
+    let train = sets::read(data, Split::Train, &read, observer)?;
+    let mut other = OtherSets { lpips: lpips.choices.clone(), ..OtherSets::default() };
+    let mut drawing_s = 0.0;
+    let mut score = |set: &str, capture: &Capture| -> Result<ImageReport, Error> {
+        let (report, seconds) =
+            score_views(held, capture, data, options.grow_mask, (&mut *renderer, &lpips), observer)?;
+        drawing_s += seconds;
+        let angles =
+            train.as_ref().map_or_else(|| vec![None; capture.frames.len()], |train| sets::angles(train, capture));
+        other.rows.extend(sets::rows(set, &report, &angles));
+        Ok(report)
+    };
+    let images = score("far", &held.test)?;
+    let near = sets::read(data, Split::Near, &read, observer)?;
+    let near = near.map(|views| score("near", &views)).transpose()?;
+    let between = sets::read(data, Split::Between, &read, observer)?;
+    let between = between.map(|views| score("between", &views)).transpose()?;
+    Ok((images, OtherSets { near, between, ..other }, drawing_s))
+}
+
+/// Scores the views of one list, and says how many seconds drawing took.
+fn score_views(
+    held: &HeldOut,
+    capture: &Capture,
+    data: &Path,
+    grow_mask: usize,
+    (renderer, lpips): (&mut SceneRenderer<'_>, &Perceptual),
+    observer: &dyn Observer,
 ) -> Result<(ImageReport, f64), Error> {
-    let views = &held.test.frames;
+    let views = &capture.frames;
     let mut images = ImageReport::new(data.display().to_string(), grow_mask);
     let mut drawing_s = 0.0;
     for (i, frame) in views.iter().enumerate() {
@@ -201,9 +280,25 @@ fn plain(
         let mask = frame.mask.as_ref().map(CompactMask::to_mask);
         let score = images.add(&frame.name, t, index, &image, &reference, mask.as_ref())?;
         let note = format!("{:.2} dB", score.psnr_db);
+        lpips.score(&mut images, &frame.name, &image, &reference, None)?;
         observer.update("eval", i + 1, views.len(), &note);
     }
     Ok((images, drawing_s))
+}
+
+impl EvalReport {
+    /// The scores as tables for people: one line per view of the test list, then one per set.
+    #[must_use]
+    pub fn table(&self) -> String {
+        let mut out = self.images.table();
+        if !self.sets.is_empty() {
+            out += &sets::table(&self.sets);
+        }
+        for missing in self.lpips.iter().filter_map(|lpips| lpips.absent.as_ref()) {
+            out += &format!("LPIPS      not scored: {missing}\n");
+        }
+        out
+    }
 }
 
 /// A scene and the views that it is judged by.

@@ -49,7 +49,7 @@ pub fn run(args: &Eval, output: &Output) -> Result<(), Failure> {
         reach: args.reach.reach(),
     };
     let report = minute4d::evaluate::views(&args.out, &args.data, &options, output)?;
-    let mut text = report.images.table();
+    let mut text = report.table();
     if let Some(choices) = &report.choices {
         text += &describe(choices);
     }
@@ -94,9 +94,7 @@ pub struct EvalGeometry {
 
 pub fn run_geometry(args: &EvalGeometry, output: &Output) -> Result<(), Failure> {
     let report = minute4d::evaluate::geometry(&args.capture, &args.truth, args.reach.reach(), output)?;
-    let value = minute4d::plain_json(&report)?;
-    // Indented, and in the order of the report.
-    output.result(&minute4d::pretty_json(&report)?, value);
+    output.result(&report.table(), minute4d::plain_json(&report)?);
     Ok(())
 }
 

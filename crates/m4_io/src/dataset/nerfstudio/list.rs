@@ -83,7 +83,7 @@ pub fn list_capture(
     if list.entries.is_empty() {
         return Err(no_frames(file));
     }
-    let held_out = split == capture::Split::Test;
+    let held_out = split != capture::Split::Train;
     if held_out && !list.timed {
         return Err(Fault::missing("time of the held-out views", "add their times, 0 to 1").within(file, "frames"));
     }
