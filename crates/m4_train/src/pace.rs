@@ -24,7 +24,7 @@ const MOST_GROWTH: f64 = 4.0;
 /// Fewer iterations than this are no training.
 const LEAST: usize = 50;
 
-/// The number of iterations that take `seconds` on rayon's current pool, or on a `backend`: trial steps on a copy of `splats` with what density control may add,
+/// The number of iterations that take `seconds()`, asked after the trial steps, on rayon's current pool, or on a `backend`: trial steps on a copy of `splats` with what density control may add,
 /// and on one that is split into segments of arcs besides, which the second half of a run has. A multiple of 10, at least 50. Unlike everything else in this crate it depends on the machine: with the number that it returns,
 /// training is a function of its inputs again.
 /// Fails as [`Trainer::new`] and [`Trainer::run`].
@@ -34,7 +34,7 @@ pub fn affordable_iterations(
     config: &TrainConfig,
     level: SimdLevel,
     backend: Option<BackendMaker<'_>>,
-    seconds: f64,
+    seconds: impl Fn() -> f64,
 ) -> Result<usize, TrainError> {
     if capture.frames.is_empty() {
         return Err(TrainError::NoFrames);
@@ -50,7 +50,7 @@ pub fn affordable_iterations(
         step_s += (1.0 - ARCS_AT) * (after_s - step_s).max(0.0);
     }
     let fits = frames_drawn(config.colour_fit_rounds, capture.frames.len()) / config.batch as f64;
-    let count = (PLANNED * seconds / step_s.max(1e-6) - fits).max(0.0) as usize;
+    let count = (PLANNED * seconds() / step_s.max(1e-6) - fits).max(0.0) as usize;
     Ok((count / 10 * 10).max(LEAST))
 }
 

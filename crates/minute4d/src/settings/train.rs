@@ -13,8 +13,8 @@ pub struct TrainSettings {
     pub iterations: usize,
     /// As [`TrainConfig::batch`].
     pub batch: usize,
-    /// Seconds that the optimisation may take, 0 for as many as `iterations` need. Where it is above 0, `iterations` is
-    /// replaced by what [`m4_train::affordable_iterations`] finds before training starts.
+    /// Seconds that training may take, 0 for as many as `iterations` need: the first splats, then iterations, for at least half of
+    /// it. Where it is above 0, `iterations` is replaced by what [`m4_train::affordable_iterations`] finds.
     pub budget_s: f64,
     /// Key of every random draw, those of geometry included ([`super::Settings::set_seed`]).
     pub seed: u64,

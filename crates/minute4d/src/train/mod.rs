@@ -93,6 +93,7 @@ fn train(
     key: &str,
     keeper: &RecordingObserver<'_>,
 ) -> Result<Scene, Error> {
+    let started = Instant::now();
     let settings = &run.job.settings;
     let gpu = run.gpu.clone();
     let make = || match &gpu {
@@ -119,14 +120,14 @@ fn train(
             folder::remove_file(&run.path(METRICS_FILE))?;
             let splats = m4_train::init::initialise(capture, &settings.init_config(), keeper)?;
             let budget_s = settings.train.budget_s;
-            let left_s = end.map(|end| end.saturating_duration_since(Instant::now()).as_secs_f64());
-            if let Some(seconds) = affordable(budget_s, left_s) {
+            if budget_s > 0.0 || end.is_some() {
+                let seconds = || affordable(budget_s, started, end);
                 let trial = run.gpu.as_ref().map(|_| &make as BackendMaker<'_>);
                 let n = m4_train::affordable_iterations(capture, &splats, &config, run.level, trial, seconds)?;
                 if budget_s > 0.0 || n < config.iterations {
                     config.iterations = n;
                     let note =
-                        format!("{n} iterations fit into {seconds:.0} s here; --iterations {n} repeats this run");
+                        format!("{n} iterations fit into {:.0} s here; --iterations {n} repeats this run", seconds());
                     keeper.update(STAGE, 0, n, &note);
                 }
             }
@@ -185,10 +186,12 @@ fn train(
     Ok(trainer.into_scene())
 }
 
-/// Seconds that the number of iterations is to be measured for: the budget, where there is one, as far as time is left.
-fn affordable(budget_s: f64, left_s: Option<f64>) -> Option<f64> {
-    let budget_s = (budget_s > 0.0).then_some(budget_s);
-    budget_s.map(|budget_s| left_s.map_or(budget_s, |left_s| budget_s.min(left_s))).or(left_s)
+/// Seconds that are left for iterations: of the budget, which the first splats have taken a part of, but at least half of it; and of
+/// the time until `end`.
+fn affordable(budget_s: f64, started: Instant, end: Option<Instant>) -> f64 {
+    let budget_s = if budget_s > 0.0 { budget_s } else { f64::INFINITY };
+    let left_s = end.map_or(f64::INFINITY, |end| end.saturating_duration_since(Instant::now()).as_secs_f64());
+    (budget_s - started.elapsed().as_secs_f64()).max(0.5 * budget_s).min(left_s)
 }
 
 /// A checkpoint: the scene so far, the metrics so far, the record.

@@ -4,6 +4,8 @@
 const ROUNDS: i32 = 3;
 /// Least coupling of neighbours: values pass even the hardest edge, so that filling has no holes.
 const LEAST_COUPLING: f32 = 1e-4;
+/// Rows that are solved side by side: each is a chain of divisions, whose latency others fill.
+const ROWS: usize = 8;
 
 /// The couplings of an image, ready to smooth several planes.
 pub(crate) struct Smoother {
@@ -31,11 +33,18 @@ impl Smoother {
     /// Approximately minimises `sum (u - f)^2 + lambda sum coupling (u_i - u_j)^2`.
     pub fn smooth(&self, values: &mut [f32], lambda: f32) {
         let (w, h) = (self.width, self.height);
-        let mut ratio = vec![0.0f32; w.max(h) * w];
+        let mut ratio = vec![0.0f32; h.max(ROWS) * w];
         for round in 1..=ROUNDS {
             let l = 1.5 * 4f32.powi(ROUNDS - round) / (4f32.powi(ROUNDS) - 1.0) * lambda;
-            for (row, right) in values.chunks_exact_mut(w).zip(self.right.chunks_exact(w)) {
-                solve_row(row, right, l, &mut ratio[..w]);
+            let several = (values.chunks_mut(ROWS * w), self.right.chunks(ROWS * w));
+            for (rows, right) in several.0.zip(several.1) {
+                match rows.len() / w {
+                    ROWS => solve_rows::<ROWS>(rows, right, l, &mut ratio),
+                    _ => rows
+                        .chunks_exact_mut(w)
+                        .zip(right.chunks_exact(w))
+                        .for_each(|(row, right)| solve_rows::<1>(row, right, l, &mut ratio)),
+                }
             }
             self.solve_columns(values, l, &mut ratio);
         }
@@ -94,18 +103,27 @@ pub(super) fn couplings(width: usize, height: usize, f: impl Fn(usize, usize) ->
     (right, below)
 }
 
-/// Solves `(1 + l (c_before + c_after)) u - l c_before u_before - l c_after u_after = f` in place.
-fn solve_row(u: &mut [f32], right: &[f32], l: f32, ratio: &mut [f32]) {
-    let (mut before, mut carried, mut last) = (0.0, 0.0, 0.0);
-    for ((u, &right), ratio) in u.iter_mut().zip(right).zip(ratio.iter_mut()) {
-        let after = l * right;
-        let pivot = 1.0 / (1.0 + before + after - before * carried);
-        *ratio = after * pivot;
-        *u = (*u + before * last) * pivot;
-        (before, carried, last) = (after, *ratio, *u);
+/// Solves `(1 + l (c_before + c_after)) u - l c_before u_before - l c_after u_after = f` in place, in each of `N` rows.
+fn solve_rows<const N: usize>(u: &mut [f32], right: &[f32], l: f32, ratio: &mut [f32]) {
+    let w = u.len() / N;
+    let (mut before, mut carried, mut last) = ([0.0; N], [0.0; N], [0.0; N]);
+    for (x, ratio) in ratio.as_chunks_mut::<N>().0[..w].iter_mut().enumerate() {
+        let after: [f32; N] = std::array::from_fn(|k| l * right[k * w + x]);
+        let value: [f32; N] = std::array::from_fn(|k| u[k * w + x]);
+        for k in 0..N {
+            let pivot = 1.0 / (1.0 + before[k] + after[k] - before[k] * carried[k]);
+            ratio[k] = after[k] * pivot;
+            last[k] = (value[k] + before[k] * last[k]) * pivot;
+        }
+        (0..N).for_each(|k| u[k * w + x] = last[k]);
+        (before, carried) = (after, *ratio);
     }
-    for i in (0..u.len().saturating_sub(1)).rev() {
-        u[i] += ratio[i] * u[i + 1];
+    for x in (0..w.saturating_sub(1)).rev() {
+        let ratio = &ratio.as_chunks::<N>().0[x];
+        for k in 0..N {
+            last[k] = u[k * w + x] + ratio[k] * last[k];
+            u[k * w + x] = last[k];
+        }
     }
 }
 
