@@ -69,4 +69,5 @@ def of(scene, name, every):
 
 
 def _held_out(position, view, stem, **extra):
-    return Frame(position, view, f"test/{stem}.jpg", f"test_mask/{stem}.png", extra=tuple(extra.items()))
+    instance = f"test_instance/{stem}.png"
+    return Frame(position, view, f"test/{stem}.jpg", f"test_mask/{stem}.png", None, instance, tuple(extra.items()))

@@ -2,7 +2,7 @@
 
 use crate::common::{Ended, Running, Scratch, capture, mean_image_psnr_db, write_capture, write_images};
 use minute4d::Silent;
-use minute4d::core::{Sim3, exp_so3, nalgebra::Vector3};
+use minute4d::core::{Plane, Sim3, exp_so3, nalgebra::Vector3};
 use minute4d::io::capture::Split;
 use serde_json::Value;
 use std::fs;
@@ -68,6 +68,42 @@ fn train_render_eval_inspect() {
     let object = &same["objects"][0];
     assert_eq!((&object["distance"], &object["relief"], &object["missed"]), (&0.0.into(), &0.0.into(), &0.0.into()));
     assert!(dir.succeed("eval-geometry capture --truth capture").stdout.contains("distance"));
+}
+
+/// The capture with dynamic depth 20 % too far: `eval` has its baselines, and `--explain` names the cause, by warping and by training.
+#[test]
+fn explanation_names_the_wrong_part_and_baselines_need_no_training() {
+    let dir = with_capture(true);
+    let mut own = capture(6, false);
+    for frame in &mut own.frames {
+        let mask = frame.mask.clone().unwrap();
+        let depth = frame.depth.as_ref().unwrap().to_map();
+        let far = |i: usize, z: f32| if mask.at(i % depth.width(), i / depth.width()) { 1.2 * z } else { z };
+        let wrong = depth.data().iter().enumerate().map(|(i, &z)| far(i, z)).collect();
+        frame.depth = Some(Plane::from_vec(depth.width(), depth.height(), wrong).unwrap().into());
+    }
+    minute4d::io::capture::write(&dir.path("own"), &own, Split::Train, &Silent).unwrap();
+    let explained = dir.succeed("eval-geometry own --truth capture --explain --train 40 -o work --json").result();
+    let row = |what: &str, how: &str| {
+        let rows = explained["explain"].as_array().unwrap();
+        let row = rows.iter().find(|r| r["what"] == what && r["set"] == "far").unwrap();
+        row[how]["masked_psnr_db"].as_f64().unwrap()
+    };
+    for how in ["warped", "trained"] {
+        let [none, fixed, distance, all] = ["none", "static_depth", "distance", "all"].map(|what| row(what, how));
+        assert!(
+            distance > none + 1.0 && (fixed - none).abs() < 0.5 && (all - distance).abs() < 1.0,
+            "{how}: {explained}"
+        );
+    }
+    dir.succeed("train own -o out --iterations 10 --no-viewer");
+    let report = dir.succeed("eval out --data capture --json").result();
+    let baselines = report["baselines"].as_array().unwrap();
+    let names: Vec<&str> = baselines.iter().map(|b| b["name"].as_str().unwrap()).collect();
+    assert_eq!(names.len(), 3, "{names:?}");
+    let dynamic = |k: usize| baselines[k]["mean"]["masked_psnr_db"].as_f64().unwrap();
+    assert!(dynamic(0) > dynamic(2), "true depth is better than one colour: {report}");
+    assert!(!report["aligned"].as_array().unwrap().is_empty());
 }
 
 #[test]

@@ -11,10 +11,12 @@ mod depth;
 mod matching;
 mod objects;
 mod report;
+mod substitute;
 mod trajectory;
 
 pub use matching::Matching;
 pub use objects::ObjectError;
 pub use report::{DepthError, GeometryError, GeometryReport, MaskScore, evaluate};
+pub use substitute::{Substitutes, Substitution};
 pub use trajectory::{AbsoluteError, ErrorStatistics, PathAlignment, RelativeError, absolute_error, relative_error};
 pub use trajectory::{RotationError, TrajectoryError};

@@ -11,11 +11,13 @@
 //! the mask and SSIM averages the map over those of its pixels that lie in the valid region. The other flavours are named by
 //! [`PsnrKind`] and [`SsimKind`], and a report says which it holds. LPIPS is `m4_nets::lpips`: it needs a network.
 
+mod aligned;
 pub mod covisible;
 mod metric;
 mod report;
 mod ssim;
 
+pub use aligned::{Shift, best_shift};
 pub use metric::{ImageError, MAX_PSNR_DB, Metric, PlanarImage, PsnrKind, dilated, psnr_db};
 pub use report::{FrameScore, ImageProtocol, ImageReport, MaskedScore, MeanScore};
 pub use ssim::{SSIM_SIGMA_PX, SSIM_WINDOW_PX, SsimKind, SsimMap, ssim, ssim_map};

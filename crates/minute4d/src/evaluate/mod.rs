@@ -5,18 +5,25 @@
 //! scene, its held-out views --views (Rules: masks, metrics, poses)--> eval.json with every choice
 //! ```
 
+mod aligned;
+mod baselines;
 mod by_protocol;
 mod choices;
 mod covisible;
+mod explain;
 mod perceptual;
 mod poses;
 pub mod protocol;
+mod regions;
 mod sets;
 mod split;
 
+pub use aligned::AlignedScore;
+pub use baselines::BaselineScore;
 pub use choices::{Choices, FrameChoice, Headline, MaskChoice, PoseChoice, PoseTreatment, ResolutionChoice};
 pub(crate) use covisible::adopt as adopt_covisible;
 pub use covisible::{COVISIBLE_FOLDER, MaskSource};
+pub use explain::{ExplainRow, explain, explain_table};
 pub use perceptual::LpipsChoice;
 pub use poses::{Alignment, Moved};
 pub use protocol::{FrameRule, Protocol, Task};
@@ -24,12 +31,13 @@ pub use sets::SetScore;
 pub use split::{SPLIT_FILE, SplitRecord, split};
 
 use crate::device::DeviceChoice;
-use crate::folder::{EVAL_FILE, SCENE_FILE};
+use crate::folder::{CAPTURE_FOLDER, EVAL_FILE, SCENE_FILE};
 use crate::record::write_json;
 use crate::render::SceneRenderer;
 use crate::settings::Settings;
 use crate::stage::check_stop;
 use crate::{Error, Observer, Refusal, hash};
+use aligned::Shifts;
 use m4_core::{Camera, Capture, CaptureFrame, CompactMask, Exposure, RgbImage, Scene};
 use m4_eval::geometry::{GeometryReport, evaluate};
 use m4_eval::image::{ImageReport, MeanScore, PlanarImage};
@@ -60,16 +68,21 @@ pub fn geometry(capture: &Path, truth: &Path, reach: Reach, observer: &dyn Obser
     let truth = if truth.is_file() && llff::detect(truth) {
         llff::read(truth)?
     } else {
-        let mut read = m4_io::capture::read(truth, Split::Train, &options, observer)?;
-        add_instances(&mut read, &truth.join(INSTANCE_FOLDER))?;
-        read
+        read_truth(truth, &options, observer)?
     };
     Ok(evaluate(&estimate, &truth)?)
 }
 
-/// Folder of a benchmark scene with an instance map per training image; its list of frames does not name them, so that no training
-/// reads them.
-const INSTANCE_FOLDER: &str = "instance";
+/// Reads the training frames of a data set, with the instance maps of a benchmark scene.
+fn read_truth(truth: &Path, options: &CaptureOptions, observer: &dyn Observer) -> Result<Capture, Error> {
+    let mut read = m4_io::capture::read(truth, Split::Train, options, observer)?;
+    add_instances(&mut read, &truth.join(INSTANCE_FOLDERS[0]))?;
+    Ok(read)
+}
+
+/// Folders of a benchmark scene with an instance map per training image and per held-out image; its lists of frames do not name them, so
+/// that no training reads them.
+const INSTANCE_FOLDERS: [&str; 2] = ["instance", "test_instance"];
 
 /// Adds the instance maps that lie in a folder, by the names of the images, to frames without.
 fn add_instances(truth: &mut Capture, folder: &Path) -> Result<(), Error> {
@@ -145,6 +158,12 @@ pub struct EvalReport {
     /// As `images`, of the views between training frames, where the capture lists some.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub between: Option<ImageReport>,
+    /// Each dynamic object after its best shift, by set.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub aligned: Vec<AlignedScore>,
+    /// The same views without training, where the data set has depth and masks.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub baselines: Vec<BaselineScore>,
     /// State of LPIPS without a protocol; a protocol's is in `choices`.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub lpips: Vec<LpipsChoice>,
@@ -185,7 +204,7 @@ pub fn views(out: &Path, data: &Path, options: &EvalOptions, observer: &dyn Obse
     let mut renderer = SceneRenderer::new(&held.scene, level, gpu.as_ref())?;
     let (images, other, choices, drawing_s) = match options.protocol {
         None => {
-            let (images, other, drawing_s) = plain(&held, data, options, &mut renderer, observer)?;
+            let (images, other, drawing_s) = plain(&held, data, out, options, &mut renderer, observer)?;
             (images, other, None, drawing_s)
         }
         Some(protocol) => {
@@ -208,6 +227,8 @@ pub fn views(out: &Path, data: &Path, options: &EvalOptions, observer: &dyn Obse
         images,
         near: other.near,
         between: other.between,
+        aligned: other.aligned,
+        baselines: other.baselines,
         lpips: other.lpips,
         scene: held.path,
         alignment: held.alignment,
@@ -223,13 +244,17 @@ struct OtherSets {
     rows: Vec<SetScore>,
     near: Option<ImageReport>,
     between: Option<ImageReport>,
+    aligned: Vec<AlignedScore>,
+    baselines: Vec<BaselineScore>,
     lpips: Vec<LpipsChoice>,
 }
 
-/// Joint PSNR and SSIM of images in 8 bits, LPIPS where it is installed, of every list of held-out views; and the seconds of drawing.
+/// Joint PSNR and SSIM of images in 8 bits, LPIPS where it is installed, of every list of held-out views; objects after their best shift;
+/// baselines where the data set has depth; and the seconds of drawing.
 fn plain(
     held: &HeldOut,
     data: &Path,
+    out: &Path,
     options: &EvalOptions,
     renderer: &mut SceneRenderer<'_>,
     observer: &dyn Observer,
@@ -237,24 +262,37 @@ fn plain(
     let read = CaptureOptions { reach: options.reach, ..Settings::fast().capture };
     let size = held.test.frames.first().map_or((0, 0), |v| v.rgb.size());
     let lpips = Perceptual::load(&[LpipsRule::Alex], false, size.0.min(size.1), options.device)?;
-    let train = sets::read(data, Split::Train, &read, observer)?;
-    let mut other = OtherSets { lpips: lpips.choices.clone(), ..OtherSets::default() };
-    let mut drawing_s = 0.0;
-    let mut score = |set: &str, capture: &Capture| -> Result<ImageReport, Error> {
-        let (report, seconds) =
-            score_views(held, capture, data, options.grow_mask, (&mut *renderer, &lpips), observer)?;
-        drawing_s += seconds;
-        let angles =
-            train.as_ref().map_or_else(|| vec![None; capture.frames.len()], |train| sets::angles(train, capture));
-        other.rows.extend(sets::rows(set, &report, &angles));
-        Ok(report)
+    let train = match data.is_dir() && data.join(Split::Train.file_name()).is_file() {
+        true => Some(read_truth(data, &read, observer)?),
+        false => None,
     };
-    let images = score("far", &held.test)?;
-    let near = sets::read(data, Split::Near, &read, observer)?;
-    let near = near.map(|views| score("near", &views)).transpose()?;
-    let between = sets::read(data, Split::Between, &read, observer)?;
-    let between = between.map(|views| score("between", &views)).transpose()?;
-    Ok((images, OtherSets { near, between, ..other }, drawing_s))
+    let mut other = OtherSets { lpips: lpips.choices.clone(), ..OtherSets::default() };
+    let mut lists = vec![("far", held.test.clone())];
+    for (set, split) in [("near", Split::Near), ("between", Split::Between)] {
+        lists.extend(sets::read(data, split, &read, observer)?.map(|views| (set, views)));
+    }
+    let (mut reports, mut drawing_s) = (BTreeMap::new(), 0.0);
+    for (set, views) in &mut lists {
+        add_instances(views, &data.join(INSTANCE_FOLDERS[1]))?;
+        let mut shifts = Shifts::default();
+        let (report, seconds) =
+            score_views(held, views, data, options.grow_mask, (&mut *renderer, &lpips, &mut shifts), observer)?;
+        drawing_s += seconds;
+        let angles = train.as_ref().map_or_else(|| vec![None; views.frames.len()], |train| sets::angles(train, views));
+        other.rows.extend(sets::rows(set, &report, &angles));
+        other.aligned.extend(shifts.rows(set));
+        reports.insert(*set, report);
+    }
+    let complete = |c: &Capture| c.frames.iter().all(|f| f.depth.is_some() && f.mask.is_some());
+    if let Some(given) = train.filter(complete) {
+        // a scene trained from a video has its own geometry beside it
+        let own = sets::read(&out.join(CAPTURE_FOLDER), Split::Train, &read, observer)?.filter(complete);
+        let lists: Vec<(&str, &Capture)> = lists.iter().map(|(set, views)| (*set, views)).collect();
+        other.baselines = baselines::score(&given, own.as_ref(), held, &lists, observer)?;
+    }
+    let images = reports.remove("far").unwrap_or_else(|| ImageReport::new("far", options.grow_mask));
+    (other.near, other.between) = (reports.remove("near"), reports.remove("between"));
+    Ok((images, other, drawing_s))
 }
 
 /// Scores the views of one list, and says how many seconds drawing took.
@@ -263,7 +301,7 @@ fn score_views(
     capture: &Capture,
     data: &Path,
     grow_mask: usize,
-    (renderer, lpips): (&mut SceneRenderer<'_>, &Perceptual),
+    (renderer, lpips, shifts): (&mut SceneRenderer<'_>, &Perceptual, &mut Shifts),
     observer: &dyn Observer,
 ) -> Result<(ImageReport, f64), Error> {
     let views = &capture.frames;
@@ -281,6 +319,7 @@ fn score_views(
         let score = images.add(&frame.name, t, index, &image, &reference, mask.as_ref())?;
         let note = format!("{:.2} dB", score.psnr_db);
         lpips.score(&mut images, &frame.name, &image, &reference, None)?;
+        shifts.add(&drawn, frame)?;
         observer.update("eval", i + 1, views.len(), &note);
     }
     Ok((images, drawing_s))
@@ -293,6 +332,12 @@ impl EvalReport {
         let mut out = self.images.table();
         if !self.sets.is_empty() {
             out += &sets::table(&self.sets);
+        }
+        if !self.aligned.is_empty() {
+            out += &aligned::table(&self.aligned);
+        }
+        if !self.baselines.is_empty() {
+            out += &baselines::table(&self.baselines);
         }
         for missing in self.lpips.iter().filter_map(|lpips| lpips.absent.as_ref()) {
             out += &format!("LPIPS      not scored: {missing}\n");

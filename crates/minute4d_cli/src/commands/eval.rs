@@ -5,9 +5,9 @@ use crate::failure::Failure;
 use crate::options::ReachArgs;
 use crate::output::Output;
 use clap::Args;
-use minute4d::Existing;
-use minute4d::device::DeviceChoice;
+use minute4d::device::{DeviceChoice, DeviceRequest};
 use minute4d::evaluate::{Choices, EvalOptions, Protocol};
+use minute4d::{Existing, Job, Settings};
 use std::fmt::Write;
 use std::path::PathBuf;
 
@@ -88,13 +88,36 @@ pub struct EvalGeometry {
     /// Ground truth: a capture folder, a transforms file, or a JSON file of LLFF poses
     #[arg(long, value_name = "SCENE")]
     pub truth: PathBuf,
+    /// Replace one kind of estimate at a time by the truth, and score the held-out views of SCENE by warping depth into them
+    #[arg(long)]
+    pub explain: bool,
+    /// Also train each of these captures for N iterations
+    #[arg(long, value_name = "N", requires = "explain", requires = "out")]
+    pub train: Option<usize>,
+    /// Folder for the captures and scenes of `--train`; finished scenes are kept
+    #[arg(long, short, value_name = "DIR", requires = "train")]
+    pub out: Option<PathBuf>,
     #[command(flatten)]
     pub reach: ReachArgs,
 }
 
 pub fn run_geometry(args: &EvalGeometry, output: &Output) -> Result<(), Failure> {
-    let report = minute4d::evaluate::geometry(&args.capture, &args.truth, args.reach.reach(), output)?;
-    output.result(&report.table(), minute4d::plain_json(&report)?);
+    let reach = args.reach.reach();
+    let report = minute4d::evaluate::geometry(&args.capture, &args.truth, reach, output)?;
+    let (mut text, mut value) = (report.table(), minute4d::plain_json(&report)?);
+    if args.explain {
+        let mut settings = Settings::fast();
+        settings.capture.reach = reach;
+        settings.train.iterations = args.train.unwrap_or(settings.train.iterations);
+        settings.viewer.write = false;
+        let job = Job { settings, device: DeviceRequest::default(), existing: Existing::Resume, observer: output };
+        let training = args.out.as_deref().map(|out| (out, &job));
+        let options = &job.settings.capture;
+        let rows = minute4d::evaluate::explain(&args.capture, &args.truth, options, training, output)?;
+        text += &minute4d::evaluate::explain_table(&rows);
+        value["explain"] = minute4d::plain_json(&rows)?;
+    }
+    output.result(&text, value);
     Ok(())
 }
 

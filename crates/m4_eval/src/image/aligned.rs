@@ -1,0 +1,89 @@
+//! The best shift of a region: how far beside its place something was drawn, and how good a copy it is otherwise.
+
+use super::metric::{ImageError, MAX_PSNR_DB, same_size};
+use m4_core::RgbImage;
+
+/// Largest shift along an axis, share of the image width.
+const REACH: f64 = 0.05;
+/// Shifts of the first search are this many pixels apart.
+const STEP_PX: i32 = 2;
+
+/// A region of an image compared with the reference as it lies and after its best shift.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Shift {
+    /// Columns and rows by which the image is shifted for the best agreement, whole pixels.
+    pub by_px: [i32; 2],
+    /// PSNR over the region without a shift, dB.
+    pub placed_db: f64,
+    /// PSNR over the region after it, dB.
+    pub aligned_db: f64,
+}
+
+/// Finds the shift of `image` with the least squared error over `region`, pixels of `reference`: every second shift of up to 5 % of the width
+/// along each axis, then those beside the best. Outside the image its rim is repeated. `None` if the region is empty.
+///
+/// # Errors
+///
+/// [`ImageError`] if the sizes differ.
+pub fn best_shift(
+    image: &RgbImage,
+    reference: &RgbImage,
+    region: &[(usize, usize)],
+) -> Result<Option<Shift>, ImageError> {
+    same_size("the image", reference.size(), image.size())?;
+    if region.is_empty() {
+        return Ok(None);
+    }
+    let (w, h) = image.size();
+    let error = |dx: i32, dy: i32| -> u64 {
+        let clamped = |i: usize, d: i32, n: usize| (i as i64 - i64::from(d)).clamp(0, n as i64 - 1) as usize;
+        let squared = |&(x, y): &(usize, usize)| {
+            let (a, b) = (image[(clamped(x, dx, w), clamped(y, dy, h))], reference[(x, y)]);
+            (0..3).map(|c| u64::from(a[c].abs_diff(b[c])).pow(2)).sum::<u64>()
+        };
+        region.iter().map(squared).sum()
+    };
+    // of equal ones the shortest
+    let better = |best: (u64, i32, i32), (dx, dy): (i32, i32)| {
+        let found = (error(dx, dy), dx, dy);
+        let key = |s: (u64, i32, i32)| (s.0, s.1 * s.1 + s.2 * s.2);
+        if key(found) < key(best) { found } else { best }
+    };
+    let reach = (REACH * w as f64).ceil() as i32 / STEP_PX;
+    let square =
+        |reach: i32, step: i32| (-reach..=reach).flat_map(move |y| (-reach..=reach).map(move |x| (step * x, step * y)));
+    let placed = error(0, 0);
+    let coarse = square(reach, STEP_PX).fold((placed, 0, 0), better);
+    let fine = square(STEP_PX - 1, 1).map(|(x, y)| (coarse.1 + x, coarse.2 + y)).fold(coarse, better);
+    let psnr = |sum: u64| {
+        let mse = sum as f64 / (3.0 * 255.0 * 255.0 * region.len() as f64);
+        (-10.0 * mse.log10()).min(MAX_PSNR_DB)
+    };
+    Ok(Some(Shift { by_px: [fine.1, fine.2], placed_db: psnr(placed), aligned_db: psnr(fine.0) }))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::best_shift;
+    use m4_core::{Plane, RgbImage};
+
+    fn texture(dx: usize, dy: usize) -> RgbImage {
+        let value = |x: usize, y: usize| {
+            (128.0 + 100.0 * (x as f32 * 0.21).sin() * (y as f32 * 0.17 + x as f32 * 0.05).cos()) as u8
+        };
+        Plane::from_fn(200, 100, |x, y| [value(x + dx, y + dy), 90, 30])
+    }
+
+    #[test]
+    fn a_shift_is_found_with_its_sign_and_undone() {
+        let region: Vec<_> = (30..60).flat_map(|y| (80..120).map(move |x| (x, y))).collect();
+        // what the reference shows at (x, y) the image shows at (x - 5, y - 4)
+        let found = best_shift(&texture(5, 4), &texture(0, 0), &region).unwrap().unwrap();
+        assert_eq!(found.by_px, [5, 4]);
+        assert!(found.aligned_db == super::MAX_PSNR_DB && found.placed_db < 20.0, "{found:?}");
+        let none = best_shift(&texture(0, 0), &texture(0, 0), &region).unwrap().unwrap();
+        assert_eq!((none.by_px, none.placed_db), ([0, 0], none.aligned_db));
+        assert_eq!(best_shift(&texture(0, 0), &texture(0, 0), &[]).unwrap(), None);
+        assert!(best_shift(&texture(0, 0), &Plane::filled(9, 9, [0; 3]), &region).is_err());
+    }
+}
