@@ -70,7 +70,7 @@ fn train_render_eval_inspect() {
     assert!(dir.succeed("eval-geometry capture --truth capture").stdout.contains("distance"));
 }
 
-/// The capture with dynamic depth 20 % too far: `eval` has its baselines, and `--explain` names the cause, by warping and by training.
+/// The capture with half the dynamic depth: `eval` has its baselines, and `--explain` names the cause, by warping and by training.
 #[test]
 fn explanation_names_the_wrong_part_and_baselines_need_no_training() {
     let dir = with_capture(true);
@@ -78,8 +78,8 @@ fn explanation_names_the_wrong_part_and_baselines_need_no_training() {
     for frame in &mut own.frames {
         let mask = frame.mask.clone().unwrap();
         let depth = frame.depth.as_ref().unwrap().to_map();
-        let far = |i: usize, z: f32| if mask.at(i % depth.width(), i / depth.width()) { 1.2 * z } else { z };
-        let wrong = depth.data().iter().enumerate().map(|(i, &z)| far(i, z)).collect();
+        let near = |i: usize, z: f32| if mask.at(i % depth.width(), i / depth.width()) { 0.5 * z } else { z };
+        let wrong = depth.data().iter().enumerate().map(|(i, &z)| near(i, z)).collect();
         frame.depth = Some(Plane::from_vec(depth.width(), depth.height(), wrong).unwrap().into());
     }
     minute4d::io::capture::write(&dir.path("own"), &own, Split::Train, &Silent).unwrap();

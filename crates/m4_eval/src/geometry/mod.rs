@@ -18,5 +18,7 @@ pub use matching::Matching;
 pub use objects::ObjectError;
 pub use report::{DepthError, GeometryError, GeometryReport, MaskScore, evaluate};
 pub use substitute::{Substitutes, Substitution};
-pub use trajectory::{AbsoluteError, ErrorStatistics, PathAlignment, RelativeError, absolute_error, relative_error};
+pub use trajectory::{
+    AbsoluteError, ErrorStatistics, PathAlignment, RelativeError, absolute_error, placement, relative_error,
+};
 pub use trajectory::{RotationError, TrajectoryError};

@@ -3,7 +3,8 @@
 use super::depth::{covering, depth_error, usable};
 use super::matching::pair;
 use super::report::{GeometryError, median_of_sorted, training};
-use m4_core::{Camera, Capture, CaptureFrame, CompactDepth, CompactMask, DepthMap, Plane, Sim3};
+use super::trajectory::placement;
+use m4_core::{Camera, Capture, CaptureFrame, CompactDepth, CompactMask, DepthMap, Plane};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -75,7 +76,7 @@ pub struct Substitutes<'a> {
 }
 
 impl<'a> Substitutes<'a> {
-    /// Places the estimate in the world of the truth by the similarity of their camera centres.
+    /// Places the estimate in the world of the truth by the similarity of their cameras.
     ///
     /// # Errors
     ///
@@ -92,10 +93,8 @@ impl<'a> Substitutes<'a> {
                 e.name, t.name
             )));
         }
-        let centres = |of: fn(&(&CaptureFrame, &CaptureFrame)) -> Camera| {
-            pairs.iter().map(|p| of(p).centre()).collect::<Vec<_>>()
-        };
-        let map = Sim3::umeyama(&centres(|p| p.0.camera), &centres(|p| p.1.camera));
+        let (cameras, known): (Vec<Camera>, Vec<Camera>) = pairs.iter().map(|(e, t)| (e.camera, t.camera)).unzip();
+        let map = placement(&cameras, &known);
         let (Some(map), Some(depth)) = (map, depth_error(&pairs)) else {
             return Err(GeometryError(
                 "the cameras of one side do not move, so the estimate cannot be placed in the true world".to_owned(),

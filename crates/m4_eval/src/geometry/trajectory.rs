@@ -48,6 +48,22 @@ fn common_rotation(estimate: &[Camera], truth: &[Camera]) -> Option<Matrix3<f64>
     Some(u * Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, sign)) * v_t)
 }
 
+/// The similarity that takes the cameras of an estimate to those of the truth: the rotation from the axes, which determine it even where all
+/// centres lie on a line, scale and translation from the centres. `None` for fewer than three pairs, or where a path has no extent.
+pub fn placement(estimate: &[Camera], truth: &[Camera]) -> Option<Sim3> {
+    let rotation = common_rotation(estimate, truth).filter(|_| estimate.len() >= 3)?;
+    let mean = |cameras: &[Camera]| cameras.iter().map(Camera::centre).sum::<Vector3<f64>>() / cameras.len() as f64;
+    let (from, to) = (mean(estimate), mean(truth));
+    let (mut along, mut square) = (0.0, 0.0);
+    for (e, t) in estimate.iter().zip(truth) {
+        let turned = rotation * (e.centre() - from);
+        along += turned.dot(&(t.centre() - to));
+        square += turned.norm_squared();
+    }
+    let scale = along / square;
+    (scale.is_finite() && scale > 0.0).then(|| Sim3 { scale, rotation, translation: to - rotation * from * scale })
+}
+
 /// Whether points are apart. Identical centres differ by rounding alone; a path of that length has no shape to align.
 pub(super) fn has_extent(points: &[Vector3<f64>]) -> bool {
     let Some(first) = points.first() else {

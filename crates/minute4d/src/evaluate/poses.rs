@@ -14,8 +14,9 @@ use super::protocol::RefineRule;
 use crate::render::{Painter, view};
 use crate::stage::check_stop;
 use crate::{Error, Observer};
-use m4_core::nalgebra::{Matrix3, Vector3, Vector6};
+use m4_core::nalgebra::{Matrix3, Vector6};
 use m4_core::{Camera, Scene, Sim3};
+use m4_eval::geometry::placement;
 use m4_eval::image::PlanarImage;
 use m4_io::trajectory;
 use m4_kernels::{FrameGradient, Gradients, Renderer, SimdLevel};
@@ -87,7 +88,8 @@ pub(super) fn between(scene: &Scene, data: &Path, observer: &dyn Observer) -> Re
     if same_world(&pairs) {
         return Ok(None);
     }
-    let Some(map) = fit(&pairs) else {
+    let (known, own): (Vec<Camera>, Vec<Camera>) = pairs.iter().copied().unzip();
+    let Some(map) = placement(&known, &own) else {
         observer.warn(&format!(
             "the scene has a world of its own and {} training cameras are not enough to place the held-out cameras in it; \
              the scores mean nothing",
@@ -132,30 +134,6 @@ fn same_world(pairs: &[(Camera, Camera)]) -> bool {
     pairs.iter().all(|(d, s)| {
         (d.centre() - s.centre()).norm() <= limit && (d.c2w.rotation - s.c2w.rotation).norm() <= SAME_WORLD.sqrt()
     })
-}
-
-/// Rotation from the cameras' axes, which determine it even where all centres lie on a line; scale
-/// and translation from their centres.
-fn fit(pairs: &[(Camera, Camera)]) -> Option<Sim3> {
-    if pairs.len() < 3 {
-        return None;
-    }
-    let sum: Matrix3<f64> = pairs.iter().map(|(d, s)| s.c2w.rotation * d.c2w.rotation.transpose()).sum();
-    let svd = sum.svd(true, true);
-    let (u, v_t) = (svd.u?, svd.v_t?);
-    let sign = (u * v_t).determinant().signum();
-    let rotation = u * Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, sign)) * v_t;
-    let n = pairs.len() as f64;
-    let mean = |f: &dyn Fn(&(Camera, Camera)) -> Vector3<f64>| pairs.iter().map(f).sum::<Vector3<f64>>() / n;
-    let (data, scene) = (mean(&|p| p.0.centre()), mean(&|p| p.1.centre()));
-    let (mut along, mut square) = (0.0, 0.0);
-    for (d, s) in pairs {
-        let turned = rotation * (d.centre() - data);
-        along += turned.dot(&(s.centre() - scene));
-        square += turned.norm_squared();
-    }
-    let scale = along / square;
-    (scale.is_finite() && scale > 0.0).then(|| Sim3 { scale, rotation, translation: scene - rotation * data * scale })
 }
 
 const BETA1: f64 = 0.9;
@@ -255,7 +233,7 @@ impl<'a> Refiner<'a> {
 
 #[cfg(test)]
 mod tests {
-    use super::{Alignment, Refiner, fit, same_world};
+    use super::{Alignment, Refiner, placement, same_world};
     use crate::Silent;
     use crate::evaluate::protocol::{RefineRule, StartPose};
     use crate::render::Painter;
@@ -283,7 +261,8 @@ mod tests {
         };
         let moved = |c: Camera| Camera { c2w: map.transform_pose(&c.c2w), ..c };
         let pairs: Vec<(Camera, Camera)> = (0..8).map(|i| (camera(i), moved(camera(i)))).collect();
-        let found = fit(&pairs).unwrap();
+        let (from, to): (Vec<Camera>, Vec<Camera>) = pairs.iter().copied().unzip();
+        let found = placement(&from, &to).unwrap();
         assert!((found.scale - 2.5).abs() < 1e-9 && (found.rotation - map.rotation).norm() < 1e-9);
         assert!((found.translation - map.translation).norm() < 1e-9);
         let alignment = Alignment::new(&found, &pairs);
@@ -297,7 +276,8 @@ mod tests {
         let same: Vec<(Camera, Camera)> = (0..4).map(|i| (camera(i), camera(i))).collect();
         assert!(same_world(&same));
         let still: Vec<(Camera, Camera)> = (0..4).map(|i| (camera(0), camera(i))).collect();
-        assert!(fit(&still).is_none() && fit(&same[..2]).is_none());
+        let (one, many): (Vec<Camera>, Vec<Camera>) = still.into_iter().unzip();
+        assert!(placement(&one, &many).is_none() && placement(&many[..2], &many[..2]).is_none());
     }
 
     #[test]
