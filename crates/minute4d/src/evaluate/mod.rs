@@ -34,7 +34,6 @@ use m4_core::{Camera, Capture, CaptureFrame, CompactMask, Exposure, RgbImage, Sc
 use m4_eval::geometry::{GeometryReport, evaluate};
 use m4_eval::image::{ImageReport, MeanScore, PlanarImage};
 use m4_io::capture::{CaptureOptions, Split};
-use m4_io::dataset::llff;
 use m4_io::reach::Reach;
 use m4_io::scene::safetensors;
 use m4_kernels::SimdLevel;
@@ -46,7 +45,7 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 /// Compares the cameras, depth and masks of a capture with a reference for the same video: another
-/// capture, or a JSON file of LLFF poses. `reach` is which files both may name.
+/// capture. `reach` is which files both may name.
 ///
 /// # Errors
 ///
@@ -57,14 +56,9 @@ pub fn geometry(capture: &Path, truth: &Path, reach: Reach, observer: &dyn Obser
     if !truth.exists() {
         return Err(Error::Missing { what: "known geometry", path: truth.to_path_buf() });
     }
-    let truth = if truth.is_file() && llff::detect(truth) {
-        llff::read(truth)?
-    } else {
-        let mut read = m4_io::capture::read(truth, Split::Train, &options, observer)?;
-        add_instances(&mut read, &truth.join(INSTANCE_FOLDER))?;
-        read
-    };
-    Ok(evaluate(&estimate, &truth)?)
+    let mut known = m4_io::capture::read(truth, Split::Train, &options, observer)?;
+    add_instances(&mut known, &truth.join(INSTANCE_FOLDER))?;
+    Ok(evaluate(&estimate, &known)?)
 }
 
 /// Folder of a benchmark scene with an instance map per training image; its list of frames does not name them, so that no training
