@@ -98,7 +98,7 @@ fn mip_filter_is_baked() {
         if is_read {
             let db = number(&compared["psnr_db"]);
             println!("{format}: {db:.2} dB");
-            assert!(db > 99.0, "{format}: {db:.2} dB");
+            assert!(db > 50.0, "{format}: {db:.2} dB in a player without the filter");
         }
         assert!(baked.contains("Mip filter"), "{format}: {baked}");
         assert!(!dropped.contains("Mip") && !dropped.contains("opacity-compensated"), "{format}: {dropped}");
