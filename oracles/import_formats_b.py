@@ -184,15 +184,8 @@ def nvidia(root, c):
 
 
 def davis(root, c):
-    palette = [0, 0, 0, 128, 0, 0, 0, 128, 0, 128, 128, 0]
     for i in range(N):
         image(f"{root}/JPEGImages/480p/ball/{i:05d}.jpg", c.rgb[i], **JPEG)
-        if i == N - 1:
-            continue
-        ids = Image.fromarray(c.mask[i].astype(np.uint8) * (1 + i % 2), "P")
-        ids.putpalette(palette)
-        os.makedirs(f"{root}/Annotations/480p/ball", exist_ok=True)
-        ids.save(f"{root}/Annotations/480p/ball/{i:05d}.png")
 
 
 def confidence(i):
@@ -243,7 +236,7 @@ def record3d(root, c):
 
 
 def side(root, c):
-    for name in ["exr", "pfm", "png", "npy"]:
+    for name in ["exr", "png", "npy"]:
         os.makedirs(f"{root}/depth_{name}", exist_ok=True)
     kinds = [("Z", np.float32, OpenEXR.ZIP_COMPRESSION), ("Z", np.float16, OpenEXR.PIZ_COMPRESSION), ("Y", np.float32, OpenEXR.RLE_COMPRESSION),
              ("R", np.float16, OpenEXR.ZIPS_COMPRESSION), ("ViewLayer.Depth.Z", np.float32, OpenEXR.NO_COMPRESSION)]
@@ -257,10 +250,6 @@ def side(root, c):
         if channel == "R":
             channels |= {"G": z.astype(dtype) * 2, "B": z.astype(dtype) * 3}
         OpenEXR.File(header, channels).write(f"{root}/depth_exr/{name}.exr")
-        little = i % 2 == 0
-        with open(f"{root}/depth_pfm/{name}.pfm", "wb") as f:
-            f.write(f"Pf\n{DW} {DH}\n{-1.0 if little else 1.0}\n".encode())
-            f.write(z[::-1].astype("<f4" if little else ">f4").tobytes())
         known = np.where(np.isfinite(z) & (z > 0), z, 0)
         image(f"{root}/depth_png/{name}.png", np.round(known / 0.0005).astype(np.uint16))
         np.save(f"{root}/depth_npy/{name}.npy", z if i else z.astype(np.float64)[..., None])
@@ -277,23 +266,6 @@ def side(root, c):
     OpenEXR.File(parts).write(f"{root}/exr_other/parts.exr")
     window = {"dataWindow": ((2, 1), (DW + 1, DH)), "displayWindow": ((0, 0), (DW + 9, DH + 9))}
     OpenEXR.File(header | {k: tuple(np.array(v, np.int32) for v in w) for k, w in window.items()}, {"Z": z}).write(f"{root}/exr_other/cropped.exr")
-    np.savez_compressed(f"{root}/depth.npz", depths=c.depth.astype(np.float32))
-    np.savez_compressed(f"{root}/masks.npz", masks=c.mask)
-    # a world turned, moved and twice as large, as a tracker with its own poses has it
-    g, shift = turn([1, 2, 3], 0.7), np.array([0.3, -1.0, 0.5])
-    theirs = np.tile(np.eye(4), (N, 1, 1))
-    theirs[:, :3, :3] = g @ c.c2w[:, :3, :3]
-    theirs[:, :3, 3] = 2 * (c.c2w[:, :3, 3] @ g.T + shift)
-    coords = 2 * (c.places @ g.T + shift)
-    np.savez_compressed(f"{root}/tapip3d.npz", coords=coords.astype(np.float32), visibs=c.seen, extrinsics=np.linalg.inv(theirs).astype(np.float32),
-                        intrinsics=c.k.astype(np.float32), query_points=np.zeros((7, 4), np.float32), video=np.zeros((N, 3, H, W), np.uint8))
-    np.savez_compressed(f"{root}/world.npz", coords=c.places.astype(np.float32), visibs=c.seen[..., None].astype(np.float32),
-                        colors=(np.arange(21, dtype=np.uint8) * 12).reshape(7, 3))
-    np.savez_compressed(f"{root}/spatracker.npz", pred_tracks=np.concatenate([c.pixels, c.z[..., None]], -1)[None].astype(np.float32),
-                        pred_visibility=c.seen[None])
-    # followed in a video of twice the size: the centre of the pixel p there is 2 (p + 0.5) - 0.5
-    np.savez_compressed(f"{root}/cotracker.npz", tracks=(2 * c.pixels + 0.5).astype(np.float32), visibility=c.seen,
-                        video=np.zeros((N, 2 * H, 2 * W, 3), np.uint8))
 
 
 def main(root):

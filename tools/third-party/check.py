@@ -57,8 +57,7 @@ class Exporter:
 
     def __call__(self, name, file, *more):
         out = self.files / file
-        # the opacities of the scene are what is compared
-        options = ["--out", str(out), "--json", "--no-compare", "--keep-mip", *more]
+        options = ["--out", str(out), "--json", "--no-compare", *more]
         command = [self.program, "export", self.scene, "--format", name, *options]
         run = subprocess.run(command, capture_output=True, text=True)
         if run.returncode:

@@ -120,7 +120,7 @@ pub fn geometry(root: &Path, args: &[&str], work: &Path) -> Result<String> {
     );
     for pair in pairs {
         let (input, truth) = pair.split_once('=').with_context(|| format!("{pair}: expected INPUT=TRUTH"))?;
-        let name = stem(truth.strip_suffix("/precomputed.json").unwrap_or(truth));
+        let name = stem(truth.strip_suffix("/transforms.json").unwrap_or(truth));
         let out = work.join(format!("{name}-capture"));
         let out_text = out.to_string_lossy().into_owned();
         let start = std::time::Instant::now();

@@ -6,7 +6,6 @@
 //! dba/           dense bundle adjustment, which both use
 //! masks/         segmentation and tracking of dynamic objects, for masks of any source
 //! tracks/        tracks of dynamic points through a clip whose cameras and depth are known, visible or occluded
-//! consistency/   whether given cameras and depth fit the images
 //! resample       images and maps in other sizes
 //! ```
 //!
@@ -15,7 +14,6 @@
 #![forbid(unsafe_code)]
 
 pub mod classical;
-pub mod consistency;
 pub mod dba;
 pub mod masks;
 pub mod megasam;

@@ -31,7 +31,7 @@ pub use crate::pose::Axes;
 
 use crate::dataset::export::{MAX_STEPS, clipped};
 use crate::dataset::nerfstudio::{Frame, LensKeys, Transforms, list_capture, rows};
-use crate::dataset::{ImportOptions, load_of};
+use crate::dataset::{ImportOptions, load};
 use crate::files::in_parallel;
 use crate::reach::Reach;
 use crate::{Fault, ReadError, WriteError, atomic, image, tracks};
@@ -129,7 +129,7 @@ pub fn read(
     let options =
         ImportOptions { max_memory_bytes: options.max_memory_bytes, reach: options.reach, ..ImportOptions::default() };
     let listing = list_capture(&file, split, &options, progress)?;
-    Ok(load_of(&file, listing, BYTES_PER_8_PIXELS, &options, progress)?.train)
+    Ok(load(&file, listing, BYTES_PER_8_PIXELS, &options, progress)?.train)
 }
 
 /// The JSON file that `path` stands for.

@@ -117,7 +117,6 @@ mod tests {
             "export a --fps 0",
             "import a.ply",
             "import a.npz -o b --fps 0",
-            "import a.npz -o b --tau-motion 1.1",
             "import a.ply -o b --format mp5",
             "view",
             "view a --port 0",
@@ -153,7 +152,7 @@ mod tests {
             assert!(Cli::try_parse_from(args).is_err(), "{line}");
         }
         let good = [
-            "import a.npz -o b --fps 24 --tau-motion 0.5 --motion-prob m.npy",
+            "import a.npz -o b --fps 24 --depth d --masks m --factor 2",
             "run a -o b --start 1.5s --end 3 --threads 2 --json",
             "train --print-config",
             "train a -o b --no-track --no-density",

@@ -3,9 +3,7 @@
 use crate::common::{Scratch, read_capture, write_capture};
 use minute4d::core::Capture;
 use minute4d::io::capture::Split;
-use serde_json::Value;
 use std::fs;
-use std::path::PathBuf;
 
 fn fixture(name: &str) -> String {
     format!("{}/../../fixtures/import/{name}", env!("CARGO_MANIFEST_DIR"))
@@ -31,7 +29,6 @@ fn source_formats_are_detected_and_imported() {
         let report = dir.succeed(&line).result();
         assert_eq!(report["format"], format, "{name}");
         assert!(report["frames"].as_u64().unwrap() > 2, "{name}: {report}");
-        assert!(report["check"]["verdict"].is_string(), "{name}: {report}");
         let train = read_capture(&dir.path(format), Split::Train);
         assert_eq!(train.frames.len() as u64, report["frames"].as_u64().unwrap());
         assert!(report["held_out"].as_u64().unwrap() >= held_out, "{name}: {report}");
@@ -41,7 +38,7 @@ fn source_formats_are_detected_and_imported() {
     // held-out views of an earlier import do not stay behind
     assert!(dir.path("dycheck").join(Split::Test.file_name()).is_file());
     let recording = fixture("record3d/clip.r3d");
-    dir.succeed(&format!("import '{recording}' -o dycheck --force --no-check"));
+    dir.succeed(&format!("import '{recording}' -o dycheck --force"));
     assert!(!dir.path("dycheck").join(Split::Test.file_name()).exists());
     let trained = dir.call("train colmap -o out --iterations 5");
     assert!(trained.code == 0 || trained.stderr.contains("depth"), "{}", trained.stderr);
@@ -51,14 +48,13 @@ fn source_formats_are_detected_and_imported() {
 fn invalid_requests_are_rejected_with_a_hint() {
     let dir = Scratch::new();
     fs::create_dir_all(dir.path("empty")).unwrap();
-    let (colmap, recording) = (fixture("colmap_text"), fixture("record3d/clip.r3d"));
+    let recording = fixture("record3d/clip.r3d");
     let davis = fixture("davis/JPEGImages/480p/ball");
     for (args, code, says) in [
         ("empty", 65, "none of the known layouts"),
         ("empty --format vipe", 65, "pose"),
         ("empty --format obj", 2, "no format is called obj"),
         (&*format!("'{davis}'"), 65, "no camera poses"),
-        (&format!("'{colmap}' --fix --no-check"), 2, "cannot be used with"),
         (&format!("'{recording}' --depth /nowhere"), 66, "/nowhere"),
     ] {
         dir.refused(&format!("import -o out {args}"), code, &[says]);
@@ -66,43 +62,11 @@ fn invalid_requests_are_rejected_with_a_hint() {
     assert!(!dir.path("out").exists(), "what cannot be used leaves nothing behind");
 }
 
-#[track_caller]
-fn bench() -> Option<PathBuf> {
-    m4_testkit::shared("bench/quad-1")
-}
-
-/// A scene whose cameras are labelled with the wrong axis convention.
-#[test]
-fn wrong_axes_are_detected_and_corrected() {
-    let Some(scene) = bench() else { return };
-    let dir = Scratch::new();
-    let told = |options: &str| {
-        let line = format!("import '{}' --axes opencv --json {options}", scene.display());
-        dir.succeed(&line).result()
-    };
-    let wrong = told("-o wrong");
-    // its masks are 255 where something moves, nerfstudio's are 0
-    let causes = |found: &Value| -> Vec<String> {
-        let causes = found["causes"].as_array().unwrap().iter();
-        causes.map(|c| c["cause"].as_str().unwrap().to_owned()).collect()
-    };
-    assert_eq!(wrong["check"]["verdict"], "bad");
-    assert_eq!(causes(&wrong["check"]), ["masks", "axes"]);
-    let right = told("-o right --fix");
-    assert_eq!(right["check"]["verdict"], "good", "{right}");
-    assert_eq!(causes(&right["check"]["repaired"]), ["masks", "axes"]);
-    let [truth, fixed] = [&scene, &dir.path("right")].map(|path| read_capture(path, Split::Test));
-    assert_eq!(truth.frames.len(), fixed.frames.len());
-    for (a, b) in truth.frames.iter().zip(&fixed.frames) {
-        assert!((a.camera.c2w.matrix() - b.camera.c2w.matrix()).amax() < 1e-9);
-    }
-}
-
 /// What is exported comes back by the importer, which was written against the formats and not against the exporter.
 #[test]
 fn exported_captures_import_to_the_same_capture() {
     let dir = Scratch::new();
-    dir.succeed(&format!("import '{}' -o own --no-check", fixture("dycheck")));
+    dir.succeed(&format!("import '{}' -o own", fixture("dycheck")));
     let read = |name: &str, split| read_capture(&dir.path(name), split);
     let (train, test) = (read("own", Split::Train), read("own", Split::Test));
     let moves = |c: &Capture| c.frames.iter().filter_map(|f| f.mask.as_ref()).map(|m| m.count()).sum::<usize>();
@@ -111,7 +75,7 @@ fn exported_captures_import_to_the_same_capture() {
         let report = dir.succeed(&format!("{line} --json")).result();
         assert!(report["bytes"].as_u64().unwrap() > 1000, "{report}");
         assert_eq!(report["losses"]["dropped"].to_string().contains("held-out views"), !views, "{report}");
-        dir.succeed(&format!("import {format} -o again-{format} --no-check"));
+        dir.succeed(&format!("import {format} -o again-{format}"));
         let back = read(&format!("again-{format}"), Split::Train);
         assert_eq!(back.frames.len(), train.frames.len(), "{format}");
         for (a, b) in back.frames.iter().zip(&train.frames) {
@@ -136,7 +100,7 @@ fn exported_captures_import_to_the_same_capture() {
 #[test]
 fn data_sets_that_name_outside_files_need_permission() {
     let dir = Scratch::new();
-    let line = format!("import '{}' -o out --no-check", fixture("blender"));
+    let line = format!("import '{}' -o out", fixture("blender"));
     let words = ["transforms_train.json", "clip/images/", "--allow-outside"];
     dir.refused(&line, 65, &words);
     assert!(!dir.path("out").exists());
@@ -177,7 +141,7 @@ fn every_layout_is_imported_and_trained() {
         ("outputs_cvd/dog_sgd_cvd_hr.npz", "cvd"),
     ] {
         let source = megasam(source);
-        let line = format!("import '{source}' -o {name} --fps 10 --tau-motion 0.5 --json");
+        let line = format!("import '{source}' -o {name} --fps 10 --json");
         let report = dir.succeed(&line).result();
         assert_eq!((&report["frames"], &report["format"]), (&3.into(), &"megasam".into()));
         // the archives find the map of motion in the folder of reconstructions beside them
@@ -189,26 +153,13 @@ fn every_layout_is_imported_and_trained() {
         assert_eq!((&record["status"], &record["settings"]["format"]), (&"finished".into(), &"megasam".into()));
         let facts = dir.succeed(&format!("inspect {name} --json")).result();
         assert_eq!((&facts["kind"], &facts["with_depth"]), (&"capture".into(), &3.into()));
-        dir.succeed(&format!("train {name} -o {name}-out --iterations 5"));
     }
-}
-
-#[test]
-fn numpy_files_are_imported() {
-    let dir = Scratch::new();
-    let clip = megasam("outputs_cvd/dog_sgd_cvd_hr.npz");
-    let ended = dir.succeed(&format!("import '{clip}' -o out"));
-    assert!(
-        ended.stderr.contains("30 frames per second are assumed") && ended.stderr.contains("3 frames of 24 x 16"),
-        "{}",
-        ended.stderr
-    );
-    assert_eq!(ended.stdout.trim_end(), "out");
-    let again = format!("import '{}' -o out", megasam("outputs/dog_droid.npz"));
+    dir.succeed("train cvd -o cvd-out --iterations 5");
+    let again = format!("import '{}' -o cvd", megasam("outputs/dog_droid.npz"));
     dir.refused(&again, 73, &["--force"]);
-    dir.succeed(&format!("{again} --force"));
-    let capture = read_capture(&dir.path("out"), Split::Train);
-    assert!(capture.frames.iter().all(|f| f.mask.is_some() && f.depth.is_some()));
+    let ended = dir.succeed(&format!("{again} --force"));
+    assert!(ended.stderr.contains("3 frames of 24 x 16"), "{}", ended.stderr);
+    assert_eq!(ended.stdout.trim_end(), "cvd");
 }
 
 #[test]
@@ -227,7 +178,7 @@ fn invalid_megasam_requests_are_rejected_with_a_hint() {
         ("import empty -o out", 65, "is a folder"),
         ("import empty -o out --format megasam", 65, "the array `images` is missing"),
         ("import a.ply -o out --fps 3", 2, "--fps has no meaning for ply"),
-        (&*format!("import '{droid}' -o out --motion-prob /nowhere/m.npy"), 66, "/nowhere/m.npy"),
+        (&*format!("import '{droid}' -o out --depth maps"), 2, "--depth has no meaning for megasam"),
     ] {
         dir.refused(line, code, &[says]);
     }

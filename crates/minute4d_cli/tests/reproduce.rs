@@ -260,10 +260,10 @@ fn reproduce_runs_ablations_and_estimated_geometry() {
 fn import_copies_published_masks() {
     let dir = Scratch::new();
     write_dycheck(&dir.path("apple"), 14, true);
-    dir.succeed("import apple -o capture --no-check");
+    dir.succeed("import apple -o capture");
     assert_eq!(dir.count("capture/covisible"), 4);
     // what an earlier import left does not stay
     fs::remove_dir_all(dir.path("apple/covisible")).unwrap();
-    dir.succeed("import apple -o capture --no-check --force");
+    dir.succeed("import apple -o capture --force");
     assert!(!dir.path("capture/covisible").exists());
 }

@@ -19,8 +19,8 @@
 //! (the authors' page says so, their code takes both as equal): the unit is the one that puts the median of depth between `near` and
 //! `far`.
 
+use crate::dataset::depth::{self, read_depth};
 use crate::dataset::files::{DEFAULT_FPS, Inside, StoredImage, given_fps, resized, stored_image};
-use crate::dataset::side::depth::{self, read_depth};
 use crate::dataset::{Distortion, ImportOptions, Lens, ListedFrame, Listing};
 use crate::error::AtPath;
 use crate::files::json;
@@ -64,7 +64,7 @@ pub(crate) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress
     // the video's own frames are one apart; ids may have gaps, such as those of held-out moments
     let step = (last - first) / (train.len().max(2) - 1) as f64;
     let inside = Inside::of(path, options);
-    let unit = unit_of_depth((path, &inside), factor, &train, options, progress)?;
+    let unit = unit_of_depth((path, &inside), factor, &train, progress)?;
     let reader = Reader {
         root: path,
         inside,
@@ -344,7 +344,6 @@ pub(super) fn unit_of_depth(
     (root, inside): (&Path, &Inside),
     factor: u32,
     train: &[Id],
-    options: &ImportOptions,
     progress: &dyn Progress,
 ) -> Result<Option<Unit>, ReadError> {
     let folder = root.join(format!("depth/{factor}x"));
@@ -360,11 +359,6 @@ pub(super) fn unit_of_depth(
     let Some(median) = m4_core::median(&mut seen).map(f64::from) else {
         return Ok(None);
     };
-    if options.depth_unit.is_some() {
-        let unit = depth::unit(options, 1.0).at(root)?;
-        let metric = median * unit < NO_METRES;
-        return Ok(Some(Unit { scene_units: unit, metric }));
-    }
     let file = root.join("scene.json");
     let milli = if file.is_file() {
         let scene: Scene = json(&file)?;

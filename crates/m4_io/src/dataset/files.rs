@@ -138,11 +138,6 @@ fn poisoned() -> Fault {
     Fault::bad("another thread failed while it read the archive", "read it again")
 }
 
-/// Pixels per byte of a packed image at most: deflate makes 1032 bytes, each of eight pixels of a bit; JPEG about 400 pixels.
-const PIXELS_PER_BYTE: u64 = 8 * 1032;
-/// Pixels that are always read.
-const FREE_PIXELS: u64 = 1 << 20;
-
 /// An image that is not decoded yet.
 #[derive(Debug)]
 pub(crate) struct StoredImage {
@@ -161,7 +156,7 @@ pub(crate) struct StoredImages {
 
 /// A PNG or JPEG file, as it is stored: an orientation in its EXIF block is not applied, as no tool that computes cameras does.
 pub(crate) fn stored_image(path: &Path) -> Result<StoredImage, ReadError> {
-    let size = image_size(path)?;
+    let size = image::size(path)?;
     let file = path.to_path_buf();
     let rgb = FrameSource::new(move || Ok(image::read_rgb(&file)?));
     Ok(StoredImage { size, rgb })
@@ -192,25 +187,6 @@ pub(crate) fn read_images(
     let all =
         clip.frames.into_iter().map(|frame| StoredImage { size: frame.rgb.size(), rgb: FrameSource::held(frame.rgb) });
     Ok(StoredImages { all: all.collect(), times_s: Some(times_s) })
-}
-
-/// Width and height of a PNG or JPEG file by its header, compared with the file's length.
-pub(crate) fn image_size(path: &Path) -> Result<(usize, usize), ReadError> {
-    let (width, height) = image::size(path)?;
-    let file_bytes = std::fs::metadata(path).at(path)?.len();
-    check_pixels(width, height, file_bytes).at(path)?;
-    Ok((width, height))
-}
-
-/// Whether a packed image of `file_bytes` can have that size.
-pub(crate) fn check_pixels(width: usize, height: usize, file_bytes: u64) -> Result<(), Fault> {
-    let pixels = (width as u64).saturating_mul(height as u64);
-    let most = file_bytes.saturating_mul(PIXELS_PER_BYTE).saturating_add(FREE_PIXELS);
-    if pixels == 0 || pixels > most {
-        let what = format!("{width} x {height} pixels are claimed by {file_bytes} bytes");
-        return Err(Fault::bad(what, "the file is damaged; export it again"));
-    }
-    Ok(())
 }
 
 /// The pinhole `fx fy cx cy`, pixels, of images of that size.

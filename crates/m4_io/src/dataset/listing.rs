@@ -5,7 +5,6 @@ use super::Lens;
 use super::lens::Undistort;
 use crate::error::AtPath;
 use crate::files::in_parallel;
-use crate::pose::Axes;
 use crate::reach::Reach;
 use crate::{Fault, ReadError};
 use m4_core::{
@@ -125,23 +124,10 @@ pub struct ImportOptions {
     /// Folder or video of the images, where they lie elsewhere; `None` looks where the format has them.
     #[serde(rename = "images")]
     pub images: Option<PathBuf>,
-    /// Folder of depth maps, one per frame in the order of names (PNG of 16 bits, EXR, PFM, npy), or an npz file.
+    /// Folder of depth maps, one per frame in the order of names (PNG of 16 bits, EXR, npy).
     pub depth: Option<PathBuf>,
-    /// Scene units per step of 16-bit depth maps; `None` takes what the format says, or 0.001.
-    pub depth_unit: Option<f64>,
     /// Folder of masks, one per frame in the order of names.
     pub masks: Option<PathBuf>,
-    /// Masks mean the opposite of what the format says (of formats that say nothing: 255 in dynamic regions).
-    pub invert_masks: bool,
-    /// File of tracks (npz of TAPIP3D, SpatialTracker, CoTracker).
-    pub tracks: Option<PathBuf>,
-    /// Axes of the cameras where the format leaves them open; `None` detects them by the files.
-    pub axes: Option<Axes>,
-    /// A pixel is dynamic where its probability of motion is above this. 0.7 is the paper's tau_motion.
-    pub tau_motion: f64,
-    /// MegaSaM's `motion_prob`; `None` looks beside the file that is read, and where MegaSaM writes it.
-    #[serde(skip)]
-    pub motion: Option<PathBuf>,
     /// By what the images of a data set are shrunk (DyCheck: `rgb/2x`); `None` takes what the protocols use.
     pub factor: Option<u32>,
     /// Bytes that the decoded frames (8 per pixel) may take before reading is refused. Default 4 GiB, as of a capture.
@@ -158,13 +144,7 @@ impl Default for ImportOptions {
             fps: None,
             images: None,
             depth: None,
-            depth_unit: None,
             masks: None,
-            invert_masks: false,
-            tracks: None,
-            axes: None,
-            tau_motion: 0.7,
-            motion: None,
             factor: None,
             max_memory_bytes: 4 << 30,
             reach: Reach::Inside,
@@ -172,21 +152,8 @@ impl Default for ImportOptions {
     }
 }
 
-/// Bytes of eight pixels: colour, depth of 32 bits, and room for a mask.
-const BYTES_PER_8_PIXELS: u64 = 64;
-
-/// Decodes what `listing` names; `path` is the source, for messages.
-pub fn load(
-    path: &Path,
-    listing: Listing,
-    options: &ImportOptions,
-    progress: &dyn Progress,
-) -> Result<Imported, ReadError> {
-    load_of(path, listing, BYTES_PER_8_PIXELS, options, progress)
-}
-
-/// As [`load`], where eight pixels take `bytes_per_8_pixels`.
-pub(crate) fn load_of(
+/// Decodes what `listing` names, where eight pixels take `bytes_per_8_pixels`; `path` is the source, for messages.
+pub(crate) fn load(
     path: &Path,
     listing: Listing,
     bytes_per_8_pixels: u64,

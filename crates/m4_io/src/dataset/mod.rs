@@ -6,7 +6,7 @@
 //! reconstructions    colmap, nerfstudio, vipe, megasam
 //!
 //! path -> detect -> the format's list -> Listing: lens, pose, time and the places of images, depth and masks
-//!      -> side::attach: depth maps, masks and tracks that the options name
+//!      -> side::attach: depth maps and masks that the options name
 //!      -> load: everything decoded in parallel within a memory limit, distortion removed -> Imported
 //! ```
 //!
@@ -18,9 +18,9 @@
 
 pub mod colmap;
 pub mod davis;
+pub mod depth;
 pub mod dycheck;
 pub(crate) mod export;
-pub mod llff;
 pub mod megasam;
 pub mod nerfstudio;
 mod nvidia;
@@ -32,9 +32,9 @@ mod files;
 mod lens;
 mod listing;
 
-pub use lens::{Distortion, Lens};
-pub use listing::{FrameSource, ImportOptions, Imported, ListedFrame, Listing, load};
-pub(crate) use listing::{load_of, step};
+pub(crate) use lens::{Distortion, Lens};
+pub(crate) use listing::{FrameSource, ListedFrame, Listing, load, step};
+pub use listing::{ImportOptions, Imported};
 
 use crate::{Fault, ReadError};
 use m4_core::Progress;
@@ -61,6 +61,9 @@ pub enum SourceFormat {
     /// Files of MegaSaM.
     Megasam,
 }
+
+/// Bytes of eight pixels: colour, depth of 32 bits, and room for a mask.
+const BYTES_PER_8_PIXELS: u64 = 64;
 
 /// Detects a file or folder of a format by names and first bytes.
 type Detect = fn(&Path) -> bool;
@@ -96,7 +99,7 @@ pub fn detect(path: &Path) -> Option<SourceFormat> {
     ROWS.iter().find(|row| (row.2)(path)).map(|row| row.0)
 }
 
-/// Reads a file or folder of that format; depth, masks and tracks that the options name take the place of its own.
+/// Reads a file or folder of that format; depth and masks that the options name take the place of its own.
 pub fn read(
     path: &Path,
     format: SourceFormat,
@@ -107,6 +110,6 @@ pub fn read(
         return Err(Fault::unsupported("no reader has this format", "name another").at(path));
     };
     let mut listing = list(path, options, progress)?;
-    side::attach(&mut listing, options, progress)?;
-    load(path, listing, options, progress)
+    side::attach(&mut listing, options)?;
+    load(path, listing, BYTES_PER_8_PIXELS, options, progress)
 }

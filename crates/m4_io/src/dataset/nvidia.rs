@@ -17,17 +17,15 @@
 //!
 //! `v000_t000` is the view of the first training image: results compare only if both or neither count it.
 
+use super::depth::known;
 use super::files::{Inside, StoredImage, given_fps, resized, stored_image};
-use super::llff::{self, Pose};
-use super::side::depth::known;
-use super::side::mask::read_mask;
-use super::side::one_a_frame;
+use super::side::{mask, one_a_frame};
 use super::{FrameSource, ImportOptions, Lens, ListedFrame, Listing};
 use crate::error::AtPath;
 use crate::files::{listed, stem};
 use crate::npy::Numbers;
-use crate::{Fault, ReadError};
-use m4_core::{CompactDepth, DepthMap, Plane, Progress};
+use crate::{Fault, ReadError, pose};
+use m4_core::{Camera, CompactDepth, DepthMap, Intrinsics, Plane, Progress};
 use std::path::{Path, PathBuf};
 
 const EXTENSIONS: &[&str] = &["png", "jpg", "jpeg"];
@@ -38,7 +36,7 @@ pub(crate) fn detect(path: &Path) -> bool {
 }
 
 pub(crate) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress) -> Result<Listing, ReadError> {
-    let poses = llff::read_bounds(&path.join("poses_bounds.npy"))?;
+    let poses = read_bounds(&path.join("poses_bounds.npy"))?;
     let n = poses.len();
     let fps = given_fps(options).at(path)?;
     let folder = image_folder(path, options)?;
@@ -60,8 +58,7 @@ pub(crate) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress
     let train = images.iter().zip(&poses).enumerate().map(|(i, (image, pose))| {
         let mut frame = frame(image, pose, i as f64, None)?;
         if let Some(file) = masks.as_ref().map(|masks| masks[i].clone()) {
-            frame.mask =
-                Some(FrameSource::new(move || Ok(read_mask(&file, false).map_err(|e| e.of_file(&file))?.mask)));
+            frame.mask = Some(mask(file));
         }
         if let Some(file) = disparity.as_ref().map(|maps| maps[i].clone()) {
             let (near, far) = (pose.near, pose.far);
@@ -84,6 +81,49 @@ pub(crate) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress
         metric: false,
         tracks: None,
     })
+}
+
+/// Numbers per camera.
+const WIDTH: usize = 17;
+/// Largest array of poses: a hundred thousand cameras.
+const MAX_POSE_BYTES: u64 = 16 << 20;
+const HINT: &str = "make the file of poses again";
+
+/// A row of `poses_bounds.npy`.
+struct Pose {
+    /// Of images of the full size.
+    camera: Camera,
+    /// Depth in view, scene units.
+    near: f64,
+    far: f64,
+}
+
+/// Reads `poses_bounds.npy`: one row per camera, at least one.
+fn read_bounds(path: &Path) -> Result<Vec<Pose>, ReadError> {
+    let array = Numbers::read(path, MAX_POSE_BYTES).at(path)?;
+    if array.shape.len() != 2 || array.shape[0] == 0 || array.shape[1] != WIDTH {
+        let what = format!("an array of shape {:?}; [cameras, 17] was expected", array.shape);
+        return Err(Fault::bad(what, HINT).at(path));
+    }
+    let rows = array.values.as_chunks::<WIDTH>().0.iter().enumerate();
+    rows.map(|(i, row)| pose_of(row).map_err(|e| e.within(path, format!("camera {i}")))).collect()
+}
+
+fn pose_of(row: &[f64; WIDTH]) -> Result<Pose, Fault> {
+    let [down, right, back, place, [height, width, focal]] = [0, 1, 2, 3, 4].map(|j| [0, 1, 2].map(|i| row[5 * i + j]));
+    let c2w = pose::of_rotation([0, 1, 2].map(|i| [right[i], down[i], -back[i]]), place)?;
+    let side = |v: f64| (v.fract() == 0.0 && (1.0..=65536.0).contains(&v)).then_some(v as usize);
+    let (Some(w), Some(h)) = (side(width), side(height)) else {
+        return Err(Fault::bad(format!("images of {width} x {height} pixels"), HINT));
+    };
+    if !(focal.is_finite() && focal > 0.0) {
+        return Err(Fault::bad(format!("the focal length {focal}; pixels, above 0, were expected"), HINT));
+    }
+    let (near, far) = (row[15], row[16]);
+    if !(near > 0.0 && far > near && far.is_finite()) {
+        return Err(Fault::bad(format!("depth from {near} to {far}; 0 < near < far was expected"), HINT));
+    }
+    Ok(Pose { camera: Camera { intrinsics: Intrinsics::centred(w, h, focal), c2w }, near, far })
 }
 
 /// The folder of images.

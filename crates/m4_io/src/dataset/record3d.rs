@@ -15,8 +15,8 @@
 //! `w x h` and grows with the image. Source: the notes on the format in marek-simonik/record3d, `record3d_utils.py` of
 //! nerfstudio.
 
+use super::depth::known;
 use super::files::{Inside, Members, given_fps, in_frames, pinhole, resized};
-use super::side::depth::{kept_where, known};
 use super::{FrameSource, ImportOptions, Lens, ListedFrame, Listing};
 use crate::error::AtPath;
 use crate::files::{first_bytes, parse_json};
@@ -216,15 +216,16 @@ fn sensor_depth(members: &Members, n: usize, dw: usize, dh: usize) -> Result<Com
     let bytes = unpacked(members, &format!("rgbd/{n}.depth"), dw * dh * 4)?;
     let bytes = bytes.ok_or_else(|| Fault::missing(format!("rgbd/{n}.depth"), HINT))?;
     let values = bytes.as_chunks::<4>().0;
-    let map = Plane::from_fn(dw, dh, |x, y| known(f32::from_le_bytes(values[y * dw + x])));
-    let map = CompactDepth::from(map);
-    match unpacked(members, &format!("rgbd/{n}.conf"), dw * dh)? {
-        Some(bytes) => {
-            let confidence = Plane::from_fn(dw, dh, |x, y| bytes[y * dw + x]);
-            kept_where(&map, &confidence)
+    let confidence = unpacked(members, &format!("rgbd/{n}.conf"), dw * dh)?;
+    let map = Plane::from_fn(dw, dh, |x, y| {
+        let at = y * dw + x;
+        if confidence.as_ref().is_some_and(|steps| steps[at] == 0) {
+            0.0
+        } else {
+            known(f32::from_le_bytes(values[at]))
         }
-        None => Ok(map),
-    }
+    });
+    Ok(map.into())
 }
 
 /// The `expected` bytes of a member that is packed with LZFSE, or plain.

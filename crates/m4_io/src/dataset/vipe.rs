@@ -18,8 +18,8 @@
 //!
 //! Source: `vipe/utils/io.py` of NVIDIA's repository (Apache-2.0).
 
+use super::depth::decode_exr;
 use super::files::{Inside, Members, duration_of, given_fps, pinhole, read_images};
-use super::side::depth::decode_exr;
 use super::{FrameSource, ImportOptions, Lens, ListedFrame, Listing};
 use crate::error::AtPath;
 use crate::files::text;

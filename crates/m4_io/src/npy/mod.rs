@@ -198,11 +198,6 @@ impl Npz {
         self.zip.index_for_name(&format!("{name}.npy")).is_some()
     }
 
-    /// The first of `keys` that it has.
-    pub(crate) fn first_of<'k>(&self, keys: &[&'k str]) -> Option<&'k str> {
-        keys.iter().copied().find(|key| self.has(key))
-    }
-
     /// Names of its first arrays, for messages.
     pub fn names(&self) -> String {
         let names = self.zip.file_names().flatten().take(12);

@@ -2,54 +2,14 @@
 
 use super::truth::*;
 use crate::dataset::{Heard, copied, edit, fixture, refused, refuses, says};
-use m4_core::Silent;
-use m4_io::dataset::davis::{detect, read_clip};
+use m4_io::dataset::davis::detect;
 use m4_io::dataset::dycheck::covisible;
 use m4_io::dataset::{ImportOptions, SourceFormat, read};
 use m4_io::image;
-use m4_io::video::VideoOptions;
 
 #[test]
-fn davis_frames_are_read_with_their_instance_masks() {
-    let path = fixture("import/davis/JPEGImages/480p/ball");
-    assert!(detect(&path) && !detect(&fixture("import/davis")));
-    let clip = read_clip(&path, &VideoOptions::default(), &Silent).unwrap();
-    let (rgb, mask) = (truth("rgb"), truth("mask"));
-    assert_eq!((clip.video.frames.len(), clip.instances.len()), (5, 5));
-    assert!((clip.video.frames[4].time_s - 4.0 / 24.0).abs() < 1e-12);
-    for (i, frame) in clip.video.frames.iter().enumerate() {
-        let want = &rgb[i * W * H * 3..(i + 1) * W * H * 3];
-        let off = frame.rgb.data().iter().flatten().zip(want).map(|(&g, w)| (f64::from(g) - w).abs());
-        assert!(off.sum::<f64>() / want.len() as f64 <= 1.5);
-    }
-    for i in 0..4 {
-        let ids = clip.instances[i].as_ref().unwrap();
-        let number = 1 + i as u16 % 2;
-        for (at, moves) in mask[i * W * H..(i + 1) * W * H].iter().enumerate() {
-            assert_eq!(ids.at(at % W, at / W), if *moves > 0.0 { number } else { 0 });
-        }
-    }
-    assert!(clip.instances[4].is_none());
-}
-
-#[test]
-fn thinned_davis_frames_keep_their_own_masks() {
-    let options = VideoOptions { max_frames: Some(2), ..VideoOptions::default() };
-    let clip = read_clip(&fixture("import/davis/JPEGImages/480p/ball"), &options, &Silent).unwrap();
-    assert_eq!(clip.instances.len(), 2);
-    assert!(clip.instances[0].is_some() && clip.instances[1].is_none());
-}
-
-#[test]
-fn malformed_davis_is_rejected_with_file_and_reason() {
-    says(&read_clip(&fixture("import/davis"), &VideoOptions::default(), &Silent).unwrap_err(), &["JPEGImages"]);
-    let (_dir, path) = copied("import/davis");
-    let map = path.join("Annotations/480p/ball/00001.png");
-    std::fs::copy(fixture("import/nvidia/motion_masks/001.png"), &map).unwrap();
-    says(
-        &read_clip(&path.join("JPEGImages/480p/ball"), &VideoOptions::default(), &Silent).unwrap_err(),
-        &["00001.png", "no palette"],
-    );
+fn davis_folders_are_detected() {
+    assert!(detect(&fixture("import/davis/JPEGImages/480p/ball")) && !detect(&fixture("import/davis")));
 }
 
 fn own(name: &str) -> Vec<f64> {
@@ -123,7 +83,11 @@ fn malformed_nvidia_is_rejected_with_file_and_reason() {
     refuses(&path, SourceFormat::Nvidia, &["motion_masks", "4 masks (000.png to 004.png) for 5 training frames"]);
     std::fs::remove_file(path.join("images_2/002.png")).unwrap();
     refuses(&path, SourceFormat::Nvidia, &["images_2", "4 images (000.png to 004.png) for 5 training frames"]);
-    let bytes = std::fs::read(path.join("poses_bounds.npy")).unwrap();
+    let mut bytes = std::fs::read(path.join("poses_bounds.npy")).unwrap();
+    let focal = bytes.len() - (5 * 17 - 14) * 8;
+    bytes[focal..focal + 8].copy_from_slice(&(-50f64).to_le_bytes());
+    std::fs::write(path.join("poses_bounds.npy"), &bytes).unwrap();
+    refuses(&path, SourceFormat::Nvidia, &["poses_bounds.npy, camera 0", "focal length -50"]);
     std::fs::write(path.join("poses_bounds.npy"), &bytes[..bytes.len() - 8]).unwrap();
     refuses(&path, SourceFormat::Nvidia, &["poses_bounds.npy", "damaged or cut off"]);
 }
@@ -186,20 +150,18 @@ fn dycheck_without_splits_uses_dataset_lists() {
 
 #[test]
 fn depth_unit_fits_the_scene() {
-    let depth = |path: &std::path::Path, options: &ImportOptions| {
-        let clip = import(path, SourceFormat::Dycheck, options).unwrap();
+    let depth = |path: &std::path::Path| {
+        let clip = import(path, SourceFormat::Dycheck, &ImportOptions::default()).unwrap();
         let depth = clip.train.frames[1].depth.clone().unwrap();
         (f64::from(depth.at(20, 20)) / truth("depth")[W * H + 20 * W + 20], clip.train.metric)
     };
     let (_dir, path) = copied("import/dycheck");
-    let given = ImportOptions { depth_unit: Some(0.002), ..ImportOptions::default() };
-    assert!((depth(&path, &given).0 - 2.0).abs() < 1e-5);
     // a scene whose places are millimetres too
     edit(&path.join("scene.json"), r#""near": 0.3, "far": 1.125"#, r#""near": 300.0, "far": 1125.0"#);
-    let (ratio, metric) = depth(&path, &ImportOptions::default());
+    let (ratio, metric) = depth(&path);
     assert!((ratio - 1000.0).abs() < 1e-2 && !metric);
     std::fs::remove_file(path.join("scene.json")).unwrap();
-    assert!((depth(&path, &ImportOptions::default()).0 - 1.0).abs() < 1e-5);
+    assert!((depth(&path).0 - 1.0).abs() < 1e-5);
 }
 
 #[test]

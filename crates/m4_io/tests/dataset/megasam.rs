@@ -64,15 +64,12 @@ fn files_of_numpy_are_read() {
 }
 
 #[test]
-fn options_say_what_the_files_do_not() {
+fn frame_rate_is_given_or_assumed() {
     let path = fixture("outputs/dog_droid.npz");
     let heard = Heard::default();
-    let options = ImportOptions { fps: Some(10.0), tau_motion: 0.5, ..ImportOptions::default() };
+    let options = ImportOptions { fps: Some(10.0), ..ImportOptions::default() };
     let capture = read(&path, &options, &heard).unwrap();
     assert_eq!(capture.duration_s, Some(0.2));
-    let wide: usize = capture.frames.iter().map(|f| f.mask.as_ref().unwrap().count()).sum();
-    let narrow = read_ok(&path).frames.iter().map(|f| f.mask.as_ref().unwrap().count()).sum();
-    assert!(wide > narrow);
     assert_eq!(heard.all(), "", "nothing was assumed");
 
     let heard = Heard::default();
@@ -82,9 +79,7 @@ fn options_say_what_the_files_do_not() {
     for (options, says) in [
         (ImportOptions { fps: Some(0.0), ..options.clone() }, "fps is 0"),
         (ImportOptions { fps: Some(f64::NAN), ..options.clone() }, "fps is NaN"),
-        (ImportOptions { tau_motion: 1.5, ..options.clone() }, "tau_motion is 1.5"),
-        (ImportOptions { max_memory_bytes: 4000, ..options.clone() }, "max_memory_bytes"),
-        (ImportOptions { motion: Some("/nowhere/motion_prob.npy".into()), ..options }, "/nowhere/motion_prob.npy"),
+        (ImportOptions { max_memory_bytes: 4000, ..options }, "max_memory_bytes"),
     ] {
         let error = read(&path, &options, &Silent).unwrap_err().to_string();
         assert!(error.contains(says), "{error}");

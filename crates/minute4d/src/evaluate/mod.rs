@@ -42,7 +42,6 @@ use m4_core::{Camera, Capture, CaptureFrame, CompactMask, Exposure, RgbImage, Sc
 use m4_eval::geometry::{GeometryReport, evaluate};
 use m4_eval::image::{ImageReport, MeanScore, PlanarImage};
 use m4_io::capture::{CaptureOptions, Split};
-use m4_io::dataset::llff;
 use m4_io::reach::Reach;
 use m4_io::scene::safetensors;
 use m4_kernels::SimdLevel;
@@ -54,7 +53,7 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 /// Compares the cameras, depth and masks of a capture with a reference for the same video: another
-/// capture, or a JSON file of LLFF poses. `reach` is which files both may name.
+/// capture. `reach` is which files both may name.
 ///
 /// # Errors
 ///
@@ -65,12 +64,7 @@ pub fn geometry(capture: &Path, truth: &Path, reach: Reach, observer: &dyn Obser
     if !truth.exists() {
         return Err(Error::Missing { what: "known geometry", path: truth.to_path_buf() });
     }
-    let truth = if truth.is_file() && llff::detect(truth) {
-        llff::read(truth)?
-    } else {
-        read_truth(truth, &options, observer)?
-    };
-    Ok(evaluate(&estimate, &truth)?)
+    Ok(evaluate(&estimate, &read_truth(truth, &options, observer)?)?)
 }
 
 /// Reads the training frames of a data set, with the instance maps of a benchmark scene.

@@ -35,13 +35,8 @@ pub struct ExportJob {
     pub replace: bool,
     /// Render what was written and compare it with the scene.
     pub compare: bool,
-    /// Leave the opacities as they were trained, for players with a Mip filter and for [`crate::import`]; else
-    /// what the filter does to them is baked into them.
-    pub keep_mip: bool,
     /// Which files a capture may name.
     pub reach: m4_io::reach::Reach,
-    /// Settings of single formats.
-    pub fourdgs: m4_io::scene::fourdgs::FourdgsConfig,
 }
 
 impl ExportJob {
@@ -54,9 +49,7 @@ impl ExportJob {
             fps: None,
             replace: false,
             compare: true,
-            keep_mip: false,
             reach: m4_io::reach::Reach::Inside,
-            fourdgs: m4_io::scene::fourdgs::FourdgsConfig::default(),
         }
     }
 }
@@ -98,24 +91,18 @@ pub fn make(input: &Path, job: &ExportJob, observer: &dyn Observer) -> Result<Ex
         return Err(OutputError::WouldReplace { path: out }.into());
     }
     let scene = safetensors::read(&file)?.scene;
-    scene_to(&scene, &out, job, observer)
-}
-
-/// Exports a scene in memory to `out`; what is there is replaced.
-pub fn scene_to(scene: &Scene, out: &Path, job: &ExportJob, observer: &dyn Observer) -> Result<ExportReport, Error> {
-    job.check()?;
-    let moments = job.moments(scene)?;
+    let moments = job.moments(&scene)?;
     let start = Instant::now();
     let has_splats = job.format.time() != Time::Video;
-    let baked = if has_splats && !job.keep_mip { bake::bake(scene) } else { None };
+    let baked = if has_splats { bake::bake(&scene) } else { None };
     let (plain, loss) = baked.unzip();
-    let mut written = write::write(plain.as_ref().unwrap_or(scene), out, &moments, job, observer)?;
+    let mut written = write::write(plain.as_ref().unwrap_or(&scene), &out, &moments, job, observer)?;
     written.losses.splice(0..0, loss);
     drop(plain);
     let encode_s = start.elapsed().as_secs_f64();
     let comparison =
-        if job.compare { report::compare(scene, &written.path, job.format, &moments, observer)? } else { None };
-    Ok(ExportReport::new(scene, job.format, &moments, written, encode_s, comparison))
+        if job.compare { report::compare(&scene, &written.path, job.format, &moments, observer)? } else { None };
+    Ok(ExportReport::new(&scene, job.format, &moments, written, encode_s, comparison))
 }
 
 impl ExportJob {

@@ -132,11 +132,7 @@ impl fmt::Display for ExportReport {
             f,
             "\nagainst the scene: {:.2} dB in {} views, {:.2} dB in the worst",
             c.psnr_db, c.views, c.lowest_psnr_db
-        )?;
-        match c.without_mip_psnr_db {
-            Some(db) => write!(f, "; {db:.2} dB in a player without Mip filter"),
-            None => Ok(()),
-        }
+        )
     }
 }
 
@@ -151,8 +147,6 @@ pub struct Comparison {
     pub psnr_db: f64,
     /// That of the worst view, dB.
     pub lowest_psnr_db: f64,
-    /// The mean where a player has no Mip filter, dB; for scenes that were trained with one.
-    pub without_mip_psnr_db: Option<f64>,
     /// Wall-clock seconds of reading back and rendering.
     pub seconds: f64,
 }
@@ -180,7 +174,7 @@ pub(super) fn compare(
     }
     let level = SimdLevel::detect()?;
     let mut painter = Painter::new(scene, level);
-    let (mut with, mut without) = (Vec::new(), Vec::new());
+    let mut scores = Vec::new();
     let mut last: Option<(usize, Scene)> = None;
     for (i, look) in looks.iter().enumerate() {
         if observer.cancelled() {
@@ -204,26 +198,16 @@ pub(super) fn compare(
             }
             last = Some((look.moment, back));
         }
-        let Some((_, back)) = &mut last else { continue };
+        let Some((_, back)) = &last else { continue };
         let reference = rendered(&mut painter, look)?;
-        let score = |back: &Scene| -> Result<f64, Error> {
-            let drawn = rendered(&mut Painter::new(back, level), look)?;
-            Ok(psnr_db(PsnrKind::Joint, &drawn, &reference, None)?.unwrap_or(f64::NAN))
-        };
-        with.push(score(back)?);
-        if scene.mip && back.mip {
-            back.mip = false;
-            without.push(score(back)?);
-            back.mip = true;
-        }
+        let drawn = rendered(&mut Painter::new(back, level), look)?;
+        scores.push(psnr_db(PsnrKind::Joint, &drawn, &reference, None)?.unwrap_or(f64::NAN));
         observer.update("compare", i + 1, looks.len(), "");
     }
-    let mean = |scores: &[f64]| scores.iter().sum::<f64>() / scores.len() as f64;
     Ok(Some(Comparison {
-        views: with.len(),
-        psnr_db: mean(&with),
-        lowest_psnr_db: with.iter().copied().fold(f64::INFINITY, f64::min),
-        without_mip_psnr_db: (!without.is_empty()).then(|| mean(&without)),
+        views: scores.len(),
+        psnr_db: scores.iter().sum::<f64>() / scores.len() as f64,
+        lowest_psnr_db: scores.iter().copied().fold(f64::INFINITY, f64::min),
         seconds: start.elapsed().as_secs_f64(),
     }))
 }

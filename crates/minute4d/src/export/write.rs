@@ -24,7 +24,7 @@ pub(super) fn write(
 ) -> Result<Written, Error> {
     let t = moments.first().copied().unwrap_or(0.0);
     let written = match job.format {
-        Format::Fourdgs => fourdgs::write(out, scene, &job.fourdgs)?,
+        Format::Fourdgs => fourdgs::write(out, scene)?,
         Format::Splatv => splatv::write(out, scene)?,
         Format::Ply => ply::write(out, scene, t)?,
         Format::PlySequence => {

@@ -1,4 +1,4 @@
-//! Imports a capture, and checks it against the flow of its images.
+//! Imports a clip with poses as a capture.
 
 use super::{ImportJob, ImportOptions, STAGE};
 use crate::evaluate::{COVISIBLE_FOLDER, adopt_covisible};
@@ -6,15 +6,12 @@ use crate::folder::CaptureFolder;
 use crate::record::{GeometryRecord, Input, Status, plain_json};
 use crate::stage::RecordingObserver;
 use crate::{Error, Observer, Refusal, Settings, StageEvent, folder, hash};
-use m4_core::{Capture, CompactMask, Progress};
-use m4_geometry::classical::dense::InverseSearch;
-use m4_geometry::consistency::{self, Cause, Consistency, ConsistencyError, Verdict};
+use m4_core::{Capture, CompactMask};
 use m4_io::capture::{self, Split};
 use m4_io::dataset::dycheck;
 use m4_io::dataset::{Imported, SourceFormat};
 use m4_io::{ErrorKind, ReadError};
 use serde::Serialize;
-use std::fmt;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -39,8 +36,6 @@ pub struct CaptureReport {
     pub moving_share: Option<f64>,
     /// Held-out views.
     pub held_out: usize,
-    /// How well cameras and depth fit the images; `None` where that was not asked for.
-    pub check: Option<Checked>,
     /// Wall-clock seconds.
     pub seconds: f64,
 }
@@ -49,8 +44,6 @@ pub struct CaptureReport {
 #[derive(Serialize)]
 struct Part<'a> {
     import: &'a ImportOptions,
-    motion: &'a Option<PathBuf>,
-    fix: bool,
     format: SourceFormat,
 }
 
@@ -69,16 +62,8 @@ pub(super) fn make(
     if format == SourceFormat::Megasam {
         check_megasam(&options)?;
     }
-    let mut imported = m4_io::dataset::read(file, format, &options, &keeper).map_err(source_stopped)?;
-    let check = if job.check || job.fix {
-        let (found, fixed) = checked(imported, job.fix, &keeper)?;
-        imported = fixed;
-        Some(found)
-    } else {
-        None
-    };
-    let part = Part { import: &options, motion: &options.motion, fix: job.fix, format };
-    let settings = plain_json(&part)?;
+    let imported = m4_io::dataset::read(file, format, &options, &keeper).map_err(source_stopped)?;
+    let settings = plain_json(&Part { import: &options, format })?;
     let input = Input { path: file.display().to_string(), blake3: hash::of_path(file)? };
     let key = hash::of_parts(&[STAGE, env!("CARGO_PKG_VERSION"), &input.blake3, &settings.to_string()]);
     let mut capture = CaptureFolder::open(out, job.existing, GeometryRecord::begin(input, key, settings), observer)?;
@@ -101,7 +86,7 @@ pub(super) fn make(
     written?;
     observer.stage(STAGE, StageEvent::Finished { seconds: record.seconds });
     let held_out = imported.test.as_ref().map_or(0, |test| test.frames.len());
-    Ok(report(format, out, &imported.train, (held_out, check), record.seconds))
+    Ok(report(format, out, &imported.train, held_out, record.seconds))
 }
 
 /// Writes the held-out views with the masks of co-visibility that their data set publishes, then the frames.
@@ -136,8 +121,6 @@ fn check_megasam(options: &ImportOptions) -> Result<(), Refusal> {
         ("--images", options.images.is_some()),
         ("--depth", options.depth.is_some()),
         ("--masks", options.masks.is_some()),
-        ("--tracks", options.tracks.is_some()),
-        ("--axes", options.axes.is_some()),
         ("--factor", options.factor.is_some()),
     ];
     match beside.into_iter().find(|(_, is_given)| *is_given) {
@@ -149,22 +132,14 @@ fn check_megasam(options: &ImportOptions) -> Result<(), Refusal> {
     }
 }
 
-const STOPPED: Error = Error::Stopped { stage: STAGE, saved: false };
-
 fn source_stopped(error: ReadError) -> Error {
     match error.kind() {
-        ErrorKind::Cancelled => STOPPED,
+        ErrorKind::Cancelled => Error::Stopped { stage: STAGE, saved: false },
         _ => error.into(),
     }
 }
 
-fn report(
-    format: SourceFormat,
-    out: &Path,
-    capture: &Capture,
-    (held_out, check): (usize, Option<Checked>),
-    seconds: f64,
-) -> CaptureReport {
+fn report(format: SourceFormat, out: &Path, capture: &Capture, held_out: usize, seconds: f64) -> CaptureReport {
     let frames = &capture.frames;
     let lens = frames.first().map(|f| f.camera.intrinsics);
     let size = lens.map_or([0, 0], |k| [k.width, k.height]);
@@ -182,95 +157,6 @@ fn report(
         known_share: known as f64 / pixels,
         moving_share: masks().next().map(|_| moving as f64 / pixels),
         held_out,
-        check,
         seconds,
-    }
-}
-
-/// The result of the comparison.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Checked {
-    /// Of the capture that was written.
-    #[serde(flatten)]
-    pub consistency: Consistency,
-    /// What was put right first, and how things stood before.
-    pub repaired: Option<Repaired>,
-}
-
-/// The corrections.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Repaired {
-    /// The convention errors found.
-    pub causes: Vec<Cause>,
-    /// The comparison of the capture as its files say.
-    pub before: Consistency,
-}
-
-/// Compares the training frames with their flow; with `fix` the causes that are found are put right in all frames, held-out views included, and
-/// the comparison is made again.
-pub(super) fn checked(
-    mut imported: Imported,
-    fix: bool,
-    keeper: &RecordingObserver<'_>,
-) -> Result<(Checked, Imported), Error> {
-    let check = |imported: &Imported| {
-        let found = consistency::check(&imported.train, &InverseSearch, keeper);
-        found.map_err(|error| match error {
-            ConsistencyError::Cancelled => STOPPED,
-            other => {
-                let message = format!("the capture cannot be checked: {other}; --no-check imports it anyway");
-                Refusal::bad_input(message).into()
-            }
-        })
-    };
-    let found: Consistency = check(&imported)?;
-    if fix && !found.causes.is_empty() {
-        imported.train = consistency::fixed(imported.train, &found.causes);
-        imported.test = imported.test.map(|test| consistency::fixed(test, &found.causes));
-        let after = check(&imported)?;
-        for cause in &found.causes {
-            keeper.warn(&format!("{cause}; this was corrected"));
-        }
-        let repaired = Some(Repaired { causes: found.causes.clone(), before: found });
-        return Ok((Checked { consistency: after, repaired }, imported));
-    }
-    for cause in &found.causes {
-        keeper.warn(&format!("{cause}; --fix puts it right"));
-    }
-    if found.verdict == Verdict::Bad && found.causes.is_empty() {
-        keeper.warn(
-            "cameras and depth do not fit the images, and none of the usual convention errors (axes, direction, unit, focal length, half a pixel) explains \
-             it: are they of the same clip and frames?",
-        );
-    }
-    let checked = Checked { consistency: found, repaired: None };
-    Ok((checked, imported))
-}
-
-impl fmt::Display for Checked {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let c = &self.consistency;
-        if c.verdict == Verdict::Unknown {
-            return write!(
-                f,
-                "consistency unknown: {} static pixels were tracked, by {:.2} px on average, which is too little to decide",
-                c.samples, c.flow_px
-            );
-        }
-        write!(f, "consistency {}: ", c.verdict.name())?;
-        match c.error_px {
-            Some(px) => write!(f, "cameras and flow differ by {px:.2} px (median of {} pixels)", c.samples)?,
-            None => f.write_str("most pixels would be behind a camera")?,
-        }
-        if let Some(share) = c.depth_error {
-            write!(f, ", depth by {:.2} %", 100.0 * share)?;
-        }
-        if let Some(before) = self.repaired.as_ref().map(|r| &r.before) {
-            match before.error_px {
-                Some(px) => write!(f, "; {px:.2} px before the correction")?,
-                None => f.write_str("; behind a camera before the correction")?,
-            }
-        }
-        Ok(())
     }
 }

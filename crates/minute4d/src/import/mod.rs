@@ -3,14 +3,14 @@
 //!
 //! ```text
 //! format   detection                       read      splats -> Scene
-//! capture  a posed clip -> Capture -> check -> corrected on request -> written
+//! capture  a posed clip -> Capture -> written
 //! ```
 
 mod capture;
 mod format;
 
+pub use capture::CaptureReport;
 pub(crate) use capture::write as write_capture;
-pub use capture::{CaptureReport, Checked};
 pub use format::{ImportFormat, default_cameras};
 pub use m4_io::dataset::{ImportOptions, SourceFormat};
 
@@ -61,7 +61,7 @@ pub enum Report {
 }
 
 /// Imports a file or folder into the folder `out`: splats as a scene, posed clips as a capture. A scene without
-/// cameras gets some that look at its middle; the cameras and depth of a capture are compared with the flow of its images.
+/// cameras gets some that look at its middle.
 ///
 /// # Errors
 ///
@@ -143,16 +143,12 @@ pub struct ImportJob {
     pub existing: Existing,
     /// Of captures.
     pub options: ImportOptions,
-    /// Compare cameras and depth of a capture with the flow of its images.
-    pub check: bool,
-    /// Put right what that finds.
-    pub fix: bool,
 }
 
 impl ImportJob {
     /// Everything as the files say.
     pub fn new(format: Option<ImportFormat>) -> Self {
-        Self { format, existing: Existing::Refuse, options: ImportOptions::default(), check: true, fix: false }
+        Self { format, existing: Existing::Refuse, options: ImportOptions::default() }
     }
 
     /// An option that has a meaning for captures alone and was given.
@@ -160,19 +156,11 @@ impl ImportJob {
         let (o, d) = (&self.options, ImportOptions::default());
         let given = [
             ("--fps", o.fps != d.fps),
-            ("--tau-motion", o.tau_motion != d.tau_motion),
-            ("--motion-prob", o.motion.is_some()),
             ("--images", o.images != d.images),
             ("--depth", o.depth != d.depth),
-            ("--depth-unit", o.depth_unit != d.depth_unit),
             ("--masks", o.masks != d.masks),
-            ("--invert-masks", o.invert_masks != d.invert_masks),
-            ("--tracks", o.tracks != d.tracks),
-            ("--axes", o.axes != d.axes),
             ("--factor", o.factor != d.factor),
             ("--allow-outside", o.reach != d.reach),
-            ("--fix", self.fix),
-            ("--no-check", !self.check),
         ];
         given.into_iter().find(|(_, is_given)| *is_given).map(|(name, _)| name)
     }

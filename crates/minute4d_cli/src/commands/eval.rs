@@ -85,7 +85,7 @@ fn describe(c: &Choices) -> String {
 pub struct EvalGeometry {
     /// The capture to evaluate
     pub capture: PathBuf,
-    /// Ground truth: a capture folder, a transforms file, or a JSON file of LLFF poses
+    /// Ground truth: a capture folder or a transforms file
     #[arg(long, value_name = "SCENE")]
     pub truth: PathBuf,
     /// Replace one kind of estimate at a time by the truth, and score the held-out views of SCENE by warping depth into them

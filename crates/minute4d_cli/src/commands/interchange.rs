@@ -2,15 +2,12 @@
 //! capture for COLMAP or nerfstudio.
 
 use crate::failure::Failure;
-use crate::options::{ReachArgs, choice, positive, rate, share};
+use crate::options::{ReachArgs, rate};
 use crate::output::Output;
 use clap::Args;
-use clap::builder::TypedValueParser;
 use minute4d::Existing;
 use minute4d::export::{ExportJob, Format};
 use minute4d::import::{CaptureReport, ImportFormat, ImportJob, ImportOptions, ImportReport, Report};
-use minute4d::io::capture::Axes;
-use minute4d::io::scene::fourdgs::{FourdgsConfig, Precision};
 use minute4d::render::Moment;
 use std::path::PathBuf;
 
@@ -32,40 +29,16 @@ pub struct Import {
     /// Folder of images or a video, if they are not where the format expects them
     #[arg(long, value_name = "PATH")]
     pub images: Option<PathBuf>,
-    /// Depth maps that replace those of the source: a folder with one file per frame (16-bit PNG, EXR, PFM, npy), or an npz
+    /// Depth maps that replace those of the source: a folder with one file per frame (16-bit PNG in steps
+    /// of 0.001 scene units, EXR, npy)
     #[arg(long, value_name = "PATH")]
     pub depth: Option<PathBuf>,
-    /// Scene units per step of 16-bit depth maps [default: as the format defines, or 0.001]
-    #[arg(long, value_name = "UNIT", value_parser = positive)]
-    pub depth_unit: Option<f64>,
-    /// Masks of dynamic regions that replace those of the source: a folder with one file per frame, or an npz
+    /// Masks of dynamic regions that replace those of the source: a folder with one PNG per frame
     #[arg(long, value_name = "PATH")]
     pub masks: Option<PathBuf>,
-    /// Invert the masks, if they mean the opposite of what the format defines
-    #[arg(long)]
-    pub invert_masks: bool,
-    /// Point tracks: an npz of TAPIP3D, SpatialTracker or CoTracker
-    #[arg(long, value_name = "FILE")]
-    pub tracks: Option<PathBuf>,
-    /// Axis convention of the cameras, if the format does not define it [default: detected]
-    #[arg(long, value_name = "AXES", value_parser = axes())]
-    pub axes: Option<Axes>,
     /// Downscaling factor of a data set's images, such as 2 for DyCheck's rgb/2x [default: that of the protocols]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=64))]
     pub factor: Option<u32>,
-    /// Threshold of 1 - motion_prob above which a pixel of a MegaSaM clip is dynamic, 0 to 1 [default: 0.7]
-    #[arg(long, value_name = "TAU", value_parser = share)]
-    pub tau_motion: Option<f64>,
-    /// MegaSaM's motion_prob.npy [default: reconstructions/NAME/motion_prob.npy next to the file or its folder, or
-    /// motion_prob.npy next to the file]
-    #[arg(long, value_name = "FILE")]
-    pub motion_prob: Option<PathBuf>,
-    /// Correct the convention errors that the check finds: axes, pose direction, depth unit, focal length, half-pixel shifts
-    #[arg(long, conflicts_with = "no_check")]
-    pub fix: bool,
-    /// Skip the check of cameras and depth against the optical flow of the images
-    #[arg(long)]
-    pub no_check: bool,
     /// Replace the results of an earlier import in the folder; other files are kept
     #[arg(long)]
     pub force: bool,
@@ -73,35 +46,19 @@ pub struct Import {
     pub reach: ReachArgs,
 }
 
-fn axes() -> impl TypedValueParser<Value = Axes> {
-    choice([
-        ("opengl", "x right, y up, z back: nerfstudio, Blender", Axes::OpenGl),
-        ("opencv", "x right, y down, z forward: COLMAP, Instant4D", Axes::OpenCv),
-    ])
-}
-
 impl Import {
     fn job(&self) -> ImportJob {
-        let defaults = ImportOptions::default();
         ImportJob {
             existing: if self.force { Existing::Force } else { Existing::Refuse },
             options: ImportOptions {
                 fps: self.fps,
                 images: self.images.clone(),
                 depth: self.depth.clone(),
-                depth_unit: self.depth_unit,
                 masks: self.masks.clone(),
-                invert_masks: self.invert_masks,
-                tracks: self.tracks.clone(),
-                axes: self.axes,
-                tau_motion: self.tau_motion.unwrap_or(defaults.tau_motion),
-                motion: self.motion_prob.clone(),
                 factor: self.factor,
                 reach: self.reach.reach(),
-                ..defaults
+                ..ImportOptions::default()
             },
-            check: !self.no_check,
-            fix: self.fix,
             ..ImportJob::new(self.format)
         }
     }
@@ -111,12 +68,7 @@ pub fn import(args: &Import, output: &Output) -> Result<(), Failure> {
     let report = minute4d::import::make(&args.file, &args.out, &args.job(), output)?;
     match &report {
         Report::Scene(scene) => output.note(&of_scene(scene)),
-        Report::Capture(capture) => {
-            output.note(&of_capture(capture));
-            if let Some(check) = &capture.check {
-                output.note(&check.to_string());
-            }
-        }
+        Report::Capture(capture) => output.note(&of_capture(capture)),
     }
     output.result(&args.out.display().to_string(), minute4d::plain_json(&report)?);
     Ok(())
@@ -173,29 +125,14 @@ pub struct Export {
     /// Files or frames per second for sequences and videos [default: the rate of the source]
     #[arg(long, value_name = "FPS", value_parser = rate)]
     pub fps: Option<f64>,
-    /// Quantisation of a .4dgs file
-    #[arg(long, value_name = "P", default_value = "normal", value_parser = precisions())]
-    pub precision: Precision,
     /// Replace an existing file
     #[arg(long)]
     pub force: bool,
     /// Skip the check that reads 4dgs, ply and ply-sequence files back and compares their renderings with the scene
     #[arg(long)]
     pub no_compare: bool,
-    /// Write opacities as trained, for viewers with a Mip filter and for `import`; without it, the effect of the filter at the
-    /// source cameras is baked into the opacities
-    #[arg(long)]
-    pub keep_mip: bool,
     #[command(flatten)]
     pub reach: ReachArgs,
-}
-
-fn precisions() -> impl TypedValueParser<Value = Precision> {
-    choice([
-        ("fine", "Larger file, smaller error", Precision::Fine),
-        ("normal", "The format's default", Precision::Normal),
-        ("coarse", "Smaller file, larger error", Precision::Coarse),
-    ])
 }
 
 pub fn export(args: &Export, output: &Output) -> Result<(), Failure> {
@@ -208,9 +145,7 @@ pub fn export(args: &Export, output: &Output) -> Result<(), Failure> {
         fps: args.fps,
         replace: args.force,
         compare: !args.no_compare,
-        keep_mip: args.keep_mip,
         reach: args.reach.reach(),
-        fourdgs: FourdgsConfig { precision: args.precision, ..FourdgsConfig::default() },
         ..ExportJob::new(args.format.or(named).unwrap_or(Format::Fourdgs))
     };
     let report = minute4d::export::make(&args.scene, &job, output)?;

@@ -69,12 +69,8 @@ pub fn rate(text: &str) -> Result<f64, String> {
     checked(text, |value| (0.1..=240.0).contains(&value), "it must lie between 0.1 and 240")
 }
 
-pub fn positive(text: &str) -> Result<f64, String> {
+fn positive(text: &str) -> Result<f64, String> {
     checked(text, |value| value > 0.0, "it must be above 0")
-}
-
-pub fn share(text: &str) -> Result<f64, String> {
-    checked(text, |value| (0.0..=1.0).contains(&value), "it must lie between 0 and 1")
 }
 
 pub fn zoom(text: &str) -> Result<f64, String> {

@@ -19,7 +19,7 @@
 //!   takes for unknown: below 0.01, or in the clipped form at the lower end, or NaN. The unit is a metre times a
 //!   factor that MegaSaM divides by and does not save, so a capture that is read is not metric.
 //! * `motion_prob` is **high where things are static** (it weighs the bundle adjustment). The probability of motion is
-//!   `1 - m`; a pixel is dynamic where that is above `tau_motion`, after `m` was resized bilinearly to the image. Where more
+//!   `1 - m`; a pixel is dynamic where that is above 0.7, the paper's tau_motion, after `m` was resized bilinearly to the image. Where more
 //!   than 60 % of the pixels are dynamic, the map is probably one of the other polarity, and a warning says so.
 //! * Principal point: **the numbers are taken as they are**, as measured from the image's corner, where the centre of
 //!   the first pixel is at (0.5, 0.5). MegaSaM sets `cx = W/2` and then counts pixels from their corners in some places
@@ -35,7 +35,6 @@ mod read;
 
 pub(super) use read::list;
 
-use super::ImportOptions;
 use crate::Fault;
 use crate::npy::Npz;
 use m4_core::{CompactMask, Progress};
@@ -58,20 +57,14 @@ pub fn detect_name(path: &Path) -> bool {
 
 /// Name of the file.
 const FILE: &str = "motion_prob.npy";
+/// A pixel is dynamic where its probability of motion is above this (tau_motion of the paper).
+const TAU_MOTION: f64 = 0.7;
 /// Pixels to a side of what one number stands for.
 const BLOCK: usize = 8;
 /// Above this share of dynamic pixels, the map is probably inverted.
 const MAX_DYNAMIC: f64 = 0.6;
 /// How far rounding may put a probability outside of 0 to 1.
 const ROUNDING: f64 = 1e-3;
-
-/// The file of the clip at `path`: the one given, or the first that is there of those of [`candidates`].
-fn find_motion(path: &Path, options: &ImportOptions) -> Option<PathBuf> {
-    match &options.motion {
-        Some(given) => Some(given.clone()),
-        None => candidates(path).into_iter().find(|p| p.is_file()),
-    }
-}
 
 /// Where the file of the clip at `path` may be: in the folder of reconstructions itself; of `NAME_droid.npz` in
 /// `reconstructions/NAME` beside it or beside its folder (MegaSaM writes `outputs/` and `reconstructions/` side by
@@ -98,13 +91,7 @@ fn scene_name(stem: &str) -> &str {
 }
 
 /// The mask of frame `frame` of `size` from the `map` of `of` numbers, row by row.
-fn mask_of(
-    frame: usize,
-    map: &[f64],
-    of: (usize, usize),
-    size: (usize, usize),
-    tau_motion: f64,
-) -> Result<CompactMask, Fault> {
+fn mask_of(frame: usize, map: &[f64], of: (usize, usize), size: (usize, usize)) -> Result<CompactMask, Fault> {
     if let Some(value) = map.iter().find(|m| !(-ROUNDING..=1.0 + ROUNDING).contains(*m)) {
         let what = format!("frame {frame} of the array `motion_prob` holds {value}");
         return Err(Fault::bad(what, "0 (dynamic) to 1 (static) was expected"));
@@ -116,7 +103,7 @@ fn mask_of(
         let row = |y: usize| map[y * of.0 + x0] * (1.0 - fx) + map[y * of.0 + x1] * fx;
         row(y0) * (1.0 - fy) + row(y1) * fy
     };
-    Ok(CompactMask::from_fn(size.0, size.1, |x, y| 1.0 - at(x, y) > tau_motion))
+    Ok(CompactMask::from_fn(size.0, size.1, |x, y| 1.0 - at(x, y) > TAU_MOTION))
 }
 
 /// The two neighbours of each of `to` pixels and the weight of the second: bilinear, by pixel centres, edges repeated.
@@ -132,7 +119,7 @@ fn taps(from: usize, to: usize) -> Vec<(usize, usize, f64)> {
 }
 
 /// Warns of masks with an improbable share of dynamic pixels.
-fn check_polarity<'a>(masks: impl Iterator<Item = &'a CompactMask>, tau_motion: f64, progress: &dyn Progress) {
+fn check_polarity<'a>(masks: impl Iterator<Item = &'a CompactMask>, progress: &dyn Progress) {
     let (mut dynamic, mut all) = (0, 0);
     for mask in masks {
         dynamic += mask.count();
@@ -142,7 +129,7 @@ fn check_polarity<'a>(masks: impl Iterator<Item = &'a CompactMask>, tau_motion: 
     if share > MAX_DYNAMIC {
         progress.warn(&format!(
             "{:.0} % of the pixels count as dynamic: motion_prob is high in static regions, and this file is \
-             probably inverted; save 1 - motion_prob and import again, or raise tau_motion (now {tau_motion})",
+             probably inverted; save 1 - motion_prob and import again",
             100.0 * share
         ));
     }
@@ -187,14 +174,12 @@ mod tests {
     #[test]
     fn high_motion_values_are_static_and_resized_bilinearly() {
         // one row: static, dynamic; the middle between them is at column 8 of 16
-        let held = mask_of(0, &[1.0, 0.0], (2, 1), (16, 1), 0.7).unwrap();
+        let held = mask_of(0, &[1.0, 0.0], (2, 1), (16, 1)).unwrap();
         let dynamic: Vec<bool> = (0..16).map(|x| held.at(x, 0)).collect();
         // motion at column x is (x + 0.5 - 4) / 8: above 0.7 from x = 9.1 on
         assert_eq!(dynamic, (0..16).map(|x| x >= 10).collect::<Vec<_>>());
-        let half = mask_of(0, &[1.0, 0.0], (2, 1), (16, 1), 0.5).unwrap();
-        assert_eq!(half.count(), 8);
-        assert!(mask_of(4, &[f64::NAN], (1, 1), (8, 8), 0.7).is_err());
-        assert!(mask_of(4, &[1.5], (1, 1), (8, 8), 0.7).unwrap_err().to_string().contains("frame 4"));
+        assert!(mask_of(4, &[f64::NAN], (1, 1), (8, 8)).is_err());
+        assert!(mask_of(4, &[1.5], (1, 1), (8, 8)).unwrap_err().to_string().contains("frame 4"));
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! Reads a file or folder of MegaSaM.
 
-use super::{BLOCK, Stored, candidates, check_polarity, depth_of, find_motion, mask_of};
+use super::{BLOCK, Stored, candidates, check_polarity, depth_of, mask_of};
 use crate::dataset::files::{self, duration_s, given_fps};
 use crate::dataset::{FrameSource, ImportOptions, Lens, ListedFrame, Listing, step};
 use crate::error::AtPath;
@@ -25,10 +25,6 @@ struct Clip {
 pub fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress) -> Result<Listing, ReadError> {
     let here = |cause: Fault| cause.at(path);
     given_fps(options).map_err(here)?;
-    if !(0.0..=1.0).contains(&options.tau_motion) {
-        let what = format!("the option tau_motion is {}; a probability, 0 to 1, was expected", options.tau_motion);
-        return Err(here(Fault::bad(what, "give another")));
-    }
     let mut input = Input::open(path, options.max_memory_bytes).map_err(here)?;
     let clip = input.clip().map_err(here)?;
     let cameras = if matches!(input.from, Storage::Folder(_)) { input.quaternions(clip) } else { input.matrices(clip) };
@@ -227,25 +223,26 @@ fn masks(
     options: &ImportOptions,
     progress: &dyn Progress,
 ) -> Result<Option<Vec<Motion>>, ReadError> {
-    let Some(file) = find_motion(path, options) else {
-        let at: Vec<String> = candidates(path).iter().map(|p| p.display().to_string()).collect();
+    let candidates = candidates(path);
+    let Some(file) = candidates.iter().find(|p| p.is_file()) else {
+        let at: Vec<String> = candidates.iter().map(|p| p.display().to_string()).collect();
         progress.warn(&format!(
-            "no motion map was found ({}), so every pixel counts as static; give the file motion_prob.npy \
-             that MegaSaM wrote into reconstructions/NAME",
+            "no motion map was found ({}), so every pixel counts as static; copy motion_prob.npy there, \
+             which MegaSaM writes into reconstructions/NAME",
             at.join(", ")
         ));
         return Ok(None);
     };
     let read = || -> Result<Vec<Motion>, Fault> {
         const NAME: &str = "motion_prob";
-        let mut array = open(&file, NAME, options.max_memory_bytes)?;
+        let mut array = open(file, NAME, options.max_memory_bytes)?;
         check_floats(NAME, &array)?;
         let map = map_size(&array, clip)?;
         let mut masks = Vec::new();
         for i in 0..clip.frames {
             step("read masks", i, clip.frames, progress)?;
             let values = array.next_f64(map.0 * map.1)?;
-            let mask = mask_of(i, &values, map, clip.size, options.tau_motion)?;
+            let mask = mask_of(i, &values, map, clip.size)?;
             let dynamic = |x: usize, y: usize| (255.0 * (1.0 - values[y * map.0 + x]).clamp(0.0, 1.0)).round() as u8;
             masks.push((mask, Plane::from_fn(map.0, map.1, dynamic)));
         }
@@ -254,8 +251,8 @@ fn masks(
         }
         Ok(masks)
     };
-    let masks = read().at(&file)?;
-    check_polarity(masks.iter().map(|m| &m.0), options.tau_motion, progress);
+    let masks = read().at(file)?;
+    check_polarity(masks.iter().map(|m| &m.0), progress);
     Ok(Some(masks))
 }
 

@@ -1,8 +1,8 @@
 //! Converts the entries of the file to frames.
 
 use super::{Frame, Transforms, lens_of};
+use crate::dataset::depth;
 use crate::dataset::files::{Inside, duration_s, given_fps, stored_image};
-use crate::dataset::side::depth;
 use crate::dataset::{FrameSource, ImportOptions, ListedFrame, Listing};
 use crate::error::AtPath;
 use crate::files::{json, natural};
@@ -146,7 +146,7 @@ impl List {
                 .map_err(|e| bad(&format!("frame {i} ({name})"), e.to_string(), "write the file again"))?;
             entries.push((i, entry));
         }
-        let depth_unit = options.depth_unit.or(file.depth_unit_scale_factor).unwrap_or(depth::DEFAULT_UNIT);
+        let depth_unit = file.depth_unit_scale_factor.unwrap_or(depth::DEFAULT_UNIT);
         let scale = file.applied_scale.unwrap_or(1.0);
         for (key, value) in [("depth_unit_scale_factor", depth_unit), ("applied_scale", scale)] {
             if !(value.is_finite() && value > 0.0) {
@@ -161,7 +161,7 @@ impl List {
             None => None,
         };
         let axes = match kind {
-            Kind::DataSet => axes_of(&file, &entries, options, progress),
+            Kind::DataSet => axes_of(&file, &entries, progress),
             Kind::Capture => file.axes.unwrap_or_default(),
         };
         let timed = entries.iter().filter(|(_, entry)| entry.time.is_some()).count();
@@ -181,7 +181,7 @@ impl List {
             inside: Inside::of(&folder, options),
             folder,
             axes,
-            dynamic_is_zero: kind == Kind::DataSet && file.axes.is_none() != options.invert_masks,
+            dynamic_is_zero: kind == Kind::DataSet && file.axes.is_none(),
             undo,
             undo_scale: 1.0 / scale,
             depth_unit,
@@ -337,9 +337,9 @@ impl List {
     }
 }
 
-/// The axes by the option, the file, or the keys that it has; see the module.
-fn axes_of(file: &Transforms, frames: &[(usize, Frame)], options: &ImportOptions, progress: &dyn Progress) -> Axes {
-    if let Some(axes) = options.axes.or(file.axes) {
+/// The axes by the file, or the keys that it has; see the module.
+fn axes_of(file: &Transforms, frames: &[(usize, Frame)], progress: &dyn Progress) -> Axes {
+    if let Some(axes) = file.axes {
         return axes;
     }
     let of_opengl = file.lens.camera_angle_x.is_some()
@@ -355,7 +355,7 @@ fn axes_of(file: &Transforms, frames: &[(usize, Frame)], options: &ImportOptions
     }
     progress.warn(
         "transforms.json is laid out as those of Instant4D and does not name its axes; OpenCV axes were assumed (if everything is \
-         behind the cameras, give the axes: opengl)",
+         behind the cameras, they are OpenGL's: add \"camera_model\": \"OPENCV\" to the file, as nerfstudio does)",
     );
     Axes::OpenCv
 }

@@ -16,16 +16,16 @@
 //!
 //! **What is converted.**
 //!
-//! * Axes. Matrices are camera to world. They are OpenGL's (x right, y up, z back) except where `axes` says `opencv`, by the option or
-//!   in the file. Where neither says it: a file with one of the keys `camera_angle_x`, `camera_model`, `applied_transform`,
+//! * Axes. Matrices are camera to world. They are OpenGL's (x right, y up, z back) except where `axes` says `opencv`.
+//!   Where it is missing: a file with one of the keys `camera_angle_x`, `camera_model`, `applied_transform`,
 //!   `orientation_override`, `aabb_scale`, `ply_file_path` or `is_fisheye` is one of nerfstudio, Blender or instant-ngp, and OpenGL. A
 //!   file without any of them whose frames all have a `time` is laid out as those of Instant4D, whose axes are OpenCV's; it is taken
 //!   so, and a warning says it. All others are OpenGL.
 //! * Time. `time` runs from 0 to 1 over the training video. Without it frames are in the natural order of their names, evenly spaced.
 //! * Depth. PNG files of 16 bits, and numbers of npy and EXR files too, are multiplied by `depth_unit_scale_factor` (0.001 where it
-//!   is missing, as in nerfstudio), or by the option `depth_unit`.
+//!   is missing, as in nerfstudio).
 //! * Masks. nerfstudio trains where `mask_path` is not 0 and leaves out what is 0: the dynamic part is **0**. Our own
-//!   captures, known by the key `axes`, have 255 there. The option `invert_masks` inverts both.
+//!   captures, known by the key `axes`, have 255 there.
 //! * `applied_scale` and `applied_transform` are undone, so that poses are again in the unit of the depth maps and in the world of
 //!   the tool that computed them.
 //! * The principal point is measured from the image's corner, as ours. `k4` of a lens that is no fisheye is not read: programs

@@ -30,58 +30,22 @@ use ::fourdgs::stream_reader::{ReadOptions, read_from};
 use ::fourdgs::{GaussianSet, SceneExtras, WriteOptions, write_to_vec};
 use convert::{Clip, to_set, verify};
 use m4_core::Scene;
-use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::Path;
 
-/// How a `.4dgs` file is written.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct FourdgsConfig {
-    /// How fine the grids are that values are rounded to.
-    pub precision: Precision,
-    /// Effort of deflate, 0 to 9. 6: the default of the container's reference encoder.
-    pub compression: u32,
-}
-
-impl Default for FourdgsConfig {
-    fn default() -> Self {
-        Self { precision: Precision::Normal, compression: 6 }
-    }
-}
-
-/// Bounds of the format (section 6): errors of position (in median scales), scale, colour, opacity, moment, duration.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Precision {
-    /// `fine`: 0.02, 0.5 %, 1/510, 0.5 ms, 0.5 %.
-    Fine,
-    /// `default`: 0.05, 2 %, 1/255, 2 ms, 2 %.
-    Normal,
-    /// `coarse`: 0.2, 6 %, 3/255, 8 ms, 6 %.
-    Coarse,
-}
-
-impl Precision {
-    fn profile(self) -> Profile {
-        match self {
-            Self::Fine => Profile::Fine,
-            Self::Normal => Profile::Default,
-            Self::Coarse => Profile::Coarse,
-        }
-    }
-}
+/// Effort of deflate, 0 to 9: the default of the container's reference encoder.
+const COMPRESSION: u32 = 6;
 
 /// Writes a scene, atomically. The bytes are decoded and compared before the file takes its name. Fails when the scene has
 /// values that are not finite, the file system refuses, or the bytes do not decode to the scene.
-pub fn write(path: &Path, scene: &Scene, config: &FourdgsConfig) -> Result<Written, WriteError> {
-    let (bytes, losses) = encode(path, scene, config)?;
+pub fn write(path: &Path, scene: &Scene) -> Result<Written, WriteError> {
+    let (bytes, losses) = encode(path, scene)?;
     publish(path, &bytes)?;
     Ok(Written { path: path.to_path_buf(), bytes: bytes.len() as u64, splats: scene.splats.n(), losses })
 }
 
 /// The bytes of the file `path`, decoded and compared with the scene, and what they cannot hold.
-pub fn encode(path: &Path, scene: &Scene, config: &FourdgsConfig) -> Result<(Vec<u8>, Vec<Loss>), WriteError> {
+pub fn encode(path: &Path, scene: &Scene) -> Result<(Vec<u8>, Vec<Loss>), WriteError> {
     check_finite(path, scene)?;
     let clock = Clock::of(scene);
     let clip = Clip { step_s: clock.step_s, frames: scene.time_frames.max(1) };
@@ -95,8 +59,8 @@ pub fn encode(path: &Path, scene: &Scene, config: &FourdgsConfig) -> Result<(Vec
         ..SceneExtras::default()
     };
     let options = WriteOptions {
-        profile: config.precision.profile(),
-        level: config.compression.min(9),
+        profile: Profile::Default,
+        level: COMPRESSION,
         write_statistics: true,
         verify: false,
         library: concat!("minute4d ", env!("CARGO_PKG_VERSION")).to_owned(),

@@ -1,6 +1,6 @@
 //! A scene to the bytes of a file and back.
 
-use super::{FourdgsConfig, Precision, encode, parse};
+use super::{encode, parse};
 use crate::ErrorKind;
 use crate::scene::{Loss, at_peak};
 use m4_core::{
@@ -41,7 +41,7 @@ fn matched(want: &Splats, found: &Splats) -> Vec<usize> {
 fn fourdgs_round_trips_within_bounds() {
     for (sh_degree, time_degree, isotropic) in [(0, 0, false), (3, 1, false), (1, 0, true)] {
         let scene = scene(sh_degree, time_degree, isotropic);
-        let (bytes, _) = encode(name(), &scene, &FourdgsConfig::default()).unwrap();
+        let (bytes, _) = encode(name(), &scene).unwrap();
         let back = parse(name(), &bytes).unwrap().scene;
         let want = at_peak(&scene.splats);
         let (a, b) = (&*want, &back.splats);
@@ -92,7 +92,7 @@ fn fourdgs_round_trips_within_bounds() {
 #[test]
 fn extra_metadata_round_trips() {
     let scene = scene(0, 0, false);
-    let (bytes, losses) = encode(name(), &scene, &FourdgsConfig::default()).unwrap();
+    let (bytes, losses) = encode(name(), &scene).unwrap();
     let found = parse(name(), &bytes).unwrap();
     let back = &found.scene;
     assert_eq!(
@@ -116,7 +116,7 @@ fn scenes_without_duration_use_30_frames_per_second() {
     let mut scene = scene(0, 2, false);
     scene.duration_s = None;
     scene.source[3].exposure.offset = [0.1; 3];
-    let (bytes, losses) = encode(name(), &scene, &FourdgsConfig::default()).unwrap();
+    let (bytes, losses) = encode(name(), &scene).unwrap();
     let header = ::fourdgs::read_bytes(&bytes).unwrap().header;
     assert!((header.duration_sec - 31.0 / 30.0).abs() < 1e-6);
     let baked = losses.iter().filter(|l| matches!(l, Loss::Baked(_))).count();
@@ -128,23 +128,10 @@ fn scenes_without_duration_use_30_frames_per_second() {
 }
 
 #[test]
-fn finer_precision_takes_more_bytes() {
-    let scene = scene(0, 0, false);
-    let sizes: Vec<usize> = [Precision::Fine, Precision::Normal, Precision::Coarse]
-        .into_iter()
-        .map(|precision| {
-            let config = FourdgsConfig { precision, ..FourdgsConfig::default() };
-            encode(name(), &scene, &config).unwrap().0.len()
-        })
-        .collect();
-    assert!(sizes[0] > sizes[1] && sizes[1] > sizes[2], "{sizes:?}");
-}
-
-#[test]
 fn changed_values_fail_verification() {
     use ::fourdgs::quantization::{Bounds, Profile};
     let scene = scene(1, 0, false);
-    let (bytes, _) = encode(name(), &scene, &FourdgsConfig::default()).unwrap();
+    let (bytes, _) = encode(name(), &scene).unwrap();
     let mut file = ::fourdgs::read_bytes(&bytes).unwrap();
     let clip = super::convert::Clip { step_s: 1.25 / 30.0, frames: 31 };
     let (set, _) = super::convert::to_set(&scene.splats, &clip);
@@ -166,11 +153,11 @@ fn changed_values_fail_verification() {
 fn empty_scenes_are_written() {
     let mut scene = scene(0, 0, false);
     scene.splats = Splats::zeros(scene.splats.layout(), 0, 0);
-    let (bytes, _) = encode(name(), &scene, &FourdgsConfig::default()).unwrap();
+    let (bytes, _) = encode(name(), &scene).unwrap();
     assert_eq!(parse(name(), &bytes).unwrap().scene.splats.n(), 0);
     scene.splats = Splats::zeros(scene.splats.layout(), 1, 0);
     scene.splats.column_mut(Column::Mean, 0)[0] = f32::NAN;
-    let error = encode(name(), &scene, &FourdgsConfig::default()).unwrap_err();
+    let error = encode(name(), &scene).unwrap_err();
     assert_eq!(error.kind(), ErrorKind::BadData, "{error}");
 }
 
@@ -250,7 +237,7 @@ fn a_small_file_cannot_ask_for_much_memory() {
 
 #[test]
 fn import_errors_name_a_remedy() {
-    let (bytes, _) = encode(name(), &scene(0, 0, false), &FourdgsConfig::default()).unwrap();
+    let (bytes, _) = encode(name(), &scene(0, 0, false)).unwrap();
     let cut = parse(name(), &bytes[..bytes.len() / 2]).unwrap_err();
     assert_eq!(cut.kind(), ErrorKind::BadData, "{cut}");
     let other = parse(name(), b"ply\nformat ascii 1.0\n").unwrap_err();

@@ -10,10 +10,8 @@
 //! rot_0..3         quaternion (w, x, y, z)
 //! ```
 //!
-//! Read are also: other orders of the properties, missing normals, harmonics of degree 0 to 3, one scale in
-//! place of three, `red green blue` instead of coefficients, any number type, big-endian and text.
+//! Read are also: other orders of the properties, missing normals, harmonics of degree 0 to 3, and further properties.
 
-mod header;
 mod read;
 pub use read::{parse, read};
 
@@ -147,7 +145,7 @@ mod tests {
     use super::{frame_name, parse, read, write, write_sequence};
     use crate::ErrorKind;
     use crate::scene::Loss;
-    use crate::scene::splats::{Row, sigmoid};
+    use crate::scene::splats::Row;
     use m4_core::{Column, Scene, SplatLayout};
     use m4_testkit::{SceneSpec, random_scene};
     use serde::Deserialize;
@@ -238,37 +236,29 @@ mod tests {
     }
 
     #[test]
-    fn ply_property_orders_and_types_are_read() {
-        let at = Path::new("other.ply");
-        // text, other order, one scale, bytes for colours
-        let text = "ply\nformat ascii 1.0\ncomment by hand\nelement vertex 2\nproperty float opacity\nproperty double z\n\
-            property float y\nproperty float x\nproperty float scale_0\nproperty uchar red\nproperty uchar green\n\
-            property uchar blue\nproperty float trbf_center\nend_header\n0 3 2 1 -1 255 0 51 0.5\ninf 6 5 4 -inf 0 0 0 0.5";
-        let found = parse(at, text.as_bytes()).unwrap();
-        let splats = &found.scene.splats;
-        assert_eq!((splats.n_static(), splats.n_dynamic(), found.scene.time_frames), (2, 0, 1));
-        let (first, second) = (Row::of(splats, 0), Row::of(splats, 1));
-        assert_eq!((first.mean, first.log_scale, first.quat), ([1.0, 2.0, 3.0], [-1.0; 3], [1.0, 0.0, 0.0, 0.0]));
-        assert!((splats.column(Column::Colour, 2)[0] - (0.2 - 0.5) / 0.282_094_8).abs() < 1e-5);
-        assert_eq!((sigmoid(second.opacity) as f32, second.log_scale), (1.0, [-20.0; 3]));
-        assert!(matches!(&found.losses[..], [Loss::Dropped(what)] if what.contains("trbf_center")));
-
-        // big-endian, as an importer of another platform writes it
-        let mut bytes = b"ply\nformat binary_big_endian 1.0\nelement vertex 1\n".to_vec();
+    fn ply_property_orders_are_read() {
+        let mut bytes = b"ply\r\nformat binary_little_endian 1.0\ncomment by hand\nelement vertex 1\n".to_vec();
+        bytes.extend(b"property uchar red\nproperty double trbf_center\n");
         let names = ["rot_3", "rot_2", "rot_1", "rot_0", "f_dc_2", "f_dc_1", "f_dc_0", "opacity"];
         let more = ["scale_0", "scale_1", "scale_2", "x", "y", "z"];
         for name in names.iter().chain(&more) {
             bytes.extend(format!("property float32 {name}\n").bytes());
         }
-        bytes.extend(b"end_header\n");
+        bytes.extend(b"element face 0\nproperty list uchar int i\nend_header\n");
+        bytes.extend([0; 9]);
         for v in 1..=14 {
-            bytes.extend((v as f32).to_be_bytes());
+            // converters write infinite logarithms
+            let value = if v == 9 { f32::NEG_INFINITY } else { v as f32 };
+            bytes.extend(value.to_le_bytes());
         }
-        let splats = parse(at, &bytes).unwrap().scene.splats;
+        let found = parse(Path::new("other.ply"), &bytes).unwrap();
+        let splats = found.scene.splats;
+        assert_eq!((splats.n_static(), splats.n_dynamic(), found.scene.time_frames), (1, 0, 1));
         let row = Row::of(&splats, 0);
-        assert_eq!((row.mean, row.log_scale, row.opacity), ([12.0, 13.0, 14.0], [9.0, 10.0, 11.0], 8.0));
+        assert_eq!((row.mean, row.log_scale, row.opacity), ([12.0, 13.0, 14.0], [-20.0, 10.0, 11.0], 8.0));
         assert_eq!(splats.column(Column::Colour, 0), &[7.0]);
         assert!((row.quat[0] - 4.0 / 30f32.sqrt()).abs() < 1e-6);
+        assert!(matches!(&found.losses[..], [Loss::Dropped(what)] if what.contains("red, trbf_center")));
     }
 
     #[test]
@@ -296,17 +286,31 @@ mod tests {
         assert_eq!(one(&all, 0.5).unwrap().scene.splats.n(), 1);
         let nan = one(&all, f32::NAN).unwrap_err();
         assert!(nan.to_string().contains("of splat 0 is NaN"), "{nan}");
-        for left_out in ["x", "opacity", "scale_0", "rot_2", "f_dc_1"] {
+        for left_out in ["x", "opacity", "scale_2", "rot_2", "f_dc_1"] {
             let names: Vec<&str> = all.into_iter().filter(|n| *n != left_out).collect();
             assert_eq!(one(&names, 0.5).unwrap_err().kind(), ErrorKind::Unsupported, "{left_out}");
         }
         let rest: Vec<String> = (0..5).map(|k| format!("f_rest_{k}")).collect();
         let names: Vec<&str> = all.into_iter().chain(rest.iter().map(String::as_str)).collect();
         assert!(one(&names, 0.5).unwrap_err().to_string().contains("5 properties f_rest_"));
-        let flat: Vec<&str> = all.into_iter().filter(|n| *n != "scale_2").collect();
-        assert!(one(&flat, 0.5).unwrap_err().to_string().contains("two scales"));
-        let packed = one(&["packed_position"], 0.5).unwrap_err();
-        assert!(packed.to_string().contains("compressed PLY"));
-        assert!(parse(at, b"\x89PNG").unwrap_err().to_string().contains("not a PLY file"));
+        for (text, reason) in [
+            ("\u{89}PNG\n", "not a PLY file"),
+            ("ply\nformat ascii 1.0\n", "stored as ascii"),
+            (
+                "ply\nelement chunk 1\nproperty float min_x\nelement vertex 9\nproperty uint packed_position\n",
+                "compressed",
+            ),
+            ("ply\nend_header\n", "damaged"),
+            ("ply\nproperty float x\nend_header\n", "damaged"),
+            ("ply\nelement vertex -1\nend_header\n", "damaged"),
+            ("ply\nelement vertex 99999999999999999999\nend_header\n", "damaged"),
+            ("ply\nelement vertex 1\nproperty quad x\nend_header\n", "damaged"),
+            ("ply\nelement vertex 1\n", "damaged"),
+            ("ply\nformat binary_little_endian 2.0\nend_header\n", "damaged"),
+            ("ply\nelement vertex 1\nproperty list uchar int i\nend_header\n", "lists"),
+        ] {
+            let error = parse(at, text.as_bytes()).unwrap_err().to_string();
+            assert!(error.contains(reason), "{text}: {error}");
+        }
     }
 }

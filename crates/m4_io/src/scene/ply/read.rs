@@ -1,10 +1,9 @@
 //! Reads a PLY file of splats as a scene.
 
-use super::header::{Table, parse as parse_header};
 use crate::error::AtPath;
 use crate::files::bytes;
-use crate::scene::splats::{Life, Row, collect, unit};
-use crate::scene::{C0, Imported, Loss};
+use crate::scene::splats::{Row, collect, unit};
+use crate::scene::{Imported, Loss};
 use crate::{Fault, ReadError};
 use m4_core::Scene;
 use std::path::Path;
@@ -13,19 +12,12 @@ use std::path::Path;
 const NEAR: f32 = 0.01;
 /// What an infinite logit or logarithm is read as; converters that take the logarithm of a byte write infinities.
 const BEYOND: f32 = 20.0;
+/// Longest header that is read, bytes.
+const MAX_HEADER: usize = 64 << 10;
 
 /// Reads a file of any writer. Fails if the file is missing, damaged, or holds no splats.
 pub fn read(path: &Path) -> Result<Imported, ReadError> {
     parse(path, &bytes(path, u64::MAX).at(path)?)
-}
-
-/// True for a property that a splat is made of.
-fn known(name: &str) -> bool {
-    let numbered = name.rsplit_once('_').is_some_and(|(stem, number)| {
-        let stems = ["f_dc", "f_rest", "scale", "scaling", "rot", "rotation", "opacity"];
-        number.parse::<usize>().is_ok() && stems.contains(&stem)
-    });
-    numbered || matches!(name, "x" | "y" | "z" | "opacity" | "red" | "green" | "blue")
 }
 
 /// The scene in the bytes of a file; `path` is for messages alone. It has one frame and no cameras.
@@ -34,32 +26,60 @@ pub fn parse(path: &Path, bytes: &[u8]) -> Result<Imported, ReadError> {
 }
 
 fn unsupported(reason: impl Into<String>) -> Fault {
-    Fault::unsupported(reason, "give a PLY file of splats as 3DGS writes it")
+    Fault::unsupported(reason, "give a PLY file of splats as 3DGS writes it, binary and little-endian")
 }
 
 fn scene_of(bytes: &[u8]) -> Result<Imported, Fault> {
-    let header = parse_header(bytes)?;
-    let [element, ..] = &header.elements[..] else {
-        return Err(unsupported("it has no tables"));
+    let table = Table::parse(bytes)?;
+    let numbered = |stem: &str, n: usize| -> Result<Vec<usize>, Fault> {
+        (0..n).map(|k| table.need(&format!("{stem}_{k}"))).collect()
     };
-    if header.elements.iter().flat_map(|e| &e.properties).any(|p| p.name == "packed_position") {
-        return Err(unsupported("it is a compressed PLY; splat-transform turns it into a plain one"));
+    let mean = [table.need("x")?, table.need("y")?, table.need("z")?];
+    let opacity = table.need("opacity")?;
+    let (scale, quat) = (numbered("scale", 3)?, numbered("rot", 4)?);
+    let mut colour = numbered("f_dc", 3)?;
+    colour.extend((0..=45).map_while(|k| table.place(&format!("f_rest_{k}"))));
+    let sh_degree = match colour.len() - 3 {
+        0 => 0,
+        9 => 1,
+        24 => 2,
+        45 => 3,
+        n => {
+            let what = format!("it has {n} properties f_rest_, and harmonics come 9, 24 or 45 at a time");
+            return Err(unsupported(what));
+        }
+    };
+    let mut rows = Vec::with_capacity(table.rows);
+    for i in 0..table.rows {
+        let finite = |at: usize| match table.number(i, at) {
+            value if value.is_finite() => Ok(value),
+            value => Err(table.bad(i, at, value)),
+        };
+        let bounded = |at: usize| match table.number(i, at) {
+            value if value.is_infinite() => Ok(BEYOND.copysign(value)),
+            _ => finite(at),
+        };
+        for &at in &colour {
+            finite(at)?;
+        }
+        let row = Row {
+            mean: [finite(mean[0])?, finite(mean[1])?, finite(mean[2])?],
+            log_scale: [bounded(scale[0])?, bounded(scale[1])?, bounded(scale[2])?],
+            quat: unit([finite(quat[0])?, finite(quat[1])?, finite(quat[2])?, finite(quat[3])?]),
+            opacity: bounded(opacity)?,
+        };
+        rows.push((row, None));
     }
-    if element.name != "vertex" || element.lists {
-        return Err(unsupported(format!(
-            "its first table is {:?}{} and not a plain one of vertices",
-            element.name,
-            if element.lists { " with lists" } else { "" }
-        )));
-    }
-    let table = Table::read(element, header.encoding, &bytes[header.length..], known)?;
-    let (columns, sh_degree) = Columns::of(&table).map_err(unsupported)?;
-    let rows = (0..element.rows)
-        .map(|i| columns.row(i))
-        .collect::<Result<Vec<_>, _>>()
-        .and_then(|rows| columns.check_colours(element.rows).map(|()| rows))
-        .map_err(|(splat, property, value)| Fault::damaged(format!("{property} of splat {splat} is {value}")))?;
-    let splats = collect(sh_degree, &rows, |i, out| columns.colour(i, out));
+    let terms = colour.len() / 3;
+    let splats = collect(sh_degree, &rows, |i, out| {
+        for (k, &at) in colour.iter().enumerate() {
+            // the constants of three channels, then the other harmonics channel by channel
+            let to = if k < 3 { k } else { 3 * ((k - 3) % (terms - 1) + 1) + (k - 3) / (terms - 1) };
+            out[to] = table.number(i, at);
+        }
+    });
+    let used: Vec<usize> = [&mean[..], &[opacity], &scale, &quat, &colour].concat();
+    let others = table.properties.iter().filter(|p| !used.contains(&p.offset) && !["nx", "ny", "nz"].contains(&p.name));
     Ok(Imported {
         scene: Scene {
             splats,
@@ -71,14 +91,12 @@ fn scene_of(bytes: &[u8]) -> Result<Imported, Fault> {
             source: Vec::new(),
         },
         up: None,
-        losses: unknown(element.properties.iter().map(|p| p.name.as_str())),
+        losses: unknown(others.map(|p| p.name).collect()),
     })
 }
 
 /// What the file has besides: such as the motion of formats that keep splats with time in PLY files.
-fn unknown<'a>(names: impl Iterator<Item = &'a str>) -> Vec<Loss> {
-    let plain = |name: &&str| !known(name) && !matches!(*name, "nx" | "ny" | "nz" | "alpha");
-    let mut names: Vec<&str> = names.filter(plain).collect();
+fn unknown(mut names: Vec<&str>) -> Vec<Loss> {
     if names.is_empty() {
         return Vec::new();
     }
@@ -88,129 +106,122 @@ fn unknown<'a>(names: impl Iterator<Item = &'a str>) -> Vec<Loss> {
     vec![Loss::Dropped(format!("properties that are not known here: {}{rest}", names.join(", ")))]
 }
 
-/// Where the parameters of splats are.
-struct Columns<'a> {
-    mean: [&'a [f32]; 3],
-    opacity: &'a [f32],
-    scale: [&'a [f32]; 3],
-    quat: Option<[&'a [f32]; 4]>,
-    colour: [&'a [f32]; 3],
-    /// True where the colour is a value and no coefficient, and what it is divided by.
-    value: Option<f32>,
-    /// Channel major.
-    rest: Vec<&'a [f32]>,
+/// A number of each row.
+struct Property<'a> {
+    name: &'a str,
+    /// Where it lies in a row, bytes.
+    offset: usize,
+    /// 32 bits.
+    is_float: bool,
 }
 
-/// Splat, property and value.
-type Bad = (usize, String, f32);
+/// The first table of a file, which is of vertices.
+struct Table<'a> {
+    rows: usize,
+    /// Bytes of a row.
+    stride: usize,
+    properties: Vec<Property<'a>>,
+    numbers: &'a [u8],
+}
 
-impl<'a> Columns<'a> {
-    fn of(table: &'a Table<'a>) -> Result<(Self, usize), String> {
-        let find = |names: &[&str]| table.column(names);
-        let need = |names: &[&str]| {
-            find(names).map(|(_, _, column)| column).ok_or_else(|| format!("it has no property {}", names[0]))
+impl<'a> Table<'a> {
+    /// Reads the header and compares the rows that it promises with the bytes that are there.
+    fn parse(bytes: &'a [u8]) -> Result<Self, Fault> {
+        let bad = |reason: &str, line: &str| {
+            let line: String = line.chars().take(80).collect();
+            Fault::damaged(format!("its header has {reason}: {line:?}"))
         };
-        let numbered = |stems: [&str; 2], k: usize| {
-            let names = stems.map(|stem| format!("{stem}_{k}"));
-            find(&[&names[0], &names[1]]).map(|(_, _, column)| column)
+        let mut rest = bytes;
+        let mut next = || -> Option<&'a str> {
+            let end = rest.iter().take(MAX_HEADER).position(|&b| b == b'\n')?;
+            let (line, after) = rest.split_at(end);
+            rest = &after[1..];
+            let text = std::str::from_utf8(line).ok()?;
+            Some(text.strip_suffix('\r').unwrap_or(text))
         };
-        let scale = |k| numbered(["scale", "scaling"], k);
-        let first = scale(0).ok_or("it has no property scale_0")?;
-        let scale = match (scale(1), scale(2)) {
-            (Some(second), Some(third)) => [first, second, third],
-            (None, None) => [first; 3],
-            _ => return Err("it has two scales per splat: flat splats are not supported".to_owned()),
-        };
-        let turn: Option<Vec<&[f32]>> = (0..4).map(|k| numbered(["rot", "rotation"], k)).collect();
-        let quat = turn.and_then(|columns| <[&[f32]; 4]>::try_from(columns).ok());
-        if quat.is_none() && !scale.iter().all(|s| std::ptr::eq(*s, first)) {
-            return Err("it has no property rot_0".to_owned());
+        if next() != Some("ply") {
+            let what = "it is not a PLY file: it does not start with \"ply\"";
+            return Err(Fault::bad(what, "check the name, or import it as another format"));
         }
-        let dc: Option<Vec<&[f32]>> = (0..3).map(|k| numbered(["f_dc", "f_dc"], k)).collect();
-        let (colour, value) = match dc.and_then(|columns| <[&[f32]; 3]>::try_from(columns).ok()) {
-            Some(columns) => (columns, None),
-            None => {
-                let (_, kind, red) = find(&["red"]).ok_or("it has no property f_dc_0 and no red")?;
-                let divisor = if kind.is_float() { 1.0 } else { 255.0 };
-                ([red, need(&["green"])?, need(&["blue"])?], Some(divisor))
-            }
-        };
-        let rest: Vec<&[f32]> = (0..=45).map_while(|k| numbered(["f_rest", "f_rest"], k)).collect();
-        let sh_degree = match rest.len() {
-            0 => 0,
-            9 => 1,
-            24 => 2,
-            45 => 3,
-            n => {
-                return Err(format!("it has {n} properties f_rest_, and harmonics come 9, 24 or 45 at a time"));
-            }
-        };
-        let columns = Self {
-            mean: [need(&["x"])?, need(&["y"])?, need(&["z"])?],
-            opacity: need(&["opacity", "opacity_0"])?,
-            scale,
-            quat,
-            colour,
-            value,
-            rest,
-        };
-        Ok((columns, sh_degree))
-    }
-
-    fn row(&self, i: usize) -> Result<(Row, Option<Life>), Bad> {
-        let finite = |name: &str, value: f32| {
-            if value.is_finite() { Ok(value) } else { Err((i, name.to_owned(), value)) }
-        };
-        let bounded = |name: &str, value: f32| {
-            if value.is_nan() {
-                Err((i, name.to_owned(), value))
-            } else if value.is_infinite() {
-                Ok(BEYOND.copysign(value))
-            } else {
-                Ok(value)
-            }
-        };
-        let [x, y, z] = self.mean.map(|column| column[i]);
-        let [a, b, c] = self.scale.map(|column| column[i]);
-        let quat = match self.quat {
-            None => [1.0, 0.0, 0.0, 0.0],
-            Some(columns) => {
-                let [w, x, y, z] = columns.map(|column| column[i]);
-                unit([finite("rot_0", w)?, finite("rot_1", x)?, finite("rot_2", y)?, finite("rot_3", z)?])
-            }
-        };
-        let row = Row {
-            mean: [finite("x", x)?, finite("y", y)?, finite("z", z)?],
-            log_scale: [bounded("scale_0", a)?, bounded("scale_1", b)?, bounded("scale_2", c)?],
-            quat,
-            opacity: bounded("opacity", self.opacity[i])?,
-        };
-        Ok((row, None))
-    }
-
-    fn check_colours(&self, rows: usize) -> Result<(), Bad> {
-        let names = |k: usize| {
-            if k < 3 { format!("f_dc_{k}") } else { format!("f_rest_{}", k - 3) }
-        };
-        for (k, column) in self.colour.iter().chain(&self.rest).enumerate() {
-            if let Some(at) = column.iter().take(rows).position(|v| !v.is_finite()) {
-                return Err((at, names(k), column[at]));
-            }
-        }
-        Ok(())
-    }
-
-    fn colour(&self, i: usize, out: &mut [f32]) {
-        for c in 0..3 {
-            let value = self.colour[c][i];
-            out[c] = match self.value {
-                Some(divisor) => ((f64::from(value / divisor) - 0.5) / C0) as f32,
-                None => value,
+        let (mut has_format, mut tables, mut rows, mut stride) = (false, 0, 0, 0usize);
+        let mut properties: Vec<Property<'a>> = Vec::new();
+        loop {
+            let Some(line) = next() else {
+                return Err(Fault::damaged("its header has no end, or is not text"));
             };
+            match line.split_ascii_whitespace().collect::<Vec<_>>()[..] {
+                [] | ["comment" | "obj_info", ..] => {}
+                ["end_header"] => break,
+                ["format", "binary_little_endian", "1.0"] => has_format = true,
+                ["format", name @ ("binary_big_endian" | "ascii"), "1.0"] => {
+                    return Err(unsupported(format!("its numbers are stored as {name}")));
+                }
+                ["element", name, count] => {
+                    tables += 1;
+                    if tables == 1 && name != "vertex" {
+                        let compressed = bytes.windows(15).take(MAX_HEADER).any(|w| w == b"packed_position");
+                        return Err(unsupported(if compressed {
+                            "it is a compressed PLY; splat-transform turns it into a plain one".to_owned()
+                        } else {
+                            format!("its first table is {name:?} and not one of vertices")
+                        }));
+                    }
+                    let count = count.parse().map_err(|_| bad("a count that is not a number", line))?;
+                    rows = if tables == 1 { count } else { rows };
+                }
+                ["property", ..] if tables == 0 => return Err(bad("a property before the first element", line)),
+                ["property", ..] if tables > 1 => {}
+                ["property", "list", ..] => return Err(unsupported("its vertices have lists")),
+                ["property", kind, name] => {
+                    let bytes = match kind {
+                        "char" | "int8" | "uchar" | "uint8" => 1,
+                        "short" | "int16" | "ushort" | "uint16" => 2,
+                        "int" | "int32" | "uint" | "uint32" | "float" | "float32" => 4,
+                        "double" | "float64" => 8,
+                        _ => return Err(bad("an unknown type", line)),
+                    };
+                    properties.push(Property {
+                        name,
+                        offset: stride,
+                        is_float: kind.starts_with("float") && bytes == 4,
+                    });
+                    stride += bytes;
+                }
+                _ => return Err(bad("a line that makes no sense", line)),
+            }
         }
-        let terms = self.rest.len() / 3;
-        for (k, column) in self.rest.iter().enumerate() {
-            out[3 * (k % terms + 1) + k / terms] = column[i];
+        if !has_format {
+            return Err(Fault::damaged("its header states no format"));
         }
+        if stride == 0 {
+            return Err(unsupported("it has no table of vertices"));
+        }
+        if rows > rest.len() / stride {
+            return Err(Fault::damaged(format!(
+                "its header says {rows} splats of {stride} bytes and the file has {} bytes for them",
+                rest.len()
+            )));
+        }
+        Ok(Self { rows, stride, properties, numbers: rest })
+    }
+
+    /// Where the numbers of a property lie in a row; `None` where there is none of 32 bits.
+    fn place(&self, name: &str) -> Option<usize> {
+        self.properties.iter().find(|p| p.name == name && p.is_float).map(|p| p.offset)
+    }
+
+    fn need(&self, name: &str) -> Result<usize, Fault> {
+        self.place(name).ok_or_else(|| unsupported(format!("it has no property {name} of type float")))
+    }
+
+    /// The number at `place` of a row.
+    fn number(&self, row: usize, place: usize) -> f32 {
+        let at = row * self.stride + place;
+        f32::from_le_bytes(std::array::from_fn(|k| self.numbers[at + k]))
+    }
+
+    fn bad(&self, row: usize, place: usize, value: f32) -> Fault {
+        let name = self.properties.iter().find(|p| p.offset == place).map_or("a property", |p| p.name);
+        Fault::damaged(format!("{name} of splat {row} is {value}"))
     }
 }

@@ -1,17 +1,16 @@
-//! Readers of data sets: one row for each file that a format parses, in an otherwise valid clip, and for each file of depth, masks or
-//! tracks that accompanies a clip.
+//! Readers of data sets: one row for each file that a format parses, in an otherwise valid clip, and for each file of depth or
+//! masks that accompanies a clip.
 
 use super::{alone, among, within};
 use crate::files::{Wrap, copy, fixture, fixture_bytes};
 use crate::reader::{self, Around, Outcome, Reader};
 use m4_core::Silent;
+use m4_io::dataset::ImportOptions;
 use m4_io::dataset::SourceFormat::{self, Colmap, Dycheck, Megasam, Nerfstudio, Nvidia, Record3d, Vipe};
-use m4_io::dataset::side::depth::{decode_exr, decode_pfm, read_depth};
-use m4_io::dataset::side::mask::read_mask;
-use m4_io::dataset::{ImportOptions, davis};
+use m4_io::dataset::depth::{decode_exr, read_depth};
+use m4_io::dataset::side::read_mask;
 use m4_io::reach::Reach;
-use m4_io::video::VideoOptions;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// Reads a clip, and detects its format.
 fn clip(path: &Path, format: SourceFormat, options: &ImportOptions) -> Outcome {
@@ -131,11 +130,6 @@ fn without_splits(reader: Reader) -> Reader {
 }
 
 fn data_sets() -> Vec<Reader> {
-    let annotation = among("import-davis-annotation", "import/davis", "Annotations/480p/ball/00001.png", |p| {
-        let folder = p.join("JPEGImages/480p/ball");
-        let read = davis::read_clip(&folder, &VideoOptions::default(), &Silent);
-        Outcome::of(read, |clip| reader::video(&clip.video))
-    });
     vec![
         without_splits(plain("import-dycheck-dataset", Dycheck, "dycheck", "dataset.json")),
         without_splits(plain("import-dycheck-metadata", Dycheck, "dycheck", "metadata.json")),
@@ -147,31 +141,7 @@ fn data_sets() -> Vec<Reader> {
         plain("import-nvidia-poses", Nvidia, "nvidia", "poses_bounds.npy"),
         plain("import-nvidia-disparity", Nvidia, "nvidia", "disp/001.npy"),
         plain("import-nvidia-mask", Nvidia, "nvidia", "motion_masks/001.png"),
-        Reader { wrap: Wrap::Png, ..annotation },
     ]
-}
-
-fn beside(change: impl FnOnce(&mut ImportOptions)) -> Outcome {
-    let mut options = ImportOptions { depth_unit: Some(0.0005), ..ImportOptions::default() };
-    change(&mut options);
-    clip(&fixture("import/record3d/clip.r3d"), Record3d, &options)
-}
-
-/// A file that `set` makes the depth, masks or tracks of the clip.
-fn given(name: &'static str, source: &str, file: &str, set: fn(&mut ImportOptions, PathBuf)) -> Reader {
-    among(name, &format!("import/side/{source}"), file, move |p| beside(|o| set(o, p.to_path_buf())))
-}
-
-fn tracks(options: &mut ImportOptions, path: PathBuf) {
-    options.tracks = Some(path);
-}
-
-fn depth(options: &mut ImportOptions, path: PathBuf) {
-    options.depth = Some(path);
-}
-
-fn masks(options: &mut ImportOptions, path: PathBuf) {
-    options.masks = Some(path);
 }
 
 fn contents(files: &'static [&'static str]) -> impl Fn() -> Vec<Vec<u8>> + Send + Sync {
@@ -185,33 +155,12 @@ fn one_map(path: &Path) -> Outcome {
 fn side_files() -> Vec<Reader> {
     let bytes = |p: &Path| std::fs::read(p).unwrap_or_default();
     let exrs = &["depth_exr/frame9.exr", "depth_exr/frame10.exr", "exr_other/parts.exr"];
-    let pfms = &["depth_pfm/frame8.pfm", "depth_pfm/frame9.pfm"];
     let pngs = &["masks_palette/frame8.png", "masks_png/frame8.png"];
-    let seen = |p: &Path| Outcome::of(read_mask(p, false), |_| None);
-    let jpegs = || vec![fixture_bytes("import/nerfstudio/images/frame_1.jpg")];
+    let seen = |p: &Path| Outcome::of(read_mask(p), |_| None);
     vec![
         alone("side-exr", "a.exr", contents(exrs), move |p| Outcome::of(decode_exr(&bytes(p)), reader::map)),
-        alone("side-pfm", "a.pfm", contents(pfms), move |p| Outcome::of(decode_pfm(&bytes(p)), reader::map)),
-        alone(
-            "side-depth",
-            "a",
-            contents(&["depth_exr/frame9.exr", "depth_pfm/frame8.pfm", "depth_npy/frame8.npy"]),
-            one_map,
-        ),
+        alone("side-depth", "a", contents(&["depth_exr/frame9.exr", "depth_npy/frame8.npy"]), one_map),
         Reader { wrap: Wrap::Png, ..alone("side-depth-png", "a.png", contents(&["depth_png/frame8.png"]), one_map) },
-        given("side-depth-stack", "depth.npz", "", depth),
-        within("side-depth-stack-array", "depths.npy", given("", "depth.npz", "", depth)),
-        given("side-depth-folder", "depth_npy", "frame9.npy", depth),
         Reader { wrap: Wrap::Png, ..alone("side-mask-png", "a.png", contents(pngs), seen) },
-        alone("side-mask-jpeg", "a.jpg", jpegs, seen),
-        given("side-mask-stack", "masks.npz", "", masks),
-        within("side-mask-stack-array", "masks.npy", given("", "masks.npz", "", masks)),
-        given("side-tracks-tapip3d", "tapip3d.npz", "", tracks),
-        within("side-tracks-coords", "coords.npy", given("", "tapip3d.npz", "", tracks)),
-        within("side-tracks-cameras", "extrinsics.npy", given("", "tapip3d.npz", "", tracks)),
-        within("side-tracks-colours", "colors.npy", given("", "world.npz", "", tracks)),
-        given("side-tracks-cotracker", "cotracker.npz", "", tracks),
-        within("side-tracks-pixels", "tracks.npy", given("", "cotracker.npz", "", tracks)),
-        given("side-tracks-spatracker", "spatracker.npz", "", tracks),
     ]
 }

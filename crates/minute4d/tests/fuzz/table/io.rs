@@ -266,33 +266,17 @@ const DEGREES: [usize; 2] = [0, 2];
 fn splats() -> Vec<Reader> {
     let clips = || {
         let one = |degree| {
-            let encoded =
-                fourdgs::encode(Path::new("a.4dgs"), &super::scene(degree), &fourdgs::FourdgsConfig::default());
+            let encoded = fourdgs::encode(Path::new("a.4dgs"), &super::scene(degree));
             encoded.unwrap_or_else(|e| panic!("a valid clip: {e}")).0
         };
         DEGREES.map(one).to_vec()
     };
     let instants = || {
         let one = |degree| super::written("a.ply", |p| ply::write(p, &super::scene(degree), 1.0));
-        let mut all = DEGREES.map(one).to_vec();
-        all.push(text_of(&all[0]));
-        all
+        DEGREES.map(one).to_vec()
     };
     vec![
         alone("formats-4dgs", "a.4dgs", clips, |p| Outcome::of(fourdgs::read(p), |found| reader::scene(&found.scene))),
         alone("formats-ply", "a.ply", instants, |p| Outcome::of(ply::read(p), |found| reader::scene(&found.scene))),
     ]
-}
-
-/// A binary PLY file of 32-bit numbers as text.
-fn text_of(binary: &[u8]) -> Vec<u8> {
-    let end = b"end_header\n";
-    let at = binary.windows(end.len()).position(|w| w == end);
-    let at = at.unwrap_or_else(|| panic!("our PLY file has a header")) + end.len();
-    let header = String::from_utf8_lossy(&binary[..at]);
-    let mut text = header.replace("binary_little_endian", "ascii");
-    for word in binary[at..].as_chunks::<4>().0 {
-        text.push_str(&format!("{} ", f32::from_le_bytes(*word)));
-    }
-    text.into_bytes()
 }
