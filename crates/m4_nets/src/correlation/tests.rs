@@ -6,7 +6,6 @@ use crate::fixture::Fixture;
 use crate::ops::tensor;
 use m4_testkit::formula_input;
 
-/// The definition, in 64 bits.
 fn by_definition(
     f: &[f32],
     g: &[f32],

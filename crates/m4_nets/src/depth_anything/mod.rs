@@ -31,7 +31,6 @@ use head::DepthHead;
 use m4_core::{Plane, RgbImage};
 use std::path::Path;
 
-/// What it is called in messages.
 const NAME: &str = "Depth-Anything V1";
 
 /// The network with its weights.
@@ -41,7 +40,6 @@ pub struct DepthAnything {
     device: Device,
 }
 
-/// Fields as in the checkpoint.
 #[derive(Module, Debug)]
 struct Net {
     pretrained: DinoV2,

@@ -39,7 +39,6 @@ use m4_core::RgbImage;
 use stack::{Encoder, Stack};
 use std::path::Path;
 
-/// What it is called in messages.
 const NAME: &str = "MoGe-2";
 
 /// The network with its weights.
@@ -50,7 +49,6 @@ pub struct MoGe {
     device: Device,
 }
 
-/// Fields as in the checkpoint.
 #[derive(Module, Debug)]
 struct Net {
     encoder: Encoder,

@@ -1,8 +1,8 @@
 //! Multi-head attention that never stores all scores.
 
-use super::activations::{all, exp_parts, keep_nan};
+use super::activations::{all, changed, exp_parts, keep_nan};
 use burn_core::tensor::activation::softmax;
-use burn_core::tensor::{Device, Tensor, TensorData};
+use burn_core::tensor::{Device, Tensor};
 use fearless_simd::prelude::*;
 use fearless_simd::{Level, Simd, dispatch, f32x16};
 use rayon::prelude::*;
@@ -29,21 +29,9 @@ const CHUNK: usize = 1 << 15;
 
 /// `e^x` of every number of `x` `[.., n]`, divided by the sum over the last axis. Sums are made in a fixed order.
 pub fn softmax_rows<const D: usize>(x: Tensor<D>) -> Tensor<D> {
-    let device = x.device();
-    let n = x.dims()[D - 1];
-    if device != Device::flex() || n == 0 {
-        return softmax(x, D - 1);
-    }
-    let mut data: TensorData = x.into_data();
-    match data.as_mut_slice::<f32>() {
-        Ok(values) => {
-            on_processor(values, n);
-            Tensor::from_data(data, &device)
-        }
-        Err(_) => {
-            let dtype = data.dtype();
-            softmax(Tensor::from_data(data, (&device, dtype)), D - 1)
-        }
+    match x.dims()[D - 1] {
+        0 => x,
+        n => changed(x, |values| on_processor(values, n), |x| softmax(x, D - 1)),
     }
 }
 

@@ -70,7 +70,6 @@ pub struct Raft {
     device: Device,
 }
 
-/// Fields as in the checkpoint.
 #[derive(Module, Debug)]
 struct Net {
     fnet: Encoder,
@@ -234,7 +233,6 @@ fn channels_first(x: Tensor<4>) -> Tensor<4> {
 /// An image in the middle of one whose sides are multiples of [`FACTOR`] and no less than [`LEAST`], its edges repeated.
 #[derive(Debug, Clone, Copy)]
 struct Padding {
-    /// Width and height of the image.
     size: (usize, usize),
     /// Width and height that the network works with.
     padded: (usize, usize),

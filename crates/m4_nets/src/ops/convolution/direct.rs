@@ -284,7 +284,6 @@ mod tests {
         all.into_iter().flatten().collect()
     }
 
-    /// The definition, in 64 bits.
     fn by_definition(x: &[f32], [h, w]: [usize; 2], filter: &Filter<'_>) -> Vec<f64> {
         let [kh, kw] = filter.kernel;
         let mut out = Vec::new();
