@@ -1,10 +1,10 @@
 //! LPIPS against the networks stated again in PyTorch: with synthetic weights always, with the published ones where they are.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
-use crate::common::{png, real_weights, same_on_any_threads};
+use crate::common::{png, real_weights};
 use m4_core::{Mask, Plane};
 use m4_nets::{LoadError, Lpips, LpipsImage, LpipsNet, cpu};
-use m4_testkit::{Fixture, formula};
+use m4_testkit::{Fixture, formula, same_on_any_threads};
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::LazyLock;

@@ -1,10 +1,10 @@
 //! MobileSAM against its authors' module: with synthetic weights always, with the real ones where they are.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
-use crate::common::{loaded, png, real_weights, same_on_any_threads};
+use crate::common::{loaded, png, real_weights};
 use m4_core::{Plane, RgbImage};
 use m4_nets::{MobileSam, PointPrompt, Prompt, cpu};
-use m4_testkit::{Fixture, FormulaWeights};
+use m4_testkit::{Fixture, FormulaWeights, same_on_any_threads};
 
 const KEYS: &str = include_str!("../../../fixtures/mobile_sam/keys.txt");
 /// Rows and columns of the masks that the fixtures keep.

@@ -1,11 +1,11 @@
 //! RAFT against its authors' module, with synthetic weights, and with the real ones where they are.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
-use crate::common::{loaded, png, real_weights, same_on_any_threads};
+use crate::common::{loaded, png, real_weights};
 use m4_core::{Flow, Plane, RgbImage};
 use m4_nets::cpu;
 use m4_nets::raft::{Raft, RaftFlow};
-use m4_testkit::{Fixture, FormulaWeights, assert_close};
+use m4_testkit::{Fixture, FormulaWeights, assert_close, same_on_any_threads};
 
 const KEYS: &str = include_str!("../../../fixtures/raft/keys.txt");
 

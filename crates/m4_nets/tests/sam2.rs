@@ -1,11 +1,11 @@
 //! SAM 2.1 as a caller sees it: its checkpoints, its clips, and what it refuses. The parts are compared with upstream's in the crate.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
-use crate::common::{loaded, same_on_any_threads};
-use m4_core::{Plane, Progress, RgbImage, Silent};
+use crate::common::loaded;
+use m4_core::{Plane, RgbImage, Silent};
 use m4_nets::sam2::{Clip, Direction, ObjectMask, VideoPredictor};
 use m4_nets::{NetError, PointPrompt, Prompt, Sam2, cpu};
-use m4_testkit::FormulaWeights;
+use m4_testkit::{FormulaWeights, StopAtPoll, same_on_any_threads};
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, LazyLock};
@@ -156,28 +156,12 @@ fn holes_are_filled_where_asked() {
     assert!(filled.data().iter().all(|&x| x > 0.0));
 }
 
-/// Stops after some steps.
-struct Stops(AtomicUsize);
-
-impl Progress for Stops {
-    fn update(&self, _: &str, _: usize, total: usize, _: &str) {
-        assert_eq!(total, 60);
-        self.0.fetch_sub(1, Ordering::Relaxed);
-    }
-
-    fn warn(&self, _: &str) {}
-
-    fn cancelled(&self) -> bool {
-        self.0.load(Ordering::Relaxed) == 0
-    }
-}
-
 #[test]
 fn the_user_can_stop() {
     let mut predictor = clip();
     predictor.show(0, 1, &here()).unwrap();
     let mut seen = 0;
-    let stopped = predictor.follow(0..=59, Direction::Forward, &Stops(AtomicUsize::new(3)), |_, _| seen += 1);
+    let stopped = predictor.follow(0..=59, Direction::Forward, &StopAtPoll::after(4), |_, _| seen += 1);
     assert!(matches!(stopped, Err(NetError::Cancelled)));
     assert_eq!(seen, 3);
 }

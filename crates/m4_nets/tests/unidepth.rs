@@ -1,10 +1,10 @@
 //! `UniDepth` V2 against upstream's code, with synthetic weights: a small backbone of five blocks and heads of 128 channels.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
-use crate::common::{loaded, real_weights, same_on_any_threads};
+use crate::common::{loaded, real_weights};
 use m4_core::{Plane, RgbImage};
 use m4_nets::{UniDepth, UniDepthMap, cpu};
-use m4_testkit::{Fixture, FormulaWeights, assert_close};
+use m4_testkit::{Fixture, FormulaWeights, assert_close, same_on_any_threads};
 
 const KEYS: &str = include_str!("../../../fixtures/unidepth_v2/formula.keys.txt");
 /// Those of the fixture.

@@ -15,6 +15,7 @@ mod mutate;
 mod skip;
 mod synthetic;
 mod tensors;
+mod threads;
 
 pub use boxes::{BoxScene, Hit};
 #[cfg(feature = "browser")]
@@ -28,3 +29,4 @@ pub use synthetic::{
     MovingScene, SceneSpec, bare_scene, camera_looking_at, moving_scene, random_camera, random_scene, random_splats,
 };
 pub use tensors::{Fixture, assert_close, relative_error};
+pub use threads::same_on_any_threads;

@@ -71,13 +71,11 @@ impl DepthAnything {
     /// [`LoadError`] if the file cannot be read or holds another network.
     pub fn load(path: &Path, on: impl Into<Compute>) -> Result<Self, LoadError> {
         let on: Compute = on.into();
-        let device = &on.device;
         let shapes = load::shapes(NAME, path, &head::RENAMES)?;
         let size = BackboneSize::in_checkpoint(&shapes, "pretrained.", NAME, path)?;
-        let mut net = Net::new(size, size.depth(), device);
+        let mut net = Net::new(size, size.depth(), &on.device);
         load::fill(&mut net, NAME, path, &head::RENAMES, dinov2::unneeded)?;
-        let net = on.fit(net);
-        Ok(Self { net, device: device.clone() })
+        Ok(Self { net: on.fit(net), device: on.device })
     }
 
     /// The disparity of `image`, `[height][width]` as the image: relative (a factor and an offset are unknown), 0 or more, larger where it is

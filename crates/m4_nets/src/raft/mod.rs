@@ -111,11 +111,9 @@ impl Raft {
     /// [`LoadError`] if the file cannot be read or holds another network.
     pub fn load(path: &Path, on: impl Into<Compute>) -> Result<Self, LoadError> {
         let on: Compute = on.into();
-        let device = &on.device;
-        let mut net = Net::new(device);
+        let mut net = Net::new(&on.device);
         load::fill(&mut net, "RAFT", path, &RENAMES, unneeded)?;
-        let net = on.fit(net);
-        Ok(Self { net, device: device.clone() })
+        Ok(Self { net: on.fit(net), device: on.device })
     }
 
     /// What the network keeps of `image`.

@@ -47,8 +47,8 @@ impl Config {
     pub fn read(said: &Value) -> Result<Self, String> {
         for (path, only) in ONLY {
             let got = at(said, path);
-            if !got.is_none_or(|got| got == &only()) {
-                return Err(format!("{path} = {} is not known here", got.unwrap_or(&Value::Null)));
+            if let Some(got) = got.filter(|got| got.to_string() != only) {
+                return Err(format!("{path} = {got} is not known here"));
             }
         }
         let updater = text(said, "point_updater.name").unwrap_or_default().to_lowercase();
@@ -70,10 +70,7 @@ impl Config {
         if norm_mode != "isotropic" {
             return Err(format!("norm_mode = {norm_mode} is not known here"));
         }
-        let norm_scale = match at(said, "norm_scale") {
-            Some(scale) => scale.as_f64().unwrap_or(f64::NAN),
-            None => 1.0,
-        };
+        let norm_scale = at(said, "norm_scale").map_or(1.0, |scale| scale.as_f64().unwrap_or(f64::NAN));
         if !(norm_scale.is_finite() && norm_scale > 0.0) {
             return Err("norm_scale is no positive number".into());
         }
@@ -89,25 +86,23 @@ impl Config {
     }
 }
 
-type Only = (&'static str, fn() -> Value);
-
-/// Options of upstream that the published network does not use, and that are not known here; `null` stands for none.
-const ONLY: [Only; 11] = [
-    ("center_rgb", || Value::Bool(false)),
-    ("use_local_pos_input", || Value::Bool(false)),
-    ("use_uv_input", || Value::Bool(false)),
-    ("relative", || Value::Bool(false)),
-    ("encoder.stride", || Value::from(4)),
-    ("corr_feature.share_weights_across_levels", || Value::Bool(false)),
-    ("corr_feature.use_features", || Value::Bool(false)),
-    ("corr_feature.use_absolute_pos", || Value::Bool(false)),
-    ("corr_feature.better_depth_downsample", || Value::Bool(true)),
-    ("point_updater.add_space_attn", || Value::Bool(true)),
-    ("point_updater.linear_layer_for_vis_conf", || Value::Bool(false)),
+/// Options of upstream that the published network does not use, and that are not known here.
+const ONLY: [(&str, &str); 11] = [
+    ("center_rgb", "false"),
+    ("use_local_pos_input", "false"),
+    ("use_uv_input", "false"),
+    ("relative", "false"),
+    ("encoder.stride", "4"),
+    ("corr_feature.share_weights_across_levels", "false"),
+    ("corr_feature.use_features", "false"),
+    ("corr_feature.use_absolute_pos", "false"),
+    ("corr_feature.better_depth_downsample", "true"),
+    ("point_updater.add_space_attn", "true"),
+    ("point_updater.linear_layer_for_vis_conf", "false"),
 ];
 
 fn at<'a>(said: &'a Value, path: &str) -> Option<&'a Value> {
-    path.split('.').try_fold(said, |value, key| value.get(key))
+    path.split('.').try_fold(said, |value, key| value.get(key)).filter(|value| !value.is_null())
 }
 
 fn text<'a>(said: &'a Value, path: &str) -> Option<&'a str> {
@@ -115,14 +110,11 @@ fn text<'a>(said: &'a Value, path: &str) -> Option<&'a str> {
 }
 
 fn count(said: &Value, path: &str, otherwise: Option<usize>) -> Result<usize, String> {
-    match (at(said, path), otherwise) {
-        (Some(value), _) => {
-            let count = value.as_u64().filter(|n| (1..=MOST).contains(n));
-            count.map(|n| n as usize).ok_or_else(|| format!("{path} = {value} is no number from 1 to {MOST}"))
-        }
-        (None, Some(otherwise)) => Ok(otherwise),
-        (None, None) => Err(format!("{path} is missing")),
-    }
+    let Some(value) = at(said, path) else {
+        return otherwise.ok_or_else(|| format!("{path} is missing"));
+    };
+    let count = value.as_u64().filter(|n| (1..=MOST).contains(n));
+    count.map(|n| n as usize).ok_or_else(|| format!("{path} = {value} is no number from 1 to {MOST}"))
 }
 
 /// The entry `config` of the metadata of a safetensors file; `None` for anything else.

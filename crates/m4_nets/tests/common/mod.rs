@@ -4,7 +4,6 @@
 use m4_core::{Plane, RgbImage};
 use m4_nets::LoadError;
 use m4_testkit::{FormulaWeights, Need, repository, skip};
-use std::fmt::Debug;
 use std::path::{Path, PathBuf};
 use tempfile::TempDir;
 
@@ -22,18 +21,6 @@ pub fn loaded<N>(weights: &FormulaWeights, load: impl Fn(&Path) -> Result<N, Loa
     let path = folder.path().join("weights.safetensors");
     weights.write(&path);
     load(&path).unwrap()
-}
-
-/// What `make` gives, which is the same for any number of threads.
-#[track_caller]
-pub fn same_on_any_threads<T: PartialEq + Debug + Send>(make: impl Fn() -> T + Sync) -> T {
-    let [one, two, five] = [1, 2, 5].map(|threads| {
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        pool.install(&make)
-    });
-    assert_eq!(one, two);
-    assert_eq!(one, five);
-    one
 }
 
 /// An image from a PNG file of the fixtures.
