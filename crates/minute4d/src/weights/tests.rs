@@ -7,7 +7,6 @@ use flate2::write::GzEncoder;
 use m4_core::Silent;
 use m4_testkit::StopAtPoll;
 use std::fs::{self, File};
-use std::io::Write;
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
