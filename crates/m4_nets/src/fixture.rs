@@ -1,4 +1,4 @@
-//! Shared test code of the networks: the golden fixtures, and checkpoints with synthetic weights.
+//! Shared test code of the networks: tensors against the golden fixtures, and checkpoints with synthetic weights.
 
 use crate::load::{self, Shapes};
 use crate::ops::{IMAGENET_MEAN, IMAGENET_STD, planes, tensor};
@@ -6,93 +6,8 @@ use burn_core::tensor::{DType, Device, Tensor};
 use burn_store::{BurnToPyTorchAdapter, KeyRemapper, ModuleSnapshot};
 use m4_core::RgbImage;
 use m4_testkit::FormulaWeights;
-use safetensors::{Dtype, SafeTensors};
-use std::fs;
-use std::path::Path;
+pub use m4_testkit::{Fixture, assert_close, relative_error};
 use tempfile::TempDir;
-
-/// A file of the folder of fixtures.
-pub struct Fixture(Vec<u8>);
-
-impl Fixture {
-    pub fn open(name: &str) -> Self {
-        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fixtures");
-        Self(fs::read(folder.join(name)).unwrap())
-    }
-
-    /// Bytes, type and shape of a tensor.
-    fn tensor(&self, name: &str) -> (Vec<u8>, Dtype, Vec<usize>) {
-        let tensors = SafeTensors::deserialize(&self.0).unwrap();
-        let tensor = tensors.tensor(name).unwrap();
-        (tensor.data().to_vec(), tensor.dtype(), tensor.shape().to_vec())
-    }
-
-    /// The words of a tensor, which are of type `dtype`.
-    fn words<const N: usize>(&self, name: &str, dtype: Dtype) -> (Vec<[u8; N]>, Vec<usize>) {
-        let (bytes, found, shape) = self.tensor(name);
-        assert_eq!(found, dtype, "{name}");
-        (bytes.as_chunks::<N>().0.to_vec(), shape)
-    }
-
-    /// A tensor of 32-bit numbers, and its shape.
-    pub fn floats(&self, name: &str) -> (Vec<f32>, Vec<usize>) {
-        let (words, shape) = self.words(name, Dtype::F32);
-        (words.into_iter().map(f32::from_le_bytes).collect(), shape)
-    }
-
-    /// A tensor of 64-bit numbers.
-    pub fn doubles(&self, name: &str) -> Vec<f64> {
-        self.words(name, Dtype::F64).0.into_iter().map(f64::from_le_bytes).collect()
-    }
-
-    /// A tensor of 64-bit integers.
-    pub fn indices(&self, name: &str) -> Vec<usize> {
-        self.words(name, Dtype::I64).0.into_iter().map(|word| i64::from_le_bytes(word) as usize).collect()
-    }
-
-    /// A tensor of 32-bit integers.
-    pub fn whole(&self, name: &str) -> Vec<i32> {
-        self.words(name, Dtype::I32).0.into_iter().map(i32::from_le_bytes).collect()
-    }
-
-    /// A tensor of 16-bit integers.
-    pub fn shorts(&self, name: &str) -> Vec<i16> {
-        self.words(name, Dtype::I16).0.into_iter().map(i16::from_le_bytes).collect()
-    }
-
-    /// A tensor of bytes.
-    pub fn bytes(&self, name: &str) -> Vec<u8> {
-        self.words::<1>(name, Dtype::U8).0.into_flattened()
-    }
-
-    /// An image of `[3, h, w]` bytes.
-    pub fn image(&self, name: &str) -> RgbImage {
-        let (_, _, shape) = self.tensor(name);
-        let [3, h, w] = shape[..] else {
-            panic!("{name} is not an image");
-        };
-        let bytes = self.bytes(name);
-        RgbImage::from_fn(w, h, |x, y| [0, 1, 2].map(|c| bytes[(c * h + y) * w + x]))
-    }
-}
-
-/// `max |a - b| / max |b|`; there have to be as many numbers, not all of them zero, and none that is not finite.
-pub fn relative_error(got: &[f32], want: &[f32]) -> f64 {
-    assert_eq!(got.len(), want.len(), "numbers");
-    let largest = |values: &mut dyn Iterator<Item = f64>| values.fold(0.0, f64::max);
-    assert!(got.iter().chain(want).all(|x| x.is_finite()), "a number that is not finite");
-    let scale = largest(&mut want.iter().map(|&x| f64::from(x).abs()));
-    assert!(scale > 0.0, "nothing but zeros is wanted");
-    largest(&mut got.iter().zip(want).map(|(&a, &b)| (f64::from(a) - f64::from(b)).abs())) / scale
-}
-
-/// Fails unless the [relative error](relative_error) is below `limit`.
-#[track_caller]
-pub fn assert_close(what: &str, got: &[f32], want: &[f32], limit: f64) {
-    let error = relative_error(got, want);
-    println!("{what}: {error:.1e}");
-    assert!(error < limit, "{what}: relative error {error:e}, limit {limit:e}");
-}
 
 /// The relative error of a tensor.
 #[track_caller]

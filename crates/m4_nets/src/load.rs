@@ -70,7 +70,6 @@ fn differences(missing: &[String], unused: &[String], wrong: &[String]) -> Strin
         .join(", ")
 }
 
-/// A checkpoint that was opened.
 enum Store {
     Safetensors(Box<SafetensorsStore>),
     PyTorch(Box<PytorchStore>),
@@ -84,8 +83,8 @@ impl Store {
         }
         let names = KeyRemapper::from_patterns(renames.to_vec())
             .map_err(|error| unreadable(network, path, error.to_string()))?;
-        let begin = beginning(path).map_err(|error| unreadable(network, path, error.to_string()))?;
-        Ok(if is_safetensors(begin) {
+        let safetensors = is_safetensors(path).map_err(|error| unreadable(network, path, error.to_string()))?;
+        Ok(if safetensors {
             let store = SafetensorsStore::from_file(path)
                 .with_from_adapter(PyTorchToBurnAdapter)
                 .remap(names)
@@ -104,30 +103,18 @@ impl Store {
     }
 }
 
-/// The first bytes of a file; zeros where it has fewer.
-fn beginning(path: &Path) -> std::io::Result<[u8; 9]> {
-    let mut bytes = [0; 9];
-    let mut file = File::open(path)?.take(9);
-    let mut read = 0;
-    while read < bytes.len() {
-        match file.read(&mut bytes[read..])? {
-            0 => break,
-            n => read += n,
-        }
-    }
-    Ok(bytes)
-}
-
-/// Safetensors begin with the length of a JSON object of at most 100 MB.
-fn is_safetensors([length @ .., brace]: [u8; 9]) -> bool {
-    brace == b'{' && u64::from_le_bytes(length) <= 100_000_000
+/// Whether the file begins as safetensors do, with the length of a JSON object of at most 100 MB.
+fn is_safetensors(path: &Path) -> std::io::Result<bool> {
+    let mut bytes = Vec::new();
+    File::open(path)?.take(9).read_to_end(&mut bytes)?;
+    let length = bytes.first_chunk().map(|&length| u64::from_le_bytes(length));
+    Ok(length.is_some_and(|n| n <= 100_000_000) && bytes.last() == Some(&b'{') && bytes.len() == 9)
 }
 
 fn unreadable(network: &'static str, path: &Path, reason: String) -> LoadError {
     LoadError::Unreadable { path: path.to_owned(), network, reason }
 }
 
-/// Shapes by name.
 pub(crate) type Shapes = BTreeMap<String, Vec<usize>>;
 
 /// The shapes of the tensors of the checkpoint at `path`, by their names after `renames` (as [`fill`] has them), without reading

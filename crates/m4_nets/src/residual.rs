@@ -36,7 +36,6 @@ impl Norm {
     }
 }
 
-/// Two convolutions beside a shortcut.
 #[derive(Module, Debug)]
 pub struct Residual {
     conv1: Conv2d,
@@ -105,7 +104,6 @@ impl Encoder {
         }
     }
 
-    /// The type of its weights.
     pub fn dtype(&self) -> DType {
         self.conv1.weight.dtype()
     }

@@ -1,8 +1,8 @@
 //! Depth-Anything V1 as it is called: images of any size, threads. Its layers are compared with the authors' module in the crate.
 
-use crate::common::{loaded, same_on_any_threads, test_image};
+use crate::common::{loaded, test_image};
 use m4_nets::{DepthAnything, cpu};
-use m4_testkit::FormulaWeights;
+use m4_testkit::{FormulaWeights, same_on_any_threads};
 
 const KEYS: &str = include_str!("../../../fixtures/depth_anything_v1/vits.keys.txt");
 /// The last number of the network: most of the disparity is above 0 then, and some is not.

@@ -23,10 +23,18 @@ fn test_image(w: usize, h: usize, moved: f32) -> RgbImage {
     })
 }
 
-fn memory(net: DroidNet) -> DroidMemory<'static> {
+/// A memory whose frame 0 has the first size and all others the second.
+fn memory_of(net: DroidNet, first: (usize, usize), later: (usize, usize)) -> DroidMemory<'static> {
     let options = MemoryOptions { budget_bytes: 1 << 30, storage: Storage::F16, scratch: std::env::temp_dir() };
-    let images = |frame: usize| Ok(test_image(136, 128, frame as f32));
+    let images = move |frame: usize| {
+        let (w, h) = if frame == 0 { first } else { later };
+        Ok(test_image(w, h, frame as f32))
+    };
     DroidMemory::new(Arc::new(net), options, Box::new(images))
+}
+
+fn memory(net: DroidNet) -> DroidMemory<'static> {
+    memory_of(net, (136, 128), (136, 128))
 }
 
 /// The published file has a third row of weights and steps, which is not used.
@@ -48,16 +56,16 @@ fn third_rows_change_nothing() {
 #[test]
 fn images_of_wrong_size_are_refused() {
     let folder = TempDir::new().unwrap();
-    let mut memory = memory(load(folder.path(), KEYS).unwrap());
+    let error = |first, later| {
+        let net = load(folder.path(), KEYS).unwrap();
+        memory_of(net, first, later).motion_px(0, 1).unwrap_err().to_string()
+    };
     for (w, h) in [(0, 0), (120, 200), (200, 120), (132, 128), (128, 129)] {
-        let error = memory.add_frame(0, &test_image(w, h, 0.0)).unwrap_err();
-        assert!(error.to_string().contains(&format!("this has {w} x {h}")), "{error}");
+        let error = error((w, h), (136, 128));
+        assert!(error.contains(&format!("this has {w} x {h}")), "{error}");
     }
-    assert_eq!(memory.grid(), None);
-    memory.add_frame(0, &test_image(136, 128, 0.0)).unwrap();
-    assert_eq!(memory.grid(), Some((17, 16)));
-    let error = memory.add_frame(1, &test_image(128, 128, 0.0)).unwrap_err();
-    assert!(error.to_string().contains("frame 1 has 128 x 128 px where the frames before have 136 x 128"), "{error}");
+    let error = error((136, 128), (128, 128));
+    assert!(error.contains("frame 1 has 128 x 128 px where the frames before have 136 x 128"), "{error}");
 }
 
 /// The published file itself, where it is.

@@ -1,11 +1,10 @@
 //! LPIPS against the networks stated again in PyTorch: with synthetic weights always, with the published ones where they are.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
-use crate::common::{fixtures, floats, png, read_image, real_weights, same_on_any_threads};
+use crate::common::{png, real_weights};
 use m4_core::{Mask, Plane};
 use m4_nets::{LoadError, Lpips, LpipsImage, LpipsNet, cpu};
-use m4_testkit::formula;
-use safetensors::{Dtype, SafeTensors};
+use m4_testkit::{Fixture, formula, same_on_any_threads};
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
@@ -120,31 +119,18 @@ fn network(net: LpipsNet) -> Lpips {
     Lpips::load(net, &formula_weights(net), cpu()).unwrap()
 }
 
-/// A tensor of 64-bit numbers.
-fn doubles(file: &[u8], name: &str) -> Vec<f64> {
-    let tensors = SafeTensors::deserialize(file).unwrap();
-    let tensor = tensors.tensor(name).unwrap();
-    assert_eq!(tensor.dtype(), Dtype::F64, "{name}");
-    let bytes = tensor.data().as_chunks::<8>().0.iter();
-    bytes.map(|&b| f64::from_le_bytes(b)).collect()
-}
-
 struct Case {
-    file: Vec<u8>,
+    file: Fixture,
     image: LpipsImage,
     reference: LpipsImage,
     mask: Mask,
 }
 
 fn case() -> Case {
-    let file = fs::read(fixtures().join("lpips/formula.safetensors")).unwrap();
-    let read = |name| LpipsImage::from(&read_image(&file, name));
-    let (image, reference) = (read("image"), read("reference"));
+    let file = Fixture::open("lpips/formula.safetensors");
+    let [image, reference] = ["image", "reference"].map(|name| LpipsImage::from(&file.image(name)));
     let (w, h) = image.size();
-    let mask = {
-        let tensors = SafeTensors::deserialize(&file).unwrap();
-        Mask::from_vec(w, h, tensors.tensor("mask").unwrap().data().to_vec()).unwrap()
-    };
+    let mask = Mask::from_vec(w, h, file.bytes("mask")).unwrap();
     Case { file, image, reference, mask }
 }
 
@@ -173,10 +159,10 @@ fn agrees_with_pytorch_by_formula() {
     let case = case();
     for (net, name) in NETS {
         let lpips = network(net);
-        let want = |what: &str| doubles(&case.file, &format!("{name}/{what}"))[0];
+        let want = |what: &str| case.file.doubles(&format!("{name}/{what}"))[0];
         let score = lpips.compare(&case.image, &case.reference).unwrap();
         close(&format!("{name} distance"), score.distance, want("distance"), 2e-6);
-        let map = floats(&case.file, &format!("{name}/map"));
+        let map = case.file.floats(&format!("{name}/map")).0;
         close_map(&format!("{name} map"), &score.map, 1, &map, 2e-5);
         let inside = lpips.compare_inside(&case.image, &case.reference, &case.mask);
         close(&format!("{name} masked"), inside.unwrap().unwrap(), want("masked"), 2e-6);
@@ -194,7 +180,7 @@ fn agrees_with_pytorch_by_formula() {
 /// The distances that the LPIPS project prints for its own images, and the maps of the same weights in PyTorch.
 #[test]
 fn agrees_with_the_published_distances() {
-    let file = fs::read(fixtures().join("lpips/published.safetensors")).unwrap();
+    let file = Fixture::open("lpips/published.safetensors");
     let read = |name: &str| LpipsImage::from(&png(&format!("lpips/ex_{name}.png")));
     let reference = read("ref");
     let case = case();
@@ -208,14 +194,14 @@ fn agrees_with_the_published_distances() {
             let what = format!("{name}/{other}");
             let score = lpips.compare(&read(other), &reference).unwrap();
             close(&what, score.distance, printed, 1e-3);
-            close(&what, score.distance, doubles(&file, &format!("{what}/distance"))[0], 5e-6);
-            let map = floats(&file, &format!("{what}/map"));
+            close(&what, score.distance, file.doubles(&format!("{what}/distance"))[0], 5e-6);
+            let map = file.floats(&format!("{what}/map")).0;
             close_map(&what, &score.map, STEP, &map, 1e-4);
         }
-        let want = |what: &str| doubles(&file, &format!("{name}/made_up/{what}"))[0];
+        let want = |what: &str| file.doubles(&format!("{name}/made_up/{what}"))[0];
         let score = lpips.compare(&case.image, &case.reference).unwrap();
         close("made up", score.distance, want("distance"), 5e-6);
-        let map = floats(&file, &format!("{name}/made_up/map"));
+        let map = file.floats(&format!("{name}/made_up/map")).0;
         close_map("made up", &score.map, STEP, &map, 1e-4);
         let inside = lpips.compare_inside(&case.image, &case.reference, &case.mask);
         close("made up, masked", inside.unwrap().unwrap(), want("masked"), 5e-6);

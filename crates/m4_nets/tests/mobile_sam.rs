@@ -1,11 +1,10 @@
 //! MobileSAM against its authors' module: with synthetic weights always, with the real ones where they are.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
-use crate::common::{fixtures, floats, loaded, png, read_image, real_weights, same_on_any_threads};
+use crate::common::{loaded, png, real_weights};
 use m4_core::{Plane, RgbImage};
 use m4_nets::{MobileSam, PointPrompt, Prompt, cpu};
-use m4_testkit::FormulaWeights;
-use std::fs;
+use m4_testkit::{Fixture, FormulaWeights, same_on_any_threads};
 
 const KEYS: &str = include_str!("../../../fixtures/mobile_sam/keys.txt");
 /// Rows and columns of the masks that the fixtures keep.
@@ -58,9 +57,9 @@ fn prompts(width: usize, height: usize) -> [(&'static str, Prompt); 4] {
 }
 
 #[expect(clippy::print_stdout, reason = "figures for docs/networks.md")]
-fn compare(net: &MobileSam, image: &RgbImage, file: &[u8], limits: &Limits) {
+fn compare(net: &MobileSam, image: &RgbImage, file: &Fixture, limits: &Limits) {
     let close = |name: &str, got: &[f32], limit: f64| {
-        let (worst, spread) = distance(got, &floats(file, name));
+        let (worst, spread) = distance(got, &file.floats(name).0);
         println!("{name}: worst {worst:.2e} at a standard deviation of {spread:.2e}");
         assert!(spread > 1e-2, "{name} hardly differs from a constant: {spread}");
         let scale = if name.ends_with("iou") { 1.0 } else { spread };
@@ -86,9 +85,9 @@ fn compare(net: &MobileSam, image: &RgbImage, file: &[u8], limits: &Limits) {
     }
 }
 
-fn synthetic_image() -> (Vec<u8>, RgbImage) {
-    let file = fs::read(fixtures().join("mobile_sam/formula.safetensors")).unwrap();
-    let image = read_image(&file, "image");
+fn synthetic_image() -> (Fixture, RgbImage) {
+    let file = Fixture::open("mobile_sam/formula.safetensors");
+    let image = file.image("image");
     (file, image)
 }
 
@@ -107,7 +106,7 @@ fn agrees_with_the_module_on_real_weights() {
         return;
     };
     let net = MobileSam::load(&path, cpu()).unwrap();
-    let file = fs::read(fixtures().join("mobile_sam/tennis.safetensors")).unwrap();
+    let file = Fixture::open("mobile_sam/tennis.safetensors");
     let limits = Limits { masks: 1e-3, iou: 1e-4 };
     compare(&net, &png("tennis/tennis_0.png"), &file, &limits);
 }

@@ -1,9 +1,9 @@
 //! MoGe-2 as it is called: checkpoints, images of any size, options, threads. Its layers are compared with the authors' module in the
 //! crate's own tests.
 
-use crate::common::{loaded, same_on_any_threads, test_image};
+use crate::common::{loaded, test_image};
 use m4_nets::{MoGe, MoGeOptions, NetError, cpu};
-use m4_testkit::FormulaWeights;
+use m4_testkit::{FormulaWeights, same_on_any_threads};
 
 const KEYS: &str = include_str!("../../../fixtures/moge2/vits_normal.keys.txt");
 

@@ -1,12 +1,11 @@
 //! RAFT against its authors' module, with synthetic weights, and with the real ones where they are.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
-use crate::common::{assert_near, fixtures, floats, loaded, png, read_image, real_weights, same_on_any_threads};
+use crate::common::{loaded, png, real_weights};
 use m4_core::{Flow, Plane, RgbImage};
 use m4_nets::cpu;
 use m4_nets::raft::{Raft, RaftFlow};
-use m4_testkit::FormulaWeights;
-use std::fs;
+use m4_testkit::{Fixture, FormulaWeights, assert_close, same_on_any_threads};
 
 const KEYS: &str = include_str!("../../../fixtures/raft/keys.txt");
 
@@ -14,15 +13,15 @@ fn network() -> Raft {
     loaded(&FormulaWeights::of_keys(KEYS), |path| Raft::load(path, cpu()))
 }
 
-fn pair() -> (Vec<u8>, RgbImage, RgbImage) {
-    let file = fs::read(fixtures().join("raft/flow.safetensors")).unwrap();
-    let (a, b) = (read_image(&file, "image1"), read_image(&file, "image2"));
+fn pair() -> (Fixture, RgbImage, RgbImage) {
+    let file = Fixture::open("raft/flow.safetensors");
+    let (a, b) = (file.image("image1"), file.image("image2"));
     (file, a, b)
 }
 
 /// `want` `[2, h, w]` against `flow`. The module in f32 is 2e-6 from itself in f64.
 fn assert_flow(name: &str, flow: &Flow, want: &[f32]) {
-    assert_near(name, &[&flow.u[..], &flow.v].concat(), want, 2e-5);
+    assert_close(name, &[&flow.u[..], &flow.v].concat(), want, 2e-5);
 }
 
 #[test]
@@ -33,10 +32,10 @@ fn agrees_with_the_module_by_formula() {
     for iterations in [1, 4, 12] {
         let [forward, back] = net.flow_both(&a, &b, iterations, None).unwrap();
         let name = format!("flow_low_{iterations}");
-        assert_flow(&name, &forward.low, &floats(&file, &name));
+        assert_flow(&name, &forward.low, &file.floats(&name).0);
         if iterations != 4 {
             let name = format!("flow_up_{iterations}");
-            assert_flow(&name, &forward.flow, &floats(&file, &name));
+            assert_flow(&name, &forward.flow, &file.floats(&name).0);
         }
         assert_ne!(forward, back);
         if iterations == 4 {
@@ -50,12 +49,12 @@ fn a_warm_start_uses_the_given_flow() {
     let net = network();
     let (file, a, b) = pair();
     let (a, b) = (net.encode(&a).unwrap(), net.encode(&b).unwrap());
-    let values = floats(&file, "flow_init");
+    let values = file.floats("flow_init").0;
     let (u, v) = values.split_at(16 * 20);
     let start = Flow { width: 20, height: 16, u: u.to_vec(), v: v.to_vec() };
     let none = Flow { width: 20, height: 16, u: vec![0.0; 320], v: vec![0.0; 320] };
     let [warm, cold] = net.flow_both(&a, &b, 2, Some([&start, &none])).unwrap();
-    assert_flow("warm2", &warm.low, &floats(&file, "flow_low_warm2"));
+    assert_flow("warm2", &warm.low, &file.floats("flow_low_warm2").0);
     let [_, want] = net.flow_both(&a, &b, 2, None).unwrap();
     assert_eq!(cold, want, "each direction has its own start");
 }
@@ -70,8 +69,7 @@ fn real_weights_match_another_network() {
     let (a, b) = (png("tennis/tennis_0.png"), png("tennis/tennis_1.png"));
     let (a, b) = (net.encode(&a).unwrap(), net.encode(&b).unwrap());
     let [flow, _] = net.flow_both(&a, &b, 12, None).unwrap();
-    let file = fs::read(fixtures().join("tennis/flow.safetensors")).unwrap();
-    let want = floats(&file, "flow_every_4");
+    let want = Fixture::open("tennis/flow.safetensors").floats("flow_every_4").0;
     let RaftFlow { flow, .. } = flow;
     let at: Vec<usize> = (0..flow.height)
         .step_by(4)

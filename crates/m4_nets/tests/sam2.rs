@@ -1,11 +1,11 @@
 //! SAM 2.1 as a caller sees it: its checkpoints, its clips, and what it refuses. The parts are compared with upstream's in the crate.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
-use crate::common::{loaded, same_on_any_threads};
-use m4_core::{Plane, Progress, RgbImage, Silent};
+use crate::common::loaded;
+use m4_core::{Plane, RgbImage, Silent};
 use m4_nets::sam2::{Clip, Direction, ObjectMask, VideoPredictor};
 use m4_nets::{NetError, PointPrompt, Prompt, Sam2, cpu};
-use m4_testkit::FormulaWeights;
+use m4_testkit::{FormulaWeights, StopAtPoll, same_on_any_threads};
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, LazyLock};
@@ -91,17 +91,6 @@ fn masks_are_the_same_on_any_number_of_threads() {
 }
 
 #[test]
-fn a_frame_whose_memory_was_dropped_can_be_corrected() {
-    let mut predictor = clip();
-    predictor.show(0, 7, &here()).unwrap();
-    let mut seen = Vec::new();
-    predictor.follow(0..=59, Direction::Forward, &Silent, |frame, _| seen.push(frame)).unwrap();
-    assert_eq!(seen, (0..60).collect::<Vec<_>>());
-    predictor.show(30, 7, &here()).unwrap();
-    predictor.follow(25..=30, Direction::Backward, &Silent, |_, _| ()).unwrap();
-}
-
-#[test]
 fn frames_are_read_once_for_any_number_of_objects() {
     let asked = AtomicUsize::new(0);
     let images = Box::new(|frame: usize| {
@@ -160,21 +149,6 @@ fn every_prompted_frame_counts() {
 }
 
 #[test]
-fn a_corrected_mask_stays() {
-    let mut predictor = clip();
-    predictor.show(0, 1, &here()).unwrap();
-    let mut before = Vec::new();
-    let keep = |_, masks: &BTreeMap<u32, ObjectMask>| before.push(masks[&1].clone());
-    predictor.follow(0..=3, Direction::Forward, &Silent, keep).unwrap();
-    let corrected = predictor.show(2, 1, &points(vec![point(&[13.0, 25.0], false)])).unwrap();
-    assert_ne!(before[2].logits, corrected.logits);
-    let mut seen = Vec::new();
-    let keep = |_, masks: &BTreeMap<u32, ObjectMask>| seen.push(masks[&1].clone());
-    predictor.follow(2..=30, Direction::Forward, &Silent, keep).unwrap();
-    assert_eq!(seen[0], corrected);
-}
-
-#[test]
 fn holes_are_filled_where_asked() {
     let run = |fill_holes_px| clip_filled(fill_holes_px).show(0, 1, &here()).unwrap().logits;
     let (open, filled) = (run(0), run(256));
@@ -182,28 +156,12 @@ fn holes_are_filled_where_asked() {
     assert!(filled.data().iter().all(|&x| x > 0.0));
 }
 
-/// Stops after some steps.
-struct Stops(AtomicUsize);
-
-impl Progress for Stops {
-    fn update(&self, _: &str, _: usize, total: usize, _: &str) {
-        assert_eq!(total, 60);
-        self.0.fetch_sub(1, Ordering::Relaxed);
-    }
-
-    fn warn(&self, _: &str) {}
-
-    fn cancelled(&self) -> bool {
-        self.0.load(Ordering::Relaxed) == 0
-    }
-}
-
 #[test]
 fn the_user_can_stop() {
     let mut predictor = clip();
     predictor.show(0, 1, &here()).unwrap();
     let mut seen = 0;
-    let stopped = predictor.follow(0..=59, Direction::Forward, &Stops(AtomicUsize::new(3)), |_, _| seen += 1);
+    let stopped = predictor.follow(0..=59, Direction::Forward, &StopAtPoll::after(4), |_, _| seen += 1);
     assert!(matches!(stopped, Err(NetError::Cancelled)));
     assert_eq!(seen, 3);
 }
@@ -271,24 +229,4 @@ fn a_clip_of_one_frame_can_be_corrected() {
     let corrected = predictor.show(0, 1, &points(vec![point(&[40.0, 30.0], false)])).unwrap();
     assert!(corrected.logits.data().iter().all(|x| x.is_finite()));
     predictor.follow(0..=0, Direction::Backward, &Silent, |_, masks| assert_eq!(masks[&1], corrected)).unwrap();
-}
-
-#[test]
-fn an_image_has_three_masks_or_one() {
-    let net = smallest();
-    assert!(net.encode(&moving(0, 0, 0)).is_err());
-    let features = net.encode(&moving(300, 7, 0)).unwrap();
-    let at = |x: f32| point(&[x, 3.0], true);
-    let three = net.masks(&features, &points(vec![at(10.0)])).unwrap();
-    let one = net.masks(&features, &points(vec![at(10.0), at(30.0)])).unwrap();
-    assert_eq!((three.len(), one.len()), (3, 1));
-    assert_eq!(three[0].logits.size(), (16, 16));
-    assert_eq!(three[0].logits_at((300, 7)).size(), (300, 7));
-    assert_eq!(three[0].logits_at((0, 7)).size(), (0, 7));
-    for mask in three.iter().chain(&one) {
-        assert!((0.0..=1.0).contains(&mask.iou) && mask.score.is_finite());
-    }
-    let again = Prompt { mask_logits: Some(three[1].logits.clone()), ..points(vec![at(10.0)]) };
-    assert_ne!(net.masks(&features, &again).unwrap(), three);
-    assert!(net.masks(&features, &points(vec![at(301.0)])).is_err());
 }

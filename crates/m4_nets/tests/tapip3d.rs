@@ -1,10 +1,9 @@
 //! TAPIP3D: its checkpoint, clips that do not fit, and what its answers depend on.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
-use crate::common::same_on_any_threads;
 use m4_core::{Camera, DepthMap, Intrinsics, Plane, Progress, RgbImage, Se3, Silent, nalgebra::Vector3};
 use m4_nets::{ClipError, LoadError, NetError, PointQuery, PosedClip, Tapip3d, Tapip3dOptions, cpu};
-use m4_testkit::FormulaWeights;
+use m4_testkit::{FormulaWeights, same_on_any_threads};
 use std::path::Path;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use tempfile::TempDir;

@@ -1,11 +1,10 @@
 //! `UniDepth` V2 against upstream's code, with synthetic weights: a small backbone of five blocks and heads of 128 channels.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
-use crate::common::{assert_near, fixtures, floats, loaded, read_image, real_weights, same_on_any_threads};
+use crate::common::{loaded, real_weights};
 use m4_core::{Plane, RgbImage};
 use m4_nets::{UniDepth, UniDepthMap, cpu};
-use m4_testkit::FormulaWeights;
-use std::fs;
+use m4_testkit::{Fixture, FormulaWeights, assert_close, same_on_any_threads};
 
 const KEYS: &str = include_str!("../../../fixtures/unidepth_v2/formula.keys.txt");
 /// Those of the fixture.
@@ -15,9 +14,9 @@ fn network() -> UniDepth {
     loaded(&FormulaWeights::of_keys(KEYS), |path| UniDepth::load(path, cpu()))
 }
 
-fn fixture() -> (Vec<u8>, RgbImage) {
-    let file = fs::read(fixtures().join("unidepth_v2/formula.safetensors")).unwrap();
-    let image = read_image(&file, "image");
+fn fixture() -> (Fixture, RgbImage) {
+    let file = Fixture::open("unidepth_v2/formula.safetensors");
+    let image = file.image("image");
     (file, image)
 }
 
@@ -28,9 +27,9 @@ fn agrees_with_upstream_by_formula() {
     let (file, image) = fixture();
     let got = net.depth_by_patches(&image, PATCHES).unwrap();
     assert_eq!(got.depth_m.size(), (151, 97));
-    assert_near("depth", got.depth_m.data(), &floats(&file, "depth"), 5e-5);
+    assert_close("depth", got.depth_m.data(), &file.floats("depth").0, 5e-5);
     let camera = got.camera;
-    let want = floats(&file, "intrinsics");
+    let want = file.floats("intrinsics").0;
     for (got, want) in [camera.fx, camera.fy, camera.cx, camera.cy].into_iter().zip(want) {
         let error = (got / f64::from(want) - 1.0).abs();
         assert!(error < 1e-5, "{got} px where {want} were expected");

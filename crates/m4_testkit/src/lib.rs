@@ -14,6 +14,8 @@ mod formula;
 mod mutate;
 mod skip;
 mod synthetic;
+mod tensors;
+mod threads;
 
 pub use boxes::{BoxScene, Hit};
 #[cfg(feature = "browser")]
@@ -26,3 +28,5 @@ pub use skip::{Need, SKIPPED_VARIABLE, on_every_level, repository, shared, skip}
 pub use synthetic::{
     MovingScene, SceneSpec, bare_scene, camera_looking_at, moving_scene, random_camera, random_scene, random_splats,
 };
+pub use tensors::{Fixture, assert_close, relative_error};
+pub use threads::same_on_any_threads;

@@ -71,7 +71,6 @@ fn reach(extent: usize, radius: usize) -> [f32; 2] {
 /// Each of the two maps of a score is divided by this.
 const DIVISOR: f32 = 4.0;
 
-/// Where features lie.
 #[derive(Debug, Clone)]
 #[expect(clippy::large_enum_variant, reason = "a handful of them, each the key to megabytes")]
 pub enum Values {

@@ -37,7 +37,6 @@ fn channels(size: BackboneSize) -> (usize, [usize; 4]) {
 /// Channels before the last convolution.
 const LAST: usize = 32;
 
-/// The head.
 #[derive(Module, Debug)]
 pub struct DepthHead {
     projects: [Conv2d; 4],
@@ -53,7 +52,6 @@ struct ResizeLayers {
     half: Conv2d,
 }
 
-/// The rest.
 #[derive(Module, Debug)]
 struct Scratch {
     layer1_rn: Conv2d,
@@ -83,7 +81,6 @@ struct Fusion {
     unit2: Residual,
 }
 
-/// Two convolutions beside a shortcut.
 #[derive(Module, Debug)]
 struct Residual {
     conv1: Conv2d,
@@ -197,7 +194,6 @@ impl DepthHead {
 
 #[cfg(test)]
 impl DepthHead {
-    /// The two coarsest paths, for tests.
     pub fn coarse_paths(&self, maps: [Tap; 4], grid: [usize; 2]) -> [Tensor<4>; 2] {
         let [path4, path3, _, _] = self.fused(self.levels(maps, grid));
         [path4, path3]

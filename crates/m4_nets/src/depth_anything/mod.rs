@@ -31,7 +31,6 @@ use head::DepthHead;
 use m4_core::{Plane, RgbImage};
 use std::path::Path;
 
-/// What it is called in messages.
 const NAME: &str = "Depth-Anything V1";
 
 /// The network with its weights.
@@ -41,7 +40,6 @@ pub struct DepthAnything {
     device: Device,
 }
 
-/// Fields as in the checkpoint.
 #[derive(Module, Debug)]
 struct Net {
     pretrained: DinoV2,
@@ -73,13 +71,11 @@ impl DepthAnything {
     /// [`LoadError`] if the file cannot be read or holds another network.
     pub fn load(path: &Path, on: impl Into<Compute>) -> Result<Self, LoadError> {
         let on: Compute = on.into();
-        let device = &on.device;
         let shapes = load::shapes(NAME, path, &head::RENAMES)?;
         let size = BackboneSize::in_checkpoint(&shapes, "pretrained.", NAME, path)?;
-        let mut net = Net::new(size, size.depth(), device);
+        let mut net = Net::new(size, size.depth(), &on.device);
         load::fill(&mut net, NAME, path, &head::RENAMES, dinov2::unneeded)?;
-        let net = on.fit(net);
-        Ok(Self { net, device: device.clone() })
+        Ok(Self { net: on.fit(net), device: on.device })
     }
 
     /// The disparity of `image`, `[height][width]` as the image: relative (a factor and an offset are unknown), 0 or more, larger where it is

@@ -15,7 +15,6 @@ const BASE: &str = include_str!("../../../../fixtures/depth_anything_v1/vitb.key
 const LARGE: &str = include_str!("../../../../fixtures/depth_anything_v1/vitl.keys.txt");
 /// Relative error that the fixture allows; PyTorch's own in 32 bits is 2e-6.
 const LIMIT: f64 = 5e-5;
-/// Rows and columns of patches.
 const GRID: [usize; 2] = [9, 12];
 
 fn check(size: BackboneSize, keys: &str, depth: usize, fixture: &Fixture) {

@@ -17,7 +17,7 @@ mod tests;
 
 use crate::LoadError;
 use crate::load::Shapes;
-use crate::ops::{Kernels, attend_heads, fine_norm, gelu, linear, patch_conv, tensor, zeros};
+use crate::ops::{Kernels, attend_heads, fine_norm, gelu, in_parts, linear, patch_conv, tensor, zeros};
 use burn_core as burn;
 use burn_core::module::{Module, Param};
 use burn_core::tensor::{DType, Device, Tensor};
@@ -30,7 +30,6 @@ pub const PATCH: usize = 14;
 /// Rows and columns of patches that the learned positions are for: 518 x 518 pixels.
 const GRID: usize = 37;
 
-/// The backbone.
 #[derive(Module, Debug)]
 pub struct DinoV2 {
     cls_token: Param<Tensor<3>>,
@@ -43,7 +42,6 @@ pub struct DinoV2 {
     offset: f64,
 }
 
-/// From patches to tokens.
 #[derive(Module, Debug)]
 struct PatchEmbed {
     proj: Conv2d,
@@ -87,7 +85,6 @@ impl DinoV2 {
         Self { offset: 0.0, ..self }
     }
 
-    /// Blocks.
     pub fn depth(&self) -> usize {
         self.blocks.len()
     }
@@ -170,7 +167,6 @@ impl BackboneSize {
         }
     }
 
-    /// Blocks.
     #[must_use]
     pub fn depth(self) -> usize {
         match self {
@@ -239,7 +235,6 @@ impl Attention {
     }
 }
 
-/// A block.
 #[derive(Module, Debug)]
 pub struct Block {
     norm1: LayerNorm,
@@ -268,20 +263,18 @@ impl LayerScale {
     }
 }
 
-/// The feed-forward layer.
 #[derive(Module, Debug)]
 struct Mlp {
     fc1: Linear,
     fc2: Linear,
 }
 
-/// Tokens that the feed-forward layer takes at a time: their wide channels stay near.
+/// Tokens that the feed-forward layer takes at a time.
 const MLP_TOKENS: usize = 512;
 
 impl Mlp {
     fn forward(&self, x: Tensor<3>) -> Tensor<3> {
-        let some = |x| self.fc2.forward(gelu(self.fc1.forward(x)));
-        Tensor::cat(x.split(MLP_TOKENS, 1).into_iter().map(some).collect(), 1)
+        in_parts(x, 1, MLP_TOKENS, |x| self.fc2.forward(gelu(self.fc1.forward(x))))
     }
 }
 

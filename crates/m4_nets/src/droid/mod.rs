@@ -36,7 +36,6 @@ use m4_core::RgbImage;
 use std::path::Path;
 use update::{ArrangedGru, Update};
 
-/// What it is called in messages.
 const NAME: &str = "MegaSaM's tracking network";
 /// Channels of features, hidden states and contexts.
 const WIDTH: usize = 128;
@@ -61,7 +60,6 @@ pub struct DroidNet {
     device: Device,
 }
 
-/// Fields as in the checkpoint.
 #[derive(Module, Debug)]
 struct Net {
     fnet: Encoder,
@@ -94,7 +92,6 @@ impl DroidNet {
         Ok(Self { gru: net.update.gru.arranged(), net, device: device.clone() })
     }
 
-    /// The type that it computes in.
     fn dtype(&self) -> DType {
         self.gru.dtype()
     }

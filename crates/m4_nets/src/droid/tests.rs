@@ -9,7 +9,6 @@ use m4_testkit::{formula_input, write_formula_weights};
 use std::sync::LazyLock;
 
 const KEYS: &str = include_str!("../../../../fixtures/droid/keys.txt");
-/// Grid of the fixtures.
 const H: usize = 16;
 const W: usize = 24;
 const N: usize = H * W;

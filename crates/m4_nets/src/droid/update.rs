@@ -2,7 +2,7 @@
 
 use super::WIDTH;
 use crate::correlation::taps;
-use crate::ops::{conv, convolve, fine_norm, gelu, sigmoid, tanh, with_weights};
+use crate::ops::{conv, convolve, fine_norm, gelu, over_channels, sigmoid, tanh, with_weights};
 use burn_core as burn;
 use burn_core::module::{Module, Param};
 use burn_core::tensor::activation::{relu, softplus};
@@ -32,7 +32,6 @@ impl Pair {
     }
 }
 
-/// Fields as in the checkpoint.
 #[derive(Module, Debug)]
 pub struct Update {
     corr_encoder: Pair,
@@ -202,7 +201,7 @@ impl MotionHead {
 }
 
 fn activated(norm: &LayerNorm, x: Tensor<4>) -> Tensor<4> {
-    gelu(norm.forward(x.permute([0, 2, 3, 1])).permute([0, 3, 1, 2]))
+    gelu(over_channels(norm, x))
 }
 
 /// Channels of the encoded motion.
@@ -277,7 +276,6 @@ pub struct ArrangedGru {
 }
 
 impl ArrangedGru {
-    /// The type of its weights.
     pub fn dtype(&self) -> DType {
         self.w.weight.val().dtype()
     }

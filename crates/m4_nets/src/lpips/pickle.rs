@@ -2,24 +2,26 @@
 //!
 //! A pickle is a program for a machine with a stack. This one knows what the arrays need and refuses all else: dictionaries
 //! with texts for keys, tuples, numbers, bytes, and three names (`ndarray`, `dtype` and the function that makes an empty array), which
-//! stand for themselves and call nothing. Objects lie in lists and refer to one another by number, so that nothing here recurses;
-//! steps are counted, numbers stay where they are in the file, and a length is compared with what is left of it.
+//! stand for themselves and call nothing. Nothing recurses; steps are counted, numbers stay where they are in the file, and a
+//! length is compared with what is left of it.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
+use std::rc::Rc;
 
 /// Most steps that a file may take; a network of 13 layers takes 948.
 const MAX_STEPS: usize = 100_000;
 /// Most sides of an array.
 const MAX_RANK: usize = 8;
+/// Most dictionaries within one another.
+const MAX_DEPTH: usize = 8;
 
 /// Why a file is refused.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[error("byte {at}: {what}")]
 pub struct Refused {
     /// Where the machine was.
-    pub at: usize,
-    /// What is wrong there.
-    pub what: &'static str,
+    at: usize,
+    what: &'static str,
 }
 
 /// Numbers of 32 bits, little-endian, the last side next to one another.
@@ -31,93 +33,65 @@ pub struct Array<'a> {
     pub bytes: &'a [u8],
 }
 
-/// What lies on the stack. Numbers are those of the lists of [`Machine`].
-#[derive(Debug, Clone, Copy)]
+/// Arrays by their keys from the outermost dictionary on, joined by `/`.
+type Arrays<'a> = BTreeMap<String, Array<'a>>;
+
+#[derive(Debug, Clone)]
 enum Value<'a> {
+    /// What lies above it is one tuple, or goes into one dictionary.
+    Mark,
     None,
     Bool(bool),
     Int(i64),
     Text(&'a str),
     Bytes(&'a [u8]),
-    Tuple(usize),
-    Dict(usize),
-    Array(usize),
-    Type(usize),
-    Name(Name),
-}
-
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Name {
+    Tuple(Rc<[Self]>),
+    /// The function that makes an empty array.
     Reconstruct,
     NdArray,
     DType,
-}
-
-impl Name {
-    fn of(module: &str, name: &str) -> Option<Self> {
-        match (module, name) {
-            ("numpy.core.multiarray" | "numpy._core.multiarray", "_reconstruct") => Some(Self::Reconstruct),
-            ("numpy", "ndarray") => Some(Self::NdArray),
-            ("numpy", "dtype") => Some(Self::DType),
-            _ => None,
-        }
-    }
-}
-
-/// What kind of numbers an array has.
-#[derive(Debug, Clone, Copy)]
-struct Type {
-    is_f32: bool,
-    is_little_endian: bool,
+    /// The type of little-endian numbers of 32 bits.
+    F32,
+    Dict(Arrays<'a>),
+    /// An array whose state is not known yet.
+    Empty,
+    Array(Array<'a>),
 }
 
 struct Machine<'a> {
     file: &'a [u8],
     at: usize,
     stack: Vec<Value<'a>>,
-    /// How long the stack was where a mark was set.
-    marks: Vec<usize>,
     memo: BTreeMap<u32, Value<'a>>,
-    tuples: Vec<Vec<Value<'a>>>,
-    dicts: Vec<Vec<(&'a str, Value<'a>)>>,
-    /// Empty until their state is known.
-    arrays: Vec<Option<Array<'a>>>,
-    types: Vec<Type>,
 }
 
-/// The arrays of the pickled dictionary `file` by their keys from the outermost dictionary on, joined by `/`.
-pub fn arrays(file: &[u8]) -> Result<BTreeMap<String, Array<'_>>, Refused> {
-    let mut machine = Machine {
-        file,
-        at: 0,
-        stack: Vec::new(),
-        marks: Vec::new(),
-        memo: BTreeMap::new(),
-        tuples: Vec::new(),
-        dicts: Vec::new(),
-        arrays: Vec::new(),
-        types: Vec::new(),
-    };
+/// The arrays of the pickled dictionary `file`.
+pub fn arrays(file: &[u8]) -> Result<Arrays<'_>, Refused> {
+    let mut machine = Machine { file, at: 0, stack: Vec::new(), memo: BTreeMap::new() };
     for _ in 0..MAX_STEPS {
         if machine.step()? {
-            return machine.finish();
+            if machine.at != file.len() {
+                return machine.refuse("something comes after the end");
+            }
+            return match (machine.pop()?, machine.stack.is_empty()) {
+                (Value::Dict(arrays), true) => Ok(arrays),
+                _ => machine.refuse("what was pickled is not a dictionary"),
+            };
         }
     }
-    Err(machine.refused("more steps than any checkpoint takes"))
+    machine.refuse("more steps than any checkpoint takes")
 }
 
 impl<'a> Machine<'a> {
-    fn refused(&self, what: &'static str) -> Refused {
-        Refused { at: self.at, what }
+    fn refuse<T>(&self, what: &'static str) -> Result<T, Refused> {
+        Err(Refused { at: self.at, what })
     }
 
     fn take(&mut self, n: usize) -> Result<&'a [u8], Refused> {
-        let end = self.at.checked_add(n).filter(|&end| end <= self.file.len());
-        let Some(end) = end else {
-            return Err(self.refused("the file ends too early"));
+        let Some(bytes) = self.file[self.at..].get(..n) else {
+            return self.refuse("the file ends too early");
         };
-        let bytes = &self.file[self.at..end];
-        self.at = end;
+        self.at += n;
         Ok(bytes)
     }
 
@@ -141,266 +115,197 @@ impl<'a> Machine<'a> {
         self.take(usize::try_from(n).unwrap_or(usize::MAX))
     }
 
-    fn text(&self, bytes: &'a [u8]) -> Result<&'a str, Refused> {
-        std::str::from_utf8(bytes).map_err(|_| self.refused("a text is not UTF-8"))
-    }
-
-    fn line(&mut self) -> Result<&'a str, Refused> {
-        let rest = &self.file[self.at..];
-        let n = rest.iter().take(256).position(|&b| b == b'\n');
-        let n = n.ok_or_else(|| self.refused("a name has no end"))?;
-        let bytes = self.take(n + 1)?;
-        self.text(&bytes[..n])
+    fn line(&mut self) -> Result<&'a [u8], Refused> {
+        match self.file[self.at..].iter().take(256).position(|&b| b == b'\n') {
+            Some(n) => self.take(n + 1).map(|line| &line[..n]),
+            None => self.refuse("a name has no end"),
+        }
     }
 
     fn pop(&mut self) -> Result<Value<'a>, Refused> {
-        let floor = self.marks.last().copied().unwrap_or(0);
-        if self.stack.len() <= floor {
-            return Err(self.refused("the stack is empty"));
+        match self.stack.pop() {
+            None | Some(Value::Mark) => self.refuse("the stack is empty"),
+            Some(value) => Ok(value),
         }
-        self.stack.pop().ok_or_else(|| self.refused("the stack is empty"))
     }
 
     /// What lies above the last mark, which is taken away.
     fn above_mark(&mut self) -> Result<Vec<Value<'a>>, Refused> {
-        let mark = self.marks.pop().ok_or_else(|| self.refused("no mark was set"))?;
-        Ok(self.stack.split_off(mark))
+        let Some(mark) = self.stack.iter().rposition(|value| matches!(value, Value::Mark)) else {
+            return self.refuse("no mark was set");
+        };
+        let values = self.stack.split_off(mark + 1);
+        self.stack.pop();
+        Ok(values)
     }
 
-    fn push_tuple(&mut self, values: Vec<Value<'a>>) {
-        self.tuples.push(values);
-        self.stack.push(Value::Tuple(self.tuples.len() - 1));
+    fn tuple(&self, values: Vec<Value<'a>>) -> Result<Value<'a>, Refused> {
+        let is_tuple = |value: &Value<'a>| matches!(value, Value::Tuple(_));
+        let deep = |value: &Value<'a>| matches!(value, Value::Tuple(inner) if inner.iter().any(is_tuple));
+        if values.iter().any(deep) {
+            return self.refuse("tuples lie in one another too deep");
+        }
+        Ok(Value::Tuple(values.into()))
     }
 
-    fn tuple_of(&mut self, n: usize) -> Result<(), Refused> {
+    fn tuple_of(&mut self, n: usize) -> Result<Value<'a>, Refused> {
         let mut values = (0..n).map(|_| self.pop()).collect::<Result<Vec<_>, _>>()?;
         values.reverse();
-        self.push_tuple(values);
-        Ok(())
+        self.tuple(values)
     }
 
     /// One step; true at the end of the program.
     fn step(&mut self) -> Result<bool, Refused> {
         let step = self.byte()?;
         let value = match step {
+            b'\x80' => {
+                if !(2..=3).contains(&self.byte()?) {
+                    return self.refuse("a pickle of another protocol than 2 or 3");
+                }
+                return Ok(false);
+            }
+            b'.' => return Ok(true),
+            b'(' => Value::Mark,
             b'N' => Value::None,
             b'\x88' | b'\x89' => Value::Bool(step == b'\x88'),
             b'K' => Value::Int(i64::from(self.byte()?)),
             b'M' => Value::Int(i64::from(u16::from_le_bytes(self.fixed()?))),
             b'J' => Value::Int(i64::from(i32::from_le_bytes(self.fixed()?))),
-            b'X' => {
-                let bytes = self.counted()?;
-                Value::Text(self.text(bytes)?)
-            }
+            b'X' => match std::str::from_utf8(self.counted()?) {
+                Ok(text) => Value::Text(text),
+                Err(_) => return self.refuse("a text is not UTF-8"),
+            },
             b'B' => Value::Bytes(self.counted()?),
             b'C' => {
                 let n = self.byte()?;
                 Value::Bytes(self.take(usize::from(n))?)
             }
-            _ => return self.operation(step),
-        };
-        self.stack.push(value);
-        Ok(false)
-    }
-
-    /// A step that does not just push a value; true at the end of the program.
-    fn operation(&mut self, step: u8) -> Result<bool, Refused> {
-        match step {
-            b'\x80' => {
-                if !(2..=3).contains(&self.byte()?) {
-                    return Err(self.refused("a pickle of another protocol than 2 or 3"));
-                }
-            }
-            b'.' => return Ok(true),
-            b'(' => self.marks.push(self.stack.len()),
-            b'}' => {
-                self.dicts.push(Vec::new());
-                self.stack.push(Value::Dict(self.dicts.len() - 1));
-            }
-            b')' => self.push_tuple(Vec::new()),
+            b'}' => Value::Dict(BTreeMap::new()),
+            b')' => Value::Tuple(Rc::new([])),
             b'\x85' => self.tuple_of(1)?,
             b'\x86' => self.tuple_of(2)?,
             b'\x87' => self.tuple_of(3)?,
             b't' => {
                 let values = self.above_mark()?;
-                self.push_tuple(values);
+                self.tuple(values)?
             }
-            b'c' => {
-                let (module, name) = (self.line()?, self.line()?);
-                let name = Name::of(module, name);
-                let name = name.ok_or_else(|| self.refused("something of Python that is not an array"))?;
-                self.stack.push(Value::Name(name));
+            b'c' => match (self.line()?, self.line()?) {
+                (b"numpy.core.multiarray" | b"numpy._core.multiarray", b"_reconstruct") => Value::Reconstruct,
+                (b"numpy", b"ndarray") => Value::NdArray,
+                (b"numpy", b"dtype") => Value::DType,
+                _ => return self.refuse("something of Python that is not an array"),
+            },
+            b'q' | b'r' => {
+                let key = if step == b'q' { u32::from(self.byte()?) } else { self.word()? };
+                let value = self.pop()?;
+                let kept = match &value {
+                    // these may be in one place alone
+                    Value::Dict(_) | Value::Empty | Value::Array(_) => Value::Mark,
+                    other => other.clone(),
+                };
+                self.memo.insert(key, kept);
+                value
             }
-            b'q' => {
-                let key = self.byte()?;
-                self.remember(u32::from(key))?;
-            }
-            b'r' => {
-                let key = self.word()?;
-                self.remember(key)?;
-            }
-            b'h' => {
-                let key = self.byte()?;
-                self.recall(u32::from(key))?;
-            }
-            b'j' => {
-                let key = self.word()?;
-                self.recall(key)?;
+            b'h' | b'j' => {
+                let key = if step == b'h' { u32::from(self.byte()?) } else { self.word()? };
+                match self.memo.get(&key) {
+                    None => return self.refuse("nothing was kept under this number"),
+                    Some(Value::Mark) => return self.refuse("a dictionary or an array is in two places"),
+                    Some(kept) => kept.clone(),
+                }
             }
             b's' => {
                 let (value, key) = (self.pop()?, self.pop()?);
-                self.insert(&[key, value])?;
+                self.inserted(vec![key, value])?
             }
             b'u' => {
                 let pairs = self.above_mark()?;
-                self.insert(&pairs)?;
+                self.inserted(pairs)?
             }
-            b'R' => self.call()?,
-            b'b' => self.set_state()?,
-            _ => return Err(self.refused("a step that arrays do not need")),
-        }
+            b'R' => self.called()?,
+            b'b' => self.built()?,
+            _ => return self.refuse("a step that arrays do not need"),
+        };
+        self.stack.push(value);
         Ok(false)
     }
 
-    fn remember(&mut self, key: u32) -> Result<(), Refused> {
-        let value = self.pop()?;
-        self.memo.insert(key, value);
-        self.stack.push(value);
-        Ok(())
-    }
-
-    fn recall(&mut self, key: u32) -> Result<(), Refused> {
-        let value = self.memo.get(&key).copied();
-        let value = value.ok_or_else(|| self.refused("nothing was kept under this number"))?;
-        self.stack.push(value);
-        Ok(())
-    }
-
-    /// Puts keys and values, one after the other, into the dictionary on the stack.
-    fn insert(&mut self, pairs: &[Value<'a>]) -> Result<(), Refused> {
-        let Some(&Value::Dict(dict)) = self.stack.last() else {
-            return Err(self.refused("this is not a dictionary"));
+    /// The dictionary on the stack with keys and values, one after the other.
+    fn inserted(&mut self, pairs: Vec<Value<'a>>) -> Result<Value<'a>, Refused> {
+        let Value::Dict(mut dict) = self.pop()? else {
+            return self.refuse("this is not a dictionary");
         };
-        let (pairs, rest) = pairs.as_chunks::<2>();
-        if !rest.is_empty() {
-            return Err(self.refused("a key has no value"));
-        }
-        for &[key, value] in pairs {
+        let mut pairs = pairs.into_iter();
+        while let Some(key) = pairs.next() {
             let Value::Text(key) = key else {
-                return Err(self.refused("a key is not text"));
+                return self.refuse("a key is not text");
             };
-            self.dicts[dict].push((key, value));
+            let arrays: Arrays<'a> = match pairs.next() {
+                None => return self.refuse("a key has no value"),
+                Some(Value::Array(array)) => [(key.to_owned(), array)].into(),
+                Some(Value::Dict(inner)) => {
+                    inner.into_iter().map(|(name, array)| (format!("{key}/{name}"), array)).collect()
+                }
+                Some(_) => return self.refuse("a dictionary holds something that is not an array"),
+            };
+            for (name, array) in arrays {
+                if name.matches('/').count() >= MAX_DEPTH {
+                    return self.refuse("dictionaries lie in one another too deep");
+                }
+                if dict.insert(name, array).is_some() {
+                    return self.refuse("a key is there twice");
+                }
+            }
         }
-        Ok(())
+        Ok(Value::Dict(dict))
     }
 
     /// An empty array, or a type, instead of a name and its arguments.
-    fn call(&mut self) -> Result<(), Refused> {
+    fn called(&mut self) -> Result<Value<'a>, Refused> {
         let (args, name) = (self.pop()?, self.pop()?);
-        let (Value::Tuple(args), Value::Name(name)) = (args, name) else {
-            return Err(self.refused("a call of what cannot be called"));
+        let Value::Tuple(args) = args else {
+            return self.refuse("a call without arguments");
         };
-        let made = match (name, &self.tuples[args][..]) {
-            (Name::Reconstruct, [Value::Name(Name::NdArray), Value::Tuple(_), Value::Bytes(_)]) => {
-                self.arrays.push(None);
-                Value::Array(self.arrays.len() - 1)
-            }
-            (Name::DType, [Value::Text(name), ..]) => {
-                self.types.push(Type { is_f32: *name == "f4", is_little_endian: false });
-                Value::Type(self.types.len() - 1)
-            }
-            _ => return Err(self.refused("a call that arrays do not need")),
-        };
-        self.stack.push(made);
-        Ok(())
+        match (name, &args[..]) {
+            (Value::Reconstruct, [Value::NdArray, Value::Tuple(_), Value::Bytes(_)]) => Ok(Value::Empty),
+            (Value::DType, [Value::Text("f4"), ..]) => Ok(Value::F32),
+            (Value::DType, _) => self.refuse(OTHER_NUMBERS),
+            _ => self.refuse("a call that arrays do not need"),
+        }
     }
 
-    /// Gives an array or a type, which stays on the stack, its state.
-    fn set_state(&mut self) -> Result<(), Refused> {
+    /// An array, or a type, with its state.
+    fn built(&mut self) -> Result<Value<'a>, Refused> {
         let (state, object) = (self.pop()?, self.pop()?);
         let Value::Tuple(state) = state else {
-            return Err(self.refused("a state is not a tuple"));
+            return self.refuse("a state is not a tuple");
         };
-        match (object, &self.tuples[state][..]) {
-            (Value::Type(of), [Value::Int(_), Value::Text(order), ..]) => {
-                self.types[of].is_little_endian = *order == "<"
-            }
+        match (object, &state[..]) {
+            (Value::F32, [Value::Int(_), Value::Text("<"), ..]) => Ok(Value::F32),
+            (Value::F32, _) => self.refuse(OTHER_NUMBERS),
             (
-                Value::Array(array),
-                &[Value::Int(_), Value::Tuple(shape), Value::Type(of), Value::Bool(by_columns), Value::Bytes(bytes)],
+                Value::Empty,
+                [Value::Int(_), Value::Tuple(sides), Value::F32, Value::Bool(by_columns), Value::Bytes(bytes)],
             ) => {
-                let numbers = self.types[of];
-                if by_columns || !numbers.is_f32 || !numbers.is_little_endian {
-                    return Err(self.refused("an array is not of little-endian 32-bit numbers, row by row"));
+                if *by_columns {
+                    return self.refuse(OTHER_NUMBERS);
                 }
-                let shape = self.shape(&self.tuples[shape])?;
-                let fits = shape.iter().try_fold(4usize, |n, &side| n.checked_mul(side)) == Some(bytes.len());
-                if !fits {
-                    return Err(self.refused("an array has another number of bytes than its shape says"));
+                let side = |side: &Value<'a>| match side {
+                    Value::Int(n) => usize::try_from(*n).ok(),
+                    _ => None,
+                };
+                let shape: Option<Vec<usize>> = sides.iter().map(side).collect();
+                let Some(shape) = shape.filter(|shape| shape.len() <= MAX_RANK) else {
+                    return self.refuse("a shape is not of a few whole numbers");
+                };
+                if shape.iter().try_fold(4usize, |n, &side| n.checked_mul(side)) != Some(bytes.len()) {
+                    return self.refuse("an array has another number of bytes than its shape says");
                 }
-                self.arrays[array] = Some(Array { shape, bytes });
+                Ok(Value::Array(Array { shape, bytes }))
             }
-            _ => return Err(self.refused("a state that arrays do not have")),
+            _ => self.refuse("a state that arrays do not have"),
         }
-        self.stack.push(object);
-        Ok(())
-    }
-
-    fn shape(&self, sides: &[Value<'a>]) -> Result<Vec<usize>, Refused> {
-        if sides.len() > MAX_RANK {
-            return Err(self.refused("an array of too many sides"));
-        }
-        let side = |side: &Value<'a>| match side {
-            Value::Int(n) => usize::try_from(*n).ok(),
-            _ => None,
-        };
-        let sides = sides.iter().map(side).collect::<Option<_>>();
-        sides.ok_or_else(|| self.refused("a shape is not of whole numbers"))
     }
 }
 
-/// Most dictionaries within one another.
-const MAX_DEPTH: usize = 8;
-
-impl<'a> Machine<'a> {
-    /// What the dictionary on the stack holds.
-    pub(super) fn finish(mut self) -> Result<BTreeMap<String, Array<'a>>, Refused> {
-        if self.at != self.file.len() {
-            return Err(self.refused("something comes after the end"));
-        }
-        let root = self.pop()?;
-        let (Value::Dict(root), true) = (root, self.stack.is_empty()) else {
-            return Err(self.refused("what was pickled is not a dictionary"));
-        };
-        let mut found = BTreeMap::new();
-        let mut seen = BTreeSet::from([root]);
-        let mut open = vec![(root, String::new(), 1)];
-        while let Some((dict, prefix, depth)) = open.pop() {
-            let entries = std::mem::take(&mut self.dicts[dict]);
-            let mut keys = BTreeSet::new();
-            for (key, value) in entries {
-                if !keys.insert(key) {
-                    return Err(self.refused("a key is there twice"));
-                }
-                let name = format!("{prefix}{key}");
-                match value {
-                    Value::Dict(inner) if depth < MAX_DEPTH && seen.insert(inner) => {
-                        open.push((inner, name + "/", depth + 1));
-                    }
-                    Value::Dict(_) => {
-                        return Err(self.refused("dictionaries lie in one another too deep, or in two places"));
-                    }
-                    Value::Array(array) => {
-                        let array = self.arrays[array].take();
-                        let array = array.ok_or_else(|| self.refused("an array is empty or in two places"))?;
-                        if found.insert(name, array).is_some() {
-                            return Err(self.refused("a name is there twice"));
-                        }
-                    }
-                    _ => return Err(self.refused("a dictionary holds something that is not an array")),
-                }
-            }
-        }
-        Ok(found)
-    }
-}
+const OTHER_NUMBERS: &str = "an array is not of little-endian 32-bit numbers, row by row";

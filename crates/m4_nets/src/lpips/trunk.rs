@@ -10,8 +10,8 @@ use burn_core::tensor::activation::relu;
 use burn_core::tensor::module::max_pool2d;
 use burn_core::tensor::ops::MaxPoolOptions;
 use burn_core::tensor::{Bytes, DType, Device, Tensor};
-use burn_nn::conv::{Conv2d, Conv2dConfig};
-use burn_nn::{Initializer, PaddingConfig2d};
+use burn_nn::PaddingConfig2d;
+use burn_nn::conv::Conv2d;
 use burn_store::burn_pack::Tensor as StoredTensor;
 use std::fs;
 use std::path::Path;
@@ -75,12 +75,9 @@ impl Net {
     pub fn new(net: LpipsNet, device: &Device) -> Self {
         let convolutions = net.convolutions();
         let compared = net.stages().map(|stage| convolutions[stage.convs.end - 1].0[1]);
-        let layer = |&(channels, [side, stride, pad]): &([usize; 2], [usize; 3])| {
-            Conv2dConfig::new(channels, [side, side])
-                .with_stride([stride, stride])
-                .with_padding(PaddingConfig2d::Explicit(pad, pad, pad, pad))
-                .with_initializer(Initializer::Zeros)
-                .init(device)
+        let layer = |&(channels, [side, stride, pad]): &([usize; 2], [usize; 3])| Conv2d {
+            padding: PaddingConfig2d::Explicit(pad, pad, pad, pad),
+            ..conv(channels, side, stride, true, device)
         };
         Self {
             convs: convolutions.iter().map(layer).collect(),

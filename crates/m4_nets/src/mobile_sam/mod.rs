@@ -18,7 +18,7 @@ mod tiny_vit;
 use crate::error::numbers;
 use crate::ops::tensor;
 use crate::sam::{MAP_WIDTH, Mlp, Prompt, PromptEncoder, Token, TwoWay, Upscaling};
-use crate::{Compute, LoadError, NetError, load};
+use crate::{Compute, LoadError, NetError, load, sam};
 use burn_core as burn;
 use burn_core::module::Module;
 use burn_core::tensor::{Device, Tensor};
@@ -72,7 +72,6 @@ pub struct MobileSam {
     device: Device,
 }
 
-/// Fields as in the checkpoint.
 #[derive(Module, Debug)]
 struct Net {
     image_encoder: TinyVit,
@@ -80,8 +79,9 @@ struct Net {
     mask_decoder: MaskDecoder,
 }
 
-/// Names of the checkpoint that are not those of fields.
-const RENAMES: [(&str, &str); 15] = [
+/// Names of the checkpoint that are not those of fields, beside [`sam::RENAMES`].
+const RENAMES: [(&str, &str); 8] = [
+    (r"\.c\.weight$", ".c"),
     (r"\.patch_embed\.seq\.0\.", ".patch_embed.first."),
     (r"\.patch_embed\.seq\.2\.", ".patch_embed.second."),
     (r"^image_encoder\.layers\.([0-3])\.", "image_encoder.stage$1."),
@@ -89,14 +89,6 @@ const RENAMES: [(&str, &str); 15] = [
     (r"\.neck\.1\.", ".neck.norm1."),
     (r"\.neck\.2\.", ".neck.wide."),
     (r"\.neck\.3\.", ".neck.norm2."),
-    (r"\.mask_downscaling\.0\.", ".mask_downscaling.half."),
-    (r"\.mask_downscaling\.1\.", ".mask_downscaling.norm1."),
-    (r"\.mask_downscaling\.3\.", ".mask_downscaling.quarter."),
-    (r"\.mask_downscaling\.4\.", ".mask_downscaling.norm2."),
-    (r"\.mask_downscaling\.6\.", ".mask_downscaling.wide."),
-    (r"\.output_upscaling\.0\.", ".output_upscaling.twice."),
-    (r"\.output_upscaling\.1\.", ".output_upscaling.norm."),
-    (r"\.output_upscaling\.3\.", ".output_upscaling.again."),
 ];
 
 /// Whether a tensor of the checkpoint is of no use here: TinyViT's head, which names what ImageNet shows, and the counters of batch
@@ -121,7 +113,7 @@ impl MobileSam {
             prompt_encoder: PromptEncoder::new(device),
             mask_decoder: MaskDecoder::new(device),
         };
-        load::fill(&mut net, "MobileSAM", path, &RENAMES, unneeded)?;
+        load::fill(&mut net, "MobileSAM", path, &[&RENAMES[..], &sam::RENAMES].concat(), unneeded)?;
         Ok(Self { grid: net.prompt_encoder.grid([EMBEDDING_SIDE; 2], device), net, device: device.clone() })
     }
 

@@ -64,7 +64,6 @@ impl Scale {
         Ok(tensor(values, [1, 3, INPUT_SIDE, INPUT_SIDE], device))
     }
 
-    /// Width and height of the image.
     pub fn size(self) -> (usize, usize) {
         (self.width, self.height)
     }

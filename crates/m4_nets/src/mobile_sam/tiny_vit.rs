@@ -5,17 +5,16 @@
 //! 1024 --two convolutions--> 256 --two MBConv--> merge --> 128 --2 blocks--> merge --> 64 --6 blocks--> merge --2 blocks--> neck
 //! ```
 
-use crate::ops::{Statistics, conv, fine_norm, gelu, linear, norm, softmax_rows, zeros};
-use crate::sam::over_channels;
+use crate::ops::{Statistics, conv, fine_norm, gelu, in_parts, linear, norm, over_channels, softmax_rows, zeros};
+use crate::sam::{cut, joined};
 use burn_core as burn;
 use burn_core::module::{Module, Param};
 use burn_core::tensor::module::conv2d;
-use burn_core::tensor::ops::{ConvOptions, PadMode};
+use burn_core::tensor::ops::ConvOptions;
 use burn_core::tensor::{Device, Int, Tensor, TensorData};
 use burn_nn::conv::Conv2d;
 use burn_nn::{LayerNorm, Linear};
 
-/// Channels of the stages.
 const WIDTHS: [usize; 4] = [64, 128, 160, 320];
 /// Channels of a head of attention.
 const HEAD: usize = 32;
@@ -70,7 +69,6 @@ impl Merge {
     }
 }
 
-/// The feed-forward layer of a block.
 #[derive(Module, Debug)]
 pub struct Mlp {
     norm: LayerNorm,
@@ -78,14 +76,13 @@ pub struct Mlp {
     fc2: Linear,
 }
 
-/// Pixels that the feed-forward layer takes at a time: their wide channels stay in the cache.
+/// Pixels that the feed-forward layer takes at a time.
 const MLP_PIXELS: usize = 1024;
 
 impl Mlp {
     /// Of `[pixels, c]`: the same shape, to be added to it.
     fn forward(&self, x: Tensor<2>) -> Tensor<2> {
-        let some = |x| self.fc2.forward(gelu(self.fc1.forward(self.norm.forward(x))));
-        Tensor::cat(x.split(MLP_PIXELS, 0).into_iter().map(some).collect(), 0)
+        in_parts(x, 0, MLP_PIXELS, |x| self.fc2.forward(gelu(self.fc1.forward(self.norm.forward(x)))))
     }
 }
 
@@ -122,7 +119,6 @@ impl Block {
     }
 }
 
-/// The first stage.
 #[derive(Module, Debug)]
 pub struct Convolutions {
     blocks: [MbConv; 2],
@@ -239,19 +235,10 @@ impl Windowed {
     pub fn forward(&self, x: Tensor<4>) -> Tensor<4> {
         let [_, h, w, c] = x.dims();
         let side = self.window;
-        let [rows, columns] = [h.div_ceil(side), w.div_ceil(side)];
-        let beyond = [(0, 0), (0, rows * side - h), (0, columns * side - w), (0, 0)];
-        let windows = x
-            .pad(beyond, PadMode::Constant(0.0))
-            .reshape([rows, side, columns, side, c])
-            .swap_dims(1, 2)
-            .reshape([rows * columns, side * side, c]);
-        self.within(windows)
-            .reshape([rows, columns, side, side, c])
-            .swap_dims(1, 2)
-            .reshape([1, rows * side, columns * side, c])
-            .narrow(1, 0, h)
-            .narrow(2, 0, w)
+        let windows = cut(x, side);
+        let [n, _, _, _] = windows.dims();
+        let found = self.within(windows.reshape([n, side * side, c]));
+        joined(found.reshape([n, side, side, c]), 1, [h, w])
     }
 
     /// Of windows `[n, l, c]`: the same shape.
@@ -281,17 +268,11 @@ impl Windowed {
 /// A convolution and a batch normalisation after it, which is of the statistics of training: one convolution.
 #[derive(Module, Debug)]
 pub struct ConvBn {
-    c: Kernel,
+    /// The kernel, `[out, in / groups, k, k]`.
+    c: Param<Tensor<4>>,
     bn: Statistics,
     stride: usize,
     groups: usize,
-}
-
-/// A kernel without bias.
-#[derive(Module, Debug)]
-pub struct Kernel {
-    /// `[out, in / groups, k, k]`.
-    weight: Param<Tensor<4>>,
 }
 
 impl ConvBn {
@@ -306,17 +287,12 @@ impl ConvBn {
     }
 
     fn grouped([from, to]: [usize; 2], size: usize, stride: usize, groups: usize, device: &Device) -> Self {
-        Self {
-            c: Kernel { weight: zeros([to, from / groups, size, size], device) },
-            bn: Statistics::new(to, device),
-            stride,
-            groups,
-        }
+        Self { c: zeros([to, from / groups, size, size], device), bn: Statistics::new(to, device), stride, groups }
     }
 
     /// Of `[n, from, h, w]`: `[n, to, h / stride, w / stride]`.
     pub fn forward(&self, x: Tensor<4>) -> Tensor<4> {
-        let (kernel, bias) = self.bn.after(self.c.weight.val(), None);
+        let (kernel, bias) = self.bn.after(self.c.val(), None);
         let [_, _, size, _] = kernel.dims();
         let pad = [size / 2, size / 2];
         let options = ConvOptions::new([self.stride, self.stride], pad, [1, 1], self.groups);

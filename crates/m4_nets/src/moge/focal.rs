@@ -28,7 +28,6 @@ pub struct FocalShift {
     pub shift: f64,
 }
 
-/// A point and where it is seen.
 struct Sighting {
     xy: [f64; 2],
     z: f64,

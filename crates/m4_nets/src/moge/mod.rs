@@ -39,7 +39,6 @@ use m4_core::RgbImage;
 use stack::{Encoder, Stack};
 use std::path::Path;
 
-/// What it is called in messages.
 const NAME: &str = "MoGe-2";
 
 /// The network with its weights.
@@ -50,7 +49,6 @@ pub struct MoGe {
     device: Device,
 }
 
-/// Fields as in the checkpoint.
 #[derive(Module, Debug)]
 struct Net {
     encoder: Encoder,
@@ -144,7 +142,6 @@ impl MoGe {
     /// [`LoadError`] if the file cannot be read or holds another network.
     pub fn load(path: &Path, on: impl Into<Compute>) -> Result<Self, LoadError> {
         let on: Compute = on.into();
-        let device = &on.device;
         let shapes = load::shapes(NAME, path, &RENAMES)?;
         let size = BackboneSize::in_checkpoint(&shapes, "encoder.backbone.", NAME, path)?;
         let other = |wrong: String| LoadError::misfit(NAME, path, &[], &[wrong]);
@@ -156,10 +153,9 @@ impl MoGe {
             let wrong = format!("blocks {:?} are to be tapped by {taps} projections", config.taps);
             return Err(other(wrong));
         }
-        let mut net = Net::new(size, &layout, device);
+        let mut net = Net::new(size, &layout, &on.device);
         load::fill(&mut net, NAME, path, &RENAMES, unneeded)?;
-        let net = on.fit(net);
-        Ok(Self { net, config, device: device.clone() })
+        Ok(Self { net: on.fit(net), config, device: on.device })
     }
 
     /// The geometry of `image`.

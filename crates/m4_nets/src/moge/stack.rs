@@ -108,7 +108,6 @@ impl Stack {
         }
     }
 
-    /// Levels.
     pub fn levels(&self) -> usize {
         self.res_blocks.len()
     }
@@ -151,7 +150,6 @@ fn through(single: &Option<Conv2d>, x: Tensor<4>) -> Tensor<4> {
     }
 }
 
-/// The encoder.
 #[derive(Module, Debug)]
 pub struct Encoder {
     backbone: DinoV2,

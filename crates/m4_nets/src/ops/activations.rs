@@ -5,7 +5,6 @@ use fearless_simd::prelude::*;
 use fearless_simd::{Level, Simd, dispatch, f32x16, u32x16};
 use rayon::prelude::*;
 
-/// Numbers of one task.
 const CHUNK: usize = 1 << 15;
 const LANES: usize = 16;
 
@@ -15,8 +14,12 @@ pub trait Function {
     fn lanes<S: Simd>(s: S, x: f32x16<S>) -> f32x16<S>;
 }
 
-/// `F` of every number of `x` where it is of 32 bits on the processor, else `otherwise` of `x`.
-pub fn apply<F: Function, const D: usize>(x: Tensor<D>, otherwise: impl Fn(Tensor<D>) -> Tensor<D>) -> Tensor<D> {
+/// `x` changed by `change` where its numbers are of 32 bits on the processor, else `otherwise` of it.
+pub fn changed<const D: usize>(
+    x: Tensor<D>,
+    change: impl Fn(&mut [f32]),
+    otherwise: impl Fn(Tensor<D>) -> Tensor<D>,
+) -> Tensor<D> {
     let device = x.device();
     if device != Device::flex() {
         return otherwise(x);
@@ -24,7 +27,7 @@ pub fn apply<F: Function, const D: usize>(x: Tensor<D>, otherwise: impl Fn(Tenso
     let mut data: TensorData = x.into_data();
     match data.as_mut_slice::<f32>() {
         Ok(values) => {
-            on_processor::<F>(values);
+            change(values);
             Tensor::from_data(data, &device)
         }
         Err(_) => {
@@ -55,12 +58,12 @@ fn each<S: Simd, F: Function>(s: S, values: &mut [f32]) {
 
 /// `1 / (1 + e^-x)` of every number, within 1e-6 of itself where that is above 1e-30.
 pub fn sigmoid<const D: usize>(x: Tensor<D>) -> Tensor<D> {
-    apply::<Sigmoid, D>(x, activation::sigmoid)
+    changed(x, on_processor::<Sigmoid>, activation::sigmoid)
 }
 
 /// The hyperbolic tangent of every number, within 1e-6 of itself.
 pub fn tanh<const D: usize>(x: Tensor<D>) -> Tensor<D> {
-    apply::<Tanh, D>(x, Tensor::tanh)
+    changed(x, on_processor::<Tanh>, Tensor::tanh)
 }
 
 pub(super) struct Sigmoid;
@@ -128,13 +131,13 @@ const Q: [f32; 5] = [-1.456_607_2e-5, -2.133_740_6e-4, -1.682_827e-3, -7.373_329
 /// `x Phi(x)` of every number, where `Phi` is the normal distribution; within 1e-6 of its definition, relative to
 /// `1 + |x|`.
 pub fn gelu<const D: usize>(x: Tensor<D>) -> Tensor<D> {
-    apply::<Gelu, D>(x, activation::gelu)
+    changed(x, on_processor::<Gelu>, activation::gelu)
 }
 
 /// What is trained instead of it at times, `x (1 + tanh(sqrt(2 / pi) (x + 0.044715 x^3))) / 2` of every number; within 2e-6 of its
 /// definition, relative to `1 + |x|`.
 pub fn gelu_by_tanh<const D: usize>(x: Tensor<D>) -> Tensor<D> {
-    apply::<GeluByTanh, D>(x, |x| {
+    changed(x, on_processor::<GeluByTanh>, |x| {
         let square = x.clone() * x.clone();
         let cubic = square.mul_scalar(CUBIC).add_scalar(1.0) * x.clone();
         x * activation::sigmoid(cubic.mul_scalar(SLOPE))

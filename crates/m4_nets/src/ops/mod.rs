@@ -2,11 +2,13 @@
 
 mod activations;
 mod attention;
+mod convnext;
 mod convolution;
 mod resample;
 
 pub use activations::{gelu, gelu_by_tanh, sigmoid, tanh};
 pub use attention::{attend_heads, softmax_rows};
+pub use convnext::ConvNext;
 pub use convolution::{convolve, convolve_edges};
 pub use resample::{Kernels, bilinear, bilinear_plane, image_tensor, resampled};
 
@@ -33,13 +35,14 @@ pub fn zeros<const D: usize>(shape: [usize; D], device: &Device) -> Param<Tensor
 
 /// A square convolution of `[from, to]` channels that waits for its weights, padded by half its kernel.
 pub fn conv(channels: [usize; 2], kernel: usize, stride: usize, bias: bool, device: &Device) -> Conv2d {
-    let pad = kernel / 2;
-    Conv2dConfig::new(channels, [kernel, kernel])
-        .with_stride([stride, stride])
-        .with_padding(PaddingConfig2d::Explicit(pad, pad, pad, pad))
-        .with_bias(bias)
-        .with_initializer(Initializer::Zeros)
-        .init(device)
+    Conv2d { stride: [stride, stride], ..conv_by(channels, [kernel, kernel], bias, device) }
+}
+
+/// A convolution of `[from, to]` channels by a kernel of so many rows and columns that waits for its weights, padded by half of it.
+pub fn conv_by(channels: [usize; 2], kernel: [usize; 2], bias: bool, device: &Device) -> Conv2d {
+    let [y, x] = kernel.map(|side| side / 2);
+    let config = Conv2dConfig::new(channels, kernel).with_padding(PaddingConfig2d::Explicit(y, x, y, x));
+    config.with_bias(bias).with_initializer(Initializer::Zeros).init(device)
 }
 
 /// A convolution whose kernels of `side` by `side` pixels lie side by side, which waits for its weights.
@@ -86,6 +89,24 @@ pub fn fine_norm(width: usize, device: &Device) -> LayerNorm {
     LayerNormConfig::new(width).with_epsilon(1e-6).init(device)
 }
 
+/// `norm` over the channels of `x` `[n, c, h, w]`.
+pub fn over_channels(norm: &LayerNorm, x: Tensor<4>) -> Tensor<4> {
+    norm.forward(x.permute([0, 2, 3, 1])).permute([0, 3, 1, 2])
+}
+
+/// `layer` of `x`: on the processor of `most` rows along `axis` at a time, so that its wide channels stay in the cache.
+pub fn in_parts<const D: usize>(
+    x: Tensor<D>,
+    axis: usize,
+    most: usize,
+    layer: impl Fn(Tensor<D>) -> Tensor<D>,
+) -> Tensor<D> {
+    if x.device() != Device::flex() {
+        return layer(x);
+    }
+    Tensor::cat(x.split(most, axis).into_iter().map(layer).collect(), axis)
+}
+
 /// Each channel of each image of `x` `[n, c, h, w]` less its mean, divided by its standard deviation (over the `h * w`
 /// pixels, epsilon 1e-5): instance normalisation without weights. Sums are made in 32 bits, whatever `x` is in.
 pub fn instance_norm(x: Tensor<4>) -> Tensor<4> {
@@ -110,23 +131,19 @@ pub fn planes(image: &RgbImage, mean: [f32; 3], std: [f32; 3]) -> Vec<f32> {
     (0..3).flat_map(plane).collect()
 }
 
-/// The position of each pixel of a map of `map` rows and columns within tiles of `tile` rows and columns,
-/// `[1, rows, columns, channels]`: sines and cosines of row, then column, at wavelengths from 1 to 10,000, a quarter of the
-/// channels each (DETR).
-pub fn sine_positions(map: [usize; 2], tile: [usize; 2], channels: usize, device: &Device) -> Tensor<4> {
+/// The position of each pixel of a map of `h` rows and `w` columns, `[1, h, w, channels]`: sines and cosines of row, then column, at
+/// wavelengths from 1 to 10,000, a quarter of the channels each (DETR).
+pub fn sine_positions([h, w]: [usize; 2], channels: usize, device: &Device) -> Tensor<4> {
     let half = channels / 2;
-    let [height, width] = map;
-    let [h, w] = tile;
     let wave = |at: usize, side: usize, channel: usize| {
-        let angle = (at % side + 1) as f32 / (side as f32 + 1e-6) * TAU;
+        let angle = (at + 1) as f32 / (side as f32 + 1e-6) * TAU;
         let angle = angle / 10_000f32.powf((channel / 2 * 2) as f32 / half as f32);
         if channel.is_multiple_of(2) { angle.sin() } else { angle.cos() }
     };
-    let table = |n: usize, side: usize| -> Vec<f32> { (0..n * half).map(|i| wave(i / half, side, i % half)).collect() };
-    let rows: Tensor<4> = tensor(table(height, h), [1, height, 1, half], device);
-    let columns: Tensor<4> = tensor(table(width, w), [1, 1, width, half], device);
-    let all = [1, height, width, half];
-    Tensor::cat(vec![rows.expand(all), columns.expand(all)], 3)
+    let table = |side: usize| -> Vec<f32> { (0..side * half).map(|i| wave(i / half, side, i % half)).collect() };
+    let rows: Tensor<4> = tensor(table(h), [1, h, 1, half], device);
+    let columns: Tensor<4> = tensor(table(w), [1, 1, w, half], device);
+    Tensor::cat(vec![rows.expand([1, h, w, half]), columns.expand([1, h, w, half])], 3)
 }
 
 /// The 3 by 3 values around each pixel of `x` `[h, w, d]`, row by row: `[h, w, 9, d]`; 0 outside.

@@ -70,7 +70,6 @@ pub struct Raft {
     device: Device,
 }
 
-/// Fields as in the checkpoint.
 #[derive(Module, Debug)]
 struct Net {
     fnet: Encoder,
@@ -112,11 +111,9 @@ impl Raft {
     /// [`LoadError`] if the file cannot be read or holds another network.
     pub fn load(path: &Path, on: impl Into<Compute>) -> Result<Self, LoadError> {
         let on: Compute = on.into();
-        let device = &on.device;
-        let mut net = Net::new(device);
+        let mut net = Net::new(&on.device);
         load::fill(&mut net, "RAFT", path, &RENAMES, unneeded)?;
-        let net = on.fit(net);
-        Ok(Self { net, device: device.clone() })
+        Ok(Self { net: on.fit(net), device: on.device })
     }
 
     /// What the network keeps of `image`.
@@ -234,7 +231,6 @@ fn channels_first(x: Tensor<4>) -> Tensor<4> {
 /// An image in the middle of one whose sides are multiples of [`FACTOR`] and no less than [`LEAST`], its edges repeated.
 #[derive(Debug, Clone, Copy)]
 struct Padding {
-    /// Width and height of the image.
     size: (usize, usize),
     /// Width and height that the network works with.
     padded: (usize, usize),

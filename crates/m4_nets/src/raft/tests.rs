@@ -46,8 +46,7 @@ fn parts_agree_with_the_published_module() {
 #[test]
 fn the_unit_is_the_published_one() {
     use burn_core::tensor::activation::sigmoid;
-    use burn_core::tensor::module::conv2d;
-    use burn_core::tensor::ops::ConvOptions;
+    use burn_nn::conv::Conv2d;
     let net = network();
     let gru = &net.net.update_block.gru;
     let map = |key: &str| {
@@ -58,11 +57,7 @@ fn the_unit_is_the_published_one() {
     let got = gru.with_context(&context).forward(hidden.clone(), &motion);
     let x = Tensor::cat(vec![context, motion], 1);
     let want = gru.kernels().into_iter().fold(hidden, |h, [z, r, q]| {
-        let through = |h: Tensor<4>, (weight, bias): (Tensor<4>, Tensor<1>)| {
-            let [_, _, rows, columns] = weight.dims();
-            let options = ConvOptions::new([1, 1], [rows / 2, columns / 2], [1, 1], 1);
-            conv2d(Tensor::cat(vec![h, x.clone()], 1), weight, Some(bias), options)
-        };
+        let through = |h: Tensor<4>, kernel: &Conv2d| kernel.forward(Tensor::cat(vec![h, x.clone()], 1));
         let (z, r) = (sigmoid(through(h.clone(), z)), sigmoid(through(h.clone(), r)));
         let q = tanh(through(r * h.clone(), q));
         (z.ones_like() - z.clone()) * h + z * q

@@ -1,12 +1,11 @@
 //! What one iteration adds to the flow (section 3.3 of the paper).
 
-use crate::ops::{conv, convolve, with_weights, zeros};
+use crate::ops::{conv, conv_by, convolve, with_weights};
 use burn_core as burn;
 use burn_core::module::{Module, Param};
 use burn_core::tensor::activation::{relu, sigmoid, tanh};
 use burn_core::tensor::{Device, Tensor};
-use burn_nn::conv::{Conv2d, Conv2dConfig};
-use burn_nn::{Initializer, PaddingConfig2d};
+use burn_nn::conv::Conv2d;
 
 /// Rows and columns of the image in a pixel of the map.
 pub const FACTOR: usize = 8;
@@ -63,7 +62,6 @@ impl MaskHead {
     }
 }
 
-/// The parts of an iteration.
 #[derive(Module, Debug)]
 pub struct UpdateBlock {
     pub encoder: MotionEncoder,
@@ -96,39 +94,25 @@ pub const WIDTH: usize = 128;
 /// Pixels that a kernel spans.
 const SPAN: usize = 5;
 
-/// A kernel along one axis, of `[hidden, context, motion]` to [`WIDTH`] channels.
-#[derive(Module, Debug)]
-pub struct Kernel {
-    /// `[128, 384, 1, 5]` or `[128, 384, 5, 1]`.
-    weight: Param<Tensor<4>>,
-    bias: Param<Tensor<1>>,
+/// What of `kernel`, of `[hidden, context, motion]` to [`WIDTH`] channels along one axis, the input number `i` meets.
+fn part(kernel: &Conv2d, i: usize) -> Tensor<4> {
+    kernel.weight.val().narrow(1, i * WIDTH, WIDTH)
 }
 
-impl Kernel {
-    fn new([rows, columns]: [usize; 2], device: &Device) -> Self {
-        Self { weight: zeros([WIDTH, 3 * WIDTH, rows, columns], device), bias: zeros([WIDTH], device) }
-    }
-
-    /// What of the kernel the input number `i` meets.
-    fn part(&self, i: usize) -> Tensor<4> {
-        self.weight.val().narrow(1, i * WIDTH, WIDTH)
-    }
-
-    /// What the hidden state and the motion meet, side by side.
-    fn moving(&self) -> Tensor<4> {
-        Tensor::cat(vec![self.part(0), self.part(2)], 1)
-    }
+/// What the hidden state and the motion meet, side by side.
+fn moving(kernel: &Conv2d) -> Tensor<4> {
+    Tensor::cat(vec![part(kernel, 0), part(kernel, 2)], 1)
 }
 
 /// The unit's weights; 1 is along rows, 2 along columns.
 #[derive(Module, Debug)]
 pub struct SepConvGru {
-    convz1: Kernel,
-    convr1: Kernel,
-    convq1: Kernel,
-    convz2: Kernel,
-    convr2: Kernel,
-    convq2: Kernel,
+    convz1: Conv2d,
+    convr1: Conv2d,
+    convq1: Conv2d,
+    convz2: Conv2d,
+    convr2: Conv2d,
+    convq2: Conv2d,
 }
 
 /// The unit for the context of some images.
@@ -152,8 +136,8 @@ struct Pass {
 
 impl SepConvGru {
     pub fn new(device: &Device) -> Self {
-        let along_row = || Kernel::new([1, SPAN], device);
-        let along_column = || Kernel::new([SPAN, 1], device);
+        let kernel = |size| conv_by([3 * WIDTH, WIDTH], size, true, device);
+        let (along_row, along_column) = (|| kernel([1, SPAN]), || kernel([SPAN, 1]));
         Self {
             convz1: along_row(),
             convr1: along_row(),
@@ -164,35 +148,26 @@ impl SepConvGru {
         }
     }
 
-    /// Kernels and biases as they are, `z`, `r` and `q` of each axis.
+    /// Kernels as they are, `z`, `r` and `q` of each axis.
     #[cfg(test)]
-    pub fn kernels(&self) -> [[(Tensor<4>, Tensor<1>); 3]; 2] {
+    pub fn kernels(&self) -> [[&Conv2d; 3]; 2] {
         [[&self.convz1, &self.convr1, &self.convq1], [&self.convz2, &self.convr2, &self.convq2]]
-            .map(|axis| axis.map(|kernel| (kernel.weight.val(), kernel.bias.val())))
     }
 
     /// For the context `[n, 128, h, w]`.
     pub fn with_context(&self, context: &Tensor<4>) -> Unit {
-        let device = context.device();
-        let layer = |kernel: Tensor<4>, bias: Option<Tensor<1>>| {
-            let [to, from, rows, columns] = kernel.dims();
-            let pad = PaddingConfig2d::Explicit(rows / 2, columns / 2, rows / 2, columns / 2);
-            let plain = Conv2dConfig::new([from, to], [rows, columns])
-                .with_padding(pad)
-                .with_bias(false)
-                .with_initializer(Initializer::Zeros)
-                .init(&device);
-            with_weights(plain, kernel, bias)
-        };
-        let of_context = |kernel, bias| convolve([context.clone()], &layer(kernel, Some(bias)));
-        let pass = |z: &Kernel, r: &Kernel, q: &Kernel| {
-            let gates = Tensor::cat(vec![z.part(1), r.part(1)], 0);
-            let bias = Tensor::cat(vec![z.bias.val(), r.bias.val()], 0);
+        let pass = |z: &Conv2d, r: &Conv2d, q: &Conv2d| {
+            let layer = |weight: Tensor<4>, bias: Option<Tensor<1>>| with_weights(z.clone(), weight, bias);
+            let of_context = |weight, bias| convolve([context.clone()], &layer(weight, bias));
+            let bias = [z, r].into_iter().filter_map(|kernel| kernel.bias.as_ref().map(Param::val));
             Pass {
-                gates: layer(Tensor::cat(vec![z.moving(), r.moving()], 0), None),
-                candidate: layer(q.moving(), None),
-                gates_context: of_context(gates, bias),
-                candidate_context: of_context(q.part(1), q.bias.val()),
+                gates: layer(Tensor::cat(vec![moving(z), moving(r)], 0), None),
+                candidate: layer(moving(q), None),
+                gates_context: of_context(
+                    Tensor::cat(vec![part(z, 1), part(r, 1)], 0),
+                    Some(Tensor::cat(bias.collect(), 0)),
+                ),
+                candidate_context: of_context(part(q, 1), q.bias.as_ref().map(Param::val)),
             }
         };
         Unit {

@@ -13,26 +13,26 @@ use burn_nn::{LayerNorm, Linear};
 const HEADS: usize = 8;
 const MLP_WIDTH: usize = 2048;
 
-/// Attention of eight heads, of `inner` channels together.
 #[derive(Module, Debug)]
 pub struct Attention {
-    q_proj: Linear,
-    k_proj: Linear,
-    v_proj: Linear,
-    out_proj: Linear,
+    pub q_proj: Linear,
+    pub k_proj: Linear,
+    pub v_proj: Linear,
+    pub out_proj: Linear,
 }
 
 impl Attention {
-    fn new(inner: usize, device: &Device) -> Self {
+    /// To keys and values of `from` channels, in `inner` channels of all heads together.
+    pub fn new(from: usize, inner: usize, device: &Device) -> Self {
         Self {
             q_proj: linear(WIDTH, inner, true, device),
-            k_proj: linear(WIDTH, inner, true, device),
-            v_proj: linear(WIDTH, inner, true, device),
+            k_proj: linear(from, inner, true, device),
+            v_proj: linear(from, inner, true, device),
             out_proj: linear(inner, WIDTH, true, device),
         }
     }
 
-    /// Of `q` `[b, n, 256]`, `k` and `v` `[b, m, 256]`: `[b, n, 256]`.
+    /// In eight heads, of `q` `[b, n, 256]`, `k` and `v` `[b, m, 256]`: `[b, n, 256]`.
     fn forward(&self, q: Tensor<3>, k: Tensor<3>, v: Tensor<3>) -> Tensor<3> {
         let split = |x: Tensor<3>| {
             let [b, n, c] = x.dims();
@@ -47,7 +47,6 @@ impl Attention {
     }
 }
 
-/// The feed-forward layer of the tokens.
 #[derive(Module, Debug)]
 struct FeedForward {
     lin1: Linear,
@@ -71,9 +70,9 @@ impl Layer {
     fn new(device: &Device) -> Self {
         let norm = || norm(WIDTH, device);
         Self {
-            self_attn: Attention::new(WIDTH, device),
+            self_attn: Attention::new(WIDTH, WIDTH, device),
             norm1: norm(),
-            cross_attn_token_to_image: Attention::new(WIDTH / 2, device),
+            cross_attn_token_to_image: Attention::new(WIDTH, WIDTH / 2, device),
             norm2: norm(),
             mlp: FeedForward {
                 lin1: linear(WIDTH, MLP_WIDTH, true, device),
@@ -81,7 +80,7 @@ impl Layer {
             },
             norm3: norm(),
             norm4: norm(),
-            cross_attn_image_to_token: Attention::new(WIDTH / 2, device),
+            cross_attn_image_to_token: Attention::new(WIDTH, WIDTH / 2, device),
         }
     }
 
@@ -98,7 +97,6 @@ impl Layer {
     }
 }
 
-/// The transformer.
 #[derive(Module, Debug)]
 pub struct TwoWay {
     layers: [Layer; 2],
@@ -110,7 +108,7 @@ impl TwoWay {
     pub fn new(device: &Device) -> Self {
         Self {
             layers: std::array::from_fn(|_| Layer::new(device)),
-            final_attn_token_to_image: Attention::new(WIDTH / 2, device),
+            final_attn_token_to_image: Attention::new(WIDTH, WIDTH / 2, device),
             norm_final_attn: norm(WIDTH, device),
         }
     }
@@ -149,7 +147,6 @@ impl TwoWay {
 /// Channels of the map that masks are made of.
 pub const MAP_WIDTH: usize = WIDTH / 8;
 
-/// Three linear layers.
 #[derive(Module, Debug)]
 pub struct Mlp {
     layers: [Linear; 3],

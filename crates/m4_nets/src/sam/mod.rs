@@ -3,21 +3,50 @@
 mod decoder;
 mod prompt_encoder;
 
-pub use decoder::{MAP_WIDTH, Mlp, TwoWay, Upscaling};
+pub use decoder::{Attention, MAP_WIDTH, Mlp, TwoWay, Upscaling};
 pub use prompt_encoder::{PromptEncoder, Token};
 
 use crate::NetError;
 use crate::error::refuse;
 use burn_core::tensor::Tensor;
-use burn_nn::LayerNorm;
+use burn_core::tensor::ops::PadMode;
 use m4_core::Plane;
 
 /// Channels of embeddings and of tokens.
 pub const WIDTH: usize = 256;
 
-/// `norm` over the channels of `x` `[n, c, h, w]`.
-pub fn over_channels(norm: &LayerNorm, x: Tensor<4>) -> Tensor<4> {
-    norm.forward(x.permute([0, 2, 3, 1])).permute([0, 3, 1, 2])
+/// Names of both checkpoints that are not those of fields.
+pub const RENAMES: [(&str, &str); 8] = [
+    (r"\.mask_downscaling\.0\.", ".mask_downscaling.half."),
+    (r"\.mask_downscaling\.1\.", ".mask_downscaling.norm1."),
+    (r"\.mask_downscaling\.3\.", ".mask_downscaling.quarter."),
+    (r"\.mask_downscaling\.4\.", ".mask_downscaling.norm2."),
+    (r"\.mask_downscaling\.6\.", ".mask_downscaling.wide."),
+    (r"\.output_upscaling\.0\.", ".output_upscaling.twice."),
+    (r"\.output_upscaling\.1\.", ".output_upscaling.norm."),
+    (r"\.output_upscaling\.3\.", ".output_upscaling.again."),
+];
+
+/// `x` `[n, h, w, c]` cut into windows of `side` by `side`, zeros beyond the map: `[n rows columns, side, side, c]`.
+pub fn cut(x: Tensor<4>, side: usize) -> Tensor<4> {
+    let [n, h, w, c] = x.dims();
+    let [rows, columns] = [h.div_ceil(side), w.div_ceil(side)];
+    let x = if rows * side == h && columns * side == w {
+        x
+    } else {
+        let beyond = [(0, 0), (0, rows * side - h), (0, columns * side - w), (0, 0)];
+        x.pad(beyond, PadMode::Constant(0.0))
+    };
+    x.reshape([n, rows, side, columns, side, c]).swap_dims(2, 3).reshape([n * rows * columns, side, side, c])
+}
+
+/// What [`cut`] made of `n` maps, put together to maps of `h` by `w`; what lies beyond is left out.
+pub fn joined(windows: Tensor<4>, n: usize, [h, w]: [usize; 2]) -> Tensor<4> {
+    let [_, side, _, c] = windows.dims();
+    let [rows, columns] = [h.div_ceil(side), w.div_ceil(side)];
+    let x =
+        windows.reshape([n, rows, columns, side, side, c]).swap_dims(2, 3).reshape([n, rows * side, columns * side, c]);
+    if rows * side == h && columns * side == w { x } else { x.narrow(1, 0, h).narrow(2, 0, w) }
 }
 
 /// A place in an image, and whether it belongs to the object.

@@ -1,7 +1,7 @@
 //! Prompts as tokens and maps.
 
-use super::{WIDTH, over_channels};
-use crate::ops::{fine_norm, gelu, patch_conv, tensor, zeros};
+use super::WIDTH;
+use crate::ops::{fine_norm, gelu, over_channels, patch_conv, tensor, zeros};
 use burn_core as burn;
 use burn_core::module::{Module, Param};
 use burn_core::tensor::{Device, Tensor};
@@ -71,7 +71,6 @@ impl MaskDownscaling {
     }
 }
 
-/// The prompt encoder.
 #[derive(Module, Debug)]
 pub struct PromptEncoder {
     pe_layer: Waves,

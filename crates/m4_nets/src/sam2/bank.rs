@@ -76,11 +76,6 @@ impl Object {
         self.conditioning.get(&frame).or_else(corrected)
     }
 
-    /// Earlier logits of a frame.
-    pub fn logits(&self, frame: usize) -> Option<&Plane<f32>> {
-        self.at(frame).map(|entry| &entry.mask.logits)
-    }
-
     /// Puts what was shown in a frame, now with a memory, where it belongs.
     pub fn settle(&mut self, frame: usize, entry: Entry, conditions: bool) {
         if conditions {

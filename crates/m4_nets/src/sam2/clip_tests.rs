@@ -4,6 +4,7 @@ use super::tests::{LIMIT, TINY, assert_map, assert_numbers, loaded, point};
 use super::*;
 use crate::cpu;
 use crate::fixture::Fixture;
+use crate::sam::Prompt;
 use m4_core::Silent;
 use m4_testkit::FormulaWeights;
 use std::collections::BTreeMap;
@@ -181,12 +182,15 @@ fn memory_does_not_grow_with_the_clip() {
     let clip = Clip { frames: 60, width: 64, height: 64 };
     let images = Box::new(|i: usize| Ok(RgbImage::from_fn(64, 64, |x, y| [(x + i) as u8, (4 * y) as u8, 90])));
     let mut predictor = VideoPredictor::new(net, clip, images, 0).unwrap();
-    predictor.show(0, 7, &Prompt { points: vec![point(&[12.0, 25.0], true)], ..Prompt::default() }).unwrap();
+    let prompt = Prompt { points: vec![point(&[12.0, 25.0], true)], ..Prompt::default() };
+    predictor.show(0, 7, &prompt).unwrap();
     predictor.follow(0..=59, Direction::Forward, &Silent, |_, _| ()).unwrap();
     let object = &predictor.objects[&7];
     for frame in 0..60 {
         let near = |reach: usize| frame <= reach || 59 - frame <= reach;
         assert_eq!(object.at(frame).is_some(), near(15), "frame {frame}");
         assert_eq!(object.at(frame).is_some_and(|entry| entry.memory.is_some()), near(6), "frame {frame}");
-    }
+    } // a frame that was forgotten can be corrected
+    predictor.show(30, 7, &prompt).unwrap();
+    predictor.follow(25..=30, Direction::Backward, &Silent, |_, _| ()).unwrap();
 }

@@ -74,11 +74,8 @@ pub struct Config {
 /// How a block is made.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct BlockConfig {
-    /// Channels before it.
     pub from: usize,
-    /// Channels after it.
     pub to: usize,
-    /// Heads.
     pub heads: usize,
     /// Side of its windows; `None` for the whole image.
     pub window: Option<usize>,
@@ -89,7 +86,6 @@ pub struct BlockConfig {
 }
 
 impl Config {
-    /// Blocks of all stages.
     pub fn depth(&self) -> usize {
         self.stages.iter().sum()
     }

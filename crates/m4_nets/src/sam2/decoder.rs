@@ -12,7 +12,6 @@ use burn_nn::conv::Conv2d;
 /// Masks of a prompt: one that is meant beyond doubt, three readings of a prompt that is ambiguous.
 pub const MASKS: usize = 4;
 
-/// The decoder.
 #[derive(Module, Debug)]
 pub struct MaskDecoder {
     transformer: TwoWay,

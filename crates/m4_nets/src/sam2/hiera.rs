@@ -3,48 +3,34 @@
 //! and one repeated in windows (Bolya et al., "Window Attention is Bugged", ICLR 2024).
 
 use super::config::{BlockConfig, Config};
-use crate::ops::{Kernels, attend_heads, conv, fine_norm, gelu, linear, resampled, tensor, zeros};
-use crate::sam::WIDTH;
+use crate::ops::{Kernels, attend_heads, conv, fine_norm, gelu, in_parts, linear, resampled, tensor, zeros};
+use crate::sam::{WIDTH, cut, joined};
 use burn_core as burn;
 use burn_core::module::{Module, Param};
-use burn_core::tensor::ops::PadMode;
 use burn_core::tensor::{DType, Device, Tensor};
-use burn_nn::conv::{Conv2d, Conv2dConfig};
-use burn_nn::{Initializer, LayerNorm, Linear, PaddingConfig2d};
+use burn_nn::conv::Conv2d;
+use burn_nn::{LayerNorm, Linear};
 
 /// Pixels a side that become one.
 pub const PATCH: usize = 4;
 
-/// The first layer.
-#[derive(Module, Debug)]
-pub struct PatchEmbed {
-    proj: Conv2d,
-}
-
-/// The encoder.
 #[derive(Module, Debug)]
 pub struct Hiera {
     /// `[1, c, s, s]`.
     pos_embed: Param<Tensor<4>>,
     /// `[1, c, 8, 8]`.
     pos_embed_window: Param<Tensor<4>>,
-    patch_embed: PatchEmbed,
-    /// All blocks.
+    patch_embed: Conv2d,
     pub blocks: Vec<Block>,
 }
 
 impl Hiera {
     pub fn new(config: &Config, device: &Device) -> Self {
         let (c, s, window) = (config.width, config.background, config.windows[0]);
-        let proj = Conv2dConfig::new([3, c], [7, 7])
-            .with_stride([PATCH, PATCH])
-            .with_padding(PaddingConfig2d::Explicit(3, 3, 3, 3))
-            .with_initializer(Initializer::Zeros)
-            .init(device);
         Self {
             pos_embed: zeros([1, c, s, s], device),
             pos_embed_window: zeros([1, c, window, window], device),
-            patch_embed: PatchEmbed { proj },
+            patch_embed: conv([3, c], 7, PATCH, true, device),
             blocks: config.blocks().into_iter().map(|b| Block::new(b, device)).collect(),
         }
     }
@@ -67,7 +53,7 @@ impl Hiera {
     /// Of an image `[1, 3, 4 h, 4 w]` and its `positions` `[1, h, w, c]`: what each stage ends with, `[1, h, w, c]`, then half the rows and
     /// columns and twice the channels per stage.
     pub fn forward(&self, image: Tensor<4>, positions: Tensor<4>) -> Vec<Tensor<4>> {
-        let mut x = self.patch_embed.proj.forward(image).permute([0, 2, 3, 1]) + positions;
+        let mut x = self.patch_embed.forward(image).permute([0, 2, 3, 1]) + positions;
         let mut stages = Vec::new();
         for block in &self.blocks {
             x = block.forward(x);
@@ -113,31 +99,23 @@ impl Attention {
     }
 }
 
-/// The feed-forward layer.
 #[derive(Module, Debug)]
 pub struct Mlp {
     layers: [Linear; 2],
 }
 
-/// Pixels that the feed-forward layer takes at a time on the processor: their wide channels stay near.
+/// Pixels that the feed-forward layer takes at a time.
 const MLP_PIXELS: usize = 1024;
 
 impl Mlp {
     fn forward(&self, x: Tensor<4>) -> Tensor<4> {
         let [n, h, w, c] = x.dims();
         let [wide, narrow] = &self.layers;
-        let some = |x: Tensor<2>| narrow.forward(gelu(wide.forward(x)));
-        let x = x.reshape([n * h * w, c]);
-        let x = if x.device() == Device::flex() {
-            Tensor::cat(x.split(MLP_PIXELS, 0).into_iter().map(some).collect(), 0)
-        } else {
-            some(x)
-        };
-        x.reshape([n, h, w, c])
+        let pixels = x.reshape([n * h * w, c]);
+        in_parts(pixels, 0, MLP_PIXELS, |x| narrow.forward(gelu(wide.forward(x)))).reshape([n, h, w, c])
     }
 }
 
-/// A block.
 #[derive(Module, Debug)]
 pub struct Block {
     norm1: LayerNorm,
@@ -190,28 +168,6 @@ impl Block {
     }
 }
 
-/// `x` `[n, h, w, c]` cut into windows of `side` by `side`, zeros beyond the map: `[n rows columns, side, side, c]`.
-pub fn cut(x: Tensor<4>, side: usize) -> Tensor<4> {
-    let [n, h, w, c] = x.dims();
-    let [rows, columns] = [h.div_ceil(side), w.div_ceil(side)];
-    let x = if rows * side == h && columns * side == w {
-        x
-    } else {
-        let beyond = [(0, 0), (0, rows * side - h), (0, columns * side - w), (0, 0)];
-        x.pad(beyond, PadMode::Constant(0.0))
-    };
-    x.reshape([n, rows, side, columns, side, c]).swap_dims(2, 3).reshape([n * rows * columns, side, side, c])
-}
-
-/// What [`cut`] made of `n` maps, put together to maps of `h` by `w`; what lies beyond is left out.
-pub fn joined(windows: Tensor<4>, n: usize, [h, w]: [usize; 2]) -> Tensor<4> {
-    let [_, side, _, c] = windows.dims();
-    let [rows, columns] = [h.div_ceil(side), w.div_ceil(side)];
-    let x =
-        windows.reshape([n, rows, columns, side, side, c]).swap_dims(2, 3).reshape([n, rows * side, columns * side, c]);
-    if rows * side == h && columns * side == w { x } else { x.narrow(1, 0, h).narrow(2, 0, w) }
-}
-
 /// The largest of each 2 by 2 pixels of `x` `[n, h, w, c]`: `[n, h / 2, w / 2, c]`; a last odd row or column is left out.
 pub fn halved(x: Tensor<4>) -> Tensor<4> {
     let [n, h, w, c] = x.dims();
@@ -222,25 +178,15 @@ pub fn halved(x: Tensor<4>) -> Tensor<4> {
     x.clone().narrow(3, 0, c).max_pair(x.narrow(3, c, c))
 }
 
-/// A convolution of single pixels.
-#[derive(Module, Debug)]
-pub struct Lateral {
-    conv: Conv2d,
-}
-
-/// The neck.
 #[derive(Module, Debug)]
 pub struct Neck {
     /// From the coarsest stage to the finest.
-    convs: [Lateral; 4],
+    convs: [Conv2d; 4],
 }
 
-/// The image encoder.
 #[derive(Module, Debug)]
 pub struct ImageEncoder {
-    /// Its stages.
     pub trunk: Hiera,
-    /// What makes features of them.
     pub neck: Neck,
 }
 
@@ -287,14 +233,12 @@ impl Pointwise {
 
 impl Neck {
     pub fn new(config: &Config, device: &Device) -> Self {
-        Self {
-            convs: std::array::from_fn(|i| Lateral { conv: conv([config.width_of(3 - i), WIDTH], 1, 1, true, device) }),
-        }
+        Self { convs: std::array::from_fn(|i| conv([config.width_of(3 - i), WIDTH], 1, 1, true, device)) }
     }
 
     /// The layer of a stage, 0 for the finest.
     pub fn of_stage(&self, stage: usize) -> Pointwise {
-        Pointwise::of(&self.convs[3 - stage].conv)
+        Pointwise::of(&self.convs[3 - stage])
     }
 }
 

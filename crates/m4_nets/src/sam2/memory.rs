@@ -5,30 +5,21 @@
 //! projects each memory before: the same but for rounding, as weights sum to one, for a quarter of the operations.
 
 use super::hiera::Pointwise;
-use crate::ops::{attend_heads, conv, depthwise7, fine_norm, gelu, linear, norm, tensor};
-use crate::sam::WIDTH;
+use crate::ops::{ConvNext, attend_heads, conv, fine_norm, gelu, in_parts, linear, norm, tensor};
+use crate::sam::{Attention, WIDTH};
 use burn_core as burn;
 use burn_core::module::{Module, Param};
 use burn_core::tensor::activation::relu;
 use burn_core::tensor::{DType, Device, Int, Tensor, TensorData};
 use burn_nn::conv::Conv2d;
-use burn_nn::{Initializer, LayerNorm, Linear};
+use burn_nn::{LayerNorm, Linear};
 
 /// Channels of memories.
 pub const MEMORY_WIDTH: usize = 64;
 const LAYERS: usize = 4;
 const MLP_WIDTH: usize = 2048;
-/// Pixels that the feed-forward layer takes at a time on the processor.
+/// Pixels that the feed-forward layer takes at a time.
 const MLP_PIXELS: usize = 512;
-
-/// Attention with one head.
-#[derive(Module, Debug)]
-pub struct Attention {
-    q_proj: Linear,
-    k_proj: Linear,
-    v_proj: Linear,
-    out_proj: Linear,
-}
 
 /// What is attended to.
 #[derive(Debug, Clone)]
@@ -41,16 +32,8 @@ pub struct Memories {
     pub placed: usize,
 }
 
+/// With one head.
 impl Attention {
-    fn new(from: usize, device: &Device) -> Self {
-        Self {
-            q_proj: linear(WIDTH, WIDTH, true, device),
-            k_proj: linear(from, WIDTH, true, device),
-            v_proj: linear(from, WIDTH, true, device),
-            out_proj: linear(WIDTH, WIDTH, true, device),
-        }
-    }
-
     /// As [`Rotations`] takes queries and keys.
     fn arranged(self) -> Self {
         Self { q_proj: halves_apart(self.q_proj), k_proj: halves_apart(self.k_proj), ..self }
@@ -87,7 +70,6 @@ fn of_one_head(q: Tensor<3>, k: Tensor<3>, v: Tensor<3>) -> Tensor<3> {
     attend_heads(q.unsqueeze_dim(1), k.unsqueeze_dim(1), v.unsqueeze_dim(1)).squeeze_dim(1)
 }
 
-/// A layer.
 #[derive(Module, Debug)]
 pub struct Layer {
     /// Among pixels.
@@ -104,8 +86,8 @@ pub struct Layer {
 impl Layer {
     fn new(device: &Device) -> Self {
         Self {
-            self_attn: Attention::new(WIDTH, device),
-            cross_attn_image: Attention::new(MEMORY_WIDTH, device),
+            self_attn: Attention::new(WIDTH, WIDTH, device),
+            cross_attn_image: Attention::new(MEMORY_WIDTH, WIDTH, device),
             linear1: linear(WIDTH, MLP_WIDTH, true, device),
             linear2: linear(MLP_WIDTH, WIDTH, true, device),
             norm1: norm(WIDTH, device),
@@ -123,21 +105,13 @@ impl Layer {
     }
 
     fn feed(&self, x: Tensor<3>) -> Tensor<3> {
-        let some = |x: Tensor<3>| self.linear2.forward(relu(self.linear1.forward(x)));
         let normal = self.norm3.forward(x.clone());
-        if x.device() == Device::flex() {
-            let parts = normal.split(MLP_PIXELS, 1).into_iter().map(some).collect();
-            x + Tensor::cat(parts, 1)
-        } else {
-            x + some(normal)
-        }
+        x + in_parts(normal, 1, MLP_PIXELS, |x| self.linear2.forward(relu(self.linear1.forward(x))))
     }
 }
 
-/// The layers.
 #[derive(Module, Debug)]
 pub struct MemoryAttention {
-    /// One after the other.
     pub layers: [Layer; LAYERS],
     norm: LayerNorm,
 }
@@ -244,7 +218,7 @@ pub fn halves_apart(layer: Linear) -> Linear {
 /// Channels of the mask, from its own size to a sixteenth.
 const MASK_WIDTHS: [usize; 5] = [1, 4, 16, 64, WIDTH];
 
-/// A mask as features. Named `0`, `3`, `6`, `9` and `1`, `4`, `7`, `10`, and `12` in the checkpoint.
+/// A mask as features. Named `encoder.0`, `3`, `6`, `9` and `1`, `4`, `7`, `10`, and `12` in the checkpoint.
 #[derive(Module, Debug)]
 pub struct MaskEncoder {
     convs: [Conv2d; 4],
@@ -262,7 +236,7 @@ impl MaskEncoder {
     }
 
     /// Of `[b, 1, 16 h, 16 w]`: `[b, h, w, 256]`.
-    fn forward(&self, mask: Tensor<4>) -> Tensor<4> {
+    pub fn forward(&self, mask: Tensor<4>) -> Tensor<4> {
         let mut x = mask.permute([0, 2, 3, 1]);
         for (conv, norm) in self.convs.iter().zip(&self.norms) {
             let smaller = conv.forward(x.permute([0, 3, 1, 2]));
@@ -272,82 +246,27 @@ impl MaskEncoder {
     }
 }
 
-/// Where the checkpoint has the mask's encoder.
-#[derive(Module, Debug)]
-pub struct MaskDownsampler {
-    encoder: MaskEncoder,
-}
-
-impl MaskDownsampler {
-    /// Of `[b, 1, 16 h, 16 w]`: `[b, h, w, 256]`.
-    pub fn forward(&self, mask: Tensor<4>) -> Tensor<4> {
-        self.encoder.forward(mask)
-    }
-}
-
-/// A block of ConvNeXt (Liu et al., "A ConvNet for the 2020s", CVPR 2022): each channel by itself, then each pixel by itself, scaled
-/// and added.
-#[derive(Module, Debug)]
-pub struct FuserBlock {
-    dwconv: Conv2d,
-    norm: LayerNorm,
-    pwconv1: Linear,
-    pwconv2: Linear,
-    gamma: Param<Tensor<1>>,
-}
-
-impl FuserBlock {
-    fn new(device: &Device) -> Self {
-        Self {
-            dwconv: depthwise7(WIDTH, device),
-            norm: fine_norm(WIDTH, device),
-            pwconv1: linear(WIDTH, 4 * WIDTH, true, device),
-            pwconv2: linear(4 * WIDTH, WIDTH, true, device),
-            gamma: Initializer::Ones.init([WIDTH], device),
-        }
-    }
-
-    /// Of `[b, h, w, 256]`: the same shape.
-    fn forward(&self, x: Tensor<4>) -> Tensor<4> {
-        let each = self.dwconv.forward(x.clone().permute([0, 3, 1, 2]));
-        let normal = self.norm.forward(each.permute([0, 2, 3, 1]));
-        let wide = gelu(self.pwconv1.forward(normal));
-        x + self.pwconv2.forward(wide) * self.gamma.val().reshape([1, 1, 1, WIDTH])
-    }
-}
-
-/// The blocks.
-#[derive(Module, Debug)]
-pub struct Fuser {
-    layers: [FuserBlock; 2],
-}
-
-/// The encoder.
 #[derive(Module, Debug)]
 pub struct MemoryEncoder {
-    /// The mask's part.
-    pub mask_downsampler: MaskDownsampler,
+    pub mask_downsampler: MaskEncoder,
     pix_feat_proj: Conv2d,
-    fuser: Fuser,
+    fuser: [ConvNext; 2],
     out_proj: Conv2d,
 }
 
 impl MemoryEncoder {
     pub fn new(device: &Device) -> Self {
         Self {
-            mask_downsampler: MaskDownsampler { encoder: MaskEncoder::new(device) },
+            mask_downsampler: MaskEncoder::new(device),
             pix_feat_proj: conv([WIDTH, WIDTH], 1, 1, true, device),
-            fuser: Fuser { layers: std::array::from_fn(|_| FuserBlock::new(device)) },
+            fuser: std::array::from_fn(|_| ConvNext::new(WIDTH, fine_norm(WIDTH, device), device)),
             out_proj: conv([WIDTH, MEMORY_WIDTH], 1, 1, true, device),
         }
     }
 
     /// Of a frame's features `[1, h, w, 256]` and `b` masks `[b, 1, 16 h, 16 w]`, from -10 to 10: `[b, h, w, 64]`.
     pub fn forward(&self, map: Tensor<4>, masks: Tensor<4>) -> Tensor<4> {
-        let mut x = Pointwise::of(&self.pix_feat_proj).forward(map) + self.mask_downsampler.forward(masks);
-        for layer in &self.fuser.layers {
-            x = layer.forward(x);
-        }
-        Pointwise::of(&self.out_proj).forward(x)
+        let x = Pointwise::of(&self.pix_feat_proj).forward(map) + self.mask_downsampler.forward(masks);
+        Pointwise::of(&self.out_proj).forward(self.fuser.iter().fold(x, |x, block| block.forward(x)))
     }
 }

@@ -11,8 +11,7 @@
 //! features, mask --MemoryEncoder--> a memory [64 * 64, 64];  the mask's token --> a pointer [256]
 //! ```
 //!
-//! [`Sam2`] is the network, [`Sam2::encode`] and [`Sam2::masks`] are of single images; [`VideoPredictor`] follows objects. Places are
-//! in pixels of the image as everywhere in this library: the centre of its first pixel is (0.5, 0.5).
+//! [`Sam2`] is the network, [`VideoPredictor`] follows objects. Places are in pixels of the image as everywhere in this library: the centre of its first pixel is (0.5, 0.5).
 //!
 //! Inside, maps have their channels last, so that normalisations and linear layers read rows.
 
@@ -35,15 +34,15 @@ pub use video::{Clip, Direction, VideoPredictor};
 
 use crate::error::{numbers, refuse};
 use crate::ops::{Kernels, linear, patch_conv, sine_positions, tensor, zeros};
-use crate::sam::{Mlp, Prompt, PromptEncoder, WIDTH};
-use crate::{Compute, LoadError, NetError, load};
+use crate::sam::{Mlp, PromptEncoder, WIDTH};
+use crate::{Compute, LoadError, NetError, load, sam};
 use burn_core as burn;
 use burn_core::module::{Module, Param};
 use burn_core::tensor::{DType, Device, Tensor};
 use burn_nn::Linear;
 use burn_nn::conv::Conv2d;
 use config::Config;
-use decoder::{Decoded, MASKS, MaskDecoder};
+use decoder::{Decoded, MaskDecoder};
 use hiera::{Hiera, ImageEncoder, Neck, PATCH, Pointwise, repeated};
 use m4_core::{Plane, RgbImage};
 use memory::{MEMORY_WIDTH, MemoryAttention, MemoryEncoder, Rotations};
@@ -61,31 +60,31 @@ const MEMORIES: usize = 7;
 /// The logits of an object that is missing.
 const ABSENT: f32 = -1024.0;
 
-/// Names of the checkpoint that are not those of fields.
-const RENAMES: [(&str, &str); 22] = [
+/// Names of the checkpoint that are not those of fields, beside [`sam::RENAMES`].
+const RENAMES: [(&str, &str); 18] = [
     (r"^model\.", ""),
+    (r"\.patch_embed\.proj\.", ".patch_embed."),
+    (r"\.neck\.convs\.(\d)\.conv\.", ".neck.convs.$1."),
+    (r"\.mask_downsampler\.encoder\.", ".mask_downsampler."),
+    (r"\.fuser\.layers\.", ".fuser."),
     (r"\.transformer\.layers\.(\d)\.mlp\.layers\.0\.", ".transformer.layers.$1.mlp.lin1."),
     (r"\.transformer\.layers\.(\d)\.mlp\.layers\.1\.", ".transformer.layers.$1.mlp.lin2."),
-    (r"\.encoder\.0\.", ".encoder.convs.0."),
-    (r"\.encoder\.3\.", ".encoder.convs.1."),
-    (r"\.encoder\.6\.", ".encoder.convs.2."),
-    (r"\.encoder\.9\.", ".encoder.convs.3."),
-    (r"\.encoder\.1\.", ".encoder.norms.0."),
-    (r"\.encoder\.4\.", ".encoder.norms.1."),
-    (r"\.encoder\.7\.", ".encoder.norms.2."),
-    (r"\.encoder\.10\.", ".encoder.norms.3."),
-    (r"\.encoder\.12\.", ".encoder.out."),
-    (r"\.mask_downscaling\.0\.", ".mask_downscaling.half."),
-    (r"\.mask_downscaling\.1\.", ".mask_downscaling.norm1."),
-    (r"\.mask_downscaling\.3\.", ".mask_downscaling.quarter."),
-    (r"\.mask_downscaling\.4\.", ".mask_downscaling.norm2."),
-    (r"\.mask_downscaling\.6\.", ".mask_downscaling.wide."),
-    (r"\.output_upscaling\.0\.", ".output_upscaling.twice."),
-    (r"\.output_upscaling\.1\.", ".output_upscaling.norm."),
-    (r"\.output_upscaling\.3\.", ".output_upscaling.again."),
+    (r"\.mask_downsampler\.0\.", ".mask_downsampler.convs.0."),
+    (r"\.mask_downsampler\.3\.", ".mask_downsampler.convs.1."),
+    (r"\.mask_downsampler\.6\.", ".mask_downsampler.convs.2."),
+    (r"\.mask_downsampler\.9\.", ".mask_downsampler.convs.3."),
+    (r"\.mask_downsampler\.1\.", ".mask_downsampler.norms.0."),
+    (r"\.mask_downsampler\.4\.", ".mask_downsampler.norms.1."),
+    (r"\.mask_downsampler\.7\.", ".mask_downsampler.norms.2."),
+    (r"\.mask_downsampler\.10\.", ".mask_downsampler.norms.3."),
+    (r"\.mask_downsampler\.12\.", ".mask_downsampler.out."),
     (r"^sam_prompt_encoder\.", "prompt_encoder."),
     (r"^sam_mask_decoder\.", "mask_decoder."),
 ];
+
+fn renames() -> Vec<(&'static str, &'static str)> {
+    [&RENAMES[..], &sam::RENAMES].concat()
+}
 
 /// Whether a tensor of the checkpoint is of no use here: the position of no memory, which is for a way of starting that no published
 /// size takes.
@@ -93,10 +92,8 @@ fn unneeded(name: &str) -> bool {
     name == "no_mem_pos_enc"
 }
 
-/// What the network is called in errors.
 const NAME: &str = "SAM 2.1";
 
-/// Fields as in the checkpoint.
 #[derive(Module, Debug)]
 struct Net {
     image_encoder: ImageEncoder,
@@ -169,9 +166,7 @@ pub struct Sam2 {
 
 /// What the network makes of an image, for any number of prompts.
 #[derive(Debug, Clone)]
-pub struct Features {
-    /// Columns and rows of the image.
-    frame: (usize, usize),
+struct Features {
     /// `[1, n, 256]`.
     map: Tensor<3>,
     /// `[1, 2 h, 2 w, 64]` and `[1, 4 h, 4 w, 32]`.
@@ -188,9 +183,9 @@ impl Sam2 {
         let on: Compute = on.into();
         let device = on.device.clone();
         // a size that none of ours has is reported against the smallest
-        let size = Sam2Size::of(&load::shapes(NAME, path, &RENAMES)?).unwrap_or(Sam2Size::Tiny);
+        let size = Sam2Size::of(&load::shapes(NAME, path, &renames())?).unwrap_or(Sam2Size::Tiny);
         let mut net = Net::new(&size.config(), &device);
-        load::fill(&mut net, NAME, path, &RENAMES, unneeded)?;
+        load::fill(&mut net, NAME, path, &renames(), unneeded)?;
         Ok(Self::of(net, size, SIDE, &on))
     }
 
@@ -244,18 +239,14 @@ impl Sam2 {
         self.side / MASK_STRIDE
     }
 
-    /// The features of `image`.
-    ///
-    /// # Errors
-    ///
-    /// [`NetError::Input`] if it has none.
-    pub fn encode(&self, image: &RgbImage) -> Result<Features, NetError> {
+    /// The features of `image`; fails if it has no pixels.
+    fn encode(&self, image: &RgbImage) -> Result<Features, NetError> {
         let input = prompts::squared(image, self.side, &self.device)?.cast(self.dtype);
         let trunk = &self.net.image_encoder.trunk;
         let stages = trunk.forward(input, self.tables.trunk.clone());
         let [s0, s1, map, coarse] = self.level(stages);
         let n = self.tables.grid * self.tables.grid;
-        Ok(Features { frame: image.size(), map: (map + repeated(coarse)).reshape([1, n, WIDTH]), fine: [s1, s0] })
+        Ok(Features { map: (map + repeated(coarse)).reshape([1, n, WIDTH]), fine: [s1, s0] })
     }
 
     /// Each stage after its layer.
@@ -263,46 +254,6 @@ impl Sam2 {
         let mut stages = stages.into_iter().zip(&self.laterals).map(|(x, layer)| layer.forward(x));
         // a trunk has four stages
         std::array::from_fn(|_| stages.next().unwrap_or_else(|| Tensor::zeros([1, 0, 0, WIDTH], &self.device)))
-    }
-
-    /// Masks of what `prompt` shows in the image of `features`: three where it [is ambiguous](Prompt::is_ambiguous), of which that of the
-    /// highest `iou` is the one to take, else one. The logits are as the network says them, whether or not the object is there.
-    ///
-    /// # Errors
-    ///
-    /// [`NetError`] if the prompt is empty or wrong, or the device fails.
-    pub fn masks(&self, features: &Features, prompt: &Prompt) -> Result<Vec<ObjectMask>, NetError> {
-        let decoded = self.decode(features, features.frame, prompt)?;
-        let score = numbers(decoded.score)?.first().copied().unwrap_or(f32::NAN);
-        let iou = numbers(decoded.iou)?;
-        let first = if prompt.is_ambiguous() {
-            1..MASKS
-        } else {
-            let stability = numbers(recall::stability(&decoded.masks.clone().cast(DType::F32)))?;
-            let one = recall::chosen(&iou, false, stability.first().copied().unwrap_or(f32::NAN));
-            one..one + 1
-        };
-        let candidates = iou.get(first.clone()).unwrap_or_default();
-        first
-            .map(|i| {
-                let logits = decoded.masks.clone().narrow(1, i, 1).squeeze_dim::<3>(1);
-                Ok(ObjectMask {
-                    logits: plane(logits.cast(DType::F32))?,
-                    iou: iou[i],
-                    candidates: candidates.to_vec(),
-                    score,
-                })
-            })
-            .collect()
-    }
-
-    /// What the decoder says of a prompt that has no memory.
-    fn decode(&self, features: &Features, frame: (usize, usize), prompt: &Prompt) -> Result<Decoded, NetError> {
-        prompt.check(frame, self.mask_side())?;
-        let map = features.map.clone() + self.net.no_mem_embed.val();
-        let tokens = prompts::tokens(&self.net.prompt_encoder, prompt, frame, self.side);
-        let mask = prompt.mask_logits.as_ref().map(|mask| prompts::mask(mask, &self.device));
-        Ok(self.decoded(map, features, tokens.unsqueeze_dim(0), mask))
     }
 
     /// What the decoder says of features `[b, n, 256]` and prompts: tokens `[b, k, 256]`, and masks `[b, 1, 4 h, 4 w]` if any.
@@ -355,7 +306,7 @@ impl Tables {
         let grid = side / STRIDE;
         let (n, mask) = (grid * grid, side / MASK_STRIDE);
         let sine = |channels: usize| {
-            let positions = sine_positions([grid, grid], [grid, grid], channels, device);
+            let positions = sine_positions([grid, grid], channels, device);
             positions.reshape([1, n, channels]).cast(dtype)
         };
         let enlarge = Kernels::linear(mask, side).matrix(mask);

@@ -134,7 +134,7 @@ impl<'a> VideoPredictor<'a> {
         let tokens = prompts::tokens(&net.net.prompt_encoder, prompt, size, net.side);
         let given = prompt.mask_logits.as_ref();
         let known = self.objects.get(&object);
-        let mask = given.or_else(|| known?.logits(frame));
+        let mask = given.or_else(|| known?.at(frame).map(|entry| &entry.mask.logits));
         let mask = mask.map(|mask| prompts::mask(mask, &net.device).clamp(-EARLIER_LOGIT, EARLIER_LOGIT));
         let recall = known.and_then(|known| {
             let direction = *known.followed.get(&frame)?;

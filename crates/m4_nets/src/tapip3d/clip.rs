@@ -3,31 +3,20 @@
 use crate::error::ClipError;
 use m4_core::{Camera, DepthMap, RgbImage};
 
-/// A clip whose frames are asked for when they are needed: each some times, in order and in reverse, a window of them kept.
+/// A clip whose frames are asked for when they are needed: each some times, in order and in reverse, a window of them kept. Errors say
+/// what hinders it.
 pub trait PosedClip {
     /// How many frames there are.
     fn frames(&self) -> usize;
 
     /// The image of `frame`, in any size.
-    ///
-    /// # Errors
-    ///
-    /// What hinders it.
     fn image(&self, frame: usize) -> Result<RgbImage, ClipError>;
 
     /// z-depth of `frame` in the unit of the poses, in any size that shows what the image shows. 0, less, or not finite where
     /// it is not known.
-    ///
-    /// # Errors
-    ///
-    /// What hinders it.
     fn depth(&self, frame: usize) -> Result<DepthMap, ClipError>;
 
     /// The camera of `frame`: its pose, and its intrinsics for the image's or any other size.
-    ///
-    /// # Errors
-    ///
-    /// What hinders it.
     fn camera(&self, frame: usize) -> Result<Camera, ClipError>;
 }
 

@@ -12,17 +12,6 @@ use std::fs::File;
 use std::io::Read;
 use std::path::Path;
 
-/// How the scene is brought into the network's space.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum NormMode {
-    /// Not at all.
-    None,
-    /// By a mean, and a standard deviation an axis.
-    Anisotropic,
-    /// By a mean and one standard deviation.
-    Isotropic,
-}
-
 /// What a checkpoint says of itself.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Config {
@@ -31,17 +20,11 @@ pub struct Config {
     /// Frames of a window; even.
     pub window: usize,
     pub levels: usize,
-    pub norm_mode: NormMode,
     pub norm_scale: f32,
-    /// Pixels from 0 to 1 are brought to -1 to 1 before the encoder does so again.
-    pub centre_rgb: bool,
     /// Nearest points of a map.
     pub neighbours: usize,
     /// Heads of the attention between neighbourhoods.
     pub heads: usize,
-    /// One set of weights for all levels.
-    pub shared: bool,
-    /// Heads of the updater.
     pub updater_heads: usize,
 }
 
@@ -64,8 +47,8 @@ impl Config {
     pub fn read(said: &Value) -> Result<Self, String> {
         for (path, only) in ONLY {
             let got = at(said, path);
-            if !got.is_none_or(|got| got == &only()) {
-                return Err(format!("{path} = {} is not known here", got.unwrap_or(&Value::Null)));
+            if let Some(got) = got.filter(|got| got.to_string() != only) {
+                return Err(format!("{path} = {got} is not known here"));
             }
         }
         let updater = text(said, "point_updater.name").unwrap_or_default().to_lowercase();
@@ -83,16 +66,11 @@ impl Config {
                 .map(|side| side as usize)
                 .ok_or("image_size is not rows and columns")
         };
-        let norm_mode = match text(said, "norm_mode").unwrap_or("none").to_lowercase().as_str() {
-            "none" => NormMode::None,
-            "anisotropy" => NormMode::Anisotropic,
-            "isotropic" => NormMode::Isotropic,
-            other => return Err(format!("norm_mode = {other} is not known here")),
-        };
-        let norm_scale = match at(said, "norm_scale") {
-            Some(scale) => scale.as_f64().unwrap_or(f64::NAN),
-            None => 1.0,
-        };
+        let norm_mode = text(said, "norm_mode").unwrap_or("none").to_lowercase();
+        if norm_mode != "isotropic" {
+            return Err(format!("norm_mode = {norm_mode} is not known here"));
+        }
+        let norm_scale = at(said, "norm_scale").map_or(1.0, |scale| scale.as_f64().unwrap_or(f64::NAN));
         if !(norm_scale.is_finite() && norm_scale > 0.0) {
             return Err("norm_scale is no positive number".into());
         }
@@ -100,34 +78,31 @@ impl Config {
             size: (side(1)?, side(0)?),
             window,
             levels: count(said, "corr_levels", Some(4))?,
-            norm_mode,
             norm_scale: norm_scale as f32,
-            centre_rgb: at(said, "center_rgb") == Some(&Value::Bool(true)),
             neighbours: count(said, "corr_feature.k_neighbors", None)?,
             heads: count(said, "corr_feature.transformer_num_heads", None)?,
-            shared: at(said, "corr_feature.share_weights_across_levels") == Some(&Value::Bool(true)),
             updater_heads: count(said, "point_updater.num_heads", Some(8))?,
         })
     }
 }
 
-type Only = (&'static str, fn() -> Value);
-
-/// Options of upstream that the published network does not use, and that are not known here; `null` stands for none.
-const ONLY: [Only; 9] = [
-    ("use_local_pos_input", || Value::Bool(false)),
-    ("use_uv_input", || Value::Bool(false)),
-    ("relative", || Value::Bool(false)),
-    ("encoder.stride", || Value::from(4)),
-    ("corr_feature.use_features", || Value::Bool(false)),
-    ("corr_feature.use_absolute_pos", || Value::Bool(false)),
-    ("corr_feature.better_depth_downsample", || Value::Bool(true)),
-    ("point_updater.add_space_attn", || Value::Bool(true)),
-    ("point_updater.linear_layer_for_vis_conf", || Value::Bool(false)),
+/// Options of upstream that the published network does not use, and that are not known here.
+const ONLY: [(&str, &str); 11] = [
+    ("center_rgb", "false"),
+    ("use_local_pos_input", "false"),
+    ("use_uv_input", "false"),
+    ("relative", "false"),
+    ("encoder.stride", "4"),
+    ("corr_feature.share_weights_across_levels", "false"),
+    ("corr_feature.use_features", "false"),
+    ("corr_feature.use_absolute_pos", "false"),
+    ("corr_feature.better_depth_downsample", "true"),
+    ("point_updater.add_space_attn", "true"),
+    ("point_updater.linear_layer_for_vis_conf", "false"),
 ];
 
 fn at<'a>(said: &'a Value, path: &str) -> Option<&'a Value> {
-    path.split('.').try_fold(said, |value, key| value.get(key))
+    path.split('.').try_fold(said, |value, key| value.get(key)).filter(|value| !value.is_null())
 }
 
 fn text<'a>(said: &'a Value, path: &str) -> Option<&'a str> {
@@ -135,14 +110,11 @@ fn text<'a>(said: &'a Value, path: &str) -> Option<&'a str> {
 }
 
 fn count(said: &Value, path: &str, otherwise: Option<usize>) -> Result<usize, String> {
-    match (at(said, path), otherwise) {
-        (Some(value), _) => {
-            let count = value.as_u64().filter(|n| (1..=MOST).contains(n));
-            count.map(|n| n as usize).ok_or_else(|| format!("{path} = {value} is no number from 1 to {MOST}"))
-        }
-        (None, Some(otherwise)) => Ok(otherwise),
-        (None, None) => Err(format!("{path} is missing")),
-    }
+    let Some(value) = at(said, path) else {
+        return otherwise.ok_or_else(|| format!("{path} is missing"));
+    };
+    let count = value.as_u64().filter(|n| (1..=MOST).contains(n));
+    count.map(|n| n as usize).ok_or_else(|| format!("{path} = {value} is no number from 1 to {MOST}"))
 }
 
 /// The entry `config` of the metadata of a safetensors file; `None` for anything else.
@@ -163,7 +135,6 @@ fn metadata(path: &Path) -> Option<String> {
 /// Widths and numbers of layers.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Sizes {
-    /// Channels of features.
     pub features: usize,
     /// Channels of tokens of neighbourhoods.
     pub tokens: usize,
@@ -173,11 +144,10 @@ pub struct Sizes {
     pub offsets_hidden: usize,
     /// Hidden channels of the feed-forward layers of neighbourhoods.
     pub tokens_hidden: usize,
-    /// Sets of weights for neighbourhoods: a level, or one.
+    /// Sets of weights for neighbourhoods, one a level.
     pub sets: usize,
     /// Channels of what the updater is given.
     pub input: usize,
-    /// Channels of the updater.
     pub hidden: usize,
     /// Hidden channels of its feed-forward layers.
     pub hidden_hidden: usize,
@@ -228,8 +198,8 @@ impl Sizes {
             offsets == width(3),
             format!("offsets of {offsets} numbers are those of options that are not known here"),
         )?;
-        let sets = if config.shared { 1 } else { config.levels };
-        fits(self.sets == sets, format!("{} levels of neighbourhoods where the configuration has {sets}", self.sets))?;
+        let (sets, levels) = (self.sets, config.levels);
+        fits(sets == levels, format!("{sets} levels of neighbourhoods where the configuration has {levels}"))?;
         let input = 1 + config.levels * self.tokens + width(6);
         fits(self.input == input, format!("the updater takes {} numbers, not {input}", self.input))?;
         fits(self.output >= 4, format!("the updater says {} numbers, not 4", self.output))?;

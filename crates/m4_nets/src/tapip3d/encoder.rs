@@ -41,7 +41,6 @@ impl Encoder {
         }
     }
 
-    /// The type of its numbers.
     pub fn dtype(&self) -> DType {
         self.conv1.weight.dtype()
     }

@@ -1,7 +1,6 @@
 //! A frame as the network works with it: maps of features and of points, from fine to coarse.
 
 use super::Net;
-use super::config::Config;
 use super::encoder::STRIDE;
 use super::window::Moments;
 use crate::ops::{Kernels, resampled, tensor};
@@ -76,13 +75,7 @@ fn nearest_exact(from: usize, to: usize) -> Vec<usize> {
 }
 
 /// `image` in `size` as the encoder takes it, `[1, 3, h, w]`.
-pub fn image_tensor(
-    image: &RgbImage,
-    size: (usize, usize),
-    config: &Config,
-    device: &Device,
-    dtype: DType,
-) -> Tensor<4> {
+pub fn image_tensor(image: &RgbImage, size: (usize, usize), device: &Device, dtype: DType) -> Tensor<4> {
     let (w, h) = image.size();
     let plane = |c: usize| image.data().iter().map(move |p| f32::from(p[c]));
     let mut planes: Vec<f32> = (0..3).flat_map(plane).collect();
@@ -92,13 +85,7 @@ pub fn image_tensor(
         // upstream keeps whole numbers
         planes.iter_mut().for_each(|x| *x = x.round());
     }
-    for x in &mut planes {
-        let mut value = *x / 255.0;
-        if config.centre_rgb {
-            value = value * 2.0 - 1.0;
-        }
-        *x = (value - 0.5) / 0.5;
-    }
+    planes.iter_mut().for_each(|x| *x = (*x / 255.0 - 0.5) / 0.5);
     tensor(planes, [1, 3, size.1, size.0], device).cast(dtype)
 }
 
@@ -117,7 +104,6 @@ pub fn maps(net: &Net, image: Tensor<4>, levels: usize) -> Vec<Tensor<2>> {
     out
 }
 
-/// A frame of a window.
 #[derive(Debug)]
 pub struct Frame {
     /// Features as tokens have them, a map per level, `[pixels, width]`.

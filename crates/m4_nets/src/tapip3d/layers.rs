@@ -1,6 +1,6 @@
 //! Blocks of attention, as CoTracker3 has them: pre-normalised without weights, feed-forward layers with the activation by `tanh`.
 
-use crate::ops::{gelu_by_tanh, linear, norm};
+use crate::ops::{gelu_by_tanh, in_parts, linear, norm};
 use burn_core as burn;
 use burn_core::module::Module;
 use burn_core::tensor::activation::softmax;
@@ -116,14 +116,13 @@ fn flat(x: Tensor<3>, layer: impl FnOnce(Tensor<2>) -> Tensor<2>) -> Tensor<3> {
     y.reshape([b, n, to])
 }
 
-/// The feed-forward layer.
 #[derive(Module, Debug)]
 pub struct Mlp {
     fc1: Linear,
     fc2: Linear,
 }
 
-/// Tokens that the feed-forward layer takes at a time on the processor: their wide channels stay near.
+/// Tokens that the feed-forward layer takes at a time.
 const MLP_TOKENS: usize = 512;
 
 impl Mlp {
@@ -132,14 +131,7 @@ impl Mlp {
     }
 
     fn forward(&self, x: Tensor<3>) -> Tensor<3> {
-        let some = |x| self.fc2.forward(gelu_by_tanh(self.fc1.forward(x)));
-        flat(x, |x| {
-            if x.device() == Device::flex() && x.dims()[0] > MLP_TOKENS {
-                Tensor::cat(x.split(MLP_TOKENS, 0).into_iter().map(some).collect(), 0)
-            } else {
-                some(x)
-            }
-        })
+        flat(x, |x| in_parts(x, 0, MLP_TOKENS, |x| self.fc2.forward(gelu_by_tanh(self.fc1.forward(x)))))
     }
 }
 

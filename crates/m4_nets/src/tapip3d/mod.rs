@@ -49,7 +49,6 @@ use m4_core::Progress;
 use std::path::Path;
 use updater::{Correlation, Updater};
 
-/// What it is called in messages.
 const NAME: &str = "TAPIP3D";
 
 /// Names of the checkpoint that are not those of fields.
@@ -72,7 +71,6 @@ pub struct Tapip3d {
     device: Device,
 }
 
-/// Fields as in the checkpoint.
 #[derive(Module, Debug)]
 struct Net {
     time_emb: Param<Tensor<3>>,

@@ -18,7 +18,6 @@ pub struct Cloud {
     high: [Vec<f32>; 3],
 }
 
-/// What a search works with.
 #[derive(Debug, Default)]
 pub struct Search {
     bounds: Vec<f32>,
@@ -28,7 +27,6 @@ pub struct Search {
 }
 
 impl Cloud {
-    /// Of finite points.
     pub fn new(points: Vec<[f32; 3]>) -> Self {
         let axes = [0, 1, 2].map(|axis| points.iter().map(|p| p[axis]).collect::<Vec<f32>>());
         let fold = |axis: usize, start: f32, f: fn(f32, f32) -> f32| -> Vec<f32> {
@@ -40,7 +38,6 @@ impl Cloud {
         Self { points, axes, low, high }
     }
 
-    /// The points.
     pub fn points(&self) -> &[[f32; 3]] {
         &self.points
     }

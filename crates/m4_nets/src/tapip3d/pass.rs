@@ -14,18 +14,15 @@ use std::sync::Arc;
 pub struct FrameOrder {
     pub frames: usize,
     pub backward: bool,
-    /// Frames of a window.
     pub window: usize,
 }
 
 impl FrameOrder {
-    /// The frame at a time.
     pub fn frame(self, time: usize) -> usize {
         let time = time.min(self.frames - 1);
         if self.backward { self.frames - 1 - time } else { time }
     }
 
-    /// The time of a frame.
     pub fn time(self, frame: usize) -> usize {
         if self.backward { self.frames - 1 - frame } else { frame }
     }

@@ -104,7 +104,7 @@ impl<'a> Source<'a> {
             return Err(bad_frame(frame, "its image has no pixels"));
         }
         let (net, config) = (&self.net.net, &self.net.config);
-        let image = image_tensor(&image, self.options.size, config, &self.net.device, net.encoder.dtype());
+        let image = image_tensor(&image, self.options.size, &self.net.device, net.encoder.dtype());
         Ok(Loaded {
             maps: maps(net, image, config.levels),
             geometry: Geometry::new(lens, &z, self.options.size, range, config.levels),

@@ -182,13 +182,13 @@ impl Correlation {
 
     fn offsets(&self, level: usize, offsets: &[[f32; 3]], like: &Tensor<3>) -> Tensor<3> {
         let x = encoded(offsets, &like.device(), like.dtype());
-        self.posenc_mlps[level % self.posenc_mlps.len()].forward(x).reshape(like.dims())
+        self.posenc_mlps[level].forward(x).reshape(like.dims())
     }
 
     /// The query side of `level`: prepared features `[queries, tokens, width]`, and where they are from the query,
     /// `[queries][tokens]`.
     pub fn query_side(&self, level: usize, features: Tensor<3>, offsets: &[[f32; 3]]) -> QuerySide {
-        let meeting = &self.transformers[level % self.transformers.len()];
+        let meeting = &self.transformers[level];
         let x = self.offsets(level, offsets, &features) + features;
         QuerySide {
             q: meeting.xblock1_2.queries(x.clone()),
@@ -205,7 +205,7 @@ impl Correlation {
     /// `[frames * queries, neighbours, width]`, and `offsets` `[frames][queries][neighbours]` from the points that are followed.
     /// `[frames * queries, width]`.
     pub fn forward(&self, level: usize, side: &QuerySide, features: Tensor<3>, offsets: &[[f32; 3]]) -> Tensor<2> {
-        let meeting = &self.transformers[level % self.transformers.len()];
+        let meeting = &self.transformers[level];
         let y = self.offsets(level, offsets, &features) + features;
         let [queries, tokens, width] = side.x.dims();
         let frames = y.dims()[0] / queries.max(1);

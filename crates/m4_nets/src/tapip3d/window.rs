@@ -1,7 +1,7 @@
 //! A window of frames, in which points are moved a few times.
 
 use super::Net;
-use super::config::{Config, NormMode};
+use super::config::Config;
 use super::encoding::encoded;
 use super::frame::{Frame, Sides, rows_of};
 use super::neighbours::{Cloud, Search};
@@ -38,7 +38,7 @@ impl Window {
     /// Of `frames`; `None` if they have no depth.
     pub fn new(frames: Vec<Arc<Frame>>, config: &Config) -> Option<Self> {
         let moments = frames.iter().fold(Moments::default(), |sum, f| sum.with(&f.moments));
-        let space = moments.space(config.norm_mode, config.norm_scale)?;
+        let space = moments.space(config.norm_scale)?;
         let cloud = |points: &Vec<[f32; 3]>| Cloud::new(points.iter().map(|&p| space.enter(p)).collect());
         let clouds = frames.par_iter().map(|frame| frame.points.iter().map(cloud).collect()).collect();
         Some(Self { frames, space, clouds })
@@ -191,19 +191,12 @@ impl Moments {
         }
     }
 
-    /// The space of these points; `None` if there are none, or all at one place.
-    pub fn space(&self, mode: NormMode, scale: f32) -> Option<Space> {
-        let Self { n, mean, squares } = *self;
-        let spread = match mode {
-            NormMode::None => {
-                return Some(Space { mean: [0.0; 3], std: [1.0; 3], scale: 1.0 });
-            }
-            NormMode::Anisotropic => squares.map(|square| (square / n).sqrt()),
-            NormMode::Isotropic => [(squares.iter().sum::<f64>() / (3.0 * n)).sqrt(); 3],
-        };
-        let space = Space { mean: mean.map(|x| x as f32), std: spread.map(|x| x as f32), scale };
-        let usable = n > 0.0 && space.mean.iter().all(|x| x.is_finite());
-        (usable && space.std.iter().all(|x| x.is_finite() && *x > 0.0)).then_some(space)
+    /// The space of these points, by their mean and one standard deviation; `None` if there are none, or all at one place.
+    pub fn space(&self, scale: f32) -> Option<Space> {
+        let std = (self.squares.iter().sum::<f64>() / (3.0 * self.n)).sqrt() as f32;
+        let space = Space { mean: self.mean.map(|x| x as f32), std, scale };
+        let usable = self.n > 0.0 && space.mean.iter().all(|x| x.is_finite());
+        (usable && std.is_finite() && std > 0.0).then_some(space)
     }
 }
 
@@ -211,19 +204,19 @@ impl Moments {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Space {
     pub mean: [f32; 3],
-    pub std: [f32; 3],
+    pub std: f32,
     scale: f32,
 }
 
 impl Space {
     /// A point of the world.
     pub fn enter(&self, p: [f32; 3]) -> [f32; 3] {
-        [0, 1, 2].map(|i| (p[i] - self.mean[i]) / self.std[i] * self.scale)
+        [0, 1, 2].map(|i| (p[i] - self.mean[i]) / self.std * self.scale)
     }
 
     /// A point of this space in the world.
     pub fn leave(&self, p: [f32; 3]) -> [f32; 3] {
-        [0, 1, 2].map(|i| p[i] / self.scale * self.std[i] + self.mean[i])
+        [0, 1, 2].map(|i| p[i] / self.scale * self.std + self.mean[i])
     }
 }
 
@@ -244,18 +237,16 @@ mod tests {
         let parts = of(&points[..40]).with(&of(&points[40..])).with(&Moments::default());
         let mean = [0, 1, 2].map(|a| points.iter().map(|p| p[a]).sum::<f64>() / 97.0);
         let variance = |a: usize| points.iter().map(|p| (p[a] - mean[a]).powi(2)).sum::<f64>() / 97.0;
-        let space = parts.space(NormMode::Isotropic, 2.0).unwrap();
+        let space = parts.space(2.0).unwrap();
         let std = ((variance(0) + variance(1) + variance(2)) / 3.0).sqrt();
-        let apart = parts.space(NormMode::Anisotropic, 2.0).unwrap();
         for a in 0..3 {
             assert!((f64::from(space.mean[a]) / mean[a] - 1.0).abs() < 1e-6);
-            assert!((f64::from(space.std[a]) / std - 1.0).abs() < 1e-6);
-            assert!((f64::from(apart.std[a]) / variance(a).sqrt() - 1.0).abs() < 1e-6);
         }
+        assert!((f64::from(space.std) / std - 1.0).abs() < 1e-6);
         let p = [1e4_f32, 3.0, -8.0];
         let back = space.leave(space.enter(p));
         assert!((0..3).all(|a| (back[a] - p[a]).abs() < 2e-3), "{back:?}");
-        assert_eq!(Moments::default().space(NormMode::Isotropic, 1.0), None);
-        assert_eq!(of(&points[..1]).space(NormMode::Isotropic, 1.0), None);
+        assert_eq!(Moments::default().space(1.0), None);
+        assert_eq!(of(&points[..1]).space(1.0), None);
     }
 }

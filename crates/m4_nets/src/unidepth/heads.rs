@@ -1,15 +1,15 @@
 //! The heads: the camera, and scale and offset of depth, from class tokens; the logarithm of depth up to these, from all tokens.
 
 use super::image::{CHANNELS, Rays};
-use super::layers::{Block, Mlp, by_tokens};
-use crate::ops::{conv, depthwise7, gelu, interpolated, linear, norm, zeros};
+use super::layers::{Block, Mlp};
+use crate::ops::{ConvNext, conv, depthwise7, interpolated, linear, norm, zeros};
 use burn_core as burn;
 use burn_core::module::{Module, Param};
 use burn_core::tensor::activation::relu;
 use burn_core::tensor::ops::PadMode;
 use burn_core::tensor::{Device, Tensor};
 use burn_nn::conv::{Conv2d, Conv2dConfig};
-use burn_nn::{Initializer, LayerNorm, Linear};
+use burn_nn::{Initializer, Linear};
 
 /// Four class tokens become the logarithms of two focal lengths and the principal point.
 #[derive(Module, Debug)]
@@ -112,7 +112,6 @@ pub struct Scene<'a> {
     pub levels: &'a [Tensor<2>],
     /// Their positions, `[4 h w, c]`.
     pub positions: Tensor<2>,
-    /// Where the pixels look.
     pub rays: &'a Rays,
     /// Rows and columns of tokens.
     pub grid: [usize; 2],
@@ -179,35 +178,6 @@ impl DepthHead {
     }
 }
 
-/// A block of `ConvNeXt` (Liu et al., "A ConvNet for the 2020s", CVPR 2022).
-#[derive(Module, Debug)]
-struct ConvNext {
-    gamma: Param<Tensor<1>>,
-    dwconv: Conv2d,
-    norm: LayerNorm,
-    pwconv1: Linear,
-    pwconv2: Linear,
-}
-
-impl ConvNext {
-    fn new(width: usize, device: &Device) -> Self {
-        Self {
-            gamma: zeros([width], device),
-            dwconv: depthwise7(width, device),
-            norm: norm(width, device),
-            pwconv1: linear(width, 4 * width, true, device),
-            pwconv2: linear(4 * width, width, true, device),
-        }
-    }
-
-    fn forward(&self, x: Tensor<4>) -> Tensor<4> {
-        let y = tokens(self.dwconv.forward(x.clone()));
-        let y = by_tokens(y, |y| self.pwconv2.forward(gelu(self.pwconv1.forward(self.norm.forward(y)))));
-        let [_, _, h, w] = x.dims();
-        x + map(y * self.gamma.val().unsqueeze(), h, w)
-    }
-}
-
 /// What follows the blocks: a shuffle of channels into pixels and two convolutions, beside a plain enlargement. `up_depthwise` and
 /// `up_conv` are named `up.1` and `up.3` in the checkpoint, `residual` is `residual.0`.
 #[derive(Module, Debug)]
@@ -221,7 +191,7 @@ pub struct Up {
 impl Up {
     pub fn new(width: usize, device: &Device) -> Self {
         Self {
-            convs: [ConvNext::new(width, device), ConvNext::new(width, device)],
+            convs: std::array::from_fn(|_| ConvNext::new(width, norm(width, device), device)),
             up_depthwise: depthwise7(width / 4, device),
             up_conv: conv([width / 4, width / 2], 3, 1, true, device),
             residual: conv([width, width / 2], 1, 1, true, device),
@@ -230,7 +200,8 @@ impl Up {
 
     /// Of tokens `[h w, c]`: tokens `[4 h w, c / 2]`.
     pub fn forward(&self, x: Tensor<2>, h: usize, w: usize) -> Tensor<2> {
-        let x = self.convs.iter().fold(map(x, h, w), |x, block| block.forward(x));
+        let [_, c] = x.dims();
+        let x = self.convs.iter().fold(x.reshape([1, h, w, c]), |x, block| block.forward(x)).permute([0, 3, 1, 2]);
         let shuffled = relu(self.up_depthwise.forward(pixels_of_channels(x.clone())));
         tokens(self.up_conv.forward(shuffled) + interpolated(self.residual.forward(x), [2 * h, 2 * w], true))
     }

@@ -18,7 +18,6 @@ const BETA: f64 = 10.0;
 pub struct Patches {
     width: usize,
     height: usize,
-    /// Rows and columns of patches.
     pub grid: [usize; 2],
 }
 

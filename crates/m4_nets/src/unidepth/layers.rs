@@ -1,7 +1,7 @@
 //! Layers of tokens `[n, channels]` that the heads share.
 
 use crate::dinov2::LayerScale;
-use crate::ops::{attend_heads, gelu, linear, norm};
+use crate::ops::{attend_heads, gelu, in_parts, linear, norm};
 use burn_core as burn;
 use burn_core::module::Module;
 use burn_core::tensor::activation::softmax;
@@ -10,13 +10,8 @@ use burn_nn::{LayerNorm, Linear};
 
 /// Heads of the blocks that mix them.
 pub const HEADS: usize = 8;
-/// Tokens that a feed-forward layer takes at a time: its wide channels of them stay near.
+/// Tokens that a feed-forward layer takes at a time.
 const TOKENS: usize = 1024;
-
-/// `make` of some tokens at a time.
-pub fn by_tokens(x: Tensor<2>, make: impl Fn(Tensor<2>) -> Tensor<2>) -> Tensor<2> {
-    Tensor::cat(x.split(TOKENS, 0).into_iter().map(make).collect(), 0)
-}
 
 /// A feed-forward layer, normalised before.
 #[derive(Module, Debug)]
@@ -37,7 +32,7 @@ impl Mlp {
     }
 
     pub fn forward(&self, x: Tensor<2>) -> Tensor<2> {
-        by_tokens(x, |x| self.proj2.forward(gelu(self.proj1.forward(self.norm.forward(x)))))
+        in_parts(x, 0, TOKENS, |x| self.proj2.forward(gelu(self.proj1.forward(self.norm.forward(x)))))
     }
 }
 

@@ -37,7 +37,6 @@ use layers::Adapters;
 use m4_core::{Intrinsics, Plane, RgbImage};
 use std::path::Path;
 
-/// What it is called in messages.
 const NAME: &str = "UniDepth V2";
 /// Patches that an image is cut into where nothing else is asked for: the most that upstream takes.
 const PATCHES: usize = 2400;
@@ -62,7 +61,6 @@ pub struct UniDepth {
     device: Device,
 }
 
-/// Fields as in the checkpoint.
 #[derive(Module, Debug)]
 struct Net {
     pixel_encoder: DinoV2,
@@ -188,7 +186,7 @@ impl Decoder {
         let layer = &self.level_embed_layer;
         let level = layer.contract.forward(gelu(layer.expand.forward(self.level_embeds.val())));
         let level: Tensor<3> = layer.norm.forward(level).reshape([levels, 1, c]);
-        let place = sine_positions(grid, grid, c, device).cast(level.dtype()).reshape([1, n, c]);
+        let place = sine_positions(grid, c, device).cast(level.dtype()).reshape([1, n, c]);
         (place + level).reshape([levels * n, c])
     }
 }
@@ -243,11 +241,7 @@ impl UniDepth {
     }
 }
 
-/// Blocks of the backbone and width of the heads in a checkpoint with tensors of `shapes`.
-///
-/// # Errors
-///
-/// [`LoadError::OtherNetwork`] if there are too few blocks, or no heads of a width that can be.
+/// Blocks of the backbone and width of the heads in a checkpoint with tensors of `shapes`; fails unless both can be.
 fn sizes(shapes: &Shapes, path: &Path) -> Result<(usize, usize), LoadError> {
     let block = |name: &str| -> Option<usize> {
         let rest = name.strip_prefix("pixel_encoder.blocks.")?;

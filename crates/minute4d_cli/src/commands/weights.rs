@@ -4,7 +4,7 @@ use crate::failure::Failure;
 use crate::output::Output;
 use clap::{Args, Subcommand};
 use minute4d::Progress;
-use minute4d::weights::{self, Condition, Entry, Origin, Record, State, Store, WeightsError};
+use minute4d::weights::{self, Condition, Entry, Origin, Record, Store, WeightsError};
 use serde::Serialize;
 use std::path::PathBuf;
 
@@ -79,61 +79,43 @@ fn find_entry(name: &str) -> Result<&'static Entry, Failure> {
 
 #[derive(Debug, Serialize)]
 struct Row {
-    name: &'static str,
-    file: &'static str,
-    bytes: Option<u64>,
-    sha256: Option<&'static str>,
-    licence: &'static str,
-    commercial: bool,
-    used_for: &'static str,
+    #[serde(flatten)]
+    entry: &'static Entry,
     /// `fetch` or `add`.
     got_by: &'static str,
     /// The command that installs it.
     command: String,
-    /// What is unavailable without it, and what still works.
-    without: &'static str,
     origin: String,
     /// The file, if it is installed.
     path: Option<PathBuf>,
 }
 
 fn list(store: &Store, output: &Output) -> Result<(), Failure> {
-    let row = |entry: &Entry| Row {
-        name: entry.name,
-        file: entry.file,
-        bytes: entry.bytes,
-        sha256: entry.sha256,
-        licence: entry.licence,
-        commercial: entry.commercial,
-        used_for: entry.used_for,
+    let row = |entry: &'static Entry| Row {
+        entry,
         got_by: match entry.origin {
             Origin::Pip(_) => "fetch",
             _ => "add",
         },
         command: entry.command(),
-        without: entry.without,
         origin: entry.origin.description(),
-        path: match store.state(entry) {
-            State::Absent => None,
-            State::Stored(path) | State::InHub(path) => Some(path),
-        },
+        path: store.installed(entry),
     };
     let rows: Vec<Row> = weights::all().iter().map(row).collect();
     let mut text = format!("{:<24} {:>7}  {:<4} {:<6} {:<38} used for\n", "name", "MB", "here", "got by", "licence");
-    for row in &rows {
-        let size = row.bytes.map_or_else(|| "?".to_owned(), |n| format!("{:.1}", n as f64 / 1e6));
-        let here = if row.path.is_some() { "yes" } else { "no" };
-        let licence = match row.commercial {
-            true => row.licence.to_owned(),
-            false => format!("non-commercial: {}", row.licence),
-        };
-        text += &format!("{:<24} {size:>7}  {here:<4} {:<6} {licence:<38} {}\n", row.name, row.got_by, row.used_for);
+    for Row { entry, got_by, path, .. } in &rows {
+        let size = entry.bytes.map_or_else(|| "?".to_owned(), |n| format!("{:.1}", n as f64 / 1e6));
+        let here = if path.is_some() { "yes" } else { "no" };
+        let only = if entry.commercial { "" } else { "non-commercial: " };
+        let licence = format!("{only}{}", entry.licence);
+        text += &format!("{:<24} {size:>7}  {here:<4} {got_by:<6} {licence:<38} {}\n", entry.name, entry.used_for);
     }
     let missing: Vec<&Row> = rows.iter().filter(|row| row.path.is_none()).collect();
     if !missing.is_empty() {
         text += "\nnot installed: the command that installs it, and what is unavailable without it\n";
         for row in missing {
-            text += &format!("{:<24} {}\n{:<24} without it: {}\n", row.name, row.command, "", row.without);
+            let Entry { name, without, .. } = row.entry;
+            text += &format!("{name:<24} {}\n{:<24} without it: {without}\n", row.command, "");
         }
         text += "\n";
     }
@@ -170,7 +152,7 @@ struct CheckedFile {
 
 fn verify(store: &Store, names: &[String], output: &Output) -> Result<(), Failure> {
     let entries: Vec<&Entry> = match names {
-        [] => weights::all().iter().filter(|entry| store.state(entry) != State::Absent).collect(),
+        [] => weights::all().iter().filter(|entry| store.installed(entry).is_some()).collect(),
         names => names.iter().map(|name| find_entry(name)).collect::<Result<_, _>>()?,
     };
     let mut found = Vec::new();

@@ -1,11 +1,11 @@
 //! The state of the tracking network for a clip, and its queries.
 //!
 //! ```text
-//! add_frame --fnet--> features                    enter, leave: edges, whose hidden states start as their source's
+//! enter, leave: edges, whose hidden states start as their source's
 //! motion_px: one update from a frame's state      revise_source: one update of all edges of a frame
 //! ```
 //!
-//! Features, first states and hidden states lie in a store within a budget of memory; what was not used for longest goes to a
+//! Features, first states and hidden states lie in a store within a budget of memory; what it has no room for lies in a
 //! nameless file. Numbers are rounded whenever they enter the store, so that no answer depends on the budget.
 
 mod revise;
@@ -75,14 +75,13 @@ impl fmt::Debug for DroidMemory<'_> {
         f.debug_struct("DroidMemory")
             .field("size", &self.size)
             .field("edges", &self.edges.len())
-            .field("held", &self.store.held())
             .finish_non_exhaustive()
     }
 }
 
 impl<'a> DroidMemory<'a> {
-    /// An empty memory. `images` is asked for a frame whose first state is needed (that is when it becomes a source), and for
-    /// one that was not added.
+    /// An empty memory. `images` is asked for a frame whose features or first state are needed; all have one size, whose sides are
+    /// multiples of 8 and at least 128 pixels.
     #[must_use]
     pub fn new(net: Arc<DroidNet>, options: MemoryOptions, images: ImageReader<'a>) -> Self {
         Self {
@@ -94,26 +93,9 @@ impl<'a> DroidMemory<'a> {
         }
     }
 
-    /// Columns and rows of the grid, an eighth of the images', once an image was seen.
-    #[must_use]
-    pub fn grid(&self) -> Option<(usize, usize)> {
-        self.size.map(|(w, h)| (w / 8, h / 8))
-    }
-
-    /// Computes the features of `frame` from its image, unless they are known. A frame that is not added is, when it is
-    /// needed.
-    ///
-    /// # Errors
-    ///
-    /// [`NetError`] if the image is too small, has sides that are no multiples of 8 or another size than those before, or
-    /// if file or device fail.
-    pub fn add_frame(&mut self, frame: usize, image: &RgbImage) -> Result<(), NetError> {
-        if self.store.contains(Key::Features(frame)) {
-            return Ok(());
-        }
-        self.check_size(frame, image)?;
-        let features = self.net.features(image)?;
-        self.keep(Key::Features(frame), features.permute([0, 2, 3, 1]))
+    /// Columns and rows of the grid, an eighth of the images'; none before an image was seen.
+    fn grid(&self) -> (usize, usize) {
+        self.size.map_or((0, 0), |(w, h)| (w / 8, h / 8))
     }
 
     /// Starts an edge: where the pixels of `source` are in `target`. One that is there already starts again.
@@ -136,7 +118,7 @@ impl<'a> DroidMemory<'a> {
     pub fn motion_px(&mut self, from: usize, to: usize) -> Result<f64, NetError> {
         let [hidden, context] = self.first_state(from)?;
         let source = FeatureMap::new(self.features(from)?);
-        let (w, h) = self.grid().unwrap_or_default();
+        let (w, h) = self.grid();
         let grid = (0..w * h).flat_map(|i| [(i % w) as f32, (i / w) as f32]).collect();
         let corr = self.correlation(&source, to, grid)?;
         let update = &self.net.net.update;
@@ -152,10 +134,11 @@ impl<'a> DroidMemory<'a> {
     fn features(&mut self, frame: usize) -> Result<Tensor<3>, NetError> {
         if !self.store.contains(Key::Features(frame)) {
             let image = self.image(frame)?;
-            self.add_frame(frame, &image)?;
+            let features = self.net.features(&image)?;
+            self.keep(Key::Features(frame), features.permute([0, 2, 3, 1]))?;
         }
         let values = self.kept(Key::Features(frame))?;
-        let (w, h) = self.grid().unwrap_or_default();
+        let (w, h) = self.grid();
         Ok(tensor(values, [h, w, WIDTH], &self.net.device).cast(self.net.dtype()))
     }
 
@@ -175,7 +158,7 @@ impl<'a> DroidMemory<'a> {
     /// Scores `[1, 196, h, w]` of `source` in `target` around `centres` `[h][w][2]`.
     fn correlation(&mut self, source: &FeatureMap, target: usize, centres: Vec<f32>) -> Result<Tensor<4>, NetError> {
         let target = Pyramid::new(self.features(target)?, LEVELS);
-        let (w, h) = self.grid().unwrap_or_default();
+        let (w, h) = self.grid();
         let centres = tensor(centres, [h, w, 2], &self.net.device).cast(DType::F32);
         let found = scores(source, &target, centres, RADIUS);
         Ok(found.permute([2, 0, 1]).unsqueeze())
@@ -212,7 +195,7 @@ impl<'a> DroidMemory<'a> {
 
     /// What is under `key` as a map, `[1, 128, h, w]`.
     fn map(&mut self, key: Key) -> Result<Tensor<4>, NetError> {
-        let (w, h) = self.grid().unwrap_or_default();
+        let (w, h) = self.grid();
         Ok(tensor(self.kept(key)?, [1, WIDTH, h, w], &self.net.device).cast(self.net.dtype()))
     }
 

@@ -107,7 +107,7 @@ impl DroidMemory<'_> {
     }
 
     fn check_planes(&self, edges: &[EdgeUpdate<'_>]) -> Result<(), NetError> {
-        let (w, h) = self.grid().unwrap_or_default();
+        let (w, h) = self.grid();
         for edge in edges {
             let target = edge.target_px.iter().map(Vec::len);
             let mut sizes = edge.projected_px.iter().map(|p| p.len()).chain(target);
@@ -124,7 +124,7 @@ impl DroidMemory<'_> {
 
     /// What the update sees of motion: from each pixel to its projection, and on to the previous answer; `[n, 4, h, w]`.
     fn motion(&self, edges: &[EdgeUpdate<'_>]) -> Tensor<4> {
-        let (w, h) = self.grid().unwrap_or_default();
+        let (w, h) = self.grid();
         let mut values = Vec::with_capacity(edges.len() * 4 * w * h);
         let near = |x: f32| if x.is_nan() { 0.0 } else { x.clamp(-FAR_PX, FAR_PX) };
         for edge in edges {

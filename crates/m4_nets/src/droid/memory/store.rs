@@ -1,8 +1,8 @@
-//! Planes of numbers within a budget: what was not used for longest goes to a file.
+//! Planes of numbers, all of one size, within a budget of memory: those that it has no room for lie in a file.
 
 use half::f16;
 use half::slice::HalfFloatSliceExt;
-use std::collections::{BTreeMap, HashMap};
+use std::collections::{BTreeSet, HashMap};
 use std::fs::File;
 use std::hash::Hash;
 use std::io::{self, Read, Seek, SeekFrom, Write};
@@ -19,77 +19,42 @@ pub enum Storage {
 }
 
 impl Storage {
-    const fn bytes(self) -> usize {
-        match self {
-            Self::F16 => 2,
-            Self::F32 => 4,
-        }
-    }
-
     fn encode(self, values: &[f32]) -> Vec<u8> {
-        let mut out = Vec::with_capacity(values.len() * self.bytes());
         match self {
-            Self::F32 => out.extend(values.iter().flat_map(|x| x.to_le_bytes())),
+            Self::F32 => values.iter().flat_map(|x| x.to_le_bytes()).collect(),
             Self::F16 => {
-                let mut halves = [f16::ZERO; 256];
-                for values in values.chunks(halves.len()) {
-                    let halves = &mut halves[..values.len()];
-                    halves.convert_from_f32_slice(values);
-                    out.extend(halves.iter().flat_map(|x| x.to_le_bytes()));
-                }
+                let mut halves = vec![f16::ZERO; values.len()];
+                halves.convert_from_f32_slice(values);
+                halves.iter().flat_map(|x| x.to_le_bytes()).collect()
             }
         }
-        out
     }
 
     fn decode(self, bytes: &[u8]) -> Vec<f32> {
         match self {
             Self::F32 => bytes.as_chunks().0.iter().map(|&b| f32::from_le_bytes(b)).collect(),
             Self::F16 => {
-                let mut out = vec![0.0; bytes.len() / 2];
-                let mut halves = [f16::ZERO; 256];
-                let words = bytes.as_chunks::<2>().0;
-                for (words, out) in words.chunks(256).zip(out.chunks_mut(256)) {
-                    let halves = &mut halves[..words.len()];
-                    for (half, &word) in halves.iter_mut().zip(words) {
-                        *half = f16::from_le_bytes(word);
-                    }
-                    halves.convert_to_f32_slice(out);
-                }
-                out
+                let halves: Vec<f16> = bytes.as_chunks().0.iter().map(|&b| f16::from_le_bytes(b)).collect();
+                halves.to_f32_vec()
             }
         }
     }
 }
 
-/// Numbers by key. They are rounded to [`Storage`] whenever they are put in, so what comes out does not depend on where they
-/// were meanwhile.
+/// Planes by key, each in a slot: the first slots are in memory, as many as the budget has room for, the others in the file.
+/// Numbers are rounded to [`Storage`] whenever they are put in, so what comes out does not depend on where they were.
 #[derive(Debug)]
 pub struct Store<K> {
     storage: Storage,
     budget: usize,
     folder: PathBuf,
-    entries: HashMap<K, Entry>,
-    /// Keys of what lies in memory by when it was used last.
-    order: BTreeMap<u64, K>,
-    clock: u64,
-    held: usize,
-    most_held: usize,
+    /// Bytes of a plane, once one was put in.
+    plane: Option<usize>,
+    slots: HashMap<K, usize>,
+    /// Slots that were used before.
+    free: BTreeSet<usize>,
+    held: Vec<Vec<u8>>,
     file: Option<File>,
-    end: u64,
-    /// Places of the file that nothing uses, by their size.
-    free: HashMap<usize, Vec<u64>>,
-}
-
-#[derive(Debug)]
-struct Entry {
-    size: usize,
-    /// The bytes and when they were used last, while they lie in memory.
-    memory: Option<(Vec<u8>, u64)>,
-    /// Where the file has a place for them.
-    place: Option<u64>,
-    /// Whether that place holds what is valid.
-    written: bool,
 }
 
 impl<K: Copy + Eq + Hash> Store<K> {
@@ -99,26 +64,23 @@ impl<K: Copy + Eq + Hash> Store<K> {
             storage,
             budget,
             folder,
-            entries: HashMap::new(),
-            order: BTreeMap::new(),
-            clock: 0,
-            held: 0,
-            most_held: 0,
+            plane: None,
+            slots: HashMap::new(),
+            free: BTreeSet::new(),
+            held: Vec::new(),
             file: None,
-            end: 0,
-            free: HashMap::new(),
         }
     }
 
-    /// Bytes in memory, now and at most so far.
-    pub const fn held(&self) -> (usize, usize) {
-        (self.held, self.most_held)
+    /// How many planes may lie in memory.
+    fn room(&self) -> usize {
+        self.budget / self.plane.unwrap_or(0).max(1)
     }
 
-    /// Bytes of the file.
+    /// Planes that the file has a place for.
     #[cfg(test)]
-    pub const fn spilled(&self) -> u64 {
-        self.end
+    pub fn spilled(&self) -> usize {
+        (self.slots.len() + self.free.len()).saturating_sub(self.room())
     }
 
     pub fn folder(&self) -> &PathBuf {
@@ -126,127 +88,57 @@ impl<K: Copy + Eq + Hash> Store<K> {
     }
 
     pub fn contains(&self, key: K) -> bool {
-        self.entries.contains_key(&key)
+        self.slots.contains_key(&key)
     }
 
-    /// Keeps `values` under `key`, instead of what was there.
+    /// Keeps `values`, as many as in every other plane, under `key`, instead of what was there.
     pub fn put(&mut self, key: K, values: &[f32]) -> io::Result<()> {
         let bytes = self.storage.encode(values);
-        if self.entries.get(&key).is_some_and(|e| e.size != bytes.len()) {
-            self.remove(key);
+        assert_eq!(*self.plane.get_or_insert(bytes.len()), bytes.len(), "planes of one size");
+        let known = self.slots.get(&key).or_else(|| self.free.first());
+        let slot = known.copied().unwrap_or(self.slots.len());
+        if slot < self.room() {
+            self.held.resize(self.held.len().max(slot + 1), Vec::new());
+            self.held[slot] = bytes;
+        } else {
+            self.at(slot)?.write_all(&bytes)?;
         }
-        self.make_room(bytes.len())?;
-        self.clock += 1;
-        let entry =
-            self.entries.entry(key).or_insert(Entry { size: bytes.len(), memory: None, place: None, written: false });
-        entry.written = false;
-        if bytes.len() > self.budget {
-            return self.write(key, &bytes);
-        }
-        self.hold(key, bytes);
+        self.free.remove(&slot);
+        self.slots.insert(key, slot);
         Ok(())
     }
 
     /// What was put under `key`, rounded.
     pub fn get(&mut self, key: K) -> io::Result<Option<Vec<f32>>> {
-        let Some(entry) = self.entries.get_mut(&key) else {
+        let Some(&slot) = self.slots.get(&key) else {
             return Ok(None);
         };
-        if let Some((bytes, used)) = &mut entry.memory {
-            let values = self.storage.decode(bytes);
-            self.order.remove(used);
-            self.clock += 1;
-            *used = self.clock;
-            self.order.insert(self.clock, key);
-            return Ok(Some(values));
+        if let Some(bytes) = self.held.get(slot) {
+            return Ok(Some(self.storage.decode(bytes)));
         }
-        let (size, place) = (entry.size, entry.place);
-        let (Some(place), Some(file)) = (place, &mut self.file) else {
-            return Ok(None);
-        };
-        let mut bytes = vec![0; size];
-        file.seek(SeekFrom::Start(place))?;
-        file.read_exact(&mut bytes)?;
-        let values = self.storage.decode(&bytes);
-        if size <= self.budget {
-            self.make_room(size)?;
-            self.hold(key, bytes);
-        }
-        Ok(Some(values))
+        let mut bytes = vec![0; self.plane.unwrap_or(0)];
+        self.at(slot)?.read_exact(&mut bytes)?;
+        Ok(Some(self.storage.decode(&bytes)))
     }
 
     /// Forgets what is under `key`.
     pub fn remove(&mut self, key: K) {
-        let Some(entry) = self.entries.remove(&key) else {
-            return;
-        };
-        if let Some((bytes, used)) = entry.memory {
-            self.order.remove(&used);
-            self.held -= bytes.len();
-        }
-        if let Some(place) = entry.place {
-            self.free.entry(entry.size).or_default().push(place);
-        }
-    }
-
-    /// Puts `bytes`, for which there is room, in memory.
-    fn hold(&mut self, key: K, bytes: Vec<u8>) {
-        self.clock += 1;
-        self.held += bytes.len();
-        self.order.insert(self.clock, key);
-        if let Some(entry) = self.entries.get_mut(&key)
-            && let Some((old, used)) = entry.memory.replace((bytes, self.clock))
-        {
-            self.held -= old.len();
-            self.order.remove(&used);
-        }
-        self.most_held = self.most_held.max(self.held);
-    }
-
-    /// Moves to the file what was not used for longest, until `size` more bytes are within the budget or nothing is left.
-    fn make_room(&mut self, size: usize) -> io::Result<()> {
-        while self.held + size > self.budget {
-            let Some((_, key)) = self.order.pop_first() else {
-                return Ok(());
-            };
-            let Some(entry) = self.entries.get_mut(&key) else {
-                continue;
-            };
-            let written = entry.written;
-            if let Some((bytes, _)) = entry.memory.take() {
-                self.held -= bytes.len();
-                if !written {
-                    self.write(key, &bytes)?;
-                }
+        if let Some(slot) = self.slots.remove(&key) {
+            self.free.insert(slot);
+            if let Some(bytes) = self.held.get_mut(slot) {
+                *bytes = Vec::new();
             }
         }
-        Ok(())
     }
 
-    /// Writes `bytes` of `key` to the file.
-    fn write(&mut self, key: K, bytes: &[u8]) -> io::Result<()> {
+    /// The file, at the place of `slot`.
+    fn at(&mut self, slot: usize) -> io::Result<&File> {
+        let place = (slot - self.room()) as u64 * self.plane.unwrap_or(0) as u64;
         let file = match &mut self.file {
             Some(file) => file,
             none => none.insert(tempfile::tempfile_in(&self.folder)?),
         };
-        let Some(entry) = self.entries.get_mut(&key) else {
-            return Ok(());
-        };
-        let place = match entry.place {
-            Some(place) => place,
-            None => match self.free.get_mut(&entry.size).and_then(Vec::pop) {
-                Some(place) => place,
-                None => {
-                    let place = self.end;
-                    self.end += entry.size as u64;
-                    place
-                }
-            },
-        };
-        entry.place = Some(place);
         file.seek(SeekFrom::Start(place))?;
-        file.write_all(bytes)?;
-        entry.written = true;
-        Ok(())
+        Ok(file)
     }
 }

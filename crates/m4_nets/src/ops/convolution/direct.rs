@@ -272,7 +272,7 @@ fn tile_sums<S: Simd, const OUT: usize, const VECTORS: usize>(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use m4_testkit::formula_input;
+    use m4_testkit::{formula_input, same_on_any_threads};
 
     fn levels() -> Vec<Level> {
         let best = Level::new();
@@ -284,7 +284,6 @@ mod tests {
         all.into_iter().flatten().collect()
     }
 
-    /// The definition, in 64 bits.
     fn by_definition(x: &[f32], [h, w]: [usize; 2], filter: &Filter<'_>) -> Vec<f64> {
         let [kh, kw] = filter.kernel;
         let mut out = Vec::new();
@@ -334,12 +333,6 @@ mod tests {
         let x = formula_input("x", 0.1, 1.0, n * channels * h * w);
         let weight = formula_input("w", 0.0, 0.1, out * channels * 9);
         let filter = Filter { weight: &weight, bias: None, out, channels, kernel: [3, 3], beyond: Beyond::Nothing };
-        let with = |threads| {
-            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-            pool.install(|| convolve(&[&x], n, [h, w], &filter))
-        };
-        let one = with(1);
-        assert_eq!(one, with(2));
-        assert_eq!(one, with(5));
+        same_on_any_threads(|| convolve(&[&x], n, [h, w], &filter));
     }
 }

@@ -94,7 +94,7 @@ mod tests {
     use crate::ops::{conv, tensor};
     use burn_core::module::Param;
     use burn_core::tensor::Tensor;
-    use m4_testkit::formula_input;
+    use m4_testkit::{assert_close, formula_input};
 
     fn agrees<const P: usize>(parts: [usize; P], out: usize, kernel: [usize; 2], [n, h, w]: [usize; 3], bias: bool) {
         let device = cpu();
@@ -118,10 +118,7 @@ mod tests {
         for beyond in [Beyond::Nothing, Beyond::Edges] {
             let got = numbers(with(parts.clone(), &layer, beyond));
             let want = numbers(by_burn(parts.to_vec(), &layer, beyond));
-            let largest = want.iter().fold(0.0_f32, |m, x| m.max(x.abs()));
-            let error = got.iter().zip(&want).fold(0.0_f32, |m, (a, b)| m.max((a - b).abs()));
-            assert!(got.iter().all(|x| x.is_finite()) && got.len() == want.len());
-            assert!(largest > 0.1 && error < 3e-6 * largest, "{out} {kernel:?}: {error:.1e} of {largest}");
+            assert_close(&format!("{out} {kernel:?}"), &got, &want, 3e-6);
         }
     }
 
