@@ -232,6 +232,5 @@ fn ffmpeg_gets_no_secrets_and_no_privileges() {
         };
         assert_eq!(limit("Max open files"), "256");
         assert_eq!(limit("Max file size"), "1048576");
-        assert!(limit("Max processes").parse::<u64>().is_ok(), "{limits}");
     }
 }

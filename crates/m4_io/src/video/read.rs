@@ -10,6 +10,7 @@ use crate::{ErrorKind, Fault, ReadError, files, image};
 use m4_core::{Progress, ResizeFilter, Video, resize_rgb};
 use std::fs::File;
 use std::io::{self, Read};
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 
 /// Bytes of a file's start that tell what it is.
@@ -126,7 +127,9 @@ fn mp4(
     decoder: Option<&DecoderProgram>,
     progress: &dyn Progress,
 ) -> Result<Video, Fault> {
-    let movie = match Movie::read(file, len) {
+    // A panic of its parser, which is not ours, is a fault of the file.
+    let index = catch_unwind(AssertUnwindSafe(|| Movie::read(file, len)));
+    let movie = match index.unwrap_or_else(|_| Err(Mp4Error::Bad("its index breaks the parser".into()))) {
         Ok(movie) => movie,
         Err(Mp4Error::Fragmented) => return ffmpeg::read(path, "a fragmented MP4 file", options, decoder, progress),
         Err(Mp4Error::Io(e)) if e.kind() != io::ErrorKind::UnexpectedEof => return Err(e.into()),
@@ -152,13 +155,14 @@ fn mp4(
         return Err(no_frames("its video track is empty"));
     }
     let codec = track.entries[0].codec;
-    let h264::Unsupported(what) = if matches!(&codec, b"avc1" | b"avc3") {
-        match h264::read(file, track, options, decoder, progress)? {
+    let what = if matches!(codec.as_ref(), b"avc1" | b"avc3") {
+        match h264::read(file, track, options, decoder, progress) {
             Ok(video) => return Ok(video),
-            Err(unsupported) => unsupported,
+            Err(h264::Failure::Fault(fault)) => return Err(fault),
+            Err(h264::Failure::Unsupported(what)) => what,
         }
     } else {
-        h264::Unsupported(mp4::codec_name(codec))
+        mp4::codec_name(codec)
     };
     ffmpeg::read(path, &what, options, decoder, progress)
 }

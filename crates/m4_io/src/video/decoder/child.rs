@@ -53,7 +53,8 @@ pub struct Child<'a> {
     at: usize,
     input: Option<Sender<Vec<u8>>>,
     messages: Messages,
-    allowed: Allowed,
+    /// What it may take.
+    pub allowed: Allowed,
     progress: &'a dyn Progress,
     reaped: bool,
 }

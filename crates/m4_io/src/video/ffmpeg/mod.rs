@@ -14,7 +14,6 @@ use super::read::not_video;
 use crate::Fault;
 use m4_core::Progress;
 use serde::Deserialize;
-use std::io;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
@@ -34,16 +33,16 @@ pub fn command(
     allowed: &Allowed,
     options: &[&str],
     input: &Path,
-) -> io::Result<Command> {
+) -> Command {
     let mut name = std::ffi::OsString::from("file:");
     name.push(input);
-    let mut command = decoder::command(launcher, program, allowed)?;
+    let mut command = decoder::command(launcher, program, allowed);
     command
         .args(["-hide_banner", "-protocol_whitelist", "file", "-format_whitelist", FORMATS])
         .args(options)
         .arg("-i")
         .arg(name);
-    Ok(command)
+    command
 }
 
 /// How such a command is started.
@@ -166,10 +165,9 @@ pub fn describe(
     let arguments = ["-v", "error", "-of", "json", "-select_streams", "V:0", "-show_entries", entries];
     let work = Work { pixels: MAX_PIXELS, frames: 0, bytes: std::fs::metadata(path).map_or(0, |m| m.len()) };
     let allowed = options.decoder.allowed(work);
-    let child = command((launcher, &program), &allowed, &arguments, path).and_then(|mut command| {
-        let on_line = Box::new(|_: &str| true);
-        Child::start(&mut command, start(launcher), allowed, MESSAGE_BYTES, on_line, progress)
-    });
+    let mut command = command((launcher, &program), &allowed, &arguments, path);
+    let on_line = Box::new(|_: &str| true);
+    let child = Child::start(&mut command, start(launcher), allowed, MESSAGE_BYTES, on_line, progress);
     let mut child = child.map_err(|e| needed(what, &program, &e.to_string()))?;
     let text = child.read_to_end(MAX_OUTPUT_BYTES).map_err(|halt| halt.fault("ffprobe"))?;
     let Some(text) = text else {

@@ -130,15 +130,14 @@ impl<'a> Decoder<'a> {
             line.contains("error while loading")
         });
         let allowed = options.decoder.allowed(work);
-        let child = command((launcher, &options.ffmpeg), &allowed, &before, path).and_then(|mut command| {
-            command
-                .args(["-map", "0:V:0", "-an", "-sn", "-dn"])
-                .args(every_frame_once)
-                .arg("-vf")
-                .arg(filters(description))
-                .args(["-f", "rawvideo", "pipe:1"]);
-            Child::start(&mut command, start(launcher), allowed, message_bytes, on_line, progress)
-        });
+        let mut command = command((launcher, &options.ffmpeg), &allowed, &before, path);
+        command
+            .args(["-map", "0:V:0", "-an", "-sn", "-dn"])
+            .args(every_frame_once)
+            .arg("-vf")
+            .arg(filters(description))
+            .args(["-f", "rawvideo", "pipe:1"]);
+        let child = Child::start(&mut command, start(launcher), allowed, message_bytes, on_line, progress);
         let child = child.map_err(|e| needed(what, &options.ffmpeg, &e.to_string()))?;
         Ok(Self {
             options,
