@@ -34,20 +34,25 @@ pub fn read_with(
     options: &VideoOptions,
     progress: &dyn Progress,
 ) -> Result<Video, ReadError> {
-    clip(decoder, path, options, progress).at(path)
+    clip(Request { path, options, decoder, progress }).at(path)
 }
 
-fn clip(
-    decoder: Option<&DecoderProgram>,
-    path: &Path,
-    options: &VideoOptions,
-    progress: &dyn Progress,
-) -> Result<Video, Fault> {
-    plan::check_options(options)?;
-    if path.is_dir() {
-        return folder(path, options, progress);
+/// What is read, and how.
+#[derive(Clone, Copy)]
+pub(super) struct Request<'a> {
+    pub path: &'a Path,
+    pub options: &'a VideoOptions,
+    /// Decodes H.264, and starts ffmpeg on Linux; this process does where there is none.
+    pub decoder: Option<&'a DecoderProgram>,
+    pub progress: &'a dyn Progress,
+}
+
+fn clip(request: Request<'_>) -> Result<Video, Fault> {
+    plan::check_options(request.options)?;
+    if request.path.is_dir() {
+        return folder(request);
     }
-    let mut file = File::open(path)?;
+    let mut file = File::open(request.path)?;
     let meta = file.metadata()?;
     if !meta.is_file() {
         return Err(not_video("it is a device or a pipe; give a file or a folder of images"));
@@ -58,11 +63,11 @@ fn clip(
     let mut start = Vec::new();
     (&mut file).take(START_BYTES).read_to_end(&mut start)?;
     if mp4::looks_like_mp4(&start) {
-        return mp4(path, &mut file, meta.len(), options, decoder, progress);
+        return mp4(request, &mut file, meta.len());
     }
     match container(&start) {
-        Ok(what) => ffmpeg::read(path, what, options, decoder, progress),
-        Err(reason) => match ffmpeg::read(path, "of no kind that is known", options, decoder, progress) {
+        Ok(what) => ffmpeg::read(request, what),
+        Err(reason) => match ffmpeg::read(request, "of no kind that is known") {
             // Without ffmpeg what is known of its first bytes must do.
             Err(e) if matches!(e, Fault::Content { kind: ErrorKind::Unavailable, .. }) && reason != UNKNOWN => {
                 Err(not_video(reason))
@@ -119,19 +124,12 @@ fn container(start: &[u8]) -> Result<&'static str, &'static str> {
     Err(UNKNOWN)
 }
 
-fn mp4(
-    path: &Path,
-    file: &mut File,
-    len: u64,
-    options: &VideoOptions,
-    decoder: Option<&DecoderProgram>,
-    progress: &dyn Progress,
-) -> Result<Video, Fault> {
+fn mp4(request: Request<'_>, file: &mut File, len: u64) -> Result<Video, Fault> {
     // A panic of its parser, which is not ours, is a fault of the file.
     let index = catch_unwind(AssertUnwindSafe(|| Movie::read(file, len)));
     let movie = match index.unwrap_or_else(|_| Err(Mp4Error::Bad("its index breaks the parser".into()))) {
         Ok(movie) => movie,
-        Err(Mp4Error::Fragmented) => return ffmpeg::read(path, "a fragmented MP4 file", options, decoder, progress),
+        Err(Mp4Error::Fragmented) => return ffmpeg::read(request, "a fragmented MP4 file"),
         Err(Mp4Error::Io(e)) if e.kind() != io::ErrorKind::UnexpectedEof => return Err(e.into()),
         Err(Mp4Error::Truncated(what)) => {
             let hint = "copy it again from the camera, or repair the recording (`untrunc`)";
@@ -156,7 +154,7 @@ fn mp4(
     }
     let codec = track.entries[0].codec;
     let what = if matches!(codec.as_ref(), b"avc1" | b"avc3") {
-        match h264::read(file, track, options, decoder, progress) {
+        match h264::read(request, file, track) {
             Ok(video) => return Ok(video),
             Err(h264::Failure::Fault(fault)) => return Err(fault),
             Err(h264::Failure::Unsupported(what)) => what,
@@ -164,11 +162,11 @@ fn mp4(
     } else {
         mp4::codec_name(codec)
     };
-    ffmpeg::read(path, &what, options, decoder, progress)
+    ffmpeg::read(request, &what)
 }
 
 /// Reads the images of a folder in natural order (`2.png` before `10.png`), evenly spaced in time.
-fn folder(path: &Path, options: &VideoOptions, progress: &dyn Progress) -> Result<Video, Fault> {
+fn folder(Request { path, options, progress, .. }: Request<'_>) -> Result<Video, Fault> {
     let files = image_files(path)?;
     let times: Vec<f64> = (0..files.len()).map(|i| i as f64 / options.folder_fps).collect();
     let kept = plan::select(&times, options)?;

@@ -14,7 +14,7 @@ mod child;
 mod end;
 mod limits;
 
-pub use child::{Child, Halt, Start};
+pub use child::{Child, Start};
 pub use end::{DecoderEnd, is_of_data, is_of_memory};
 pub use limits::{Allowed, Confined, DecoderLimits, Work, limit_self};
 

@@ -13,9 +13,7 @@
 //! The decoder never says how long something is: its answers are the size that was agreed on.
 
 use crate::video::colour::bytes_420;
-use crate::video::decoder::{
-    Allowed, Child, Confined, DecoderEnd, DecoderProgram, Halt, Start, become_program, limit_self,
-};
+use crate::video::decoder::{Allowed, Child, Confined, DecoderEnd, DecoderProgram, Start, become_program, limit_self};
 use crate::{ErrorKind, Fault};
 use m4_core::Progress;
 use openh264::OpenH264API;
@@ -25,8 +23,6 @@ use std::collections::VecDeque;
 use std::ffi::OsString;
 use std::io::{self, BufReader, BufWriter, Read, Write};
 
-/// The decoder, for messages.
-const DECODER: &str = "the H.264 decoder";
 /// Frames on their way to a child while the first answer is waited for: it decodes while this process converts.
 const WINDOW: usize = 6;
 /// Bytes of messages that a child may write: OpenH264 writes none, the system a few.
@@ -69,7 +65,7 @@ impl<'a> Engine<'a> {
             let decoder = H264::new(setup).map(Box::new);
             return Ok(decoder.map(|decoder| Self { place: Place::Here { decoder, done: VecDeque::new() }, size }));
         };
-        let start = Start { talks: true, bare: false };
+        let start = Start { decoder: "the H.264 decoder", talks: true, bare: false };
         let mut command = program.command(&allowed);
         let child = Child::start(&mut command, start, allowed, MESSAGE_BYTES, Box::new(|_| true), progress);
         let mut child = child.map_err(|e| {
@@ -83,7 +79,7 @@ impl<'a> Engine<'a> {
         match (magic == MAGIC, ready) {
             (true, 1) => Ok(Some(Self { place: Place::There(child), size })),
             (true, 0) => Ok(None),
-            _ => Err(unknown("it does not answer as minute4d's decoder does".into())),
+            _ => Err(unknown(&child, "it does not answer as minute4d's decoder does".into())),
         }
     }
 
@@ -125,24 +121,20 @@ impl<'a> Engine<'a> {
             }
             NO_MEMORY => {
                 let limit_mb = child.allowed.memory_bytes >> 20;
-                Err(Halt::Failed(DecoderEnd::Memory { limit_mb }).fault(DECODER))
+                Err(child.failed(DecoderEnd::Memory { limit_mb }))
             }
-            other => Err(unknown(format!("its answer {other} is none of minute4d's decoder"))),
+            other => Err(unknown(child, format!("its answer {other} is none of minute4d's decoder"))),
         }
     }
 }
 
 /// Fills `bytes` with what the child writes.
 fn receive(child: &mut Child<'_>, bytes: &mut [u8]) -> Result<(), Fault> {
-    match child.read_exact(bytes) {
-        Ok(true) => Ok(()),
-        Ok(false) => Err(child.why_ended().fault(DECODER)),
-        Err(halt) => Err(halt.fault(DECODER)),
-    }
+    if child.read_exact(bytes)? { Ok(()) } else { Err(child.why_ended()) }
 }
 
-fn unknown(what: String) -> Fault {
-    Halt::Failed(DecoderEnd::Answer { what }).fault(DECODER)
+fn unknown(child: &Child<'_>, what: String) -> Fault {
+    child.failed(DecoderEnd::Answer { what })
 }
 
 /// `dsOutOfMemory` of OpenH264's `DECODING_STATE`.

@@ -3,12 +3,11 @@
 use super::engine::{Engine, Frame};
 use super::{Config, Failure};
 use crate::Fault;
-use crate::video::VideoOptions;
 use crate::video::colour::{Range, YuvMatrix};
-use crate::video::decoder::{DecoderProgram, Work};
+use crate::video::decoder::Work;
 use crate::video::mp4::{Orientation, Sample, Track};
 use crate::video::plan::{self, Collector};
-use crate::video::read::no_frames;
+use crate::video::read::{Request, no_frames};
 use m4_core::{Progress, Video};
 use std::collections::VecDeque;
 use std::fs::File;
@@ -25,14 +24,9 @@ struct Shown {
     time_s: f64,
 }
 
-/// Reads the frames of `track`, which lie in `file`; `decoder` decodes, or this process itself.
-pub fn read(
-    file: &mut File,
-    track: &Track,
-    options: &VideoOptions,
-    decoder: Option<&DecoderProgram>,
-    progress: &dyn Progress,
-) -> Result<Video, Failure> {
+/// Reads the frames of `track`, which lie in `file`.
+pub fn read(request: Request<'_>, file: &mut File, track: &Track) -> Result<Video, Failure> {
+    let Request { options, decoder, progress, .. } = request;
     let unsupported = |what: &str| Failure::Unsupported(what.to_owned());
     let [entry] = track.entries.as_slice() else {
         return Err(unsupported("H.264 with several decoder configurations"));
