@@ -17,8 +17,6 @@ use std::path::{Path, PathBuf};
 const START_BYTES: u64 = 512;
 
 const NOT_VIDEO: &str = "it is not a video";
-/// Said of a file that ffmpeg may still know.
-const UNKNOWN: &str = "its first bytes are those of no known container; give an MP4, MOV, MKV, WebM or AVI file";
 
 /// Reads a clip: a video file or a folder of images. Frames come upright (display matrix applied),
 /// in sRGB, in order of time, all of one size; what the user should know is in [`Video::warnings`].
@@ -65,18 +63,13 @@ fn clip(request: Request<'_>) -> Result<Video, Fault> {
     if mp4::looks_like_mp4(&start) {
         return mp4(request, &mut file, meta.len());
     }
-    match container(&start) {
-        Ok(what) => ffmpeg::read(request, what),
-        Err(reason) => match ffmpeg::read(request, "of no kind that is known") {
-            // Without ffmpeg what is known of its first bytes must do.
-            Err(e) if matches!(e, Fault::Content { kind: ErrorKind::Unavailable, .. }) && reason != UNKNOWN => {
-                Err(not_video(reason))
-            }
-            Err(Fault::Content { what, hint, .. }) if what == NOT_VIDEO => {
-                Err(not_video(&format!("{reason} ({hint})")))
-            }
-            other => other,
-        },
+    match (ffmpeg::read(request, "not an MP4 or MOV file"), no_clip(&start)) {
+        // Without ffmpeg what is known of its first bytes must do.
+        (Err(Fault::Content { kind: ErrorKind::Unavailable, .. }), Some(reason)) => Err(not_video(reason)),
+        (Err(Fault::Content { what, hint, .. }), Some(reason)) if what == NOT_VIDEO => {
+            Err(not_video(&format!("{reason} ({hint})")))
+        }
+        (other, _) => other,
     }
 }
 
@@ -95,33 +88,14 @@ pub(super) fn no_frames(reason: &str) -> Fault {
     Fault::bad(format!("it has no frame that can be decoded: {reason}"), "record or export it again")
 }
 
-/// The name of a container that only ffmpeg reads, or why the file is none that is known.
-fn container(start: &[u8]) -> Result<&'static str, &'static str> {
-    let known: [(&[u8], &str); 6] = [
-        (&[0x1a, 0x45, 0xdf, 0xa3], "a Matroska or WebM file"),
-        (b"FLV\x01", "a Flash video"),
-        (b"OggS", "an Ogg file"),
-        (b"GIF8", "an animated GIF"),
-        (&[0x00, 0x00, 0x01, 0xba], "an MPEG program stream"),
-        (&[0x30, 0x26, 0xb2, 0x75], "a Windows Media file"),
-    ];
-    if let Some((_, name)) = known.iter().find(|(magic, _)| start.starts_with(magic)) {
-        return Ok(name);
-    }
-    if start.starts_with(b"RIFF") && start.get(8..11) == Some(b"AVI") {
-        return Ok("an AVI file");
-    }
-    if start.first() == Some(&0x47) && start.get(188) == Some(&0x47) {
-        return Ok("an MPEG transport stream");
-    }
+/// Why a file with this start is hardly a clip.
+fn no_clip(start: &[u8]) -> Option<&'static str> {
     let images: [&[u8]; 2] = [b"\x89PNG", &[0xff, 0xd8, 0xff]];
     if images.iter().any(|magic| start.starts_with(magic)) {
-        return Err("it is a single image; give a video or the folder that holds all frames");
+        return Some("it is a single image; give a video or the folder that holds all frames");
     }
-    if start.iter().all(|&b| b == 0) {
-        return Err("it starts with zeros, as after a copy that was interrupted; copy it again");
-    }
-    Err(UNKNOWN)
+    let zeros = start.iter().all(|&b| b == 0);
+    zeros.then_some("it starts with zeros, as after a copy that was interrupted; copy it again")
 }
 
 fn mp4(request: Request<'_>, file: &mut File, len: u64) -> Result<Video, Fault> {

@@ -16,14 +16,6 @@ use std::io::{self, Read, Seek, SeekFrom};
 /// Largest coded frame that is read, bytes: raw 4K is 12 MB.
 const MAX_SAMPLE_BYTES: u32 = 64 << 20;
 
-/// A frame that is shown.
-struct Shown {
-    /// Index in decoding order.
-    sample: usize,
-    /// Seconds from the first frame.
-    time_s: f64,
-}
-
 /// Reads the frames of `track`, which lie in `file`.
 pub fn read(request: Request<'_>, file: &mut File, track: &Track) -> Result<Video, Failure> {
     let Request { options, decoder, progress, .. } = request;
@@ -37,7 +29,7 @@ pub fn read(request: Request<'_>, file: &mut File, track: &Track) -> Result<Vide
         let samples = track.samples.len();
         return Err(no_frames(&format!("its video track has {samples} samples and none is shown")).into());
     }
-    let times: Vec<f64> = shown.iter().map(|s| s.time_s).collect();
+    let times: Vec<f64> = shown.iter().map(|&(_, time_s)| time_s).collect();
     let kept = plan::select(&times, options)?;
     let inside = times.iter().filter(|&&t| plan::in_range(t, options)).count();
 
@@ -94,20 +86,14 @@ pub fn read(request: Request<'_>, file: &mut File, track: &Track) -> Result<Vide
     collector.finish(None).ok_or_else(|| no_frames("none was kept").into())
 }
 
-/// The frames that the edit list shows, in order of time; the first is at 0 s.
-fn presentation(track: &Track) -> Vec<Shown> {
-    let mut shown: Vec<Shown> = track
-        .samples
-        .iter()
-        .enumerate()
-        .filter_map(|(sample, s)| {
-            let time_s = track.timeline.shown_s(s.ticks)?;
-            Some(Shown { sample, time_s })
-        })
-        .collect();
-    shown.sort_by(|a, b| a.time_s.total_cmp(&b.time_s));
-    let first = shown.first().map_or(0.0, |s| s.time_s);
-    shown.iter_mut().for_each(|s| s.time_s -= first);
+/// The frames that the edit list shows, in order of time: the index of each in decoding order, and seconds from the first.
+fn presentation(track: &Track) -> Vec<(usize, f64)> {
+    let samples = track.samples.iter().enumerate();
+    let times = samples.filter_map(|(i, sample)| Some((i, track.timeline.shown_s(sample.ticks)?)));
+    let mut shown: Vec<(usize, f64)> = times.collect();
+    shown.sort_by(|a, b| a.1.total_cmp(&b.1));
+    let first_s = shown.first().map_or(0.0, |s| s.1);
+    shown.iter_mut().for_each(|s| s.1 -= first_s);
     shown
 }
 
@@ -128,17 +114,17 @@ impl Run<'_> {
         &mut self,
         file: &mut File,
         samples: &[Sample],
-        shown: &[Shown],
+        shown: &[(usize, f64)],
         kept: &[usize],
         progress: &dyn Progress,
     ) -> Result<(), Fault> {
         let mut time_of = vec![None; samples.len()];
-        for s in shown {
-            time_of[s.sample] = Some(s.time_s);
+        for &(sample, time_s) in shown {
+            time_of[sample] = Some(time_s);
         }
         let mut keep = vec![false; samples.len()];
         for &i in kept {
-            keep[shown[i].sample] = true;
+            keep[shown[i].0] = true;
         }
         let total = keep.iter().rposition(|&k| k).map_or(0, |i| i + 1);
         let (mut coded, mut annex_b) = (Vec::new(), Vec::new());
