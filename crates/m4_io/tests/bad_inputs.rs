@@ -68,7 +68,7 @@ fn damaged_and_foreign_files_are_refused_as_clips() {
         (b"", BadData, &["0 bytes", "copy it again"]),
         (&[0; 5000], BadData, &["zeros"]),
         (&png, BadData, &["single image", "folder"]),
-        (&matroska, Unavailable, &["not an MP4 or MOV file", "install ffmpeg", "libx264"]),
+        (&matroska, Unavailable, &["another kind than MP4", "install ffmpeg", "libx264"]),
         (&late, BadData, &["incomplete", "moov", "untrunc"]),
         (&late[..late.len() / 2], BadData, &["ends inside box \"mdat\"", "moov"]),
         (&bytes[..moov + 300], BadData, &["index", "more than the file has"]),

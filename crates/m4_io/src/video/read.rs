@@ -63,7 +63,7 @@ fn clip(request: Request<'_>) -> Result<Video, Fault> {
     if mp4::looks_like_mp4(&start) {
         return mp4(request, &mut file, meta.len());
     }
-    match (ffmpeg::read(request, "not an MP4 or MOV file"), no_clip(&start)) {
+    match (ffmpeg::read(request, "a file of another kind than MP4 and MOV"), no_clip(&start)) {
         // Without ffmpeg what is known of its first bytes must do.
         (Err(Fault::Content { kind: ErrorKind::Unavailable, .. }), Some(reason)) => Err(not_video(reason)),
         (Err(Fault::Content { what, hint, .. }), Some(reason)) if what == NOT_VIDEO => {

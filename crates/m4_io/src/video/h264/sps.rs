@@ -4,6 +4,7 @@ use crate::video::colour::Colours;
 use h264_reader::nal::sps::{FrameMbsFlags, SeqParameterSet, VuiParameters};
 use h264_reader::nal::{NalHeader, WritableNal};
 use h264_reader::rbsp::{BitReader, ByteReader};
+use std::panic::catch_unwind;
 
 /// What a decoder and a colour conversion must know.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -32,7 +33,9 @@ const LEVEL_AT: usize = 3;
 fn parsed(nal: &[u8]) -> Option<SeqParameterSet> {
     let mut nal = nal.to_vec();
     let level = std::mem::replace(nal.get_mut(LEVEL_AT)?, ANY_LEVEL);
-    let set = SeqParameterSet::from_bits(BitReader::new(ByteReader::skipping_h264_header(&nal[..]))).ok()?;
+    let parse = || SeqParameterSet::from_bits(BitReader::new(ByteReader::skipping_h264_header(&nal[..]))).ok();
+    // A panic of the parser, which is not ours, is a fault of the file.
+    let set = catch_unwind(parse).ok()??;
     Some(SeqParameterSet { level_idc: level, ..set })
 }
 
