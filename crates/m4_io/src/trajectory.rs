@@ -43,25 +43,13 @@ struct Probe {
 }
 
 /// What is wrong with a path: with the camera or keyframe of an index, or with the whole.
-struct BadPath(Option<usize>, String);
-
-impl From<String> for BadPath {
-    fn from(what: String) -> Self {
-        Self(None, what)
-    }
-}
-
-impl From<(usize, String)> for BadPath {
-    fn from((camera, what): (usize, String)) -> Self {
-        Self(Some(camera), what)
-    }
-}
+type BadPath = (Option<usize>, String);
 
 /// Reads a camera path; moments that the file gives as a share of the scene (0..1) become frames
 /// 0..=`time_frames - 1`. A list without any times runs evenly through the whole scene.
 pub fn load(path: &Path, time_frames: usize) -> Result<Trajectory, ReadError> {
     let bytes = files::bytes(path, MAX_BYTES).at(path)?;
-    of_bytes(&bytes, time_frames).map_err(|BadPath(camera, what)| match camera {
+    of_bytes(&bytes, time_frames).map_err(|(camera, what)| match camera {
         Some(camera) => Fault::bad(what, "correct it").within(path, format!("camera {camera}")),
         None => Fault::bad(format!("it is not a camera path: {what}"), HINT).at(path),
     })
@@ -79,30 +67,29 @@ fn of_bytes(bytes: &[u8], time_frames: usize) -> Result<Trajectory, BadPath> {
     let last_frame = (time_frames.max(1) - 1) as f64;
     let probe: Probe = json(bytes)?;
     let count = probe.frames.len().max(probe.keyframes.len());
-    let format = FORMAT;
     if count > MAX_CAMERAS {
-        return Err(format!("it has {count} cameras, more than the {MAX_CAMERAS} that are rendered").into());
+        return Err((None, format!("it has {count} cameras, more than the {MAX_CAMERAS} that are rendered")));
     }
     match probe.format {
-        Some(own) if own == format => Ok(Trajectory::Keyed(keyed(&json(bytes)?)?)),
-        Some(other) => Err(format!("its format is {other:?}, not {format:?}").into()),
+        Some(own) if own == FORMAT => Ok(Trajectory::Keyed(keyed(&json(bytes)?)?)),
+        Some(other) => Err((None, format!("its format is {other:?}, not {FORMAT:?}"))),
         None if !probe.frames.is_empty() => Ok(Trajectory::Listed(listed(json(bytes)?, last_frame)?)),
         None if !probe.keyframes.is_empty() => {
-            Err(format!("it has keyframes, but \"format\": {format:?} is missing").into())
+            Err((None, format!("it has keyframes, but \"format\": {FORMAT:?} is missing")))
         }
-        None => Err("it has no frames or keyframes".to_owned().into()),
+        None => Err((None, "it has no frames or keyframes".to_owned())),
     }
 }
 
 fn json<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, BadPath> {
-    serde_json::from_slice(bytes).map_err(|e| e.to_string().into())
+    serde_json::from_slice(bytes).map_err(|e| (None, e.to_string()))
 }
 
 /// The cameras of a `transforms.json` with the moment of each: `time` (0..1) of the file times `last_frame`.
 fn listed(file: Transforms, last_frame: f64) -> Result<Vec<(Camera, f64)>, BadPath> {
     let mut frames = Vec::with_capacity(file.frames.len());
     for (i, value) in file.frames.into_iter().enumerate() {
-        let frame: Frame = serde_json::from_value(value).map_err(|e| (i, e.to_string()))?;
+        let frame: Frame = serde_json::from_value(value).map_err(|e| (Some(i), e.to_string()))?;
         frames.push(frame);
     }
     let timed = frames.iter().filter(|f| f.time.is_some()).count();
@@ -122,7 +109,7 @@ fn listed(file: Transforms, last_frame: f64) -> Result<Vec<(Camera, f64)>, BadPa
         Ok((camera, time * last_frame))
     };
     let all = frames.iter().enumerate();
-    all.map(|(i, frame)| camera((i, frame)).map_err(|what| (i, what).into())).collect()
+    all.map(|(i, frame)| camera((i, frame)).map_err(|what| (Some(i), what))).collect()
 }
 
 fn intrinsics(frame: &Frame, all: &LensKeys) -> Result<Intrinsics, String> {
@@ -249,45 +236,37 @@ fn opencv() -> Axes {
 /// Checks the file.
 fn keyed(file: &KeyFile) -> Result<Keyed, BadPath> {
     if file.version != VERSION {
-        return Err(format!("its version is {}; version {VERSION} is known", file.version).into());
+        return Err((None, format!("its version is {}; version {VERSION} is known", file.version)));
     }
     if file.keyframes.is_empty() {
-        return Err("it has no keyframes".to_owned().into());
+        return Err((None, "it has no keyframes".to_owned()));
     }
     if let Some(fps) = file.fps.filter(|fps| !(0.1..=240.0).contains(fps)) {
-        return Err(format!("fps = {fps}; 0.1 to 240 were expected").into());
+        return Err((None, format!("fps = {fps}; 0.1 to 240 were expected")));
     }
     if let Some(back_s) = file.back_s.filter(|s| !(*s > 0.0 && *s <= MAX_SECONDS)) {
-        return Err(format!("back_s = {back_s}; a time above 0 was expected").into());
+        return Err((None, format!("back_s = {back_s}; a time above 0 was expected")));
     }
-    let keyframes: Result<Vec<Keyframe>, BadPath> = file
-        .keyframes
-        .iter()
-        .enumerate()
-        .map(|(i, key)| key.keyframe(file.axes).map_err(|what| (i, what).into()))
-        .collect();
-    let keyframes = keyframes?;
+    let all = file.keyframes.iter().enumerate();
+    let keyframes = all.map(|(i, key)| key.keyframe(file.axes).map_err(|what| (Some(i), what)));
+    let keyframes: Vec<Keyframe> = keyframes.collect::<Result<_, BadPath>>()?;
     for (i, pair) in keyframes.windows(2).enumerate() {
         let [earlier, later] = [pair[0].time_s, pair[1].time_s];
         if later <= earlier {
             let what = format!("its time, {later} s, is not behind that of the one before, {earlier} s");
-            return Err((i + 1, what).into());
+            return Err((Some(i + 1), what));
         }
         if pair[0].speed.is_some() && pair[1].scene.is_some() {
             let what = "it has a speed, but the next keyframe says which moment of the scene is seen there; give one of the two";
-            return Err((i, what.to_owned()).into());
+            return Err((Some(i), what.to_owned()));
         }
     }
-    Ok(Keyed {
-        keyframes,
-        back_s: file.back_s,
-        size: match (file.width, file.height) {
-            (Some(w), Some(h)) => Some((side("width", w)?, side("height", h)?)),
-            (None, None) => None,
-            _ => return Err("width and height belong together; one is missing".to_owned().into()),
-        },
-        fps: file.fps,
-    })
+    let size = match (file.width, file.height) {
+        (Some(w), Some(h)) => side("width", w).and_then(|w| Ok(Some((w, side("height", h)?)))),
+        (None, None) => Ok(None),
+        _ => Err("width and height belong together; one is missing".to_owned()),
+    };
+    Ok(Keyed { keyframes, back_s: file.back_s, size: size.map_err(|what| (None, what))?, fps: file.fps })
 }
 
 impl Key {

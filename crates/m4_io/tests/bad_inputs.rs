@@ -1,7 +1,7 @@
 //! Bad clips, images and scene files: every message names the file, what is wrong, and what to do; nothing panics.
 
-use crate::common::{Stop, pinwheel, says, temporary};
-use m4_core::{CounterRng, Plane, Silent};
+use crate::common::{Stop, pinwheel, says, temporary, without_ffmpeg};
+use m4_core::{Plane, Silent};
 use m4_io::image::{read_depth, read_rgb, write_depth, write_mask, write_rgb};
 use m4_io::scene::safetensors;
 use m4_io::video::{self, VideoOptions};
@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 use tempfile::TempDir;
 
 fn options() -> VideoOptions {
-    VideoOptions { size: Some(64), ffmpeg: PathBuf::from("/nonexistent/ffmpeg"), ..VideoOptions::default() }
+    VideoOptions { size: Some(64), ..without_ffmpeg() }
 }
 
 /// The clip cannot be read; the message names the file and has these words.
@@ -64,12 +64,11 @@ fn damaged_and_foreign_files_are_refused_as_clips() {
     one_size[count..count + 4].fill(0xff);
     let mut png = Vec::new();
     png.extend(b"\x89PNG\r\n\x1a\n and so on");
-    let cases: [(&[u8], ErrorKind, &[&str]); 17] = [
+    let cases: [(&[u8], ErrorKind, &[&str]); 16] = [
         (b"", BadData, &["0 bytes", "copy it again"]),
-        (b"this is no video\n", Unavailable, &["of no kind that is known", "install ffmpeg"]),
         (&[0; 5000], BadData, &["zeros"]),
         (&png, BadData, &["single image", "folder"]),
-        (&matroska, Unavailable, &["Matroska", "install ffmpeg", "libx264"]),
+        (&matroska, Unavailable, &["another kind than MP4", "install ffmpeg", "libx264"]),
         (&late, BadData, &["incomplete", "moov", "untrunc"]),
         (&late[..late.len() / 2], BadData, &["ends inside box \"mdat\"", "moov"]),
         (&bytes[..moov + 300], BadData, &["index", "more than the file has"]),
@@ -130,42 +129,6 @@ fn impossible_options_are_refused() {
 fn reading_can_be_cancelled() {
     let error = video::read(&pinwheel(), &options(), &Stop).unwrap_err();
     assert_eq!(error.kind(), ErrorKind::Cancelled);
-}
-
-/// Any bytes give a clip or an error, never a panic.
-fn survives(bytes: &[u8], what: &str) -> bool {
-    let (_dir, path) = file(bytes);
-    let options = VideoOptions { max_frames: Some(2), end_s: Some(0.4), ..options() };
-    let result = std::panic::catch_unwind(|| video::read(&path, &options, &Silent).is_ok());
-    result.unwrap_or_else(|_| panic!("panicked: {what}"))
-}
-
-#[test]
-fn flipped_and_missing_bytes_never_panic() {
-    let original = example();
-    let mdat = at(&original, b"mdat");
-    let mut rng = CounterRng::new(11, 0, 0);
-    let (mut read, mut refused) = (0, 0);
-    let mut note = |ok: bool| if ok { read += 1 } else { refused += 1 };
-    // Every third byte of the index, set to extremes; then random places of the frames.
-    for at in (0..mdat).step_by(7) {
-        let mut bytes = original.clone();
-        bytes[at] = if at % 2 == 0 { 0xff } else { bytes[at] ^ (1 << rng.below(8)) };
-        note(survives(&bytes, &format!("byte {at}")));
-    }
-    for i in 0..60 {
-        let mut bytes = original.clone();
-        for _ in 0..1 + i {
-            let at = mdat + rng.below(200_000);
-            bytes[at] = rng.next_u64() as u8;
-        }
-        note(survives(&bytes, &format!("{i} bytes of the frames")));
-    }
-    for i in 0..40 {
-        note(survives(&original[..mdat * i / 20], &format!("cut at {}", mdat * i / 20)));
-    }
-    eprintln!("{read} read, {refused} refused");
-    assert!(read > 100 && refused > 100, "{read} read, {refused} refused");
 }
 
 // --- folders of images and single images ------------------------------------------------------

@@ -1,6 +1,7 @@
 //! What the tests of this crate share.
 
 use m4_core::{Progress, RgbImage, Video};
+use m4_io::video::VideoOptions;
 use m4_testkit::{Need, skip};
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -10,6 +11,11 @@ use tempfile::TempDir;
 /// The example clip: 96 frames, 480x360, 24 per second, H.264 High with B-frames.
 pub fn pinwheel() -> PathBuf {
     PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../../examples/pinwheel.mp4"))
+}
+
+/// Reads frames in the size of the file, and nothing by ffmpeg.
+pub fn without_ffmpeg() -> VideoOptions {
+    VideoOptions { size: None, ffmpeg: PathBuf::from("/nonexistent/ffmpeg"), ..VideoOptions::default() }
 }
 
 /// True when ffmpeg can be started; else the test is listed as skipped.
@@ -89,6 +95,32 @@ pub fn script(dir: &Path, name: &str, body: &str) -> PathBuf {
     assert!(shell.wait().unwrap().success());
     assert_eq!(std::fs::metadata(&path).unwrap().permissions().mode() & 0o777, 0o755);
     path
+}
+
+/// What ffprobe says of a clip of three images of 4 x 2 pixels.
+#[cfg(unix)]
+pub const PROBED: &str = r#"echo '{"packets":[{"pts_time":"0","flags":"K_"},{"pts_time":"1","flags":"__"},{"pts_time":"2","flags":"__"}],
+"streams":[{"codec_name":"ffv1","width":4,"height":2,"pix_fmt":"yuv420p"}]}'"#;
+
+/// These images, as ffmpeg sends them.
+#[cfg(unix)]
+pub fn sent(seconds: std::ops::Range<u32>) -> String {
+    let image = |s| {
+        format!(
+            "echo '[Parsed_showinfo_0 @ 0x5] [info] n: {s} pts: {s} pts_time:{s} fmt:yuv420p sar:1/1 s:4x2 i:P' >&2
+             printf 'abcdefghijklabcdefghijkl'\n"
+        )
+    };
+    seconds.map(image).collect()
+}
+
+/// A clip for ffmpeg, and options that name scripts as `ffprobe` and `ffmpeg`.
+#[cfg(unix)]
+pub fn fake_ffmpeg(dir: &Path, probe: &str, decode: &str) -> (PathBuf, VideoOptions) {
+    let clip = dir.join("clip.mkv");
+    std::fs::write(&clip, [0x1a, 0x45, 0xdf, 0xa3, 0, 0, 0, 0]).unwrap();
+    script(dir, "ffprobe", probe);
+    (clip, VideoOptions { ffmpeg: script(dir, "ffmpeg", decode), size: None, ..VideoOptions::default() })
 }
 
 /// All of `words` are in the message.

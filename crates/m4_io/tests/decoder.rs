@@ -1,12 +1,12 @@
 //! Decoders in processes of their own: the same images, and errors of the clip where they fail.
 
 #[cfg(unix)]
-use crate::common::script;
-use crate::common::{ffmpeg, have_ffmpeg, pinwheel, says, temporary};
+use crate::common::{PROBED, fake_ffmpeg, script, sent};
+use crate::common::{ffmpeg, have_ffmpeg, pinwheel, says, temporary, without_ffmpeg};
 use m4_core::{CounterRng, Plane, Progress, Silent, Video};
 use m4_io::video::{DecoderEnd, DecoderLimits, DecoderProgram, Mp4Writer, VideoOptions, read, read_with};
 use m4_io::{ErrorKind, Fault, ReadError};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
@@ -15,12 +15,7 @@ fn program() -> DecoderProgram {
 }
 
 fn options(limits: DecoderLimits) -> VideoOptions {
-    VideoOptions {
-        size: None,
-        ffmpeg: PathBuf::from("/nonexistent/ffmpeg"),
-        decoder: limits,
-        ..VideoOptions::default()
-    }
+    VideoOptions { decoder: limits, ..without_ffmpeg() }
 }
 
 fn limits(set: impl FnOnce(&mut DecoderLimits)) -> DecoderLimits {
@@ -147,19 +142,6 @@ fn a_decoder_that_is_not_there() {
     assert_eq!(error.kind(), ErrorKind::Io);
 }
 
-#[test]
-fn the_decoder_started_by_hand_says_what_it_is() {
-    let run = |arguments: &[&str]| {
-        let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_m4_decode_h264"));
-        command.args(arguments).stdin(std::process::Stdio::null()).output().unwrap()
-    };
-    for arguments in [&["decode"][..], &["decode", "x", "y"], &["decode", "1000000000", "10"]] {
-        let output = run(arguments);
-        assert_eq!(output.status.code(), Some(1), "{arguments:?}");
-        assert!(!output.stderr.is_empty() && output.stdout.is_empty(), "{arguments:?}");
-    }
-}
-
 /// Reads the example with a script as its decoder.
 #[cfg(unix)]
 fn with_fake(body: &str, limits: DecoderLimits, progress: &dyn Progress) -> Result<Video, ReadError> {
@@ -278,25 +260,8 @@ fn with_fake_ffmpeg(
     limits: DecoderLimits,
 ) -> Result<Video, ReadError> {
     let dir = tempfile::tempdir().unwrap();
-    let clip = dir.path().join("clip.mkv");
-    std::fs::write(&clip, [0x1a, 0x45, 0xdf, 0xa3, 0, 0, 0, 0]).unwrap();
-    script(dir.path(), "ffprobe", probe);
-    let options = VideoOptions { ffmpeg: script(dir.path(), "ffmpeg", decode), ..options(limits) };
-    read_with(launcher, &clip, &options, &Silent)
-}
-
-/// What ffprobe says of a clip of three images of 4 x 2 pixels.
-#[cfg(unix)]
-const PROBED: &str = r#"echo '{"packets":[{"pts_time":"0","flags":"K_"},{"pts_time":"1","flags":"__"},{"pts_time":"2","flags":"__"}],
-"streams":[{"codec_name":"ffv1","width":4,"height":2,"pix_fmt":"yuv420p"}]}'"#;
-
-/// One of these images, as ffmpeg sends it.
-#[cfg(unix)]
-fn sent(second: u32) -> String {
-    format!(
-        "echo '[Parsed_showinfo_0 @ 0x5] [info] n: {second} pts: {second} pts_time:{second} fmt:yuv420p sar:1/1 s:4x2 i:P' >&2
-         printf 'abcdefghijklabcdefghijkl'"
-    )
+    let (clip, options) = fake_ffmpeg(dir.path(), probe, decode);
+    read_with(launcher, &clip, &VideoOptions { decoder: limits, ..options }, &Silent)
 }
 
 /// ffmpeg started by this process, and by a program that limits itself first.
@@ -330,7 +295,7 @@ fn hanging_crashing_or_verbose_ffmpeg_is_stopped() {
     let bad = "echo '[error] clip.mkv: Invalid data found when processing input' >&2; exit 1";
     for launcher in [None, Some(program())] {
         let read = |probe: &str, decode: &str, limits| with_fake_ffmpeg(launcher.as_ref(), probe, decode, limits);
-        let video = read(PROBED, &[sent(0), sent(1), sent(2)].join("\n"), usual).unwrap();
+        let video = read(PROBED, &sent(0..3), usual).unwrap();
         let counts = (video.frames.len(), video.warnings.len());
         assert_eq!(counts, (3, 0), "{:?}", video.warnings);
         for (probe, decode, want, words) in cases {
@@ -341,13 +306,13 @@ fn hanging_crashing_or_verbose_ffmpeg_is_stopped() {
             };
             let body = match decode.strip_prefix('!') {
                 Some(alone) => alone.to_owned(),
-                None => format!("{}\n{decode}", sent(0)),
+                None => sent(0..1) + decode,
             };
             let how = failure(read(probe, &body, limits), words);
             assert_end(&how, want, &body);
         }
         // An end by its own decision leaves what was decoded.
-        let video = read(PROBED, &format!("{}\nexit 1", sent(0)), usual).unwrap();
+        let video = read(PROBED, &(sent(0..1) + "exit 1"), usual).unwrap();
         assert_eq!(video.frames.len(), 1);
         assert!(video.warnings[0].contains("only 1 of 3 frames"), "{:?}", video.warnings);
         for (probe, decode) in [(bad, ""), (PROBED, bad)] {

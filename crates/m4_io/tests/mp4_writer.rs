@@ -1,15 +1,11 @@
 //! MP4 files that are written: they play elsewhere, read back here, and are whole or not there.
 
-use crate::common::{have_ffmpeg, pinwheel, psnr, says, temporary, times};
+use crate::common::{have_ffmpeg, pinwheel, psnr, says, temporary, times, without_ffmpeg as options};
 use m4_core::{Plane, Silent, Video};
 use m4_io::ErrorKind;
 use m4_io::video::{Mp4Writer, VideoOptions, read};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::Command;
-
-fn options() -> VideoOptions {
-    VideoOptions { size: None, ffmpeg: PathBuf::from("/nonexistent/ffmpeg"), ..VideoOptions::default() }
-}
 
 fn example(frames: usize) -> Video {
     let options = VideoOptions { end_s: Some((frames - 1) as f64 / 24.0), ..options() };

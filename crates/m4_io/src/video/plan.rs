@@ -188,7 +188,7 @@ impl Default for VideoOptions {
 
 #[cfg(test)]
 mod tests {
-    use super::{VideoOptions, evenly, select};
+    use super::evenly;
 
     #[test]
     fn kept_frames_span_the_clip_evenly() {
@@ -202,17 +202,5 @@ mod tests {
             let steps: Vec<usize> = picked.windows(2).map(|w| w[1] - w[0]).collect();
             assert!(steps.iter().max().unwrap() - steps.iter().min().unwrap() <= 1, "{k}: {steps:?}");
         }
-    }
-
-    #[test]
-    fn time_range_is_applied_before_thinning() {
-        let times: Vec<f64> = (0..100).map(|i| f64::from(i) / 25.0).collect();
-        let options =
-            VideoOptions { start_s: Some(1.0), end_s: Some(2.0), max_frames: Some(3), ..VideoOptions::default() };
-        assert_eq!(select(&times, &options).unwrap(), [25, 38, 50]);
-        let late = VideoOptions { start_s: Some(9.0), ..options.clone() };
-        let late = VideoOptions { end_s: None, ..late };
-        let error = select(&times, &late).unwrap_err().to_string();
-        assert!(error.contains("lasts 3.96 s"), "{error}");
     }
 }

@@ -10,14 +10,13 @@ use crate::{ErrorKind, Fault, ReadError, files, image};
 use m4_core::{Progress, ResizeFilter, Video, resize_rgb};
 use std::fs::File;
 use std::io::{self, Read};
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 
 /// Bytes of a file's start that tell what it is.
 const START_BYTES: u64 = 512;
 
 const NOT_VIDEO: &str = "it is not a video";
-/// Said of a file that ffmpeg may still know.
-const UNKNOWN: &str = "its first bytes are those of no known container; give an MP4, MOV, MKV, WebM or AVI file";
 
 /// Reads a clip: a video file or a folder of images. Frames come upright (display matrix applied),
 /// in sRGB, in order of time, all of one size; what the user should know is in [`Video::warnings`].
@@ -33,20 +32,25 @@ pub fn read_with(
     options: &VideoOptions,
     progress: &dyn Progress,
 ) -> Result<Video, ReadError> {
-    clip(decoder, path, options, progress).at(path)
+    clip(Request { path, options, decoder, progress }).at(path)
 }
 
-fn clip(
-    decoder: Option<&DecoderProgram>,
-    path: &Path,
-    options: &VideoOptions,
-    progress: &dyn Progress,
-) -> Result<Video, Fault> {
-    plan::check_options(options)?;
-    if path.is_dir() {
-        return folder(path, options, progress);
+/// What is read, and how.
+#[derive(Clone, Copy)]
+pub(super) struct Request<'a> {
+    pub path: &'a Path,
+    pub options: &'a VideoOptions,
+    /// Decodes H.264, and starts ffmpeg on Linux; this process does where there is none.
+    pub decoder: Option<&'a DecoderProgram>,
+    pub progress: &'a dyn Progress,
+}
+
+fn clip(request: Request<'_>) -> Result<Video, Fault> {
+    plan::check_options(request.options)?;
+    if request.path.is_dir() {
+        return folder(request);
     }
-    let mut file = File::open(path)?;
+    let mut file = File::open(request.path)?;
     let meta = file.metadata()?;
     if !meta.is_file() {
         return Err(not_video("it is a device or a pipe; give a file or a folder of images"));
@@ -57,20 +61,15 @@ fn clip(
     let mut start = Vec::new();
     (&mut file).take(START_BYTES).read_to_end(&mut start)?;
     if mp4::looks_like_mp4(&start) {
-        return mp4(path, &mut file, meta.len(), options, decoder, progress);
+        return mp4(request, &mut file, meta.len());
     }
-    match container(&start) {
-        Ok(what) => ffmpeg::read(path, what, options, decoder, progress),
-        Err(reason) => match ffmpeg::read(path, "of no kind that is known", options, decoder, progress) {
-            // Without ffmpeg what is known of its first bytes must do.
-            Err(e) if matches!(e, Fault::Content { kind: ErrorKind::Unavailable, .. }) && reason != UNKNOWN => {
-                Err(not_video(reason))
-            }
-            Err(Fault::Content { what, hint, .. }) if what == NOT_VIDEO => {
-                Err(not_video(&format!("{reason} ({hint})")))
-            }
-            other => other,
-        },
+    match (ffmpeg::read(request, "a file of another kind than MP4 and MOV"), no_clip(&start)) {
+        // Without ffmpeg what is known of its first bytes must do.
+        (Err(Fault::Content { kind: ErrorKind::Unavailable, .. }), Some(reason)) => Err(not_video(reason)),
+        (Err(Fault::Content { what, hint, .. }), Some(reason)) if what == NOT_VIDEO => {
+            Err(not_video(&format!("{reason} ({hint})")))
+        }
+        (other, _) => other,
     }
 }
 
@@ -89,46 +88,22 @@ pub(super) fn no_frames(reason: &str) -> Fault {
     Fault::bad(format!("it has no frame that can be decoded: {reason}"), "record or export it again")
 }
 
-/// The name of a container that only ffmpeg reads, or why the file is none that is known.
-fn container(start: &[u8]) -> Result<&'static str, &'static str> {
-    let known: [(&[u8], &str); 6] = [
-        (&[0x1a, 0x45, 0xdf, 0xa3], "a Matroska or WebM file"),
-        (b"FLV\x01", "a Flash video"),
-        (b"OggS", "an Ogg file"),
-        (b"GIF8", "an animated GIF"),
-        (&[0x00, 0x00, 0x01, 0xba], "an MPEG program stream"),
-        (&[0x30, 0x26, 0xb2, 0x75], "a Windows Media file"),
-    ];
-    if let Some((_, name)) = known.iter().find(|(magic, _)| start.starts_with(magic)) {
-        return Ok(name);
-    }
-    if start.starts_with(b"RIFF") && start.get(8..11) == Some(b"AVI") {
-        return Ok("an AVI file");
-    }
-    if start.first() == Some(&0x47) && start.get(188) == Some(&0x47) {
-        return Ok("an MPEG transport stream");
-    }
+/// Why a file with this start is hardly a clip.
+fn no_clip(start: &[u8]) -> Option<&'static str> {
     let images: [&[u8]; 2] = [b"\x89PNG", &[0xff, 0xd8, 0xff]];
     if images.iter().any(|magic| start.starts_with(magic)) {
-        return Err("it is a single image; give a video or the folder that holds all frames");
+        return Some("it is a single image; give a video or the folder that holds all frames");
     }
-    if start.iter().all(|&b| b == 0) {
-        return Err("it starts with zeros, as after a copy that was interrupted; copy it again");
-    }
-    Err(UNKNOWN)
+    let zeros = start.iter().all(|&b| b == 0);
+    zeros.then_some("it starts with zeros, as after a copy that was interrupted; copy it again")
 }
 
-fn mp4(
-    path: &Path,
-    file: &mut File,
-    len: u64,
-    options: &VideoOptions,
-    decoder: Option<&DecoderProgram>,
-    progress: &dyn Progress,
-) -> Result<Video, Fault> {
-    let movie = match Movie::read(file, len) {
+fn mp4(request: Request<'_>, file: &mut File, len: u64) -> Result<Video, Fault> {
+    // A panic of its parser, which is not ours, is a fault of the file.
+    let index = catch_unwind(AssertUnwindSafe(|| Movie::read(file, len)));
+    let movie = match index.unwrap_or_else(|_| Err(Mp4Error::Bad("its index breaks the parser".into()))) {
         Ok(movie) => movie,
-        Err(Mp4Error::Fragmented) => return ffmpeg::read(path, "a fragmented MP4 file", options, decoder, progress),
+        Err(Mp4Error::Fragmented) => return ffmpeg::read(request, "a fragmented MP4 file"),
         Err(Mp4Error::Io(e)) if e.kind() != io::ErrorKind::UnexpectedEof => return Err(e.into()),
         Err(Mp4Error::Truncated(what)) => {
             let hint = "copy it again from the camera, or repair the recording (`untrunc`)";
@@ -152,19 +127,20 @@ fn mp4(
         return Err(no_frames("its video track is empty"));
     }
     let codec = track.entries[0].codec;
-    let h264::Unsupported(what) = if matches!(&codec, b"avc1" | b"avc3") {
-        match h264::read(file, track, options, decoder, progress)? {
+    let what = if matches!(codec.as_ref(), b"avc1" | b"avc3") {
+        match h264::read(request, file, track) {
             Ok(video) => return Ok(video),
-            Err(unsupported) => unsupported,
+            Err(h264::Failure::Fault(fault)) => return Err(fault),
+            Err(h264::Failure::Unsupported(what)) => what,
         }
     } else {
-        h264::Unsupported(mp4::codec_name(codec))
+        mp4::codec_name(codec)
     };
-    ffmpeg::read(path, &what, options, decoder, progress)
+    ffmpeg::read(request, &what)
 }
 
 /// Reads the images of a folder in natural order (`2.png` before `10.png`), evenly spaced in time.
-fn folder(path: &Path, options: &VideoOptions, progress: &dyn Progress) -> Result<Video, Fault> {
+fn folder(Request { path, options, progress, .. }: Request<'_>) -> Result<Video, Fault> {
     let files = image_files(path)?;
     let times: Vec<f64> = (0..files.len()).map(|i| i as f64 / options.folder_fps).collect();
     let kept = plan::select(&times, options)?;

@@ -1,11 +1,11 @@
 //! Writes images as an MP4 file that plays in common players.
 
 use super::colour::{Planes420, Range, YuvMatrix};
-use super::h264;
-use super::mp4::Movie;
+use super::plan;
+use super::{VideoOptions, read_with};
 use crate::WriteError;
 use crate::atomic::AtomicFile;
-use m4_core::RgbImage;
+use m4_core::{RgbImage, Silent};
 use muxide::api::{Muxer, MuxerBuilder, VideoCodec};
 use openh264::OpenH264API;
 use openh264::encoder::{
@@ -13,7 +13,6 @@ use openh264::encoder::{
     VuiConfig,
 };
 use openh264::formats::YUVSlices;
-use std::fs::File;
 use std::path::{Path, PathBuf};
 
 /// Sides that the encoder takes, pixels: from one macroblock to level 5.2.
@@ -26,6 +25,9 @@ const QP: (u8, u8) = (20, 22);
 const NOMINAL_BITS_PER_S: u32 = 2_000_000;
 /// Seconds between frames at which a player can enter.
 const KEY_EVERY_S: f64 = 2.0;
+
+/// Longest side of the frames that a written file is read back in, pixels: they take little memory, however many they are.
+const VERIFIED_PX: usize = 64;
 
 /// Writes frames of one size to an MP4 file: H.264 High profile, BT.709, index at the front. The file
 /// appears under its name only when [`Mp4Writer::finish`] has read it back.
@@ -132,16 +134,15 @@ impl Mp4Writer {
     }
 }
 
-/// Decodes every frame of the file; what differs, if something does.
-fn verify(path: &Path, size: (usize, usize), frames: usize) -> Result<(), String> {
-    let mut file = File::open(path).map_err(|e| e.to_string())?;
-    let len = file.metadata().map_err(|e| e.to_string())?.len();
-    let movie = Movie::read(&mut file, len).map_err(|e| e.to_string())?;
-    let track = movie.video().ok_or("it has no video track")?;
-    let (found_size, found) = h264::count(&mut file, track)?;
-    let expected = (size.0.next_multiple_of(2), size.1.next_multiple_of(2));
-    if found_size != expected || found != frames {
-        return Err(format!("{found} frames of {found_size:?} where {frames} of {expected:?} were written"));
+/// Reads the file back; what differs, if something does.
+fn verify(path: &Path, (width, height): (usize, usize), frames: usize) -> Result<(), String> {
+    let options = VideoOptions { size: Some(VERIFIED_PX), strict: true, ..VideoOptions::default() };
+    let back = read_with(None, path, &options, &Silent).map_err(|e| e.to_string())?;
+    let even = |side: usize| side.next_multiple_of(2) as f64;
+    let expected = plan::target_size(even(width), even(height), &options);
+    let found = (back.frames.len(), back.frames[0].rgb.size());
+    if found != (frames, expected) {
+        return Err(format!("{} frames of {:?} where {frames} of {expected:?} were expected", found.0, found.1));
     }
     Ok(())
 }

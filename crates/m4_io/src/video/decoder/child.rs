@@ -16,28 +16,11 @@ const CHUNK_BYTES: usize = 64 << 10;
 /// Chunks that wait to be taken; then the child waits.
 const CHUNKS: usize = 16;
 
-/// Why waiting for a child ended.
-#[derive(Debug)]
-pub enum Halt {
-    /// The caller asked to stop.
-    Cancelled,
-    /// The child failed.
-    Failed(DecoderEnd),
-}
-
-impl Halt {
-    /// As the fault of the clip.
-    pub fn fault(self, decoder: &'static str) -> Fault {
-        match self {
-            Self::Cancelled => Fault::Cancelled,
-            Self::Failed(how) => Fault::Decoder { decoder, how },
-        }
-    }
-}
-
 /// What sort of child is started.
 #[derive(Debug, Clone, Copy)]
 pub struct Start {
+    /// Which decoder, for people.
+    pub decoder: &'static str,
     /// It is sent requests.
     pub talks: bool,
     /// It is the decoder itself, not our own program, which limits itself.
@@ -46,6 +29,7 @@ pub struct Start {
 
 /// A running child. Dropping it ends it, with all that it started.
 pub struct Child<'a> {
+    decoder: &'static str,
     process: Process,
     output: Receiver<Vec<u8>>,
     /// What came and was not taken yet, from `at`.
@@ -53,7 +37,8 @@ pub struct Child<'a> {
     at: usize,
     input: Option<Sender<Vec<u8>>>,
     messages: Messages,
-    allowed: Allowed,
+    /// What it may take.
+    pub allowed: Allowed,
     progress: &'a dyn Progress,
     reaped: bool,
 }
@@ -71,7 +56,7 @@ impl<'a> Child<'a> {
     /// says that it does not limit itself.
     pub fn start(
         command: &mut Command,
-        Start { talks, bare }: Start,
+        Start { decoder, talks, bare }: Start,
         allowed: Allowed,
         message_bytes: u64,
         on_line: OnLine,
@@ -90,8 +75,18 @@ impl<'a> Child<'a> {
         let (sender, output) = sync_channel(CHUNKS);
         let messages = Messages::read(stderr.ok_or_else(missing)?, message_bytes, on_line);
         // From here on the child is ended when something fails.
-        let mut child =
-            Self { process, output, chunk: Vec::new(), at: 0, input: None, messages, allowed, progress, reaped: false };
+        let mut child = Self {
+            decoder,
+            process,
+            output,
+            chunk: Vec::new(),
+            at: 0,
+            input: None,
+            messages,
+            allowed,
+            progress,
+            reaped: false,
+        };
         limited.map_err(|e| io::Error::other(format!("its limits cannot be set: {e}")))?;
         let stdout = stdout.ok_or_else(missing)?;
         std::thread::spawn(move || forward(stdout, &sender));
@@ -104,6 +99,11 @@ impl<'a> Child<'a> {
         Ok(child)
     }
 
+    /// The fault of a clip whose decoder failed so.
+    pub fn failed(&self, how: DecoderEnd) -> Fault {
+        Fault::Decoder { decoder: self.decoder, how }
+    }
+
     /// Gives bytes to the child, without waiting. A child that is gone shows in its output.
     pub fn send(&self, bytes: Vec<u8>) {
         if let Some(input) = &self.input {
@@ -112,12 +112,12 @@ impl<'a> Child<'a> {
     }
 
     /// Waits for something that a thread makes of what the child writes; `None` when no more will come.
-    pub fn wait_for<T>(&self, receiver: &Receiver<T>) -> Result<Option<T>, Halt> {
+    pub fn wait_for<T>(&self, receiver: &Receiver<T>) -> Result<Option<T>, Fault> {
         let start = Instant::now();
         loop {
             let got = receiver.recv_timeout(POLL);
             if let Some(read_mb) = self.messages.too_many_mb() {
-                return Err(Halt::Failed(DecoderEnd::Messages { read_mb }));
+                return Err(self.failed(DecoderEnd::Messages { read_mb }));
             }
             match got {
                 Ok(got) => return Ok(Some(got)),
@@ -128,19 +128,19 @@ impl<'a> Child<'a> {
     }
 
     /// Fails when the caller wants to stop, or when too much time went by since `start`.
-    fn watch(&self, start: Instant) -> Result<(), Halt> {
+    fn watch(&self, start: Instant) -> Result<(), Fault> {
         let seconds = self.allowed.idle_s;
         if self.progress.cancelled() {
-            return Err(Halt::Cancelled);
+            return Err(Fault::Cancelled);
         }
         if start.elapsed() >= Duration::from_secs(seconds) {
-            return Err(Halt::Failed(DecoderEnd::Idle { seconds }));
+            return Err(self.failed(DecoderEnd::Idle { seconds }));
         }
         Ok(())
     }
 
     /// Fills `bytes` with output; false when it ended before.
-    pub fn read_exact(&mut self, bytes: &mut [u8]) -> Result<bool, Halt> {
+    pub fn read_exact(&mut self, bytes: &mut [u8]) -> Result<bool, Fault> {
         let mut filled = 0;
         while filled < bytes.len() {
             if self.at == self.chunk.len() {
@@ -157,7 +157,7 @@ impl<'a> Child<'a> {
     }
 
     /// All output to its end, or `None` if it has more than `limit` bytes.
-    pub fn read_to_end(&mut self, limit: usize) -> Result<Option<Vec<u8>>, Halt> {
+    pub fn read_to_end(&mut self, limit: usize) -> Result<Option<Vec<u8>>, Fault> {
         let mut bytes = Vec::new();
         while let Some(chunk) = self.wait_for(&self.output)? {
             if bytes.len() + chunk.len() > limit {
@@ -169,13 +169,14 @@ impl<'a> Child<'a> {
     }
 
     /// Waits until the child ends by itself and all its messages are read.
-    pub fn finish(&mut self) -> Result<Exit, Halt> {
+    pub fn finish(&mut self) -> Result<Exit, Fault> {
         // A child that waits for more sees the end.
         self.input = None;
         let (start, mut nap) = (Instant::now(), Duration::from_micros(200));
+        let decoder = self.decoder;
         let failed = |e: io::Error| {
             let what = format!("its end cannot be awaited: {e}");
-            Halt::Failed(DecoderEnd::Answer { what })
+            Fault::Decoder { decoder, how: DecoderEnd::Answer { what } }
         };
         while !self.has_ended().map_err(failed)? {
             self.watch(start)?;
@@ -197,11 +198,8 @@ impl<'a> Child<'a> {
     }
 
     /// Why a child whose output ended too early did so.
-    pub fn why_ended(&mut self) -> Halt {
-        match self.finish() {
-            Ok(exit) => Halt::Failed(self.why(&exit)),
-            Err(halt) => halt,
-        }
+    pub fn why_ended(&mut self) -> Fault {
+        self.finish().map_or_else(|fault| fault, |exit| self.failed(self.why(&exit)))
     }
 
     /// Lines of its standard error that were kept.

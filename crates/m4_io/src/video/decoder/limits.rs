@@ -121,9 +121,6 @@ const FILES: u64 = 256;
 /// Those of our own decoder: its pipes.
 #[cfg(target_os = "linux")]
 const PIPES: u64 = 3;
-/// Processes and threads of the user besides those at the start: ffmpeg takes some fifty, other programs count too.
-#[cfg(target_os = "linux")]
-const MORE_TASKS: u64 = 1024;
 
 #[cfg(target_os = "linux")]
 type Limit = (rustix::process::Resource, u64);
@@ -172,13 +169,11 @@ pub fn limit_child(child: &std::process::Child, allowed: &Allowed, bare: bool) -
 pub fn limit_self(allowed: &Allowed, confined: Confined) -> io::Result<()> {
     use rustix::process::{Resource, setrlimit};
     rustix::thread::set_no_new_privs(true)?;
-    let (files, tasks) = match confined {
-        Confined::Decoder => (PIPES, Some(0)),
-        Confined::Program => (FILES, tasks_of_this_user().map(|n| n + MORE_TASKS)),
+    let own: &[Limit] = match confined {
+        Confined::Decoder => &[(Resource::Nproc, 0), (Resource::Nofile, PIPES)],
+        Confined::Program => &[(Resource::Nofile, FILES)],
     };
-    let tasks = tasks.map(|n| (Resource::Nproc, n));
-    let own = tasks.into_iter().chain([(Resource::Nofile, files)]);
-    for limit in own.chain(limits(allowed)) {
+    for limit in own.iter().copied().chain(limits(allowed)) {
         set(limit, |value| setrlimit(limit.0, value))?;
     }
     Ok(())
@@ -196,33 +191,9 @@ pub fn limit_self(_: &Allowed, _: Confined) -> io::Result<()> {
     Ok(())
 }
 
-/// Processes and threads of the user of this process, as `RLIMIT_NPROC` counts them; `None` where `/proc` cannot be read.
-#[cfg(target_os = "linux")]
-fn tasks_of_this_user() -> Option<u64> {
-    let user = rustix::process::getuid().as_raw();
-    let entries = std::fs::read_dir("/proc").ok()?.flatten();
-    let is_process = |name: &str| name.bytes().all(|b| b.is_ascii_digit());
-    let processes = entries.filter(|entry| entry.file_name().to_str().is_some_and(is_process));
-    // One that has ended since it was listed counts no more.
-    let texts = processes.filter_map(|entry| std::fs::read_to_string(entry.path().join("status")).ok());
-    Some(texts.filter_map(|text| threads(&text, user)).sum())
-}
-
-/// Threads of a process by its `status`, if its real user is `user`.
-#[cfg(target_os = "linux")]
-fn threads(status: &str, user: u32) -> Option<u64> {
-    let field = |name: &str| {
-        let line = status.lines().find_map(|line| line.strip_prefix(name))?;
-        line.split_whitespace().next()
-    };
-    (field("Uid:")?.parse() == Ok(user)).then_some(field("Threads:")?.parse().ok())?
-}
-
 #[cfg(test)]
 mod tests {
     use super::{DecoderLimits, Work};
-    #[cfg(target_os = "linux")]
-    use super::{tasks_of_this_user, threads};
 
     #[test]
     fn limits_grow_with_the_clip_and_a_number_given_is_kept() {
@@ -249,15 +220,5 @@ mod tests {
             let text = limits.check().unwrap_err().to_string();
             assert!(text.contains(name), "{text}");
         }
-    }
-
-    #[cfg(target_os = "linux")]
-    #[test]
-    fn threads_of_one_user_are_counted() {
-        let status = "Name:\tUid: 7\nUid:\t1000\t0\t0\t0\nGid:\t5\t5\t5\t5\nThreads:\t12\n";
-        assert_eq!((threads(status, 1000), threads(status, 0)), (Some(12), None));
-        assert_eq!(threads("", 0), None);
-        // at least this test and the program that waits for it
-        assert!(tasks_of_this_user().unwrap() >= 2);
     }
 }

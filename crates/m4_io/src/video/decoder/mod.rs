@@ -14,12 +14,12 @@ mod child;
 mod end;
 mod limits;
 
-pub use child::{Child, Halt, Start};
+pub use child::{Child, Start};
 pub use end::{DecoderEnd, is_of_data, is_of_memory};
 pub use limits::{Allowed, Confined, DecoderLimits, Work, limit_self};
 
 use std::ffi::OsString;
-use std::io::{self, ErrorKind};
+use std::io;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::OnceLock;
@@ -28,55 +28,23 @@ use std::sync::OnceLock;
 pub const NOT_STARTED: &str = "not started: ";
 
 /// The command for `program`, by way of `launcher` where the system keeps limits; its arguments are to follow.
-pub fn command(launcher: Option<&DecoderProgram>, program: &Path, allowed: &Allowed) -> io::Result<Command> {
-    let Some(launcher) = launcher.filter(|_| cfg!(target_os = "linux")) else {
-        return Ok(Command::new(program));
-    };
-    let mut command = launcher.command(allowed);
-    command.arg(find(program)?);
-    Ok(command)
+pub fn command(launcher: Option<&DecoderProgram>, program: &Path, allowed: &Allowed) -> Command {
+    match launcher.filter(|_| cfg!(target_os = "linux")) {
+        Some(launcher) => {
+            let mut command = launcher.command(allowed);
+            command.arg(program);
+            command
+        }
+        None => Command::new(program),
+    }
 }
 
-/// The file of a program: the first of its name on the PATH, where it has no folder.
-fn find(program: &Path) -> io::Result<PathBuf> {
-    let places: Vec<PathBuf> = if program.components().count() > 1 {
-        vec![program.to_path_buf()]
-    } else {
-        let path = std::env::var_os("PATH").unwrap_or_default();
-        std::env::split_paths(&path).map(|folder| folder.join(program)).collect()
-    };
-    let found = places.into_iter().find(|place| is_program(place));
-    // As starting it would have said.
-    found.ok_or_else(|| match std::fs::metadata(program) {
-        Err(e) => e,
-        Ok(_) => io::Error::new(ErrorKind::NotFound, "there is no such program"),
-    })
-}
-
-#[cfg(unix)]
-fn is_program(file: &Path) -> bool {
-    use std::os::unix::fs::PermissionsExt;
-    std::fs::metadata(file).is_ok_and(|m| m.is_file() && m.permissions().mode() & 0o111 != 0)
-}
-
-#[cfg(not(unix))]
-fn is_program(file: &Path) -> bool {
-    file.is_file()
-}
-
-/// Limits this process and becomes the program `line[0]` with its arguments; returns only where that failed.
-pub fn become_program(line: &[OsString], allowed: &Allowed) -> io::Error {
-    let Some((program, arguments)) = line.split_first() else {
-        return io::Error::new(ErrorKind::InvalidInput, "a program was expected");
-    };
-    let named =
-        |e: io::Error| io::Error::new(e.kind(), format!("[fatal] {NOT_STARTED}{}: {e}", Path::new(program).display()));
+/// Limits this process and becomes `program`; returns only where that failed.
+pub fn become_program(program: &OsString, arguments: &[OsString], allowed: &Allowed) -> io::Error {
     let mut command = Command::new(program);
     command.args(arguments);
-    if let Err(e) = limit_self(allowed, Confined::Program) {
-        return named(e);
-    }
-    named(replace(&mut command))
+    let e = limit_self(allowed, Confined::Program).err().unwrap_or_else(|| replace(&mut command));
+    io::Error::new(e.kind(), format!("[fatal] {NOT_STARTED}{e}"))
 }
 
 #[cfg(unix)]
@@ -86,7 +54,7 @@ fn replace(command: &mut Command) -> io::Error {
 
 #[cfg(not(unix))]
 fn replace(_: &mut Command) -> io::Error {
-    ErrorKind::Unsupported.into()
+    io::ErrorKind::Unsupported.into()
 }
 
 /// Variables that a decoder keeps: where programs are and, where systems need them, shared libraries and Windows' folder.
@@ -148,21 +116,4 @@ pub fn set_decoder_program(program: DecoderProgram) -> Result<(), DecoderProgram
 #[must_use]
 pub fn decoder_program() -> Option<&'static DecoderProgram> {
     REGISTERED.get()
-}
-
-#[cfg(test)]
-#[cfg(unix)]
-mod tests {
-    use super::find;
-    use std::path::Path;
-
-    #[test]
-    fn programs_are_found_on_the_path_or_at_the_given_place() {
-        let shell = find(Path::new("sh")).unwrap();
-        assert!(shell.is_absolute() && shell.ends_with("sh"));
-        assert_eq!(find(&shell).unwrap(), shell);
-        for none in ["no-such-program", "/nowhere/sh", "/", "Cargo.toml", ""] {
-            assert!(find(Path::new(none)).is_err(), "{none}");
-        }
-    }
 }

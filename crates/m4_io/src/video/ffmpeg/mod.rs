@@ -7,14 +7,11 @@ mod read;
 
 pub use read::read;
 
-use super::VideoOptions;
 use super::colour::Hdr;
-use super::decoder::{self, Allowed, Child, DecoderEnd, DecoderProgram, Halt, NOT_STARTED, Start, Work, is_of_data};
-use super::read::not_video;
+use super::decoder::{self, Allowed, Child, DecoderEnd, DecoderProgram, NOT_STARTED, Start, Work, is_of_data};
+use super::read::{Request, not_video};
 use crate::Fault;
-use m4_core::Progress;
 use serde::Deserialize;
-use std::io;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
@@ -29,26 +26,21 @@ const FORMATS: &str = "3g2,apng,asf,av1,avi,dv,flv,gif,h264,hevc,ivf,m4v,matrosk
                        mpegvideo,mxf,nut,obu,ogg,rm,vc1,vvc,webm,wtv,yuv4mpegpipe";
 
 /// A command that reads one local file and nothing else: no network, no file that the clip names, no option or protocol.
-pub fn command(
-    (launcher, program): (Option<&DecoderProgram>, &Path),
-    allowed: &Allowed,
-    options: &[&str],
-    input: &Path,
-) -> io::Result<Command> {
+pub fn command(request: Request<'_>, program: &Path, allowed: &Allowed, options: &[&str]) -> Command {
     let mut name = std::ffi::OsString::from("file:");
-    name.push(input);
-    let mut command = decoder::command(launcher, program, allowed)?;
+    name.push(request.path);
+    let mut command = decoder::command(request.decoder, program, allowed);
     command
         .args(["-hide_banner", "-protocol_whitelist", "file", "-format_whitelist", FORMATS])
         .args(options)
         .arg("-i")
         .arg(name);
-    Ok(command)
+    command
 }
 
 /// How such a command is started.
-pub fn start(launcher: Option<&DecoderProgram>) -> Start {
-    Start { talks: false, bare: launcher.is_none() }
+pub fn start(decoder: &'static str, launcher: Option<&DecoderProgram>) -> Start {
+    Start { decoder, talks: false, bare: launcher.is_none() }
 }
 
 /// A frame that is about to come through the pipe.
@@ -152,34 +144,28 @@ pub struct Description {
     pub packets: usize,
 }
 
-/// Describes the first video stream of `path`, or `None` when there is no such stream.
-pub fn describe(
-    path: &Path,
-    what: &str,
-    options: &VideoOptions,
-    launcher: Option<&DecoderProgram>,
-    progress: &dyn Progress,
-) -> Result<Option<Description>, Fault> {
+/// Describes the first video stream, or `None` when there is no such stream.
+pub fn describe(request: Request<'_>, what: &str) -> Result<Option<Description>, Fault> {
+    let Request { path, options, decoder: launcher, progress } = request;
     let program = probe_beside(&options.ffmpeg);
     // V: no cover images.
     let entries = "stream=codec_name,pix_fmt,color_space,color_transfer,width,height,field_order:packet=pts_time,flags";
     let arguments = ["-v", "error", "-of", "json", "-select_streams", "V:0", "-show_entries", entries];
     let work = Work { pixels: MAX_PIXELS, frames: 0, bytes: std::fs::metadata(path).map_or(0, |m| m.len()) };
     let allowed = options.decoder.allowed(work);
-    let child = command((launcher, &program), &allowed, &arguments, path).and_then(|mut command| {
-        let on_line = Box::new(|_: &str| true);
-        Child::start(&mut command, start(launcher), allowed, MESSAGE_BYTES, on_line, progress)
-    });
+    let mut command = command(request, &program, &allowed, &arguments);
+    let on_line = Box::new(|_: &str| true);
+    let child = Child::start(&mut command, start("ffprobe", launcher), allowed, MESSAGE_BYTES, on_line, progress);
     let mut child = child.map_err(|e| needed(what, &program, &e.to_string()))?;
-    let text = child.read_to_end(MAX_OUTPUT_BYTES).map_err(|halt| halt.fault("ffprobe"))?;
+    let text = child.read_to_end(MAX_OUTPUT_BYTES)?;
     let Some(text) = text else {
         return Err(undecoded("it has more than two million frames"));
     };
-    let exit = child.finish().map_err(|halt| halt.fault("ffprobe"))?;
+    let exit = child.finish()?;
     if !exit.status.success() {
         let how = child.why(&exit);
         if !matches!(how, DecoderEnd::Answer { .. }) {
-            return Err(Halt::Failed(how).fault("ffprobe"));
+            return Err(child.failed(how));
         }
         let message = child.message();
         let last = message.last().map_or("no reason given", String::as_str);
@@ -188,7 +174,7 @@ pub fn describe(
         }
         if !message.iter().any(|line| is_of_data(line)) {
             let what = format!("it says {:?}", last.trim());
-            return Err(Halt::Failed(DecoderEnd::Answer { what }).fault("ffprobe"));
+            return Err(child.failed(DecoderEnd::Answer { what }));
         }
         let name = format!("file:{}: ", path.display());
         return Err(not_video(&format!("ffprobe says {:?}", last.trim().trim_start_matches(&name))));

@@ -4,11 +4,10 @@ use super::{Description, FrameInfo, Line, command, describe, needed, parse, star
 use crate::Fault;
 use crate::video::VideoOptions;
 use crate::video::colour::ToneMap;
-use crate::video::decoder::{Child, DecoderEnd, DecoderProgram, Halt, Work, is_of_data, is_of_memory};
+use crate::video::decoder::{Child, DecoderEnd, Work, is_of_data, is_of_memory};
 use crate::video::plan::{self, Collector};
-use crate::video::read::{no_frames, no_video_track};
+use crate::video::read::{Request, no_frames, no_video_track};
 use m4_core::{Plane, Progress, RgbImage, Video};
-use std::path::Path;
 use std::sync::mpsc::{Receiver, channel};
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -33,24 +32,17 @@ struct Complaints {
     of_data: bool,
 }
 
-/// Reads `path`; `what` names the codec or container and why it is not decoded without ffmpeg, which `launcher` starts.
-pub fn read(
-    path: &Path,
-    what: &str,
-    options: &VideoOptions,
-    launcher: Option<&DecoderProgram>,
-    progress: &dyn Progress,
-) -> Result<Video, Fault> {
-    let description = describe(path, what, options, launcher, progress)?;
+/// Reads a clip; `what` names the codec or container and why it is not decoded without ffmpeg.
+pub fn read(request: Request<'_>, what: &str) -> Result<Video, Fault> {
+    let description = describe(request, what)?;
     let Some(description) = description.filter(|d| !d.codec.is_empty()) else {
         return Err(no_video_track("ffprobe finds no video stream"));
     };
     if description.packets == 0 {
         return Err(no_frames(&format!("its {} stream is empty", description.codec)));
     }
-    let decode = |every_frame_once| {
-        Decoder::start((path, what), &description, options, every_frame_once, launcher, progress)?.run(progress)
-    };
+    let decode =
+        |every_frame_once| Decoder::start(request, what, &description, every_frame_once)?.run(request.progress);
     match decode(["-fps_mode", "passthrough"]) {
         // Before ffmpeg 5.1 the option had another name.
         Err(Fault::Decoder { how: DecoderEnd::Answer { what }, .. }) if what.contains("fps_mode") => {
@@ -75,13 +67,12 @@ struct Decoder<'a> {
 
 impl<'a> Decoder<'a> {
     fn start(
-        (path, what): (&Path, &str),
+        request: Request<'a>,
+        what: &str,
         description: &'a Description,
-        options: &'a VideoOptions,
         every_frame_once: [&str; 2],
-        launcher: Option<&DecoderProgram>,
-        progress: &'a dyn Progress,
     ) -> Result<Self, Fault> {
+        let Request { path, options, decoder: launcher, progress } = request;
         let in_range = match &description.times_s {
             Some(times) => {
                 let inside = times.iter().filter(|&&t| plan::in_range(t, options)).count();
@@ -93,14 +84,12 @@ impl<'a> Decoder<'a> {
             }
             None => description.packets,
         };
-        let strict: &[&str] = if options.strict { &["-xerror"] } else { &[] };
         let threads = std::thread::available_parallelism().map_or(1, |n| n.get().min(MAX_THREADS)).to_string();
-        let before: Vec<&str> = ["-nostdin", "-nostats", "-loglevel", "level+info"]
-            .iter()
-            .chain(&["-filter_threads", &threads, "-threads", &threads])
-            .chain(strict)
-            .copied()
-            .collect();
+        let mut before = vec!["-nostdin", "-nostats", "-loglevel", "level+info"];
+        before.extend(["-filter_threads", &threads, "-threads", &threads]);
+        if options.strict {
+            before.push("-xerror");
+        }
         let work = Work {
             pixels: description.pixels,
             frames: description.packets as u64,
@@ -130,15 +119,14 @@ impl<'a> Decoder<'a> {
             line.contains("error while loading")
         });
         let allowed = options.decoder.allowed(work);
-        let child = command((launcher, &options.ffmpeg), &allowed, &before, path).and_then(|mut command| {
-            command
-                .args(["-map", "0:V:0", "-an", "-sn", "-dn"])
-                .args(every_frame_once)
-                .arg("-vf")
-                .arg(filters(description))
-                .args(["-f", "rawvideo", "pipe:1"]);
-            Child::start(&mut command, start(launcher), allowed, message_bytes, on_line, progress)
-        });
+        let mut command = command(request, &options.ffmpeg, &allowed, &before);
+        command
+            .args(["-map", "0:V:0", "-an", "-sn", "-dn"])
+            .args(every_frame_once)
+            .arg("-vf")
+            .arg(filters(description))
+            .args(["-f", "rawvideo", "pipe:1"]);
+        let child = Child::start(&mut command, start("ffmpeg", launcher), allowed, message_bytes, on_line, progress);
         let child = child.map_err(|e| needed(what, &options.ffmpeg, &e.to_string()))?;
         Ok(Self {
             options,
@@ -162,7 +150,7 @@ impl<'a> Decoder<'a> {
             if progress.cancelled() {
                 return Err(Fault::Cancelled);
             }
-            let info = self.child.wait_for(&self.frames).map_err(halted)?;
+            let info = self.child.wait_for(&self.frames)?;
             let Some(info) = info else { break };
             let (start, origin_s) = *first.get_or_insert((info, info.time_s.unwrap_or(0.0)));
             let time_s = info.time_s.map_or(decoded as f64 / self.options.folder_fps, |t| t - origin_s);
@@ -205,8 +193,7 @@ impl<'a> Decoder<'a> {
             return Err(undecoded(&format!("its frames are {} x {} pixels", info.width, info.height)));
         }
         bytes.resize(pixels * if self.tone_map.is_some() { 6 } else { 3 }, 0);
-        let whole = self.child.read_exact(bytes);
-        whole.map_err(halted)
+        self.child.read_exact(bytes)
     }
 
     fn image(&self, info: &FrameInfo, bytes: &[u8]) -> Result<RgbImage, Fault> {
@@ -223,7 +210,7 @@ impl<'a> Decoder<'a> {
     fn finish(mut self, collector: Option<Collector>, decoded: usize, kept: usize) -> Result<Video, Fault> {
         let complete = kept == self.keep.len();
         // What remains of a clip of which enough was read is not needed.
-        let exit = if complete { None } else { Some(self.child.finish().map_err(halted)?) };
+        let exit = if complete { None } else { Some(self.child.finish()?) };
         let description = self.description;
         let complaints = std::mem::take(&mut *self.complaints.lock().unwrap_or_else(PoisonError::into_inner));
         if let Some(exit) = &exit
@@ -232,10 +219,9 @@ impl<'a> Decoder<'a> {
             let how = self.child.why(exit);
             // An early end by its own decision is reported below, and what it decoded is kept.
             if !matches!(how, DecoderEnd::Answer { .. }) {
-                return Err(halted(Halt::Failed(how)));
+                return Err(self.child.failed(how));
             }
         }
-        drop(self.child);
         let message = complaints.first.first().cloned().unwrap_or_else(|| "no reason given".into());
         if self.options.strict && (complaints.count > 0 || !complete) {
             return Err(undecoded(&format!("{} errors with `strict`, the first: {message}", complaints.count.max(1))));
@@ -245,7 +231,7 @@ impl<'a> Decoder<'a> {
             let reason = if reason.is_empty() { message } else { reason };
             if !complaints.of_data {
                 // It shows no frame, and says nothing against the clip: it may not have been able to read it.
-                return Err(Halt::Failed(DecoderEnd::Answer { what: reason }).fault("ffmpeg"));
+                return Err(self.child.failed(DecoderEnd::Answer { what: reason }));
             }
             return Err(undecoded(&reason));
         };
@@ -271,10 +257,6 @@ impl<'a> Decoder<'a> {
         collector.warnings.extend(plan::thinned(self.keep.len(), self.in_range));
         collector.finish(None).ok_or_else(|| no_frames(&message))
     }
-}
-
-fn halted(halt: Halt) -> Fault {
-    halt.fault("ffmpeg")
 }
 
 /// What happens to an image before it enters the pipe.

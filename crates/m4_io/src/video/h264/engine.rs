@@ -12,81 +12,74 @@
 //!
 //! The decoder never says how long something is: its answers are the size that was agreed on.
 
-use crate::video::colour::YuvMatrix;
-use crate::video::decoder::{
-    Allowed, Child, Confined, DecoderEnd, DecoderProgram, Halt, Start, become_program, limit_self,
-};
-use m4_core::{Progress, RgbImage};
+use crate::video::colour::bytes_420;
+use crate::video::decoder::{Allowed, Child, Confined, DecoderEnd, DecoderProgram, Start, become_program, limit_self};
+use crate::{ErrorKind, Fault};
+use m4_core::Progress;
 use openh264::OpenH264API;
 use openh264::decoder::{DecodedYUV, Decoder, DecoderConfig, Flush};
 use openh264::formats::YUVSource;
 use std::collections::VecDeque;
 use std::ffi::OsString;
-use std::io::{self, BufReader, BufWriter, ErrorKind, Read, Write};
+use std::io::{self, BufReader, BufWriter, Read, Write};
 
 /// Frames on their way to a child while the first answer is waited for: it decodes while this process converts.
 const WINDOW: usize = 6;
 /// Bytes of messages that a child may write: OpenH264 writes none, the system a few.
 const MESSAGE_BYTES: u64 = 1 << 20;
 
-/// What became of a frame: `None` if it is damaged, and an image where one was wanted.
-type Answer = Option<Option<RgbImage>>;
+/// What became of a coded frame.
+#[derive(Debug)]
+pub enum Frame {
+    /// It is damaged, or there is no memory for it in this process.
+    Damaged,
+    /// It is decoded, and not wanted.
+    Decoded,
+    /// Its planes: luma, then both chroma, without padding.
+    Image(Vec<u8>),
+    /// There is no memory for it.
+    NoMemory,
+}
 
 /// The decoder of one stream.
 pub struct Engine<'a> {
     place: Place<'a>,
-    matrix: YuvMatrix,
     size: (usize, usize),
 }
 
 enum Place<'a> {
-    Here { decoder: Box<H264>, done: VecDeque<Answer> },
-    There { child: Child<'a>, memory_bytes: u64 },
-}
-
-/// Why a child decodes nothing.
-#[derive(Debug)]
-pub enum Refusal {
-    /// It cannot be started.
-    Start(io::Error),
-    /// It ended.
-    Halt(Halt),
-    /// OpenH264 cannot be set up.
-    Setup,
+    Here { decoder: Box<H264>, done: VecDeque<Frame> },
+    There(Child<'a>),
 }
 
 impl<'a> Engine<'a> {
-    /// Decodes in this process; `None` when the library cannot be set up.
-    pub fn here(setup: Setup, matrix: YuvMatrix) -> Option<Self> {
-        let size = setup.size;
-        let (decoder, done) = (Box::new(H264::new(setup)?), VecDeque::new());
-        Some(Self { place: Place::Here { decoder, done }, matrix, size })
-    }
-
-    /// Decodes in a process of its own.
-    pub fn there(
-        program: &DecoderProgram,
-        setup: &Setup,
-        matrix: YuvMatrix,
+    /// Starts `program`; without one this process decodes. `None` when OpenH264 cannot be set up.
+    pub fn start(
+        program: Option<&DecoderProgram>,
+        setup: Setup,
         allowed: Allowed,
         progress: &'a dyn Progress,
-    ) -> Result<Self, Refusal> {
-        let start = Start { talks: true, bare: false };
+    ) -> Result<Option<Self>, Fault> {
+        let size = setup.size;
+        let Some(program) = program else {
+            let decoder = H264::new(setup).map(Box::new);
+            return Ok(decoder.map(|decoder| Self { place: Place::Here { decoder, done: VecDeque::new() }, size }));
+        };
+        let start = Start { decoder: "the H.264 decoder", talks: true, bare: false };
         let mut command = program.command(&allowed);
         let child = Child::start(&mut command, start, allowed, MESSAGE_BYTES, Box::new(|_| true), progress);
-        let mut child = child.map_err(Refusal::Start)?;
+        let mut child = child.map_err(|e| {
+            let what = format!("the decoder program {} cannot be started ({e})", program.program.display());
+            Fault::Content { kind: ErrorKind::Io, what, hint: "install the program again".into() }
+        })?;
         child.send(setup.write());
         let mut hello = [0; MAGIC.len() + 1];
-        if !child.read_exact(&mut hello).map_err(Refusal::Halt)? {
-            return Err(Refusal::Halt(child.why_ended()));
-        }
+        receive(&mut child, &mut hello)?;
         let [magic @ .., ready] = hello;
         match (magic == MAGIC, ready) {
-            (true, 1) => {
-                Ok(Self { place: Place::There { child, memory_bytes: allowed.memory_bytes }, matrix, size: setup.size })
-            }
-            (true, 0) => Err(Refusal::Setup),
-            _ => Err(Refusal::Halt(answer("it does not answer as minute4d's decoder does"))),
+            (true, 1) => Ok(Some(Self { place: Place::There(child), size })),
+            (true, 0) => Ok(None),
+            _ => Err(unknown(&child, "it does not answer as minute4d's decoder does".into())),
         }
     }
 
@@ -94,62 +87,54 @@ impl<'a> Engine<'a> {
     pub fn window(&self) -> usize {
         match self.place {
             Place::Here { .. } => 0,
-            Place::There { .. } => WINDOW,
+            Place::There(_) => WINDOW,
         }
     }
 
     /// Gives a frame (with start codes), behind parameter sets when it is `fresh`. An image is made only when it is wanted.
     pub fn give(&mut self, frame: &[u8], fresh: bool, wanted: bool) {
         match &mut self.place {
-            Place::Here { decoder, done } => done.push_back(match decoder.decode(frame, fresh) {
-                Frame::Damaged | Frame::NoMemory => None,
-                Frame::Whole(_) if !wanted => Some(None),
-                Frame::Whole(yuv) => {
-                    let (luma, chroma, _) = yuv.strides();
-                    let planes = [yuv.y(), yuv.u(), yuv.v()];
-                    let image = self.matrix.image_420(self.size, planes, [luma, chroma]);
-                    image.map(Some)
-                }
-            }),
-            Place::There { child, .. } => {
-                let flags = if fresh { FRESH } else { 0 } | if wanted { WANTED } else { 0 };
-                child.send(request(frame, flags));
+            Place::Here { decoder, done } => done.push_back(decoder.decode(frame, fresh, wanted)),
+            Place::There(child) => {
+                let mut request = vec![if fresh { FRESH } else { 0 } | if wanted { WANTED } else { 0 }];
+                write_block(frame, &mut request);
+                child.send(request);
             }
         }
     }
 
     /// What became of the first of the frames given whose answer was not taken.
-    pub fn take(&mut self) -> Result<Answer, Halt> {
-        let (child, memory_bytes) = match &mut self.place {
-            Place::Here { done, .. } => return Ok(done.pop_front().flatten()),
-            Place::There { child, memory_bytes } => (child, *memory_bytes),
+    pub fn take(&mut self) -> Result<Frame, Fault> {
+        let child = match &mut self.place {
+            Place::Here { done, .. } => return Ok(done.pop_front().unwrap_or(Frame::Damaged)),
+            Place::There(child) => child,
         };
-        let mut kind = [0];
-        if !child.read_exact(&mut kind)? {
-            return Err(child.why_ended());
-        }
-        match kind[0] {
-            DAMAGED => Ok(None),
-            DECODED => Ok(Some(None)),
+        let mut answer = [0];
+        receive(child, &mut answer)?;
+        match answer[0] {
+            DAMAGED => Ok(Frame::Damaged),
+            DECODED => Ok(Frame::Decoded),
             IMAGE => {
-                let (luma, chroma) = plane_bytes(self.size);
-                let mut bytes = vec![0; luma + 2 * chroma];
-                if !child.read_exact(&mut bytes)? {
-                    return Err(child.why_ended());
-                }
-                let (y, rest) = bytes.split_at(luma);
-                let (u, v) = rest.split_at(chroma);
-                let strides = [self.size.0, self.size.0.div_ceil(2)];
-                Ok(self.matrix.image_420(self.size, [y, u, v], strides).map(Some))
+                let mut planes = vec![0; bytes_420(self.size)];
+                receive(child, &mut planes)?;
+                Ok(Frame::Image(planes))
             }
-            NO_MEMORY => Err(Halt::Failed(DecoderEnd::Memory { limit_mb: memory_bytes >> 20 })),
-            other => Err(answer(&format!("its answer {other} is none of minute4d's decoder"))),
+            NO_MEMORY => {
+                let limit_mb = child.allowed.memory_bytes >> 20;
+                Err(child.failed(DecoderEnd::Memory { limit_mb }))
+            }
+            other => Err(unknown(child, format!("its answer {other} is none of minute4d's decoder"))),
         }
     }
 }
 
-fn answer(what: &str) -> Halt {
-    Halt::Failed(DecoderEnd::Answer { what: what.to_owned() })
+/// Fills `bytes` with what the child writes.
+fn receive(child: &mut Child<'_>, bytes: &mut [u8]) -> Result<(), Fault> {
+    if child.read_exact(bytes)? { Ok(()) } else { Err(child.why_ended()) }
+}
+
+fn unknown(child: &Child<'_>, what: String) -> Fault {
+    child.failed(DecoderEnd::Answer { what })
 }
 
 /// `dsOutOfMemory` of OpenH264's `DECODING_STATE`.
@@ -165,16 +150,6 @@ pub struct H264 {
     joined: Vec<u8>,
 }
 
-/// What became of a coded frame.
-pub enum Frame<'a> {
-    /// It is damaged.
-    Damaged,
-    /// There is no memory for it.
-    NoMemory,
-    /// It is decoded.
-    Whole(DecodedYUV<'a>),
-}
-
 impl H264 {
     /// `None` when the library cannot be set up.
     pub fn new(setup: Setup) -> Option<Self> {
@@ -186,7 +161,7 @@ impl H264 {
     }
 
     /// Decodes one frame (with start codes), behind the parameter sets when it is `fresh`.
-    pub fn decode(&mut self, frame: &[u8], fresh: bool) -> Frame<'_> {
+    pub fn decode(&mut self, frame: &[u8], fresh: bool, wanted: bool) -> Frame {
         let frame = if fresh || self.fresh {
             self.joined.clear();
             self.joined.extend_from_slice(&self.setup.headers);
@@ -199,9 +174,9 @@ impl H264 {
         self.fresh = true;
         let size = self.setup.size;
         match self.decoder.decode(frame) {
-            Ok(Some(yuv)) if yuv.dimensions() == size && holds(&yuv, size) => {
+            Ok(Some(yuv)) if yuv.dimensions() == size => {
                 self.fresh = false;
-                Frame::Whole(yuv)
+                if wanted { packed(&yuv, size).map_or(Frame::Damaged, Frame::Image) } else { Frame::Decoded }
             }
             Err(e) if e.native_code() & OUT_OF_MEMORY != 0 => Frame::NoMemory,
             _ => Frame::Damaged,
@@ -209,29 +184,17 @@ impl H264 {
     }
 }
 
-/// Luma (0), blue (1) or red (2): its bytes, from a row to the next, and the size of what is seen.
-fn plane<'a>(yuv: &'a DecodedYUV<'_>, which: usize, size: (usize, usize)) -> (&'a [u8], usize, (usize, usize)) {
-    let (luma_stride, chroma_stride, _) = yuv.strides();
+/// The planes of an image of `size` without what lies between their rows; `None` if rows are missing.
+fn packed(yuv: &DecodedYUV<'_>, size: (usize, usize)) -> Option<Vec<u8>> {
+    let (luma, chroma, _) = yuv.strides();
     let half = (size.0.div_ceil(2), size.1.div_ceil(2));
-    match which {
-        0 => (yuv.y(), luma_stride, size),
-        1 => (yuv.u(), chroma_stride, half),
-        _ => (yuv.v(), chroma_stride, half),
+    let mut bytes = Vec::with_capacity(bytes_420(size));
+    for (plane, stride, (width, height)) in [(yuv.y(), luma, size), (yuv.u(), chroma, half), (yuv.v(), chroma, half)] {
+        for row in 0..height {
+            bytes.extend_from_slice(plane.get(row * stride..)?.get(..width)?);
+        }
     }
-}
-
-/// True when the planes have all rows of an image of `size`.
-fn holds(yuv: &DecodedYUV<'_>, size: (usize, usize)) -> bool {
-    (0..3).all(|which| {
-        let (bytes, stride, (width, height)) = plane(yuv, which, size);
-        width <= stride && bytes.len() >= height.saturating_sub(1) * stride + width
-    })
-}
-
-/// The rows of luma (0), blue (1) or red (2) of a [`Frame::Whole`], without what lies between them.
-pub fn rows<'a>(yuv: &'a DecodedYUV<'_>, which: usize, size: (usize, usize)) -> impl Iterator<Item = &'a [u8]> {
-    let (bytes, stride, (width, height)) = plane(yuv, which, size);
-    bytes.chunks(stride.max(1)).take(height).map(move |row| &row[..width])
+    Some(bytes)
 }
 
 /// Decodes H.264 for another process until `input` ends: what a program does that was registered with
@@ -246,57 +209,47 @@ pub fn serve(limits: &[OsString], input: impl Read, output: impl Write) -> io::R
     let (Some(memory_bytes), Some(cpu_s)) = (number(0), number(1)) else {
         let what =
             "two limits were expected, bytes and seconds: this is a part of minute4d that is not to be started by hand";
-        return Err(io::Error::new(ErrorKind::InvalidInput, what));
+        return Err(io::Error::new(io::ErrorKind::InvalidInput, what));
     };
     let allowed = Allowed { memory_bytes, cpu_s, idle_s: 0 };
-    if let Some(line) = limits.get(2..).filter(|line| !line.is_empty()) {
-        return Err(become_program(line, &allowed));
+    if let Some((program, arguments)) = limits[2..].split_first() {
+        return Err(become_program(program, arguments, &allowed));
     }
     limit_self(&allowed, Confined::Decoder)?;
     // Requests are read in two parts.
     let mut input = BufReader::new(input);
     let mut output = BufWriter::with_capacity(1 << 16, output);
-    let setup = Setup::read(&mut input)?;
-    let size = setup.size;
-    let decoder = H264::new(setup);
+    let decoder = H264::new(Setup::read(&mut input)?);
     output.write_all(&MAGIC)?;
     output.write_all(&[u8::from(decoder.is_some())])?;
     output.flush()?;
     let Some(mut decoder) = decoder else { return Ok(()) };
     let mut frame = Vec::new();
     while let Some(flags) = read_request(&mut input, &mut frame)? {
-        match decoder.decode(&frame, flags & FRESH != 0) {
-            Frame::Damaged => output.write_all(&[DAMAGED])?,
-            Frame::NoMemory => output.write_all(&[NO_MEMORY])?,
-            Frame::Whole(_) if flags & WANTED == 0 => output.write_all(&[DECODED])?,
-            Frame::Whole(yuv) => {
-                output.write_all(&[IMAGE])?;
-                for plane in 0..3 {
-                    for row in rows(&yuv, plane, size) {
-                        output.write_all(row)?;
-                    }
-                }
-            }
-        }
+        let (answer, planes) = match decoder.decode(&frame, flags & FRESH != 0, flags & WANTED != 0) {
+            Frame::Damaged => (DAMAGED, Vec::new()),
+            Frame::Decoded => (DECODED, Vec::new()),
+            Frame::Image(planes) => (IMAGE, planes),
+            Frame::NoMemory => (NO_MEMORY, Vec::new()),
+        };
+        output.write_all(&[answer])?;
+        output.write_all(&planes)?;
         output.flush()?;
     }
     Ok(())
 }
 
 /// The first bytes in both directions.
-pub const MAGIC: [u8; 8] = *b"m4h264\x00\x01";
+const MAGIC: [u8; 8] = *b"m4h264\x00\x01";
 /// Flag: the image is wanted, not only decoded.
-pub const WANTED: u8 = 1;
+const WANTED: u8 = 1;
 /// Flag: parameter sets go before the frame.
-pub const FRESH: u8 = 2;
-/// Answer: the frame is damaged.
-pub const DAMAGED: u8 = 0;
-/// Answer: the frame was decoded, and is not needed.
-pub const DECODED: u8 = 1;
-/// Answer: the frame was decoded and follows.
-pub const IMAGE: u8 = 2;
-/// Answer: there is no memory for the frame.
-pub const NO_MEMORY: u8 = 3;
+const FRESH: u8 = 2;
+// Answers: see `Frame`.
+const DAMAGED: u8 = 0;
+const DECODED: u8 = 1;
+const IMAGE: u8 = 2;
+const NO_MEMORY: u8 = 3;
 
 /// What a decoder must know before its first frame.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -308,8 +261,7 @@ pub struct Setup {
 }
 
 impl Setup {
-    /// As bytes.
-    pub fn write(&self) -> Vec<u8> {
+    fn write(&self) -> Vec<u8> {
         let mut bytes = MAGIC.to_vec();
         bytes.extend((self.size.0 as u32).to_le_bytes());
         bytes.extend((self.size.1 as u32).to_le_bytes());
@@ -317,13 +269,12 @@ impl Setup {
         bytes
     }
 
-    /// From bytes.
-    pub fn read(input: &mut impl Read) -> io::Result<Self> {
+    fn read(input: &mut impl Read) -> io::Result<Self> {
         let mut magic = [0; 8];
         input.read_exact(&mut magic)?;
         if magic != MAGIC {
             let what = "standard input is not that of minute4d: this is a part of it that is not to be started by hand";
-            return Err(io::Error::new(ErrorKind::InvalidData, what));
+            return Err(io::Error::new(io::ErrorKind::InvalidData, what));
         }
         let size = (read_u32(input)? as usize, read_u32(input)? as usize);
         let mut headers = Vec::new();
@@ -332,29 +283,16 @@ impl Setup {
     }
 }
 
-/// A request to decode `frame`.
-pub fn request(frame: &[u8], flags: u8) -> Vec<u8> {
-    let mut bytes = Vec::with_capacity(frame.len() + 5);
-    bytes.push(flags);
-    write_block(frame, &mut bytes);
-    bytes
-}
-
 /// Reads a request into `frame` and returns its flags; `None` when there are no more.
-pub fn read_request(input: &mut impl Read, frame: &mut Vec<u8>) -> io::Result<Option<u8>> {
+fn read_request(input: &mut impl Read, frame: &mut Vec<u8>) -> io::Result<Option<u8>> {
     let mut flags = [0];
     match input.read_exact(&mut flags) {
         Ok(()) => {}
-        Err(e) if e.kind() == ErrorKind::UnexpectedEof => return Ok(None),
+        Err(e) if e.kind() == io::ErrorKind::UnexpectedEof => return Ok(None),
         Err(e) => return Err(e),
     }
     read_block(input, frame)?;
     Ok(Some(flags[0]))
-}
-
-/// Lengths of luma and of one chroma plane of an image, bytes.
-pub fn plane_bytes((width, height): (usize, usize)) -> (usize, usize) {
-    (width * height, width.div_ceil(2) * height.div_ceil(2))
 }
 
 fn write_block(block: &[u8], bytes: &mut Vec<u8>) {
@@ -369,7 +307,7 @@ fn read_block(input: &mut impl Read, block: &mut Vec<u8>) -> io::Result<()> {
     // Grows with what comes.
     input.take(u64::from(length)).read_to_end(block)?;
     if block.len() != length as usize {
-        return Err(ErrorKind::UnexpectedEof.into());
+        return Err(io::ErrorKind::UnexpectedEof.into());
     }
     Ok(())
 }

@@ -1,21 +1,35 @@
 //! H.264 in MP4 files, decoded in a separate process if a decoder program is registered, else in this one.
 //!
 //! The decoder (OpenH264) takes 8-bit 4:2:0 progressive streams of the Baseline, Main and High
-//! profiles, B-frames included; [`Unsupported`] says why anything else is left to ffmpeg.
+//! profiles, B-frames included; [`Failure::Unsupported`] says why anything else is left to ffmpeg.
 
 mod engine;
 mod read;
 mod sps;
 
 pub use engine::serve;
-pub use read::{count, read};
+pub use read::read;
 
+use super::mp4::SampleEntry;
+use crate::Fault;
 use engine::Setup;
+use mp4_atom::{Atom, Avcc};
 use sps::{Sps, undelayed};
 
-/// Why a stream is not decoded here, for "the video is ...".
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Unsupported(pub String);
+/// Why a stream is not read.
+#[derive(Debug)]
+pub enum Failure {
+    /// It is this, which the decoder does not take; another one may.
+    Unsupported(String),
+    /// Something else.
+    Fault(Fault),
+}
+
+impl From<Fault> for Failure {
+    fn from(fault: Fault) -> Self {
+        Self::Fault(fault)
+    }
+}
 
 const START_CODE: [u8; 4] = [0, 0, 0, 1];
 
@@ -40,40 +54,31 @@ pub struct SampleKind {
 }
 
 impl Config {
-    /// Parses the body of an `avcC` box.
-    pub fn parse(avcc: &[u8]) -> Result<Self, Unsupported> {
-        Self::parts(avcc).ok_or_else(|| Unsupported("H.264 whose decoder configuration (avcC) is damaged".into()))
-    }
-
-    fn parts(avcc: &[u8]) -> Option<Self> {
-        let length_size = usize::from(avcc.get(4)? & 3) + 1;
-        let mut rest = avcc.get(6..)?;
+    /// Parses the body of an `avcC` box; `None` if it is damaged.
+    fn parse(mut avcc: &[u8]) -> Option<Self> {
+        let avcc = Avcc::decode_body(&mut avcc).ok()?;
         let mut headers = Vec::new();
-        let mut sps = None;
-        let mut sets = |rest: &mut &[u8], count: u8| -> Option<()> {
-            for _ in 0..count {
-                let len = usize::from(u16::from_be_bytes(*rest.first_chunk()?));
-                let nal = rest.get(2..2 + len)?;
-                *rest = &rest[2 + len..];
-                headers.extend_from_slice(&START_CODE);
-                if nal.first()? & 31 == 7 {
-                    sps = sps.or_else(|| Sps::parse(nal));
-                    headers.extend(undelayed(nal)?);
-                } else {
-                    headers.extend_from_slice(nal);
-                }
-            }
-            Some(())
-        };
-        sets(&mut rest, avcc.get(5)? & 31)?;
-        let count = *rest.first()?;
-        rest = &rest[1..];
-        sets(&mut rest, count)?;
-        Some(Self { length_size, headers, sps: sps? })
+        for nal in &avcc.sequence_parameter_sets {
+            headers.extend_from_slice(&START_CODE);
+            headers.extend(undelayed(nal)?);
+        }
+        for nal in &avcc.picture_parameter_sets {
+            headers.extend_from_slice(&START_CODE);
+            headers.extend_from_slice(nal);
+        }
+        let sps = avcc.sequence_parameter_sets.iter().find_map(|nal| Sps::parse(nal))?;
+        Some(Self { length_size: avcc.length_size.into(), headers, sps })
     }
 
-    /// Fails for streams that the decoder does not take.
-    pub fn check(&self) -> Result<(), Unsupported> {
+    /// The configuration of a track. Fails, with what it is, for those that the decoder does not take.
+    fn of(entry: &SampleEntry) -> Result<Self, String> {
+        let avcc = entry.avcc.as_deref().ok_or("H.264 without a decoder configuration")?;
+        let config = Self::parse(avcc).ok_or("H.264 whose decoder configuration (avcC) is damaged")?;
+        config.check()?;
+        Ok(config)
+    }
+
+    fn check(&self) -> Result<(), String> {
         let sps = &self.sps;
         let what = if sps.bit_depth != 8 {
             format!("{}-bit H.264 (profile {})", sps.bit_depth, sps.profile)
@@ -87,12 +92,12 @@ impl Config {
         } else {
             return Ok(());
         };
-        Err(Unsupported(what))
+        Err(what)
     }
 
     /// What a decoder of this stream must know.
     pub fn setup(&self) -> Setup {
-        Setup { size: (self.sps.width, self.sps.height), headers: self.headers.clone() }
+        Setup { size: self.sps.size, headers: self.headers.clone() }
     }
 
     /// Writes a sample with start codes to `out`. `None` when its lengths do not add up.
@@ -113,8 +118,8 @@ impl Config {
                     kind.disposable &= header >> 5 & 3 == 0;
                 }
                 7 => {
-                    let size = Sps::parse(nal).map(|s| (s.width, s.height))?;
-                    kind.resizes = kind.resizes.or((size != (self.sps.width, self.sps.height)).then_some(size));
+                    let size = Sps::parse(nal)?.size;
+                    kind.resizes = kind.resizes.or((size != self.sps.size).then_some(size));
                     continue;
                 }
                 _ => {}
