@@ -16,7 +16,7 @@ mod scene;
 mod suite;
 
 pub use published::{Published, published};
-pub use report::{MissingScene, ReproduceReport, SceneAblation, SceneRow, TableReport};
+pub use report::{MissingScene, ReproduceReport, SceneAblation, SceneRow, TableReport, UsedSettings};
 pub use suite::Suite;
 
 use crate::ablate::{self, AblateOptions, Row};
@@ -65,7 +65,7 @@ pub struct ReproduceOptions {
     pub ablations: Option<PathBuf>,
 }
 
-/// Makes the tables of a data set in the folder `out`: `reproduce.md`, `reproduce.json`, and an image a table. Scenes that are finished are
+/// Makes the tables of a data set in the folder `out` with the settings of `job` ([`Suite::settings`]): `reproduce.md`, `reproduce.json`, and an image a table. Scenes that are finished are
 /// not made again; [`Job::existing`] is of no meaning.
 ///
 /// # Errors
@@ -127,6 +127,7 @@ pub fn reproduce(
         suite,
         data: data.to_path_buf(),
         profile: job.settings.profile,
+        settings: UsedSettings::of(&job.settings),
         threads: crate::threads(),
         tables,
         missing,

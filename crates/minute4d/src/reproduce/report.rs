@@ -5,7 +5,7 @@ use super::published::{Published, caveat, published};
 use crate::ablate::AblationReport;
 use crate::bench::{aligned, number};
 use crate::evaluate::{Protocol, Task};
-use crate::settings::Profile;
+use crate::settings::{Profile, Settings};
 use crate::{Category, Refusal};
 use plotters::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -22,10 +22,53 @@ pub struct ReproduceReport {
     pub(super) suite: Suite,
     pub(super) data: PathBuf,
     pub(super) profile: Profile,
+    pub(super) settings: UsedSettings,
     pub(super) threads: usize,
     pub(super) tables: Vec<TableReport>,
     /// Scenes that are missing, and what they lack.
     pub(super) missing: Vec<MissingScene>,
+}
+
+/// The settings that the paper states for each data set, as they were here ([`Suite::settings`]).
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct UsedSettings {
+    /// Steps, where `budget_s` is 0.
+    iterations: usize,
+    /// Seconds of optimisation that the steps were chosen for.
+    budget_s: f64,
+    /// Frames between two searches for new objects.
+    instance_interval: usize,
+    /// Frames between two frames in which points of TAPIP3D start.
+    track_stride: usize,
+    /// Probability of motion above which a pixel is dynamic.
+    motion_threshold: f32,
+}
+
+impl UsedSettings {
+    pub(super) fn of(settings: &Settings) -> Self {
+        let (train, enhance) = (&settings.train, &settings.enhance);
+        Self {
+            iterations: train.iterations,
+            budget_s: train.budget_s,
+            instance_interval: enhance.masks.every_frames,
+            track_stride: enhance.tapip3d.every,
+            motion_threshold: enhance.masks.tau,
+        }
+    }
+}
+
+impl std::fmt::Display for UsedSettings {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self.budget_s > 0.0 {
+            true => write!(f, "{} s of training", self.budget_s)?,
+            false => write!(f, "{} iterations", self.iterations)?,
+        }
+        let Self { instance_interval, track_stride, motion_threshold, .. } = self;
+        write!(
+            f,
+            ", instance interval {instance_interval}, tracking stride {track_stride}, motion threshold {motion_threshold}"
+        )
+    }
 }
 
 /// A scene that is missing.
@@ -168,11 +211,12 @@ impl ReproduceReport {
     /// The tables as Markdown.
     pub fn to_markdown(&self) -> String {
         let mut out = format!(
-            "# {}\n\nminute4d {}, {}, profile {}, {} threads.\n",
+            "# {}\n\nminute4d {}, {}, profile {} ({}), {} threads.\n",
             self.suite.facts().title,
             self.minute4d,
             self.date,
             self.profile.name(),
+            self.settings,
             self.threads
         );
         for table in &self.tables {

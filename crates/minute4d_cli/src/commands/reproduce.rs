@@ -2,7 +2,7 @@
 
 use super::program;
 use crate::failure::Failure;
-use crate::options::{LengthArgs, ReachArgs, SettingsArgs, VideoArgs, choice, print_config, settings};
+use crate::options::{LengthArgs, ReachArgs, SettingsArgs, VideoArgs, choice, print_config, settings, settings_over};
 use crate::output::Output;
 use clap::Args;
 use clap::builder::TypedValueParser;
@@ -61,7 +61,8 @@ fn sources() -> impl TypedValueParser<Value = GeometrySource> {
 }
 
 pub fn run(args: &Reproduce, output: &Output) -> Result<(), Failure> {
-    let mut settings = settings(&args.settings, None, Some(&args.length))?;
+    let built_in = |profile| args.suite.settings(profile);
+    let mut settings = settings_over(built_in, &args.settings, None, Some(&args.length))?;
     settings.capture.reach = args.reach.reach();
     if args.settings.print_config {
         return print_config(&settings, output);
