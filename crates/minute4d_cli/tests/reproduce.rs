@@ -245,14 +245,14 @@ fn reproduce_runs_ablations_and_estimated_geometry() {
     };
     let report = with("--protocols instant4d --ablations");
     let rows = report["tables"][0]["ablations"][0]["report"]["rows"].as_array().unwrap();
-    assert_eq!(rows.len(), 4, "{report}");
+    assert_eq!(rows.len(), 5, "{report}");
     for row in rows {
         // depth without a map of motion: there is nothing that segmentation could have made of it
         assert_eq!(row["skipped"].is_string(), row["row"] == "no-seg", "{row}");
         assert_eq!(row["psnr_db"].is_number(), row["row"] != "no-seg", "{row}");
     }
     let table = fs::read_to_string(dir.path("out/reproduce.md")).unwrap();
-    for words in ["#### spin", "without density control", "1.17 dB"] {
+    for words in ["#### spin", "without loss-guided", "no density control", "24.60 dB"] {
         assert!(table.contains(words), "{words} is not in {table}");
     }
     // poses of the images alone: the views of other cameras are placed by aligning

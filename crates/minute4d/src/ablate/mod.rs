@@ -41,13 +41,15 @@ pub enum Row {
     NoSeg,
     /// No points are followed or carried from one frame to another.
     NoTrack,
+    /// Splats are added by gradients and pruned by opacity, as in 3DGS.
+    NoLossGuided,
     /// Splats are neither added nor pruned.
     NoDensity,
 }
 
 impl Row {
     /// In the order of tables.
-    pub const ALL: [Self; 4] = [Self::Full, Self::NoSeg, Self::NoTrack, Self::NoDensity];
+    pub const ALL: [Self; 5] = [Self::Full, Self::NoSeg, Self::NoTrack, Self::NoLossGuided, Self::NoDensity];
 
     /// As options and folders call it.
     pub fn name(self) -> &'static str {
@@ -55,6 +57,7 @@ impl Row {
             Self::Full => "full",
             Self::NoSeg => "no-seg",
             Self::NoTrack => "no-track",
+            Self::NoLossGuided => "no-loss-guided",
             Self::NoDensity => "no-density",
         }
     }
@@ -65,7 +68,8 @@ impl Row {
             Self::Full => "full",
             Self::NoSeg => "without segmentation",
             Self::NoTrack => "without tracking",
-            Self::NoDensity => "without density control",
+            Self::NoLossGuided => "without loss-guided (as 3DGS)",
+            Self::NoDensity => "no density control",
         }
     }
 
@@ -75,6 +79,7 @@ impl Row {
             Self::Full => None,
             Self::NoSeg => Some(Enhancement::Segmentation),
             Self::NoTrack => Some(Enhancement::Tracking),
+            Self::NoLossGuided => Some(Enhancement::LossGuided),
             Self::NoDensity => Some(Enhancement::Density),
         }
     }
@@ -247,6 +252,10 @@ struct Bench<'a> {
 
 impl Bench<'_> {
     fn row(&self, row: Row, settings: &Settings) -> Result<RowReport, Error> {
+        if row == Row::NoLossGuided && self.job.device.choice.open()?.is_some() {
+            let skipped = Some("a GPU keeps no gradients in the image; use --device cpu".to_owned());
+            return Ok(RowReport { row, skipped, ..RowReport::default() });
+        }
         let folder = self.out.join(row.name());
         let from_frames = !is_capture(self.input);
         let input = match row {
@@ -258,7 +267,9 @@ impl Bench<'_> {
                 }
             },
             // nothing that these rows change is older than the capture
-            Row::NoTrack | Row::NoDensity if from_frames => self.out.join(Row::Full.name()).join(CAPTURE_FOLDER),
+            Row::NoTrack | Row::NoLossGuided | Row::NoDensity if from_frames => {
+                self.out.join(Row::Full.name()).join(CAPTURE_FOLDER)
+            }
             _ => self.input.to_path_buf(),
         };
         let mut settings = settings.clone();

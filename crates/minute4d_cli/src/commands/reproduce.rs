@@ -39,7 +39,7 @@ pub struct Reproduce {
     /// then placed by alignment) [davis: always own]
     #[arg(long, value_name = "WHOSE", default_value = "given", value_parser = sources())]
     pub geometry: GeometrySource,
-    /// Also run every scene without segmentation, without tracking, and without density control
+    /// Also run every scene without segmentation, without tracking, without loss-guided density control, and without any
     #[arg(long)]
     pub ablations: bool,
     /// Device for training, rendering and networks: `cpu`, `gpu`, `gpu:N` or `auto`
@@ -92,7 +92,7 @@ pub struct Ablate {
     /// The capture whose transforms_test.json lists the held-out views [default: the input]
     #[arg(long, value_name = "CAPTURE")]
     pub data: Option<PathBuf>,
-    /// Rows in addition to the full method: no-seg, no-track, no-density [default: all]
+    /// Rows in addition to the full method: no-seg, no-track, no-loss-guided (densification by gradients, as 3DGS; CPU only), no-density [default: all]
     #[arg(long, value_name = "ROW,ROW", value_delimiter = ',')]
     pub rows: Vec<Row>,
     /// Dilate the masks of dynamic regions by this many pixels before scoring
