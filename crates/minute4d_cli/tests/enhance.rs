@@ -71,7 +71,7 @@ fn ablate_writes_a_table_of_every_row() {
     assert!(
         table.contains("without loss-guided (as 3DGS)")
             && table.contains("no density control")
-            && table.contains("not made"),
+            && table.contains("not applicable"),
         "{table}"
     );
     assert_eq!(dir.json("table/ablation.json"), report);

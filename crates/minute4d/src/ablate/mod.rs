@@ -9,8 +9,10 @@
 mod tracking_effect;
 
 use crate::bench::{aligned, number, today};
+use crate::enhance::{Before, Plan, Tracker};
 use crate::evaluate::{self, EvalOptions};
 use crate::folder::CAPTURE_FOLDER;
+use crate::geometry::Segmenter;
 use crate::record::{GeometryRecord, RunRecord, Status, write_json};
 use crate::settings::{Enhancement, UnknownName, by_name};
 use crate::stage::check_stop;
@@ -97,7 +99,7 @@ impl std::str::FromStr for Row {
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct RowReport {
     row: Row,
-    /// Why it was not made, where it was not: then everything else is absent.
+    /// Why it does not apply, where it does not: then everything else is absent.
     skipped: Option<String>,
     /// Mean PSNR of the held-out views, dB.
     psnr_db: Option<f64>,
@@ -141,13 +143,17 @@ impl AblationReport {
         let head =
             ["", "PSNR dB", "SSIM", "PSNR dB moving", "SSIM moving", "splats", "geometry s", "train s", "peak MB"];
         let full = self.rows.iter().find(|row| row.row == Row::Full);
+        let number = |row: &RowReport, value: Option<f64>, digits: usize| match row.skipped {
+            Some(_) => "n/a".to_owned(),
+            None => number(value, digits),
+        };
         let with_difference = |row: &RowReport, of: &dyn Fn(&RowReport) -> Option<f64>, digits: usize| {
             let value = of(row);
             match (value, full.and_then(of)) {
                 (Some(here), Some(there)) if row.row != Row::Full => {
                     format!("{here:.digits$} ({:+.digits$})", here - there)
                 }
-                _ => number(value, digits),
+                _ => number(row, value, digits),
             }
         };
         let mut table = vec![head.map(str::to_owned).to_vec()];
@@ -158,16 +164,16 @@ impl AblationReport {
                 with_difference(row, &|r| r.ssim, 4),
                 with_difference(row, &|r| r.moving_psnr_db, 2),
                 with_difference(row, &|r| r.moving_ssim, 4),
-                number(row.splats.map(|n| n as f64), 0),
-                number(row.geometry_s, 0),
-                number(row.train_s, 0),
-                number(row.peak_memory_bytes.map(|bytes| bytes as f64 / 1e6), 0),
+                number(row, row.splats.map(|n| n as f64), 0),
+                number(row, row.geometry_s, 0),
+                number(row, row.train_s, 0),
+                number(row, row.peak_memory_bytes.map(|bytes| bytes as f64 / 1e6), 0),
             ]
         }));
         let mut out = aligned(&table);
         for row in &self.rows {
             if let Some(why) = &row.skipped {
-                out.push_str(&format!("\n{}: not made, {why}\n", row.row.title()));
+                out.push_str(&format!("\n{}: not applicable, {why}\n", row.row.title()));
             }
         }
         out
@@ -242,6 +248,27 @@ pub fn ablate(input: &Path, out: &Path, options: &AblateOptions, job: &Job<'_>) 
     Ok(report)
 }
 
+/// Why a row would be the full one again, where the settings say so.
+fn not_applicable(row: Row, is_capture: bool, settings: &Settings) -> Result<Option<&'static str>, Error> {
+    let Some(part) = row.without() else { return Ok(None) };
+    let (geometry, density) = (&settings.geometry, &settings.train.density);
+    let mut without = settings.clone();
+    without.switch_off(part);
+    Ok(match row {
+        // then it depends on the capture
+        Row::NoSeg if is_capture => None,
+        Row::NoSeg if geometry.masks.is_some() => Some("the masks are given (--masks), so nothing is segmented"),
+        Row::NoLossGuided if !density.enabled => Some("the settings are without density control"),
+        _ if without == *settings => Some("the settings are without it"),
+        Row::NoSeg => {
+            let plan = Plan::of(geometry.segmenter, Tracker::None, Before::Motion)?;
+            (plan.segmenter() == Segmenter::None.name())
+                .then_some("no segmentation network is installed, so the full row is without one, too")
+        }
+        _ => None,
+    })
+}
+
 struct Bench<'a> {
     input: &'a Path,
     out: &'a Path,
@@ -252,19 +279,19 @@ struct Bench<'a> {
 
 impl Bench<'_> {
     fn row(&self, row: Row, settings: &Settings) -> Result<RowReport, Error> {
-        if row == Row::NoLossGuided && self.job.device.choice.open()?.is_some() {
-            let skipped = Some("a GPU keeps no gradients in the image; use --device cpu".to_owned());
-            return Ok(RowReport { row, skipped, ..RowReport::default() });
-        }
+        let skip = |why: &str| RowReport { row, skipped: Some(why.to_owned()), ..RowReport::default() };
         let folder = self.out.join(row.name());
         let from_frames = !is_capture(self.input);
+        if let Some(why) = not_applicable(row, !from_frames, settings)? {
+            return Ok(skip(why));
+        }
+        if row == Row::NoLossGuided && self.job.device.choice.open()?.is_some() {
+            return Ok(skip("a GPU keeps no gradients in the image; use --device cpu"));
+        }
         let input = match row {
             Row::NoSeg if !from_frames => match self.coarse()? {
-                Some(capture) => capture,
-                None => {
-                    let skipped = Some("the capture has masks but no motion map".to_owned());
-                    return Ok(RowReport { row, skipped, ..RowReport::default() });
-                }
+                Ok(capture) => capture,
+                Err(why) => return Ok(skip(why)),
             },
             // nothing that these rows change is older than the capture
             Row::NoTrack | Row::NoLossGuided | Row::NoDensity if from_frames => {
@@ -303,15 +330,18 @@ impl Bench<'_> {
         })
     }
 
-    /// The input with masks of pixels that are more likely dynamic than static by its maps, unrefined; `None` where it has no maps.
-    fn coarse(&self) -> Result<Option<PathBuf>, Error> {
+    /// The input with masks of pixels that are more likely dynamic than static by its maps, unrefined; or why it has none.
+    fn coarse(&self) -> Result<Result<PathBuf, &'static str>, Error> {
         let folder = self.out.join("coarse");
         let mut capture: Capture = crate::train::read(self.input, &self.job.settings, self.job.observer)?;
         if capture.frames.iter().any(|frame| frame.motion.is_none()) {
-            return Ok(None);
+            return Ok(Err(match capture.frames.iter().any(|frame| frame.mask.is_some()) {
+                true => "the masks of the capture are given, and it has no motion maps to make coarse ones of",
+                false => "the capture has no masks and no motion maps",
+            }));
         }
         if folder.join(Split::Train.file_name()).is_file() {
-            return Ok(Some(folder));
+            return Ok(Ok(folder));
         }
         let tau = m4_geometry::megasam::TAU_MOTION as f32;
         for frame in &mut capture.frames {
@@ -322,7 +352,7 @@ impl Bench<'_> {
             frame.mask = Some(CompactMask::from_fn(w, h, |x, y| share[(x, y)] > tau));
         }
         m4_io::capture::write(&folder, &capture, Split::Train, self.job.observer)?;
-        Ok(Some(folder))
+        Ok(Ok(folder))
     }
 
     fn run(&self, input: &Path, folder: &Path, row: Row, settings: &Settings) -> Result<RunRecord, Error> {
@@ -355,7 +385,8 @@ impl Bench<'_> {
 
 #[cfg(test)]
 mod tests {
-    use super::{AblationReport, Row, RowReport};
+    use super::{AblationReport, Row, RowReport, not_applicable};
+    use crate::Settings;
 
     #[test]
     fn differences_are_to_the_full_row() {
@@ -377,7 +408,22 @@ mod tests {
             image: None,
         };
         let text = report.to_markdown();
-        assert!(text.contains("24.25 (-0.75)") && text.contains("25.00"), "{text}");
-        assert!(text.contains("without segmentation: not made, there is nothing to segment"), "{text}");
+        assert!(text.contains("24.25 (-0.75)") && text.contains("25.00") && text.contains("n/a"), "{text}");
+        assert!(text.contains("without segmentation: not applicable, there is nothing to segment"), "{text}");
+    }
+
+    #[test]
+    fn rows_that_repeat_the_full_one_do_not_apply() {
+        let mut settings = Settings::fast();
+        let why = |row, settings: &Settings| not_applicable(row, false, settings).unwrap().unwrap_or_default();
+        assert_eq!(why(Row::Full, &settings), "");
+        assert_eq!(why(Row::NoTrack, &settings), "");
+        settings.geometry.masks = Some("masks".into());
+        assert!(why(Row::NoSeg, &settings).contains("given"));
+        settings.switch_off(crate::settings::Enhancement::Density);
+        settings.switch_off(crate::settings::Enhancement::Tracking);
+        for row in [Row::NoTrack, Row::NoLossGuided, Row::NoDensity] {
+            assert!(why(row, &settings).contains("the settings are without"), "{row:?}");
+        }
     }
 }
