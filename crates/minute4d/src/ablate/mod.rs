@@ -6,15 +6,15 @@
 //!
 //! Rows share the geometry, except for the row without segmentation, which has its own. All rows take as many steps as the full one.
 
+mod row;
 mod tracking_effect;
 
+pub use row::Row;
+
 use crate::bench::{aligned, number, today};
-use crate::enhance::{Before, Plan, Tracker};
 use crate::evaluate::{self, EvalOptions};
 use crate::folder::CAPTURE_FOLDER;
-use crate::geometry::Segmenter;
 use crate::record::{GeometryRecord, RunRecord, Status, write_json};
-use crate::settings::{Enhancement, UnknownName, by_name};
 use crate::stage::check_stop;
 use crate::{Error, Job, Settings, is_capture};
 use m4_core::{Capture, CompactMask};
@@ -22,7 +22,7 @@ use m4_geometry::resample::resize_bilinear;
 use m4_io::atomic;
 use m4_io::capture::Split;
 use m4_io::reach::Reach;
-use serde::{Deserialize, Serialize};
+use serde::Serialize;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
@@ -31,69 +31,6 @@ use std::process::{Command, Stdio};
 pub const ABLATION_FILE: &str = "ablation.json";
 /// Name of the table.
 pub const TABLE_FILE: &str = "ablation.md";
-
-/// One row: everything, or everything but a part (paper, table 3).
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Row {
-    /// Everything. Always there: the others are compared with it.
-    #[default]
-    Full,
-    /// Masks are what motion and colours say.
-    NoSeg,
-    /// No points are followed or carried from one frame to another.
-    NoTrack,
-    /// Splats are added by gradients and pruned by opacity, as in 3DGS.
-    NoLossGuided,
-    /// Splats are neither added nor pruned.
-    NoDensity,
-}
-
-impl Row {
-    /// In the order of tables.
-    pub const ALL: [Self; 5] = [Self::Full, Self::NoSeg, Self::NoTrack, Self::NoLossGuided, Self::NoDensity];
-
-    /// As options and folders call it.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Full => "full",
-            Self::NoSeg => "no-seg",
-            Self::NoTrack => "no-track",
-            Self::NoLossGuided => "no-loss-guided",
-            Self::NoDensity => "no-density",
-        }
-    }
-
-    /// Returns the name in tables.
-    pub fn title(self) -> &'static str {
-        match self {
-            Self::Full => "full",
-            Self::NoSeg => "without segmentation",
-            Self::NoTrack => "without tracking",
-            Self::NoLossGuided => "without loss-guided (as 3DGS)",
-            Self::NoDensity => "no density control",
-        }
-    }
-
-    /// What it goes without.
-    pub fn without(self) -> Option<Enhancement> {
-        match self {
-            Self::Full => None,
-            Self::NoSeg => Some(Enhancement::Segmentation),
-            Self::NoTrack => Some(Enhancement::Tracking),
-            Self::NoLossGuided => Some(Enhancement::LossGuided),
-            Self::NoDensity => Some(Enhancement::Density),
-        }
-    }
-}
-
-impl std::str::FromStr for Row {
-    type Err = UnknownName;
-
-    fn from_str(text: &str) -> Result<Self, UnknownName> {
-        by_name("row", text, &Self::ALL, Self::name)
-    }
-}
 
 /// One row.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
@@ -248,27 +185,6 @@ pub fn ablate(input: &Path, out: &Path, options: &AblateOptions, job: &Job<'_>) 
     Ok(report)
 }
 
-/// Why a row would be the full one again, where the settings say so.
-fn not_applicable(row: Row, is_capture: bool, settings: &Settings) -> Result<Option<&'static str>, Error> {
-    let Some(part) = row.without() else { return Ok(None) };
-    let (geometry, density) = (&settings.geometry, &settings.train.density);
-    let mut without = settings.clone();
-    without.switch_off(part);
-    Ok(match row {
-        // then it depends on the capture
-        Row::NoSeg if is_capture => None,
-        Row::NoSeg if geometry.masks.is_some() => Some("the masks are given (--masks), so nothing is segmented"),
-        Row::NoLossGuided if !density.enabled => Some("the settings are without density control"),
-        _ if without == *settings => Some("the settings are without it"),
-        Row::NoSeg => {
-            let plan = Plan::of(geometry.segmenter, Tracker::None, Before::Motion)?;
-            (plan.segmenter() == Segmenter::None.name())
-                .then_some("no segmentation network is installed, so the full row is without one, too")
-        }
-        _ => None,
-    })
-}
-
 struct Bench<'a> {
     input: &'a Path,
     out: &'a Path,
@@ -282,7 +198,7 @@ impl Bench<'_> {
         let skip = |why: &str| RowReport { row, skipped: Some(why.to_owned()), ..RowReport::default() };
         let folder = self.out.join(row.name());
         let from_frames = !is_capture(self.input);
-        if let Some(why) = not_applicable(row, !from_frames, settings)? {
+        if let Some(why) = row.not_applicable(!from_frames, settings)? {
             return Ok(skip(why));
         }
         if row == Row::NoLossGuided && self.job.device.choice.open()?.is_some() {
@@ -385,8 +301,7 @@ impl Bench<'_> {
 
 #[cfg(test)]
 mod tests {
-    use super::{AblationReport, Row, RowReport, not_applicable};
-    use crate::Settings;
+    use super::{AblationReport, Row, RowReport};
 
     #[test]
     fn differences_are_to_the_full_row() {
@@ -410,20 +325,5 @@ mod tests {
         let text = report.to_markdown();
         assert!(text.contains("24.25 (-0.75)") && text.contains("25.00") && text.contains("n/a"), "{text}");
         assert!(text.contains("without segmentation: not applicable, there is nothing to segment"), "{text}");
-    }
-
-    #[test]
-    fn rows_that_repeat_the_full_one_do_not_apply() {
-        let mut settings = Settings::fast();
-        let why = |row, settings: &Settings| not_applicable(row, false, settings).unwrap().unwrap_or_default();
-        assert_eq!(why(Row::Full, &settings), "");
-        assert_eq!(why(Row::NoTrack, &settings), "");
-        settings.geometry.masks = Some("masks".into());
-        assert!(why(Row::NoSeg, &settings).contains("given"));
-        settings.switch_off(crate::settings::Enhancement::Density);
-        settings.switch_off(crate::settings::Enhancement::Tracking);
-        for row in [Row::NoTrack, Row::NoLossGuided, Row::NoDensity] {
-            assert!(why(row, &settings).contains("the settings are without"), "{row:?}");
-        }
     }
 }

@@ -10,6 +10,7 @@
 //! tasks have separate tables ([`crate::evaluate::Task`]), and our results are separate from published ones, which were measured on
 //! other machines, most with other poses.
 
+mod plot;
 mod published;
 mod report;
 mod scene;
@@ -133,7 +134,7 @@ pub fn reproduce(
         missing,
     };
     for table in &report.tables {
-        report::write_plot(&out.join(table.plot_file()), table)?;
+        plot::write_plot(&out.join(table.plot_file()), table)?;
     }
     write_json(&out.join(REPORT_FILE), &report)?;
     let path = out.join(TABLE_FILE);
