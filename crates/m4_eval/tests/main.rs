@@ -49,6 +49,7 @@ fn near(what: &str, got: f64, want: f64) {
     assert!((got - want).abs() < 1e-6, "{what}: {got} where {want} is wanted");
 }
 
+/// SSIM padded with zeros is that of `oracles/image_metrics.py`, which no program was compared with.
 #[test]
 fn agrees_with_scikit_image_and_opencv() {
     let fixture = fixture();
@@ -82,8 +83,9 @@ fn unclamped_psnr_uses_values_outside_0_to_1() {
     }
 }
 
+/// Formulas stated anew in `oracles/image_metrics.py`; `oracles/check_programs.py` compares DyCheck's with the authors' program.
 #[test]
-fn agrees_with_dycheck_inside_masks() {
+fn agrees_with_restated_formulas_inside_masks() {
     let fixture = fixture();
     let (image, reference) = (read_image("image.png"), read_image("reference.png"));
     assert_eq!(fixture.masked.len(), 3);

@@ -65,6 +65,9 @@ pub struct Gradients {
     pub columns: Vec<Vec<f32>>,
     /// `[n]`: 1 where the splat reached a pixel of this frame, else 0.
     pub touched: Vec<u8>,
+    /// `[n]`: length of the gradient with respect to the projected centre in units of half the image (docs/spec/optimiser.md 1.7); `None`
+    /// unless asked for, arbitrary in rows that are not `touched`.
+    pub image: Option<Vec<f32>>,
     /// With respect to the camera; 0 unless asked for.
     pub camera: CameraGradient,
     /// With respect to the background colour.
@@ -85,6 +88,9 @@ impl Gradients {
             gradient.resize(column.len(), 0.0);
         }
         self.touched.resize(splats.n(), 0);
+        if let Some(image) = &mut self.image {
+            image.resize(splats.n(), 0.0);
+        }
         self.camera = CameraGradient::default();
         self.background = [0.0; 3];
     }

@@ -79,7 +79,7 @@ const RAFT: &str = include_str!("../../../fixtures/raft/keys.txt");
 /// In half precision, single cells of the flow at an eighth of the size differ by 2.3 % of the
 /// largest; the full flow, which averages nine of them, differs by less than 2 %.
 #[test]
-fn raft_meets_its_fixture() {
+fn raft_agrees_with_the_module() {
     let Some(gpu) = gpu() else {
         return;
     };

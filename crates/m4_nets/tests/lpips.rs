@@ -154,8 +154,9 @@ fn close_map(what: &str, got: &Plane<f32>, step: usize, want: &[f32], limit: f32
     assert!(worst < limit && got.iter().all(|v| v.is_finite()), "{what}: {worst}");
 }
 
+/// LPIPS stated anew in `PyTorch` (`oracles/lpips.py`), which `oracles/check_programs.py` compares with the authors' package.
 #[test]
-fn agrees_with_pytorch_by_formula() {
+fn agrees_with_lpips_restated_in_pytorch_by_formula() {
     let case = case();
     for (net, name) in NETS {
         let lpips = network(net);

@@ -1,4 +1,4 @@
-//! `UniDepth` V2 against upstream's code, with synthetic weights: a small backbone of five blocks and heads of 128 channels.
+//! `UniDepth` V2 against the authors' module of mid 2024 (`oracles/unidepth_v2.py`), with synthetic weights: a small backbone of five blocks and heads of 128 channels.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
 use crate::common::{loaded, real_weights};
@@ -20,9 +20,9 @@ fn fixture() -> (Fixture, RgbImage) {
     (file, image)
 }
 
-/// The reference in 32 bits is 4e-6 from itself in 64 bits, which the fixture holds.
+/// The module in 32 bits is 4e-6 from itself in 64 bits, which the fixture holds.
 #[test]
-fn agrees_with_upstream_by_formula() {
+fn agrees_with_the_module_by_formula() {
     let net = network();
     let (file, image) = fixture();
     let got = net.depth_by_patches(&image, PATCHES).unwrap();

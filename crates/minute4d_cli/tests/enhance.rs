@@ -54,7 +54,7 @@ fn ablate_writes_a_table_of_every_row() {
     let report = dir.succeed(line).result();
     let rows = report["rows"].as_array().unwrap();
     let names: Vec<&str> = rows.iter().map(|row| row["row"].as_str().unwrap()).collect();
-    assert_eq!(names, ["full", "no-seg", "no-track", "no-density"]);
+    assert_eq!(names, ["full", "no-seg", "no-track", "no-loss-guided", "no-density"]);
     let held_out = capture(6, true).frames.into_iter().map(|f| f.rgb);
     let trivial = mean_image_psnr_db(&capture(6, false).frames, held_out, usize::MAX);
     for row in rows {
@@ -68,7 +68,12 @@ fn ablate_writes_a_table_of_every_row() {
         assert!(row["geometry_s"].is_null(), "{row}");
     }
     let table = fs::read_to_string(dir.path("table/ablation.md")).unwrap();
-    assert!(table.contains("without density control") && table.contains("not made"), "{table}");
+    assert!(
+        table.contains("without loss-guided (as 3DGS)")
+            && table.contains("no density control")
+            && table.contains("not applicable"),
+        "{table}"
+    );
     assert_eq!(dir.json("table/ablation.json"), report);
     // what is finished is taken as it is
     let scene = dir.path("table/full/scene.safetensors");

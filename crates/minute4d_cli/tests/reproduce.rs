@@ -192,6 +192,21 @@ fn nvidia_layout_is_reproduced() {
     dir.refused(line, 65, &["no held-out views"]);
 }
 
+#[test]
+fn faithful_settings_follow_the_data_set_and_options_win() {
+    let dir = Scratch::new();
+    let printed = |suite: &str, more: &str, wanted: &[&str]| {
+        let line = format!("reproduce {suite} --data data -o out --print-config --profile faithful {more}");
+        let text = dir.succeed(&line).stdout;
+        assert!(wanted.iter().all(|line| text.lines().any(|l| l == *line)), "{suite} {more}: {wanted:?} in {text}");
+    };
+    printed("dycheck", "", &["iterations = 5000", "every_frames = 50", "every = 10"]);
+    printed("nvidia", "", &["iterations = 1500", "every_frames = 2", "every = 1"]);
+    printed("davis", "", &["iterations = 5000", "every_frames = 10", "every = 10"]);
+    let more = "--iterations 7 --set enhance.masks.every_frames=3";
+    printed("nvidia", more, &["iterations = 7", "every_frames = 3", "every = 1"]);
+}
+
 /// What cameras see of a room in which nothing moves.
 fn room(cameras: &[Camera]) -> Capture {
     let frame = |(i, camera): (usize, &Camera)| {
@@ -230,14 +245,14 @@ fn reproduce_runs_ablations_and_estimated_geometry() {
     };
     let report = with("--protocols instant4d --ablations");
     let rows = report["tables"][0]["ablations"][0]["report"]["rows"].as_array().unwrap();
-    assert_eq!(rows.len(), 4, "{report}");
+    assert_eq!(rows.len(), 5, "{report}");
     for row in rows {
         // depth without a map of motion: there is nothing that segmentation could have made of it
         assert_eq!(row["skipped"].is_string(), row["row"] == "no-seg", "{row}");
         assert_eq!(row["psnr_db"].is_number(), row["row"] != "no-seg", "{row}");
     }
     let table = fs::read_to_string(dir.path("out/reproduce.md")).unwrap();
-    for words in ["#### spin", "without density control", "1.17 dB"] {
+    for words in ["#### spin", "without loss-guided", "no density control", "24.60 dB"] {
         assert!(table.contains(words), "{words} is not in {table}");
     }
     // poses of the images alone: the views of other cameras are placed by aligning

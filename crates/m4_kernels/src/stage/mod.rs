@@ -61,6 +61,8 @@ pub(crate) struct Chunk {
 pub(crate) struct ChunkGradient<'a> {
     pub(crate) columns: Vec<&'a mut [f32]>,
     pub(crate) touched: &'a mut [u8],
+    /// Empty unless asked for.
+    pub(crate) image: &'a mut [f32],
 }
 
 /// One chunk's share of the camera's gradient: `tau`, `omega`, `fx, fy, cx, cy`.

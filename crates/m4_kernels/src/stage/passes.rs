@@ -222,6 +222,11 @@ fn group_backward<S: Simd, const DYNAMIC: bool, const ISO: bool>(
     slice::shape::<S, ISO>(s, c, row, &mut splat);
     let ellipse = project::ellipse::<S, ISO>(s, eye, &place, &splat);
     let d = project::backward::<S, ISO>(s, eye, &splat, &ellipse, &moments);
+    if !out.image.is_empty() {
+        let half = [eye.width, eye.height].map(|side| all(s, 0.5 * side as f32));
+        let [x, y] = each!(2, k => d.centre[k] * half[k]);
+        store((x * x + y * y).sqrt(), out.image, at);
+    }
     let sight = sight(s, c, eye, &place.offset, splat.dt);
     let seen_from = shade::backward(s, c, row, &sight, eye.inverse_period, &d_rgb, &mut out.columns, at);
     let logit = load(s, c.opacity, row, 0.0);

@@ -144,6 +144,28 @@ fn random_scenes_of_every_layout_and_odd_sizes() {
     });
 }
 
+/// Of a single splat the gradient with respect to its centre in the image is that with respect to the principal point.
+#[test]
+fn the_image_gradient_of_one_splat_is_that_of_the_principal_point() {
+    every_level(|level| {
+        for (n_static, n_dynamic) in [(1, 0), (0, 1)] {
+            let camera = random_camera(41, 30, 20);
+            let spec = SceneSpec { n_static, n_dynamic, sd_px: [3.0, 5.0], ..SceneSpec::default() };
+            let splats = random_splats(8, &camera, &spec);
+            let mut renderer = Renderer::new(level);
+            let frame = renderer.render(&splats, &view(camera));
+            let plane = |k: usize| (0..frame.rgb[0].len()).map(|i| ((i * (k + 3)) % 7) as f32 - 3.0).collect();
+            let gradient = FrameGradient { rgb: [plane(0), plane(1), plane(2)], ..FrameGradient::default() };
+            let mut out = Gradients { image: Some(Vec::new()), ..Gradients::default() };
+            renderer.backward(&splats, &gradient, true, &mut out);
+            let [.., x, y] = out.camera.intrinsics;
+            let want = (15.0 * x).hypot(10.0 * y);
+            let got = f64::from(out.image.unwrap()[0]);
+            assert!(out.touched == [1] && want > 0.0 && (got / want - 1.0).abs() < 1e-5, "{got} for {want}");
+        }
+    });
+}
+
 #[test]
 fn only_static_or_only_dynamic_splats() {
     every_level(|level| {

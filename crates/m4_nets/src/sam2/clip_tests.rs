@@ -113,7 +113,7 @@ fn passage_a(fixture: &Arc<Fixture>, bias: f32) -> VideoPredictor<'static> {
 }
 
 #[test]
-fn a_clip_meets_its_fixture() {
+fn a_clip_agrees_with_the_video_predictor() {
     let fixture = Arc::new(Fixture::open("sam2/video_256.safetensors"));
     let mut predictor = passage_a(&fixture, 1.0);
 
@@ -163,7 +163,7 @@ fn a_clip_meets_its_fixture() {
 }
 
 #[test]
-fn a_clip_without_its_objects_meets_its_fixture() {
+fn a_clip_without_its_objects_agrees_with_the_video_predictor() {
     let fixture = Arc::new(Fixture::open("sam2/video_256_absent.safetensors"));
     let predictor = passage_a(&fixture, -0.1);
     let absent = |entry: &bank::Entry| !entry.mask.is_there();

@@ -73,7 +73,7 @@ fn all_sizes_have_the_published_tensors() {
 }
 
 #[test]
-fn blocks_meet_their_fixture() {
+fn blocks_agree_with_the_module() {
     let fixture = Fixture::open("sam2/unit_hiera_blocks.safetensors");
     let trunk = &tiny().net.image_encoder.trunk;
     for (i, kind, shape) in [
@@ -114,7 +114,7 @@ fn sparse(fixture: &Fixture, labels: &str) -> Tensor<3> {
 }
 
 #[test]
-fn prompts_meet_their_fixture() {
+fn prompts_agree_with_the_module() {
     let fixture = Fixture::open("sam2/unit_prompt_encoder.safetensors");
     let encoder = &tiny().net.prompt_encoder;
     assert_near(sparse(&fixture, "labels"), &fixture, "sparse", LIMIT);
@@ -129,7 +129,7 @@ fn prompts_meet_their_fixture() {
 }
 
 #[test]
-fn the_decoder_meets_its_fixture() {
+fn the_decoder_agrees_with_the_module() {
     let fixture = Fixture::open("sam2/unit_mask_decoder.safetensors");
     let net = tiny();
     let last = |x: Tensor<4>| x.permute([0, 2, 3, 1]);
@@ -180,7 +180,7 @@ fn paired(x: Tensor<2>, back: bool) -> Tensor<2> {
 }
 
 #[test]
-fn memory_attention_meets_its_fixture() {
+fn memory_attention_agrees_with_the_module() {
     let fixture = Fixture::open("sam2/unit_memory_attention.safetensors");
     let net = tiny();
     let rotations = Rotations::new(16, &cpu(), DType::F32);
@@ -229,7 +229,7 @@ fn objects_in_one_batch_equal_single_objects() {
 }
 
 #[test]
-fn the_memory_encoder_meets_its_fixture() {
+fn the_memory_encoder_agrees_with_the_module() {
     let fixture = Fixture::open("sam2/unit_memory_encoder.safetensors");
     let net = tiny();
     let mask: Tensor<4> = input("me_mask", 10.0, [1, 1, 256, 256]);
@@ -244,7 +244,7 @@ fn the_memory_encoder_meets_its_fixture() {
 }
 
 #[test]
-fn an_image_of_the_published_side_meets_its_fixture() {
+fn an_image_of_the_published_side_agrees_with_the_module() {
     let fixture = Fixture::open("sam2/image_1024_tiny.safetensors");
     let net = loaded(&FormulaWeights::of_keys(TINY), 1024);
     let bytes = fixture.bytes("image_u8_128");

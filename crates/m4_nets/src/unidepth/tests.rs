@@ -1,4 +1,4 @@
-//! Parts of the network against upstream's, with synthetic weights: a small backbone of five blocks and heads of 128 channels.
+//! Parts of the network against the authors' module (`oracles/unidepth_v2.py`), with synthetic weights: a small backbone of five blocks and heads of 128 channels.
 
 use super::*;
 use crate::cpu;
@@ -8,7 +8,7 @@ use m4_testkit::FormulaWeights;
 
 const FORMULA: &str = include_str!("../../../../fixtures/unidepth_v2/formula.keys.txt");
 const LARGE: &str = include_str!("../../../../fixtures/unidepth_v2/vitl.keys.txt");
-/// The reference in 32 bits is 2e-6 to 4e-6 from itself in 64 bits, which the fixture holds.
+/// The module in 32 bits is 2e-6 to 4e-6 from itself in 64 bits, which the fixture holds.
 const LIMIT: f64 = 2e-5;
 
 fn network() -> Net {
@@ -25,7 +25,7 @@ fn thinned(x: Tensor<2>, rows: usize, columns: usize) -> Tensor<2> {
 }
 
 #[test]
-fn parts_agree_with_upstream() {
+fn parts_agree_with_the_module() {
     let (net, fixture) = (network(), Fixture::open("unidepth_v2/formula.safetensors"));
     let image = fixture.image("image");
     let patches = Patches::of(image.size(), 48).unwrap();

@@ -6,7 +6,7 @@ use crate::{
         StepView, pixels,
     },
     colour_fit::add_seen,
-    density::{ScoreInput, Scores, apply, rearrange, score},
+    density::{GradientSums, ScoreInput, Scores, apply, rearrange, score},
     metrics::psnr,
     refine::{expose, exposure_gradient, pull_back},
 };
@@ -35,6 +35,7 @@ pub struct CpuBackend<'a> {
     sum: Gradients,
     scratch: LossScratch,
     exposed: [Vec<f32>; 3],
+    image_gradients: Option<GradientSums>,
     /// Sums, not yet means.
     stats: StepStats,
 }
@@ -55,6 +56,7 @@ impl<'a> CpuBackend<'a> {
             sum: Gradients::default(),
             scratch: LossScratch::default(),
             exposed: Default::default(),
+            image_gradients: None,
             stats: StepStats::default(),
         }
     }
@@ -81,7 +83,13 @@ impl<'a> CpuBackend<'a> {
             }
             pull_back(exposure, out);
         }
+        if self.image_gradients.is_some() {
+            self.gradients.image.get_or_insert_default();
+        }
         self.backward(step.camera);
+        if let (Some(sums), Some(lengths)) = (&mut self.image_gradients, &self.gradients.image) {
+            sums.add(lengths, &self.gradients.touched);
+        }
         if step.camera {
             self.stats.cameras.push((step.frame, self.gradients.camera));
         }
@@ -182,6 +190,9 @@ impl Backend for CpuBackend<'_> {
     fn reorder(&mut self) -> Result<(), BackendError> {
         let order = morton_order(&self.splats);
         self.splats.rearrange(&order).map_err(failed)?;
+        if let Some(sums) = &mut self.image_gradients {
+            sums.rearrange(&order);
+        }
         rearrange(&mut self.adam, &order).map_err(failed)
     }
 
@@ -233,8 +244,16 @@ impl Backend for CpuBackend<'_> {
         Ok(score(&mut input, &self.splats, views))
     }
 
+    fn collect_image_gradients(&mut self) -> bool {
+        self.image_gradients.get_or_insert_default();
+        true
+    }
+
     fn densify(&mut self, round: &DensityRound<'_>) -> Result<Option<DensityStats>, BackendError> {
-        let scores = self.score(round.views, &round.scores)?;
+        let scores = match &mut self.image_gradients {
+            Some(sums) => sums.take(self.splats.n()),
+            None => self.score(round.views, &round.scores)?,
+        };
         let plan = round.rules.plan(&self.splats, &scores);
         let mut stats = DensityStats::default();
         if !plan.rows.is_empty() && !plan.changes_nothing() {

@@ -174,6 +174,12 @@ pub trait Backend: std::fmt::Debug {
     /// Both scores of every splat over some frames, as [`crate::density`] defines them. Fails with [`BackendError`].
     fn score(&mut self, views: &[(usize, View)], settings: &ScoreSettings) -> Result<Scores, BackendError>;
 
+    /// Collects the gradients with respect to the centres of splats in the image from here on, which take the place of the scores where
+    /// [`crate::DensityConfig::loss_guided`] is off. False from a backend that has none.
+    fn collect_image_gradients(&mut self) -> bool {
+        false
+    }
+
     /// A whole round of density control, as [`crate::density::apply`] of the round's plan does it. Where nothing would be
     /// left, nothing changes. `None` from a backend that does not support this round: the trainer then asks for scores and decides.
     /// Fails with [`BackendError`].

@@ -69,6 +69,8 @@ pub enum CloneOpacity {
 pub struct DensityConfig {
     /// Off: the number of splats stays as initialised.
     pub enabled: bool,
+    /// Errors of frames decide. Off: gradients, as in 3DGS, for comparison; on the CPU alone. See [`Self::by_gradient`].
+    pub loss_guided: bool,
     /// Frames scored at each round. Paper: K = 10.
     pub frames: usize,
     /// Normalised error above which a pixel counts, 0..1. Paper: 0.1.
@@ -116,10 +118,16 @@ impl Default for DensityConfig {
 }
 
 impl DensityConfig {
+    /// Whether a backend must collect gradients in the image.
+    pub(crate) fn needs_image_gradients(&self) -> bool {
+        self.enabled && !self.loss_guided
+    }
+
     /// The recommended reading of docs/spec/optimiser.md 4.4.
     pub fn fast() -> Self {
         Self {
             enabled: true,
+            loss_guided: true,
             frames: 10,
             error_threshold: 0.1,
             error_range: ErrorRange::Quantile { high: 0.995 },
@@ -138,6 +146,13 @@ impl DensityConfig {
             min_opacity: 0.003,
             final_opacity: 0.005,
         }
+    }
+
+    /// Densification by gradients with the constants of 3DGS: from step 500, every 100, threshold 0.0002, split above 0.01 of the extent,
+    /// opacity at least 0.005. It goes on to the end, as in Instant4D: 3DGS ends after 15,000 steps. The cap is that of
+    /// [`Self::faithful`].
+    pub fn by_gradient() -> Self {
+        Self { loss_guided: false, densify_threshold: 0.0002, ..Self::faithful() }
     }
 
     /// Equations 6 to 10 to the letter where they can be read, else as the code they derive from:

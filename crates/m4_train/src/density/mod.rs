@@ -5,6 +5,7 @@
 //! | `score` | error map to masked error; masked errors of K frames to two scores per splat |
 //! | `decide` | the rules of a round; scores to the splats to clone, split and prune; decisions to the rows of the next set |
 //! | `new_splats` | the parameters of clones and children |
+//! | `gradient` | the statistic of 3DGS in place of the scores, for comparison |
 //!
 //! Readings where the paper is open (docs/spec/optimiser.md 4.4): p(t) is the marginal with peak 1; a splat's footprint
 //! are the pixels that it is composited on; scores are raw sums of error. Both scores are taken from the same state of
@@ -13,10 +14,12 @@
 mod decide;
 #[cfg(feature = "gpu")]
 mod gpu;
+mod gradient;
 mod new_splats;
 mod score;
 
 pub use decide::{Decision, Origin, Plan, Rules, SplatView, decide};
+pub(crate) use gradient::GradientSums;
 pub use new_splats::apply;
 pub(crate) use new_splats::rearrange;
 pub use score::masked_error;

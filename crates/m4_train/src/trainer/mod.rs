@@ -137,9 +137,13 @@ impl<'a> Trainer<'a> {
         config: TrainConfig,
         level: SimdLevel,
     ) -> Self {
+        let mut backend = CpuBackend::new(capture, config.target_cache_mb, level);
+        if config.density.needs_image_gradients() {
+            backend.collect_image_gradients();
+        }
         Self {
             capture,
-            backend: Box::new(CpuBackend::new(capture, config.target_cache_mb, level)),
+            backend: Box::new(backend),
             frames_wanted: None,
             is_uploaded: false,
             is_current: true,
@@ -234,8 +238,16 @@ impl<'a> Trainer<'a> {
     /// Takes steps on `backend` from here on instead of the CPU. The result depends on it as on a SIMD level: the same device gives
     /// the same bits, another one last digits of its own.
     /// With corrections of cameras or exposures every step waits for the device.
-    /// Fails with [`TrainError::Device`] if the backend that was used before fails to give its splats back.
-    pub fn use_backend(&mut self, backend: Box<dyn Backend + 'a>) -> Result<(), TrainError> {
+    /// Fails with [`TrainError::Device`] if the backend that was used before fails to give its splats back, and with
+    /// [`TrainError::BadSetting`] if it has no gradients in the image and density control needs them.
+    pub fn use_backend(&mut self, mut backend: Box<dyn Backend + 'a>) -> Result<(), TrainError> {
+        if self.config.density.needs_image_gradients() && !backend.collect_image_gradients() {
+            return Err(TrainError::BadSetting {
+                field: "density.loss_guided",
+                value: "false".to_owned(),
+                expected: "possible on a GPU, which keeps no gradients in the image; train on the CPU (--device cpu)",
+            });
+        }
         self.synchronize()?;
         self.backend = backend;
         self.frames_wanted = Some(self.capture);

@@ -19,7 +19,7 @@ impl Trainer<'_> {
         let within = c.enabled && i >= c.from && i as f64 <= f64::from(c.until) * n as f64;
         let due = Decision {
             densify: within && i.is_multiple_of(c.every),
-            prune_by_score: within && i.is_multiple_of(c.prune_every),
+            prune_by_score: within && c.loss_guided && i.is_multiple_of(c.prune_every),
             max_splats: (f64::from(c.max_growth) * self.first_splats as f64) as usize,
         };
         let last = c.enabled && i == n && c.final_opacity > 0.0;
@@ -39,7 +39,9 @@ impl Trainer<'_> {
         let mut views = Vec::new();
         if due.densify || due.prune_by_score {
             self.prepare()?;
-            views = self.frames_to_score();
+            if config.loss_guided {
+                views = self.frames_to_score();
+            }
         }
         let round = DensityRound {
             views: &views,

@@ -6,13 +6,15 @@
 //!
 //! Rows share the geometry, except for the row without segmentation, which has its own. All rows take as many steps as the full one.
 
+mod row;
 mod tracking_effect;
+
+pub use row::Row;
 
 use crate::bench::{aligned, number, today};
 use crate::evaluate::{self, EvalOptions};
 use crate::folder::CAPTURE_FOLDER;
 use crate::record::{GeometryRecord, RunRecord, Status, write_json};
-use crate::settings::{Enhancement, UnknownName, by_name};
 use crate::stage::check_stop;
 use crate::{Error, Job, Settings, is_capture};
 use m4_core::{Capture, CompactMask};
@@ -20,7 +22,7 @@ use m4_geometry::resample::resize_bilinear;
 use m4_io::atomic;
 use m4_io::capture::Split;
 use m4_io::reach::Reach;
-use serde::{Deserialize, Serialize};
+use serde::Serialize;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
@@ -30,69 +32,11 @@ pub const ABLATION_FILE: &str = "ablation.json";
 /// Name of the table.
 pub const TABLE_FILE: &str = "ablation.md";
 
-/// One row: everything, or everything but a part (paper, table 3).
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Row {
-    /// Everything. Always there: the others are compared with it.
-    #[default]
-    Full,
-    /// Masks are what motion and colours say.
-    NoSeg,
-    /// No points are followed or carried from one frame to another.
-    NoTrack,
-    /// Splats are neither added nor pruned.
-    NoDensity,
-}
-
-impl Row {
-    /// In the order of tables.
-    pub const ALL: [Self; 4] = [Self::Full, Self::NoSeg, Self::NoTrack, Self::NoDensity];
-
-    /// As options and folders call it.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Full => "full",
-            Self::NoSeg => "no-seg",
-            Self::NoTrack => "no-track",
-            Self::NoDensity => "no-density",
-        }
-    }
-
-    /// Returns the name in tables.
-    pub fn title(self) -> &'static str {
-        match self {
-            Self::Full => "full",
-            Self::NoSeg => "without segmentation",
-            Self::NoTrack => "without tracking",
-            Self::NoDensity => "without density control",
-        }
-    }
-
-    /// What it goes without.
-    pub fn without(self) -> Option<Enhancement> {
-        match self {
-            Self::Full => None,
-            Self::NoSeg => Some(Enhancement::Segmentation),
-            Self::NoTrack => Some(Enhancement::Tracking),
-            Self::NoDensity => Some(Enhancement::Density),
-        }
-    }
-}
-
-impl std::str::FromStr for Row {
-    type Err = UnknownName;
-
-    fn from_str(text: &str) -> Result<Self, UnknownName> {
-        by_name("row", text, &Self::ALL, Self::name)
-    }
-}
-
 /// One row.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct RowReport {
     row: Row,
-    /// Why it was not made, where it was not: then everything else is absent.
+    /// Why it does not apply, where it does not: then everything else is absent.
     skipped: Option<String>,
     /// Mean PSNR of the held-out views, dB.
     psnr_db: Option<f64>,
@@ -136,13 +80,17 @@ impl AblationReport {
         let head =
             ["", "PSNR dB", "SSIM", "PSNR dB moving", "SSIM moving", "splats", "geometry s", "train s", "peak MB"];
         let full = self.rows.iter().find(|row| row.row == Row::Full);
+        let number = |row: &RowReport, value: Option<f64>, digits: usize| match row.skipped {
+            Some(_) => "n/a".to_owned(),
+            None => number(value, digits),
+        };
         let with_difference = |row: &RowReport, of: &dyn Fn(&RowReport) -> Option<f64>, digits: usize| {
             let value = of(row);
             match (value, full.and_then(of)) {
                 (Some(here), Some(there)) if row.row != Row::Full => {
                     format!("{here:.digits$} ({:+.digits$})", here - there)
                 }
-                _ => number(value, digits),
+                _ => number(row, value, digits),
             }
         };
         let mut table = vec![head.map(str::to_owned).to_vec()];
@@ -153,16 +101,16 @@ impl AblationReport {
                 with_difference(row, &|r| r.ssim, 4),
                 with_difference(row, &|r| r.moving_psnr_db, 2),
                 with_difference(row, &|r| r.moving_ssim, 4),
-                number(row.splats.map(|n| n as f64), 0),
-                number(row.geometry_s, 0),
-                number(row.train_s, 0),
-                number(row.peak_memory_bytes.map(|bytes| bytes as f64 / 1e6), 0),
+                number(row, row.splats.map(|n| n as f64), 0),
+                number(row, row.geometry_s, 0),
+                number(row, row.train_s, 0),
+                number(row, row.peak_memory_bytes.map(|bytes| bytes as f64 / 1e6), 0),
             ]
         }));
         let mut out = aligned(&table);
         for row in &self.rows {
             if let Some(why) = &row.skipped {
-                out.push_str(&format!("\n{}: not made, {why}\n", row.row.title()));
+                out.push_str(&format!("\n{}: not applicable, {why}\n", row.row.title()));
             }
         }
         out
@@ -247,18 +195,24 @@ struct Bench<'a> {
 
 impl Bench<'_> {
     fn row(&self, row: Row, settings: &Settings) -> Result<RowReport, Error> {
+        let skip = |why: &str| RowReport { row, skipped: Some(why.to_owned()), ..RowReport::default() };
         let folder = self.out.join(row.name());
         let from_frames = !is_capture(self.input);
+        if let Some(why) = row.not_applicable(!from_frames, settings)? {
+            return Ok(skip(why));
+        }
+        if row == Row::NoLossGuided && self.job.device.choice.open()?.is_some() {
+            return Ok(skip("a GPU keeps no gradients in the image; use --device cpu"));
+        }
         let input = match row {
             Row::NoSeg if !from_frames => match self.coarse()? {
-                Some(capture) => capture,
-                None => {
-                    let skipped = Some("the capture has masks but no motion map".to_owned());
-                    return Ok(RowReport { row, skipped, ..RowReport::default() });
-                }
+                Ok(capture) => capture,
+                Err(why) => return Ok(skip(why)),
             },
             // nothing that these rows change is older than the capture
-            Row::NoTrack | Row::NoDensity if from_frames => self.out.join(Row::Full.name()).join(CAPTURE_FOLDER),
+            Row::NoTrack | Row::NoLossGuided | Row::NoDensity if from_frames => {
+                self.out.join(Row::Full.name()).join(CAPTURE_FOLDER)
+            }
             _ => self.input.to_path_buf(),
         };
         let mut settings = settings.clone();
@@ -292,15 +246,18 @@ impl Bench<'_> {
         })
     }
 
-    /// The input with masks of pixels that are more likely dynamic than static by its maps, unrefined; `None` where it has no maps.
-    fn coarse(&self) -> Result<Option<PathBuf>, Error> {
+    /// The input with masks of pixels that are more likely dynamic than static by its maps, unrefined; or why it has none.
+    fn coarse(&self) -> Result<Result<PathBuf, &'static str>, Error> {
         let folder = self.out.join("coarse");
         let mut capture: Capture = crate::train::read(self.input, &self.job.settings, self.job.observer)?;
         if capture.frames.iter().any(|frame| frame.motion.is_none()) {
-            return Ok(None);
+            return Ok(Err(match capture.frames.iter().any(|frame| frame.mask.is_some()) {
+                true => "the masks of the capture are given, and it has no motion maps to make coarse ones of",
+                false => "the capture has no masks and no motion maps",
+            }));
         }
         if folder.join(Split::Train.file_name()).is_file() {
-            return Ok(Some(folder));
+            return Ok(Ok(folder));
         }
         let tau = m4_geometry::megasam::TAU_MOTION as f32;
         for frame in &mut capture.frames {
@@ -311,7 +268,7 @@ impl Bench<'_> {
             frame.mask = Some(CompactMask::from_fn(w, h, |x, y| share[(x, y)] > tau));
         }
         m4_io::capture::write(&folder, &capture, Split::Train, self.job.observer)?;
-        Ok(Some(folder))
+        Ok(Ok(folder))
     }
 
     fn run(&self, input: &Path, folder: &Path, row: Row, settings: &Settings) -> Result<RunRecord, Error> {
@@ -366,7 +323,7 @@ mod tests {
             image: None,
         };
         let text = report.to_markdown();
-        assert!(text.contains("24.25 (-0.75)") && text.contains("25.00"), "{text}");
-        assert!(text.contains("without segmentation: not made, there is nothing to segment"), "{text}");
+        assert!(text.contains("24.25 (-0.75)") && text.contains("25.00") && text.contains("n/a"), "{text}");
+        assert!(text.contains("without segmentation: not applicable, there is nothing to segment"), "{text}");
     }
 }

@@ -10,13 +10,14 @@
 //! tasks have separate tables ([`crate::evaluate::Task`]), and our results are separate from published ones, which were measured on
 //! other machines, most with other poses.
 
+mod plot;
 mod published;
 mod report;
 mod scene;
 mod suite;
 
 pub use published::{Published, published};
-pub use report::{MissingScene, ReproduceReport, SceneAblation, SceneRow, TableReport};
+pub use report::{MissingScene, ReproduceReport, SceneAblation, SceneRow, TableReport, UsedSettings};
 pub use suite::Suite;
 
 use crate::ablate::{self, AblateOptions, Row};
@@ -65,7 +66,7 @@ pub struct ReproduceOptions {
     pub ablations: Option<PathBuf>,
 }
 
-/// Makes the tables of a data set in the folder `out`: `reproduce.md`, `reproduce.json`, and an image a table. Scenes that are finished are
+/// Makes the tables of a data set in the folder `out` with the settings of `job` ([`Suite::settings`]): `reproduce.md`, `reproduce.json`, and an image a table. Scenes that are finished are
 /// not made again; [`Job::existing`] is of no meaning.
 ///
 /// # Errors
@@ -127,12 +128,13 @@ pub fn reproduce(
         suite,
         data: data.to_path_buf(),
         profile: job.settings.profile,
+        settings: UsedSettings::of(&job.settings),
         threads: crate::threads(),
         tables,
         missing,
     };
     for table in &report.tables {
-        report::write_plot(&out.join(table.plot_file()), table)?;
+        plot::write_plot(&out.join(table.plot_file()), table)?;
     }
     write_json(&out.join(REPORT_FILE), &report)?;
     let path = out.join(TABLE_FILE);

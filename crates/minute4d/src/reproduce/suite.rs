@@ -3,7 +3,7 @@
 use super::MissingScene;
 use crate::Refusal;
 use crate::evaluate::Protocol;
-use crate::settings::{UnknownName, by_name};
+use crate::settings::{Profile, Settings, UnknownName, by_name};
 use m4_io::dataset::{SourceFormat, davis, detect};
 use serde::{Deserialize, Serialize};
 use std::fmt;
@@ -34,9 +34,21 @@ pub(super) struct Facts {
     protocols: &'static [Protocol],
     /// May be asked for, and are not made otherwise.
     more_protocols: &'static [Protocol],
+    paper: Paper,
     /// Where people get it.
     pub source: &'static str,
 }
+
+/// The settings that the paper has for a data set: steps (docs/spec/optimiser.md 3), frames between two searches for new objects (B,
+/// docs/spec/front-end.md 2.4) and between two frames in which points start (docs/spec/front-end.md 3).
+struct Paper {
+    iterations: usize,
+    instance_interval: usize,
+    track_stride: usize,
+}
+
+/// Probability of motion above which a pixel is dynamic, in all data sets of the paper (tau, docs/spec/front-end.md 2.4).
+const MOTION_THRESHOLD: f32 = 0.7;
 
 const DYCHECK: Facts = Facts {
     name: "dycheck",
@@ -45,6 +57,7 @@ const DYCHECK: Facts = Facts {
     below: &["", "iphone", "dycheck", "dycheck/iphone"],
     protocols: &[Protocol::Instant4d, Protocol::Dycheck],
     more_protocols: &[Protocol::Rodygs, Protocol::Holdout],
+    paper: Paper { iterations: 5000, instance_interval: 50, track_stride: 10 },
     source: "The scenes are on the project page of DyCheck (Gao et al., NeurIPS 2022: the README of KAIR-BAIR/dycheck, docs/DATASETS.md), a \
              zip file each; unpack them side by side",
 };
@@ -55,6 +68,7 @@ const NVIDIA: Facts = Facts {
     below: &["", "nvidia", "Nvidia", "NVIDIA"],
     protocols: &[Protocol::Nvidia],
     more_protocols: &[],
+    paper: Paper { iterations: 1500, instance_interval: 2, track_stride: 1 },
     source: "The scenes with poses and masks, and the images that results are compared with (gt/v000_tTTT.png), are bundles that the \
              README of facebookresearch/robust-dynrf links; unpack them side by side",
 };
@@ -70,6 +84,7 @@ const DAVIS: Facts = Facts {
     ],
     protocols: &[Protocol::Davis],
     more_protocols: &[Protocol::Holdout],
+    paper: Paper { iterations: 5000, instance_interval: 10, track_stride: 10 },
     source: "DAVIS 2017 (TrainVal, 480p) is on davischallenge.org, a zip file; give the folder that holds JPEGImages, and other clips of it with \
              --scenes",
 };
@@ -96,6 +111,18 @@ impl Suite {
     /// Returns the name on the command line.
     pub fn name(self) -> &'static str {
         self.facts().name
+    }
+
+    /// The built-in settings for the data set: those of the profile, and for [`Profile::Faithful`] what the paper has for this data set.
+    pub fn settings(self, profile: Profile) -> Settings {
+        let (mut settings, paper) = (Settings::of(profile), &self.facts().paper);
+        if profile == Profile::Faithful {
+            settings.train.iterations = paper.iterations;
+            settings.enhance.masks.every_frames = paper.instance_interval;
+            settings.enhance.masks.tau = MOTION_THRESHOLD;
+            settings.enhance.tapip3d.every = paper.track_stride;
+        }
+        settings
     }
 
     /// The scenes over which published numbers of a protocol are means.
@@ -183,6 +210,21 @@ impl FromStr for Suite {
 mod tests {
     use super::Suite;
     use crate::evaluate::Protocol;
+    use crate::settings::{Profile, Settings};
+
+    #[test]
+    fn the_faithful_settings_are_those_of_the_paper_for_the_data_set() {
+        let of = |suite: Suite| {
+            let s = suite.settings(Profile::Faithful);
+            (s.enhance.masks.every_frames, s.enhance.tapip3d.every, s.train.iterations, s.enhance.masks.tau)
+        };
+        assert_eq!(
+            Suite::ALL.map(of),
+            [(50, 10, 5000, 0.7), (2, 1, 1500, 0.7), (10, 10, 5000, 0.7)],
+            "DyCheck, NVIDIA, DAVIS"
+        );
+        assert!(Suite::ALL.iter().all(|suite| suite.settings(Profile::Fast) == Settings::fast()));
+    }
 
     #[test]
     fn published_means_are_over_their_own_scenes() {

@@ -91,8 +91,10 @@ pub enum Enhancement {
     Segmentation,
     /// Points followed through the clip: parts that a frame hides are filled from others, and first velocities.
     Tracking,
-    /// Density control: splats added and pruned by the errors of frames.
+    /// Density control: splats added and pruned.
     Density,
+    /// The choice of these splats by the errors of frames; without it gradients decide, as in 3DGS.
+    LossGuided,
 }
 
 /// Every setting of every stage; what `--print-config` shows and `--set` changes. `docs/settings.md` lists the keys.
@@ -224,6 +226,7 @@ impl Settings {
                 self.init.tracks = false;
             }
             Enhancement::Density => self.train.density.enabled = false,
+            Enhancement::LossGuided => self.train.density.loss_guided = false,
         }
     }
 
@@ -343,7 +346,7 @@ mod tests {
 
     #[test]
     fn each_part_changes_settings_of_its_own() {
-        let parts = [Enhancement::Segmentation, Enhancement::Tracking, Enhancement::Density];
+        let parts = [Enhancement::Segmentation, Enhancement::Tracking, Enhancement::Density, Enhancement::LossGuided];
         let without = |part| {
             let mut settings = Settings::fast();
             settings.switch_off(part);

@@ -56,6 +56,8 @@ pub struct LossSettings {
 pub struct DensitySettings {
     /// Off: the number of splats stays as initialised.
     pub enabled: bool,
+    /// Off: densification by gradients ([`DensityConfig::by_gradient`]), which of the keys here has those of `from` and `every` alone.
+    pub loss_guided: bool,
     /// Frames scored at each round.
     pub frames: usize,
     /// Normalised error above which a pixel counts, 0..1.
@@ -102,6 +104,7 @@ impl TrainSettings {
             loss: LossSettings { lambda_ssim: config.lambda_ssim },
             density: DensitySettings {
                 enabled: density.enabled,
+                loss_guided: density.loss_guided,
                 frames: density.frames,
                 error_threshold: density.error_threshold,
                 densify_threshold: density.densify_threshold,
@@ -128,16 +131,24 @@ impl TrainSettings {
             target_cache_mb: self.target_cache_mb,
             colour_fit_rounds: self.colour_fit.rounds,
             lambda_ssim: self.loss.lambda_ssim,
-            density: DensityConfig {
-                enabled: density.enabled,
-                frames: density.frames,
-                error_threshold: density.error_threshold,
-                densify_threshold: density.densify_threshold,
-                prune_threshold: density.prune_threshold,
-                from: density.from,
-                every: density.every,
-                prune_every: density.prune_every,
-                ..base.density
+            density: match density.loss_guided {
+                true => DensityConfig {
+                    enabled: density.enabled,
+                    frames: density.frames,
+                    error_threshold: density.error_threshold,
+                    densify_threshold: density.densify_threshold,
+                    prune_threshold: density.prune_threshold,
+                    from: density.from,
+                    every: density.every,
+                    prune_every: density.prune_every,
+                    ..base.density
+                },
+                false => DensityConfig {
+                    enabled: density.enabled,
+                    from: density.from,
+                    every: density.every,
+                    ..DensityConfig::by_gradient()
+                },
             },
             refine: RefineConfig { poses: refine.poses, focal: refine.focal, exposure: refine.exposure, ..base.refine },
             ..base

@@ -2,7 +2,7 @@
 
 use super::program;
 use crate::failure::Failure;
-use crate::options::{LengthArgs, ReachArgs, SettingsArgs, VideoArgs, choice, print_config, settings};
+use crate::options::{LengthArgs, ReachArgs, SettingsArgs, VideoArgs, choice, print_config, settings, settings_over};
 use crate::output::Output;
 use clap::Args;
 use clap::builder::TypedValueParser;
@@ -39,7 +39,7 @@ pub struct Reproduce {
     /// then placed by alignment) [davis: always own]
     #[arg(long, value_name = "WHOSE", default_value = "given", value_parser = sources())]
     pub geometry: GeometrySource,
-    /// Also run every scene without segmentation, without tracking, and without density control
+    /// Also run every scene without segmentation, without tracking, without loss-guided density control, and without any
     #[arg(long)]
     pub ablations: bool,
     /// Device for training, rendering and networks: `cpu`, `gpu`, `gpu:N` or `auto`
@@ -61,7 +61,8 @@ fn sources() -> impl TypedValueParser<Value = GeometrySource> {
 }
 
 pub fn run(args: &Reproduce, output: &Output) -> Result<(), Failure> {
-    let mut settings = settings(&args.settings, None, Some(&args.length))?;
+    let built_in = |profile| args.suite.settings(profile);
+    let mut settings = settings_over(built_in, &args.settings, None, Some(&args.length))?;
     settings.capture.reach = args.reach.reach();
     if args.settings.print_config {
         return print_config(&settings, output);
@@ -91,7 +92,7 @@ pub struct Ablate {
     /// The capture whose transforms_test.json lists the held-out views [default: the input]
     #[arg(long, value_name = "CAPTURE")]
     pub data: Option<PathBuf>,
-    /// Rows in addition to the full method: no-seg, no-track, no-density [default: all]
+    /// Rows in addition to the full method: no-seg, no-track, no-loss-guided (densification by gradients, as 3DGS; CPU only), no-density [default: all]
     #[arg(long, value_name = "ROW,ROW", value_delimiter = ',')]
     pub rows: Vec<Row>,
     /// Dilate the masks of dynamic regions by this many pixels before scoring

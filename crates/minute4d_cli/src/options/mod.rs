@@ -269,6 +269,16 @@ pub fn settings(
     video: Option<&VideoArgs>,
     length: Option<&LengthArgs>,
 ) -> Result<Settings, Failure> {
+    settings_over(Settings::of, args, video, length)
+}
+
+/// The same over other built-in settings of a profile.
+pub fn settings_over(
+    built_in: impl FnOnce(Profile) -> Settings,
+    args: &SettingsArgs,
+    video: Option<&VideoArgs>,
+    length: Option<&LengthArgs>,
+) -> Result<Settings, Failure> {
     let mut layers = Layers::default();
     if let Some(path) = &args.config {
         layers = layers.file(path)?;
@@ -277,7 +287,7 @@ pub fn settings(
         layers = layers.set(given)?;
     }
     let profile = args.profile.or_else(|| layers.profile());
-    let mut base = Settings::of(profile.unwrap_or_default());
+    let mut base = built_in(profile.unwrap_or_default());
     let preset = length.and_then(|l| l.preset);
     match base.profile {
         Profile::Fast => preset.unwrap_or_default().apply(&mut base),
