@@ -3,7 +3,7 @@
 
 use crate::folder::{CAPTURE_FOLDER, PREVIEW_FILE, SCENE_FILE};
 use crate::record::{FileRecord, RUN_FILE, RunRecord};
-use crate::render::{SceneRenderer, SwingConfig, source_fps, swing};
+use crate::render::{SWING_FRAMES, SceneRenderer, source_fps, swing};
 use crate::settings::{Settings, part_to_toml};
 use crate::stage::{RecordingObserver, check_stop};
 use crate::workspace::{Task, Workspace};
@@ -29,17 +29,14 @@ pub const STAGE: &str = "preview";
 pub struct PreviewConfig {
     /// Longest side of each of the three panels, pixels. 480: three fit on a full-HD screen.
     pub panel_px: usize,
-    /// Name the panels in the image.
-    pub labels: bool,
-    /// Shortest clip, seconds; shorter ones are played again until they are this long. 4: one swing.
-    pub min_seconds: f64,
-    /// The camera of the third panel.
-    pub swing: SwingConfig,
 }
+
+/// Shortest clip, seconds; shorter ones are played again until they are this long.
+const MIN_SECONDS: f64 = 4.0;
 
 impl Default for PreviewConfig {
     fn default() -> Self {
-        Self { panel_px: 480, labels: true, min_seconds: 4.0, swing: SwingConfig::default() }
+        Self { panel_px: 480 }
     }
 }
 
@@ -60,11 +57,10 @@ pub(crate) fn stage(run: &mut Workspace<'_>, capture: &Capture, scene: &Scene) -
 }
 
 fn draw(run: &Workspace<'_>, capture: &Capture, scene: &Scene, keeper: &RecordingObserver<'_>) -> Result<(), Error> {
-    let config = &run.job.settings.preview;
     let Some(first) = scene.source.first() else {
         return Err(Error::Internal { what: "the scene has no source frames".to_owned() });
     };
-    let size = panel_size(&first.camera, config.panel_px);
+    let size = panel_size(&first.camera, run.job.settings.preview.panel_px);
     let fps = source_fps(scene);
     let mut writer = Mp4Writer::create(&run.path(PREVIEW_FILE), 3 * size.0 + 2 * GAP, size.1, fps)?;
 
@@ -73,12 +69,12 @@ fn draw(run: &Workspace<'_>, capture: &Capture, scene: &Scene, keeper: &Recordin
     let mut renderer = SceneRenderer::new(scene, run.level, run.gpu.as_ref())?;
     let distance = renderer.painter().median_depth(&still.camera, still.t).unwrap_or(1.0);
     let n = scene.source.len();
-    let rounds = ((config.min_seconds * fps / n as f64).ceil() as usize).clamp(1, 100);
+    let rounds = ((MIN_SECONDS * fps / n as f64).ceil() as usize).clamp(1, 100);
     let total = n * rounds;
     // At least one whole swing, and a whole number of them, so that the clip loops.
-    let swings = (total as f64 / config.swing.period_frames.max(2) as f64).round().max(1.0);
-    let swing_config = SwingConfig { period_frames: (total as f64 / swings).round() as usize, ..config.swing };
-    let cameras = swing(&still.camera.resized(size.0, size.1), distance, total, &swing_config);
+    let swings = (total as f64 / SWING_FRAMES as f64).round().max(1.0);
+    let period_frames = (total as f64 / swings).round() as usize;
+    let cameras = swing(&still.camera.resized(size.0, size.1), distance, total, period_frames);
     let mut panels = |i: usize, camera: &Camera| -> Result<RgbImage, Error> {
         check_stop(keeper, STAGE, true)?;
         let source = &scene.source[i % n];
@@ -86,7 +82,7 @@ fn draw(run: &Workspace<'_>, capture: &Capture, scene: &Scene, keeper: &Recordin
         let again = renderer.image(&source.camera.resized(size.0, size.1), source.t, &source.exposure)?;
         let swung = renderer.image(camera, still.t, &Exposure::IDENTITY)?;
         keeper.update(STAGE, i + 1, total, "");
-        Ok(side_by_side(size, config.labels, [photo.as_ref(), Some(&again), Some(&swung)]))
+        Ok(side_by_side(size, [photo.as_ref(), Some(&again), Some(&swung)]))
     };
     // One image is encoded while the next is rendered.
     let writer = thread::scope(|scope| {
@@ -203,7 +199,7 @@ const GAP: usize = 4;
 const LABELS: [&str; 3] = ["SOURCE", "RE-RENDER", "FROZEN TIME"];
 
 /// Places panels of the same size side by side, with labels if they are wide enough; black where there is none.
-fn side_by_side((width, height): (usize, usize), labels: bool, panels: [Option<&RgbImage>; 3]) -> RgbImage {
+fn side_by_side((width, height): (usize, usize), panels: [Option<&RgbImage>; 3]) -> RgbImage {
     let mut out = Plane::filled(3 * width + 2 * GAP, height, [0; 3]);
     for (i, panel) in panels.into_iter().enumerate() {
         let left = i * (width + GAP);
@@ -212,7 +208,7 @@ fn side_by_side((width, height): (usize, usize), labels: bool, panels: [Option<&
                 out.row_mut(y)[left..left + width].copy_from_slice(panel.row(y));
             }
         }
-        if labels && width >= 120 {
+        if width >= 120 {
             write_label(&mut out, left + 6, 6, LABELS[i]);
         }
     }
@@ -279,7 +275,7 @@ mod tests {
     #[test]
     fn panels_are_side_by_side() {
         let [red, blue] = [[255, 0, 0], [0, 0, 255]].map(|c| Plane::filled(8, 6, c));
-        let out = side_by_side((8, 6), true, [Some(&red), None, Some(&blue)]);
+        let out = side_by_side((8, 6), [Some(&red), None, Some(&blue)]);
         assert_eq!(out.size(), (24 + 2 * GAP, 6));
         assert_eq!((out[(0, 0)], out[(12, 3)], out[(31, 5)]), ([255, 0, 0], [0; 3], [0, 0, 255]));
         assert_eq!(out[(9, 2)], [0; 3]);

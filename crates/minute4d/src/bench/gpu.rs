@@ -75,7 +75,7 @@ pub(super) fn run(
     let plan = plan(bench.room());
     plan.check(limit)?;
     let own_clock = bench.own_clock();
-    let steps = if config.render_only { None } else { Some(time_steps(&mut bench, config.steps, observer)?) };
+    let steps = time_steps(&mut bench, config.steps, observer)?;
     let memory = bench.memory();
     let mut drawing = bench.into_drawing()?;
     let frames = time_frames(&mut drawing, config.steps, observer)?;
@@ -83,15 +83,14 @@ pub(super) fn run(
     let probe = gpu.probe()?;
     let figures = GpuCase {
         own_clock,
-        behind_one_another: steps.as_ref().map_or(frames.count, |steps| steps.count),
+        behind_one_another: steps.count,
         read_frames_per_s: 1e3 / frames.read_ms,
         planned_bytes: plan.total(),
         in_use_bytes: memory.in_use,
         reserved_bytes: memory.reserved,
     };
-    let kernels = steps.as_ref().map_or(frames.kernels, |steps| steps.kernels);
-    let timed = Timed { kernels, step: steps.map(|steps| steps.step), render_ms: frames.ms };
-    Ok(case(scene, &counts, config, None, &probe, timed, Some(figures)))
+    let timed = Timed { kernels: steps.kernels, step: steps.step, render_ms: frames.ms };
+    Ok(case(scene, &counts, None, &probe, timed, Some(figures)))
 }
 
 struct Steps {
@@ -126,10 +125,8 @@ fn loss(stats: &StepStats) -> f64 {
 }
 
 struct Frames {
-    kernels: Millis,
     ms: f64,
     read_ms: f64,
-    count: usize,
 }
 
 fn time_frames(drawing: &mut Drawing, frames: usize, observer: &dyn Observer) -> Result<Frames, Error> {
@@ -137,8 +134,7 @@ fn time_frames(drawing: &mut Drawing, frames: usize, observer: &dyn Observer) ->
     // the first round compiles kernels
     (0..views).for_each(|view| drawing.draw(view));
     drawing.wait()?;
-    let kernels = fastest(views, frames, |view| drawing.laps(view))?;
-    let (ms, _, count) = behind_one_another(frames, views, observer, |rounds| {
+    let (ms, ..) = behind_one_another(frames, views, observer, |rounds| {
         for _ in 0..rounds {
             (0..views).for_each(|view| drawing.draw(view));
         }
@@ -154,7 +150,7 @@ fn time_frames(drawing: &mut Drawing, frames: usize, observer: &dyn Observer) ->
             }
         }
     }
-    Ok(Frames { kernels, ms, read_ms: mean_over(read_ms.into_iter(), views), count })
+    Ok(Frames { ms, read_ms: mean_over(read_ms.into_iter(), views) })
 }
 
 /// The fastest of some rounds, kernel by kernel and a view; then the mean over the views.

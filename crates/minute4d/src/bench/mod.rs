@@ -1,15 +1,13 @@
 //! Benchmarks of the kernels on this machine, compared with its limits.
 //!
 //! [`run`] times training steps and rendering on synthetic scenes ([`m4_kernels::bench`]); the
-//! [`BenchReport`] is what the program prints, saves and compares. `docs/bench.md` explains every column.
+//! [`BenchReport`] is what the program prints. `docs/bench.md` explains every column.
 
 #[cfg(feature = "gpu")]
 mod gpu;
-mod memory;
 mod report;
 mod table;
 
-pub use memory::{MemoryCase, MemoryConfig, MemoryReport, memory};
 pub use report::{BenchReport, Bound, Case, GpuCase, GpuMachine, KernelRow, Machine, StepRow};
 pub(crate) use table::{aligned, number, today};
 
@@ -34,10 +32,6 @@ pub struct BenchConfig {
     pub threads: Vec<usize>,
     /// Times that each view is stepped; the fastest counts, kernel by kernel.
     pub steps: usize,
-    /// Degree of the spatial harmonics of the colour, 0..=3.
-    pub sh_degree: usize,
-    /// Draw alone, without the rest of a training step.
-    pub render_only: bool,
     /// Where to run; on a GPU threads do not matter.
     pub device: DeviceChoice,
     /// What a GPU may be made to hold, megabytes; no limit where there is none.
@@ -56,8 +50,6 @@ impl Default for BenchConfig {
             scenes: vec![SceneKind::Static, SceneKind::FourD],
             threads: if all > 1 { vec![1, all] } else { vec![1] },
             steps: 15,
-            sh_degree: 0,
-            render_only: false,
             device: DeviceChoice::Cpu,
             max_vram_mb: None,
             cpu: None,
@@ -81,7 +73,7 @@ pub fn run(config: &BenchConfig, observer: &dyn Observer) -> Result<BenchReport,
                 splats,
                 width,
                 height,
-                sh_degree: config.sh_degree,
+                sh_degree: 0,
                 kind,
             }));
         }
@@ -142,19 +134,17 @@ fn on_processor(
     config: &BenchConfig,
     bench: &mut Bench,
 ) -> Case {
-    let bytes: f64 = kernels(config).map(|kernel| mean_work(kernel, counts).bytes).sum();
+    let bytes: f64 = Kernel::ALL.map(|kernel| mean_work(kernel, counts).bytes).iter().sum();
     let probe = Probe::run(level, bytes.clamp(PROBE_BYTES.0, PROBE_BYTES.1) as usize);
-    let steps = if config.render_only { None } else { Some(time_steps(bench, config.steps)) };
-    let (drawn, render_ms) = time_frames(bench, config.steps);
-    let timed =
-        Timed { kernels: steps.as_ref().map_or(drawn, |steps| steps.0), step: steps.map(|steps| steps.1), render_ms };
-    case(scene, counts, config, Some(level), &probe, timed, None)
+    let (kernels, step) = time_steps(bench, config.steps);
+    let timed = Timed { kernels, step, render_ms: time_frames(bench, config.steps) };
+    case(scene, counts, Some(level), &probe, timed, None)
 }
 
 /// What a clock said of a case.
 struct Timed {
     pub kernels: Millis,
-    pub step: Option<Step>,
+    pub step: Step,
     pub render_ms: f64,
 }
 
@@ -169,29 +159,27 @@ struct Step {
 fn case(
     scene: &SceneConfig,
     counts: &[Counts],
-    config: &BenchConfig,
     level: Option<SimdLevel>,
     probe: &Probe,
     timed: Timed,
     gpu: Option<GpuCase>,
 ) -> Case {
-    let rows: Vec<KernelRow> = kernels(config)
-        .map(|kernel| row(kernel, mean_work(kernel, counts), timed.kernels[index(kernel)], level, probe))
-        .collect();
+    let kernels = Kernel::ALL.into_iter().zip(timed.kernels);
+    let rows: Vec<KernelRow> =
+        kernels.map(|(kernel, ms)| row(kernel, mean_work(kernel, counts), ms, level, probe)).collect();
     let mean = |f: fn(&Counts) -> f64| mean_over(counts.iter().map(f), counts.len());
-    let step = timed.step.map(|step| StepRow {
-        ms: step.ms,
-        per_s: 1e3 / step.ms,
-        busy: step.busy,
+    let step = StepRow {
+        ms: timed.step.ms,
+        per_s: 1e3 / timed.step.ms,
+        busy: timed.step.busy,
         bound_ms: rows.iter().map(|r| r.bound_ms).sum(),
-        loss: step.loss,
-    });
+        loss: timed.step.loss,
+    };
     Case {
         scene: scene.kind.name().to_owned(),
         splats: scene.splats,
         width: scene.width,
         height: scene.height,
-        sh_degree: scene.sh_degree,
         threads: if gpu.is_some() { 1 } else { rayon::current_num_threads() },
         alive: mean(|c| (c.alive[0] + c.alive[1]) as f64),
         visible: mean(|c| c.visible as f64),
@@ -214,15 +202,6 @@ fn case(
 
 /// Pixels of a tile on a GPU.
 const GPU_TILE: usize = 16 * 16;
-
-fn kernels(config: &BenchConfig) -> impl Iterator<Item = Kernel> {
-    let all = !config.render_only;
-    Kernel::ALL.into_iter().filter(move |k| all || k.renders())
-}
-
-fn index(kernel: Kernel) -> usize {
-    Kernel::ALL.iter().position(|&k| k == kernel).unwrap_or_default()
-}
 
 fn mean_work(kernel: Kernel, counts: &[Counts]) -> Work {
     let n = counts.len().max(1) as f64;
@@ -282,19 +261,19 @@ fn time_steps(bench: &mut Bench, steps: usize) -> (Millis, Step) {
     (kernels, Step { ms, busy: cpu / (wall * rayon::current_num_threads() as f64), loss })
 }
 
-/// The fastest frames of each view, as means over the views: per kernel, and of whole frames.
-fn time_frames(bench: &mut Bench, frames: usize) -> (Millis, f64) {
-    let mut best = Fastest::of(bench.views());
+/// Milliseconds of the fastest frame of each view, as the mean over the views.
+fn time_frames(bench: &mut Bench, frames: usize) -> f64 {
+    let mut best = vec![f64::INFINITY; bench.views()];
     for round in 0..=frames {
-        for view in 0..bench.views() {
-            let (kernels, frame) = bench.render(view);
+        for (view, best) in best.iter_mut().enumerate() {
+            let (_, frame) = bench.render(view);
             // the first round fills the memory of the renderer
             if round > 0 {
-                best.add(view, kernels, frame);
+                *best = best.min(ms(frame));
             }
         }
     }
-    best.mean()
+    mean_over(best.iter().copied(), best.len())
 }
 
 fn mean_over(values: impl Iterator<Item = f64>, n: usize) -> f64 {

@@ -1,10 +1,8 @@
 //! The results of a benchmark, and their form for people.
 
-use super::table::{self, aligned, number};
-use crate::Error;
+use super::table::{aligned, number, today};
 use m4_kernels::SimdLevel;
 use serde::Serialize;
-use std::path::{Path, PathBuf};
 
 /// Where it was measured.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -15,8 +13,6 @@ pub struct Machine {
     pub(super) simd: String,
     pub(super) platform: String,
     pub(super) minute4d: String,
-    /// The commit of the source folder that the program was started in, `-dirty` with changes; none elsewhere.
-    pub(super) commit: Option<String>,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(super) gpu: Option<GpuMachine>,
 }
@@ -37,7 +33,7 @@ pub struct GpuMachine {
 pub struct GpuCase {
     /// Kernels were timed by the GPU's own clock; else by waiting for it after each, which takes longer than short kernels.
     pub(super) own_clock: bool,
-    /// Steps (or frames, when drawing alone was timed) that were requested without waiting between them.
+    /// Steps that were requested without waiting between them.
     pub(super) behind_one_another: usize,
     /// Frames a second when each is copied to the host, one after the other.
     pub(super) read_frames_per_s: f64,
@@ -59,7 +55,6 @@ impl Machine {
             simd: level.name().to_owned(),
             platform: format!("{}-{}", std::env::consts::ARCH, std::env::consts::OS),
             minute4d: env!("CARGO_PKG_VERSION").to_owned(),
-            commit: table::commit(),
             gpu: None,
         }
     }
@@ -72,13 +67,12 @@ impl Machine {
             .as_ref()
             .map_or_else(String::new, |gpu| format!("{} ({}, {}, {}); ", gpu.name, gpu.kind, gpu.api, gpu.driver));
         format!(
-            "{gpu}{}, {} cores, {}, {}; minute4d {}{}",
+            "{gpu}{}, {} cores, {}, {}; minute4d {}",
             self.cpu.as_deref().unwrap_or("unknown processor"),
             self.cores,
             self.simd,
             self.platform,
             self.minute4d,
-            self.commit.as_ref().map_or_else(String::new, |c| format!(" at {c}")),
         )
     }
 }
@@ -151,7 +145,6 @@ pub struct Case {
     pub(super) splats: usize,
     pub(super) width: usize,
     pub(super) height: usize,
-    pub(super) sh_degree: usize,
     /// Threads used; 1 on a GPU.
     pub(super) threads: usize,
     /// Splats that live at the instant, mean over the instants, as the next five.
@@ -171,8 +164,8 @@ pub struct Case {
     /// Measured multiply-adds, billions of lanes a second.
     pub(super) multiply_add_g_per_s: f64,
     pub(super) kernels: Vec<KernelRow>,
-    /// The training step; none when drawing alone was timed.
-    pub(super) step: Option<StepRow>,
+    /// The training step.
+    pub(super) step: StepRow,
     /// Drawing alone: wall clock of the fastest frame.
     pub(super) render_ms: f64,
     pub(super) frames_per_s: f64,
@@ -196,7 +189,7 @@ pub struct BenchReport {
 impl BenchReport {
     /// A report of today.
     pub(super) fn new(machine: Machine, steps: usize, cases: Vec<Case>) -> Self {
-        Self { format: "minute4d-bench".to_owned(), version: 1, date: table::today(), machine, steps, cases }
+        Self { format: "minute4d-bench".to_owned(), version: 1, date: today(), machine, steps, cases }
     }
 
     /// The whole report: the machine, one row per case, then one table per case.
@@ -218,8 +211,7 @@ impl BenchReport {
 
     /// One row per case: milliseconds per kernel and per step.
     fn overview(&self) -> String {
-        let longest = self.cases.iter().max_by_key(|c| c.kernels.len());
-        let names = longest.into_iter().flat_map(|case| case.kernels.iter().map(|k| k.kernel.as_str()));
+        let names = self.cases.first().into_iter().flat_map(|case| case.kernels.iter().map(|k| k.kernel.as_str()));
         let head = ["scene", "splats", "size", "threads"].into_iter().chain(names);
         let head = head.chain(["step ms", "steps/s", "busy", "frames/s"]);
         let mut table: Vec<Vec<String>> = vec![head.map(str::to_owned).collect()];
@@ -231,21 +223,12 @@ impl BenchReport {
                 case.gpu.map_or_else(|| case.threads.to_string(), |_| "GPU".to_owned()),
             ];
             row.extend(case.kernels.iter().map(|k| millis(k.ms)));
-            let step = case.step.map(|s| [millis(s.ms), format!("{:.1}", s.per_s), format!("{:.0} %", 100.0 * s.busy)]);
-            row.extend(step.unwrap_or_else(|| std::array::from_fn(|_| "-".to_owned())));
+            let s = &case.step;
+            row.extend([millis(s.ms), format!("{:.1}", s.per_s), format!("{:.0} %", 100.0 * s.busy)]);
             row.push(format!("{:.0}", case.frames_per_s));
             table.push(row);
         }
         aligned(&table)
-    }
-
-    /// Writes the report as JSON and as Markdown into `folder`; returns the path of the JSON file.
-    ///
-    /// # Errors
-    ///
-    /// [`Error::Write`].
-    pub fn save(&self, folder: &Path) -> Result<PathBuf, Error> {
-        table::save(folder, (&self.date, ""), &self.machine, self, &self.to_markdown())
     }
 }
 
@@ -273,21 +256,19 @@ impl Case {
         let head = ["kernel", "ms", "ns/item", "item", "Geval/s", "MB", "GB/s", "bound ms", "bound by", "x bound"];
         let mut table = vec![head.map(str::to_owned).to_vec()];
         table.extend(self.kernels.iter().map(kernel_row));
-        if let Some(step) = &self.step {
-            let dash = || "-".to_owned();
-            table.push(vec![
-                "step".to_owned(),
-                millis(step.ms),
-                dash(),
-                dash(),
-                dash(),
-                format!("{:.1}", self.kernels.iter().map(|k| k.bytes).sum::<f64>() / 1e6),
-                dash(),
-                millis(step.bound_ms),
-                "all".to_owned(),
-                format!("{:.1}", step.ms / step.bound_ms.max(1e-9)),
-            ]);
-        }
+        let (step, dash) = (&self.step, || "-".to_owned());
+        table.push(vec![
+            "step".to_owned(),
+            millis(step.ms),
+            dash(),
+            dash(),
+            dash(),
+            format!("{:.1}", self.kernels.iter().map(|k| k.bytes).sum::<f64>() / 1e6),
+            dash(),
+            millis(step.bound_ms),
+            "all".to_owned(),
+            format!("{:.1}", step.ms / step.bound_ms.max(1e-9)),
+        ]);
         text += &aligned(&table);
         if let Some(gpu) = &self.gpu {
             text += &gpu.to_markdown();

@@ -24,7 +24,7 @@ use m4_train::init::InitError;
 use m4_viewer::FramesError;
 use m4_viewer::page::PageError;
 use m4_viewer::server::ServeError;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::{fmt, io};
 
 /// The command that builds the program with GPU support and networks, for messages about missing features.
@@ -170,6 +170,18 @@ from_parts_of! {
 }
 
 impl Error {
+    /// For `map_err` after a read.
+    pub(crate) fn read(path: &Path) -> impl FnOnce(io::Error) -> Self {
+        let path = path.to_path_buf();
+        |source| Self::Read { path, source }
+    }
+
+    /// For `map_err` after a write.
+    pub(crate) fn write(path: &Path) -> impl FnOnce(io::Error) -> Self {
+        let path = path.to_path_buf();
+        |source| Self::Write { path, source }
+    }
+
     /// Returns the category of the failure.
     pub fn category(&self) -> Category {
         match self {

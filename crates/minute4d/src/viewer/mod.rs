@@ -46,22 +46,6 @@ impl Default for ViewerConfig {
     }
 }
 
-/// Update interval of an open page during training; not part of the result.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct LiveConfig {
-    /// Least seconds between two scenes. 2: a person does not follow more.
-    pub every_s: f64,
-    /// Most of the machine's time that scenes for the page may take; when they would take more there are
-    /// fewer. 0.03: not noticed.
-    pub share: f64,
-}
-
-impl Default for LiveConfig {
-    fn default() -> Self {
-        Self { every_s: 2.0, share: 0.03 }
-    }
-}
-
 /// Why a scene cannot be shown in a browser.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]

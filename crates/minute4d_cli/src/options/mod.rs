@@ -2,7 +2,7 @@
 
 mod values;
 
-pub use values::{choice, image_size, positive, rate, render_size, share, zoom};
+pub use values::{choice, image_size, positive, rate, render_size, share};
 
 use crate::failure::Failure;
 use crate::output::Output;

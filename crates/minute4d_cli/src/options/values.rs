@@ -76,7 +76,3 @@ pub fn positive(text: &str) -> Result<f64, String> {
 pub fn share(text: &str) -> Result<f64, String> {
     checked(text, |value| (0.0..=1.0).contains(&value), "it must lie between 0 and 1")
 }
-
-pub fn zoom(text: &str) -> Result<f64, String> {
-    checked(text, |value| (0.1..=10.0).contains(&value), "it must lie between 0.1 and 10")
-}

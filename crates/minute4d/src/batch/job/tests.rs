@@ -14,11 +14,6 @@ struct Batch {
     manifest: Manifest,
 }
 
-fn hash(path: &Path) -> Result<String, String> {
-    let bytes = fs::read(path).map_err(|e| e.to_string())?;
-    Ok(blake3::hash(&bytes).to_hex().to_string())
-}
-
 /// Makes a program of a script. By another process: one that is forked here meanwhile would hold it open for writing.
 fn install(script: &str, program: &Path) {
     let text = program.with_extension("txt");
@@ -45,8 +40,7 @@ impl Batch {
         let job = Job {
             id: "clip".to_owned(),
             input: input.to_str().unwrap().to_owned(),
-            bytes: 6,
-            blake3: hash(&input).unwrap(),
+            blake3: crate::hash::of_path(&input).unwrap(),
             output: results.join("clip").to_str().unwrap().to_owned(),
         };
         let manifest = Manifest {
@@ -77,8 +71,7 @@ impl Batch {
     }
 
     fn again(&self, retry_failed: bool) -> JobEnd {
-        let tools =
-            Tools { program: self.path("program"), arguments: Vec::new(), hash: &hash, host: "here".to_owned() };
+        let tools = Tools { program: self.path("program"), arguments: Vec::new(), host: "here".to_owned() };
         run_job(&self.manifest, 0, retry_failed, &tools, &Patient).unwrap()
     }
 
