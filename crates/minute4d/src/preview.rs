@@ -8,9 +8,7 @@ use crate::settings::{Settings, part_to_toml};
 use crate::stage::{RecordingObserver, check_stop};
 use crate::workspace::{Task, Workspace};
 use crate::{Error, StageEvent, hash, train};
-use m4_core::{
-    Camera, Capture, CaptureFrame, Exposure, Plane, Progress, ResizeFilter, RgbImage, Scene, Silent, resize_rgb,
-};
+use m4_core::{Camera, Capture, Exposure, Plane, Progress, ResizeFilter, RgbImage, Scene, Silent, resize_rgb};
 use m4_io::image::write_rgb;
 use m4_io::scene::safetensors;
 use m4_io::video::Mp4Writer;
@@ -64,8 +62,7 @@ fn draw(run: &Workspace<'_>, capture: &Capture, scene: &Scene, keeper: &Recordin
     let fps = source_fps(scene);
     let mut writer = Mp4Writer::create(&run.path(PREVIEW_FILE), 3 * size.0 + 2 * GAP, size.1, fps)?;
 
-    let frozen = sharpest(capture).min(scene.source.len() - 1);
-    let still = &scene.source[frozen];
+    let still = &scene.source[scene.source.len() / 2];
     let mut renderer = SceneRenderer::new(scene, run.level, run.gpu.as_ref())?;
     let distance = renderer.painter().median_depth(&still.camera, still.t).unwrap_or(1.0);
     let n = scene.source.len();
@@ -129,7 +126,7 @@ pub fn poster(run: &Path, input: &Path, settings: &Settings) -> Result<PathBuf, 
     let made = run.join(CAPTURE_FOLDER);
     let capture = train::read(if made.is_dir() { &made } else { input }, settings, &Silent)?;
     let scene = safetensors::read(&run.join(SCENE_FILE))?.scene;
-    let frame = sharpest(&capture).min(scene.source.len().saturating_sub(1));
+    let frame = scene.source.len() / 2;
     let (Some(source), Some(photo)) = (scene.source.get(frame), capture.frames.get(frame)) else {
         return Err(Error::Internal { what: "the scene has no source frames".to_owned() });
     };
@@ -150,47 +147,6 @@ pub fn poster(run: &Path, input: &Path, settings: &Settings) -> Result<PathBuf, 
     record.files.insert(POSTER_FILE.to_owned(), FileRecord::of(&path)?);
     record.write(run)?;
     Ok(path)
-}
-
-/// Stride of the sampled pixels, columns and rows.
-const STEP: usize = 2;
-
-/// Index of the frame in which the dynamic regions are sharpest (everything, where nothing moves). It is one that shows at least three quarters
-/// of what the middle frame by that measure shows, away from the ends of the clip, where the scene is seen least.
-fn sharpest(capture: &Capture) -> usize {
-    let n = capture.frames.len();
-    let inner: Vec<usize> = (n / 5..n - n / 5).collect();
-    let details = |masked| -> Vec<(usize, f64)> { inner.iter().map(|&i| detail(&capture.frames[i], masked)).collect() };
-    let dynamic = details(true);
-    let details = if dynamic.iter().any(|(area, _)| *area > 0) { dynamic } else { details(false) };
-    let mut areas: Vec<usize> = details.iter().map(|(area, _)| *area).collect();
-    areas.sort_unstable();
-    let enough = areas.get(areas.len() / 2).map_or(0, |median| median * 3 / 4);
-    let candidates = inner.iter().zip(&details).filter(|(_, (area, _))| *area >= enough);
-    // The first of equals: the choice must not depend on chance.
-    let best = candidates.max_by(|(i, (_, a)), (j, (_, b))| a.total_cmp(b).then(j.cmp(i)));
-    best.map_or(0, |(&i, _)| i)
-}
-
-/// Sampled pixels of the dynamic regions of a frame (all pixels unless `masked`), and the mean squared brightness gradient over them.
-fn detail(frame: &CaptureFrame, masked: bool) -> (usize, f64) {
-    let (w, h) = frame.rgb.size();
-    let brightness = |x: usize, y: usize| frame.rgb[(x, y)].iter().map(|&c| f64::from(c)).sum::<f64>();
-    let counts = |x: usize, y: usize| match frame.mask.as_ref().filter(|_| masked) {
-        Some(mask) => mask.at(x * mask.size().0 / w, y * mask.size().1 / h),
-        None => true,
-    };
-    let (mut sum, mut count) = (0.0, 0usize);
-    for y in (0..h.saturating_sub(1)).step_by(STEP) {
-        for x in (0..w.saturating_sub(1)).step_by(STEP) {
-            if counts(x, y) {
-                let here = brightness(x, y);
-                sum += (brightness(x + 1, y) - here).powi(2) + (brightness(x, y + 1) - here).powi(2);
-                count += 1;
-            }
-        }
-    }
-    (count, sum / count.max(1) as f64)
 }
 
 /// Pixels between two panels.
@@ -268,9 +224,8 @@ fn write_label(image: &mut RgbImage, x: usize, y: usize, text: &str) {
 
 #[cfg(test)]
 mod tests {
-    use super::{GAP, LABELS, rows, sharpest, side_by_side, write_label};
-    use crate::test_clips::clip;
-    use m4_core::{CompactMask, Plane};
+    use super::{GAP, LABELS, rows, side_by_side, write_label};
+    use m4_core::Plane;
 
     #[test]
     fn panels_are_side_by_side() {
@@ -291,21 +246,5 @@ mod tests {
         for letter in LABELS.concat().chars().filter(|c| *c != ' ') {
             assert!(rows(letter).is_some(), "{letter}");
         }
-    }
-
-    #[test]
-    fn frame_with_most_dynamic_detail_wins() {
-        // Stripes to the left in frame 6; stronger ones to the right, where nothing moves, in frame 4; and
-        // in frame 3, where next to nothing is masked.
-        let stripes = |i: usize, x: usize| {
-            let striped = if i == 6 { x < 16 } else { i == 3 || i == 4 && x >= 16 };
-            let strength = if i == 6 { 100 } else { 255 };
-            [if striped && x.is_multiple_of(2) { strength } else { 0 }; 3]
-        };
-        let mut capture = clip(10, |i| Plane::from_fn(32, 24, |x, _| stripes(i, x)));
-        for (i, frame) in capture.frames.iter_mut().enumerate() {
-            frame.mask = Some(CompactMask::from_fn(32, 24, |x, _| x < if i == 3 { 2 } else { 16 }));
-        }
-        assert_eq!(sharpest(&capture), 6);
     }
 }

@@ -38,7 +38,7 @@ fn train_render_eval() {
     dir.succeed("render out -o png");
     assert_eq!(dir.count("png"), 6);
     dir.succeed("render out --path swing --time freeze@0.2s -o swing.mp4");
-    dir.succeed("render out --path test:capture/transforms_test.json --time 5..0 -o test");
+    dir.succeed("render out --path test:capture/transforms_test.json --time play -o test");
     assert_eq!(dir.count("test"), 6);
 
     let report = dir.succeed("eval out --data capture --json").result();

@@ -3,6 +3,7 @@
 //! The parent holds the other end of the child's standard input. The child saves and stops when that ends, whether the parent let
 //! go of it or died: a killed process leaves no child behind that keeps writing.
 
+use m4_core::Progress;
 use serde_json::Value;
 use std::fs::File;
 use std::io::{self, BufRead, BufReader, Write};
@@ -14,14 +15,6 @@ use std::time::{Duration, Instant};
 const LOOK: Duration = Duration::from_millis(50);
 /// How long a child may take to save before it is killed. It promises ten seconds.
 const PATIENCE: Duration = Duration::from_secs(60);
-
-/// Receives the progress of the run, and may stop it.
-pub trait Watch: Sync {
-    /// True when the run is to save and stop.
-    fn stop(&self) -> bool;
-    /// How far it is: a phase, steps done and in all, and a word about them.
-    fn progress(&self, phase: &str, done: usize, total: usize, note: &str);
-}
 
 /// The end of a child process.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -35,7 +28,7 @@ pub(crate) struct Ended {
 }
 
 /// Runs a child to its end. What it says on standard error goes to `log`, and which stages it went through.
-pub(crate) fn run(mut command: Command, log: File, watch: &dyn Watch) -> io::Result<Ended> {
+pub(crate) fn run(mut command: Command, log: File, watch: &dyn Progress) -> io::Result<Ended> {
     let stages = log.try_clone()?;
     command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(log);
     // Ctrl-C at a terminal goes to the whole group; only the parent forwards it to the child, once.
@@ -51,7 +44,7 @@ pub(crate) fn run(mut command: Command, log: File, watch: &dyn Watch) -> io::Res
             if let Some(status) = child.try_wait()? {
                 break status;
             }
-            if asked.is_none() && watch.stop() {
+            if asked.is_none() && watch.cancelled() {
                 asked = Some(Instant::now());
                 hold = None;
             }
@@ -97,7 +90,7 @@ fn exit_message(status: ExitStatus) -> String {
 /// Passes progress on, notes stages, and keeps the reason of the last event.
 fn read_events(
     events: Option<ChildStdout>,
-    watch: &dyn Watch,
+    watch: &dyn Progress,
     last_messages: &Mutex<Option<String>>,
     mut stages: File,
 ) {
@@ -110,7 +103,7 @@ fn read_events(
         let text = |name: &str| event[name].as_str().unwrap_or_default();
         let count = |name: &str| event[name].as_u64().unwrap_or_default() as usize;
         match text("event") {
-            "progress" => watch.progress(text("phase"), count("done"), count("total"), text("note")),
+            "progress" => watch.update(text("phase"), count("done"), count("total"), text("note")),
             "stage" => {
                 // The log is a help, and a full disk is noticed by the run itself.
                 let _ = stages.write_all(format!("{line}\n").as_bytes());
@@ -128,7 +121,8 @@ fn read_events(
 #[cfg(test)]
 #[cfg(unix)]
 mod tests {
-    use super::{Ended, Watch, run};
+    use super::{Ended, run};
+    use m4_core::Progress;
     use std::fs::File;
     use std::process::Command;
     use std::sync::atomic::{AtomicBool, Ordering};
@@ -137,13 +131,14 @@ mod tests {
     #[derive(Default)]
     struct Impatient(AtomicBool);
 
-    impl Watch for Impatient {
-        fn stop(&self) -> bool {
-            self.0.load(Ordering::SeqCst)
-        }
-        fn progress(&self, phase: &str, done: usize, _: usize, _: &str) {
+    impl Progress for Impatient {
+        fn update(&self, phase: &str, done: usize, _: usize, _: &str) {
             assert_eq!((phase, done), ("train", 3));
             self.0.store(true, Ordering::SeqCst);
+        }
+        fn warn(&self, _: &str) {}
+        fn cancelled(&self) -> bool {
+            self.0.load(Ordering::SeqCst)
         }
     }
 

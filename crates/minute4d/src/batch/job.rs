@@ -4,13 +4,14 @@
 //! input is bad, nothing of an earlier attempt was used, and the input still has the bytes that were planned. Everything else
 //! may succeed on another machine or later, so the job may be started again.
 
-use crate::batch::child::{self, Ended, Watch};
+use crate::batch::child::{self, Ended};
 use crate::batch::layout::{JobRecord, Layout, Outcome, now_s};
 use crate::batch::manifest::{Job, Manifest, VERSION};
 use crate::batch::not_ours;
 use crate::batch::publish::{Present, Published, present, publish, recover, remove};
 use crate::record::{RUN_FILE, write_json};
 use crate::{Category, Error, Refusal, hash};
+use m4_core::Progress;
 use m4_io::atomic;
 use serde_json::Value;
 use std::fs::{self, File, OpenOptions, TryLockError};
@@ -73,7 +74,7 @@ pub fn run_job(
     index: usize,
     retry_failed: bool,
     tools: &Tools,
-    watch: &dyn Watch,
+    watch: &dyn Progress,
 ) -> Result<JobEnd, Error> {
     let jobs = manifest.jobs.len();
     let job = manifest.jobs.get(index).ok_or_else(|| {
@@ -144,7 +145,7 @@ struct Attempt<'a> {
     key: String,
     layout: Layout,
     tools: &'a Tools,
-    watch: &'a dyn Watch,
+    watch: &'a dyn Progress,
 }
 
 impl Attempt<'_> {
@@ -257,10 +258,10 @@ fn make_parent(path: &Path) -> io::Result<()> {
 
 /// Locks a file as soon as no other process holds it; false where that takes too long. File systems without locks go without: there two
 /// processes with one job hinder each other, and still publish whole results alone.
-fn wait_for(file: &File, watch: &dyn Watch) -> io::Result<bool> {
+fn wait_for(file: &File, watch: &dyn Progress) -> io::Result<bool> {
     let start = Instant::now();
     while let Err(TryLockError::WouldBlock) = file.try_lock() {
-        if watch.stop() || start.elapsed() > LET_GO {
+        if watch.cancelled() || start.elapsed() > LET_GO {
             return Ok(false);
         }
         thread::sleep(Duration::from_millis(100));
@@ -270,7 +271,7 @@ fn wait_for(file: &File, watch: &dyn Watch) -> io::Result<bool> {
 
 /// Waits until no run has the working folder, and clears away one that no run can resume: killed before it wrote
 /// what it is. False where it is not available.
-fn free(work: &Path, watch: &dyn Watch) -> io::Result<bool> {
+fn free(work: &Path, watch: &dyn Progress) -> io::Result<bool> {
     let folder = match File::open(work) {
         Err(e) if e.kind() == ErrorKind::NotFound => return Ok(true),
         folder => folder?,

@@ -13,7 +13,6 @@ mod publish;
 mod report;
 pub mod slurm;
 
-pub use child::Watch;
 pub use job::{INDEX_VARIABLES, JobEnd, Tools, index_of_environment, run_job};
 pub use layout::{JobRecord, Layout, Outcome, RESULT_FILE};
 pub use manifest::{Arguments, FORMAT, Job, Manifest, VERSION};

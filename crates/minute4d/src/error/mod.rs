@@ -11,7 +11,6 @@ use crate::enhance::{EnhanceError, Tracker};
 use crate::geometry::{FrontendPart, ReconstructionError, Segmenter};
 use crate::render::TimeError;
 use crate::settings::SettingsError;
-use crate::viewer::ViewerError;
 use m4_eval::geometry::GeometryError;
 use m4_eval::image::ImageError;
 use m4_geometry::classical::dense::DenseError;
@@ -129,9 +128,15 @@ pub enum Error {
     /// A time along a camera path.
     #[error(transparent)]
     Time(#[from] TimeError),
-    /// The page of a scene, and its server.
+    /// The page of a scene.
     #[error(transparent)]
-    Viewer(#[from] ViewerError),
+    Page(#[from] PageError),
+    /// The frames in it.
+    #[error(transparent)]
+    Frames(#[from] FramesError),
+    /// The server of the page.
+    #[error(transparent)]
+    Serve(#[from] ServeError),
     /// Scoring images.
     #[error(transparent)]
     Score(#[from] ImageError),
@@ -166,7 +171,6 @@ macro_rules! from_parts_of {
 from_parts_of! {
     DataError: ReadError, WriteError;
     ReconstructionError: SparseError, DenseError, MegasamError;
-    ViewerError: PageError, FramesError, ServeError;
 }
 
 impl Error {
@@ -210,8 +214,9 @@ impl Error {
             Self::Train(TrainError::Device { .. }) => Category::NoDevice,
             Self::Init(_) | Self::Train(_) => Category::BadInput,
             Self::Time(_) => Category::Usage,
-            Self::Viewer(e) => e.category(),
-            Self::Score(_) | Self::ScoreGeometry(_) | Self::Row { .. } => Category::BadInput,
+            Self::Frames(_) => Category::Internal,
+            Self::Serve(_) => Category::TryAgain,
+            Self::Page(_) | Self::Score(_) | Self::ScoreGeometry(_) | Self::Row { .. } => Category::BadInput,
         }
     }
 

@@ -69,7 +69,7 @@ impl<'a> Broadcast<'a> {
     ///
     /// # Errors
     ///
-    /// [`Error::Viewer`] if the port cannot be had, [`Error::Internal`] if there is no thread.
+    /// [`Error::Serve`] if the port cannot be had, [`Error::Internal`] if there is no thread.
     pub fn start(inner: &'a dyn Observer, title: &str, port: u16) -> Result<Self, Error> {
         let hub = Hub::waiting(title);
         let server = Server::start(Arc::clone(&hub), port)?;

@@ -8,10 +8,10 @@ use crate::output::{Output, duration};
 use clap::{Args, Subcommand};
 use minute4d::batch::slurm::{Script, largest_array, submit};
 use minute4d::batch::{
-    Arguments, JobEnd, Manifest, Outcome, Plan, Report, Tools, Watch, index_of_environment, page, plan, run_job,
+    Arguments, JobEnd, Manifest, Outcome, Plan, Report, Tools, index_of_environment, page, plan, run_job,
 };
 use minute4d::io::atomic;
-use minute4d::{Category, Error, Progress, Settings};
+use minute4d::{Category, Error, Settings};
 use serde_json::json;
 use std::path::{Path, PathBuf};
 use sysinfo::System;
@@ -251,7 +251,7 @@ fn run_index(args: &BatchRun, common: &Common, output: &Output) -> Result<(), Fa
         arguments: common.threads.map_or_else(Vec::new, |n| vec!["--threads".to_owned(), n.to_string()]),
         host: System::host_name().unwrap_or_else(|_| "unknown".to_owned()),
     };
-    let end = run_job(&manifest, index, args.retry_failed, &tools, &JobProgress(output)).map_err(batch_failure)?;
+    let end = run_job(&manifest, index, args.retry_failed, &tools, output).map_err(batch_failure)?;
     let id = &manifest.jobs[index].id;
     let text = describe(id, &end);
     output.result(
@@ -289,18 +289,5 @@ fn describe(id: &str, end: &JobEnd) -> String {
             format!("{id} failed permanently before and is not run again without --retry-failed: {}", end.reason)
         }
         (Outcome::Retryable, _) => format!("{id} should be retried: {}", end.reason),
-    }
-}
-
-/// Forwards the progress of a job to the program's output.
-struct JobProgress<'a>(&'a Output);
-
-impl Watch for JobProgress<'_> {
-    fn stop(&self) -> bool {
-        self.0.cancelled()
-    }
-
-    fn progress(&self, phase: &str, done: usize, total: usize, note: &str) {
-        self.0.update(phase, done, total, note);
     }
 }

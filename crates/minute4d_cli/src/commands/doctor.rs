@@ -3,7 +3,6 @@
 use crate::failure::Failure;
 use crate::output::Output;
 use serde::Serialize;
-use std::path::PathBuf;
 use std::process::{Command, Stdio};
 use sysinfo::System;
 
@@ -48,7 +47,6 @@ struct Memory {
 #[derive(Debug, Serialize)]
 struct Ffmpeg {
     found: bool,
-    program: PathBuf,
     version: Option<String>,
 }
 
@@ -91,14 +89,13 @@ pub(super) fn processor() -> Option<String> {
 }
 
 fn ffmpeg() -> Ffmpeg {
-    let program = PathBuf::from("ffmpeg");
-    let output = Command::new(&program).arg("-version").stdin(Stdio::null()).output();
+    let output = Command::new("ffmpeg").arg("-version").stdin(Stdio::null()).output();
     let text = output.ok().filter(|o| o.status.success()).map(|o| String::from_utf8_lossy(&o.stdout).into_owned());
     let version = text.as_deref().and_then(|text| {
         let rest = text.lines().next()?.strip_prefix("ffmpeg version ")?;
         rest.split_whitespace().next().map(str::to_owned)
     });
-    Ffmpeg { found: text.is_some(), program, version }
+    Ffmpeg { found: text.is_some(), version }
 }
 
 #[cfg(feature = "gpu")]

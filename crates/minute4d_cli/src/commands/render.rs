@@ -17,8 +17,8 @@ pub struct Render {
     /// `swing`, `bullet`, `test:TRANSFORMS` (a file of held-out views), or a file of cameras or keyframes (docs/paths.md)
     #[arg(long, value_name = "PATH", default_value = "train")]
     pub path: String,
-    /// Scene time: `source` (that of each camera), `play` (at the speed of the source, in a loop), `freeze@T`, or `A..B`;
-    /// T, A and B are frame numbers, or seconds with the suffix `s`, as in freeze@1.5s
+    /// Scene time: `source` (that of each camera), `play` (at the speed of the source, in a loop), or `freeze@T`;
+    /// T is a frame number, or seconds with the suffix `s`, as in freeze@1.5s
     #[arg(long, value_name = "TIME", default_value = "source")]
     pub time: String,
     /// Output: a folder for PNG images, an .mp4 file, or a .png file for a single image

@@ -1,9 +1,9 @@
 //! Jobs with a shell script instead of the program.
 
 use super::{JobEnd, Tools, index_of_environment, run_job};
-use crate::batch::child::Watch;
 use crate::batch::layout::Outcome;
 use crate::batch::manifest::{Arguments, Job, Manifest};
+use m4_core::Silent;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::{fs, thread};
@@ -20,15 +20,6 @@ fn install(script: &str, program: &Path) {
     fs::write(&text, script).unwrap();
     let mut command = Command::new("install");
     assert!(command.args(["-m", "755"]).args([&text, program]).status().unwrap().success());
-}
-
-struct Patient;
-
-impl Watch for Patient {
-    fn stop(&self) -> bool {
-        false
-    }
-    fn progress(&self, _: &str, _: usize, _: usize, _: &str) {}
 }
 
 impl Batch {
@@ -72,7 +63,7 @@ impl Batch {
 
     fn again(&self, retry_failed: bool) -> JobEnd {
         let tools = Tools { program: self.path("program"), arguments: Vec::new(), host: "here".to_owned() };
-        run_job(&self.manifest, 0, retry_failed, &tools, &Patient).unwrap()
+        run_job(&self.manifest, 0, retry_failed, &tools, &Silent).unwrap()
     }
 
     fn run(&self, body: &str) -> JobEnd {
