@@ -145,7 +145,6 @@ def main():
             "gaussian_valid": skimage(gaussian_weights=True, sigma=1.5, use_sample_covariance=False),
             "gaussian_zero_padded": float(padded.mean()),
             "skimage_uniform": skimage(),
-            "skimage_gaussian": skimage(gaussian_weights=True),
             "dycheck_masked": dycheck_ssim(a, b, everywhere),
         },
         "masked": {},

@@ -74,21 +74,16 @@ within 60 "$program" doctor | tee "$work/doctor.txt" >&2 || failed+=("doctor")
 for case in "${cases[@]}"; do
     read -r splats size <<<"$case"
     echo "== bench, $splats splats, $size" >&2
-    folder=$work/bench-$splats-$size
-    mkdir -p "$folder"
-    within 90 "$program" bench --device "$gpu" --splats "$splats" --size "$size" --steps "$steps" --quiet --save "$folder" >"$folder.txt"
+    table=$work/bench-$splats-$size.md
+    within 90 "$program" bench --device "$gpu" --splats "$splats" --size "$size" --steps "$steps" --quiet >"$table"
     code=$?
     if [ $code -ne 0 ]; then
         failed+=("bench $splats $size: $(why $code)")
         continue
     fi
-    sed -n 5,9p "$folder.txt" >&2
+    sed -n 5,9p "$table" >&2
     mkdir -p "$results"
-    for file in "$folder"/*; do
-        name=$(basename "$file")
-        base=${name%.*}
-        cp "$file" "$results/$base-$splats-$size.${name##*.}"
-    done
+    cp "$table" "$results/$(date -u +%F)-$splats-$size.md"
 done
 
 capture=${CAPTURE:-}

@@ -80,12 +80,6 @@ start=$SECONDS
 # shellcheck disable=SC2086
 if "$program" geometry "$clip" -o "$out" --frontend "$frontend" ${OPTIONS:-} 2>"$work/errors" >&2; then
     row "geometry" ok "$clip with $frontend, $((SECONDS - start)) s"
-    if "$program" inspect "$out" >"$work/facts" 2>&1; then
-        row "the capture" ok "$(head -n 1 "$work/facts" | sed 's/^capture: //')"
-    else
-        failed=1
-        row "the capture" FAILED "$(reason "$work/facts")"
-    fi
     made=1
 else
     failed=1

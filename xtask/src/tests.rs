@@ -194,31 +194,10 @@ struct Program {
     folder: PathBuf,
 }
 
-/// Which tests of a program run.
-enum Which {
-    /// All, with their number.
-    All(usize),
-    /// Those with these names.
-    These(Vec<String>),
-}
-
-impl Which {
-    fn count(&self) -> usize {
-        match self {
-            Self::All(count) => *count,
-            Self::These(names) => names.len(),
-        }
-    }
-}
-
 /// Runs the tests of the default program, and the examples of its documentation.
 fn default_tests(root: &Path, list: &Path) -> Result<()> {
     let programs = programs(root, &DEFAULT, &[])?;
-    let counted = programs.into_iter().map(|program| {
-        let count = names(&program)?.len();
-        Ok((program, Which::All(count)))
-    });
-    let ran = run_programs(counted.collect::<Result<Vec<_>>>()?, AT_A_TIME, list);
+    let ran = run_programs(programs.into_iter().map(|program| (program, Vec::new())).collect(), AT_A_TIME, list);
     let mut examples = cargo(root, &["test", "--doc", "--no-fail-fast"]);
     examples.args(DEFAULT);
     let examples = ended(examples, "cargo test --doc");
@@ -242,34 +221,31 @@ fn what_full_adds(root: &Path, list: &Path, more: &[String]) -> Result<()> {
             .filter(|test| !before.contains(&(program.name.clone(), test.clone())))
             .collect();
         if !new.is_empty() {
-            waiting.push((program, Which::These(new)));
+            waiting.push((program, new));
         }
     }
     run_programs(waiting, AT_A_TIME_FULL, list)
 }
 
-/// Runs programs: the longest first, then those with the most tests, and at last the one that needs the machine for itself.
-fn run_programs(programs: Vec<(Program, Which)>, at_a_time: usize, list: &Path) -> Result<()> {
+/// Runs tests of programs, all where none are named: the longest first, and at last the program that needs the machine for itself.
+fn run_programs(programs: Vec<(Program, Vec<String>)>, at_a_time: usize, list: &Path) -> Result<()> {
     let (alone, others): (Vec<_>, Vec<_>) = programs.into_iter().partition(|(program, _)| program.name == ALONE);
     let first = run_several(others, at_a_time, list);
     first.and(run_several(alone, 1, list))
 }
 
 /// Runs programs, `at_a_time` at once.
-fn run_several(mut waiting: Vec<(Program, Which)>, at_a_time: usize, list: &Path) -> Result<()> {
+fn run_several(mut waiting: Vec<(Program, Vec<String>)>, at_a_time: usize, list: &Path) -> Result<()> {
     // The last is taken first.
-    waiting.sort_by_key(|(program, which)| {
-        let place = LONGEST.iter().rev().position(|&name| name == program.name);
-        (place, which.count())
-    });
+    waiting.sort_by_key(|(program, _)| LONGEST.iter().rev().position(|&name| name == program.name));
     let waiting = Mutex::new(waiting);
     let failed = Mutex::new(Vec::new());
     let next = || waiting.lock().unwrap_or_else(PoisonError::into_inner).pop();
     std::thread::scope(|scope| {
         for _ in 0..at_a_time {
             scope.spawn(|| {
-                while let Some((program, which)) = next() {
-                    if let Err(error) = run_alone(&program, &which, list) {
+                while let Some((program, names)) = next() {
+                    if let Err(error) = run_alone(&program, &names, list) {
                         eprintln!("{error:#}");
                         failed.lock().unwrap_or_else(PoisonError::into_inner).push(program.name);
                     }
@@ -284,11 +260,11 @@ fn run_several(mut waiting: Vec<(Program, Which)>, at_a_time: usize, list: &Path
     }
 }
 
-/// Runs these tests of a program and prints its output when it ends, so that outputs of several programs do not mix.
-fn run_alone(program: &Program, which: &Which, list: &Path) -> Result<()> {
-    eprintln!("     Running {} tests of {}", which.count(), program.name);
+/// Runs these tests of a program, or all, and prints its output when it ends, so that outputs of several programs do not mix.
+fn run_alone(program: &Program, names: &[String], list: &Path) -> Result<()> {
+    eprintln!("     Running {}", program.name);
     let mut command = Command::new(&program.path);
-    if let Which::These(names) = which {
+    if !names.is_empty() {
         command.arg("--exact").args(names);
     }
     let started = Instant::now();

@@ -117,14 +117,6 @@ pub struct Differences {
     pub jumps: Vec<usize>,
 }
 
-impl Differences {
-    /// `(got, want)` without the entries at jumps.
-    pub fn trusted(&self, got: &[f64]) -> (Vec<f64>, Vec<f64>) {
-        let keep = (0..self.gradient.len()).filter(|i| !self.jumps.contains(i));
-        keep.map(|i| (got[i], self.gradient[i])).unzip()
-    }
-}
-
 /// `(f(x + h e_i) - f(x - h e_i)) / 2h` for every `i`. Where the decisions of the two sides differ, `h`
 /// shrinks eightfold, three times at most.
 pub fn central_differences<S: Into<Side>>(x: &[f64], step: f64, mut f: impl FnMut(&[f64]) -> S) -> Differences {
@@ -193,6 +185,5 @@ mod tests {
         assert!(d.gradient[0].abs() < 1e-9 && d.jumps.is_empty());
         let d = central_differences(&[0.5e-3], 1e-3, f);
         assert_eq!(d.jumps, [0]);
-        assert!(d.trusted(&[7.0]).0.is_empty());
     }
 }

@@ -82,13 +82,6 @@ impl FormulaWeights {
         self
     }
 
-    /// Gives `name` the values of `of`, which is the same tensor under another name.
-    pub fn alias(mut self, name: &str, of: &str) -> Self {
-        let values = self.at(of).clone();
-        self = self.with(name, &values);
-        self
-    }
-
     /// Writes a safetensors file.
     pub fn write(&self, path: &Path) {
         self.write_with(None, path);

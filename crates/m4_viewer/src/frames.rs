@@ -4,24 +4,12 @@ use crate::manifest::FrameIndex;
 use image::codecs::jpeg::JpegEncoder;
 use image::{ExtendedColorType, ImageEncoder};
 use m4_core::{ResizeFilter, RgbImage, resize_rgb};
-use serde::{Deserialize, Serialize};
 use std::borrow::Cow;
 
-/// Limits on the size of the frames.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct FrameLimits {
-    /// Longest side, pixels. 480: as the panels of the preview.
-    pub side_px: usize,
-    /// All of them together, bytes; where that is not enough, quality and then size are lowered.
-    pub bytes: usize,
-}
-
-impl Default for FrameLimits {
-    fn default() -> Self {
-        Self { side_px: 480, bytes: 6_000_000 }
-    }
-}
+/// Longest side of the frames, pixels: as the panels of the preview.
+const SIDE_PX: usize = 480;
+/// Bytes that all frames of a page together may take.
+pub const FRAME_BYTES: usize = 6_000_000;
 
 /// Frames as JPEGs.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -66,8 +54,9 @@ const LEAST_SIDE_PX: usize = 96;
 /// Frames that are tried before all are written.
 const SAMPLES: usize = 8;
 
-/// The images as JPEGs of one size within the limits, as far as those can be held; `None` for none.
-pub fn encode_frames(images: &[&RgbImage], limits: &FrameLimits) -> Result<Option<Frames>, FramesError> {
+/// The images as JPEGs of one size that together take at most `most` bytes, as far as that can be held: where it is not enough, quality and
+/// then size are lowered. `None` for none.
+pub fn encode_frames(images: &[&RgbImage], most: usize) -> Result<Option<Frames>, FramesError> {
     for (index, image) in images.iter().enumerate() {
         let (width, height) = image.size();
         if width == 0 || height == 0 {
@@ -75,7 +64,7 @@ pub fn encode_frames(images: &[&RgbImage], limits: &FrameLimits) -> Result<Optio
         }
     }
     let Some(first) = images.first() else { return Ok(None) };
-    let mut side = limits.side_px.max(LEAST_SIDE_PX);
+    let mut side = SIDE_PX;
     let mut quality = QUALITY;
     // a few frames tell how large all will be
     let step = images.len().div_ceil(SAMPLES);
@@ -87,7 +76,7 @@ pub fn encode_frames(images: &[&RgbImage], limits: &FrameLimits) -> Result<Optio
         }
         let samples = images.len().div_ceil(step);
         let expected = sampled.len() as f64 / samples as f64 * images.len() as f64;
-        if expected <= limits.bytes as f64 || side <= LEAST_SIDE_PX {
+        if expected <= most as f64 || side <= LEAST_SIDE_PX {
             break;
         }
         if quality >= LEAST_QUALITY + QUALITY_STEP {
@@ -138,7 +127,7 @@ fn append(
 
 #[cfg(test)]
 mod tests {
-    use super::{FrameLimits, encode_frames};
+    use super::{FRAME_BYTES, encode_frames};
     use m4_core::{CounterRng, Plane, RgbImage};
 
     fn noise(index: u64) -> RgbImage {
@@ -150,7 +139,7 @@ mod tests {
     fn frames_come_back_at_their_offsets() {
         let grey = |v: u8| Plane::filled(200, 100, [v; 3]);
         let images: Vec<RgbImage> = [10, 120, 250].map(grey).into();
-        let frames = encode_frames(&images.iter().collect::<Vec<_>>(), &FrameLimits::default()).unwrap().unwrap();
+        let frames = encode_frames(&images.iter().collect::<Vec<_>>(), FRAME_BYTES).unwrap().unwrap();
         assert_eq!((frames.index.width, frames.index.height), (200, 100));
         assert_eq!(frames.index.offsets.len(), 4);
         assert_eq!(frames.index.offsets[3], frames.bytes.len());
@@ -166,18 +155,18 @@ mod tests {
     fn too_many_bytes_cost_quality_and_size() {
         let images: Vec<RgbImage> = (0..20).map(noise).collect();
         let images: Vec<&RgbImage> = images.iter().collect();
-        let whole = encode_frames(&images, &FrameLimits::default()).unwrap().unwrap();
+        let whole = encode_frames(&images, FRAME_BYTES).unwrap().unwrap();
         assert_eq!((whole.index.width, whole.index.height), (480, 270));
-        let limits = FrameLimits { bytes: whole.bytes.len() / 6, ..FrameLimits::default() };
-        let tight = encode_frames(&images, &limits).unwrap().unwrap();
-        assert!(tight.bytes.len() < limits.bytes * 11 / 10, "{} bytes", tight.bytes.len());
+        let most = whole.bytes.len() / 6;
+        let tight = encode_frames(&images, most).unwrap().unwrap();
+        assert!(tight.bytes.len() < most * 11 / 10, "{} bytes", tight.bytes.len());
         assert!(tight.index.width < 480);
     }
 
     #[test]
     fn no_frames_and_empty_frames() {
-        assert_eq!(encode_frames(&[], &FrameLimits::default()), Ok(None));
+        assert_eq!(encode_frames(&[], FRAME_BYTES), Ok(None));
         let empty = Plane::filled(0, 4, [0; 3]);
-        assert!(encode_frames(&[&empty], &FrameLimits::default()).is_err());
+        assert!(encode_frames(&[&empty], FRAME_BYTES).is_err());
     }
 }

@@ -16,5 +16,5 @@ pub mod server;
 mod frames;
 mod manifest;
 
-pub use frames::{FrameLimits, Frames, FramesError, encode_frames};
+pub use frames::{FRAME_BYTES, Frames, FramesError, encode_frames};
 pub use manifest::{About, FrameIndex, Live, MANIFEST_VERSION, Manifest, SafeOrbit, SourceCamera, SplatFacts};

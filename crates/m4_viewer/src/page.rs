@@ -17,7 +17,7 @@ use crate::frames::Frames;
 use crate::manifest::Manifest;
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
-use flate2::Compression;
+pub use flate2::Compression;
 use flate2::read::GzDecoder;
 use flate2::write::GzEncoder;
 use std::io::{Read, Write};
@@ -31,24 +31,6 @@ const MANIFEST: (&str, &str) = ("application/json", "m4-manifest");
 const SPLATS: (&str, &str) = ("text/plain", "m4-splats");
 const FRAMES: (&str, &str) = ("text/plain", "m4-frames");
 const END: &str = "</script>";
-
-/// Level of gzip.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Effort {
-    /// For a page that goes no further than this machine.
-    Quick,
-    /// For a file.
-    Small,
-}
-
-impl From<Effort> for Compression {
-    fn from(effort: Effort) -> Self {
-        match effort {
-            Effort::Quick => Self::fast(),
-            Effort::Small => Self::default(),
-        }
-    }
-}
 
 /// Why a page cannot be made or read.
 #[derive(Debug, thiserror::Error)]
@@ -95,8 +77,8 @@ pub struct Parts<'a> {
     pub frames: Option<&'a Frames>,
 }
 
-/// The page as bytes of HTML.
-pub fn compose(template: &str, parts: &Parts<'_>, effort: Effort) -> Result<Vec<u8>, PageError> {
+/// The page as bytes of HTML; quick compression is for a page that goes no further than this machine.
+pub fn compose(template: &str, parts: &Parts<'_>, compression: Compression) -> Result<Vec<u8>, PageError> {
     let found = template.matches(MARKER).count();
     let Some((before, after)) = template.split_once(MARKER).filter(|_| found == 1) else {
         return Err(PageError::Marker(found));
@@ -109,7 +91,7 @@ pub fn compose(template: &str, parts: &Parts<'_>, effort: Effort) -> Result<Vec<
     }
     element(&mut out, MANIFEST, &json);
     if let Some(payload) = parts.payload {
-        let mut gzip = GzEncoder::new(Vec::with_capacity(payload.len()), effort.into());
+        let mut gzip = GzEncoder::new(Vec::with_capacity(payload.len()), compression);
         gzip.write_all(payload)?;
         element(&mut out, SPLATS, &STANDARD.encode(gzip.finish()?));
     }

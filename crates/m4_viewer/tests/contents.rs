@@ -4,9 +4,9 @@ use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 use m4_core::{Exposure, Intrinsics, Plane, RgbImage, Scene, SourceFrame, SplatLayout};
 use m4_testkit::{SceneSpec, camera_looking_at, random_splats};
-use m4_viewer::page::{self, Effort, MARKER, PageError, Parts, TEMPLATE, compose};
+use m4_viewer::page::{self, Compression, MARKER, PageError, Parts, TEMPLATE, compose};
 use m4_viewer::payload::{Payload, decode, encode};
-use m4_viewer::{About, FrameLimits, Manifest, encode_frames};
+use m4_viewer::{About, FRAME_BYTES, Manifest, encode_frames};
 
 #[test]
 fn a_scene_comes_back_out_of_the_page() {
@@ -15,11 +15,11 @@ fn a_scene_comes_back_out_of_the_page() {
     let mut manifest = manifest_of(&scene, &payload);
     manifest.title = "</script><script>alert(1)</script> \"ä\"".to_owned();
     let images: Vec<RgbImage> = (0..scene.source.len()).map(|i| Plane::filled(60, 40, [20 * i as u8; 3])).collect();
-    let frames = encode_frames(&images.iter().collect::<Vec<_>>(), &FrameLimits::default()).unwrap();
+    let frames = encode_frames(&images.iter().collect::<Vec<_>>(), FRAME_BYTES).unwrap();
     manifest.frames = frames.as_ref().map(|f| f.index.clone());
     let parts = Parts { manifest: &manifest, payload: Some(&payload.bytes), frames: frames.as_ref() };
-    for effort in [Effort::Quick, Effort::Small] {
-        let html = String::from_utf8(compose(TEMPLATE, &parts, effort).unwrap()).unwrap();
+    for compression in [Compression::fast(), Compression::default()] {
+        let html = String::from_utf8(compose(TEMPLATE, &parts, compression).unwrap()).unwrap();
         assert!(!html.contains(MARKER) && !html.contains("</script><script>alert"));
         // what is seen first comes before what takes long to read
         let first = frames.as_ref().map(|f| &f.bytes[..f.index.offsets[1]]).unwrap();
@@ -41,7 +41,7 @@ fn small_page(title: &str) -> (Manifest, Vec<u8>, String) {
     let payload = encode(&scene, 4.0);
     let manifest = Manifest { title: title.to_owned(), ..manifest_of(&scene, &payload) };
     let parts = Parts { manifest: &manifest, payload: Some(&payload.bytes), frames: None };
-    let html = String::from_utf8(compose(MARKER, &parts, Effort::Quick).unwrap()).unwrap();
+    let html = String::from_utf8(compose(MARKER, &parts, Compression::fast()).unwrap()).unwrap();
     (manifest, payload.bytes, html)
 }
 
@@ -80,7 +80,7 @@ fn pages_that_browsers_cannot_parse_are_refused() {
 fn a_page_that_waits_has_no_splats() {
     let manifest = Manifest::waiting("later");
     let parts = Parts { manifest: &manifest, payload: None, frames: None };
-    let html = String::from_utf8(compose(TEMPLATE, &parts, Effort::Small).unwrap()).unwrap();
+    let html = String::from_utf8(compose(TEMPLATE, &parts, Compression::default()).unwrap()).unwrap();
     assert!(!html.contains("<img"));
     let back = page::read(&html).unwrap();
     assert_eq!((back.payload, back.frames, back.manifest), (None, None, manifest));
@@ -91,7 +91,7 @@ fn damaged_pages_are_errors() {
     let (manifest, payload, html) = small_page("a clip");
     let parts = Parts { manifest: &manifest, payload: Some(&payload), frames: None };
     for template in ["<html></html>".to_owned(), MARKER.repeat(2)] {
-        assert!(matches!(compose(&template, &parts, Effort::Quick), Err(PageError::Marker(_))));
+        assert!(matches!(compose(&template, &parts, Compression::fast()), Err(PageError::Marker(_))));
     }
     assert!(matches!(page::read("<html></html>"), Err(PageError::Missing(_))));
     let start = html.find("m4-splats\">").unwrap() + "m4-splats\">".len();
@@ -106,7 +106,7 @@ fn damaged_pages_are_errors() {
     let mut told = manifest.clone();
     told.frames = Some(m4_viewer::FrameIndex { width: 4, height: 4, offsets: vec![0, 9] });
     let lies = Parts { manifest: &told, ..parts };
-    let html = String::from_utf8(compose(MARKER, &lies, Effort::Quick).unwrap()).unwrap();
+    let html = String::from_utf8(compose(MARKER, &lies, Compression::fast()).unwrap()).unwrap();
     assert!(matches!(page::read(&html), Err(PageError::Missing(_))));
 }
 

@@ -8,10 +8,10 @@ use m4_core::{
 };
 use m4_kernels::{Renderer, SimdLevel, View};
 use m4_testkit::{Chromium, SceneSpec, camera_looking_at, find_chromium, random_splats};
-use m4_viewer::page::{self, Effort, Parts, TEMPLATE};
+use m4_viewer::page::{self, Compression, Parts, TEMPLATE};
 use m4_viewer::payload::{decode, encode};
 use m4_viewer::server::{Hub, Server};
-use m4_viewer::{About, FrameLimits, Manifest, encode_frames};
+use m4_viewer::{About, FRAME_BYTES, Manifest, encode_frames};
 use serde_json::json;
 use std::path::Path;
 use std::sync::Arc;
@@ -81,11 +81,11 @@ fn written(scene: &Scene, folder: &Path) -> String {
     let (mut manifest, payload) = told(scene);
     let images: Vec<RgbImage> = scene.source.iter().map(|s| drawn(scene, &s.camera, s.t)).collect();
     let images: Vec<&RgbImage> = images.iter().collect();
-    let frames = encode_frames(&images, &FrameLimits::default()).unwrap();
+    let frames = encode_frames(&images, FRAME_BYTES).unwrap();
     manifest.frames = frames.as_ref().map(|f| f.index.clone());
     let parts = Parts { manifest: &manifest, payload: Some(&payload), frames: frames.as_ref() };
     let path = folder.join("viewer.html");
-    std::fs::write(&path, page::compose(TEMPLATE, &parts, Effort::Small).unwrap()).unwrap();
+    std::fs::write(&path, page::compose(TEMPLATE, &parts, Compression::default()).unwrap()).unwrap();
     format!("file://{}", path.display())
 }
 
@@ -199,7 +199,7 @@ fn a_clip_may_have_any_name() {
         manifest.title = title.to_owned();
         let parts = Parts { manifest: &manifest, payload: Some(&payload), frames: None };
         let path = folder.path().join("viewer.html");
-        std::fs::write(&path, page::compose(TEMPLATE, &parts, Effort::Small).unwrap()).unwrap();
+        std::fs::write(&path, page::compose(TEMPLATE, &parts, Compression::default()).unwrap()).unwrap();
         let mut page = Chromium::open(program.clone(), &format!("file://{}", path.display()));
         page.eval("minute4d.ready");
         assert_eq!(page.eval("minute4d.state().splats"), json!(100), "{title}");

@@ -35,7 +35,6 @@ pub mod export;
 pub mod folder;
 pub mod geometry;
 pub mod import;
-pub mod inspect;
 pub mod preview;
 pub mod record;
 pub mod render;
@@ -55,9 +54,8 @@ mod workspace;
 
 pub use error::{BUILD_FULL, Category, DataError, Error, NetworkError, NetworkMethod, OutputError, Refusal};
 pub use folder::Existing;
-pub use hash::of_path as hash_of_path;
 pub use pipeline::{Job, is_capture, run, threads, with_threads};
-pub use record::{plain_json, pretty_json};
+pub use record::plain_json;
 pub use settings::Settings;
 pub use stage::{Observer, RecordingObserver, StageEvent};
 

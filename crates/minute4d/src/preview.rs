@@ -3,14 +3,12 @@
 
 use crate::folder::{CAPTURE_FOLDER, PREVIEW_FILE, SCENE_FILE};
 use crate::record::{FileRecord, RUN_FILE, RunRecord};
-use crate::render::{SceneRenderer, SwingConfig, source_fps, swing};
+use crate::render::{SWING_FRAMES, SceneRenderer, source_fps, swing};
 use crate::settings::{Settings, part_to_toml};
 use crate::stage::{RecordingObserver, check_stop};
 use crate::workspace::{Task, Workspace};
 use crate::{Error, StageEvent, hash, train};
-use m4_core::{
-    Camera, Capture, CaptureFrame, Exposure, Plane, Progress, ResizeFilter, RgbImage, Scene, Silent, resize_rgb,
-};
+use m4_core::{Camera, Capture, Exposure, Plane, Progress, ResizeFilter, RgbImage, Scene, Silent, resize_rgb};
 use m4_io::image::write_rgb;
 use m4_io::scene::safetensors;
 use m4_io::video::Mp4Writer;
@@ -29,17 +27,14 @@ pub const STAGE: &str = "preview";
 pub struct PreviewConfig {
     /// Longest side of each of the three panels, pixels. 480: three fit on a full-HD screen.
     pub panel_px: usize,
-    /// Name the panels in the image.
-    pub labels: bool,
-    /// Shortest clip, seconds; shorter ones are played again until they are this long. 4: one swing.
-    pub min_seconds: f64,
-    /// The camera of the third panel.
-    pub swing: SwingConfig,
 }
+
+/// Shortest clip, seconds; shorter ones are played again until they are this long.
+const MIN_SECONDS: f64 = 4.0;
 
 impl Default for PreviewConfig {
     fn default() -> Self {
-        Self { panel_px: 480, labels: true, min_seconds: 4.0, swing: SwingConfig::default() }
+        Self { panel_px: 480 }
     }
 }
 
@@ -60,25 +55,23 @@ pub(crate) fn stage(run: &mut Workspace<'_>, capture: &Capture, scene: &Scene) -
 }
 
 fn draw(run: &Workspace<'_>, capture: &Capture, scene: &Scene, keeper: &RecordingObserver<'_>) -> Result<(), Error> {
-    let config = &run.job.settings.preview;
     let Some(first) = scene.source.first() else {
         return Err(Error::Internal { what: "the scene has no source frames".to_owned() });
     };
-    let size = panel_size(&first.camera, config.panel_px);
+    let size = panel_size(&first.camera, run.job.settings.preview.panel_px);
     let fps = source_fps(scene);
     let mut writer = Mp4Writer::create(&run.path(PREVIEW_FILE), 3 * size.0 + 2 * GAP, size.1, fps)?;
 
-    let frozen = sharpest(capture).min(scene.source.len() - 1);
-    let still = &scene.source[frozen];
+    let still = &scene.source[scene.source.len() / 2];
     let mut renderer = SceneRenderer::new(scene, run.level, run.gpu.as_ref())?;
     let distance = renderer.painter().median_depth(&still.camera, still.t).unwrap_or(1.0);
     let n = scene.source.len();
-    let rounds = ((config.min_seconds * fps / n as f64).ceil() as usize).clamp(1, 100);
+    let rounds = ((MIN_SECONDS * fps / n as f64).ceil() as usize).clamp(1, 100);
     let total = n * rounds;
     // At least one whole swing, and a whole number of them, so that the clip loops.
-    let swings = (total as f64 / config.swing.period_frames.max(2) as f64).round().max(1.0);
-    let swing_config = SwingConfig { period_frames: (total as f64 / swings).round() as usize, ..config.swing };
-    let cameras = swing(&still.camera.resized(size.0, size.1), distance, total, &swing_config);
+    let swings = (total as f64 / SWING_FRAMES as f64).round().max(1.0);
+    let period_frames = (total as f64 / swings).round() as usize;
+    let cameras = swing(&still.camera.resized(size.0, size.1), distance, total, period_frames);
     let mut panels = |i: usize, camera: &Camera| -> Result<RgbImage, Error> {
         check_stop(keeper, STAGE, true)?;
         let source = &scene.source[i % n];
@@ -86,7 +79,7 @@ fn draw(run: &Workspace<'_>, capture: &Capture, scene: &Scene, keeper: &Recordin
         let again = renderer.image(&source.camera.resized(size.0, size.1), source.t, &source.exposure)?;
         let swung = renderer.image(camera, still.t, &Exposure::IDENTITY)?;
         keeper.update(STAGE, i + 1, total, "");
-        Ok(side_by_side(size, config.labels, [photo.as_ref(), Some(&again), Some(&swung)]))
+        Ok(side_by_side(size, [photo.as_ref(), Some(&again), Some(&swung)]))
     };
     // One image is encoded while the next is rendered.
     let writer = thread::scope(|scope| {
@@ -133,7 +126,7 @@ pub fn poster(run: &Path, input: &Path, settings: &Settings) -> Result<PathBuf, 
     let made = run.join(CAPTURE_FOLDER);
     let capture = train::read(if made.is_dir() { &made } else { input }, settings, &Silent)?;
     let scene = safetensors::read(&run.join(SCENE_FILE))?.scene;
-    let frame = sharpest(&capture).min(scene.source.len().saturating_sub(1));
+    let frame = scene.source.len() / 2;
     let (Some(source), Some(photo)) = (scene.source.get(frame), capture.frames.get(frame)) else {
         return Err(Error::Internal { what: "the scene has no source frames".to_owned() });
     };
@@ -156,54 +149,13 @@ pub fn poster(run: &Path, input: &Path, settings: &Settings) -> Result<PathBuf, 
     Ok(path)
 }
 
-/// Stride of the sampled pixels, columns and rows.
-const STEP: usize = 2;
-
-/// Index of the frame in which the dynamic regions are sharpest (everything, where nothing moves). It is one that shows at least three quarters
-/// of what the middle frame by that measure shows, away from the ends of the clip, where the scene is seen least.
-fn sharpest(capture: &Capture) -> usize {
-    let n = capture.frames.len();
-    let inner: Vec<usize> = (n / 5..n - n / 5).collect();
-    let details = |masked| -> Vec<(usize, f64)> { inner.iter().map(|&i| detail(&capture.frames[i], masked)).collect() };
-    let dynamic = details(true);
-    let details = if dynamic.iter().any(|(area, _)| *area > 0) { dynamic } else { details(false) };
-    let mut areas: Vec<usize> = details.iter().map(|(area, _)| *area).collect();
-    areas.sort_unstable();
-    let enough = areas.get(areas.len() / 2).map_or(0, |median| median * 3 / 4);
-    let candidates = inner.iter().zip(&details).filter(|(_, (area, _))| *area >= enough);
-    // The first of equals: the choice must not depend on chance.
-    let best = candidates.max_by(|(i, (_, a)), (j, (_, b))| a.total_cmp(b).then(j.cmp(i)));
-    best.map_or(0, |(&i, _)| i)
-}
-
-/// Sampled pixels of the dynamic regions of a frame (all pixels unless `masked`), and the mean squared brightness gradient over them.
-fn detail(frame: &CaptureFrame, masked: bool) -> (usize, f64) {
-    let (w, h) = frame.rgb.size();
-    let brightness = |x: usize, y: usize| frame.rgb[(x, y)].iter().map(|&c| f64::from(c)).sum::<f64>();
-    let counts = |x: usize, y: usize| match frame.mask.as_ref().filter(|_| masked) {
-        Some(mask) => mask.at(x * mask.size().0 / w, y * mask.size().1 / h),
-        None => true,
-    };
-    let (mut sum, mut count) = (0.0, 0usize);
-    for y in (0..h.saturating_sub(1)).step_by(STEP) {
-        for x in (0..w.saturating_sub(1)).step_by(STEP) {
-            if counts(x, y) {
-                let here = brightness(x, y);
-                sum += (brightness(x + 1, y) - here).powi(2) + (brightness(x, y + 1) - here).powi(2);
-                count += 1;
-            }
-        }
-    }
-    (count, sum / count.max(1) as f64)
-}
-
 /// Pixels between two panels.
 const GAP: usize = 4;
 /// The labels of the panels.
 const LABELS: [&str; 3] = ["SOURCE", "RE-RENDER", "FROZEN TIME"];
 
 /// Places panels of the same size side by side, with labels if they are wide enough; black where there is none.
-fn side_by_side((width, height): (usize, usize), labels: bool, panels: [Option<&RgbImage>; 3]) -> RgbImage {
+fn side_by_side((width, height): (usize, usize), panels: [Option<&RgbImage>; 3]) -> RgbImage {
     let mut out = Plane::filled(3 * width + 2 * GAP, height, [0; 3]);
     for (i, panel) in panels.into_iter().enumerate() {
         let left = i * (width + GAP);
@@ -212,7 +164,7 @@ fn side_by_side((width, height): (usize, usize), labels: bool, panels: [Option<&
                 out.row_mut(y)[left..left + width].copy_from_slice(panel.row(y));
             }
         }
-        if labels && width >= 120 {
+        if width >= 120 {
             write_label(&mut out, left + 6, 6, LABELS[i]);
         }
     }
@@ -272,14 +224,13 @@ fn write_label(image: &mut RgbImage, x: usize, y: usize, text: &str) {
 
 #[cfg(test)]
 mod tests {
-    use super::{GAP, LABELS, rows, sharpest, side_by_side, write_label};
-    use crate::test_clips::clip;
-    use m4_core::{CompactMask, Plane};
+    use super::{GAP, LABELS, rows, side_by_side, write_label};
+    use m4_core::Plane;
 
     #[test]
     fn panels_are_side_by_side() {
         let [red, blue] = [[255, 0, 0], [0, 0, 255]].map(|c| Plane::filled(8, 6, c));
-        let out = side_by_side((8, 6), true, [Some(&red), None, Some(&blue)]);
+        let out = side_by_side((8, 6), [Some(&red), None, Some(&blue)]);
         assert_eq!(out.size(), (24 + 2 * GAP, 6));
         assert_eq!((out[(0, 0)], out[(12, 3)], out[(31, 5)]), ([255, 0, 0], [0; 3], [0, 0, 255]));
         assert_eq!(out[(9, 2)], [0; 3]);
@@ -295,21 +246,5 @@ mod tests {
         for letter in LABELS.concat().chars().filter(|c| *c != ' ') {
             assert!(rows(letter).is_some(), "{letter}");
         }
-    }
-
-    #[test]
-    fn frame_with_most_dynamic_detail_wins() {
-        // Stripes to the left in frame 6; stronger ones to the right, where nothing moves, in frame 4; and
-        // in frame 3, where next to nothing is masked.
-        let stripes = |i: usize, x: usize| {
-            let striped = if i == 6 { x < 16 } else { i == 3 || i == 4 && x >= 16 };
-            let strength = if i == 6 { 100 } else { 255 };
-            [if striped && x.is_multiple_of(2) { strength } else { 0 }; 3]
-        };
-        let mut capture = clip(10, |i| Plane::from_fn(32, 24, |x, _| stripes(i, x)));
-        for (i, frame) in capture.frames.iter_mut().enumerate() {
-            frame.mask = Some(CompactMask::from_fn(32, 24, |x, _| x < if i == 3 { 2 } else { 16 }));
-        }
-        assert_eq!(sharpest(&capture), 6);
     }
 }

@@ -114,7 +114,7 @@ impl FileRecord {
     /// Of the file at `path`.
     pub(crate) fn of(path: &Path) -> Result<Self, Error> {
         let blake3 = hash::of_path(path)?;
-        let bytes = fs::metadata(path).map_err(|source| Error::Read { path: path.to_path_buf(), source })?.len();
+        let bytes = fs::metadata(path).map_err(Error::read(path))?.len();
         Ok(Self { bytes, blake3 })
     }
 }
@@ -345,11 +345,7 @@ pub fn plain_json(value: &impl Serialize) -> Result<Value, Error> {
 }
 
 /// Converts a value to indented JSON, with keys in the order of its fields.
-///
-/// # Errors
-///
-/// [`Error::Internal`] if the value cannot be written as JSON.
-pub fn pretty_json(value: &impl Serialize) -> Result<String, Error> {
+fn pretty_json(value: &impl Serialize) -> Result<String, Error> {
     let text = serde_json::to_string_pretty(value).map_err(|e| Error::Internal { what: e.to_string() })?;
     Ok(text + "\n")
 }
@@ -357,15 +353,15 @@ pub fn pretty_json(value: &impl Serialize) -> Result<String, Error> {
 /// Writes `value` as indented JSON, atomically.
 pub(crate) fn write_json(path: &Path, value: &impl Serialize) -> Result<(), Error> {
     let text = pretty_json(value)?;
-    atomic::write(path, text.as_bytes()).map_err(|source| Error::Write { path: path.to_path_buf(), source })
+    atomic::write(path, text.as_bytes()).map_err(Error::write(path))
 }
 
 /// Reads JSON; `None` if there is no file or it has other contents.
-fn read_json<T: DeserializeOwned>(path: &Path) -> Result<Option<T>, Error> {
+pub(crate) fn read_json<T: DeserializeOwned>(path: &Path) -> Result<Option<T>, Error> {
     match fs::read(path) {
         Ok(bytes) => Ok(serde_json::from_slice(&bytes).ok()),
         Err(error) if matches!(error.kind(), ErrorKind::NotFound | ErrorKind::NotADirectory) => Ok(None),
-        Err(source) => Err(Error::Read { path: path.to_path_buf(), source }),
+        Err(source) => Err(Error::read(path)(source)),
     }
 }
 

@@ -12,8 +12,6 @@ use m4_train::init::{InitConfig, initialise};
 use minute4d::page::payload::{bytes_per_splat, decode, encode};
 use minute4d::render::Painter;
 
-mod layers;
-
 const SIZE: (usize, usize) = (96, 64);
 const WALL: f64 = 4.0;
 const SQUARE: f64 = 2.0;

@@ -57,25 +57,21 @@ fn is_there(dir: &Scratch) -> bool {
 
 #[cfg(feature = "gpu")]
 #[test]
-fn gpu_bench_reports_the_same_columns() {
+fn gpu_bench_reports_steps_and_memory() {
     let dir = Scratch::new();
     if !is_there(&dir) {
         return;
     }
-    let report = dir.succeed(&format!("{SMALL} --scene static --json --save runs")).result();
+    let report = dir.succeed(&format!("{SMALL} --scene static --json")).result();
     assert!(!report["machine"]["gpu"]["name"].as_str().unwrap().is_empty());
     let case = &report["cases"][0];
-    assert_eq!(case["kernels"].as_array().unwrap().len(), 7);
-    for kernel in case["kernels"].as_array().unwrap() {
-        assert!(kernel["ms"].as_f64().unwrap() > 0.0, "{kernel}");
-    }
+    assert!(case["step"]["ms"].as_f64().unwrap() > 0.0 && case["frames_per_s"].as_f64().unwrap() > 0.0, "{case}");
     let [first, last] = [0, 1].map(|i| case["step"]["loss"][i].as_f64().unwrap());
     assert!(last < first, "{case}");
     let bytes = |name: &str| case["gpu"][name].as_f64().unwrap();
     assert!(bytes("reserved_bytes") >= bytes("in_use_bytes"), "{case}");
     // the rest is what density control would take
     assert!((0.7..1.1).contains(&(bytes("in_use_bytes") / bytes("planned_bytes"))), "{case}");
-    assert_eq!(dir.count("runs"), 2);
 }
 
 #[cfg(feature = "gpu")]

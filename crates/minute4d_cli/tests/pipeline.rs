@@ -1,9 +1,10 @@
-//! The happy path from outside: train, render, eval, inspect, stop, resume.
+//! The happy path from outside: train, render, eval, stop, resume.
 
-use crate::common::{Ended, Running, Scratch, capture, mean_image_psnr_db, write_capture, write_images};
+use crate::common::{Ended, Running, Scratch, capture, frames_of, mean_image_psnr_db, write_capture, write_images};
 use minute4d::Silent;
 use minute4d::core::{Plane, Sim3, exp_so3, nalgebra::Vector3};
 use minute4d::io::capture::Split;
+use minute4d::io::scene::safetensors;
 use serde_json::Value;
 use std::fs;
 use std::io::{BufRead, BufReader};
@@ -16,7 +17,7 @@ fn with_capture(with_test: bool) -> Scratch {
 }
 
 #[test]
-fn train_render_eval_inspect() {
+fn train_render_eval() {
     let dir = with_capture(true);
     let ended = dir.succeed("train capture -o out --iterations 120 --seed 3");
     assert_eq!(ended.stdout.trim_end(), "out", "the result is the path and nothing else");
@@ -37,7 +38,7 @@ fn train_render_eval_inspect() {
     dir.succeed("render out -o png");
     assert_eq!(dir.count("png"), 6);
     dir.succeed("render out --path swing --time freeze@0.2s -o swing.mp4");
-    dir.succeed("render out --path test:capture/transforms_test.json --time 5..0 -o test");
+    dir.succeed("render out --path test:capture/transforms_test.json --time play -o test");
     assert_eq!(dir.count("test"), 6);
 
     let report = dir.succeed("eval out --data capture --json").result();
@@ -58,11 +59,9 @@ fn train_render_eval_inspect() {
     let table = dir.succeed("eval out --data capture").stdout;
     assert!(table.contains("near") && table.contains("LPIPS"), "{table}");
 
-    let inspect = |what: &str| dir.succeed(&format!("inspect {what} --json")).result();
-    assert_eq!(inspect("out")["kind"], "run");
-    assert_eq!(inspect("capture")["test_views"], 6);
-    assert_eq!(inspect("swing.mp4")["frames"], 120);
-    assert_eq!(inspect("out/scene.safetensors")["with_optimiser"], true);
+    assert_eq!(frames_of(&dir.path("swing.mp4")).0, 120);
+    let scene = safetensors::read(&dir.path("out/scene.safetensors")).unwrap();
+    assert!(scene.state.is_some(), "the state of the optimiser");
     let same = dir.succeed("eval-geometry capture --truth capture --json").result();
     assert!(same["trajectory"]["rmse"].as_f64().unwrap() < 1e-6, "{same}");
     let object = &same["objects"][0];
@@ -300,20 +299,15 @@ fn doctor_and_bench_report_the_machine() {
     assert!(levels.contains(&machine["simd"]), "{machine}");
     let without = Ended::of(dir.command("doctor --json").env("PATH", "").output().unwrap());
     assert_eq!(without.result()["ffmpeg"]["found"], false);
-    let line = "bench --splats 500,1000 --size 96x72 --steps 1 --threads 1 --json --save runs";
+    let line = "bench --splats 500,1000 --size 96x72 --steps 1 --threads 1 --json";
     let bench = dir.succeed(line).result();
     let cases = bench["cases"].as_array().unwrap();
     assert_eq!(cases.len(), 4, "two sizes, two scenes: {bench}");
     for case in cases {
         assert!(case["step"]["ms"].as_f64().unwrap() > 0.0 && case["frames_per_s"].as_f64().unwrap() > 0.0);
-        assert!((0.0..1.0).contains(&case["useful_share"].as_f64().unwrap()), "{case}");
+        assert!(case["pairs"].as_f64().unwrap() > 0.0, "{case}");
         assert_eq!(case["kernels"].as_array().unwrap().len(), 7);
     }
-    let saved = fs::read_dir(dir.path("runs")).unwrap();
-    let mut saved: Vec<_> = saved.map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
-    saved.sort();
-    assert_eq!(saved.len(), 2, "{saved:?}");
-    assert_eq!(dir.json(&format!("runs/{}", saved[0])), bench);
 }
 
 #[test]

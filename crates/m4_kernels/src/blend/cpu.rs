@@ -69,11 +69,6 @@ impl Used {
         self.places.clear();
     }
 
-    /// Entries of all tiles.
-    pub(crate) fn total(&self) -> usize {
-        self.places.len()
-    }
-
     fn replay(&self) -> Replay<'_> {
         Replay { len: self.len.iter(), places: &self.places }
     }
@@ -321,7 +316,7 @@ mod tests {
         dispatch!(level.level(), s => score(s, &band, &rows, PLACE, &used, &weight, &mut scores));
         let sums = sums.iter().flat_map(|s: &Sums| s.0);
         let all = planes.iter().flatten().copied().chain(sums).chain(scores).collect();
-        (all, background, used.total())
+        (all, background, used.places.len())
     }
 
     #[test]

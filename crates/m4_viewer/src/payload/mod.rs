@@ -51,7 +51,7 @@
 //! velocities are spaced evenly in `asinh`: evenly near the cameras, by a constant ratio far from them.
 //! Constants of [`encode()`] say how fine. Where the numbers end is measured, not assumed: a scene goes through
 //! [`encode()`] and [`decode()`], is rendered from its source cameras and compared
-//! (`crates/minute4d/tests/viewer_quality.rs`).
+//! (`crates/minute4d/tests/main.rs`).
 
 mod decode;
 mod encode;

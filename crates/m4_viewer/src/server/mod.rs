@@ -23,7 +23,7 @@ mod hub;
 
 pub use hub::{Hub, Metrics};
 
-use crate::page::{self, Effort, PageError, TEMPLATE};
+use crate::page::{self, Compression, PageError, TEMPLATE};
 use axum::Router;
 use axum::body::Bytes;
 use axum::extract::State;
@@ -145,7 +145,7 @@ fn router(hub: Arc<Hub>, guard: Arc<Guard>) -> Router {
 async fn show_page(State(shared): State<Shared>) -> Response {
     let made = tokio::task::spawn_blocking(move || {
         let token = shared.guard.token();
-        shared.hub.with_parts(token, |parts| page::compose(TEMPLATE, parts, Effort::Quick))
+        shared.hub.with_parts(token, |parts| page::compose(TEMPLATE, parts, Compression::fast()))
     });
     answer(made.await, "text/html; charset=utf-8")
 }

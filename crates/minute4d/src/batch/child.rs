@@ -1,10 +1,10 @@
-//! Runs one clip in a child process that ends with its parent and gets no credentials.
+//! Runs one clip in a child process that ends with its parent.
 //!
 //! The parent holds the other end of the child's standard input. The child saves and stops when that ends, whether the parent let
 //! go of it or died: a killed process leaves no child behind that keeps writing.
 
+use m4_core::Progress;
 use serde_json::Value;
-use std::ffi::OsStr;
 use std::fs::File;
 use std::io::{self, BufRead, BufReader, Write};
 use std::process::{Child, ChildStdout, Command, ExitStatus, Stdio};
@@ -15,14 +15,6 @@ use std::time::{Duration, Instant};
 const LOOK: Duration = Duration::from_millis(50);
 /// How long a child may take to save before it is killed. It promises ten seconds.
 const PATIENCE: Duration = Duration::from_secs(60);
-
-/// Receives the progress of the run, and may stop it.
-pub trait Watch: Sync {
-    /// True when the run is to save and stop.
-    fn stop(&self) -> bool;
-    /// How far it is: a phase, steps done and in all, and a word about them.
-    fn progress(&self, phase: &str, done: usize, total: usize, note: &str);
-}
 
 /// The end of a child process.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -36,7 +28,7 @@ pub(crate) struct Ended {
 }
 
 /// Runs a child to its end. What it says on standard error goes to `log`, and which stages it went through.
-pub(crate) fn run(mut command: Command, log: File, watch: &dyn Watch) -> io::Result<Ended> {
+pub(crate) fn run(mut command: Command, log: File, watch: &dyn Progress) -> io::Result<Ended> {
     let stages = log.try_clone()?;
     command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(log);
     // Ctrl-C at a terminal goes to the whole group; only the parent forwards it to the child, once.
@@ -52,7 +44,7 @@ pub(crate) fn run(mut command: Command, log: File, watch: &dyn Watch) -> io::Res
             if let Some(status) = child.try_wait()? {
                 break status;
             }
-            if asked.is_none() && watch.stop() {
+            if asked.is_none() && watch.cancelled() {
                 asked = Some(Instant::now());
                 hold = None;
             }
@@ -98,7 +90,7 @@ fn exit_message(status: ExitStatus) -> String {
 /// Passes progress on, notes stages, and keeps the reason of the last event.
 fn read_events(
     events: Option<ChildStdout>,
-    watch: &dyn Watch,
+    watch: &dyn Progress,
     last_messages: &Mutex<Option<String>>,
     mut stages: File,
 ) {
@@ -111,7 +103,7 @@ fn read_events(
         let text = |name: &str| event[name].as_str().unwrap_or_default();
         let count = |name: &str| event[name].as_u64().unwrap_or_default() as usize;
         match text("event") {
-            "progress" => watch.progress(text("phase"), count("done"), count("total"), text("note")),
+            "progress" => watch.update(text("phase"), count("done"), count("total"), text("note")),
             "stage" => {
                 // The log is a help, and a full disk is noticed by the run itself.
                 let _ = stages.write_all(format!("{line}\n").as_bytes());
@@ -126,57 +118,11 @@ fn read_events(
     }
 }
 
-/// Beginnings of names that belong to services, whose variables are accounts or lead to them.
-const SERVICES: &[&str] =
-    &["AWS_", "AZURE_", "GOOGLE_", "GCP_", "GCLOUD_", "CLOUDSDK_", "GITHUB_", "GITLAB_", "VAULT_"];
-const WORDS: &[&str] = &[
-    "TOKEN",
-    "SECRET",
-    "PASSWORD",
-    "PASSWD",
-    "PASSPHRASE",
-    "CREDENTIAL",
-    "API_KEY",
-    "APIKEY",
-    "ACCESS_KEY",
-    "PRIVATE_KEY",
-];
-const ENDS: &[&str] = &["_KEY", "_PASS", "_PAT", "_JWT"];
-/// Whole names: agents that sign, and files of passwords.
-const NAMES: &[&str] =
-    &["SSH_AUTH_SOCK", "SSH_AGENT_PID", "GPG_AGENT_INFO", "DOCKER_AUTH_CONFIG", "KUBECONFIG", "NETRC", "PGPASSFILE"];
-
-/// Takes the variables of this process that look like credentials from a command.
-pub(crate) fn remove_credentials(command: &mut Command) {
-    for (name, value) in std::env::vars_os() {
-        if is_credential(&name, &value) {
-            command.env_remove(name);
-        }
-    }
-}
-
-/// Whether a variable looks like a credential, by its name or because it holds an address with a password.
-fn is_credential(name: &OsStr, value: &OsStr) -> bool {
-    let name = name.to_string_lossy().to_ascii_uppercase();
-    SERVICES.iter().any(|start| name.starts_with(start))
-        || WORDS.iter().any(|word| name.contains(word))
-        || ENDS.iter().any(|end| name.ends_with(end))
-        || NAMES.contains(&name.as_str())
-        || has_password(&value.to_string_lossy())
-}
-
-/// Whether a text holds an address such as `https://name:password@host`.
-fn has_password(text: &str) -> bool {
-    text.split("://").skip(1).any(|rest| {
-        let host = rest.split(['/', '?', '#', ' ']).next().unwrap_or_default();
-        host.rsplit_once('@').is_some_and(|(user, _)| user.contains(':'))
-    })
-}
-
 #[cfg(test)]
 #[cfg(unix)]
 mod tests {
-    use super::{Ended, Watch, run};
+    use super::{Ended, run};
+    use m4_core::Progress;
     use std::fs::File;
     use std::process::Command;
     use std::sync::atomic::{AtomicBool, Ordering};
@@ -185,13 +131,14 @@ mod tests {
     #[derive(Default)]
     struct Impatient(AtomicBool);
 
-    impl Watch for Impatient {
-        fn stop(&self) -> bool {
-            self.0.load(Ordering::SeqCst)
-        }
-        fn progress(&self, phase: &str, done: usize, _: usize, _: &str) {
+    impl Progress for Impatient {
+        fn update(&self, phase: &str, done: usize, _: usize, _: &str) {
             assert_eq!((phase, done), ("train", 3));
             self.0.store(true, Ordering::SeqCst);
+        }
+        fn warn(&self, _: &str) {}
+        fn cancelled(&self) -> bool {
+            self.0.load(Ordering::SeqCst)
         }
     }
 
@@ -217,55 +164,5 @@ mod tests {
         let event = r#"{"event":"progress","phase":"train","done":3,"total":9,"note":""}"#;
         let ended = shell(&format!("echo '{event}'; cat >/dev/null; exit 143"));
         assert_eq!((ended.code, ended.asked), (Some(143), true));
-    }
-}
-
-#[cfg(test)]
-mod credentials_tests {
-    use super::is_credential;
-    use std::ffi::OsStr;
-
-    fn is(name: &str, value: &str) -> bool {
-        is_credential(OsStr::new(name), OsStr::new(value))
-    }
-
-    #[test]
-    fn credentials_are_detected_by_name_and_by_passwords_in_urls() {
-        for name in [
-            "AWS_SECRET_ACCESS_KEY",
-            "AWS_PROFILE",
-            "AZURE_CLIENT_ID",
-            "GOOGLE_APPLICATION_CREDENTIALS",
-            "HF_TOKEN",
-            "Github_Token",
-            "SLURM_JWT",
-            "DB_PASSWORD",
-            "MYSQL_PWD_SECRET_FILE",
-            "OPENAI_API_KEY",
-            "SIGNING_KEY",
-            "SSH_AUTH_SOCK",
-        ] {
-            assert!(is(name, "x"), "{name}");
-        }
-        for name in [
-            "PATH",
-            "HOME",
-            "LD_LIBRARY_PATH",
-            "CUDA_VISIBLE_DEVICES",
-            "SLURM_JOB_ID",
-            "TMPDIR",
-            "MINUTE4D_WEIGHTS",
-            "KEYBOARD",
-            "XDG_CACHE_HOME",
-            "RAYON_NUM_THREADS",
-        ] {
-            assert!(!is(name, "/some/where:/else"), "{name}");
-        }
-        for value in ["http://me:pw@proxy:3128/", "a=postgres://u:p@db/x"] {
-            assert!(is("HTTPS_PROXY", value), "{value}");
-        }
-        for value in ["http://proxy:3128", "https://host/a:b@c", "http://me@host", "", "://"] {
-            assert!(!is("HTTPS_PROXY", value), "{value}");
-        }
     }
 }

@@ -4,11 +4,14 @@
 //! input is bad, nothing of an earlier attempt was used, and the input still has the bytes that were planned. Everything else
 //! may succeed on another machine or later, so the job may be started again.
 
-use crate::batch::BatchError;
-use crate::batch::child::{self, Ended, Watch};
-use crate::batch::layout::{JobRecord, Layout, Outcome, RUN_FILE, now_s, write_json};
+use crate::batch::child::{self, Ended};
+use crate::batch::layout::{JobRecord, Layout, Outcome, now_s};
 use crate::batch::manifest::{Job, Manifest, VERSION};
+use crate::batch::not_ours;
 use crate::batch::publish::{Present, Published, present, publish, recover, remove};
+use crate::record::{RUN_FILE, write_json};
+use crate::{Category, Error, Refusal, hash};
+use m4_core::Progress;
 use m4_io::atomic;
 use serde_json::Value;
 use std::fs::{self, File, OpenOptions, TryLockError};
@@ -26,13 +29,11 @@ const BAD_INPUT: i32 = 65;
 const LET_GO: Duration = Duration::from_secs(120);
 
 /// The environment of a job.
-pub struct Tools<'a> {
+pub struct Tools {
     /// The program whose `run` makes a scene.
     pub program: PathBuf,
     /// Arguments for the run that do not change its result, such as `--threads 2`.
     pub arguments: Vec<String>,
-    /// BLAKE3 of a file or a folder, as the plan has it.
-    pub hash: &'a (dyn Fn(&Path) -> Result<String, String> + Sync),
     /// Name of this machine.
     pub host: String,
 }
@@ -49,12 +50,12 @@ pub struct JobEnd {
 }
 
 /// The first index that a scheduler gives, if one does; an error for a variable that is no number.
-pub fn index_of_environment(get: impl Fn(&str) -> Option<String>) -> Result<Option<usize>, BatchError> {
+pub fn index_of_environment(get: impl Fn(&str) -> Option<String>) -> Result<Option<usize>, Error> {
     for name in INDEX_VARIABLES {
         if let Some(value) = get(name).filter(|v| !v.is_empty()) {
             let index = value.parse().map_err(|_| {
                 let message = format!("{name}={value:?} is not the index of a job; give --index");
-                BatchError::refused(m4_io::ErrorKind::NotFound, message)
+                Refusal::new(Category::NoInput, message)
             })?;
             return Ok(Some(index));
         }
@@ -67,18 +68,18 @@ pub fn index_of_environment(get: impl Fn(&str) -> Option<String>) -> Result<Opti
 ///
 /// # Errors
 ///
-/// [`BatchError`] where nothing is known of the job; what goes wrong with it is its [`JobEnd`].
+/// [`Error`] where nothing is known of the job; what goes wrong with it is its [`JobEnd`].
 pub fn run_job(
     manifest: &Manifest,
     index: usize,
     retry_failed: bool,
-    tools: &Tools<'_>,
-    watch: &dyn Watch,
-) -> Result<JobEnd, BatchError> {
+    tools: &Tools,
+    watch: &dyn Progress,
+) -> Result<JobEnd, Error> {
     let jobs = manifest.jobs.len();
     let job = manifest.jobs.get(index).ok_or_else(|| {
         let message = format!("there is no job {index}: the manifest lists {jobs}, counted from 0");
-        BatchError::refused(m4_io::ErrorKind::NotFound, message)
+        Refusal::new(Category::NoInput, message)
     })?;
     let attempt = Attempt {
         job,
@@ -102,9 +103,8 @@ pub fn run_job(
         return Ok(again(&reason));
     }
     let lock = attempt.layout.lock(&job.id);
-    let Some(_lock) = lock_file(&lock)
-        .and_then(|file| Ok(wait_for(&file, watch)?.then_some(file)))
-        .map_err(BatchError::write(&lock))?
+    let Some(_lock) =
+        lock_file(&lock).and_then(|file| Ok(wait_for(&file, watch)?.then_some(file))).map_err(Error::write(&lock))?
     else {
         return Ok(again("another process runs this job, or this one was asked to stop"));
     };
@@ -112,7 +112,7 @@ pub fn run_job(
         return Ok(end);
     }
     let start = Instant::now();
-    let failed = |error: BatchError| (again(&error.to_string()), None);
+    let failed = |error: Error| (again(&error.to_string()), None);
     let (mut end, code) = attempt.make().unwrap_or_else(failed);
     let seconds = start.elapsed().as_secs_f64();
     end.seconds = Some(seconds);
@@ -144,13 +144,13 @@ struct Attempt<'a> {
     manifest: &'a Manifest,
     key: String,
     layout: Layout,
-    tools: &'a Tools<'a>,
-    watch: &'a dyn Watch,
+    tools: &'a Tools,
+    watch: &'a dyn Progress,
 }
 
 impl Attempt<'_> {
     /// What is known of a job that need not be run.
-    fn ended_before(&self, retry_failed: bool) -> Result<Option<JobEnd>, BatchError> {
+    fn ended_before(&self, retry_failed: bool) -> Result<Option<JobEnd>, Error> {
         let end = |outcome, reason| Some(JobEnd { outcome, reason, seconds: None });
         if present(&self.layout.result(&self.job.id), &self.key)? == Present::Same {
             return Ok(end(Outcome::Done, String::new()));
@@ -161,13 +161,13 @@ impl Attempt<'_> {
     }
 
     /// Runs and publishes; with the exit code of the run, where it had one.
-    fn make(&self) -> Result<(JobEnd, Option<i32>), BatchError> {
+    fn make(&self) -> Result<(JobEnd, Option<i32>), Error> {
         let (id, work) = (&self.job.id, self.layout.work(&self.job.id));
         if present(&self.layout.result(id), &self.key)? == Present::NotOurs {
             return Ok((again(&self.in_the_way()), None));
         }
         recover(&self.layout, id)?;
-        if !free(&work, self.watch).map_err(BatchError::write(&work))? {
+        if !free(&work, self.watch).map_err(Error::write(&work))? {
             let message = format!("another run is using {}, or this one was asked to stop", work.display());
             return Ok((again(&message), None));
         }
@@ -202,12 +202,12 @@ impl Attempt<'_> {
         }
     }
 
-    fn run(&self) -> Result<Ended, BatchError> {
+    fn run(&self) -> Result<Ended, Error> {
         let id = &self.job.id;
         let (settings, log) = (self.layout.settings(id), self.layout.log(id));
         let run = &self.manifest.run;
-        atomic::write(&settings, run.settings.as_bytes()).map_err(BatchError::write(&settings))?;
-        let log = open_log(&log).map_err(BatchError::write(&log))?;
+        atomic::write(&settings, run.settings.as_bytes()).map_err(Error::write(&settings))?;
+        let log = open_log(&log).map_err(Error::write(&log))?;
         let mut command = Command::new(&self.tools.program);
         command
             .arg("run")
@@ -220,21 +220,20 @@ impl Attempt<'_> {
             .arg(self.layout.work(id))
             .arg("--")
             .arg(&self.job.input);
-        child::remove_credentials(&mut command);
-        child::run(command, log, self.watch).map_err(BatchError::read(&self.tools.program))
+        child::run(command, log, self.watch).map_err(Error::read(&self.tools.program))
     }
 
     /// The message for a folder that is not ours where a result should go.
     fn in_the_way(&self) -> String {
-        BatchError::not_ours(&self.layout.result(&self.job.id)).to_string()
+        not_ours(&self.layout.result(&self.job.id)).to_string()
     }
 
     /// The input must be what was planned: results are kept under its hash. What is missing here, or is another, is so on this
     /// machine: its disks may not be mounted.
     fn check_input(&self) -> Result<(), String> {
         let input = &self.job.input;
-        match (self.tools.hash)(Path::new(input)) {
-            Err(reason) => Err(reason),
+        match hash::of_path(Path::new(input)) {
+            Err(error) => Err(error.to_string()),
             Ok(found) if found != self.job.blake3 => {
                 Err(format!("{input} is not what was planned; if it changed, plan again"))
             }
@@ -259,10 +258,10 @@ fn make_parent(path: &Path) -> io::Result<()> {
 
 /// Locks a file as soon as no other process holds it; false where that takes too long. File systems without locks go without: there two
 /// processes with one job hinder each other, and still publish whole results alone.
-fn wait_for(file: &File, watch: &dyn Watch) -> io::Result<bool> {
+fn wait_for(file: &File, watch: &dyn Progress) -> io::Result<bool> {
     let start = Instant::now();
     while let Err(TryLockError::WouldBlock) = file.try_lock() {
-        if watch.stop() || start.elapsed() > LET_GO {
+        if watch.cancelled() || start.elapsed() > LET_GO {
             return Ok(false);
         }
         thread::sleep(Duration::from_millis(100));
@@ -272,7 +271,7 @@ fn wait_for(file: &File, watch: &dyn Watch) -> io::Result<bool> {
 
 /// Waits until no run has the working folder, and clears away one that no run can resume: killed before it wrote
 /// what it is. False where it is not available.
-fn free(work: &Path, watch: &dyn Watch) -> io::Result<bool> {
+fn free(work: &Path, watch: &dyn Progress) -> io::Result<bool> {
     let folder = match File::open(work) {
         Err(e) if e.kind() == ErrorKind::NotFound => return Ok(true),
         folder => folder?,

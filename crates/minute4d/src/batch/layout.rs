@@ -1,24 +1,16 @@
 //! The folder of results: names of jobs, which are safe as folder names on any system, where everything of a job lies, and the record
 //! of its outcome, `.state/ID.json`.
 
-use crate::batch::BatchError;
+use crate::Error;
 use crate::batch::manifest::VERSION;
-use m4_io::atomic;
-use serde::de::DeserializeOwned;
+use crate::record::read_json;
 use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
-use std::fs;
-use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
 
 /// What a published result says of the job that it belongs to.
 pub const RESULT_FILE: &str = "batch.json";
-/// A small image of a result: a frame and its re-render.
-pub const POSTER_FILE: &str = "poster.jpg";
-/// The record of a run.
-pub(crate) const RUN_FILE: &str = "run.json";
-
 /// The folder of results: one folder per clip, and hidden ones for the work itself.
 #[derive(Debug, Clone)]
 pub struct Layout {
@@ -168,28 +160,13 @@ pub struct JobRecord {
 
 impl JobRecord {
     /// The record, if there is one that this release can use and that is of this input and these settings.
-    pub(crate) fn read(path: &Path, key: &str) -> Result<Option<Self>, BatchError> {
+    pub(crate) fn read(path: &Path, key: &str) -> Result<Option<Self>, Error> {
         Ok(read_json::<Self>(path)?.filter(|r| r.version == VERSION && r.key == key))
     }
 }
 
 pub(crate) fn now_s() -> u64 {
     SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_secs())
-}
-
-/// Reads JSON; `None` where there is no file or it holds something else.
-pub(crate) fn read_json<T: DeserializeOwned>(path: &Path) -> Result<Option<T>, BatchError> {
-    match fs::read(path) {
-        Ok(bytes) => Ok(serde_json::from_slice(&bytes).ok()),
-        Err(e) if matches!(e.kind(), ErrorKind::NotFound | ErrorKind::NotADirectory) => Ok(None),
-        Err(source) => Err(BatchError::read(path)(source)),
-    }
-}
-
-/// Writes JSON, whole or not at all.
-pub(crate) fn write_json(path: &Path, value: &impl Serialize) -> Result<(), BatchError> {
-    let text = serde_json::to_string_pretty(value).map_err(|e| BatchError::write(path)(e.into()))? + "\n";
-    atomic::write(path, text.as_bytes()).map_err(BatchError::write(path))
 }
 
 #[cfg(test)]

@@ -1,8 +1,8 @@
 //! The manifest: one JSON object per line, the first for all jobs, each other one for one job.
 
-use crate::batch::BatchError;
 use crate::batch::layout;
-use m4_io::{ErrorKind, atomic};
+use crate::{Category, Error, Refusal, hash};
+use m4_io::atomic;
 use serde::{Deserialize, Serialize};
 use std::collections::HashSet;
 use std::fs;
@@ -26,19 +26,9 @@ pub struct Arguments {
 impl Arguments {
     /// BLAKE3 of settings and arguments, hexadecimal.
     pub fn blake3(&self) -> String {
-        let parts = std::iter::once(self.settings.as_str()).chain(self.arguments.iter().map(String::as_str));
-        of_parts(parts)
+        let parts = std::iter::once(&self.settings).chain(&self.arguments).map(String::as_str);
+        hash::of_parts(&parts.collect::<Vec<_>>())
     }
-}
-
-/// BLAKE3 of several texts; where one ends and the next begins matters.
-fn of_parts<'a>(parts: impl IntoIterator<Item = &'a str>) -> String {
-    let mut hasher = blake3::Hasher::new();
-    for part in parts {
-        hasher.update(&(part.len() as u64).to_le_bytes());
-        hasher.update(part.as_bytes());
-    }
-    hasher.finalize().to_hex().to_string()
 }
 
 /// The first line.
@@ -64,8 +54,6 @@ pub struct Job {
     pub id: String,
     /// The clip, with its whole path.
     pub input: String,
-    /// Its size; of all files of a folder together.
-    pub bytes: u64,
     /// BLAKE3 of its bytes, hexadecimal; of a file or folder.
     pub blake3: String,
     /// The folder of the result.
@@ -75,7 +63,7 @@ pub struct Job {
 impl Job {
     /// Hash of the input and the settings: a result with the same key need not be made again.
     pub fn key(&self, run: &Arguments) -> String {
-        of_parts([self.blake3.as_str(), &run.blake3()])
+        hash::of_parts(&[&self.blake3, &run.blake3()])
     }
 }
 
@@ -91,16 +79,15 @@ pub struct Manifest {
 }
 
 impl Manifest {
-    /// Writes it, whole or not at all, and reads it back.
+    /// Writes it, whole or not at all.
     ///
     /// # Errors
     ///
-    /// [`BatchError::Refused`] where there is one and not `force`; [`BatchError::Write`] where it cannot be written;
-    /// [`BatchError::Manifest`] where it does not read back as it was.
-    pub fn write(&self, path: &Path, force: bool) -> Result<(), BatchError> {
+    /// [`Error::Refused`] where there is one and not `force`; [`Error::Write`] where it cannot be written.
+    pub fn write(&self, path: &Path, force: bool) -> Result<(), Error> {
         if !force && fs::symlink_metadata(path).is_ok() {
             let message = format!("{} already exists; --force replaces it", path.display());
-            return Err(BatchError::refused(ErrorKind::CannotWrite, message));
+            return Err(Refusal::new(Category::CannotWrite, message).into());
         }
         let header = Header {
             format: FORMAT.to_owned(),
@@ -114,19 +101,21 @@ impl Manifest {
         let mut lines = vec![serde_json::to_string(&header)];
         lines.extend(self.jobs.iter().map(serde_json::to_string));
         let lines: Result<Vec<String>, _> = lines.into_iter().collect();
-        let text = lines.map_err(|e| bad(path, e.to_string()))?.join("\n") + "\n";
-        atomic::write(path, text.as_bytes()).map_err(BatchError::write(path))?;
-        if Self::read(path)? != *self {
-            let reason = "it does not read back as it was written; check the disk";
-            return Err(bad(path, reason.to_owned()));
-        }
-        Ok(())
+        let text = lines.map_err(|e| Error::Internal { what: e.to_string() })?.join("\n") + "\n";
+        atomic::write(path, text.as_bytes()).map_err(Error::write(path))
     }
 
     /// Reads and checks one.
-    pub fn read(path: &Path) -> Result<Self, BatchError> {
-        let text = fs::read(path).map_err(BatchError::read(path))?;
-        Self::parse(&text).map_err(|reason| bad(path, reason))
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Read`]; [`Error::Refused`] for a file that is no manifest, or a damaged one, with the line.
+    pub fn read(path: &Path) -> Result<Self, Error> {
+        let text = fs::read(path).map_err(Error::read(path))?;
+        Self::parse(&text).map_err(|reason| {
+            let path = path.display();
+            Refusal::bad_input(format!("{path}: {reason}; create the manifest again with `minute4d batch plan`")).into()
+        })
     }
 
     fn parse(bytes: &[u8]) -> Result<Self, String> {
@@ -161,10 +150,6 @@ impl Manifest {
     }
 }
 
-fn bad(path: &Path, reason: String) -> BatchError {
-    BatchError::Manifest { path: path.to_path_buf(), reason }
-}
-
 #[cfg(test)]
 mod tests {
     use super::{Arguments, Job, Manifest};
@@ -174,7 +159,6 @@ mod tests {
         let job = |id: &str| Job {
             id: id.to_owned(),
             input: format!("/clips/{id}.mp4"),
-            bytes: 7,
             blake3: "00".to_owned(),
             output: format!("/results/{id}"),
         };
@@ -201,7 +185,7 @@ mod tests {
             (text.replace("a = 1", "a = 2"), "changed by hand"),
             (text.replace("\"id\":\"b\"", "\"id\":\"../b\""), "line 3"),
             (text.replace("\"id\":\"b\"", "\"id\":\"A\""), "given before"),
-            (text.replace("\"bytes\":7", "\"bytes\":-7"), "line 2"),
+            (text.replace("\"id\":\"a\"", "\"id\":-7"), "line 2"),
             (text.replace("\"blake3\":\"00\",", ""), "missing field `blake3`"),
             (cut.to_owned(), "lists 1 jobs and should list 2"),
         ];

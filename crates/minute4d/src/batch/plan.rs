@@ -1,10 +1,10 @@
 //! Plans a manifest from the files, folders and lists that a user names.
 
-use crate::batch::BatchError;
 use crate::batch::layout::{self, Layout};
 use crate::batch::manifest::{Arguments, Job, Manifest};
+use crate::batch::not_ours;
 use crate::batch::publish::{Present, present};
-use m4_io::ErrorKind;
+use crate::{Category, Error, Refusal, hash};
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::{fs, io};
@@ -19,12 +19,10 @@ pub struct Plan<'a> {
     pub results: &'a Path,
     /// What every run is started with.
     pub run: Arguments,
-    /// BLAKE3 of a file or a folder, as runs compute it.
-    pub hash: &'a dyn Fn(&Path) -> Result<String, String>,
 }
 
-/// Lists the clips with their sizes and hashes, in the order of their ids, and makes the folder of results.
-pub fn plan(plan: &Plan<'_>) -> Result<Manifest, BatchError> {
+/// Lists the clips with their hashes, in the order of their ids, and makes the folder of results.
+pub fn plan(plan: &Plan<'_>) -> Result<Manifest, Error> {
     let paths = inputs(plan.given, plan.recursive)?;
     let mut named = Vec::with_capacity(paths.len());
     for path in &paths {
@@ -35,24 +33,22 @@ pub fn plan(plan: &Plan<'_>) -> Result<Manifest, BatchError> {
     for id in &ids {
         let result = layout.result(id);
         if present(&result, "")? == Present::NotOurs {
-            return Err(BatchError::not_ours(&result));
+            return Err(not_ours(&result).into());
         }
     }
     let mut jobs = Vec::with_capacity(named.len());
     for (((_, input), id), path) in named.into_iter().zip(ids).zip(paths) {
-        let blake3 = (plan.hash)(&path).map_err(|reason| BatchError::read(&path)(io::Error::other(reason)))?;
-        jobs.push(Job { output: text(&layout.result(&id))?, id, input, bytes: size(&path)?, blake3 });
+        jobs.push(Job { output: text(&layout.result(&id))?, id, input, blake3: hash::of_path(&path)? });
     }
     jobs.sort_by(|a, b| a.id.cmp(&b.id));
     let states = layout.states();
-    fs::create_dir_all(&states).map_err(BatchError::write(&states))?;
+    fs::create_dir_all(&states).map_err(Error::write(&states))?;
     Ok(Manifest { results: text(plan.results)?, run: plan.run.clone(), jobs })
 }
 
-fn text(path: &Path) -> Result<String, BatchError> {
+fn text(path: &Path) -> Result<String, Refusal> {
     path.to_str().map(str::to_owned).ok_or_else(|| {
-        let message = format!("{} is not UTF-8, which a manifest cannot hold; rename it", path.display());
-        BatchError::refused(ErrorKind::BadData, message)
+        Refusal::bad_input(format!("{} is not UTF-8, which a manifest cannot hold; rename it", path.display()))
     })
 }
 
@@ -60,24 +56,6 @@ fn text(path: &Path) -> Result<String, BatchError> {
 fn name(path: &Path) -> String {
     let name = if path.is_dir() { path.file_name() } else { path.file_stem() };
     name.map_or_else(String::new, |n| n.to_string_lossy().into_owned())
-}
-
-/// Bytes of a file, or of everything in a folder that is not hidden.
-fn size(path: &Path) -> Result<u64, BatchError> {
-    let failed = |source| BatchError::read(path)(source);
-    let found = fs::metadata(path).map_err(failed)?;
-    if !found.is_dir() {
-        return Ok(found.len());
-    }
-    let mut sum = 0;
-    for entry in fs::read_dir(path).map_err(failed)? {
-        let entry: PathBuf = entry.map_err(failed)?.path();
-        let hidden = entry.file_name().is_some_and(|n| n.to_string_lossy().starts_with('.'));
-        if !hidden {
-            sum += size(&entry)?;
-        }
-    }
-    Ok(sum)
 }
 
 /// Extensions of files in folders that are taken for videos; a file that is named itself may have any.
@@ -89,7 +67,7 @@ const IMAGE_EXTENSIONS: [&str; 3] = ["png", "jpg", "jpeg"];
 const CAPTURES: [&str; 2] = ["transforms_train.json", "transforms.json"];
 
 /// The clips that a user named: files and folders, each once, with their whole paths.
-pub(crate) fn inputs(given: &[String], recursive: bool) -> Result<Vec<PathBuf>, BatchError> {
+pub(crate) fn inputs(given: &[String], recursive: bool) -> Result<Vec<PathBuf>, Error> {
     let mut paths = BTreeSet::new();
     for one in given {
         for path in expand(one)? {
@@ -100,43 +78,38 @@ pub(crate) fn inputs(given: &[String], recursive: bool) -> Result<Vec<PathBuf>, 
 }
 
 /// Parses a list into its paths, without checking that they exist.
-fn expand(given: &str) -> Result<Vec<PathBuf>, BatchError> {
+fn expand(given: &str) -> Result<Vec<PathBuf>, Error> {
     let Some(list) = given.strip_prefix('@') else {
-        return match given.contains("://") {
-            true => Err(BatchError::refused(
-                ErrorKind::BadData,
-                format!("{given} is an address, not a path; mount the store as a folder, or download the clip first"),
-            )),
-            false => Ok(vec![PathBuf::from(given)]),
-        };
+        if given.contains("://") {
+            let what = "is an address, not a path; mount the store as a folder, or download the clip first";
+            return Err(Refusal::bad_input(format!("{given} {what}")).into());
+        }
+        return Ok(vec![PathBuf::from(given)]);
     };
     let path = Path::new(list);
-    let text = fs::read_to_string(path).map_err(BatchError::read(path))?;
+    let text = fs::read_to_string(path).map_err(Error::read(path))?;
     let lines = text.lines().map(str::trim);
     let lines = lines.filter(|l| !l.is_empty() && !l.starts_with(['#', '@']));
     let mut all = Vec::new();
     for line in lines {
         all.extend(expand(line)?);
     }
-    match all.is_empty() {
-        true => Err(nothing(given, true)),
-        false => Ok(all),
-    }
+    if all.is_empty() { Err(nothing(given, true).into()) } else { Ok(all) }
 }
 
-fn nothing(given: &str, recursive: bool) -> BatchError {
+fn nothing(given: &str, recursive: bool) -> Refusal {
     let hint = if recursive { "" } else { "; --recursive looks into folders in it" };
-    BatchError::refused(ErrorKind::BadData, format!("{given} holds no video{hint}"))
+    Refusal::bad_input(format!("{given} holds no video{hint}"))
 }
 
-fn add(path: &Path, recursive: bool, found: &mut BTreeSet<PathBuf>) -> Result<(), BatchError> {
+fn add(path: &Path, recursive: bool, found: &mut BTreeSet<PathBuf>) -> Result<(), Error> {
     // `canonicalize` follows links, so that a clip that is named twice is one clip.
     let path = fs::canonicalize(path).map_err(|e| match e.kind() {
         io::ErrorKind::NotFound | io::ErrorKind::NotADirectory => {
             let message = format!("there is no video, folder or list at {}", path.display());
-            BatchError::refused(ErrorKind::NotFound, message)
+            Refusal::new(Category::NoInput, message).into()
         }
-        _ => BatchError::read(path)(e),
+        _ => Error::read(path)(e),
     })?;
     if !path.is_dir() {
         found.insert(path);
@@ -144,17 +117,17 @@ fn add(path: &Path, recursive: bool, found: &mut BTreeSet<PathBuf>) -> Result<()
     }
     let clips = clips_of(&path, recursive)?;
     if clips.is_empty() {
-        return Err(nothing(&path.display().to_string(), recursive));
+        return Err(nothing(&path.display().to_string(), recursive).into());
     }
     found.extend(clips);
     Ok(())
 }
 
 /// The clips in a folder, or the folder itself where it is one.
-fn clips_of(folder: &Path, recursive: bool) -> Result<Vec<PathBuf>, BatchError> {
+fn clips_of(folder: &Path, recursive: bool) -> Result<Vec<PathBuf>, Error> {
     let (mut videos, mut folders, mut images) = (Vec::new(), Vec::new(), false);
-    for entry in fs::read_dir(folder).map_err(BatchError::read(folder))? {
-        let path = entry.map_err(BatchError::read(folder))?.path();
+    for entry in fs::read_dir(folder).map_err(Error::read(folder))? {
+        let path = entry.map_err(Error::read(folder))?.path();
         let name = path.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned());
         if name.starts_with('.') {
             continue;
@@ -166,7 +139,7 @@ fn clips_of(folder: &Path, recursive: bool) -> Result<Vec<PathBuf>, BatchError> 
         if path.is_dir() {
             folders.push(path);
         } else if extension.as_deref().is_some_and(|e| VIDEOS.contains(&e)) {
-            videos.push(fs::canonicalize(&path).map_err(BatchError::read(&path))?);
+            videos.push(fs::canonicalize(&path).map_err(Error::read(&path))?);
         } else {
             images |= extension.as_deref().is_some_and(|e| IMAGE_EXTENSIONS.contains(&e));
         }

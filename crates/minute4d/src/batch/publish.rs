@@ -4,9 +4,10 @@
 //! the working folder can change what was checked. It appears under its final name by one rename. Of two processes that
 //! publish the same job one wins, and the other finds it done.
 
-use crate::batch::BatchError;
-use crate::batch::layout::{Layout, RESULT_FILE, RUN_FILE, now_s, read_json, write_json};
+use crate::batch::layout::{Layout, RESULT_FILE, now_s};
 use crate::batch::manifest::VERSION;
+use crate::record::{FileRecord, RUN_FILE, RUN_FORMAT, Status, read_json, write_json};
+use crate::{Error, hash};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::fs::{self, File};
@@ -16,8 +17,6 @@ use std::time::SystemTime;
 
 /// `format` of [`RESULT_FILE`].
 const FORMAT: &str = "minute4d-batch-result";
-/// `format` of a run's record.
-const RUN_FORMAT: &str = "minute4d-run";
 
 /// [`RESULT_FILE`]: what makes a folder a result of a batch.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -34,14 +33,8 @@ struct ResultMark {
 #[derive(Debug, Deserialize)]
 struct Run {
     format: String,
-    status: String,
-    files: BTreeMap<String, RunFile>,
-}
-
-#[derive(Debug, Deserialize)]
-struct RunFile {
-    bytes: u64,
-    blake3: String,
+    status: Status,
+    files: BTreeMap<String, FileRecord>,
 }
 
 /// The outcome of publishing.
@@ -69,7 +62,7 @@ pub(crate) enum Present {
 }
 
 /// Checks the published result. File sizes are compared, not hashes: those were when it was published.
-pub(crate) fn present(folder: &Path, key: &str) -> Result<Present, BatchError> {
+pub(crate) fn present(folder: &Path, key: &str) -> Result<Present, Error> {
     if fs::symlink_metadata(folder).is_err_and(|e| e.kind() == ErrorKind::NotFound) {
         return Ok(Present::None);
     }
@@ -81,11 +74,11 @@ pub(crate) fn present(folder: &Path, key: &str) -> Result<Present, BatchError> {
 }
 
 /// Whether a folder holds a finished run whose files are as recorded; what is wrong, where something is.
-fn check(folder: &Path, hashes: bool) -> Result<Result<(), String>, BatchError> {
+fn check(folder: &Path, hashes: bool) -> Result<Result<(), String>, Error> {
     let Some(run) = read_json::<Run>(&folder.join(RUN_FILE))?.filter(|r| r.format == RUN_FORMAT) else {
         return Ok(Err(format!("it has no {RUN_FILE} that can be used")));
     };
-    if run.status != "finished" || run.files.is_empty() {
+    if run.status != Status::Finished || run.files.is_empty() {
         let count = run.files.len();
         return Ok(Err(format!("its {RUN_FILE} says {:?}, with {count} files", run.status)));
     }
@@ -94,26 +87,20 @@ fn check(folder: &Path, hashes: bool) -> Result<Result<(), String>, BatchError> 
         let found = match fs::metadata(&path) {
             Ok(found) => found.len(),
             Err(e) if e.kind() == ErrorKind::NotFound => return Ok(Err(format!("{name} is missing"))),
-            Err(source) => return Err(BatchError::Read { path, source }),
+            Err(source) => return Err(Error::Read { path, source }),
         };
         if found != file.bytes {
             return Ok(Err(format!("{name} has {found} bytes and should have {}", file.bytes)));
         }
-        if hashes && hash(&path).map_err(BatchError::read(&path))? != file.blake3 {
+        if hashes && hash::of_path(&path)? != file.blake3 {
             return Ok(Err(format!("{name} is not as it was written")));
         }
     }
     Ok(Ok(()))
 }
 
-fn hash(path: &Path) -> io::Result<String> {
-    let mut hasher = blake3::Hasher::new();
-    hasher.update_reader(File::open(path)?)?;
-    Ok(hasher.finalize().to_hex().to_string())
-}
-
 /// Publishes the finished run in the working folder as the result of a job, instead of an older one.
-pub(crate) fn publish(layout: &Layout, id: &str, key: &str, host: &str) -> Result<Published, BatchError> {
+pub(crate) fn publish(layout: &Layout, id: &str, key: &str, host: &str) -> Result<Published, Error> {
     let (work, target) = (layout.work(id), layout.result(id));
     match present(&target, key)? {
         Present::NotOurs => return Ok(Published::NotOurs),
@@ -125,7 +112,7 @@ pub(crate) fn publish(layout: &Layout, id: &str, key: &str, host: &str) -> Resul
     }
     let nonce = nonce(host);
     let incoming = layout.incoming(id).join(&nonce);
-    bring(&work, &incoming).map_err(BatchError::write(&incoming))?;
+    bring(&work, &incoming).map_err(Error::write(&incoming))?;
     if let Err(reason) = check(&incoming, true)? {
         // The next attempt starts again.
         remove(&incoming)?;
@@ -142,7 +129,7 @@ pub(crate) fn publish(layout: &Layout, id: &str, key: &str, host: &str) -> Resul
     Ok(Published::Yes)
 }
 
-fn mark(folder: &Path, id: &str, key: &str, host: &str) -> Result<(), BatchError> {
+fn mark(folder: &Path, id: &str, key: &str, host: &str) -> Result<(), Error> {
     let mark = ResultMark {
         format: FORMAT.to_owned(),
         version: VERSION,
@@ -155,13 +142,13 @@ fn mark(folder: &Path, id: &str, key: &str, host: &str) -> Result<(), BatchError
 }
 
 /// Moves the incoming result into place, after moving an older one away.
-fn swap(layout: &Layout, id: &str, key: &str, nonce: &str) -> Result<(), BatchError> {
+fn swap(layout: &Layout, id: &str, key: &str, nonce: &str) -> Result<(), Error> {
     let (target, old) = (layout.result(id), layout.outgoing(id).join(nonce));
     let replaces = target.exists();
     if replaces {
         fs::create_dir_all(layout.outgoing(id))
             .and_then(|()| fs::rename(&target, &old))
-            .map_err(BatchError::write(&target))?;
+            .map_err(Error::write(&target))?;
     }
     if let Err(error) = fs::rename(layout.incoming(id).join(nonce), &target) {
         if present(&target, key)? == Present::Same {
@@ -172,24 +159,24 @@ fn swap(layout: &Layout, id: &str, key: &str, nonce: &str) -> Result<(), BatchEr
             // The older result is better than none.
             let _ = fs::rename(&old, &target);
         }
-        return Err(BatchError::write(&target)(error));
+        return Err(Error::write(&target)(error));
     }
     sync_folder(layout.root());
     Ok(())
 }
 
 /// Clears up after a process that was killed while it published: a whole result is the working folder again.
-pub(crate) fn recover(layout: &Layout, id: &str) -> Result<(), BatchError> {
+pub(crate) fn recover(layout: &Layout, id: &str) -> Result<(), Error> {
     remove(&layout.outgoing(id))?;
     let (folder, work) = (layout.incoming(id), layout.work(id));
     let entries = match fs::read_dir(&folder) {
         Err(e) if e.kind() == ErrorKind::NotFound => return Ok(()),
-        entries => entries.map_err(BatchError::read(&folder))?,
+        entries => entries.map_err(Error::read(&folder))?,
     };
     for entry in entries {
-        let left = entry.map_err(BatchError::read(&folder))?.path();
+        let left = entry.map_err(Error::read(&folder))?.path();
         if !work.exists() && check(&left, true)?.is_ok() {
-            bring(&left, &work).map_err(BatchError::write(&work))?;
+            bring(&left, &work).map_err(Error::write(&work))?;
         } else {
             remove(&left)?;
         }
@@ -211,9 +198,9 @@ fn nonce(host: &str) -> String {
     blake3::hash(text.as_bytes()).to_hex().chars().take(16).collect()
 }
 
-pub(crate) fn remove(folder: &Path) -> Result<(), BatchError> {
+pub(crate) fn remove(folder: &Path) -> Result<(), Error> {
     match fs::remove_dir_all(folder) {
-        Err(e) if e.kind() != ErrorKind::NotFound => Err(BatchError::write(folder)(e)),
+        Err(e) if e.kind() != ErrorKind::NotFound => Err(Error::write(folder)(e)),
         _ => Ok(()),
     }
 }
@@ -300,7 +287,7 @@ mod tests {
             assert!(matches!(&got, Published::Bad(message) if message.contains(words)), "{words}: {got:?}");
             assert!(!layout.result("a").exists() && !work.exists() && is_calm(dir.path()));
         };
-        bad(&|| write_run(&work, "scene", "stopped"), "stopped");
+        bad(&|| write_run(&work, "scene", "stopped"), "Stopped");
         let same_size = || {
             fs::write(work.join("scene.safetensors"), "scenE").unwrap();
             assert!(check(&work, false).unwrap().is_ok(), "sizes alone do not tell");

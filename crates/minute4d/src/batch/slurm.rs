@@ -1,7 +1,6 @@
 //! A batch as an array of Slurm jobs.
 
-use crate::batch::BatchError;
-use m4_io::ErrorKind;
+use crate::{Category, Refusal};
 use std::ffi::OsStr;
 use std::fmt;
 use std::path::Path;
@@ -45,7 +44,7 @@ impl Script<'_> {
 
     /// The text of it. Its argument is the first job of its array, 0 where there is none.
     /// A value that cannot be written into a script is an error.
-    pub fn text(&self) -> Result<String, BatchError> {
+    pub fn text(&self) -> Result<String, Refusal> {
         let mut text = "#!/bin/bash\n# Written by `minute4d batch submit`.\n".to_owned();
         let mut directives = vec![
             "--job-name=minute4d".to_owned(),
@@ -107,22 +106,22 @@ exit "$code"
 "#;
 
 /// The error for a value that no script can hold.
-fn unusable(text: impl fmt::Debug, reason: &str) -> BatchError {
-    BatchError::refused(ErrorKind::BadData, format!("{text:?} cannot be used: {reason}"))
+fn unusable(text: impl fmt::Debug, reason: &str) -> Refusal {
+    Refusal::bad_input(format!("{text:?} cannot be used: {reason}"))
 }
 
 /// The error for a program of Slurm that refused.
-fn refused(program: &str, message: &str, script: &Path) -> BatchError {
+fn refused(program: &str, message: &str, script: &Path) -> Refusal {
     let message = format!("{program} refused: {message}; the script is {}", script.display());
-    BatchError::refused(ErrorKind::Io, message)
+    Refusal::new(Category::Io, message)
 }
 
-fn utf8(path: &Path) -> Result<&str, BatchError> {
+fn utf8(path: &Path) -> Result<&str, Refusal> {
     path.to_str().ok_or_else(|| unusable(path, "it is not UTF-8"))
 }
 
 /// A word of a directive, in quotes where it needs them.
-fn directive_text(text: &str) -> Result<String, BatchError> {
+fn directive_text(text: &str) -> Result<String, Refusal> {
     if text.contains(['\n', '\r', '"', '\\']) {
         return Err(unusable(text, "a line of #SBATCH cannot hold quotes, backslashes or a line end"));
     }
@@ -130,7 +129,7 @@ fn directive_text(text: &str) -> Result<String, BatchError> {
 }
 
 /// A word that the shell takes as it is.
-fn shell(word: &str) -> Result<String, BatchError> {
+fn shell(word: &str) -> Result<String, Refusal> {
     if word.contains('\0') {
         return Err(unusable(word, "no argument can hold a zero byte"));
     }
@@ -159,7 +158,7 @@ fn max_array_size(config: &str) -> Option<usize> {
 }
 
 /// Submits the script as the array `tasks` of the jobs from `first` on, asks Slurm for it again, and gives its number.
-pub fn submit(script: &Path, first: usize, tasks: &str) -> Result<String, BatchError> {
+pub fn submit(script: &Path, first: usize, tasks: &str) -> Result<String, Refusal> {
     let (array, index) = (format!("--array={tasks}"), first.to_string());
     let mut arguments: Vec<&OsStr> = vec!["--parsable".as_ref()];
     // The script itself has the first array.
@@ -182,11 +181,11 @@ pub fn submit(script: &Path, first: usize, tasks: &str) -> Result<String, BatchE
     Ok(id)
 }
 
-fn call(program: &str, args: &[&OsStr], script: &Path) -> Result<String, BatchError> {
+fn call(program: &str, args: &[&OsStr], script: &Path) -> Result<String, Refusal> {
     let output = Command::new(program).args(args).output();
     let output = output.map_err(|source| {
         let hint = "submit on a machine that has Slurm, or use --dry-run to write only the script";
-        BatchError::refused(ErrorKind::NotFound, format!("cannot start {program}: {source}; {hint}"))
+        Refusal::new(Category::NoInput, format!("cannot start {program}: {source}; {hint}"))
     })?;
     if !output.status.success() {
         return Err(refused(program, String::from_utf8_lossy(&output.stderr).trim(), script));

@@ -1,24 +1,22 @@
-//! Benchmarks of the kernels on this machine, compared with its limits.
+//! Benchmarks of the kernels on this machine.
 //!
 //! [`run`] times training steps and rendering on synthetic scenes ([`m4_kernels::bench`]); the
-//! [`BenchReport`] is what the program prints, saves and compares. `docs/bench.md` explains every column.
+//! [`BenchReport`] is what the program prints. `docs/bench.md` explains every column.
 
 #[cfg(feature = "gpu")]
 mod gpu;
-mod memory;
 mod report;
 mod table;
 
-pub use memory::{MemoryCase, MemoryConfig, MemoryReport, memory};
-pub use report::{BenchReport, Bound, Case, GpuCase, GpuMachine, KernelRow, Machine, StepRow};
+pub use report::{BenchReport, Case, GpuCase, GpuMachine, KernelRow, Machine, StepRow};
 pub(crate) use table::{aligned, number, today};
 
 use crate::device::DeviceChoice;
 use crate::stage::check_stop;
 use crate::{Error, Observer, with_threads};
 use cpu_time::ProcessTime;
-use m4_kernels::SimdLevel;
-use m4_kernels::bench::{Bench, Counts, Kernel, PEAK_EVALUATIONS, Probe, SceneConfig, SceneKind, Times, Work};
+use m4_kernels::bench::{Bench, Kernel, SceneConfig, SceneKind, Times};
+use m4_kernels::{FrameStats, SimdLevel};
 use std::time::{Duration, Instant};
 
 /// What to time: every combination of the lists.
@@ -34,10 +32,6 @@ pub struct BenchConfig {
     pub threads: Vec<usize>,
     /// Times that each view is stepped; the fastest counts, kernel by kernel.
     pub steps: usize,
-    /// Degree of the spatial harmonics of the colour, 0..=3.
-    pub sh_degree: usize,
-    /// Draw alone, without the rest of a training step.
-    pub render_only: bool,
     /// Where to run; on a GPU threads do not matter.
     pub device: DeviceChoice,
     /// What a GPU may be made to hold, megabytes; no limit where there is none.
@@ -56,8 +50,6 @@ impl Default for BenchConfig {
             scenes: vec![SceneKind::Static, SceneKind::FourD],
             threads: if all > 1 { vec![1, all] } else { vec![1] },
             steps: 15,
-            sh_degree: 0,
-            render_only: false,
             device: DeviceChoice::Cpu,
             max_vram_mb: None,
             cpu: None,
@@ -77,13 +69,7 @@ pub fn run(config: &BenchConfig, observer: &dyn Observer) -> Result<BenchReport,
     let mut scenes = Vec::new();
     for &kind in &config.scenes {
         for &(width, height) in &config.sizes {
-            scenes.extend(config.splats.iter().map(|&splats| SceneConfig {
-                splats,
-                width,
-                height,
-                sh_degree: config.sh_degree,
-                kind,
-            }));
+            scenes.extend(config.splats.iter().map(|&splats| SceneConfig { splats, width, height, kind }));
         }
     }
     #[cfg(feature = "gpu")]
@@ -98,11 +84,11 @@ pub fn run(config: &BenchConfig, observer: &dyn Observer) -> Result<BenchReport,
     }
     let cases = each(&scenes, config.threads.len(), observer, |scene| {
         let mut bench = Bench::new(level, scene).map_err(|e| Error::Internal { what: e.to_string() })?;
-        let counts: Vec<_> = (0..bench.views()).map(|view| bench.count(view)).collect();
+        let counts = count(&mut bench);
         let mut cases = Vec::new();
         for &threads in &config.threads {
             check_stop(observer, "bench", false)?;
-            cases.push(with_threads(Some(threads), || on_processor(level, scene, &counts, config, &mut bench))?);
+            cases.push(with_threads(Some(threads), || on_processor(scene, &counts, config, &mut bench))?);
         }
         Ok(cases)
     })?;
@@ -128,142 +114,53 @@ fn each(
     Ok(cases)
 }
 
-/// Least and most bytes that the probe of memory streams.
-const PROBE_BYTES: (f64, f64) = (1e6, 256e6);
-/// Operations of an evaluation on a GPU, forward and backward, counted by hand from the kernels: a multiply-add,
-/// comparison or root is 1, an `exp` or division 4 (a quarter of the rate of multiply-adds, as devices have it).
-const OPERATIONS: (f64, f64) = (24.0, 44.0);
+/// How much work each view is.
+fn count(bench: &mut Bench) -> Vec<FrameStats> {
+    let views = 0..bench.views();
+    let one = |view| {
+        bench.render(view);
+        bench.stats()
+    };
+    views.map(one).collect()
+}
 
 /// Times a scene on the current pool of threads; `counts` has one entry per view.
-fn on_processor(
-    level: SimdLevel,
-    scene: &SceneConfig,
-    counts: &[Counts],
-    config: &BenchConfig,
-    bench: &mut Bench,
-) -> Case {
-    let bytes: f64 = kernels(config).map(|kernel| mean_work(kernel, counts).bytes).sum();
-    let probe = Probe::run(level, bytes.clamp(PROBE_BYTES.0, PROBE_BYTES.1) as usize);
-    let steps = if config.render_only { None } else { Some(time_steps(bench, config.steps)) };
-    let (drawn, render_ms) = time_frames(bench, config.steps);
-    let timed =
-        Timed { kernels: steps.as_ref().map_or(drawn, |steps| steps.0), step: steps.map(|steps| steps.1), render_ms };
-    case(scene, counts, config, Some(level), &probe, timed, None)
+fn on_processor(scene: &SceneConfig, counts: &[FrameStats], config: &BenchConfig, bench: &mut Bench) -> Case {
+    let (kernels, step) = time_steps(bench, config.steps);
+    case(scene, counts, kernels, step, time_frames(bench, config.steps), None)
 }
 
-/// What a clock said of a case.
-struct Timed {
-    pub kernels: Millis,
-    pub step: Option<Step>,
-    pub render_ms: f64,
-}
-
-/// What a clock said of whole steps.
-struct Step {
-    pub ms: f64,
-    pub busy: f64,
-    pub loss: [f64; 2],
-}
-
-/// The report of a case: on the processor with the instructions of `level`, or on a GPU.
+/// The report of a case: on the processor, or on a GPU.
 fn case(
     scene: &SceneConfig,
-    counts: &[Counts],
-    config: &BenchConfig,
-    level: Option<SimdLevel>,
-    probe: &Probe,
-    timed: Timed,
+    counts: &[FrameStats],
+    kernels: Vec<KernelRow>,
+    step: StepRow,
+    render_ms: f64,
     gpu: Option<GpuCase>,
 ) -> Case {
-    let rows: Vec<KernelRow> = kernels(config)
-        .map(|kernel| row(kernel, mean_work(kernel, counts), timed.kernels[index(kernel)], level, probe))
-        .collect();
-    let mean = |f: fn(&Counts) -> f64| mean_over(counts.iter().map(f), counts.len());
-    let step = timed.step.map(|step| StepRow {
-        ms: step.ms,
-        per_s: 1e3 / step.ms,
-        busy: step.busy,
-        bound_ms: rows.iter().map(|r| r.bound_ms).sum(),
-        loss: step.loss,
-    });
+    let mean = |f: fn(&FrameStats) -> usize| mean_over(counts.iter().map(|c| f(c) as f64), counts.len());
     Case {
         scene: scene.kind.name().to_owned(),
         splats: scene.splats,
         width: scene.width,
         height: scene.height,
-        sh_degree: scene.sh_degree,
         threads: if gpu.is_some() { 1 } else { rayon::current_num_threads() },
-        alive: mean(|c| (c.alive[0] + c.alive[1]) as f64),
-        visible: mean(|c| c.visible as f64),
-        touched: mean(|c| (c.touched[0] + c.touched[1]) as f64),
-        pairs: mean(|c| c.pairs as f64),
-        blends_per_pixel: mean(|c| c.useful as f64 / (c.pixels as f64).max(1.0)),
-        useful_share: match gpu {
-            Some(_) => mean(|c| c.useful as f64 / ((c.used * GPU_TILE) as f64).max(1.0)),
-            None => mean(Counts::useful_share),
-        },
-        stream_gb_per_s: probe.bytes_per_s / 1e9,
-        multiply_add_g_per_s: probe.operations_per_s / 1e9,
-        kernels: rows,
+        visible: mean(|c| c.visible),
+        pairs: mean(|c| c.pairs),
+        kernels,
         step,
-        render_ms: timed.render_ms,
-        frames_per_s: 1e3 / timed.render_ms,
+        render_ms,
+        frames_per_s: 1e3 / render_ms,
         gpu,
     }
 }
 
-/// Pixels of a tile on a GPU.
-const GPU_TILE: usize = 16 * 16;
-
-fn kernels(config: &BenchConfig) -> impl Iterator<Item = Kernel> {
-    let all = !config.render_only;
-    Kernel::ALL.into_iter().filter(move |k| all || k.renders())
-}
-
-fn index(kernel: Kernel) -> usize {
-    Kernel::ALL.iter().position(|&k| k == kernel).unwrap_or_default()
-}
-
-fn mean_work(kernel: Kernel, counts: &[Counts]) -> Work {
-    let n = counts.len().max(1) as f64;
-    counts.iter().map(|c| kernel.work(c)).fold(Work::default(), |sum, w| Work {
-        bytes: sum.bytes + w.bytes / n,
-        operations: sum.operations + w.operations / n,
-        evaluations: sum.evaluations + w.evaluations / n,
-        items: sum.items + w.items / n,
-    })
-}
-
-/// Kernel by kernel, milliseconds.
-type Millis = [f64; Kernel::ALL.len()];
-
-/// The fastest times of each view, milliseconds: kernel by kernel, and of the whole.
-struct Fastest(Vec<(Millis, f64)>);
-
-impl Fastest {
-    fn of(views: usize) -> Self {
-        Self(vec![([f64::INFINITY; Kernel::ALL.len()], f64::INFINITY); views])
-    }
-
-    fn add(&mut self, view: usize, kernels: [Duration; Kernel::ALL.len()], whole: Duration) {
-        let (best, best_whole) = &mut self.0[view];
-        for (best, now) in best.iter_mut().zip(kernels) {
-            *best = best.min(ms(now));
-        }
-        *best_whole = best_whole.min(ms(whole));
-    }
-
-    /// Means over the views.
-    fn mean(&self) -> (Millis, f64) {
-        let mean = |of: &dyn Fn(&(Millis, f64)) -> f64| mean_over(self.0.iter().map(of), self.0.len());
-        (std::array::from_fn(|k| mean(&|best| best.0[k])), mean(&|best| best.1))
-    }
-}
-
-/// The fastest steps of each view, as means over the views.
-fn time_steps(bench: &mut Bench, steps: usize) -> (Millis, Step) {
+/// The fastest steps of each view, kernel by kernel and as a whole, as means over the views.
+fn time_steps(bench: &mut Bench, steps: usize) -> (Vec<KernelRow>, StepRow) {
+    const KERNELS: usize = Kernel::ALL.len();
     let views = bench.views();
-    let mut best = Fastest::of(views);
+    let mut best = vec![[f64::INFINITY; KERNELS + 1]; views];
     let mut loss = [0.0; 2];
     for view in 0..views {
         loss[0] += bench.step(view).loss / views as f64;
@@ -271,30 +168,35 @@ fn time_steps(bench: &mut Bench, steps: usize) -> (Millis, Step) {
     let (wall, cpu) = (Instant::now(), ProcessTime::now());
     for _ in 0..steps.max(1) {
         loss[1] = 0.0;
-        for view in 0..views {
+        for (view, best) in best.iter_mut().enumerate() {
             let Times { kernels, step, loss: value } = bench.step(view);
-            best.add(view, kernels, step);
+            for (best, now) in best.iter_mut().zip(kernels.into_iter().chain([step])) {
+                *best = best.min(ms(now));
+            }
             loss[1] += value / views as f64;
         }
     }
     let (cpu, wall) = (cpu.elapsed().as_secs_f64(), wall.elapsed().as_secs_f64());
-    let (kernels, ms) = best.mean();
-    (kernels, Step { ms, busy: cpu / (wall * rayon::current_num_threads() as f64), loss })
+    let mean = |k: usize| mean_over(best.iter().map(|best| best[k]), views);
+    let rows = Kernel::ALL.iter().enumerate();
+    let rows = rows.map(|(k, kernel)| KernelRow { kernel: kernel.name().to_owned(), ms: mean(k) }).collect();
+    let (ms, busy) = (mean(KERNELS), cpu / (wall * rayon::current_num_threads() as f64));
+    (rows, StepRow { ms, per_s: 1e3 / ms, busy, loss })
 }
 
-/// The fastest frames of each view, as means over the views: per kernel, and of whole frames.
-fn time_frames(bench: &mut Bench, frames: usize) -> (Millis, f64) {
-    let mut best = Fastest::of(bench.views());
+/// Milliseconds of the fastest frame of each view, as the mean over the views.
+fn time_frames(bench: &mut Bench, frames: usize) -> f64 {
+    let mut best = vec![f64::INFINITY; bench.views()];
     for round in 0..=frames {
-        for view in 0..bench.views() {
-            let (kernels, frame) = bench.render(view);
+        for (view, best) in best.iter_mut().enumerate() {
+            let frame = bench.render(view);
             // the first round fills the memory of the renderer
             if round > 0 {
-                best.add(view, kernels, frame);
+                *best = best.min(ms(frame));
             }
         }
     }
-    best.mean()
+    mean_over(best.iter().copied(), best.len())
 }
 
 fn mean_over(values: impl Iterator<Item = f64>, n: usize) -> f64 {
@@ -303,42 +205,4 @@ fn mean_over(values: impl Iterator<Item = f64>, n: usize) -> f64 {
 
 fn ms(d: Duration) -> f64 {
     d.as_secs_f64() * 1e3
-}
-
-/// `level` is none on a GPU.
-fn row(kernel: Kernel, mut work: Work, ms: f64, level: Option<SimdLevel>, probe: &Probe) -> KernelRow {
-    let forward = kernel == Kernel::Blend;
-    let evaluation = match level {
-        Some(level) => {
-            let peak = PEAK_EVALUATIONS
-                .iter()
-                .find(|p| p.level == level.name())
-                .map(|p| if forward { p.forward } else { p.backward });
-            peak.map_or(0.0, |peak| work.evaluations / (peak * rayon::current_num_threads() as f64))
-        }
-        None => {
-            work.operations += work.evaluations * if forward { OPERATIONS.0 } else { OPERATIONS.1 };
-            0.0
-        }
-    };
-    let limits = [
-        (Bound::Memory, work.bytes / probe.bytes_per_s),
-        (Bound::Arithmetic, work.operations / probe.operations_per_s),
-        (Bound::Evaluation, evaluation),
-    ];
-    let (bound, seconds) =
-        limits.into_iter().fold((Bound::Memory, 0.0), |best, now| if now.1 > best.1 { now } else { best });
-    let (bound_ms, seconds) = (seconds * 1e3, (ms * 1e-3).max(1e-9));
-    KernelRow {
-        kernel: kernel.name().to_owned(),
-        ms,
-        item: kernel.item().to_owned(),
-        ns_per_item: ms * 1e6 / work.items.max(1.0),
-        evaluations_g_per_s: (work.evaluations > 0.0).then(|| work.evaluations / seconds / 1e9),
-        bytes: work.bytes,
-        gb_per_s: work.bytes / seconds / 1e9,
-        bound_ms,
-        bound,
-        times_bound: ms / bound_ms.max(1e-9),
-    }
 }

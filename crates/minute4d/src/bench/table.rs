@@ -1,12 +1,5 @@
-//! Markdown tables whose columns also line up in a terminal, and reports saved as `DATE-MACHINE.json` and `.md`.
+//! Markdown tables whose columns also line up in a terminal, and the date of a report.
 
-use super::Machine;
-use crate::Error;
-use crate::record::write_json;
-use m4_io::atomic;
-use serde::Serialize;
-use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
 use std::time::{SystemTime, UNIX_EPOCH};
 
 /// A cell with this many digits, or a dash.
@@ -30,34 +23,6 @@ pub(crate) fn aligned(rows: &[Vec<String>]) -> String {
     lines.concat()
 }
 
-/// Writes a report of `subject` as JSON and as Markdown into `folder`, named by `date` and machine; returns the path of the JSON file.
-/// A report of the same day and machine is replaced.
-pub(super) fn save(
-    folder: &Path,
-    (date, subject): (&str, &str),
-    machine: &Machine,
-    report: &impl Serialize,
-    markdown: &str,
-) -> Result<PathBuf, Error> {
-    let name = format!("{date}-{}{subject}", slug(machine));
-    let json = folder.join(format!("{name}.json"));
-    write_json(&json, report)?;
-    let path = folder.join(format!("{name}.md"));
-    atomic::write(&path, markdown.as_bytes()).map_err(|source| Error::Write { path, source })?;
-    Ok(json)
-}
-
-/// GPU, or processor, cores and instructions, in characters that every file system accepts.
-fn slug(m: &Machine) -> String {
-    let name = match &m.gpu {
-        Some(gpu) => format!("{} {}", gpu.name, gpu.api),
-        None => format!("{} {} cores {}", m.cpu.as_deref().unwrap_or(&m.platform), m.cores, m.simd),
-    };
-    let letters: String =
-        name.chars().map(|c| if c.is_ascii_alphanumeric() { c.to_ascii_lowercase() } else { ' ' }).collect();
-    letters.split_whitespace().collect::<Vec<_>>().join("-")
-}
-
 /// The day, UTC.
 pub(crate) fn today() -> String {
     let seconds = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_secs());
@@ -76,22 +41,6 @@ fn civil(days: u64) -> (u64, u64, u64) {
     let day = of_year - (153 * month + 2) / 5 + 1;
     let month = if month < 10 { month + 3 } else { month - 9 };
     (era * 400 + year + u64::from(month <= 2), month, day)
-}
-
-/// The commit, when the program was started in its own source folder.
-pub(super) fn commit() -> Option<String> {
-    if !Path::new("crates/m4_kernels").is_dir() {
-        return None;
-    }
-    let output = Command::new("git")
-        .args(["describe", "--always", "--dirty", "--abbrev=12"])
-        .stdin(Stdio::null())
-        .stderr(Stdio::null())
-        .output()
-        .ok()?;
-    let text = String::from_utf8(output.stdout).ok()?;
-    let text = text.trim();
-    (output.status.success() && !text.is_empty()).then(|| text.to_owned())
 }
 
 #[cfg(test)]

@@ -11,7 +11,6 @@ use crate::enhance::{EnhanceError, Tracker};
 use crate::geometry::{FrontendPart, ReconstructionError, Segmenter};
 use crate::render::TimeError;
 use crate::settings::SettingsError;
-use crate::viewer::ViewerError;
 use m4_eval::geometry::GeometryError;
 use m4_eval::image::ImageError;
 use m4_geometry::classical::dense::DenseError;
@@ -24,7 +23,7 @@ use m4_train::init::InitError;
 use m4_viewer::FramesError;
 use m4_viewer::page::PageError;
 use m4_viewer::server::ServeError;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::{fmt, io};
 
 /// The command that builds the program with GPU support and networks, for messages about missing features.
@@ -129,9 +128,15 @@ pub enum Error {
     /// A time along a camera path.
     #[error(transparent)]
     Time(#[from] TimeError),
-    /// The page of a scene, and its server.
+    /// The page of a scene.
     #[error(transparent)]
-    Viewer(#[from] ViewerError),
+    Page(#[from] PageError),
+    /// The frames in it.
+    #[error(transparent)]
+    Frames(#[from] FramesError),
+    /// The server of the page.
+    #[error(transparent)]
+    Serve(#[from] ServeError),
     /// Scoring images.
     #[error(transparent)]
     Score(#[from] ImageError),
@@ -166,10 +171,21 @@ macro_rules! from_parts_of {
 from_parts_of! {
     DataError: ReadError, WriteError;
     ReconstructionError: SparseError, DenseError, MegasamError;
-    ViewerError: PageError, FramesError, ServeError;
 }
 
 impl Error {
+    /// For `map_err` after a read.
+    pub(crate) fn read(path: &Path) -> impl FnOnce(io::Error) -> Self {
+        let path = path.to_path_buf();
+        |source| Self::Read { path, source }
+    }
+
+    /// For `map_err` after a write.
+    pub(crate) fn write(path: &Path) -> impl FnOnce(io::Error) -> Self {
+        let path = path.to_path_buf();
+        |source| Self::Write { path, source }
+    }
+
     /// Returns the category of the failure.
     pub fn category(&self) -> Category {
         match self {
@@ -198,8 +214,9 @@ impl Error {
             Self::Train(TrainError::Device { .. }) => Category::NoDevice,
             Self::Init(_) | Self::Train(_) => Category::BadInput,
             Self::Time(_) => Category::Usage,
-            Self::Viewer(e) => e.category(),
-            Self::Score(_) | Self::ScoreGeometry(_) | Self::Row { .. } => Category::BadInput,
+            Self::Frames(_) => Category::Internal,
+            Self::Serve(_) => Category::TryAgain,
+            Self::Page(_) | Self::Score(_) | Self::ScoreGeometry(_) | Self::Row { .. } => Category::BadInput,
         }
     }
 

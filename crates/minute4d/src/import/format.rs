@@ -2,7 +2,7 @@
 
 use crate::Refusal;
 use crate::export::Format;
-use crate::render::{SwingConfig, swing};
+use crate::render::{SWING_FRAMES, swing};
 use m4_core::nalgebra::{Matrix3, Vector3};
 use m4_core::{Camera, Column, Exposure, Intrinsics, Scene, Se3, SourceFrame, Splats};
 use m4_io::dataset::{SourceFormat, megasam};
@@ -140,7 +140,7 @@ pub fn default_cameras(scene: &mut Scene, up: Option<[f64; 3]>) {
         scene.time_frames = STILL_FRAMES;
     }
     let n = scene.time_frames;
-    let cameras = swing(&camera, distance, n, &SwingConfig::default());
+    let cameras = swing(&camera, distance, n, SWING_FRAMES);
     scene.source = cameras
         .into_iter()
         .enumerate()

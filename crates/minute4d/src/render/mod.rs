@@ -9,11 +9,11 @@ mod swing;
 mod time;
 
 pub use draw::{Painter, SceneRenderer, to_rgb, view};
-pub use options::{PathConfig, PathOptions};
+pub use options::PathOptions;
 pub use path::{CameraPath, Plan, SourcePath, Stop};
 pub use region::Region;
 pub use spline::{PoseSpline, Spline};
-pub use swing::{SwingConfig, swing};
+pub use swing::{SWING_FRAMES, swing};
 pub use time::{Moment, Span, TimeError, TimePath};
 
 use crate::device::DeviceChoice;
@@ -36,18 +36,12 @@ pub struct RenderJob {
     pub path: CameraPath,
     /// The options of the path.
     pub options: PathOptions,
-    /// The defaults of the path.
-    pub config: PathConfig,
     /// Moments.
     pub time: TimePath,
     /// Frames a second; `None` for that of the file of cameras or of the source.
     pub fps: Option<f64>,
-    /// Columns and rows of the images; `None` for those of the cameras.
+    /// Columns and rows of the images; `None` for those of the cameras. A view of another aspect ratio is cropped.
     pub size: Option<(usize, usize)>,
-    /// Treatment of a different aspect ratio.
-    pub fit: Fit,
-    /// Times the focal length.
-    pub zoom: f64,
     /// Replace existing files.
     pub replace: bool,
     /// The device that renders.
@@ -60,12 +54,9 @@ impl RenderJob {
         Self {
             path,
             options: PathOptions::default(),
-            config: PathConfig::default(),
             time: TimePath::Source,
             fps: None,
             size: None,
-            fit: Fit::default(),
-            zoom: 1.0,
             replace: false,
             device: DeviceChoice::default(),
         }
@@ -83,10 +74,8 @@ impl RenderJob {
         let moments = self.time.moments(&own, plan.fps, &path::span(scene))?;
         for (stop, t) in plan.stops.iter_mut().zip(moments) {
             stop.t = t;
-            let k = &mut stop.camera.intrinsics;
-            *k = zoomed(k, self.zoom);
             if let Some(size) = self.size {
-                *k = fitted(k, size, self.fit)?;
+                stop.camera.intrinsics = cropped(&stop.camera.intrinsics, size)?;
             }
         }
         Ok(plan)
@@ -158,19 +147,9 @@ pub fn source_fps(scene: &Scene) -> f64 {
 /// Longest side of an image, pixels.
 pub const MAX_SIDE_PX: usize = 16_384;
 
-/// Treatment of a different aspect ratio.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum Fit {
-    /// The middle of the view fills the image; the rest is cut off.
-    #[default]
-    Crop,
-    /// All of the view is in the image, and beside it what lies beyond.
-    Extend,
-}
-
-/// The same view on an image of `width` x `height` pixels: pixels keep their shape, the middle of the
-/// image stays the middle, and the principal point moves with it.
-pub fn fitted(k: &Intrinsics, (width, height): (usize, usize), fit: Fit) -> Result<Intrinsics, Refusal> {
+/// The same view on an image of `width` x `height` pixels, cut off where the aspect ratio differs: pixels keep their shape, the middle
+/// of the image stays the middle, and the principal point moves with it.
+fn cropped(k: &Intrinsics, (width, height): (usize, usize)) -> Result<Intrinsics, Refusal> {
     let fits = |side: usize| (1..=MAX_SIDE_PX).contains(&side);
     if !fits(width) || !fits(height) {
         return Err(Refusal::usage(format!(
@@ -178,11 +157,7 @@ pub fn fitted(k: &Intrinsics, (width, height): (usize, usize), fit: Fit) -> Resu
         )));
     }
     let (w, h) = (width as f64, height as f64);
-    let (across, down) = (w / k.width as f64, h / k.height as f64);
-    let scale = match fit {
-        Fit::Crop => across.max(down),
-        Fit::Extend => across.min(down),
-    };
+    let scale = (w / k.width as f64).max(h / k.height as f64);
     Ok(Intrinsics {
         width,
         height,
@@ -193,43 +168,30 @@ pub fn fitted(k: &Intrinsics, (width, height): (usize, usize), fit: Fit) -> Resu
     })
 }
 
-/// The same image with everything `factor` times as large about the principal point.
-pub fn zoomed(k: &Intrinsics, factor: f64) -> Intrinsics {
-    Intrinsics { fx: k.fx * factor, fy: k.fy * factor, ..*k }
-}
-
 #[cfg(test)]
 mod tests {
-    use super::{Fit, fitted};
+    use super::cropped;
     use m4_core::Intrinsics;
 
     const K: Intrinsics = Intrinsics { width: 480, height: 360, fx: 400.0, fy: 410.0, cx: 250.0, cy: 170.0 };
 
     #[test]
-    fn fitting_keeps_the_ray_through_the_image_centre() {
+    fn a_crop_keeps_the_ray_through_the_image_centre() {
         // The ray through the middle of the image, whatever the size.
         let middle = |k: &Intrinsics| {
             let (w, h) = (k.width as f64, k.height as f64);
             ((0.5 * w - k.cx) / k.fx, (0.5 * h - k.cy) / k.fy)
         };
         for size in [(960, 720), (333, 111), (111, 333), (481, 361)] {
-            for fit in [Fit::Crop, Fit::Extend] {
-                let got = fitted(&K, size, fit).unwrap();
-                let ((a, b), (c, d)) = (middle(&K), middle(&got));
-                assert!((a - c).abs() < 1e-12 && (b - d).abs() < 1e-12, "{size:?} {fit:?}");
-                assert!((got.fx / got.fy - K.fx / K.fy).abs() < 1e-12);
-            }
+            let got = cropped(&K, size).unwrap();
+            let ((a, b), (c, d)) = (middle(&K), middle(&got));
+            assert!((a - c).abs() < 1e-12 && (b - d).abs() < 1e-12, "{size:?}");
+            assert!((got.fx / got.fy - K.fx / K.fy).abs() < 1e-12);
         }
-        assert_eq!(fitted(&K, (960, 720), Fit::Crop).unwrap(), K.resized(960, 720));
-    }
-
-    #[test]
-    fn a_crop_shows_less_and_an_extension_more() {
-        // A square out of 4:3: cropped, it has the height of the view; extended, its width.
-        let crop = fitted(&K, (360, 360), Fit::Crop).unwrap();
-        assert_eq!((crop.fx, crop.cx, crop.cy), (400.0, 190.0, 170.0));
-        let extended = fitted(&K, (480, 480), Fit::Extend).unwrap();
-        assert_eq!((extended.fx, extended.cx, extended.cy), (400.0, 250.0, 230.0));
-        assert!(fitted(&K, (0, 9), Fit::Crop).is_err() && fitted(&K, (9, 20_000), Fit::Crop).is_err());
+        assert_eq!(cropped(&K, (960, 720)).unwrap(), K.resized(960, 720));
+        // A square out of 4:3 has the height of the view.
+        let square = cropped(&K, (360, 360)).unwrap();
+        assert_eq!((square.fx, square.cx, square.cy), (400.0, 190.0, 170.0));
+        assert!(cropped(&K, (0, 9)).is_err() && cropped(&K, (9, 20_000)).is_err());
     }
 }

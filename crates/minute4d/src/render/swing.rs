@@ -1,53 +1,47 @@
 //! Cameras that swing around the centre of their view, and bullet time: plays, freezes time while the camera moves around, and plays on.
 
-use super::{PathConfig, PathOptions, Region, SourcePath, Stop};
+use super::{PathOptions, Region, SourcePath, Stop};
 use crate::Refusal;
 use m4_core::nalgebra::{Matrix3, Vector3};
 use m4_core::{Camera, Se3, exp_so3};
-use serde::{Deserialize, Serialize};
 use std::f64::consts::TAU;
 
-/// Shape of the swing.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct SwingConfig {
-    /// Greatest turn to either side, degrees. 6: beyond, the dynamic part begins to come apart, since it was seen
-    /// from one side alone (ours, judged by eye).
-    pub side_deg: f64,
-    /// Greatest turn up or down, degrees.
-    pub up_deg: f64,
-    /// Frames of one swing there and back. 60: two seconds at 30 frames per second.
-    pub period_frames: usize,
-}
-
-impl Default for SwingConfig {
-    fn default() -> Self {
-        Self { side_deg: 6.0, up_deg: 2.0, period_frames: 60 }
-    }
-}
+/// Greatest turn of a swing to either side, degrees. 6: beyond, dynamic regions, which were seen from one side alone at each moment,
+/// begin to come apart (ours, judged by eye on the pinwheel of the examples).
+const SIDE_DEG: f64 = 6.0;
+/// Greatest turn up or down, degrees.
+const UP_DEG: f64 = 2.0;
+/// Frames of one swing there and back: two seconds at 30 frames per second.
+pub const SWING_FRAMES: usize = 60;
+/// Smallest and greatest turn of a bullet to either side, degrees: the reach of the source camera is used within these limits.
+const BULLET_SIDE_DEG: [f64; 2] = [4.0, 6.0];
+/// Turn of a bullet up and down, as a share of the turn to the side.
+const BULLET_UP_SHARE: f64 = 0.3;
+/// Seconds for which a bullet path freezes time.
+const HOLD_S: f64 = 4.0;
+/// Seconds in which time slows down before, and speeds up after.
+const EASE_S: f64 = 0.4;
 
 /// `n` cameras that look at the point `distance` in front of `camera` (world units), swinging to both
-/// sides on a flat figure of eight; the first is `camera` itself.
-pub fn swing(camera: &Camera, distance: f64, n: usize, config: &SwingConfig) -> Vec<Camera> {
+/// sides on a flat figure of eight, there and back in `period_frames`; the first is `camera` itself.
+pub fn swing(camera: &Camera, distance: f64, n: usize, period_frames: usize) -> Vec<Camera> {
     let pivot = camera.c2w.transform(&Vector3::new(0.0, 0.0, distance));
-    let period = config.period_frames.max(2) as f64;
+    let period = period_frames.max(2) as f64;
     (0..n)
         .map(|i| {
-            let (side, up) = figure_of_eight(TAU * i as f64 / period, config);
+            let (side, up) = figure_of_eight(TAU * i as f64 / period);
             orbit(camera, &pivot, side, up)
         })
         .collect()
 }
 
 /// Turns to the side and up, radians, at a phase of the swing, radians.
-pub(super) fn figure_of_eight(phase: f64, config: &SwingConfig) -> (f64, f64) {
-    let side = config.side_deg.to_radians() * phase.sin();
-    let up = config.up_deg.to_radians() * (2.0 * phase).sin();
-    (side, up)
+fn figure_of_eight(phase: f64) -> (f64, f64) {
+    (SIDE_DEG.to_radians() * phase.sin(), UP_DEG.to_radians() * (2.0 * phase).sin())
 }
 
 /// The camera turned about `pivot`: `side` radians about its own vertical, `up` about its horizontal.
-pub(super) fn orbit(camera: &Camera, pivot: &Vector3<f64>, side: f64, up: f64) -> Camera {
+fn orbit(camera: &Camera, pivot: &Vector3<f64>, side: f64, up: f64) -> Camera {
     let axes = &camera.c2w.rotation;
     let (right, down) = (axes.column(0).into_owned(), axes.column(1).into_owned());
     let turn: Matrix3<f64> = exp_so3(&(down * side)) * exp_so3(&(right * up));
@@ -75,23 +69,22 @@ impl Bullet {
     /// # Errors
     ///
     /// A refusal of a path that is over before time is frozen.
-    pub fn new(freeze_s: f64, source_s: f64, options: &PathOptions, config: &PathConfig) -> Result<Self, Refusal> {
+    pub fn new(freeze_s: f64, source_s: f64, seconds: Option<f64>) -> Result<Self, Refusal> {
         let all = [freeze_s, (source_s - freeze_s).max(0.0)];
         // Slowing down over e seconds covers e / 2 seconds of the source.
-        let ease_s = all.map(|s| config.ease_s.min(2.0 * s).max(0.0));
-        let mut bullet = Self { freeze_s, played_s: all, ease_s, hold_s: options.hold_s.unwrap_or(config.hold_s) };
-        if let Some(seconds) = options.seconds {
+        let ease_s = all.map(|s| EASE_S.min(2.0 * s).max(0.0));
+        let mut bullet = Self { freeze_s, played_s: all, ease_s, hold_s: HOLD_S };
+        if let Some(seconds) = seconds {
             let short = seconds - bullet.seconds();
             let kept = source_s + short;
-            if short > 0.0 && options.hold_s.is_none() {
+            if short > 0.0 {
                 bullet.hold_s += short;
             } else if short < 0.0 {
                 let least: f64 = ease_s.iter().sum::<f64>() * 0.5;
                 if kept < least {
                     let hold_s = bullet.hold_s + 2.0 * least;
                     return Err(Refusal::usage(format!(
-                        "--seconds {seconds} leaves no time besides the {hold_s} s for which time is frozen; choose more, or less with \
-                         --hold-s"
+                        "--seconds {seconds} leaves no time besides the {hold_s} s for which time is frozen; choose more"
                     )));
                 }
                 // Both sides give in proportion, but keep what the slowing down needs.
@@ -127,22 +120,15 @@ impl Bullet {
     }
 
     /// The camera at a time of the path; `region` is where time is frozen.
-    pub fn stop(
-        &self,
-        path_s: f64,
-        source: &SourcePath,
-        region: &Region,
-        options: &PathOptions,
-        config: &PathConfig,
-    ) -> Stop {
+    pub fn stop(&self, path_s: f64, source: &SourcePath, region: &Region, options: &PathOptions) -> Stop {
         let (source_s, round) = self.at(path_s);
         if round <= 0.0 || round >= 1.0 {
             return source.at(source.moment(source_s));
         }
         // At rest at both ends.
         let phase = TAU * round * round * (3.0 - 2.0 * round);
-        let side = side_rad(region, options, config);
-        let (side, up) = (side * phase.sin(), side.abs() * config.up_share * (2.0 * phase).sin());
+        let side = side_rad(region, options);
+        let (side, up) = (side * phase.sin(), side.abs() * BULLET_UP_SHARE * (2.0 * phase).sin());
         Stop { camera: orbit(&region.stop.camera, &region.pivot(), side, up), ..region.stop }
     }
 }
@@ -153,17 +139,15 @@ fn eased(s: f64, ease_s: f64) -> f64 {
 }
 
 /// Greatest turn to either side that is good for the scene, radians, or what was asked for.
-pub fn side_rad(region: &Region, options: &PathOptions, config: &PathConfig) -> f64 {
-    let [least, most] = config.side_deg.map(f64::to_radians);
-    let good = (region.reach / region.distance).atan().clamp(least, most.max(least));
-    options.degrees.map_or(good, f64::to_radians) * options.amount.unwrap_or(1.0)
+fn side_rad(region: &Region, options: &PathOptions) -> f64 {
+    let [least, most] = BULLET_SIDE_DEG.map(f64::to_radians);
+    options.degrees.map_or_else(|| (region.reach / region.distance).atan().clamp(least, most), f64::to_radians)
 }
 
 /// The swing at a share of its length: a figure of eight, twice.
-pub fn swing_camera(region: &Region, share: f64, options: &PathOptions, config: &PathConfig) -> Camera {
-    let own = &config.swing;
-    let scale = options.amount.unwrap_or(1.0) * options.degrees.map_or(1.0, |d| d / own.side_deg);
-    let (side, up) = figure_of_eight(2.0 * TAU * share, own);
+pub fn swing_camera(region: &Region, share: f64, options: &PathOptions) -> Camera {
+    let scale = options.degrees.map_or(1.0, |d| d / SIDE_DEG);
+    let (side, up) = figure_of_eight(2.0 * TAU * share);
     orbit(&region.stop.camera, &region.pivot(), side * scale, up * scale)
 }
 
@@ -183,7 +167,7 @@ pub fn looking(centre: Vector3<f64>, target: &Vector3<f64>, down: &Vector3<f64>)
 
 #[cfg(test)]
 mod tests {
-    use super::{SwingConfig, swing};
+    use super::{SWING_FRAMES, swing};
     use m4_core::nalgebra::{Vector3, Vector6};
     use m4_core::{Camera, Intrinsics, Se3};
 
@@ -194,8 +178,7 @@ mod tests {
             c2w: Se3::identity().retract(&Vector6::new(1.0, -2.0, 0.5, 0.3, -0.4, 0.2)),
         };
         let pivot = camera.c2w.transform(&Vector3::new(0.0, 0.0, 3.0));
-        let config = SwingConfig::default();
-        let cameras = swing(&camera, 3.0, 60, &config);
+        let cameras = swing(&camera, 3.0, 60, SWING_FRAMES);
         assert!((cameras[0].c2w.matrix() - camera.c2w.matrix()).norm() < 1e-12);
         for c in &cameras {
             let ([u, v], z) = c.project(&pivot);

@@ -19,8 +19,6 @@ pub enum TimePath {
     Source,
     /// `freeze@T`: one moment for all.
     Freeze(Moment),
-    /// `A..B`: evenly from A at the first camera to B at the last; B may lie before A.
-    Range(Moment, Moment),
     /// `play`: from the first frame at the speed of the source, over and over.
     Play,
 }
@@ -31,7 +29,7 @@ pub enum TimePath {
 pub enum TimeError {
     /// The text has none of the known forms.
     #[error(
-        "{0:?} is not a time; write source, play, freeze@T or A..B, where T, A and B are frame numbers (12.5), or seconds with the suffix s (1.5s)"
+        "{0:?} is not a time; write source, play or freeze@T, where T is a frame number (12.5), or seconds with the suffix s (1.5s)"
     )]
     Form(String),
     /// The text is not a time.
@@ -83,18 +81,14 @@ impl FromStr for TimePath {
 
     fn from_str(text: &str) -> Result<Self, TimeError> {
         let form = || TimeError::Form(text.to_owned());
-        let moment = |t: &str| parse_moment(t.trim()).ok_or_else(form);
         if text == "source" {
             return Ok(Self::Source);
         }
         if text == "play" {
             return Ok(Self::Play);
         }
-        if let Some(t) = text.strip_prefix("freeze@") {
-            return Ok(Self::Freeze(moment(t)?));
-        }
-        let (a, b) = text.split_once("..").ok_or_else(form)?;
-        Ok(Self::Range(moment(a)?, moment(b)?))
+        let t = text.strip_prefix("freeze@").ok_or_else(form)?;
+        Ok(Self::Freeze(parse_moment(t.trim()).ok_or_else(form)?))
     }
 }
 
@@ -164,11 +158,6 @@ impl TimePath {
                 let moment = |i: usize| (i as f64 * per_s / fps) % (last + 1.0);
                 Ok((0..n).map(|i| moment(i).min(last)).collect())
             }
-            Self::Range(a, b) => {
-                let (a, b) = (span.frames(a)?, span.frames(b)?);
-                let share = |i: usize| if n > 1 { i as f64 / (n - 1) as f64 } else { 0.0 };
-                Ok((0..n).map(|i| a + (b - a) * share(i)).collect())
-            }
         }
     }
 }
@@ -185,8 +174,7 @@ mod tests {
         assert_eq!(read("source"), TimePath::Source);
         assert_eq!(read("freeze@12.5"), TimePath::Freeze(Moment::Frames(12.5)));
         assert_eq!(read("freeze@1.5s"), TimePath::Freeze(Moment::Seconds(1.5)));
-        assert_eq!(read("3..0.5s"), TimePath::Range(Moment::Frames(3.0), Moment::Seconds(0.5)));
-        for bad in ["", "now", "freeze", "freeze@", "freeze@x", "1..", "..2", "nan..2", "1..2..3", "freeze@1ms"] {
+        for bad in ["", "now", "freeze", "freeze@", "freeze@x", "1..2", "freeze@nan", "freeze@1ms"] {
             assert!(matches!(bad.parse::<TimePath>(), Err(TimeError::Form(_))), "{bad}");
         }
     }
@@ -209,8 +197,6 @@ mod tests {
         assert_eq!(at("play").unwrap(), [0.0, 0.5, 1.0]);
         let long = TimePath::Play.moments(&[0.0; 70], 20.0, &SPAN).unwrap();
         assert_eq!((long[60], long[61], long[62], long[64]), (30.0, 30.0, 0.0, 1.0));
-        assert_eq!(at("30..0").unwrap(), [30.0, 15.0, 0.0]);
-        assert_eq!(at("0s..3s").unwrap(), [0.0, 15.0, 30.0]);
         assert!(matches!(at("freeze@31"), Err(TimeError::Outside { last: 30, .. })));
         assert!(matches!(at("freeze@-1"), Err(TimeError::Outside { .. })));
         let unknown = Span { duration_s: None, ..SPAN };

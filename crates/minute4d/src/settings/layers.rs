@@ -289,19 +289,4 @@ mod tests {
         let text = refusal("zzz=2");
         assert!(!text.contains("did you mean") && text.contains("profile, video, capture"), "{text}");
     }
-
-    #[test]
-    fn a_wrong_type_names_key_and_value() {
-        let text = refusal("train.density.every=often");
-        assert!(text.contains("train.density.every = \"often\"") && text.contains("usize"), "{text}");
-        assert!(refusal("train.density.every=-1").contains("train.density.every = -1"));
-        assert!(refusal("train.density=3").contains("train.density = 3"));
-    }
-
-    #[test]
-    fn a_set_without_a_value_is_refused() {
-        for given in ["train.seed", "=3", "train..seed=3"] {
-            assert!(refusal(given).contains("is not of the form key=value"), "{given}");
-        }
-    }
 }

@@ -1,7 +1,7 @@
 //! Shows the scene in the browser during training.
 
+use super::pack;
 use super::view::{Source, event};
-use super::{LiveConfig, pack};
 use crate::folder::VIEWER_FILE;
 use crate::{Error, Observer, StageEvent};
 use m4_core::{Progress, Scene};
@@ -18,12 +18,15 @@ use std::time::{Duration, Instant};
 
 /// Time for which an ended run waits for pages to fetch its last scene.
 const LINGER: Duration = Duration::from_secs(3);
+/// Least seconds between two scenes: a person does not follow more.
+const EVERY_S: f64 = 2.0;
+/// Most of the machine's time that scenes for the page may take, which is not noticed; when they would take more there are fewer.
+const SHARE: f64 = 0.03;
 
 /// An observer that passes everything on, and shows scenes and metrics to the pages of a server.
 ///
-/// Training is asked for a copy of its scene only while a page is open, and only as often as
-/// [`LiveConfig`] allows; a thread of its own packs the copy. What is computed does not depend on any
-/// of it.
+/// Training is asked for a copy of its scene only while a page is open, and seldom; a thread of its own packs the copy. What is
+/// computed does not depend on any of it.
 pub struct Broadcast<'a> {
     inner: &'a dyn Observer,
     hub: Arc<Hub>,
@@ -42,7 +45,6 @@ struct Copied {
 /// When the next scene may be copied.
 #[derive(Debug)]
 struct Pace {
-    config: LiveConfig,
     threads: f64,
     busy: bool,
     next: Instant,
@@ -52,7 +54,7 @@ impl Pace {
     /// After a scene that held all threads for `waited` and one of them for `packed`.
     fn done(&mut self, waited: Duration, packed: Duration, now: Instant) {
         let cost_s = waited.as_secs_f64() + packed.as_secs_f64() / self.threads;
-        let pause_s = (cost_s / self.config.share.max(1e-3)).max(self.config.every_s);
+        let pause_s = (cost_s / SHARE).max(EVERY_S);
         self.busy = false;
         self.next = now + Duration::try_from_secs_f64(pause_s).unwrap_or(Duration::from_secs(60));
     }
@@ -67,12 +69,11 @@ impl<'a> Broadcast<'a> {
     ///
     /// # Errors
     ///
-    /// [`Error::Viewer`] if the port cannot be had, [`Error::Internal`] if there is no thread.
-    pub fn start(inner: &'a dyn Observer, title: &str, port: u16, live: LiveConfig) -> Result<Self, Error> {
+    /// [`Error::Serve`] if the port cannot be had, [`Error::Internal`] if there is no thread.
+    pub fn start(inner: &'a dyn Observer, title: &str, port: u16) -> Result<Self, Error> {
         let hub = Hub::waiting(title);
         let server = Server::start(Arc::clone(&hub), port)?;
         let pace = Arc::new(Mutex::new(Pace {
-            config: live,
             threads: rayon::current_num_threads() as f64,
             busy: false,
             next: Instant::now(),
@@ -193,13 +194,13 @@ impl Observer for Broadcast<'_> {
 
 #[cfg(test)]
 mod tests {
-    use super::{LiveConfig, Pace};
+    use super::Pace;
     use std::time::{Duration, Instant};
 
     #[test]
     fn scenes_that_cost_much_come_seldom() {
         let start = Instant::now();
-        let mut pace = Pace { config: LiveConfig::default(), threads: 2.0, busy: true, next: start };
+        let mut pace = Pace { threads: 2.0, busy: true, next: start };
         let ms = Duration::from_millis;
         pace.done(ms(1), ms(10), start);
         assert_eq!(pace.next - start, ms(2000), "no more than a person follows");

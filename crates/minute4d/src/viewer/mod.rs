@@ -14,14 +14,13 @@ use crate::folder::{CAPTURE_FOLDER, SCENE_FILE, VIEWER_FILE};
 use crate::render::{Painter, source_fps};
 use crate::settings::part_to_toml;
 use crate::workspace::{Task, Workspace};
-use crate::{Category, Error, StageEvent, hash};
+use crate::{Error, StageEvent, hash};
 use m4_core::{Capture, RgbImage, Scene};
 use m4_io::atomic::AtomicFile;
 use m4_kernels::SimdLevel;
-use m4_viewer::page::{self, Effort, PageError, Parts, TEMPLATE};
+use m4_viewer::page::{self, Compression, Parts, TEMPLATE};
 use m4_viewer::payload::{Payload, encode};
-use m4_viewer::server::ServeError;
-use m4_viewer::{About, FrameLimits, Frames, FramesError, Manifest, encode_frames, payload};
+use m4_viewer::{About, FRAME_BYTES, Frames, Manifest, encode_frames, payload};
 use serde::{Deserialize, Serialize};
 use std::fs;
 use std::io::Write;
@@ -36,55 +35,11 @@ pub const STAGE: &str = "viewer";
 pub struct ViewerConfig {
     /// Write `viewer.html` at the end of a run.
     pub write: bool,
-    /// The frames of the source, shown beside the scene.
-    pub frames: FrameLimits,
 }
 
 impl Default for ViewerConfig {
     fn default() -> Self {
-        Self { write: true, frames: FrameLimits::default() }
-    }
-}
-
-/// Update interval of an open page during training; not part of the result.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct LiveConfig {
-    /// Least seconds between two scenes. 2: a person does not follow more.
-    pub every_s: f64,
-    /// Most of the machine's time that scenes for the page may take; when they would take more there are
-    /// fewer. 0.03: not noticed.
-    pub share: f64,
-}
-
-impl Default for LiveConfig {
-    fn default() -> Self {
-        Self { every_s: 2.0, share: 0.03 }
-    }
-}
-
-/// Why a scene cannot be shown in a browser.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum ViewerError {
-    /// The page of a scene.
-    #[error(transparent)]
-    Page(#[from] PageError),
-    /// The frames in it.
-    #[error(transparent)]
-    Frames(#[from] FramesError),
-    /// The server of the page.
-    #[error(transparent)]
-    Serve(#[from] ServeError),
-}
-
-impl ViewerError {
-    /// Returns the category of the failure.
-    pub fn category(&self) -> Category {
-        match self {
-            Self::Page(_) => Category::BadInput,
-            Self::Frames(_) => Category::Internal,
-            Self::Serve(_) => Category::TryAgain,
-        }
+        Self { write: true }
     }
 }
 
@@ -104,12 +59,12 @@ fn median_depth(scene: &Scene, level: SimdLevel) -> f64 {
 }
 
 /// The frames of a capture for the page of a scene; `None` where they are not those of its cameras.
-fn frames(capture: &Capture, scene: &Scene, config: &ViewerConfig) -> Result<Option<Frames>, Error> {
+fn frames(capture: &Capture, scene: &Scene) -> Result<Option<Frames>, Error> {
     if capture.frames.len() != scene.source.len() {
         return Ok(None);
     }
     let images: Vec<&RgbImage> = capture.frames.iter().map(|f| &f.rgb).collect();
-    Ok(encode_frames(&images, &config.frames)?)
+    Ok(encode_frames(&images, FRAME_BYTES)?)
 }
 
 /// Writes the page within a run, unless that was done before or is not wanted.
@@ -140,12 +95,11 @@ pub(crate) fn stage(run: &mut Workspace<'_>, capture: &Capture, scene: &Scene) -
 }
 
 fn write(run: &Workspace<'_>, title: &str, capture: &Capture, scene: &Scene) -> Result<(), Error> {
-    let config = &run.job.settings.viewer;
     let (mut manifest, payload) = pack(scene, title, median_depth(scene, run.level));
-    let frames = frames(capture, scene, config)?;
+    let frames = frames(capture, scene)?;
     manifest.frames = frames.as_ref().map(|f| f.index.clone());
     let parts = Parts { manifest: &manifest, payload: Some(&payload.bytes), frames: frames.as_ref() };
-    let html = page::compose(TEMPLATE, &parts, Effort::Small)?;
+    let html = page::compose(TEMPLATE, &parts, Compression::default())?;
     let path = run.path(VIEWER_FILE);
     let failed = |source| Error::Write { path: path.clone(), source };
     let mut file = AtomicFile::create(&path).map_err(failed)?;

@@ -1,6 +1,6 @@
 //! `minute4d view`: finds the scene in a folder, shows it in the browser, and every newer one that replaces it.
 
-use super::{ViewerConfig, frames, median_depth, pack, title};
+use super::{frames, median_depth, pack, title};
 use crate::folder::{self, CAPTURE_FOLDER, METRICS_FILE, SCENE_FILE, VIEWER_FILE};
 use crate::record::{RunRecord, Status};
 use crate::{Error, Observer, is_capture};
@@ -42,7 +42,7 @@ pub struct Viewing {
 /// # Errors
 ///
 /// [`Error::Missing`] if there is no scene and no run, [`Error::Data`] if the scene cannot be
-/// read, [`Error::Viewer`] if the port cannot be had.
+/// read, [`Error::Serve`] if the port cannot be had.
 pub fn view(path: &Path, port: u16, observer: &dyn Observer) -> Result<Viewing, Error> {
     let level = SimdLevel::detect()?;
     let source = Source::new(path)?;
@@ -239,7 +239,7 @@ impl Source {
         let captures = [Some(self.path.join(CAPTURE_FOLDER)), input];
         let capture = captures.into_iter().flatten().find(|path| is_capture(path))?;
         let read = m4_io::capture::read(&capture, Split::Train, &CaptureOptions::default(), progress).ok()?;
-        frames(&read, scene, &ViewerConfig::default()).ok().flatten()
+        frames(&read, scene).ok().flatten()
     }
 }
 

@@ -36,7 +36,6 @@ use std::{env, fs, thread};
 static MEMORY: PeakAlloc = PeakAlloc;
 
 const READER: &str = "MINUTE4D_FUZZ_READER";
-const FROM: &str = "MINUTE4D_FUZZ_FROM";
 const FOLDER: &str = "MINUTE4D_FUZZ_FOLDER";
 const MALFORMED: usize = 300;
 const MUTATED: usize = 100;
@@ -94,21 +93,17 @@ fn named(name: &str) -> Reader {
 #[test]
 fn one_reader_within_limits() {
     let Ok(name) = env::var(READER) else { return };
-    let from = env::var(FROM).unwrap().parse().unwrap();
     let meter =
         Meter { reset: || MEMORY.reset_peak_usage(), peak: || MEMORY.peak_usage(), now: || MEMORY.current_usage() };
     let folder = PathBuf::from(env::var(FOLDER).unwrap());
-    work(&named(&name), &folder, from, inputs, meter).unwrap();
+    work(&named(&name), &folder, inputs, meter).unwrap();
 }
 
 fn replayed(name: &str, folder: &Path) -> Report {
-    let again = |from: usize| {
-        let mut command = Command::new(env::current_exe().unwrap());
-        command.args(["--exact", "one_reader_within_limits", "--nocapture"]);
-        command.env(READER, name).env(FROM, from.to_string()).env(FOLDER, folder);
-        command
-    };
-    watch(name, folder, again).unwrap()
+    let mut command = Command::new(env::current_exe().unwrap());
+    command.args(["--exact", "one_reader_within_limits", "--nocapture"]);
+    command.env(READER, name).env(FOLDER, folder);
+    watch(name, folder, command).unwrap()
 }
 
 #[test]
@@ -135,8 +130,8 @@ fn no_reader_fails_on_malformed_files() {
     println!("{} readers, {executions} files", reports.len());
     let findings: Vec<String> = reports
         .iter()
-        .flat_map(|(_, r)| &r.findings)
-        .map(|f| format!("{}: {}: {} ({})", f.reader, f.input, f.why, f.saved.display()))
+        .flat_map(|(name, r)| r.findings.iter().map(move |f| (name, f)))
+        .map(|(name, f)| format!("{name}: {}: {} ({})", f.input, f.why, f.saved.display()))
         .collect();
     assert!(findings.is_empty(), "{} findings:\n{}", findings.len(), findings.join("\n"));
     // malformed files that are all taken, or all refused with the valid ones, test nothing
@@ -158,8 +153,8 @@ fn panics_aborts_excess_memory_and_bad_output_are_detected() {
         assert_eq!(found.len(), 1, "{}: {:?}", reader.name, report.findings);
         assert!(found[0].why.contains(words), "{}", found[0].why);
         assert_eq!(fs::read(&found[0].saved).unwrap(), b"!");
-        // what comes behind it is read anyway
-        assert!(report.read > 50, "{}: {report:?}", reader.name);
+        // what comes behind it is read anyway, unless it ended the process
+        assert!(report.read > 50 || words == "aborted", "{}: {report:?}", reader.name);
     }
 }
 

@@ -1,19 +1,18 @@
-//! The process that reads, with a limit of memory, and the one that watches it: readers may panic, abort or hang. The process that
+//! The process that reads, with limits of memory and time, and the one that starts it: readers may panic, abort or hang. The process that
 //! reads prints a line for each input on standard output:
 //!
 //! ```text
-//! at I NAME                input I is read; its bytes lie in FOLDER/READER-current, should the process not come back
-//! read I, refused I        how it ended; neither where the reader panicked
-//! found I WHY              a panic, something not valid, a long message, much memory, much time; the input lies in FOLDER/READER-I
-//! done                     all inputs are through
+//! at NAME          the input is read; its bytes lie in FOLDER/READER-current, should the process not come back
+//! read, refused    how it ended; neither where the reader panicked
+//! found WHY        a panic, something not valid, a long message, much memory, much time; the input is kept
+//! done             all inputs are through
 //! ```
 
 use crate::reader::{Outcome, Reader, Stage};
-use std::io::{self, BufRead as _, BufReader, Write as _};
+use std::io::{self, Write as _};
 use std::panic::{AssertUnwindSafe, catch_unwind, set_hook};
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
-use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
+use std::process::{Command, Stdio, abort};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 use std::{fs, thread};
@@ -23,7 +22,7 @@ const ADDRESS_SPACE: u64 = 2 << 30;
 /// Memory that reading may take, bytes: this, and this many times the file.
 const FREE: usize = 64 << 20;
 const TIMES: usize = 64;
-/// Time that one file may take: a thousand times what is usual, on a machine that does much else.
+/// Time that one file may take: a thousand times what is usual, on a machine that does much else. After twice as long the process aborts.
 const MAX_TIME: Duration = Duration::from_secs(20);
 
 /// How much memory is taken; the allocator counts for the whole process.
@@ -40,50 +39,52 @@ fn current(folder: &Path, reader: &str) -> PathBuf {
     folder.join(format!("{reader}-current"))
 }
 
-/// Where input `i`, which failed, is kept.
-fn saved(folder: &Path, reader: &str, i: usize) -> PathBuf {
-    folder.join(format!("{reader}-{i}"))
+/// What the process that reads keeps in mind for its other threads.
+struct Watched {
+    /// When the current input was begun.
+    began: Mutex<Instant>,
+    /// The message of the last panic.
+    said: Mutex<String>,
 }
 
-/// Reads all inputs from number `from` on.
+/// Reads all inputs.
 pub fn work(
     reader: &Reader,
     folder: &Path,
-    from: usize,
     inputs: impl FnOnce(&Stage<'_>) -> Box<dyn Iterator<Item = (String, Vec<u8>)>>,
     meter: Meter,
 ) -> io::Result<()> {
     limit_memory(ADDRESS_SPACE)?;
-    let said = Arc::new(Mutex::new(String::new()));
-    let to = said.clone();
-    set_hook(Box::new(move |info| {
-        if let Ok(mut said) = to.lock() {
-            *said = info.to_string().replace('\n', " ");
-        }
-    }));
+    let watched = Arc::new(Watched { began: Mutex::new(Instant::now()), said: Mutex::default() });
+    let to = watched.clone();
+    set_hook(Box::new(move |info| *to.said.lock().unwrap() = info.to_string().replace('\n', " ")));
     let stage = reader.stage()?;
+    let seen = watched.clone();
+    thread::spawn(move || {
+        while seen.began.lock().unwrap().elapsed() < 2 * MAX_TIME {
+            thread::sleep(Duration::from_secs(1));
+        }
+        abort();
+    });
     let current = current(folder, reader.name);
     let mut out = io::stdout().lock();
     // the frame of tests may have begun a line
     writeln!(out)?;
-    for (i, (name, bytes)) in inputs(&stage).enumerate().skip(from) {
-        writeln!(out, "at {i} {name}")?;
+    for (name, bytes) in inputs(&stage) {
+        writeln!(out, "at {name}")?;
         out.flush()?;
-        match fs::remove_file(&current) {
-            Err(e) if e.kind() != io::ErrorKind::NotFound => return Err(e),
-            _ => fs::write(&current, &bytes)?,
-        }
+        fs::write(&current, &bytes)?;
         let before = (meter.now)();
         (meter.reset)();
         let start = Instant::now();
+        *watched.began.lock().unwrap() = start;
         let outcome = catch_unwind(AssertUnwindSafe(|| stage.read(&bytes)));
         let (taken, time) = ((meter.peak)().saturating_sub(before), start.elapsed());
         let fault = match outcome {
-            Err(_) => Some(said.lock().map(|s| s.clone()).unwrap_or_default()),
+            Err(_) => Some(watched.said.lock().unwrap().clone()),
             Ok(outcome) => {
                 let outcome = outcome?;
-                let how = if matches!(outcome, Outcome::Refused(_)) { "refused" } else { "read" };
-                writeln!(out, "{how} {i}")?;
+                writeln!(out, "{}", if matches!(outcome, Outcome::Refused(_)) { "refused" } else { "read" })?;
                 Stage::fault(&outcome)
             }
         };
@@ -91,18 +92,20 @@ pub fn work(
         let much = much.then(|| format!("{} MiB of memory for {} bytes", taken >> 20, bytes.len()));
         let slow = (time > MAX_TIME).then(|| format!("{time:.1?}"));
         if let Some(why) = fault.or(much).or(slow) {
-            fs::write(saved(folder, reader.name, i), &bytes)?;
             let short: String = why.chars().take(300).collect();
-            writeln!(out, "found {i} {}", short.replace('\n', " "))?;
-            out.flush()?;
+            writeln!(out, "found {}", short.replace('\n', " "))?;
+            fs::rename(&current, folder.join(format!("{}-{}", reader.name, file_name(&name))))?;
         }
     }
     writeln!(out, "done")?;
     out.flush()?;
-    match fs::remove_file(&current) {
-        Err(e) if e.kind() != io::ErrorKind::NotFound => Err(e),
-        _ => Ok(()),
-    }
+    let _ = fs::remove_file(&current);
+    Ok(())
+}
+
+/// The name of an input as that of a file.
+fn file_name(input: &str) -> String {
+    input.replace(|c: char| !c.is_ascii_alphanumeric(), "-")
 }
 
 /// Limits the address space of this process, bytes: what asks for more is aborted, whatever the machine has.
@@ -117,12 +120,8 @@ fn limit_memory(bytes: u64) -> io::Result<()> {
     Err(io::Error::other(format!("{bytes} bytes cannot be made the limit on this system")))
 }
 
-/// Findings after which a reader is left alone.
-const MAX_FINDINGS: usize = 12;
-
 #[derive(Debug, Clone)]
 pub struct Finding {
-    pub reader: String,
     pub input: String,
     pub why: String,
     pub saved: PathBuf,
@@ -136,82 +135,36 @@ pub struct Report {
     pub findings: Vec<Finding>,
 }
 
-/// Runs `command(from)`, a process that calls [`work`] for `reader`, until all inputs are through; after an input that it does
-/// not come back from it is started again behind that one.
-pub fn watch(reader: &str, folder: &Path, mut command: impl FnMut(usize) -> Command) -> io::Result<Report> {
+/// Runs `command`, a process that calls [`work`] for `reader`. An input that it does not come back from is its last.
+pub fn watch(reader: &str, folder: &Path, mut command: Command) -> io::Result<Report> {
+    // no other program decodes what ours does not
+    command.env("PATH", "/nonexistent").env("RAYON_NUM_THREADS", "1").stderr(Stdio::null());
+    let output = command.output()?;
     let mut report = Report::default();
-    let mut from = 0;
-    loop {
-        // no other program decodes what ours does not
-        let mut child = command(from)
-            .env("PATH", "/nonexistent")
-            .env("RAYON_NUM_THREADS", "1")
-            .stdout(Stdio::piped())
-            .stderr(Stdio::null())
-            .spawn()?;
-        let lines = lines(&mut child)?;
-        let mut at = (from, "the start".to_owned());
-        let ended = loop {
-            let line = match lines.recv_timeout(2 * MAX_TIME) {
-                Ok(line) => line,
-                Err(RecvTimeoutError::Timeout) => {
-                    child.kill()?;
-                    break Some(format!("it does not come back within {:?}", 2 * MAX_TIME));
-                }
-                Err(RecvTimeoutError::Disconnected) => break Some("it was aborted".to_owned()),
-            };
-            let mut words = line.splitn(3, ' ');
-            let (kind, number, rest) = (words.next(), words.next(), words.next().unwrap_or_default());
-            let number: usize = number.and_then(|n| n.parse().ok()).unwrap_or(0);
-            match kind {
-                Some("at") => {
-                    at = (number, rest.to_owned());
-                    report.executions += 1;
-                }
-                Some("read") => report.read += 1,
-                Some("refused") => report.refused += 1,
-                Some("found") => save(&mut report, reader, folder, &at, rest),
-                Some("done") => break None,
-                // what the frame of tests says
-                _ => {}
+    let (mut input, mut done) = ("the start".to_owned(), false);
+    let finding = |input: &str, why: String| {
+        let saved = folder.join(format!("{reader}-{}", file_name(input)));
+        Finding { input: input.to_owned(), why, saved }
+    };
+    for line in String::from_utf8_lossy(&output.stdout).lines() {
+        match line.split_once(' ').unwrap_or((line, "")) {
+            ("at", name) => {
+                input = name.to_owned();
+                report.executions += 1;
             }
-        };
-        let status = child.wait()?;
-        let Some(why) = ended else {
-            return Ok(report);
-        };
+            ("found", why) => report.findings.push(finding(&input, why.to_owned())),
+            ("read", "") => report.read += 1,
+            ("refused", "") => report.refused += 1,
+            ("done", "") => done = true,
+            // what the frame of tests says
+            _ => {}
+        }
+    }
+    if !done {
+        let last = finding(&input, format!("it was aborted, or did not come back ({})", output.status));
         // it may have died before it wrote one
-        if current(folder, reader).is_file() {
-            fs::copy(current(folder, reader), saved(folder, reader, at.0))?;
-        }
-        save(&mut report, reader, folder, &at, &format!("{why} ({status})"));
-        if report.findings.len() >= MAX_FINDINGS {
-            return Ok(report);
-        }
-        from = at.0 + 1;
+        let _ = fs::rename(current(folder, reader), &last.saved);
+        report.findings.push(last);
     }
-}
-
-fn lines(child: &mut Child) -> io::Result<Receiver<String>> {
-    let out = child.stdout.take().ok_or(io::ErrorKind::BrokenPipe)?;
-    let (to, from) = channel();
-    thread::spawn(move || {
-        for line in BufReader::new(out).lines().map_while(Result::ok) {
-            if to.send(line).is_err() {
-                break;
-            }
-        }
-    });
-    Ok(from)
-}
-
-fn save(report: &mut Report, reader: &str, folder: &Path, at: &(usize, String), why: &str) {
-    if report.findings.len() < MAX_FINDINGS {
-        report.findings.push(Finding {
-            reader: reader.to_owned(),
-            input: at.1.clone(),
-            why: why.to_owned(),
-            saved: saved(folder, reader, at.0),
-        });
-    }
+    Ok(report)
 }

@@ -2,20 +2,17 @@
 
 use crate::cli::Common;
 use crate::commands::program;
-use crate::failure::{Failure, chain};
+use crate::failure::Failure;
 use crate::options::{TrainingArgs, VideoArgs, print_config};
 use crate::output::{Output, duration};
 use clap::{Args, Subcommand};
 use minute4d::batch::slurm::{Script, largest_array, submit};
 use minute4d::batch::{
-    Arguments, BatchError, JobEnd, Manifest, Outcome, Plan, Report, Tools, Watch, index_of_environment, page, plan,
-    run_job,
+    Arguments, JobEnd, Manifest, Outcome, Plan, Report, Tools, index_of_environment, page, plan, run_job,
 };
-use minute4d::io::atomic::{self, AtomicFile};
-use minute4d::settings::Layers;
-use minute4d::{Category, Error, Progress, Settings};
+use minute4d::io::atomic;
+use minute4d::{Category, Error, Settings};
 use serde_json::json;
-use std::io::Write;
 use std::path::{Path, PathBuf};
 use sysinfo::System;
 
@@ -75,17 +72,6 @@ pub fn run(args: &Batch, common: &Common, output: &Output) -> Result<(), Failure
     }
 }
 
-/// Returns the BLAKE3 hash of an input, as recorded in its run.
-fn hash(path: &Path) -> Result<String, String> {
-    minute4d::hash_of_path(path).map_err(|e| chain(&e))
-}
-
-impl From<BatchError> for Failure {
-    fn from(error: BatchError) -> Self {
-        Self { code: Category::from(error.kind()).exit_code(), reason: chain(&error) }
-    }
-}
-
 fn submit_jobs(args: &BatchSubmit, output: &Output) -> Result<(), Failure> {
     let path = absolute(&args.manifest)?;
     let manifest = Manifest::read(&path)?;
@@ -100,7 +86,7 @@ fn submit_jobs(args: &BatchSubmit, output: &Output) -> Result<(), Failure> {
         max_parallel: args.max_parallel,
         options: &args.options,
     };
-    let (file, text, arrays) = (path.with_extension("sbatch"), script.text()?, script.arrays());
+    let (file, text, arrays) = (path.with_extension("sbatch"), script.text().map_err(Error::from)?, script.arrays());
     let failed = |path: &Path| {
         let path = path.to_path_buf();
         move |source| Error::Write { path, source }
@@ -112,7 +98,7 @@ fn submit_jobs(args: &BatchSubmit, output: &Output) -> Result<(), Failure> {
     let mut ids = Vec::new();
     if !args.dry_run {
         for (first, tasks) in &arrays {
-            ids.push(submit(&file, *first, tasks)?);
+            ids.push(submit(&file, *first, tasks).map_err(Error::from)?);
         }
         output.note(&format!("`minute4d batch status --manifest {}` shows their progress", path.display()));
     }
@@ -185,43 +171,31 @@ fn run_plan(args: &BatchPlan, output: &Output) -> Result<(), Failure> {
         given: &args.given,
         recursive: args.recursive,
         results: &results,
-        run: arguments(args, &settings, manifest)?,
-        hash: &hash,
+        run: arguments(args, &settings)?,
     })?;
     planned.write(manifest, args.force)?;
     let training = settings.train.budget_s.max(0.0) * planned.jobs.len() as f64;
-    let bytes: u64 = planned.jobs.iter().map(|j| j.bytes).sum();
     let spent = match training > 0.0 {
         true => format!("; training alone takes {}", duration(training)),
         false => String::new(),
     };
     output.note(&format!(
-        "{} clips, {:.1} MB{spent}; `minute4d batch submit --manifest {}` submits them to Slurm, and any scheduler may start \
+        "{} clips{spent}; `minute4d batch submit --manifest {}` submits them to Slurm, and any scheduler may start \
          `minute4d batch run` with --index 0 to {}",
         planned.jobs.len(),
-        bytes as f64 / 1e6,
         manifest.display(),
         planned.jobs.len() - 1
     ));
     let ids: Vec<&str> = planned.jobs.iter().map(|j| j.id.as_str()).collect();
     output.result(
         &manifest.display().to_string(),
-        json!({"path": manifest, "jobs": ids.len(), "ids": ids, "bytes": bytes, "training_s": training, "results": results}),
+        json!({"path": manifest, "jobs": ids.len(), "ids": ids, "training_s": training, "results": results}),
     );
     Ok(())
 }
 
-/// Returns the arguments of every run. To make sure that the jobs run what is planned, the settings are written to a temporary
-/// file next to the manifest and read back; a difference is an error.
-fn arguments(args: &BatchPlan, settings: &Settings, manifest: &Path) -> Result<Arguments, Failure> {
-    let text = settings.to_toml()?;
-    let failed = |source| Error::Write { path: manifest.to_path_buf(), source };
-    let mut file = AtomicFile::create(manifest).map_err(failed)?;
-    file.write_all(text.as_bytes()).and_then(|()| file.sync()).map_err(failed)?;
-    let again = Layers::default().file(file.temporary_path())?.finish()?;
-    if again != *settings {
-        return Err(Error::Internal { what: "the settings do not read back as they were written".to_owned() }.into());
-    }
+/// Returns the arguments of every run.
+fn arguments(args: &BatchPlan, settings: &Settings) -> Result<Arguments, Failure> {
     let mut arguments = vec!["--device".to_owned(), args.training.device.device.to_string()];
     if let Some(mb) = args.training.device.max_vram {
         arguments.extend(["--max-vram".to_owned(), mb.to_string()]);
@@ -230,7 +204,7 @@ fn arguments(args: &BatchPlan, settings: &Settings, manifest: &Path) -> Result<A
     if args.training.reach.allow_outside {
         arguments.push("--allow-outside".to_owned());
     }
-    Ok(Arguments { settings: text, arguments })
+    Ok(Arguments { settings: settings.to_toml()?, arguments })
 }
 
 /// Makes the paths in the settings absolute, since jobs may start in another folder.
@@ -275,10 +249,9 @@ fn run_index(args: &BatchRun, common: &Common, output: &Output) -> Result<(), Fa
     let tools = Tools {
         program: program()?,
         arguments: common.threads.map_or_else(Vec::new, |n| vec!["--threads".to_owned(), n.to_string()]),
-        hash: &hash,
         host: System::host_name().unwrap_or_else(|_| "unknown".to_owned()),
     };
-    let end = run_job(&manifest, index, args.retry_failed, &tools, &JobProgress(output)).map_err(batch_failure)?;
+    let end = run_job(&manifest, index, args.retry_failed, &tools, output).map_err(batch_failure)?;
     let id = &manifest.jobs[index].id;
     let text = describe(id, &end);
     output.result(
@@ -298,10 +271,10 @@ fn run_index(args: &BatchRun, common: &Common, output: &Output) -> Result<(), Fa
 }
 
 /// Maps an error outside the clip to an exit code: files that cannot be read or written may work later or on another machine; a bad manifest is bad settings.
-fn batch_failure(error: BatchError) -> Failure {
+fn batch_failure(error: Error) -> Failure {
     let category = match &error {
-        BatchError::Read { .. } | BatchError::Write { .. } => Category::TryAgain,
-        BatchError::Manifest { .. } => Category::BadSettings,
+        Error::Read { .. } | Error::Write { .. } => Category::TryAgain,
+        Error::Refused(refusal) if refusal.category == Category::BadInput => Category::BadSettings,
         _ => return error.into(),
     };
     Failure { code: category.exit_code(), ..error.into() }
@@ -316,18 +289,5 @@ fn describe(id: &str, end: &JobEnd) -> String {
             format!("{id} failed permanently before and is not run again without --retry-failed: {}", end.reason)
         }
         (Outcome::Retryable, _) => format!("{id} should be retried: {}", end.reason),
-    }
-}
-
-/// Forwards the progress of a job to the program's output.
-struct JobProgress<'a>(&'a Output);
-
-impl Watch for JobProgress<'_> {
-    fn stop(&self) -> bool {
-        self.0.cancelled()
-    }
-
-    fn progress(&self, phase: &str, done: usize, total: usize, note: &str) {
-        self.0.update(phase, done, total, note);
     }
 }

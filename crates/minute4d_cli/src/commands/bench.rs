@@ -1,17 +1,15 @@
-//! `minute4d bench`: milliseconds per kernel, next to the limits of the machine.
+//! `minute4d bench`: milliseconds per kernel and step.
 
 use super::doctor::processor;
-use super::program;
 use crate::cli::Common;
 use crate::failure::Failure;
 use crate::options::{choice, image_size, vram_limit};
 use crate::output::Output;
 use clap::Args;
 use clap::builder::TypedValueParser;
-use minute4d::bench::{self, BenchConfig, MemoryConfig};
+use minute4d::bench::{self, BenchConfig};
 use minute4d::device::DeviceChoice;
 use minute4d::kernels::bench::SceneKind;
-use std::path::PathBuf;
 
 #[derive(Debug, Args)]
 pub struct Bench {
@@ -27,12 +25,6 @@ pub struct Bench {
     /// Number of steps timed per view; the fastest counts [default: 15]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=100_000))]
     pub steps: Option<u32>,
-    /// Degree of the spherical harmonics that represent colour
-    #[arg(long, value_name = "D", default_value_t = 0, value_parser = clap::value_parser!(u8).range(0..=3))]
-    pub sh_degree: u8,
-    /// Measure rendering only, in frames per second
-    #[arg(long)]
-    pub render: bool,
     /// Short run: 100,000 splats at 480x360 and few steps, unless other options say otherwise
     #[arg(long)]
     pub quick: bool,
@@ -43,15 +35,6 @@ pub struct Bench {
     /// Limit of GPU memory in megabytes; a benchmark that needs more is refused
     #[arg(long, value_name = "MB", value_parser = clap::value_parser!(u32).range(1..))]
     pub max_vram: Option<u32>,
-    /// Measure the peak memory of training on synthetic clips instead
-    #[arg(long, conflicts_with_all = ["scene", "steps", "sh_degree", "render", "quick", "device", "max_vram"])]
-    pub memory: bool,
-    /// Numbers of frames of the synthetic clips [default: 96,400]
-    #[arg(long, value_name = "N", value_delimiter = ',', requires = "memory", value_parser = clap::value_parser!(u32).range(2..=10_000))]
-    pub frames: Option<Vec<u32>>,
-    /// Write DATE-MACHINE.json and .md into this folder [default: bench/runs]
-    #[arg(long, value_name = "DIR", num_args = 0..=1, default_missing_value = "bench/runs")]
-    pub save: Option<PathBuf>,
 }
 
 fn scene_kinds() -> impl TypedValueParser<Value = SceneKind> {
@@ -64,32 +47,7 @@ fn scene_kinds() -> impl TypedValueParser<Value = SceneKind> {
 const QUICK_STEPS: usize = 5;
 
 pub fn run(args: &Bench, common: &Common, output: &Output) -> Result<(), Failure> {
-    if args.memory {
-        return memory(args, output);
-    }
     let report = bench::run(&config(args, common)?, output)?;
-    if let Some(folder) = &args.save {
-        output.note(&format!("written to {}", report.save(folder)?.display()));
-    }
-    output.result(&report.to_markdown(), minute4d::plain_json(&report)?);
-    Ok(())
-}
-
-fn memory(args: &Bench, output: &Output) -> Result<(), Failure> {
-    let mut config = MemoryConfig { cpu: processor(), ..MemoryConfig::default() };
-    if let Some(frames) = &args.frames {
-        config.frames = frames.iter().map(|&n| n as usize).collect();
-    }
-    if let Some(&size) = args.size.as_ref().and_then(|sizes| sizes.first()) {
-        config.size = size;
-    }
-    if let Some(&splats) = args.splats.as_ref().and_then(|splats| splats.first()) {
-        config.splats = splats as usize;
-    }
-    let report = bench::memory(&program()?, &config, output)?;
-    if let Some(folder) = &args.save {
-        output.note(&format!("written to {}", report.save(folder)?.display()));
-    }
     output.result(&report.to_markdown(), minute4d::plain_json(&report)?);
     Ok(())
 }
@@ -116,8 +74,6 @@ fn config(args: &Bench, common: &Common) -> Result<BenchConfig, Failure> {
     if let Some(steps) = args.steps {
         config.steps = steps as usize;
     }
-    config.sh_degree = usize::from(args.sh_degree);
-    config.render_only = args.render;
     config.device = args.device;
     config.max_vram_mb = vram_limit(args.device, args.max_vram)?;
     config.cpu = processor();

@@ -3,14 +3,11 @@
 use crate::failure::Failure;
 use crate::output::Output;
 use serde::Serialize;
-use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
-use sysinfo::{Disks, System};
+use sysinfo::System;
 
 /// Free memory below which a note is printed, bytes.
 const LITTLE_MEMORY: u64 = 2 << 30;
-/// Free disk space below which a note is printed, bytes.
-const LITTLE_DISK: u64 = 1 << 30;
 
 #[derive(Debug, Serialize)]
 struct Machine {
@@ -22,7 +19,6 @@ struct Machine {
     simd: String,
     simd_available: Vec<&'static str>,
     memory: Option<Memory>,
-    disk: Option<Disk>,
     ffmpeg: Ffmpeg,
     gpus: Vec<GpuAdapter>,
     notes: Vec<String>,
@@ -49,15 +45,8 @@ struct Memory {
 }
 
 #[derive(Debug, Serialize)]
-struct Disk {
-    folder: PathBuf,
-    free_bytes: u64,
-}
-
-#[derive(Debug, Serialize)]
 struct Ffmpeg {
     found: bool,
-    program: PathBuf,
     version: Option<String>,
 }
 
@@ -74,7 +63,6 @@ fn examine() -> Result<Machine, Failure> {
         system.refresh_memory();
         system
     });
-    let folder = std::env::current_dir().unwrap_or_default();
     let simd = minute4d::kernels::SimdLevel::detect().map_err(minute4d::Error::from)?;
     let mut machine = Machine {
         minute4d: env!("CARGO_PKG_VERSION"),
@@ -85,7 +73,6 @@ fn examine() -> Result<Machine, Failure> {
         simd: simd.name().to_owned(),
         simd_available: minute4d::kernels::SimdLevel::available().iter().map(|l| l.name()).collect(),
         memory: system.map(|s| Memory { total_bytes: s.total_memory(), available_bytes: s.available_memory() }),
-        disk: disk_of(&folder),
         ffmpeg: ffmpeg(),
         gpus: gpus(),
         notes: Vec::new(),
@@ -101,23 +88,14 @@ pub(super) fn processor() -> Option<String> {
     (!brand.is_empty()).then_some(brand)
 }
 
-/// Returns the disk of a folder: that of the longest mount point above it.
-fn disk_of(folder: &Path) -> Option<Disk> {
-    let disks = Disks::new_with_refreshed_list().ok()?;
-    let above = disks.iter().filter(|disk| folder.starts_with(disk.mount_point()));
-    let disk = above.max_by_key(|disk| disk.mount_point().as_os_str().len())?;
-    Some(Disk { folder: folder.to_path_buf(), free_bytes: disk.available_space() })
-}
-
 fn ffmpeg() -> Ffmpeg {
-    let program = PathBuf::from("ffmpeg");
-    let output = Command::new(&program).arg("-version").stdin(Stdio::null()).output();
+    let output = Command::new("ffmpeg").arg("-version").stdin(Stdio::null()).output();
     let text = output.ok().filter(|o| o.status.success()).map(|o| String::from_utf8_lossy(&o.stdout).into_owned());
     let version = text.as_deref().and_then(|text| {
         let rest = text.lines().next()?.strip_prefix("ffmpeg version ")?;
         rest.split_whitespace().next().map(str::to_owned)
     });
-    Ffmpeg { found: text.is_some(), program, version }
+    Ffmpeg { found: text.is_some(), version }
 }
 
 #[cfg(feature = "gpu")]
@@ -173,9 +151,6 @@ fn notes(machine: &Machine) -> Vec<String> {
     if machine.memory.as_ref().is_some_and(|m| m.available_bytes < LITTLE_MEMORY) {
         notes.push("little free memory: reduce clips with --max-frames and --size".to_owned());
     }
-    if machine.disk.as_ref().is_some_and(|disk| disk.free_bytes < LITTLE_DISK) {
-        notes.push("little free disk space: a run of a hundred frames writes about 100 MB".to_owned());
-    }
     if machine.simd == "sse2" || machine.simd == "portable" {
         notes.push("no wide vector instructions (AVX2 or better): training is several times slower".to_owned());
     }
@@ -224,13 +199,6 @@ fn describe(machine: &Machine) -> String {
             machine.memory.as_ref().map_or_else(
                 || "unknown".to_owned(),
                 |m| format!("{:.1} GiB, {:.1} GiB free", gib(m.total_bytes), gib(m.available_bytes)),
-            ),
-        ),
-        (
-            "disk",
-            machine.disk.as_ref().map_or_else(
-                || "unknown".to_owned(),
-                |disk| format!("{:.1} GiB free in {}", gib(disk.free_bytes), disk.folder.display()),
             ),
         ),
         ("ffmpeg", ffmpeg),

@@ -1,5 +1,5 @@
 //! `minute4d eval`: scores a scene on held-out views; `minute4d eval-geometry`: scores a capture against ground truth; `minute4d split`:
-//! splits a capture into training and held-out frames; `minute4d inspect`: describes the contents of a file or folder.
+//! splits a capture into training and held-out frames.
 
 use crate::failure::Failure;
 use crate::options::ReachArgs;
@@ -149,20 +149,5 @@ pub fn split(args: &Split, output: &Output) -> Result<(), Failure> {
         record.frame_rule.description()
     ));
     output.result(&args.out.display().to_string(), minute4d::plain_json(&record)?);
-    Ok(())
-}
-
-#[derive(Debug, Args)]
-pub struct Inspect {
-    /// A video, a capture folder, a scene file or the folder of a run
-    pub path: PathBuf,
-    #[command(flatten)]
-    pub reach: ReachArgs,
-}
-
-pub fn inspect(args: &Inspect, output: &Output) -> Result<(), Failure> {
-    let found = minute4d::inspect::inspect(&args.path, args.reach.reach(), output)?;
-    let value = minute4d::plain_json(&found)?;
-    output.result(&found.to_string(), value);
     Ok(())
 }

@@ -59,7 +59,6 @@ pub fn run(cli: &Cli, output: &Output) -> Result<(), Failure> {
         Command::Ablate(args) => reproduce::ablate(args, output),
         Command::EvalGeometry(args) => eval::run_geometry(args, output),
         Command::Batch(args) => batch::run(args, &cli.common, output),
-        Command::Inspect(args) => eval::inspect(args, output),
         Command::Doctor => doctor::run(output),
         Command::Bench(args) => bench::run(args, &cli.common, output),
         Command::Weights(args) => weights::run(args, output),

@@ -1,12 +1,11 @@
 //! `minute4d render`: renders images or a video of a scene.
 
 use crate::failure::Failure;
-use crate::options::{choice, rate, render_size, zoom};
+use crate::options::{rate, render_size};
 use crate::output::Output;
 use clap::Args;
-use clap::builder::TypedValueParser;
 use minute4d::device::DeviceChoice;
-use minute4d::render::{CameraPath, Fit, Moment, PathOptions, RenderJob};
+use minute4d::render::{CameraPath, Moment, PathOptions, RenderJob};
 use serde_json::json;
 use std::path::PathBuf;
 
@@ -18,8 +17,8 @@ pub struct Render {
     /// `swing`, `bullet`, `test:TRANSFORMS` (a file of held-out views), or a file of cameras or keyframes (docs/paths.md)
     #[arg(long, value_name = "PATH", default_value = "train")]
     pub path: String,
-    /// Scene time: `source` (that of each camera), `play` (at the speed of the source, in a loop), `freeze@T`, or `A..B`;
-    /// T, A and B are frame numbers, or seconds with the suffix `s`, as in freeze@1.5s
+    /// Scene time: `source` (that of each camera), `play` (at the speed of the source, in a loop), or `freeze@T`;
+    /// T is a frame number, or seconds with the suffix `s`, as in freeze@1.5s
     #[arg(long, value_name = "TIME", default_value = "source")]
     pub time: String,
     /// Output: a folder for PNG images, an .mp4 file, or a .png file for a single image
@@ -28,15 +27,9 @@ pub struct Render {
     /// Frames per second [default: the rate of the camera file or of the source]
     #[arg(long, value_name = "FPS", value_parser = rate)]
     pub fps: Option<f64>,
-    /// Size of the images in pixels [default: that of the cameras]
+    /// Size of the images in pixels; a view of another aspect ratio is cropped [default: that of the cameras]
     #[arg(long, value_name = "WxH", value_parser = render_size)]
     pub size: Option<(usize, usize)>,
-    /// If the aspect ratio differs from that of the cameras: crop the view, or extend it
-    #[arg(long, default_value = "crop", requires = "size", value_parser = fits())]
-    pub fit: Fit,
-    /// Zoom factor; above 1 narrows the field of view
-    #[arg(long, value_name = "F", default_value_t = 1.0, value_parser = zoom)]
-    pub zoom: f64,
     /// Duration in seconds; `source`, `stabilised` and keyframes are played slower or faster to fit
     #[arg(long, value_name = "S", allow_negative_numbers = true, help_heading = "Camera paths")]
     pub seconds: Option<f64>,
@@ -44,21 +37,9 @@ pub struct Render {
     /// that is frozen; for `train`, `source` and `stabilised`, render only this image
     #[arg(long, value_name = "T", help_heading = "Camera paths")]
     pub at: Option<String>,
-    /// Scale the recommended camera motion by this factor, -10 to 10
-    #[arg(long, value_name = "F", allow_negative_numbers = true, help_heading = "Camera paths")]
-    pub amount: Option<f64>,
     /// `swing`, `bullet`: maximum rotation to either side, degrees
     #[arg(long, value_name = "DEG", allow_negative_numbers = true, help_heading = "Camera paths")]
     pub degrees: Option<f64>,
-    /// `stabilised`: standard deviation of the smoothing in seconds [default: 0.5]
-    #[arg(long, value_name = "S", help_heading = "Camera paths")]
-    pub smooth_s: Option<f64>,
-    /// `stabilised`: strength, from 0 (the source path) to 1 [default: 1]
-    #[arg(long, value_name = "F", help_heading = "Camera paths")]
-    pub strength: Option<f64>,
-    /// `bullet`: seconds for which time is frozen [default: 4]
-    #[arg(long, value_name = "S", help_heading = "Camera paths")]
-    pub hold_s: Option<f64>,
     /// Device that renders: `cpu`, `gpu` (the best one), `gpu:N` (`minute4d doctor` lists them), or `auto` (a hardware GPU if
     /// there is one, else the CPU)
     #[arg(long, value_name = "DEVICE", default_value = "cpu")]
@@ -68,31 +49,14 @@ pub struct Render {
     pub force: bool,
 }
 
-fn fits() -> impl TypedValueParser<Value = Fit> {
-    choice([
-        ("crop", "The centre of the view fills the image", Fit::Crop),
-        ("extend", "The image contains the whole view, and more at the sides", Fit::Extend),
-    ])
-}
-
 pub fn run(args: &Render, output: &Output) -> Result<(), Failure> {
     let usage = minute4d::Error::from;
     let at = args.at.as_deref().map(str::parse::<Moment>).transpose();
     let job = RenderJob {
-        options: PathOptions {
-            seconds: args.seconds,
-            at: at.map_err(usage)?,
-            amount: args.amount,
-            degrees: args.degrees,
-            smooth_s: args.smooth_s,
-            strength: args.strength,
-            hold_s: args.hold_s,
-        },
+        options: PathOptions { seconds: args.seconds, at: at.map_err(usage)?, degrees: args.degrees },
         time: args.time.parse().map_err(usage)?,
         fps: args.fps,
         size: args.size,
-        fit: args.fit,
-        zoom: args.zoom,
         replace: args.force,
         device: args.device,
         ..RenderJob::new(CameraPath::named(&args.path))

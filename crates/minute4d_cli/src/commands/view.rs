@@ -4,7 +4,7 @@ use crate::failure::Failure;
 use crate::output::Output;
 use clap::Args;
 use minute4d::record::RunRecord;
-use minute4d::viewer::{Broadcast, LiveConfig, title};
+use minute4d::viewer::{Broadcast, title};
 use minute4d::{Error, Observer};
 use serde_json::json;
 use std::io::IsTerminal;
@@ -58,7 +58,7 @@ pub fn while_training(
         return report(&work(output)?);
     }
     let name = title(out, &input.display().to_string());
-    let mut live = Broadcast::start(output, &name, args.port.unwrap_or(0), LiveConfig::default())?;
+    let mut live = Broadcast::start(output, &name, args.port.unwrap_or(0))?;
     output.address(live.url());
     open(live.url(), args.no_open, output);
     let done = work(&live);

@@ -2,7 +2,7 @@
 
 mod values;
 
-pub use values::{choice, image_size, rate, render_size, zoom};
+pub use values::{choice, image_size, rate, render_size};
 
 use crate::failure::Failure;
 use crate::output::Output;

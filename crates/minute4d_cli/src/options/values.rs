@@ -72,7 +72,3 @@ pub fn rate(text: &str) -> Result<f64, String> {
 fn positive(text: &str) -> Result<f64, String> {
     checked(text, |value| value > 0.0, "it must be above 0")
 }
-
-pub fn zoom(text: &str) -> Result<f64, String> {
-    checked(text, |value| (0.1..=10.0).contains(&value), "it must lie between 0.1 and 10")
-}

@@ -6,7 +6,7 @@ use minute4d::Silent;
 use minute4d::core::{Camera, Capture, CaptureFrame, Intrinsics, Plane, RgbImage, Se3, nalgebra::Vector6};
 use minute4d::io::capture::{self, Split};
 use minute4d::io::image::write_rgb;
-use minute4d::io::video::Mp4Writer;
+use minute4d::io::video::{self, Mp4Writer, VideoOptions};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output};
@@ -266,6 +266,12 @@ pub fn write_capture(folder: &Path, with_test: bool) {
 /// Reads a capture.
 pub fn read_capture(folder: &Path, split: Split) -> Capture {
     capture::read(folder, split, &Default::default(), &Silent).unwrap()
+}
+
+/// Number and size of the frames of a video.
+pub fn frames_of(path: &Path) -> (usize, (usize, usize)) {
+    let video = video::read(path, &VideoOptions::default(), &Silent).unwrap();
+    (video.frames.len(), video.frames[0].rgb.size())
 }
 
 /// The folder of a finished run of six frames in half a second, trained once for all tests that only read it.

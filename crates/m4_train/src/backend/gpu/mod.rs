@@ -1,11 +1,11 @@
 //! Training steps on a GPU.
 
 mod bench;
-mod exposure;
+mod colour;
 mod sum;
 mod trainer;
 
-pub use bench::{Bench, Drawing};
+pub use bench::Bench;
 pub use trainer::GpuTrainer;
 pub(crate) use trainer::TRAINING;
 
@@ -70,6 +70,10 @@ impl GpuBackend {
     }
 }
 
+fn refines_nothing() -> BackendError {
+    BackendError("cameras and exposures are refined on the CPU alone (train.refine); choose --device cpu".to_owned())
+}
+
 fn failed(error: GpuError) -> BackendError {
     BackendError(error.to_string())
 }
@@ -88,9 +92,8 @@ impl Backend for GpuBackend {
         Ok(())
     }
 
-    fn set_exposures(&mut self, exposures: &[Exposure]) -> Result<(), BackendError> {
-        self.trainer()?.set_exposures(exposures);
-        Ok(())
+    fn set_exposures(&mut self, _exposures: &[Exposure]) -> Result<(), BackendError> {
+        Err(refines_nothing())
     }
 
     fn upload(&mut self, splats: &Splats, adam: AdamState) -> Result<(), BackendError> {
@@ -123,6 +126,9 @@ impl Backend for GpuBackend {
     }
 
     fn step(&mut self, views: &[StepView<'_>], settings: &StepSettings<'_>) -> Result<(), BackendError> {
+        if views.iter().any(|view| view.camera || view.exposure) {
+            return Err(refines_nothing());
+        }
         self.trainer()?.step(views, settings).map_err(failed)
     }
 

@@ -1,9 +1,9 @@
 //! Jobs with a shell script instead of the program.
 
 use super::{JobEnd, Tools, index_of_environment, run_job};
-use crate::batch::child::Watch;
 use crate::batch::layout::Outcome;
 use crate::batch::manifest::{Arguments, Job, Manifest};
+use m4_core::Silent;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::{fs, thread};
@@ -14,26 +14,12 @@ struct Batch {
     manifest: Manifest,
 }
 
-fn hash(path: &Path) -> Result<String, String> {
-    let bytes = fs::read(path).map_err(|e| e.to_string())?;
-    Ok(blake3::hash(&bytes).to_hex().to_string())
-}
-
 /// Makes a program of a script. By another process: one that is forked here meanwhile would hold it open for writing.
 fn install(script: &str, program: &Path) {
     let text = program.with_extension("txt");
     fs::write(&text, script).unwrap();
     let mut command = Command::new("install");
     assert!(command.args(["-m", "755"]).args([&text, program]).status().unwrap().success());
-}
-
-struct Patient;
-
-impl Watch for Patient {
-    fn stop(&self) -> bool {
-        false
-    }
-    fn progress(&self, _: &str, _: usize, _: usize, _: &str) {}
 }
 
 impl Batch {
@@ -45,8 +31,7 @@ impl Batch {
         let job = Job {
             id: "clip".to_owned(),
             input: input.to_str().unwrap().to_owned(),
-            bytes: 6,
-            blake3: hash(&input).unwrap(),
+            blake3: crate::hash::of_path(&input).unwrap(),
             output: results.join("clip").to_str().unwrap().to_owned(),
         };
         let manifest = Manifest {
@@ -77,9 +62,8 @@ impl Batch {
     }
 
     fn again(&self, retry_failed: bool) -> JobEnd {
-        let tools =
-            Tools { program: self.path("program"), arguments: Vec::new(), hash: &hash, host: "here".to_owned() };
-        run_job(&self.manifest, 0, retry_failed, &tools, &Patient).unwrap()
+        let tools = Tools { program: self.path("program"), arguments: Vec::new(), host: "here".to_owned() };
+        run_job(&self.manifest, 0, retry_failed, &tools, &Silent).unwrap()
     }
 
     fn run(&self, body: &str) -> JobEnd {

@@ -1,9 +1,11 @@
 //! The report of a batch, read from the results alone.
 
-use crate::batch::BatchError;
-use crate::batch::layout::{JobRecord, Layout, Outcome, POSTER_FILE, RUN_FILE, read_json};
+use crate::Error;
+use crate::batch::layout::{JobRecord, Layout, Outcome};
 use crate::batch::manifest::{Job, Manifest};
 use crate::batch::publish::{Present, present};
+use crate::preview::POSTER_FILE;
+use crate::record::{RUN_FILE, read_json};
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 use serde::Serialize;
@@ -88,7 +90,7 @@ pub struct Report {
 
 impl Report {
     /// Reads how far every clip is.
-    pub fn read(manifest: &Manifest) -> Result<Self, BatchError> {
+    pub fn read(manifest: &Manifest) -> Result<Self, Error> {
         let layout = Layout::new(Path::new(&manifest.results));
         let mut clips = Vec::with_capacity(manifest.jobs.len());
         for job in &manifest.jobs {
@@ -142,7 +144,7 @@ impl Report {
     }
 }
 
-fn clip(layout: &Layout, job: &Job, key: &str) -> Result<ClipReport, BatchError> {
+fn clip(layout: &Layout, job: &Job, key: &str) -> Result<ClipReport, Error> {
     let record = JobRecord::read(&layout.state(&job.id), key)?;
     let result = layout.result(&job.id);
     let here = present(&result, key)?;

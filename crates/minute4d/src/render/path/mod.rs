@@ -7,16 +7,17 @@ pub use source::SourcePath;
 
 use super::options::unused;
 use super::swing::{Bullet, swing_camera};
-use super::{Painter, PathConfig, PathOptions, Region, RenderJob, Span, TimePath, source_fps};
+use super::{Painter, PathOptions, Region, RenderJob, Span, TimePath, source_fps};
 use crate::{Error, Refusal};
 use keyed::KeyedPath;
 use m4_core::{Camera, Exposure, Scene};
 use m4_io::trajectory::{self, Trajectory};
-use source::Smoothing;
 use std::fmt;
 use std::path::{Path, PathBuf};
 
 const MAX_FRAMES: usize = 100_000;
+/// Length of a swing, seconds; it goes there and back twice.
+const SWING_S: f64 = 4.0;
 /// Sources with fewer frames per second than this do not look smooth, so paths that can have more get
 /// [`super::DEFAULT_FPS`].
 const SMOOTH_FPS: f64 = 20.0;
@@ -99,14 +100,7 @@ impl CameraPath {
             return file(path, scene, job);
         }
         let source = SourcePath::new(scene, &self.to_string())?;
-        let made = Maker {
-            scene,
-            source: &source,
-            options: &job.options,
-            config: &job.config,
-            fps,
-            at: anchor(job, &span(scene))?,
-        };
+        let made = Maker { scene, source: &source, options: &job.options, fps, at: anchor(job, &span(scene))? };
         Ok(Plan { stops: made.stops(self, painter)?, fps })
     }
 
@@ -155,7 +149,6 @@ struct Maker<'a> {
     scene: &'a Scene,
     source: &'a SourcePath,
     options: &'a PathOptions,
-    config: &'a PathConfig,
     fps: f64,
     /// Frames.
     at: Option<f64>,
@@ -190,13 +183,7 @@ impl Maker<'_> {
 
     fn stabilised(&self, painter: &mut Painter<'_>) -> Result<Vec<Stop>, Refusal> {
         let region = self.region(painter);
-        let smoothing = Smoothing {
-            sigma_s: self.options.smooth_s.unwrap_or(self.config.smooth_s),
-            strength: self.options.strength.unwrap_or(1.0),
-            stray: self.config.stray * region.distance,
-            stray_rad: self.config.stray_deg.to_radians(),
-        };
-        let smoothed = source::stabilised(self.source, &smoothing);
+        let smoothed = source::stabilised(self.source, region.distance);
         self.along(|t| {
             let mut stop = self.source.at(t);
             stop.camera.c2w = smoothed.at(t);
@@ -207,10 +194,10 @@ impl Maker<'_> {
     /// About what one camera sees, in the moment of that camera.
     fn swing(&self, painter: &mut Painter<'_>) -> Result<Vec<Stop>, Refusal> {
         let region = self.region(painter);
-        let seconds = self.options.seconds.unwrap_or(self.config.seconds);
+        let seconds = self.options.seconds.unwrap_or(SWING_S);
         let n = closed_frames(seconds, self.fps)?;
         let stops = (0..n).map(|i| Stop {
-            camera: swing_camera(&region, i as f64 / n as f64, self.options, self.config),
+            camera: swing_camera(&region, i as f64 / n as f64, self.options),
             t: region.stop.t,
             exposure: Exposure::IDENTITY,
         });
@@ -221,9 +208,9 @@ impl Maker<'_> {
         let region = self.region(painter);
         let (first, _) = self.source.span();
         let freeze_s = (region.stop.t - first) / self.source.frames_per_s;
-        let bullet = Bullet::new(freeze_s, self.source.seconds(), self.options, self.config)?;
+        let bullet = Bullet::new(freeze_s, self.source.seconds(), self.options.seconds)?;
         let n = open_frames(bullet.seconds(), self.fps)?;
-        let stop = |i: usize| bullet.stop(i as f64 / self.fps, self.source, &region, self.options, self.config);
+        let stop = |i: usize| bullet.stop(i as f64 / self.fps, self.source, &region, self.options);
         Ok((0..n).map(stop).collect())
     }
 

@@ -98,21 +98,15 @@ const MAX_SAMPLES: f64 = 18_000.0;
 /// Half width of the window, standard deviations.
 const WINDOW_SIGMAS: f64 = 3.0;
 
-/// The parameters of the smoothing.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Smoothing {
-    /// Standard deviation, seconds.
-    pub sigma_s: f64,
-    /// From 0, the source, to 1.
-    pub strength: f64,
-    /// Furthest from the source, world units.
-    pub stray: f64,
-    /// Furthest from the direction of the source, radians.
-    pub stray_rad: f64,
-}
+/// Standard deviation of the smoothing, seconds.
+const SMOOTH_S: f64 = 0.5;
+/// Furthest that the smoothed camera leaves the source, as a share of the distance of what it looks at.
+pub(super) const STRAY: f64 = 0.08;
+/// Furthest that it turns away from the source, degrees.
+pub(super) const STRAY_DEG: f64 = 5.0;
 
-/// The smoothed poses of the source, by moment (frames).
-pub fn stabilised(source: &SourcePath, how: &Smoothing) -> PoseSpline {
+/// The smoothed poses of the source, by moment (frames); what the camera looks at is `distance` away, world units.
+pub fn stabilised(source: &SourcePath, distance: f64) -> PoseSpline {
     let (first, last) = source.span();
     let seconds = source.seconds();
     let steps = (seconds * RATE_HZ).ceil().clamp(1.0, MAX_SAMPLES);
@@ -121,7 +115,7 @@ pub fn stabilised(source: &SourcePath, how: &Smoothing) -> PoseSpline {
     let poses: Vec<Se3<f64>> = times.iter().map(|t| source.at(*t).camera.c2w).collect();
     let turns: Vec<UnitQuaternion<f64>> = poses.iter().map(|p| quaternion(&p.rotation)).collect();
     // Standard deviation in samples.
-    let sigma = if count > 1 { how.sigma_s / seconds * steps } else { 1.0 };
+    let sigma = if count > 1 { SMOOTH_S / seconds * steps } else { 1.0 };
     let reach = (WINDOW_SIGMAS * sigma).ceil().min(count as f64) as usize;
     let smoothed = (0..count).map(|i| {
         let window = i.saturating_sub(reach)..(i + reach + 1).min(count);
@@ -133,8 +127,8 @@ pub fn stabilised(source: &SourcePath, how: &Smoothing) -> PoseSpline {
             line.add(x, (-0.5 * (x / sigma).powi(2)).exp(), way, turn);
         }
         let (way, turn) = line.middle();
-        let way = limited(way, how.stray) * how.strength;
-        let turn = limited(turn, how.stray_rad) * how.strength;
+        let way = limited(way, STRAY * distance);
+        let turn = limited(turn, STRAY_DEG.to_radians());
         Se3 {
             rotation: (turns[i] * UnitQuaternion::from_scaled_axis(turn)).to_rotation_matrix().into_inner(),
             translation: poses[i].translation + way,

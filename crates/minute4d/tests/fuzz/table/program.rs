@@ -84,7 +84,6 @@ fn manifest(results: &str) -> Manifest {
     let job = |id: &str| Job {
         id: id.to_owned(),
         input: format!("/clips/{id}.mp4"),
-        bytes: 1000,
         blake3: "00".repeat(32),
         output: format!("{results}/{id}"),
     };
