@@ -83,6 +83,11 @@ fn draw_all<T: Real>(splats: &[Splat<T>], setup: &Setup<T>) -> (Vec<Drawn<T>>, V
     depth_order(&depths).into_iter().map(|i| all[i].clone()).unzip()
 }
 
+/// The ellipses of the splats in the frame, near to far.
+pub(crate) fn ellipses<T: Real>(splats: &[Splat<T>], setup: &Setup<T>) -> Vec<Ellipse<T>> {
+    draw_all(splats, setup).1
+}
+
 /// The image of `splats`.
 pub fn render<T: Real, C: Cutoff>(splats: &[Splat<T>], setup: &Setup<T>) -> Rendered<T> {
     let (drawn, ellipses) = draw_all(splats, setup);

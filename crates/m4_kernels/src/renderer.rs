@@ -26,6 +26,8 @@ pub struct FrameStats {
     pub visible: usize,
     /// Entries of all tile lists.
     pub pairs: usize,
+    /// Entries of the tile lists before every pixel of the tile was finished.
+    pub used: usize,
     /// Slice, project and shade, wall clock.
     pub project: Duration,
     /// Depth order and tile lists: a share of the wall clock of the bands, by time of the threads.
@@ -290,6 +292,7 @@ impl Renderer {
         FrameStats {
             visible: self.chunks.iter().map(Chunk::visible).sum(),
             pairs: self.bands.iter().map(|b| b.band.pairs()).sum(),
+            used: self.bands.iter().map(|b| b.used.total()).sum(),
             ..self.stats
         }
     }

@@ -57,7 +57,7 @@ fn is_there(dir: &Scratch) -> bool {
 
 #[cfg(feature = "gpu")]
 #[test]
-fn gpu_bench_reports_steps_and_memory() {
+fn gpu_bench_reports_the_same_columns() {
     let dir = Scratch::new();
     if !is_there(&dir) {
         return;
@@ -65,7 +65,10 @@ fn gpu_bench_reports_steps_and_memory() {
     let report = dir.succeed(&format!("{SMALL} --scene static --json")).result();
     assert!(!report["machine"]["gpu"]["name"].as_str().unwrap().is_empty());
     let case = &report["cases"][0];
-    assert!(case["step"]["ms"].as_f64().unwrap() > 0.0 && case["frames_per_s"].as_f64().unwrap() > 0.0, "{case}");
+    assert_eq!(case["kernels"].as_array().unwrap().len(), 7);
+    for kernel in case["kernels"].as_array().unwrap() {
+        assert!(kernel["ms"].as_f64().unwrap() > 0.0, "{kernel}");
+    }
     let [first, last] = [0, 1].map(|i| case["step"]["loss"][i].as_f64().unwrap());
     assert!(last < first, "{case}");
     let bytes = |name: &str| case["gpu"][name].as_f64().unwrap();

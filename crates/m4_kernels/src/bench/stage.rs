@@ -1,8 +1,8 @@
 //! Times training steps on a synthetic scene, kernel by kernel.
 
-use super::{SceneKind, scene};
+use super::{Counts, Kernel, SceneKind, scene, useful_evaluations};
 use crate::{
-    FrameGradient, FrameStats, Gradients, Renderer, SimdLevel, View,
+    FrameGradient, Gradients, Renderer, SimdLevel, View,
     adam::cpu::{self as adam, AdamConfig, AdamState},
     loss::cpu::{self as photometric, LossScratch, Target},
     morton_order,
@@ -15,45 +15,6 @@ const LAMBDA_SSIM: f32 = 0.2;
 /// Learning rate of every column: small, so that the scene stays what it is while it is timed.
 const RATE: f32 = 1e-4;
 
-/// A kernel of the training step.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-pub enum Kernel {
-    /// Slice, project and shade.
-    Project,
-    /// Depth order and tile lists.
-    Bin,
-    /// Tile lists to the image.
-    Blend,
-    /// L1 + SSIM and its gradient.
-    Photo,
-    /// Image gradient to ellipse gradients.
-    BlendBackward,
-    /// Ellipse gradients to parameter gradients.
-    ProjectBackward,
-    /// The optimiser.
-    Adam,
-}
-
-impl Kernel {
-    /// In the order in which a step runs them.
-    pub const ALL: [Self; 7] =
-        [Self::Project, Self::Bin, Self::Blend, Self::Photo, Self::BlendBackward, Self::ProjectBackward, Self::Adam];
-
-    /// As reports call it.
-    #[must_use]
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Project => "project",
-            Self::Bin => "bin",
-            Self::Blend => "blend",
-            Self::Photo => "photo",
-            Self::BlendBackward => "blend backward",
-            Self::ProjectBackward => "project backward",
-            Self::Adam => "adam",
-        }
-    }
-}
-
 /// What is drawn.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct SceneConfig {
@@ -63,6 +24,8 @@ pub struct SceneConfig {
     pub width: usize,
     /// Rows of the image.
     pub height: usize,
+    /// Degree of the spatial harmonics of the colour, 0..=3.
+    pub sh_degree: usize,
     /// Static or moving.
     pub kind: SceneKind,
 }
@@ -70,7 +33,7 @@ pub struct SceneConfig {
 impl Default for SceneConfig {
     /// 100,000 static splats of one colour each on 480x360 pixels.
     fn default() -> Self {
-        Self { splats: 100_000, width: 480, height: 360, kind: SceneKind::Static }
+        Self { splats: 100_000, width: 480, height: 360, sh_degree: 0, kind: SceneKind::Static }
     }
 }
 
@@ -89,7 +52,7 @@ impl BenchScene {
     /// The scene of `config`. Fails with [`ShapeError`] if the kernels contradict one another; not on any `config`.
     pub fn new(config: &SceneConfig) -> Result<Self, ShapeError> {
         let SceneConfig { width, height, kind, .. } = *config;
-        let splats = scene::splats(config.splats, (width, height), kind);
+        let splats = scene::splats(config.splats, (width, height), kind, config.sh_degree.min(3));
         Ok(Self {
             splats: splats.gather(&morton_order(&splats))?,
             views: scene::views(width, height, kind),
@@ -149,11 +112,20 @@ impl Bench {
         self.scene.views.len()
     }
 
-    /// Draws view `view` alone, and returns how long that took.
-    pub fn render(&mut self, view: usize) -> Duration {
+    /// Draws view `view` alone: time a kernel, in the order of [`Kernel::ALL`] (0 for those that do not
+    /// draw), and of the whole.
+    pub fn render(&mut self, view: usize) -> ([Duration; Kernel::ALL.len()], Duration) {
         let start = Instant::now();
         self.renderer.render(&self.scene.splats, &self.scene.views[view]);
-        start.elapsed()
+        let whole = start.elapsed();
+        let stats = self.renderer.stats();
+        let of = |kernel| match kernel {
+            Kernel::Project => stats.project,
+            Kernel::Bin => stats.bin,
+            Kernel::Blend => stats.blend,
+            _ => Duration::ZERO,
+        };
+        (Kernel::ALL.map(of), whole)
     }
 
     /// One training step on view `view`.
@@ -188,30 +160,63 @@ impl Bench {
         Times { kernels: Kernel::ALL.map(of), step, loss: loss.total }
     }
 
-    /// How much work the view drawn last was.
-    pub fn stats(&self) -> FrameStats {
-        self.renderer.stats()
+    /// What a step on view `view` has to do; draws it, and counts slowly.
+    pub fn count(&mut self, view: usize) -> Counts {
+        let view = &self.scene.views[view];
+        let splats = &self.scene.splats;
+        let frame = self.renderer.render(splats, view);
+        let pixels = frame.width * frame.height;
+        photometric::loss(
+            self.level,
+            &self.scene.target,
+            &frame.rgb,
+            LAMBDA_SSIM,
+            &mut self.scratch,
+            &mut self.gradient.rgb,
+        );
+        self.renderer.backward(splats, &self.gradient, false, &mut self.gradients);
+        let stats = self.renderer.stats();
+        let (first, rest) = self.gradients.touched.split_at(splats.n_static());
+        Counts {
+            pixels,
+            splats: splats.n(),
+            alive: [splats.n_static(), super::work::alive(splats, view.t)],
+            visible: stats.visible,
+            touched: [first, rest].map(|part| part.iter().filter(|&&t| t != 0).count()),
+            pairs: stats.pairs,
+            used: stats.used,
+            useful: useful_evaluations(splats, view),
+            shared_columns: splats.layout().shared_columns(),
+        }
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::{Bench, SceneConfig};
-    use crate::{SimdLevel, bench::SceneKind};
+    use crate::{
+        SimdLevel,
+        bench::{Kernel, SceneKind},
+    };
 
     #[test]
     fn steps_are_timed_and_lower_the_loss() {
         for kind in [SceneKind::Static, SceneKind::FourD] {
-            let config = SceneConfig { splats: 4000, width: 96, height: 72, kind };
+            let config = SceneConfig { splats: 4000, width: 96, height: 72, sh_degree: 1, kind };
             let mut bench = Bench::new(SimdLevel::best(), &config).unwrap();
-            bench.render(0);
-            let stats = bench.stats();
-            assert!(stats.visible > 0 && stats.pairs > stats.visible / 2, "{stats:?}");
-            assert!(kind == SceneKind::Static || stats.visible < 1200, "most dynamic splats are not there: {stats:?}");
+            let counts = bench.count(0);
+            assert!(counts.pairs >= counts.used && counts.used > counts.visible / 2, "{counts:?}");
+            assert!(counts.useful as usize > 3 * counts.pixels, "{counts:?}");
+            assert!((0.01..1.0).contains(&counts.useful_share()), "{counts:?}");
+            let [_, alive] = counts.alive;
+            assert!(alive < 4000 / 20, "most dynamic splats are not there: {alive}");
             let first = bench.step(0);
             let last = (0..10).map(|_| bench.step(0)).last().unwrap();
             assert!(last.step > last.kernels[0] && last.loss < first.loss, "{first:?} {last:?}");
-            assert!(last.kernels.iter().all(|time| !time.is_zero()), "{last:?}");
+            for kernel in Kernel::ALL {
+                let work = kernel.work(&counts);
+                assert!(work.bytes > 0.0, "{}", kernel.name());
+            }
         }
     }
 }

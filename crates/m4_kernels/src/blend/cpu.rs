@@ -69,6 +69,11 @@ impl Used {
         self.places.clear();
     }
 
+    /// Entries of all tiles.
+    pub(crate) fn total(&self) -> usize {
+        self.places.len()
+    }
+
     fn replay(&self) -> Replay<'_> {
         Replay { len: self.len.iter(), places: &self.places }
     }
@@ -316,7 +321,7 @@ mod tests {
         dispatch!(level.level(), s => score(s, &band, &rows, PLACE, &used, &weight, &mut scores));
         let sums = sums.iter().flat_map(|s: &Sums| s.0);
         let all = planes.iter().flatten().copied().chain(sums).chain(scores).collect();
-        (all, background, used.places.len())
+        (all, background, used.total())
     }
 
     #[test]

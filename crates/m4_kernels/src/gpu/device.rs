@@ -1,10 +1,11 @@
 //! Lists GPUs, opens one, and reports the memory that it holds.
 
-use crate::gpu::GpuError;
+use crate::{bench::Probe, gpu::GpuError};
 use cubecl::Device;
 use cubecl::MemoryScope;
 use cubecl::device::{WgpuBackend, WgpuDevice, WgpuDeviceKind};
 use cubecl::prelude::Client;
+use cubecl::profile::TimingMethod;
 use cubecl::wgpu::{
     AutoGraphicsApi, RuntimeOptions, try_init_setup,
     wgpu::{self, DeviceType},
@@ -340,5 +341,15 @@ impl Gpu {
         let doing = "giving memory back";
         self.wait(doing)?;
         self.client.memory_cleanup().map_err(|error| failed(doing, &error))
+    }
+
+    /// What the device can do at most, measured now, on 256 MB. Fails with [`GpuError`] if the device failed.
+    pub fn probe(&self) -> Result<Probe, GpuError> {
+        crate::gpu::timing::probe(self)
+    }
+
+    /// Whether kernels are timed by the device's own clock.
+    pub fn has_own_clock(&self) -> bool {
+        self.client.properties().timing_method == TimingMethod::Device
     }
 }

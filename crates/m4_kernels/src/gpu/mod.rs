@@ -21,6 +21,7 @@ mod cuda;
 mod device;
 mod error;
 pub mod frames;
+pub mod log;
 pub mod morton;
 mod plan;
 mod renderer;
@@ -28,6 +29,7 @@ pub mod scan;
 pub mod sort;
 pub mod splats;
 pub mod tally;
+mod timing;
 pub mod vector;
 pub mod work;
 
@@ -35,3 +37,4 @@ pub use device::{Adapter, AdapterKind, Choice, DeviceMemory, Gpu, Runtime, adapt
 pub use error::GpuError;
 pub use plan::{Part, Plan};
 pub use renderer::Renderer;
+pub use timing::{Laps, Stopwatch};

@@ -1,22 +1,23 @@
 //! The memory and the kernel launches of one frame.
 
-use crate::View;
-use crate::blend::gpu::{self as blend, backward as blend_backward, backward::SUMS};
+use crate::blend::gpu::{self as blend, backward as blend_backward};
 use crate::gpu::buffer::{Buffer, cubes, units};
 use crate::gpu::scan::Scan;
 use crate::gpu::sort::{Pairs, Sort};
 use crate::gpu::splats::DeviceSplats;
+use crate::gpu::timing::Stopwatch;
 use crate::gpu::vector::eye;
 use crate::gpu::{Gpu, GpuError};
 use crate::project::gpu::{RECORD, project, project_backward};
 use crate::tile_binning::gpu as tile_binning;
 use crate::tile_binning::gpu::{REACH, TILE};
+use crate::{View, bench::Kernel};
 use cubecl::prelude::{CubeCount, CubeDim};
 
 /// Entries of a bucket, and units of its cube.
 const BUCKET: usize = 32;
-/// Numbers of a checkpoint: transmittance, colours.
-pub const CHECKPOINT: usize = 4;
+/// Numbers of a checkpoint: transmittance, colours, depth.
+pub const CHECKPOINT: usize = 5;
 
 /// The sizes that memory is allocated for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -89,9 +90,11 @@ pub struct Work {
     pub(crate) sums: Buffer,
     /// The largest number of entries that a frame wanted, first of what may be more numbers.
     pub peak: Buffer,
+    /// Off outside of benches.
+    pub stopwatch: Stopwatch,
     /// Red, green, blue, transmittance, depth: planes.
     pub image: Buffer,
-    /// The loss's gradient with respect to the colours: planes.
+    /// The loss's gradient with respect to those (alpha instead of transmittance).
     pub gradient: Buffer,
     /// 1 for splats that reached a pixel.
     pub touched: Buffer,
@@ -103,7 +106,7 @@ impl Work {
         let client = &gpu.client;
         let (n, tiles, pixels, entries) = (size.n, size.tiles(), size.pixels(), size.entries);
         let only_training = |len: usize| if size.training { len } else { 1 };
-        let (buckets, sums) = (only_training(size.buckets()), only_training(SUMS * entries));
+        let (buckets, sums) = (only_training(size.buckets()), only_training(RECORD * entries));
         let checkpoints = CHECKPOINT * TILE * TILE * buckets;
         for (what, len) in [
             ("the splats of a frame", RECORD * n),
@@ -147,11 +150,12 @@ impl Work {
             tile_of_bucket: empty(buckets),
             checkpoints: empty(checkpoints),
             ends: empty(pixels),
-            planes: empty(only_training(4 * pixels)),
+            planes: empty(only_training(5 * pixels)),
             sums: empty(sums),
             peak: Buffer::words(client, &[0]),
+            stopwatch: Stopwatch::default(),
             image: empty(5 * pixels),
-            gradient: empty(only_training(3 * pixels)),
+            gradient: empty(only_training(5 * pixels)),
             touched: empty(n),
         })
     }
@@ -188,6 +192,7 @@ impl Work {
             splats.n_static as u32,
             splats.spec(view.mip),
         );
+        self.stopwatch.lap(gpu, Kernel::Project);
         // an even number of passes: the order is back in `depth`
         self.by_depth.run(client, &self.depth, &self.all, 32);
         tile_binning::gather::launch(
@@ -241,6 +246,7 @@ impl Work {
         if size.training {
             self.make_buckets(gpu);
         }
+        self.stopwatch.lap(gpu, Kernel::Bin);
         blend::blend::launch(
             client,
             cubes(tiles, 1),
@@ -258,6 +264,7 @@ impl Work {
             view.with_depth,
             size.training,
         );
+        self.stopwatch.lap(gpu, Kernel::Blend);
     }
 
     /// Cuts the lists of the tiles into buckets.
@@ -284,11 +291,23 @@ impl Work {
     }
 
     /// The gradient with respect to `splats`, into `out` and [`touched`](Self::touched), from
-    /// [`gradient`](Self::gradient); of the frame drawn last.
-    pub fn backward(&self, gpu: &Gpu, splats: &DeviceSplats, out: &DeviceSplats, mip: bool) {
+    /// [`gradient`](Self::gradient); of the frame drawn last. Into `camera` that with respect to the camera, ten sums for
+    /// each cube of 256 splats.
+    pub fn backward(
+        &mut self,
+        gpu: &Gpu,
+        splats: &DeviceSplats,
+        out: &DeviceSplats,
+        mip: bool,
+        with_alpha: bool,
+        with_depth: bool,
+        camera: Option<&Buffer>,
+    ) {
         let client = &gpu.client;
         let (size, n) = (self.size, self.size.n);
         let (width, height) = (size.width as u32, size.height as u32);
+        // all since the image was drawn
+        self.stopwatch.lap(gpu, Kernel::Photo);
         blend::pixels::launch(
             client,
             cubes(size.pixels(), 256),
@@ -297,6 +316,8 @@ impl Work {
             self.gradient.arg(),
             self.planes.arg(),
             size.pixels() as u32,
+            with_alpha,
+            with_depth,
         );
         let (count, dim) = self.cubes_of_buckets();
         blend_backward::blend_backward::launch(
@@ -316,7 +337,9 @@ impl Work {
             self.sums.arg(),
             width,
             height,
+            with_depth,
         );
+        self.stopwatch.lap(gpu, Kernel::BlendBackward);
         project_backward::launch(
             client,
             cubes(n, 256),
@@ -333,10 +356,13 @@ impl Work {
             out.colour.arg(),
             out.time.arg(),
             self.touched.arg(),
+            camera.unwrap_or(&self.peak).arg(),
             n as u32,
             splats.n_static as u32,
             splats.spec(mip),
+            camera.is_some(),
         );
+        self.stopwatch.lap(gpu, Kernel::ProjectBackward);
     }
 
     /// How many entries the frame drawn last wanted. Fails with [`GpuError`] if the device failed.

@@ -67,7 +67,7 @@ fn images_and_gradients_are_those_of_the_cpu() {
 
             let mut rng = CounterRng::new(seed, 5, 5);
             let mut plane = || (0..size.0 * size.1).map(|_| rng.normal() as f32).collect::<Vec<f32>>();
-            let g = FrameGradient { rgb: [plane(), plane(), plane()], ..FrameGradient::default() };
+            let g = FrameGradient { rgb: [plane(), plane(), plane()], alpha: plane(), depth: plane() };
             let (mut want, mut got) = (Gradients::default(), Gradients::default());
             cpu.backward(&splats, &g, false, &mut want);
             twin.backward(&view, &g, &mut got).unwrap();
@@ -150,7 +150,7 @@ fn both(what: &str, splats: &Splats, view: &View) {
     let Intrinsics { width, height, .. } = view.camera.intrinsics;
     let pixels = width * height;
     let plane = |step: usize| -> Vec<f32> { (0..pixels).map(|i| (i * step % 13) as f32 / 6.0 - 1.0).collect() };
-    let g = FrameGradient { rgb: [plane(5), plane(7), plane(8)], ..FrameGradient::default() };
+    let g = FrameGradient { rgb: [plane(5), plane(7), plane(8)], alpha: plane(9), depth: plane(11) };
     let (mut want, mut got) = (Gradients::default(), Gradients::default());
     cpu.backward(splats, &g, false, &mut want);
     twin.backward(view, &g, &mut got).unwrap();

@@ -1,27 +1,79 @@
-//! Steps of several frames.
+//! Steps of several frames, with the gradients of cameras and exposures.
 
 use crate::gpu;
 use crate::step::{LAMBDA, LAYOUT, columns, image, settings, start};
-use m4_core::Splats;
+use m4_core::{Exposure, Splats};
 use m4_kernels::adam::cpu::{AdamConfig, AdamState, step};
 use m4_kernels::gpu::GpuError;
 use m4_kernels::loss::cpu::{LossScratch, Target, loss};
-use m4_kernels::{FrameGradient, Gradients, Renderer, SimdLevel, View};
+use m4_kernels::{CameraGradient, FrameGradient, Gradients, Renderer, SimdLevel, View};
 use m4_testkit::assert_gradient;
 use m4_train::backend::gpu::GpuTrainer;
 use m4_train::backend::{StepSettings, StepView};
 
-/// The optimiser after a step along the sum of the gradients.
-fn on_the_cpu(splats: &Splats, views: &[(Target, View)], rates: &[f32]) -> AdamState {
-    let (mut renderer, mut scratch) = (Renderer::new(SimdLevel::best()), LossScratch::default());
+/// Corrections of two frames.
+pub const CASTS: [Exposure; 2] = [
+    Exposure { matrix: [[0.8, 0.1, 0.0], [0.05, 1.1, -0.1], [0.0, 0.2, 0.9]], offset: [0.02, 0.0, 0.05] },
+    Exposure { matrix: [[1.2, 0.0, 0.1], [0.0, 0.7, 0.0], [0.1, 0.0, 1.1]], offset: [-0.1, 0.05, 0.0] },
+];
+
+/// `matrix rgb + offset`, and unchanged without a correction.
+pub fn exposed(exposure: Option<&Exposure>, rgb: &[Vec<f32>; 3]) -> [Vec<f32>; 3] {
+    let Some(Exposure { matrix, offset }) = exposure else {
+        return rgb.clone();
+    };
+    [0, 1, 2].map(|r| {
+        let pixels = 0..rgb[0].len();
+        let colour = |i: usize| (0..3).map(|k| matrix[r][k] * rgb[k][i]).sum::<f32>();
+        pixels.map(|i| colour(i) + offset[r]).collect()
+    })
+}
+
+/// Of the colours before, given that of the colours after.
+pub fn pulled_back(exposure: Option<&Exposure>, g: &[Vec<f32>; 3]) -> [Vec<f32>; 3] {
+    let Some(Exposure { matrix, .. }) = exposure else {
+        return g.clone();
+    };
+    [0, 1, 2].map(|k| {
+        let pixels = 0..g[0].len();
+        pixels.map(|i| (0..3).map(|r| matrix[r][k] * g[r][i]).sum()).collect()
+    })
+}
+
+/// Rows of the matrix, each with its offset.
+fn of_exposure(rgb: &[Vec<f32>; 3], g: &[Vec<f32>; 3]) -> [f64; 12] {
+    let dot = |a: &[f32], b: &[f32]| -> f64 { a.iter().zip(b).map(|(a, b)| f64::from(a * b)).sum() };
+    std::array::from_fn(|i| match (i / 4, i % 4) {
+        (r, 3) => g[r].iter().map(|&g| f64::from(g)).sum(),
+        (r, k) => dot(&g[r], &rgb[k]),
+    })
+}
+
+/// Moments and the gradients of cameras and exposures after a step.
+struct Host {
+    adam: AdamState,
+    cameras: Vec<CameraGradient>,
+    exposures: Vec<[f64; 12]>,
+}
+
+fn on_the_cpu(splats: &Splats, views: &[(Target, View)], rates: &[f32]) -> Host {
+    let mut renderer = Renderer::new(SimdLevel::best());
+    let (mut scratch, mut cameras, mut exposures) = (LossScratch::default(), Vec::new(), Vec::new());
     let mut sum = Gradients::default();
     sum.reset(splats);
     sum.columns.iter_mut().for_each(|c| c.fill(0.0));
-    for (target, view) in views {
-        let drawn = renderer.render(splats, view);
-        let (mut g, mut out) = (FrameGradient::default(), Gradients::default());
-        loss(SimdLevel::best(), target, &drawn.rgb, LAMBDA, &mut scratch, &mut g.rgb);
-        renderer.backward(splats, &g, false, &mut out);
+    for (frame, (target, view)) in views.iter().enumerate() {
+        let drawn = renderer.render(splats, view).clone();
+        let mut g = FrameGradient::default();
+        let shown = exposed(CASTS.get(frame), &drawn.rgb);
+        loss(SimdLevel::best(), target, &shown, LAMBDA, &mut scratch, &mut g.rgb);
+        if frame < CASTS.len() {
+            exposures.push(of_exposure(&drawn.rgb, &g.rgb));
+        }
+        g.rgb = pulled_back(CASTS.get(frame), &g.rgb);
+        let mut out = Gradients::default();
+        renderer.backward(splats, &g, true, &mut out);
+        cameras.push(out.camera);
         for (to, from) in sum.columns.iter_mut().zip(&out.columns) {
             let first = splats.n() - to.len();
             for (i, to) in to.iter_mut().enumerate().filter(|&(i, _)| out.touched[first + i] == 1) {
@@ -32,7 +84,7 @@ fn on_the_cpu(splats: &Splats, views: &[(Target, View)], rates: &[f32]) -> AdamS
     }
     let (mut moved, mut adam) = (splats.clone(), AdamState::new(splats));
     step(SimdLevel::best(), &mut moved, &sum, &mut adam, &AdamConfig::default(), rates);
-    adam
+    Host { adam, cameras, exposures }
 }
 
 #[test]
@@ -47,15 +99,38 @@ fn a_batched_step_matches_the_cpu() {
         let want = on_the_cpu(&splats, chosen, &rates);
         let frames = chosen.iter().map(|(frame, _)| frame);
         let mut trainer = GpuTrainer::new(gpu.clone(), &splats, &AdamState::new(&splats), frames, 1 << 14).unwrap();
-        let asked: Vec<StepView<'_>> =
-            chosen.iter().enumerate().map(|(frame, (_, view))| StepView::new(frame, view)).collect();
+        let asked: Vec<StepView<'_>> = chosen
+            .iter()
+            .enumerate()
+            .map(|(frame, (_, view))| StepView { camera: true, exposure: true, ..StepView::new(frame, view) })
+            .collect();
+        trainer.set_exposures(&CASTS);
         trainer.step(&asked, &settings).unwrap();
         let stats = trainer.stats().unwrap();
         assert_eq!((stats.steps, stats.frames), (1, chosen.len()));
         let (_, adam) = trainer.download().unwrap();
-        let different = adam.step.iter().zip(&want.step).filter(|(a, b)| a != b).count();
+        let different = adam.step.iter().zip(&want.adam.step).filter(|(a, b)| a != b).count();
         assert!(different <= 2, "{different} splats moved by one alone");
-        assert_gradient("gradients", &columns(&adam.m), &columns(&want.m), 5e-3);
+        assert_gradient("gradients", &columns(&adam.m), &columns(&want.adam.m), 5e-3);
+        assert_eq!(stats.cameras.len(), chosen.len());
+        for (i, ((frame, got), want)) in stats.cameras.iter().zip(&want.cameras).enumerate() {
+            assert_eq!(*frame, i);
+            for (what, got, want) in [
+                ("tau", &got.tau[..], &want.tau[..]),
+                ("omega", &got.omega, &want.omega),
+                ("focal", &got.intrinsics[..2], &want.intrinsics[..2]),
+                ("centre", &got.intrinsics[2..], &want.intrinsics[2..]),
+            ] {
+                assert_gradient(&format!("camera {i}, {what}"), got, want, 5e-3);
+            }
+        }
+        assert_eq!(stats.exposures.len(), want.exposures.len());
+        for (i, ((frame, got), want)) in stats.exposures.iter().zip(&want.exposures).enumerate() {
+            assert_eq!(*frame, i);
+            assert_gradient(&format!("exposure {i}"), got, want, 5e-3);
+        }
+        let again = trainer.stats().unwrap();
+        assert!(again.cameras.is_empty() && again.exposures.is_empty());
     }
 }
 

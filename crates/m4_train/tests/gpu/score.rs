@@ -1,10 +1,11 @@
 //! Scores of density control.
 
 use crate::{
+    batch::{CASTS, exposed, pulled_back},
     gpu,
     step::{LAMBDA, image, start},
 };
-use m4_core::{Column, Splats};
+use m4_core::{Column, Exposure, Splats};
 use m4_kernels::{
     FrameGradient, Gradients, Renderer, SimdLevel, View,
     adam::cpu::AdamState,
@@ -17,12 +18,18 @@ use m4_train::{
     density::masked_error,
 };
 
-fn on_the_cpu(splats: &Splats, frames: &[Target], views: &[(usize, View)], settings: &ScoreSettings) -> [Vec<f32>; 2] {
+fn on_the_cpu(
+    splats: &Splats,
+    frames: &[Target],
+    views: &[(usize, View)],
+    exposures: &[Exposure],
+    settings: &ScoreSettings,
+) -> [Vec<f32>; 2] {
     let mut renderer = Renderer::new(SimdLevel::best());
     let (mut scratch, mut gradient, mut errors) = (LossScratch::default(), Default::default(), Vec::new());
     let mut out = [vec![0.0; splats.n()], vec![0.0; splats.n()]];
     for (frame, view) in views {
-        let rgb = renderer.render(splats, view).rgb.clone();
+        let rgb = exposed(exposures.get(*frame), &renderer.render(splats, view).rgb);
         let (level, target) = (SimdLevel::best(), &frames[*frame]);
         let photo = loss(level, target, &rgb, settings.lambda_ssim, &mut scratch, &mut gradient);
         error_map(level, target, &rgb, &mut errors);
@@ -45,13 +52,14 @@ fn scores_are_those_of_the_cpu() {
     let late = View { t: 6.5, ..view };
     let views = [(1, view), (0, late), (1, late)];
     let mut trainer = GpuTrainer::new(gpu, &splats, &AdamState::new(&splats), &frames, 1 << 14).unwrap();
-    for (threshold, range) in [
-        (0.1, ErrorRange::Quantile { high: 0.995 }),
-        (0.5, ErrorRange::Quantile { high: 0.5 }),
-        (0.3, ErrorRange::MinMax),
+    for (threshold, range, exposures) in [
+        (0.1, ErrorRange::Quantile { high: 0.995 }, &CASTS[..0]),
+        (0.5, ErrorRange::Quantile { high: 0.5 }, &CASTS[..]),
+        (0.3, ErrorRange::MinMax, &CASTS[..1]),
     ] {
+        trainer.set_exposures(exposures);
         let settings = ScoreSettings { lambda_ssim: LAMBDA, threshold, range };
-        let want = on_the_cpu(&splats, &frames, &views, &settings);
+        let want = on_the_cpu(&splats, &frames, &views, exposures, &settings);
         let got = trainer.score(&views, &settings).unwrap();
         for (got, want) in [&got.densify, &got.prune].into_iter().zip(&want) {
             assert!(want.iter().filter(|&&v| v > 0.1).count() > 100, "too little to compare");
@@ -88,7 +96,12 @@ fn an_image_that_is_wrong_everywhere_alike_scores_nothing() {
 }
 
 /// Residual, weight.
-fn sums_on_the_cpu(splats: &Splats, frames: &[Target], views: &[(usize, View)]) -> [[Vec<f64>; 3]; 2] {
+fn sums_on_the_cpu(
+    splats: &Splats,
+    frames: &[Target],
+    views: &[(usize, View)],
+    exposures: &[Exposure],
+) -> [[Vec<f64>; 3]; 2] {
     let mut renderer = Renderer::new(SimdLevel::best());
     let zero = || [0, 1, 2].map(|_| vec![0.0; splats.n()]);
     let (mut residual, mut weight) = (zero(), zero());
@@ -103,10 +116,10 @@ fn sums_on_the_cpu(splats: &Splats, frames: &[Target], views: &[(usize, View)]) 
         }
     };
     for (frame, view) in views {
-        let drawn = renderer.render(splats, view).rgb.clone();
+        let drawn = exposed(exposures.get(*frame), &renderer.render(splats, view).rgb);
         let target = frames[*frame].rgb();
         let rgb = [0, 1, 2].map(|k| -> Vec<f32> { drawn[k].iter().zip(&target[k]).map(|(a, b)| a - b).collect() });
-        let mut g = FrameGradient { rgb, ..FrameGradient::default() };
+        let mut g = FrameGradient { rgb: pulled_back(exposures.get(*frame), &rgb), ..FrameGradient::default() };
         add(&mut renderer, &g, &mut residual);
         g.rgb.iter_mut().for_each(|plane| plane.fill(1.0));
         add(&mut renderer, &g, &mut weight);
@@ -121,15 +134,18 @@ fn sums_are_those_of_the_cpu() {
     let frames = [image(0), image(2)];
     let views = [(0, view), (1, View { t: 6.5, ..view })];
     let mut trainer = GpuTrainer::new(gpu, &splats, &AdamState::new(&splats), &frames, usize::MAX).unwrap();
-    let [residual, weight] = sums_on_the_cpu(&splats, &frames, &views);
-    let got = trainer.colour_sums(&views, true).unwrap();
-    let wide = |plane: &[f32]| -> Vec<f64> { plane.iter().map(|&v| f64::from(v)).collect() };
-    for k in 0..3 {
-        assert_gradient("residuals", &wide(&got.residual[k]), &residual[k], 5e-3);
-        assert_gradient("weights", &wide(&got.weight[k]), &weight[k], 5e-3);
+    for exposures in [&CASTS[..0], &CASTS[..1]] {
+        trainer.set_exposures(exposures);
+        let [residual, weight] = sums_on_the_cpu(&splats, &frames, &views, exposures);
+        let got = trainer.colour_sums(&views, true).unwrap();
+        let wide = |plane: &[f32]| -> Vec<f64> { plane.iter().map(|&v| f64::from(v)).collect() };
+        for k in 0..3 {
+            assert_gradient("residuals", &wide(&got.residual[k]), &residual[k], 5e-3);
+            assert_gradient("weights", &wide(&got.weight[k]), &weight[k], 5e-3);
+        }
+        let again = trainer.colour_sums(&views, false).unwrap();
+        assert_eq!(again.residual, got.residual, "the same bits");
+        assert!(again.weight.iter().all(Vec::is_empty));
     }
-    let again = trainer.colour_sums(&views, false).unwrap();
-    assert_eq!(again.residual, got.residual, "the same bits");
-    assert!(again.weight.iter().all(Vec::is_empty));
     assert_eq!(trainer.download_splats().unwrap(), splats, "nothing moves");
 }

@@ -5,7 +5,7 @@ use m4_core::{SplatLayout, Splats};
 use m4_kernels::{
     FrameGradient, Gradients, Renderer, SimdLevel, View,
     adam::cpu::{AdamConfig, AdamState, step},
-    bench::{Bench as HostBench, SceneConfig},
+    bench::{Bench as HostBench, Kernel, SceneConfig},
     cover,
     loss::cpu::{LossScratch, Target, loss},
 };
@@ -172,23 +172,29 @@ fn frames_of_several_sizes_and_none_are_refused() {
 }
 
 #[test]
-fn the_steps_of_a_bench_lower_the_loss() {
+fn a_bench_times_every_kernel_and_lowers_the_loss() {
     let Some(gpu) = gpu("the bench") else { return };
     let config = SceneConfig { splats: 3000, width: 96, height: 72, ..SceneConfig::default() };
     let mut host = HostBench::new(SimdLevel::best(), &config).unwrap();
-    host.render(0);
-    let counts = host.stats();
-    let mut bench = Bench::new(gpu, host.into_scene()).unwrap();
+    let counts = host.count(0);
+    let mut bench = Bench::new(gpu.clone(), host.into_scene()).unwrap();
     let entries = bench.entries(0).unwrap();
     assert!(entries >= counts.visible && entries <= bench.room(), "{entries} for {counts:?}");
     // larger tiles, so fewer entries, of which each is at most 16 of the CPU's
     assert!(entries < counts.pairs && 16 * entries > counts.pairs, "{entries} for {counts:?}");
+    let laps = bench.laps(0).unwrap();
+    for (kernel, lap) in Kernel::ALL.iter().zip(laps) {
+        assert!(!lap.is_zero(), "{} took no time", kernel.name());
+    }
     let first = bench.stats().unwrap();
     for _ in 0..8 {
         bench.step(0).unwrap();
     }
     let last = bench.stats().unwrap();
     assert!(last.steps == 8 && last.l1 < first.l1, "{last:?} after {first:?}");
-    let (mut renderer, views) = bench.into_renderer().unwrap();
-    assert_eq!(renderer.render(&views[0]).unwrap().width, 96);
+    let mut drawing = bench.into_drawing().unwrap();
+    let laps = drawing.laps(0).unwrap();
+    for (kernel, lap) in Kernel::ALL.iter().zip(laps) {
+        assert_eq!(lap.is_zero(), !kernel.renders(), "{}: {lap:?}", kernel.name());
+    }
 }

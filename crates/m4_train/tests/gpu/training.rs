@@ -30,12 +30,13 @@ fn backend(gpu: &Gpu, limit_mb: Option<usize>) -> Box<dyn Backend> {
     Box::new(GpuBackend::new(gpu.clone(), limit_mb, 1))
 }
 
-/// Density control and a fit of colours within this many steps.
+/// Density control, a fit of colours and a new order within this many steps.
 fn config(iterations: usize) -> TrainConfig {
     let mut config = TrainConfig::fast();
     config.iterations = iterations;
     config.seed = 5;
     config.density = DensityConfig { from: 20, every: 20, prune_every: 40, ..DensityConfig::fast() };
+    config.reorder_every = 30;
     config
 }
 
@@ -74,8 +75,11 @@ fn a_gpu_learns_what_the_cpu_learns() {
     let (scene, capture) = video();
     let before = psnr(&start(&scene), &scene, &capture);
     let faithful = TrainConfig { iterations: 60, seed: 5, ..TrainConfig::faithful() };
-    let batched = TrainConfig { batch: 2, ..config(60) };
-    for (config, gain) in [(config(120), 2.0), (faithful, 1.0), (batched, 1.0)] {
+    let mut everything = config(60);
+    everything.batch = 2;
+    let refine = &mut everything.refine;
+    (refine.poses, refine.focal, refine.exposure, refine.from) = (true, true, true, 10);
+    for (config, gain) in [(config(120), 2.0), (faithful, 1.0), (everything, 1.0)] {
         let here = train(&scene, &capture, config.clone(), None);
         let there = train(&scene, &capture, config, Some(&gpu));
         let [a, b] = [&here, &there].map(|t| psnr(t.splats(), &scene, &capture));
@@ -83,22 +87,6 @@ fn a_gpu_learns_what_the_cpu_learns() {
         assert!((a - b).abs() < 0.1, "CPU {a:.3} dB, GPU {b:.3} dB");
         let (n, m) = (here.splats().n() as f64, there.splats().n() as f64);
         assert!((n - m).abs() < 0.03 * n + 2.0, "{n} and {m} splats");
-    }
-}
-
-#[test]
-fn refinement_on_a_gpu_is_refused() {
-    let Some(gpu) = gpu("training") else {
-        return;
-    };
-    let (scene, capture) = video();
-    for which in 0..2 {
-        let mut config = config(4);
-        (config.refine.poses, config.refine.exposure, config.refine.from) = (which == 0, which == 1, 0);
-        let mut trainer = Trainer::new(&capture, start(&scene), config, SimdLevel::best()).unwrap();
-        trainer.use_backend(backend(&gpu, None)).unwrap();
-        let error = trainer.run(&Silent, &mut |_| {}).unwrap_err().to_string();
-        assert!(error.contains("train.refine") && error.contains("--device cpu"), "{error}");
     }
 }
 

@@ -1,14 +1,14 @@
 //! Benchmark cases on a GPU.
 
-use super::{BenchConfig, Case, GpuCase, GpuMachine, StepRow, case, count, mean_over};
+use super::{BenchConfig, Case, Fastest, GpuCase, GpuMachine, Millis, Step, Timed, case, mean_over};
 use crate::device::DeviceChoice;
 use crate::stage::check_stop;
 use crate::{Error, Observer};
 use cpu_time::ProcessTime;
-use m4_kernels::bench::{Bench as Host, SceneConfig};
-use m4_kernels::gpu::{Choice, Gpu, GpuError, Plan, Renderer, adapters, best};
-use m4_kernels::{SimdLevel, StepStats, View};
-use m4_train::backend::gpu::Bench;
+use m4_kernels::bench::{Bench as Host, Counts, SceneConfig};
+use m4_kernels::gpu::{Choice, Gpu, GpuError, Laps, Plan, adapters, best};
+use m4_kernels::{SimdLevel, StepStats};
+use m4_train::backend::gpu::{Bench, Drawing};
 use std::time::{Duration, Instant};
 
 /// Steps are repeated until they take at least this long, so that the one wait does not count.
@@ -51,7 +51,7 @@ pub(super) fn run(
     observer: &dyn Observer,
 ) -> Result<Case, Error> {
     let mut host = Host::new(level, scene).map_err(|e| Error::Internal { what: e.to_string() })?;
-    let mut counts = count(&mut host);
+    let mut counts: Vec<Counts> = (0..host.views()).map(|view| host.count(view)).collect();
     let drawn = host.into_scene();
     let layout = drawn.splats.layout();
     let (n, n_static) = (drawn.splats.n(), drawn.splats.n_static());
@@ -67,28 +67,41 @@ pub(super) fn run(
     // what the case before left there
     gpu.give_back()?;
     let mut bench = Bench::new(gpu.clone(), drawn)?;
-    // tiles of the GPU are larger than those of the processor
+    // tiles of the GPU are larger than those of the processor: lists of its own, all of which is looked at
     for (view, counts) in counts.iter_mut().enumerate() {
         counts.pairs = bench.entries(view)?;
+        counts.used = counts.pairs;
     }
     let plan = plan(bench.room());
     plan.check(limit)?;
-    let (step, behind_one_another) = time_steps(gpu, &mut bench, config.steps, observer)?;
-    let memory = gpu.memory();
-    let (mut renderer, views) = bench.into_renderer()?;
-    let render_ms = time_frames(&mut renderer, &views, config.steps)?;
+    let own_clock = bench.own_clock();
+    let steps = time_steps(&mut bench, config.steps, observer)?;
+    let memory = bench.memory();
+    let mut drawing = bench.into_drawing()?;
+    let frames = time_frames(&mut drawing, config.steps, observer)?;
+    drop(drawing);
+    let probe = gpu.probe()?;
     let figures = GpuCase {
-        behind_one_another,
+        own_clock,
+        behind_one_another: steps.count,
+        read_frames_per_s: 1e3 / frames.read_ms,
         planned_bytes: plan.total(),
         in_use_bytes: memory.in_use,
         reserved_bytes: memory.reserved,
     };
-    Ok(case(scene, &counts, Vec::new(), step, render_ms, Some(figures)))
+    let timed = Timed { kernels: steps.kernels, step: steps.step, render_ms: frames.ms };
+    Ok(case(scene, &counts, None, &probe, timed, Some(figures)))
 }
 
-/// Times steps, and says how many of them were requested without waiting between them.
-fn time_steps(gpu: &Gpu, bench: &mut Bench, steps: usize, observer: &dyn Observer) -> Result<(StepRow, usize), Error> {
+struct Steps {
+    kernels: Millis,
+    step: Step,
+    count: usize,
+}
+
+fn time_steps(bench: &mut Bench, steps: usize, observer: &dyn Observer) -> Result<Steps, Error> {
     let views = bench.views();
+    let kernels = fastest(views, steps, |view| bench.laps(view))?;
     bench.stats()?;
     all_views(bench, views)?;
     let before = loss(&bench.stats()?);
@@ -96,11 +109,11 @@ fn time_steps(gpu: &Gpu, bench: &mut Bench, steps: usize, observer: &dyn Observe
         for _ in 0..rounds {
             all_views(bench, views)?;
         }
-        gpu.wait("timing steps")
+        bench.wait()
     })?;
     bench.stats()?;
     all_views(bench, views)?;
-    Ok((StepRow { ms, per_s: 1e3 / ms, busy, loss: [before, loss(&bench.stats()?)] }, count))
+    Ok(Steps { kernels, step: Step { ms, busy, loss: [before, loss(&bench.stats()?)] }, count })
 }
 
 fn all_views(bench: &mut Bench, views: usize) -> Result<(), GpuError> {
@@ -111,20 +124,48 @@ fn loss(stats: &StepStats) -> f64 {
     (1.0 - LAMBDA_SSIM) * stats.l1 + LAMBDA_SSIM * (1.0 - stats.ssim)
 }
 
-/// Milliseconds of the fastest frame of each view with its copy to the host, as the mean over the views.
-fn time_frames(renderer: &mut Renderer, views: &[View], frames: usize) -> Result<f64, Error> {
-    let mut best = vec![f64::INFINITY; views.len()];
+struct Frames {
+    ms: f64,
+    read_ms: f64,
+}
+
+fn time_frames(drawing: &mut Drawing, frames: usize, observer: &dyn Observer) -> Result<Frames, Error> {
+    let views = drawing.views();
     // the first round compiles kernels
+    (0..views).for_each(|view| drawing.draw(view));
+    drawing.wait()?;
+    let (ms, ..) = behind_one_another(frames, views, observer, |rounds| {
+        for _ in 0..rounds {
+            (0..views).for_each(|view| drawing.draw(view));
+        }
+        drawing.wait()
+    })?;
+    let mut read_ms = vec![f64::INFINITY; views];
     for round in 0..=frames.min(10) {
-        for (view, best) in views.iter().zip(&mut best) {
+        for (view, best) in read_ms.iter_mut().enumerate() {
             let start = Instant::now();
-            renderer.render(view)?;
+            drawing.read(view)?;
             if round > 0 {
                 *best = best.min(start.elapsed().as_secs_f64() * 1e3);
             }
         }
     }
-    Ok(mean_over(best.into_iter(), views.len()))
+    Ok(Frames { ms, read_ms: mean_over(read_ms.into_iter(), views) })
+}
+
+/// The fastest of some rounds, kernel by kernel and a view; then the mean over the views.
+fn fastest(
+    views: usize,
+    rounds: usize,
+    mut laps: impl FnMut(usize) -> Result<Laps, GpuError>,
+) -> Result<Millis, Error> {
+    let mut best = Fastest::of(views);
+    for _ in 0..rounds.max(1) {
+        for view in 0..views {
+            best.add(view, laps(view)?, Duration::ZERO);
+        }
+    }
+    Ok(best.mean().0)
 }
 
 /// Milliseconds per step, processor time over wall clock, and the number of steps without waiting between them, of the fastest

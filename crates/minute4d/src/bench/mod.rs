@@ -1,4 +1,4 @@
-//! Benchmarks of the kernels on this machine.
+//! Benchmarks of the kernels on this machine, compared with its limits.
 //!
 //! [`run`] times training steps and rendering on synthetic scenes ([`m4_kernels::bench`]); the
 //! [`BenchReport`] is what the program prints. `docs/bench.md` explains every column.
@@ -8,15 +8,15 @@ mod gpu;
 mod report;
 mod table;
 
-pub use report::{BenchReport, Case, GpuCase, GpuMachine, KernelRow, Machine, StepRow};
+pub use report::{BenchReport, Bound, Case, GpuCase, GpuMachine, KernelRow, Machine, StepRow};
 pub(crate) use table::{aligned, number, today};
 
 use crate::device::DeviceChoice;
 use crate::stage::check_stop;
 use crate::{Error, Observer, with_threads};
 use cpu_time::ProcessTime;
-use m4_kernels::bench::{Bench, Kernel, SceneConfig, SceneKind, Times};
-use m4_kernels::{FrameStats, SimdLevel};
+use m4_kernels::SimdLevel;
+use m4_kernels::bench::{Bench, Counts, Kernel, PEAK_EVALUATIONS, Probe, SceneConfig, SceneKind, Times, Work};
 use std::time::{Duration, Instant};
 
 /// What to time: every combination of the lists.
@@ -69,7 +69,13 @@ pub fn run(config: &BenchConfig, observer: &dyn Observer) -> Result<BenchReport,
     let mut scenes = Vec::new();
     for &kind in &config.scenes {
         for &(width, height) in &config.sizes {
-            scenes.extend(config.splats.iter().map(|&splats| SceneConfig { splats, width, height, kind }));
+            scenes.extend(config.splats.iter().map(|&splats| SceneConfig {
+                splats,
+                width,
+                height,
+                sh_degree: 0,
+                kind,
+            }));
         }
     }
     #[cfg(feature = "gpu")]
@@ -84,11 +90,11 @@ pub fn run(config: &BenchConfig, observer: &dyn Observer) -> Result<BenchReport,
     }
     let cases = each(&scenes, config.threads.len(), observer, |scene| {
         let mut bench = Bench::new(level, scene).map_err(|e| Error::Internal { what: e.to_string() })?;
-        let counts = count(&mut bench);
+        let counts: Vec<_> = (0..bench.views()).map(|view| bench.count(view)).collect();
         let mut cases = Vec::new();
         for &threads in &config.threads {
             check_stop(observer, "bench", false)?;
-            cases.push(with_threads(Some(threads), || on_processor(scene, &counts, config, &mut bench))?);
+            cases.push(with_threads(Some(threads), || on_processor(level, scene, &counts, config, &mut bench))?);
         }
         Ok(cases)
     })?;
@@ -114,53 +120,129 @@ fn each(
     Ok(cases)
 }
 
-/// How much work each view is.
-fn count(bench: &mut Bench) -> Vec<FrameStats> {
-    let views = 0..bench.views();
-    let one = |view| {
-        bench.render(view);
-        bench.stats()
-    };
-    views.map(one).collect()
-}
+/// Least and most bytes that the probe of memory streams.
+const PROBE_BYTES: (f64, f64) = (1e6, 256e6);
+/// Operations of an evaluation on a GPU, forward and backward, counted by hand from the kernels: a multiply-add,
+/// comparison or root is 1, an `exp` or division 4 (a quarter of the rate of multiply-adds, as devices have it).
+const OPERATIONS: (f64, f64) = (24.0, 44.0);
 
 /// Times a scene on the current pool of threads; `counts` has one entry per view.
-fn on_processor(scene: &SceneConfig, counts: &[FrameStats], config: &BenchConfig, bench: &mut Bench) -> Case {
+fn on_processor(
+    level: SimdLevel,
+    scene: &SceneConfig,
+    counts: &[Counts],
+    config: &BenchConfig,
+    bench: &mut Bench,
+) -> Case {
+    let bytes: f64 = Kernel::ALL.map(|kernel| mean_work(kernel, counts).bytes).iter().sum();
+    let probe = Probe::run(level, bytes.clamp(PROBE_BYTES.0, PROBE_BYTES.1) as usize);
     let (kernels, step) = time_steps(bench, config.steps);
-    case(scene, counts, kernels, step, time_frames(bench, config.steps), None)
+    let timed = Timed { kernels, step, render_ms: time_frames(bench, config.steps) };
+    case(scene, counts, Some(level), &probe, timed, None)
 }
 
-/// The report of a case: on the processor, or on a GPU.
+/// What a clock said of a case.
+struct Timed {
+    pub kernels: Millis,
+    pub step: Step,
+    pub render_ms: f64,
+}
+
+/// What a clock said of whole steps.
+struct Step {
+    pub ms: f64,
+    pub busy: f64,
+    pub loss: [f64; 2],
+}
+
+/// The report of a case: on the processor with the instructions of `level`, or on a GPU.
 fn case(
     scene: &SceneConfig,
-    counts: &[FrameStats],
-    kernels: Vec<KernelRow>,
-    step: StepRow,
-    render_ms: f64,
+    counts: &[Counts],
+    level: Option<SimdLevel>,
+    probe: &Probe,
+    timed: Timed,
     gpu: Option<GpuCase>,
 ) -> Case {
-    let mean = |f: fn(&FrameStats) -> usize| mean_over(counts.iter().map(|c| f(c) as f64), counts.len());
+    let kernels = Kernel::ALL.into_iter().zip(timed.kernels);
+    let rows: Vec<KernelRow> =
+        kernels.map(|(kernel, ms)| row(kernel, mean_work(kernel, counts), ms, level, probe)).collect();
+    let mean = |f: fn(&Counts) -> f64| mean_over(counts.iter().map(f), counts.len());
+    let step = StepRow {
+        ms: timed.step.ms,
+        per_s: 1e3 / timed.step.ms,
+        busy: timed.step.busy,
+        bound_ms: rows.iter().map(|r| r.bound_ms).sum(),
+        loss: timed.step.loss,
+    };
     Case {
         scene: scene.kind.name().to_owned(),
         splats: scene.splats,
         width: scene.width,
         height: scene.height,
         threads: if gpu.is_some() { 1 } else { rayon::current_num_threads() },
-        visible: mean(|c| c.visible),
-        pairs: mean(|c| c.pairs),
-        kernels,
+        alive: mean(|c| (c.alive[0] + c.alive[1]) as f64),
+        visible: mean(|c| c.visible as f64),
+        touched: mean(|c| (c.touched[0] + c.touched[1]) as f64),
+        pairs: mean(|c| c.pairs as f64),
+        blends_per_pixel: mean(|c| c.useful as f64 / (c.pixels as f64).max(1.0)),
+        useful_share: match gpu {
+            Some(_) => mean(|c| c.useful as f64 / ((c.used * GPU_TILE) as f64).max(1.0)),
+            None => mean(Counts::useful_share),
+        },
+        stream_gb_per_s: probe.bytes_per_s / 1e9,
+        multiply_add_g_per_s: probe.operations_per_s / 1e9,
+        kernels: rows,
         step,
-        render_ms,
-        frames_per_s: 1e3 / render_ms,
+        render_ms: timed.render_ms,
+        frames_per_s: 1e3 / timed.render_ms,
         gpu,
     }
 }
 
-/// The fastest steps of each view, kernel by kernel and as a whole, as means over the views.
-fn time_steps(bench: &mut Bench, steps: usize) -> (Vec<KernelRow>, StepRow) {
-    const KERNELS: usize = Kernel::ALL.len();
+/// Pixels of a tile on a GPU.
+const GPU_TILE: usize = 16 * 16;
+
+fn mean_work(kernel: Kernel, counts: &[Counts]) -> Work {
+    let n = counts.len().max(1) as f64;
+    counts.iter().map(|c| kernel.work(c)).fold(Work::default(), |sum, w| Work {
+        bytes: sum.bytes + w.bytes / n,
+        operations: sum.operations + w.operations / n,
+        evaluations: sum.evaluations + w.evaluations / n,
+        items: sum.items + w.items / n,
+    })
+}
+
+/// Kernel by kernel, milliseconds.
+type Millis = [f64; Kernel::ALL.len()];
+
+/// The fastest times of each view, milliseconds: kernel by kernel, and of the whole.
+struct Fastest(Vec<(Millis, f64)>);
+
+impl Fastest {
+    fn of(views: usize) -> Self {
+        Self(vec![([f64::INFINITY; Kernel::ALL.len()], f64::INFINITY); views])
+    }
+
+    fn add(&mut self, view: usize, kernels: [Duration; Kernel::ALL.len()], whole: Duration) {
+        let (best, best_whole) = &mut self.0[view];
+        for (best, now) in best.iter_mut().zip(kernels) {
+            *best = best.min(ms(now));
+        }
+        *best_whole = best_whole.min(ms(whole));
+    }
+
+    /// Means over the views.
+    fn mean(&self) -> (Millis, f64) {
+        let mean = |of: &dyn Fn(&(Millis, f64)) -> f64| mean_over(self.0.iter().map(of), self.0.len());
+        (std::array::from_fn(|k| mean(&|best| best.0[k])), mean(&|best| best.1))
+    }
+}
+
+/// The fastest steps of each view, as means over the views.
+fn time_steps(bench: &mut Bench, steps: usize) -> (Millis, Step) {
     let views = bench.views();
-    let mut best = vec![[f64::INFINITY; KERNELS + 1]; views];
+    let mut best = Fastest::of(views);
     let mut loss = [0.0; 2];
     for view in 0..views {
         loss[0] += bench.step(view).loss / views as f64;
@@ -168,20 +250,15 @@ fn time_steps(bench: &mut Bench, steps: usize) -> (Vec<KernelRow>, StepRow) {
     let (wall, cpu) = (Instant::now(), ProcessTime::now());
     for _ in 0..steps.max(1) {
         loss[1] = 0.0;
-        for (view, best) in best.iter_mut().enumerate() {
+        for view in 0..views {
             let Times { kernels, step, loss: value } = bench.step(view);
-            for (best, now) in best.iter_mut().zip(kernels.into_iter().chain([step])) {
-                *best = best.min(ms(now));
-            }
+            best.add(view, kernels, step);
             loss[1] += value / views as f64;
         }
     }
     let (cpu, wall) = (cpu.elapsed().as_secs_f64(), wall.elapsed().as_secs_f64());
-    let mean = |k: usize| mean_over(best.iter().map(|best| best[k]), views);
-    let rows = Kernel::ALL.iter().enumerate();
-    let rows = rows.map(|(k, kernel)| KernelRow { kernel: kernel.name().to_owned(), ms: mean(k) }).collect();
-    let (ms, busy) = (mean(KERNELS), cpu / (wall * rayon::current_num_threads() as f64));
-    (rows, StepRow { ms, per_s: 1e3 / ms, busy, loss })
+    let (kernels, ms) = best.mean();
+    (kernels, Step { ms, busy: cpu / (wall * rayon::current_num_threads() as f64), loss })
 }
 
 /// Milliseconds of the fastest frame of each view, as the mean over the views.
@@ -189,7 +266,7 @@ fn time_frames(bench: &mut Bench, frames: usize) -> f64 {
     let mut best = vec![f64::INFINITY; bench.views()];
     for round in 0..=frames {
         for (view, best) in best.iter_mut().enumerate() {
-            let frame = bench.render(view);
+            let (_, frame) = bench.render(view);
             // the first round fills the memory of the renderer
             if round > 0 {
                 *best = best.min(ms(frame));
@@ -205,4 +282,42 @@ fn mean_over(values: impl Iterator<Item = f64>, n: usize) -> f64 {
 
 fn ms(d: Duration) -> f64 {
     d.as_secs_f64() * 1e3
+}
+
+/// `level` is none on a GPU.
+fn row(kernel: Kernel, mut work: Work, ms: f64, level: Option<SimdLevel>, probe: &Probe) -> KernelRow {
+    let forward = kernel == Kernel::Blend;
+    let evaluation = match level {
+        Some(level) => {
+            let peak = PEAK_EVALUATIONS
+                .iter()
+                .find(|p| p.level == level.name())
+                .map(|p| if forward { p.forward } else { p.backward });
+            peak.map_or(0.0, |peak| work.evaluations / (peak * rayon::current_num_threads() as f64))
+        }
+        None => {
+            work.operations += work.evaluations * if forward { OPERATIONS.0 } else { OPERATIONS.1 };
+            0.0
+        }
+    };
+    let limits = [
+        (Bound::Memory, work.bytes / probe.bytes_per_s),
+        (Bound::Arithmetic, work.operations / probe.operations_per_s),
+        (Bound::Evaluation, evaluation),
+    ];
+    let (bound, seconds) =
+        limits.into_iter().fold((Bound::Memory, 0.0), |best, now| if now.1 > best.1 { now } else { best });
+    let (bound_ms, seconds) = (seconds * 1e3, (ms * 1e-3).max(1e-9));
+    KernelRow {
+        kernel: kernel.name().to_owned(),
+        ms,
+        item: kernel.item().to_owned(),
+        ns_per_item: ms * 1e6 / work.items.max(1.0),
+        evaluations_g_per_s: (work.evaluations > 0.0).then(|| work.evaluations / seconds / 1e9),
+        bytes: work.bytes,
+        gb_per_s: work.bytes / seconds / 1e9,
+        bound_ms,
+        bound,
+        times_bound: ms / bound_ms.max(1e-9),
+    }
 }

@@ -3,7 +3,7 @@
 mod checkpoint;
 
 use crate::device::OpenGpu;
-use crate::error::{OutputError, Refusal};
+use crate::error::OutputError;
 use crate::folder::{self, METRICS_FILE, SCENE_FILE, VIEWER_FILE};
 use crate::pipeline::Clock;
 use crate::record::{Input, RunRecord, SplatCount};
@@ -96,11 +96,6 @@ fn train(
     let started = Instant::now();
     let settings = &run.job.settings;
     let gpu = run.gpu.clone();
-    let refine = &settings.train.refine;
-    if gpu.is_some() && (refine.poses || refine.focal || refine.exposure) {
-        let what = "cameras and exposures are refined on the CPU alone: choose --device cpu, or leave train.refine off";
-        return Err(Refusal::usage(what).into());
-    }
     let make = || match &gpu {
         Some(gpu) => Ok(gpu.training(run.job.device.max_vram_mb, settings.train.batch)),
         None => Err(BackendError("no GPU was started".to_owned())),

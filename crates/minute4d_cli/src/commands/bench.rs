@@ -1,4 +1,4 @@
-//! `minute4d bench`: milliseconds per kernel and step.
+//! `minute4d bench`: milliseconds per kernel, next to the limits of the machine.
 
 use super::doctor::processor;
 use crate::cli::Common;

@@ -1,7 +1,7 @@
 //! Turns the sums of the tiles into gradients of the parameters.
 
-use super::{LOW_PASS, Spec, ellipse, offset_of, opacity_logit, row, sight};
-use crate::blend::gpu::backward::SUMS;
+use super::{LOW_PASS, RECORD, Spec, ellipse, offset_of, opacity_logit, row, sight};
+use crate::gpu::log::write_parts;
 use crate::gpu::vector::{FOCAL, INVERSE_PERIOD, TIME};
 use crate::gpu::vector::{add_scaled, dot, scaled, times, transposed, v3};
 use crate::shade::gpu::shade_backward;
@@ -12,7 +12,8 @@ use cubecl::prelude::*;
 const SMALLEST: f32 = f32::MIN_POSITIVE;
 
 /// Adds up each splat's sums in the order of its slots and turns them into gradients of its parameters; rows of splats
-/// that are not in the frame keep what they hold, `touched` says which are.
+/// that are not in the frame keep what they hold, `touched` says which are. Into `camera` the sums of each cube of 256
+/// splats for the camera's own gradient, where it is wanted.
 #[cube(launch)]
 pub(crate) fn project_backward(
     geometry: &[f32],
@@ -27,10 +28,19 @@ pub(crate) fn project_backward(
     d_colour: &mut [f32],
     d_time: &mut [f32],
     touched: &mut [u32],
+    camera: &mut [f32],
     n: u32,
     n_static: u32,
     #[comptime] spec: Spec,
+    #[comptime] with_camera: bool,
 ) {
+    let mut share = Array::<f32>::new(10usize);
+    if comptime!(with_camera) {
+        #[unroll]
+        for k in 0usize..10usize {
+            share[k] = f32::new(0.0f32);
+        }
+    }
     let p = ABSOLUTE_POS as u32;
     if p < n {
         let i = order[p as usize];
@@ -48,8 +58,9 @@ pub(crate) fn project_backward(
             let mut d_red = 0.0f32;
             let mut d_green = 0.0f32;
             let mut d_blue = 0.0f32;
+            let mut d_depth = 0.0f32;
             for k in 0u32..count {
-                let s = (offsets[p as usize] + k) as usize * SUMS;
+                let s = (offsets[p as usize] + k) as usize * RECORD;
                 weight += sums[s];
                 mx += sums[s + 1];
                 my += sums[s + 2];
@@ -59,8 +70,9 @@ pub(crate) fn project_backward(
                 d_red += sums[s + 6];
                 d_green += sums[s + 7];
                 d_blue += sums[s + 8];
+                d_depth += sums[s + 9];
             }
-            let size = weight.abs() + d_red.abs() + d_green.abs() + d_blue.abs();
+            let size = weight.abs() + d_depth.abs() + d_red.abs() + d_green.abs() + d_blue.abs();
             if size > 0.0f32 {
                 seen = 1u32;
             }
@@ -98,7 +110,8 @@ pub(crate) fn project_backward(
             let (jx, jy) = (eye[FOCAL] * iz, eye[FOCAL + 1] * iz);
             let mut dx = cu * jx;
             let mut dy = cv * jy;
-            let mut dz = -(cu * jx * e.ray_x + cv * jy * e.ray_y) - (dot(&da, &w0) * jx + dot(&db, &w1) * jy) * iz;
+            let mut dz =
+                d_depth - (cu * jx * e.ray_x + cv * jy * e.ray_y) - (dot(&da, &w0) * jx + dot(&db, &w1) * jy) * iz;
             let d = dot(&da, &w2) * jx * iz;
             if e.slope_x == e.ray_x {
                 dx -= d;
@@ -127,6 +140,22 @@ pub(crate) fn project_backward(
                 spec.sh_terms,
                 spec.time_terms,
             );
+            if comptime!(with_camera) {
+                let (jz0, jz1) = (-(jx * e.slope_x), -(jy * e.slope_y));
+                let d0 = v3(dot(&da, &w0), dot(&da, &w1), dot(&da, &w2));
+                let d1 = v3(dot(&db, &w0), dot(&db, &w1), dot(&db, &w2));
+                let (x, y, z) = (e.point.x, e.point.y, e.point.z);
+                share[0] = dx + dot(&w0, &seen_from.offset);
+                share[1] = dy + dot(&w1, &seen_from.offset);
+                share[2] = dz + dot(&w2, &seen_from.offset);
+                share[3] = y * dz - z * dy + jz0 * d0.y + jz1 * d1.y - jy * d1.z;
+                share[4] = z * dx - x * dz + jx * d0.z - jz0 * d0.x - jz1 * d1.x;
+                share[5] = x * dy - y * dx + jy * d1.x - jx * d0.y;
+                share[6] = cu * e.ray_x + (d0.x - d0.z * e.slope_x) * iz;
+                share[7] = cv * e.ray_y + (d1.y - d1.z * e.slope_y) * iz;
+                share[8] = cu;
+                share[9] = cv;
+            }
             let mean = add_scaled(&transposed(&w0, &w1, &w2, &v3(dx, dy, dz)), 1.0f32, &seen_from.offset);
             d_geometry[at] = mean.x;
             d_geometry[rows + at] = mean.y;
@@ -158,5 +187,8 @@ pub(crate) fn project_backward(
             }
         }
         touched[at] = seen;
+    }
+    if comptime!(with_camera) {
+        write_parts(&share, camera, 10usize);
     }
 }

@@ -3,14 +3,17 @@
 use super::GpuTrainer;
 use crate::backend::{StepSettings, StepView};
 use m4_kernels::adam::cpu::{AdamConfig, AdamState};
-use m4_kernels::bench::BenchScene;
-use m4_kernels::gpu::{Gpu, GpuError, Renderer};
-use m4_kernels::{StepStats, View};
+use m4_kernels::bench::{BenchScene, Kernel};
+use m4_kernels::gpu::splats::DeviceSplats;
+use m4_kernels::gpu::work::{Size, Work};
+use m4_kernels::gpu::{DeviceMemory, Gpu, GpuError, Laps, Renderer};
+use m4_kernels::{Frame, StepStats, View};
 
 /// Weight of SSIM beside L1 (3DGS), as on the processor.
 const LAMBDA_SSIM: f32 = 0.2;
 /// Learning rate of every column, as on the processor: small, so that the scene stays what it is while it is timed.
 const RATE: f32 = 1e-4;
+const DOING: &str = "timing steps";
 
 /// A scene on the device with all that a training step needs.
 #[derive(Debug)]
@@ -36,7 +39,7 @@ impl Bench {
         Ok(bench)
     }
 
-    /// Views to step.
+    /// Views to step or draw.
     pub fn views(&self) -> usize {
         self.scene.views.len()
     }
@@ -60,10 +63,26 @@ impl Bench {
         self.trainer.stats()
     }
 
+    /// One training step on view `view`, each kernel timed on its own: by the device's clock, or, where
+    /// [`own_clock`](Self::own_clock) is false, by waiting for the device after it.
+    /// Fails with [`GpuError`] if the device fails or cannot be timed.
+    pub fn laps(&mut self, view: usize) -> Result<Laps, GpuError> {
+        self.gpu.wait(DOING)?;
+        self.trainer.work.stopwatch.start(&self.gpu);
+        self.step(view)?;
+        self.trainer.work.stopwatch.lap(&self.gpu, Kernel::Adam);
+        self.trainer.work.stopwatch.stop(&self.gpu)
+    }
+
+    /// Whether kernels are timed by the device's own clock.
+    pub fn own_clock(&self) -> bool {
+        self.gpu.has_own_clock()
+    }
+
     /// Entries of the tile lists of view `view`. Fails with [`GpuError`] if the device failed.
     pub fn entries(&mut self, view: usize) -> Result<usize, GpuError> {
         self.step(view)?;
-        self.trainer.work.entries(&self.gpu, "timing steps")
+        self.trainer.work.entries(&self.gpu, DOING)
     }
 
     /// Entries of tile lists that there is room for.
@@ -71,9 +90,75 @@ impl Bench {
         self.trainer.room()
     }
 
-    /// Goes on with a renderer of the same splats, and the views to render. Fails with [`GpuError`] if they do not fit.
-    pub fn into_renderer(self) -> Result<(Renderer, Vec<View>), GpuError> {
+    /// The image drawn last. Fails with [`GpuError`] if the device failed.
+    pub fn frame(&self) -> Result<Frame, GpuError> {
+        self.trainer.frame()
+    }
+
+    /// Waits for everything that was asked for. Fails with [`GpuError`] if the device failed.
+    pub fn wait(&self) -> Result<(), GpuError> {
+        self.gpu.wait(DOING)
+    }
+
+    /// What the runtime says that it holds.
+    pub fn memory(&self) -> DeviceMemory {
+        self.gpu.memory()
+    }
+
+    /// Goes on with drawing alone. Fails with [`GpuError`] if it does not fit or the device fails.
+    pub fn into_drawing(self) -> Result<Drawing, GpuError> {
+        let (entries, gpu) = (self.trainer.work.size.entries, self.gpu);
         drop(self.trainer);
-        Ok((Renderer::new(self.gpu, &self.scene.splats)?, self.scene.views))
+        let first = &self.scene.views[0].camera.intrinsics;
+        let size =
+            Size { n: self.scene.splats.n(), width: first.width, height: first.height, entries, training: false };
+        Ok(Drawing {
+            splats: DeviceSplats::upload(&gpu, &self.scene.splats)?,
+            work: Work::new(&gpu, size)?,
+            reader: Renderer::new(gpu.clone(), &self.scene.splats)?,
+            views: self.scene.views,
+            gpu,
+        })
+    }
+}
+
+/// Images alone.
+#[derive(Debug)]
+pub struct Drawing {
+    gpu: Gpu,
+    splats: DeviceSplats,
+    views: Vec<View>,
+    work: Work,
+    reader: Renderer,
+}
+
+impl Drawing {
+    /// Views to draw.
+    pub fn views(&self) -> usize {
+        self.views.len()
+    }
+
+    /// Draws view `view`; returns before the device is done. The image stays there.
+    pub fn draw(&mut self, view: usize) {
+        self.work.draw(&self.gpu, &self.splats, &self.views[view]);
+    }
+
+    /// Draws view `view`, each kernel timed on its own, as [`Bench::laps`] does.
+    /// Fails with [`GpuError`] if the device fails or cannot be timed.
+    pub fn laps(&mut self, view: usize) -> Result<Laps, GpuError> {
+        self.gpu.wait(DOING)?;
+        self.work.stopwatch.start(&self.gpu);
+        self.draw(view);
+        self.work.stopwatch.stop(&self.gpu)
+    }
+
+    /// Draws view `view` and copies the image to the host. Fails with [`GpuError`] if the device fails.
+    pub fn read(&mut self, view: usize) -> Result<Frame, GpuError> {
+        self.reader.render(&self.views[view])
+    }
+
+    /// Waits for everything that was asked for. Fails with [`GpuError`] if the device failed.
+    pub fn wait(&self) -> Result<(), GpuError> {
+        self.gpu.wait(DOING)
     }
 }

@@ -1,11 +1,11 @@
 //! Training steps on a GPU.
 
 mod bench;
-mod colour;
+mod exposure;
 mod sum;
 mod trainer;
 
-pub use bench::Bench;
+pub use bench::{Bench, Drawing};
 pub use trainer::GpuTrainer;
 pub(crate) use trainer::TRAINING;
 
@@ -70,10 +70,6 @@ impl GpuBackend {
     }
 }
 
-fn refines_nothing() -> BackendError {
-    BackendError("cameras and exposures are refined on the CPU alone (train.refine); choose --device cpu".to_owned())
-}
-
 fn failed(error: GpuError) -> BackendError {
     BackendError(error.to_string())
 }
@@ -92,8 +88,9 @@ impl Backend for GpuBackend {
         Ok(())
     }
 
-    fn set_exposures(&mut self, _exposures: &[Exposure]) -> Result<(), BackendError> {
-        Err(refines_nothing())
+    fn set_exposures(&mut self, exposures: &[Exposure]) -> Result<(), BackendError> {
+        self.trainer()?.set_exposures(exposures);
+        Ok(())
     }
 
     fn upload(&mut self, splats: &Splats, adam: AdamState) -> Result<(), BackendError> {
@@ -126,9 +123,6 @@ impl Backend for GpuBackend {
     }
 
     fn step(&mut self, views: &[StepView<'_>], settings: &StepSettings<'_>) -> Result<(), BackendError> {
-        if views.iter().any(|view| view.camera || view.exposure) {
-            return Err(refines_nothing());
-        }
         self.trainer()?.step(views, settings).map_err(failed)
     }
 

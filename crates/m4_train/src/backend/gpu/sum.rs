@@ -140,10 +140,19 @@ impl GpuTrainer {
     fn frame_gradient(&mut self, step: &StepView<'_>, lambda: f32) -> Result<(), GpuError> {
         let target = self.frames.get(&self.gpu, step.frame)?;
         self.draw(&View { with_depth: false, ..*step.view })?;
-        let (gpu, image) = (&self.gpu, &self.work.image);
-        self.loss.compare(gpu, image, &target, 0, lambda, &self.tally);
-        self.loss.gradient(gpu, image, &target, lambda, &self.work.gradient);
-        self.work.backward(gpu, &self.splats, &self.gradients, step.view.mip);
+        let (shown, exposure) = self.corrected(step.frame);
+        let (gpu, gradient) = (&self.gpu, &self.work.gradient);
+        self.loss.compare(gpu, &shown, &target, 0, lambda, &self.tally);
+        self.loss.gradient(gpu, &shown, &target, lambda, gradient);
+        if let Some(exposure) = exposure {
+            self.pull_back(step.frame, &exposure, step.exposure);
+        }
+        let gpu = &self.gpu;
+        let camera = step.camera.then(|| self.cameras.next(gpu, step.frame, self.splats.n));
+        self.work.backward(gpu, &self.splats, &self.gradients, step.view.mip, false, false, camera.as_ref());
+        if step.camera {
+            self.cameras.add_up(gpu);
+        }
         Ok(())
     }
 

@@ -1,9 +1,11 @@
 //! A training run on the device: its state, upload and download.
 
+use super::exposure;
 use super::sum::Batch;
-use m4_core::{ShapeError, Splats};
+use m4_core::{Exposure, ShapeError, Splats};
 use m4_kernels::gpu::buffer::Buffer;
 use m4_kernels::gpu::frames::Frames;
+use m4_kernels::gpu::log::Log;
 use m4_kernels::gpu::morton::morton_order;
 use m4_kernels::gpu::splats::DeviceSplats;
 use m4_kernels::gpu::splats::{gathered, gathered_words};
@@ -11,7 +13,9 @@ use m4_kernels::gpu::tally::Tally;
 use m4_kernels::gpu::work::{Size, Work};
 use m4_kernels::gpu::{Gpu, GpuError, Plan};
 use m4_kernels::loss::gpu::Loss;
-use m4_kernels::{Frame, StepStats, View, adam::cpu::AdamState, adam::gpu::DeviceAdam, loss::cpu::Target};
+use m4_kernels::{
+    CameraGradient, Frame, StepStats, View, adam::cpu::AdamState, adam::gpu::DeviceAdam, loss::cpu::Target,
+};
 use std::borrow::Borrow;
 
 /// The operation named in errors.
@@ -30,6 +34,12 @@ pub struct GpuTrainer {
     pub(crate) tally: Tally,
     /// Where a step has several frames.
     pub(crate) batch: Option<Batch>,
+    pub(crate) cameras: Log<10>,
+    pub(crate) exposure_log: Log<{ exposure::NUMBERS }>,
+    /// By frame; those beyond are not corrected.
+    pub(crate) exposures: Vec<Exposure>,
+    /// The image drawn last, corrected.
+    pub(crate) exposed: Buffer,
     /// Whether there was room for the entries of a frame of these splats.
     pub(crate) fits: bool,
     limit_bytes: Option<u64>,
@@ -66,12 +76,21 @@ impl GpuTrainer {
             loss: Loss::new(&gpu, size),
             tally,
             batch: None,
+            cameras: Log::default(),
+            exposure_log: Log::default(),
+            exposures: Vec::new(),
+            exposed: Buffer::empty(&gpu.client, 1),
             fits: false,
             limit_bytes: None,
             frames,
             splats,
             gpu,
         })
+    }
+
+    /// The device.
+    pub fn gpu(&self) -> &Gpu {
+        &self.gpu
     }
 
     /// Splats on the device.
@@ -144,7 +163,10 @@ impl GpuTrainer {
     /// frames had more than there was room for; those left out were the farthest.
     /// Fails with [`GpuError`] if the device failed since.
     pub fn stats(&mut self) -> Result<StepStats, GpuError> {
-        let (stats, entries) = self.tally.take(&self.gpu, TRAINING)?;
+        let (mut stats, entries) = self.tally.take(&self.gpu, TRAINING)?;
+        let cameras = self.cameras.take(&self.gpu, TRAINING)?;
+        stats.cameras = cameras.into_iter().map(|(f, row)| (f, camera(row))).collect();
+        stats.exposures = self.exposure_log.take(&self.gpu, TRAINING)?;
         self.work.peak = self.tally.buffer.clone();
         if entries > self.work.size.entries {
             self.make_room(entries)?;
@@ -233,6 +255,11 @@ fn uploaded(gpu: &Gpu, adam: &AdamState) -> Result<DeviceAdam, GpuError> {
 }
 
 /// A row of the log of cameras.
+fn camera(row: [f64; 10]) -> CameraGradient {
+    let [tx, ty, tz, rx, ry, rz, fx, fy, cx, cy] = row;
+    CameraGradient { tau: [tx, ty, tz], omega: [rx, ry, rz], intrinsics: [fx, fy, cx, cy] }
+}
+
 /// The state is that of these splats.
 fn check(splats: &Splats, adam: &AdamState) -> Result<(), ShapeError> {
     let columns = splats.layout().columns();

@@ -114,9 +114,9 @@ impl GpuTrainer {
         for (index, (frame, view)) in views.iter().enumerate() {
             self.draw(view)?;
             let target = self.frames.get(&gpu, *frame)?;
-            let image = &self.work.image;
-            self.loss.compare(&gpu, image, &target, index, settings.lambda_ssim, &tally);
-            mask.find(&gpu, image, &target, settings.threshold);
+            let (shown, _) = self.corrected(*frame);
+            self.loss.compare(&gpu, &shown, &target, index, settings.lambda_ssim, &tally);
+            mask.find(&gpu, &shown, &target, settings.threshold);
             let frame =
                 FrameScore { errors: &mask.errors, cut: &mask.cut, tally: &tally.buffer, loss: LOSSES + index, share };
             add(&gpu, &self.work, &self.splats, &frame, &scores);
