@@ -70,6 +70,10 @@ value() {
 
 echo "== doctor" >&2
 within 60 "$program" doctor | tee "$work/doctor.txt" >&2 || failed+=("doctor")
+day=$(date -u +%F)
+# the first GPU that doctor names, in characters that every file system accepts
+gpu_name=$(sed -n 's/^gpu *[0-9]*: *\([^(]*\).*/\1/p' "$work/doctor.txt" | head -1 | tr -cs '[:alnum:]' ' ' | tr '[:upper:]' '[:lower:]' | xargs | tr ' ' -)
+slug=$day-${gpu_name:-gpu}
 
 for case in "${cases[@]}"; do
     read -r splats size <<<"$case"
@@ -83,7 +87,7 @@ for case in "${cases[@]}"; do
     fi
     sed -n 5,9p "$table" >&2
     mkdir -p "$results"
-    cp "$table" "$results/$(date -u +%F)-$splats-$size.md"
+    cp "$table" "$results/$slug-$splats-$size.md"
 done
 
 capture=${CAPTURE:-}
@@ -122,9 +126,7 @@ fi
 
 record=$work/out/run.json
 name=$(sed -n 's/^gpu *//p' "$work/doctor.txt" | head -1)
-day=$(date -u +%F)
-slug=$(ls "$results" 2>/dev/null | sed -n "s/^\($day-.*\)-${cases[0]/ /-}\.json$/\1/p" | tail -1)
-summary=$results/${slug:-$day-gpu}-training.md
+summary=$results/$slug-training.md
 {
     echo "# Training on a GPU, $day"
     echo

@@ -12,20 +12,11 @@ pub type Arrows = BTreeMap<String, BTreeSet<String>>;
 /// The crate that only tests may use; every crate may have it as a dev-dependency.
 pub const TESTKIT: &str = "m4_testkit";
 
-/// Crates whose tests read real data and start from it ...
-const MEASURING: [&str; 2] = ["m4_geometry", "m4_train"];
-/// ... and the crates that they may use for that, beside their row of the table.
-const FOR_MEASURING: [&str; 1] = ["m4_io"];
-
-/// Crates whose tests compare what they made with what our own renderer draws of it ...
-const DRAWING: [&str; 1] = ["m4_viewer"];
-/// ... and where that is.
-const RENDERER: &str = "m4_kernels";
+/// Crates whose tests may also use another: to read real data, and to compare what they made with what our own renderer draws of it.
+const FOR_TESTS: [(&str, &str); 3] = [("m4_geometry", "m4_io"), ("m4_train", "m4_io"), ("m4_viewer", "m4_kernels")];
 
 fn for_tests(from: &str, to: &str) -> bool {
-    to == TESTKIT
-        || (MEASURING.contains(&from) && FOR_MEASURING.contains(&to))
-        || (DRAWING.contains(&from) && to == RENDERER)
+    to == TESTKIT || FOR_TESTS.contains(&(from, to))
 }
 
 /// Dependencies between the crates of a workspace, as they are.

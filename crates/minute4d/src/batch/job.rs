@@ -5,7 +5,7 @@
 //! may succeed on another machine or later, so the job may be started again.
 
 use crate::batch::child::{self, Ended};
-use crate::batch::layout::{JobRecord, Layout, Outcome, now_s};
+use crate::batch::layout::{JobRecord, Layout, Outcome};
 use crate::batch::manifest::{Job, Manifest, VERSION};
 use crate::batch::not_ours;
 use crate::batch::publish::{Present, Published, present, publish, recover, remove};
@@ -125,7 +125,6 @@ pub fn run_job(
         code,
         seconds,
         host: tools.host.clone(),
-        when_s: now_s(),
     };
     match write_json(&attempt.layout.state(&job.id), &record) {
         // A failure that is not recorded would be run again and again; the others are known without.

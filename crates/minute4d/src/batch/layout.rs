@@ -7,7 +7,6 @@ use crate::record::read_json;
 use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
-use std::time::{SystemTime, UNIX_EPOCH};
 
 /// What a published result says of the job that it belongs to.
 pub const RESULT_FILE: &str = "batch.json";
@@ -154,8 +153,6 @@ pub struct JobRecord {
     pub seconds: f64,
     /// The machine.
     pub host: String,
-    /// When it ended, seconds since 1970.
-    pub when_s: u64,
 }
 
 impl JobRecord {
@@ -163,10 +160,6 @@ impl JobRecord {
     pub(crate) fn read(path: &Path, key: &str) -> Result<Option<Self>, Error> {
         Ok(read_json::<Self>(path)?.filter(|r| r.version == VERSION && r.key == key))
     }
-}
-
-pub(crate) fn now_s() -> u64 {
-    SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_secs())
 }
 
 #[cfg(test)]

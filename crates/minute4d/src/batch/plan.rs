@@ -1,4 +1,4 @@
-//! Plans a manifest from the files, folders and lists that a user names.
+//! Plans a manifest from the files and folders that a user names.
 
 use crate::batch::layout::{self, Layout};
 use crate::batch::manifest::{Arguments, Job, Manifest};
@@ -11,7 +11,7 @@ use std::{fs, io};
 
 /// The inputs of a plan.
 pub struct Plan<'a> {
-    /// Files, folders, lists (`@FILE`).
+    /// Files and folders.
     pub given: &'a [String],
     /// Look into folders of folders.
     pub recursive: bool,
@@ -70,31 +70,13 @@ const CAPTURES: [&str; 2] = ["transforms_train.json", "transforms.json"];
 pub(crate) fn inputs(given: &[String], recursive: bool) -> Result<Vec<PathBuf>, Error> {
     let mut paths = BTreeSet::new();
     for one in given {
-        for path in expand(one)? {
-            add(&path, recursive, &mut paths)?;
+        if one.contains("://") {
+            let what = "is an address, not a path; mount the store as a folder, or download the clip first";
+            return Err(Refusal::bad_input(format!("{one} {what}")).into());
         }
+        add(Path::new(one), recursive, &mut paths)?;
     }
     Ok(paths.into_iter().collect())
-}
-
-/// Parses a list into its paths, without checking that they exist.
-fn expand(given: &str) -> Result<Vec<PathBuf>, Error> {
-    let Some(list) = given.strip_prefix('@') else {
-        if given.contains("://") {
-            let what = "is an address, not a path; mount the store as a folder, or download the clip first";
-            return Err(Refusal::bad_input(format!("{given} {what}")).into());
-        }
-        return Ok(vec![PathBuf::from(given)]);
-    };
-    let path = Path::new(list);
-    let text = fs::read_to_string(path).map_err(Error::read(path))?;
-    let lines = text.lines().map(str::trim);
-    let lines = lines.filter(|l| !l.is_empty() && !l.starts_with(['#', '@']));
-    let mut all = Vec::new();
-    for line in lines {
-        all.extend(expand(line)?);
-    }
-    if all.is_empty() { Err(nothing(given, true).into()) } else { Ok(all) }
 }
 
 fn nothing(given: &str, recursive: bool) -> Refusal {
@@ -106,7 +88,7 @@ fn add(path: &Path, recursive: bool, found: &mut BTreeSet<PathBuf>) -> Result<()
     // `canonicalize` follows links, so that a clip that is named twice is one clip.
     let path = fs::canonicalize(path).map_err(|e| match e.kind() {
         io::ErrorKind::NotFound | io::ErrorKind::NotADirectory => {
-            let message = format!("there is no video, folder or list at {}", path.display());
+            let message = format!("there is no video or folder at {}", path.display());
             Refusal::new(Category::NoInput, message).into()
         }
         _ => Error::read(path)(e),
@@ -167,7 +149,7 @@ mod tests {
     }
 
     #[test]
-    fn files_folders_and_lists_are_found_once() {
+    fn files_and_folders_are_found_once() {
         let dir = tempfile::tempdir().unwrap();
         let root = fs::canonicalize(dir.path()).unwrap();
         let at = |name: &str| root.join(name).to_str().unwrap().to_owned();
@@ -186,8 +168,7 @@ mod tests {
         assert_eq!(found(&[at("v/pics")], false), ["v/pics"], "images are a clip");
         assert_eq!(found(&[at("v/b.mp4"), at("v/in/../b.mp4")], false), ["v/b.mp4"]);
         assert_eq!(found(&[at("v/notes.txt")], false), ["v/notes.txt"], "a named file is always a clip");
-        fs::write(root.join("list"), format!("# clips\n{}\n\n{}\n", at("v/b.mp4"), at("v/in"))).unwrap();
-        assert_eq!(found(&[format!("@{}", at("list"))], false), ["v/b.mp4", "v/in/d.mkv"]);
+        assert_eq!(found(&[at("v/b.mp4"), at("v/in")], false), ["v/b.mp4", "v/in/d.mkv"]);
 
         let message = |given: &str| inputs(&[given.to_owned()], false).unwrap_err().to_string();
         assert!(message(&at("none.mp4")).contains("there is no"));

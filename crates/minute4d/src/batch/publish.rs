@@ -4,7 +4,7 @@
 //! the working folder can change what was checked. It appears under its final name by one rename. Of two processes that
 //! publish the same job one wins, and the other finds it done.
 
-use crate::batch::layout::{Layout, RESULT_FILE, now_s};
+use crate::batch::layout::{Layout, RESULT_FILE};
 use crate::batch::manifest::VERSION;
 use crate::record::{FileRecord, RUN_FILE, RUN_FORMAT, Status, read_json, write_json};
 use crate::{Error, hash};
@@ -26,7 +26,6 @@ struct ResultMark {
     id: String,
     key: String,
     host: String,
-    when_s: u64,
 }
 
 /// What is read of `run.json`.
@@ -136,7 +135,6 @@ fn mark(folder: &Path, id: &str, key: &str, host: &str) -> Result<(), Error> {
         id: id.to_owned(),
         key: key.to_owned(),
         host: host.to_owned(),
-        when_s: now_s(),
     };
     write_json(&folder.join(RESULT_FILE), &mark)
 }

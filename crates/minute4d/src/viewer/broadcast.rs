@@ -2,14 +2,11 @@
 
 use super::pack;
 use super::view::{Source, event};
-use crate::folder::VIEWER_FILE;
 use crate::{Error, Observer, StageEvent};
 use m4_core::{Progress, Scene};
 use m4_kernels::SimdLevel;
 use m4_train::MetricsEvent;
-use m4_viewer::page;
 use m4_viewer::server::{Hub, Server};
-use std::fs;
 use std::path::Path;
 use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -104,23 +101,13 @@ impl<'a> Broadcast<'a> {
     }
 
     fn show_result(&self, out: &Path) -> Result<(), Error> {
-        let path = out.join(VIEWER_FILE);
-        if !path.exists() {
-            // the run was asked to go without
-            let source = Source::new(out)?;
-            if let Some(stamp) = source.newest() {
-                let (manifest, payload, _) = source.load(&stamp, SimdLevel::detect()?)?;
-                self.hub.show(manifest, payload);
+        let source = Source::new(out)?;
+        if let Some(stamp) = source.newest() {
+            let (manifest, payload, scene) = source.load(&stamp, SimdLevel::detect()?)?;
+            if let Some(frames) = source.frames(&scene, self.inner) {
+                self.hub.set_frames(frames);
             }
-            return Ok(());
-        }
-        let html = fs::read_to_string(&path).map_err(|source| Error::Read { path, source })?;
-        let contents = page::read(&html)?;
-        if let Some(frames) = contents.frames {
-            self.hub.set_frames(frames);
-        }
-        if let Some(payload) = contents.payload {
-            self.hub.show(contents.manifest, payload);
+            self.hub.show(manifest, payload);
         }
         Ok(())
     }

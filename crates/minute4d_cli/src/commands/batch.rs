@@ -137,7 +137,7 @@ fn absolute(path: &Path) -> Result<PathBuf, Failure> {
 
 #[derive(Debug, Args)]
 pub struct BatchPlan {
-    /// Videos, folders, or @LIST, a text file with one of these per line
+    /// Videos, or folders of videos
     #[arg(required_unless_present = "print_config", value_name = "VIDEOS")]
     pub given: Vec<String>,
     /// The manifest to write

@@ -141,7 +141,6 @@ fn records() -> Vec<Vec<u8>> {
         code: Some(65),
         seconds: 12.5,
         host: "node".to_owned(),
-        when_s: 1_700_000_000,
     };
     [JobOutcome::Failed, JobOutcome::Retryable].map(|outcome| json(&record(outcome))).to_vec()
 }
@@ -154,6 +153,5 @@ fn marks() -> Vec<Vec<u8>> {
         "id": "clip",
         "key": manifest.jobs[0].key(&manifest.run),
         "host": "node",
-        "when_s": 1_700_000_000,
     }))]
 }
