@@ -21,7 +21,7 @@ mod samples;
 #[cfg(test)]
 mod tests;
 
-use crate::classical::dense::FlowSource;
+use crate::classical::dense::InverseSearch;
 use m4_core::{Camera, Capture, Progress, median, quantile};
 pub use reading::fixed;
 use reading::{Reading, depth_errors, errors, likeliest, masks_inverted};
@@ -147,12 +147,8 @@ pub struct Consistency {
 /// # Errors
 ///
 /// [`ConsistencyError`].
-pub fn check(
-    capture: &Capture,
-    flow: &dyn FlowSource,
-    progress: &dyn Progress,
-) -> Result<Consistency, ConsistencyError> {
-    let found = samples(capture, flow, progress)?;
+pub fn check(capture: &Capture, _: &InverseSearch, progress: &dyn Progress) -> Result<Consistency, ConsistencyError> {
+    let found = samples(capture, progress)?;
     let cameras: Vec<Camera> = capture.frames.iter().map(|f| f.camera).collect();
     let mut report = of_pairs(capture, &cameras, &found.resting);
     if masks_inverted(&cameras, &found) {

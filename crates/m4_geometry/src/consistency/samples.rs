@@ -1,6 +1,6 @@
 //! Static pixels and their flow.
 
-use crate::classical::dense::{FlowError, FlowPair, FlowSource, ScaledFrame, working_size};
+use crate::classical::dense::{FlowPair, ScaledFrame, working_size};
 use m4_core::{Capture, CaptureFrame, CompactDepth, Progress};
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -23,14 +23,6 @@ const STRIDE_PX: usize = 5;
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ConsistencyError {
-    /// Flow cannot be measured.
-    #[error("flow between frames {} and {} cannot be measured: {source}", between.0, between.1)]
-    Flow {
-        /// The frames.
-        between: (usize, usize),
-        /// Why.
-        source: FlowError,
-    },
     /// The caller asked to stop.
     #[error("stopped on request while flow was measured")]
     Cancelled,
@@ -60,11 +52,7 @@ pub(super) struct Samples {
 }
 
 /// Takes the samples.
-pub(super) fn samples(
-    capture: &Capture,
-    flow: &dyn FlowSource,
-    progress: &dyn Progress,
-) -> Result<Samples, ConsistencyError> {
+pub(super) fn samples(capture: &Capture, progress: &dyn Progress) -> Result<Samples, ConsistencyError> {
     let n = capture.frames.len();
     let anchors = ANCHORS.clamp(1, n.max(1));
     let mut pairs: Vec<[usize; 2]> = Vec::new();
@@ -85,7 +73,7 @@ pub(super) fn samples(
             if progress.cancelled() {
                 return Err(ConsistencyError::Cancelled);
             }
-            let pair = between(capture, frames, flow)?;
+            let pair = between(capture, frames);
             progress.update("check", done.fetch_add(1, Ordering::Relaxed) + 1, pairs.len(), "");
             Ok(pair)
         })
@@ -99,13 +87,12 @@ pub(super) fn samples(
     Ok(out)
 }
 
-fn between(capture: &Capture, frames: [usize; 2], flow: &dyn FlowSource) -> Result<[Pair; 2], ConsistencyError> {
+fn between(capture: &Capture, frames: [usize; 2]) -> [Pair; 2] {
     let [a, b] = frames.map(|i| &capture.frames[i]);
     let (w, h) = a.rgb.size();
     let (fw, fh) = working_size(w, h, SIDE_PX);
     let [first, second] = [a, b].map(|f| ScaledFrame::new(&f.rgb, (fw, fh)));
-    let pair = FlowPair::between(&first.flow_image(), &second.flow_image(), flow)
-        .map_err(|source| ConsistencyError::Flow { between: (frames[0], frames[1]), source })?;
+    let pair = FlowPair::between(&first, &second);
     let (sx, sy) = (w as f64 / fw as f64, h as f64 / fh as f64);
     let stride = STRIDE_PX;
     let (mut resting, mut moving) = (Vec::new(), Vec::new());
@@ -127,7 +114,7 @@ fn between(capture: &Capture, frames: [usize; 2], flow: &dyn FlowSource) -> Resu
             }
         }
     }
-    Ok([resting, moving].map(|samples| Pair { frames, samples }))
+    [resting, moving].map(|samples| Pair { frames, samples })
 }
 
 /// The pixel of a map of size `(w, h)` under a place in the image.
