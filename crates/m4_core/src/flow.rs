@@ -1,7 +1,7 @@
 //! Dense optical flow, and values between pixels.
 
 /// Displacement per pixel from one image to another, pixels.
-#[derive(Debug, Clone, Default, PartialEq)]
+#[derive(Debug, Clone, Default, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Flow {
     /// Columns.
     pub width: usize,

@@ -9,8 +9,8 @@
 //! resample       images and maps in other sizes
 //! ```
 //!
-//! Networks and optical flow are behind traits: [`megasam::tracker::Correspondence`], [`classical::dense::FlowSource`],
-//! [`classical::dense::Segmenter`], [`masks::VideoSegmenter`], [`tracks::Tracker3d`].
+//! Networks come as functions and traits: [`megasam::tracker::Correspondence`], [`classical::dense::MeasureFlow`],
+//! [`classical::dense::Segmenter`], [`masks::VideoSession`].
 #![forbid(unsafe_code)]
 
 pub mod classical;

@@ -4,11 +4,10 @@
 
 use m4_core::{Camera, Intrinsics, Mask, Plane, Progress, RgbImage, Se3, Silent, nalgebra::Vector3};
 use m4_geometry::classical::dense::{
-    DenseConfig, DenseError, DenseFrame, InverseSearch, MonoDepth, MonoError, MonoKind, MonoMap, SegmentError,
-    SegmentMask, SegmentPrompt, Segmenter, Sources, estimate,
+    DenseConfig, DenseError, DenseFrame, InverseSearch, MonoDepth, MonoKind, SegmentMask, SegmentPrompt, Segmenter,
+    SourceError, Sources, estimate,
 };
 use m4_geometry::classical::{CameraMotion, Motion, SparseReconstruction, Track};
-use std::borrow::Cow;
 use std::sync::Mutex;
 
 /// Without masks, by default settings.
@@ -22,9 +21,12 @@ fn dense(
     found.enlarge(frames, progress).map(|dense| dense.frames)
 }
 
+/// Classical flow alone.
+const FLOW: Sources<'_> = Sources { flow: &|_, a, b| Ok(InverseSearch.both(a, b)), segmenter: None, mono: None };
+
 /// With classical flow alone.
 fn estimate_depth(frames: &[&RgbImage], sparse: &SparseReconstruction) -> Vec<DenseFrame> {
-    dense(frames, sparse, &Sources::flow(&InverseSearch), &Silent).unwrap()
+    dense(frames, sparse, &FLOW, &Silent).unwrap()
 }
 
 const SIZE: (usize, usize) = (128, 96);
@@ -185,7 +187,7 @@ fn static_camera_gives_masks_and_placeholder_depth() {
     for camera_motion in [CameraMotion::Static, CameraMotion::RotationOnly] {
         let listener = Listener::default();
         let sparse = sparse(&drawn, camera_motion);
-        let found = dense(&references(&drawn), &sparse, &Sources::flow(&InverseSearch), &listener).unwrap();
+        let found = dense(&references(&drawn), &sparse, &FLOW, &listener).unwrap();
         let (_, iou) = score(&drawn, &found);
         assert!(iou > 0.5, "{camera_motion:?}: masks overlap by {iou:.3}");
         // Static pixels lie on a sphere around the camera, dynamic ones in front of it.
@@ -225,7 +227,6 @@ fn bad_input_is_named() {
     let drawn = draw(0.06);
     let frames = references(&drawn);
     let good = sparse(&drawn, CameraMotion::Parallax);
-    let flow = Sources::flow(&InverseSearch);
     let small = Plane::filled(20, 20, [0; 3]);
     let mut mixed = frames.clone();
     mixed[3] = &small;
@@ -239,45 +240,18 @@ fn bad_input_is_named() {
         (&frames[..], &broken, 480, "camera of frame 2"),
         (&frames[..], &good, 63, "dense.working_side_px"),
     ] {
-        let error = estimate(frames, sparse, &flow, None, &config(side), &Silent).unwrap_err().to_string();
+        let error = estimate(frames, sparse, &FLOW, None, &config(side), &Silent).unwrap_err().to_string();
         assert!(error.contains(what), "{error}");
     }
     let stop = Listener { stop: true, ..Listener::default() };
-    assert!(matches!(dense(&frames, &good, &flow, &stop), Err(DenseError::Cancelled { .. })));
+    assert!(matches!(dense(&frames, &good, &FLOW, &stop), Err(DenseError::Cancelled { .. })));
 }
 
-/// Answers every prompt with the same kind of mask.
-enum Oracle<'a> {
-    Truth(&'a Drawn),
-    Everything,
-    Fails,
-}
-
-impl Segmenter for Oracle<'_> {
-    fn name(&self) -> &'static str {
-        "oracle"
-    }
-
-    fn masks(
-        &self,
-        image: &RgbImage,
-        (width, height): (usize, usize),
-        prompts: &[SegmentPrompt],
-    ) -> Result<Vec<SegmentMask>, SegmentError> {
-        let failed = |reason: &str| SegmentError::Source { segmenter: self.name().to_owned(), reason: reason.into() };
-        let logits: Vec<f32> = match self {
-            Self::Truth(drawn) => {
-                let same = drawn.images.iter().position(|other| other == image);
-                let i = same.ok_or_else(|| failed("another image"))?;
-                let moving = drawn.moving[i].data().iter();
-                moving.map(|&m| if m != 0 { 5.0 } else { -5.0 }).collect()
-            }
-            Self::Everything => vec![5.0; width * height],
-            Self::Fails => return Err(failed("out of order")),
-        };
-        let mask = SegmentMask { logits, quality: 0.95 };
-        Ok(vec![mask; prompts.len()])
-    }
+/// The true mask of an image, for every prompt.
+fn truth(drawn: &Drawn, image: &RgbImage, prompts: &[SegmentPrompt]) -> Result<Vec<SegmentMask>, SourceError> {
+    let i = drawn.images.iter().position(|other| other == image).ok_or("another image")?;
+    let logits = drawn.moving[i].data().iter().map(|&m| if m != 0 { 5.0 } else { -5.0 }).collect();
+    Ok(vec![SegmentMask { logits, quality: 0.95 }; prompts.len()])
 }
 
 #[test]
@@ -285,50 +259,38 @@ fn a_segmenter_is_believed_where_it_means_the_same() {
     for (step, motion) in [(0.06, CameraMotion::Parallax), (0.0, CameraMotion::Static)] {
         let drawn = draw(step);
         let (frames, good) = (references(&drawn), sparse(&drawn, motion));
-        let with = |segmenter: Option<&dyn Segmenter>| {
-            dense(&frames, &good, &Sources { segmenter, ..Sources::flow(&InverseSearch) }, &Silent)
-        };
+        let with = |segmenter: Option<&Segmenter<'_>>| dense(&frames, &good, &Sources { segmenter, ..FLOW }, &Silent);
         let plain = with(None).unwrap();
-        let sharp = with(Some(&Oracle::Truth(&drawn))).unwrap();
+        let oracle = |image: &RgbImage, _, prompts: &[SegmentPrompt]| truth(&drawn, image, prompts);
+        let sharp = with(Some(&oracle)).unwrap();
         let ((_, before), (_, after)) = (score(&drawn, &plain), score(&drawn, &sharp));
         assert!(after > 0.9 && after > before + 0.05, "{motion:?}: {before:.3} to {after:.3}");
         // The whole image is not dynamic.
-        let same = with(Some(&Oracle::Everything)).unwrap();
-        assert!(same == plain, "{motion:?}");
-        let failed = with(Some(&Oracle::Fails)).unwrap_err();
+        let everything = |_: &RgbImage, (w, h), prompts: &[SegmentPrompt]| {
+            Ok(vec![SegmentMask { logits: vec![5.0; w * h], quality: 0.95 }; prompts.len()])
+        };
+        assert!(with(Some(&everything)).unwrap() == plain, "{motion:?}");
+        let failed = with(Some(&|_, _, _| Err("out of order".into()))).unwrap_err();
         assert!(matches!(failed, DenseError::Segment { .. }), "{failed}");
 
         let pool = rayon::ThreadPoolBuilder::new().num_threads(3).build().unwrap();
-        let oracle = Oracle::Truth(&drawn);
         let again = pool.install(|| with(Some(&oracle)).unwrap());
         assert!(again == sharp, "{motion:?}");
     }
 }
 
-/// The true depth as a network would see it: disparity up to a factor and a shift that differ from frame to frame.
-struct Network<'a>(&'a Drawn);
-
-impl MonoDepth for Network<'_> {
-    fn name(&self) -> &'static str {
-        "network"
-    }
-
-    fn depth(&self, frame: usize, image: &RgbImage) -> Result<Option<MonoMap<'_>>, MonoError> {
-        assert_eq!(image, &self.0.images[frame]);
-        let factor = 3.0 + 0.2 * frame as f32;
-        Ok(Some(MonoMap {
-            kind: MonoKind::AffineDisparity,
-            values: Cow::Owned(self.0.depth[frame].map(|z| factor * (1.0 / z - 0.1))),
-        }))
-    }
-}
-
 #[test]
-fn dynamic_regions_take_depth_from_a_sensor() {
+fn dynamic_regions_take_depth_from_a_network() {
     let drawn = draw(0.08);
     let frames = references(&drawn);
     let sparse = sparse(&drawn, CameraMotion::Parallax);
-    let sources = Sources { mono: &Network(&drawn), ..Sources::flow(&InverseSearch) };
+    // The true depth as a network would see it: disparity up to a factor and a shift that differ from frame to frame.
+    let disparity = |(frame, depth): (usize, &Plane<f32>)| {
+        let factor = 3.0 + 0.2 * frame as f32;
+        depth.map(|z| factor * (1.0 / z - 0.1))
+    };
+    let maps: Vec<Plane<f32>> = drawn.depth.iter().enumerate().map(disparity).collect();
+    let sources = Sources { mono: Some(MonoDepth { kind: MonoKind::AffineDisparity, maps: &maps }), ..FLOW };
     let config = DenseConfig::default();
     let found = estimate(&frames, &sparse, &sources, Some(&drawn.moving), &config, &Silent).unwrap();
     let found = found.enlarge(&frames, &Silent).unwrap();

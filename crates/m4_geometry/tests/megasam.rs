@@ -2,12 +2,12 @@
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
 use m4_core::{Camera, Flow, Intrinsics, Plane, RgbImage, Silent, Sim3, nalgebra::Vector3};
+use m4_geometry::classical::dense::SourceError;
 use m4_geometry::megasam::cvd::pairs::FramePair;
 use m4_geometry::megasam::graph::EdgeChanges;
 use m4_geometry::megasam::tracker::{Correspondence, CorrespondenceError, Revision};
 use m4_geometry::megasam::{
-    DepthPrior, MegasamGeometry, MegasamInput, MegasamSettings, PairFlow, PairFlowError, TrackingSize, reconstruct,
-    track,
+    DepthPrior, MegasamGeometry, MegasamInput, MegasamSettings, PairFlow, TrackingSize, reconstruct, track,
 };
 use m4_geometry::resample::{resize_area, resize_bilinear, resize_nearest};
 use m4_io::capture::{self, CaptureOptions, Split};
@@ -198,7 +198,7 @@ impl PairFlow for Truth<'_> {
         "truth"
     }
 
-    fn both(&mut self, pair: FramePair, a: &RgbImage, b: &RgbImage) -> Result<[Flow; 2], PairFlowError> {
+    fn both(&mut self, pair: FramePair, a: &RgbImage, b: &RgbImage) -> Result<[Flow; 2], SourceError> {
         assert_eq!((a.size(), b.size()), (self.size.cropped, self.size.cropped));
         let (width, height) = self.size.cropped;
         let way = |i: usize, j: usize| {

@@ -55,8 +55,7 @@ pub(super) struct EdgeConstants {
     /// Change of `fx` and `fy` with the focal parameter.
     focal: [f32; 2],
     min_depth: f32,
-    robust_inverse: f32,
-    robust_twice: bool,
+    inverse_square: f32,
     scale: f32,
 }
 
@@ -65,7 +64,6 @@ impl EdgeConstants {
         let g = geometry.relative(source, target).cast::<f32>();
         let lens = &geometry.lens;
         let rate = options.fy_rate(lens);
-        let (inverse, power) = options.robust.constants();
         Self {
             r: std::array::from_fn(|i| std::array::from_fn(|k| g.rotation[(i, k)])),
             t: std::array::from_fn(|i| g.translation[i]),
@@ -76,15 +74,14 @@ impl EdgeConstants {
             bend: [(-2.0 * lens.cx / lens.fx) as f32, (-2.0 * lens.cx * rate / lens.fy) as f32],
             focal: [(2.0 * lens.cx) as f32, (2.0 * lens.cx * rate) as f32],
             min_depth: options.min_depth as f32,
-            robust_inverse: inverse as f32,
-            robust_twice: power == 2,
+            inverse_square: options.inverse_square() as f32,
             scale: WEIGHT_SCALE as f32,
         }
     }
 
     /// The same with weights that count in full, whatever the residual.
     pub(super) fn unscaled(self) -> Self {
-        Self { robust_inverse: 0.0, scale: 1.0, ..self }
+        Self { inverse_square: 0.0, scale: 1.0, ..self }
     }
 }
 
@@ -147,7 +144,6 @@ pub(super) fn linearise(
     let wu = lane(&weight[0], start, &mut pad4);
     let wv = lane(&weight[1], start, &mut pad5);
     let EdgeConstants { r, t, fx, fy, .. } = *edge;
-    let robust_twice = if edge.robust_twice { 1.0 } else { 0.0 };
     for l in 0..BLOCK {
         let d = disparity[l];
         let px = r[0][0] * rx[l] + r[0][1] * ry[l] + r[0][2] + t[0] * d;
@@ -157,8 +153,7 @@ pub(super) fn linearise(
         let iz = 1.0 / if seen { pz } else { 1.0 };
         let (x, y, e) = (px * iz, py * iz, d * iz);
         let (ru, rv) = (tu[l] - (fx * x + edge.cx), tv[l] - (fy * y + edge.cy));
-        let s = 1.0 / (1.0 + (ru * ru + rv * rv) * edge.robust_inverse);
-        let robust = s * (1.0 + robust_twice * (s - 1.0));
+        let robust = 1.0 / (1.0 + (ru * ru + rv * rv) * edge.inverse_square);
         let keep = if seen { edge.scale * robust } else { 0.0 };
         out.w[l] = wu[l] * keep;
         out.w[BLOCK + l] = wv[l] * keep;

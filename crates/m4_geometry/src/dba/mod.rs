@@ -37,7 +37,7 @@ use adjust::by_source;
 use fearless_simd::Level;
 use lanes::Rays;
 pub use options::{
-    CURVATURE_FLOOR, DbaOptions, DbaReport, Free, MAX_DISPARITY, MIN_DISPARITY, Robust, SENSOR_KNOWN, WEIGHT_SCALE,
+    CURVATURE_FLOOR, DbaOptions, DbaReport, Free, MAX_DISPARITY, MIN_DISPARITY, SENSOR_KNOWN, WEIGHT_SCALE,
     depth_prior, stepped_disparity,
 };
 pub use problem::{

@@ -1,4 +1,4 @@
-//! Settings of one adjustment, robust weights, and what holds a disparity where the flow says little.
+//! Settings of one adjustment, and what holds a disparity where the flow says little.
 
 use super::problem::Pinhole;
 use m4_core::Real;
@@ -41,8 +41,9 @@ pub struct DbaOptions {
     pub ep: f64,
     /// Weight of the depth prior, `None` without one: 0.05.
     pub prior_alpha: Option<f64>,
-    /// Extra weight of every residual: none.
-    pub robust: Robust,
+    /// Scale of Cauchy's weight `1 / (1 + s^2)`, `s` being the length of the residual over it, pixels of the grid (iteratively reweighted
+    /// least squares); `None` where every residual counts in full, as in the published solver, whose confidences come from a network.
+    pub cauchy_px: Option<f64>,
     /// Least scaled depth of a point that counts: 0.25.
     pub min_depth: f64,
     /// As the Python twin of the published solver, which the fixtures come from: the derivative by the focal length moves
@@ -60,7 +61,7 @@ impl Default for DbaOptions {
             lm: 1e-4,
             ep: 0.1,
             prior_alpha: Some(0.05),
-            robust: Robust::None,
+            cauchy_px: None,
             min_depth: super::problem::MIN_DEPTH,
             #[cfg(test)]
             python_twin: false,
@@ -80,6 +81,11 @@ impl DbaOptions {
             prior_alpha,
             ..Self::default()
         }
+    }
+
+    /// One over the squared scale of the extra weight; 0 makes the weight 1 exactly.
+    pub(super) fn inverse_square(&self) -> f64 {
+        self.cauchy_px.map_or(0.0, |scale_px| 1.0 / (scale_px * scale_px))
     }
 
     /// The change of `fy` with `fx` in the derivative by the focal length: their ratio, as the step keeps it.
@@ -123,44 +129,6 @@ pub struct DbaReport {
     pub rms_px: f64,
 }
 
-/// A weight that falls with the length of the residual (iteratively reweighted least squares).
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub enum Robust {
-    /// Every residual counts in full: the published solver, whose confidences come from a network.
-    #[default]
-    None,
-    /// `1 / (1 + s^2)`, `s` being the length of the residual over the scale.
-    Cauchy {
-        /// Pixels of the grid.
-        scale_px: f64,
-    },
-    /// `1 / (1 + s^2)^2`: what is far off counts for nothing.
-    GemanMcClure {
-        /// Pixels of the grid.
-        scale_px: f64,
-    },
-}
-
-impl Robust {
-    /// The factor for a residual of squared length `squared_px2`, in (0, 1].
-    #[must_use]
-    pub fn weight<T: Real>(self, squared_px2: T) -> T {
-        let (inverse, power) = self.constants();
-        let w = T::one() / (T::one() + squared_px2 * T::of(inverse));
-        if power == 2 { w * w } else { w }
-    }
-
-    /// `(1 / scale^2, exponent)`: the weight is `(1 + s^2)^-exponent`. With [`Robust::None`] the first is 0, which
-    /// makes the weight 1 exactly.
-    pub(crate) fn constants(self) -> (f64, u32) {
-        match self {
-            Self::None => (0.0, 1),
-            Self::Cauchy { scale_px } => (1.0 / (scale_px * scale_px), 1),
-            Self::GemanMcClure { scale_px } => (1.0 / (scale_px * scale_px), 2),
-        }
-    }
-}
-
 /// Below this a sensor disparity counts as unknown.
 pub const SENSOR_KNOWN: f64 = 1e-8;
 
@@ -177,17 +145,5 @@ pub fn depth_prior<T: Real>(alpha: Option<T>, eta: T, disparity: T, sensor: T) -
     match alpha {
         Some(alpha) if sensor > T::of(SENSOR_KNOWN) => (alpha + floor, -alpha * (disparity - sensor)),
         _ => (eta + floor, T::zero()),
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::Robust;
-
-    #[test]
-    fn weights_fall_with_the_residual() {
-        assert_eq!(Robust::None.weight(100.0_f32), 1.0);
-        assert_eq!(Robust::Cauchy { scale_px: 2.0 }.weight(4.0_f64), 0.5);
-        assert_eq!(Robust::GemanMcClure { scale_px: 2.0 }.weight(4.0_f64), 0.25);
     }
 }

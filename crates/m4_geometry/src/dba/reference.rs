@@ -57,7 +57,7 @@ pub fn edge_system(geometry: &Geometry<f64>, factor: &Factor<f64>, options: &Dba
             continue;
         }
         let r = [factor.target_px[0][n] - p.pixel.x, factor.target_px[1][n] - p.pixel.y];
-        let scale = WEIGHT_SCALE * options.robust.weight(r[0] * r[0] + r[1] * r[1]);
+        let scale = WEIGHT_SCALE / (1.0 + (r[0] * r[0] + r[1] * r[1]) * options.inverse_square());
         for k in 0..2 {
             let w = scale * factor.weight[k][n];
             let j = [p.by_source.row(k).transpose(), p.by_target.row(k).transpose()];

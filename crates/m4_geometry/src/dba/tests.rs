@@ -78,8 +78,8 @@ fn options() -> Vec<DbaOptions> {
     vec![
         one,
         focal,
-        DbaOptions { free: Free::Poses, robust: Robust::Cauchy { scale_px: 0.7 }, ..one },
-        DbaOptions { robust: Robust::GemanMcClure { scale_px: 1.0 }, prior_alpha: None, ..focal },
+        DbaOptions { free: Free::Poses, cauchy_px: Some(0.7), ..one },
+        DbaOptions { cauchy_px: Some(1.0), prior_alpha: None, ..focal },
         DbaOptions { iterations: 2, python_twin: true, ..focal },
     ]
 }

@@ -5,10 +5,9 @@ use super::InstanceError;
 use super::coarse::{Around, PERSISTENT_IN, proposals};
 use super::coarse::{Coarse, CoarseMasks, dilated};
 use super::ledger::{Outline, TrackedObject};
-use super::polarity::PolarityEvidence;
-use super::refine::{MERGE_OVERLAP, Refined, RefinedFrame, Refusal};
+use super::refine::{MERGE_OVERLAP, Refined, RefinedFrame};
 use super::source::ObjectId;
-use super::{InstanceReport, Rejection};
+use super::{InstanceReport, Rejected, Rejection};
 use crate::classical::dense::Components;
 use m4_core::{CompactIds, CompactMask, Plane, Progress};
 use rayon::prelude::*;
@@ -31,38 +30,31 @@ pub(super) fn finish(
     frames: usize,
     (segmenter, bound): (&str, Option<f32>),
     things: BTreeMap<ObjectId, TrackedObject>,
-    mut refused: Vec<Refusal>,
-    polarity: Option<PolarityEvidence>,
+    mut rejected: Vec<Rejected>,
     progress: &dyn Progress,
 ) -> Result<Refined, InstanceError> {
     let (w, h) = rough.size;
-    let (things, now) = merged(things, rough.size);
+    let pixels = w * h;
+    let things = merged(things, rough.size);
     let support = support(rough, &things, frames, progress)?;
     let things = match bound {
         Some(share) => bounded(rough, things, frames, share, progress)?,
         None => things,
     };
     let mut kept: Vec<(u16, &TrackedObject, f64)> = Vec::new();
-    let mut ids: BTreeMap<ObjectId, u16> = BTreeMap::new();
     for (thing, &share) in things.iter().zip(&support) {
         if share < f64::from(LEAST_SUPPORT) || thing.masks.is_empty() {
-            refused.push(Refusal {
+            rejected.push(Rejected {
                 frame: thing.prompted,
-                area: thing.part_area,
+                area_share: thing.part_area as f64 / pixels.max(1) as f64,
                 centre_px: thing.part_centre_px,
                 reason: Rejection::Unsupported { share },
-                of: None,
             });
             continue;
         }
-        let id = kept.len() as u16 + 1;
-        ids.insert(thing.object, id);
-        kept.push((id, thing, share));
+        kept.push((kept.len() as u16 + 1, thing, share));
     }
-    for refusal in &mut refused {
-        refusal.of = refusal.of.map(|object| now.get(&object).copied().unwrap_or(object));
-    }
-    refused.sort_by_key(|r| r.frame);
+    rejected.sort_by_key(|r| r.frame);
 
     let done = AtomicUsize::new(0);
     let painted: Vec<Painted> = (0..frames)
@@ -79,14 +71,12 @@ pub(super) fn finish(
         })
         .collect::<Result<_, _>>()?;
 
-    let pixels = w * h;
     let share =
         |of: &dyn Fn(&Painted) -> usize| painted.iter().map(of).sum::<usize>() as f64 / (pixels * frames).max(1) as f64;
     let record = |&(id, thing, supported): &(u16, &TrackedObject, f64)| thing.record(id, supported, pixels, frames);
     let report = InstanceReport {
         segmenter: segmenter.to_owned(),
         coarse: rough.coarse.name().to_owned(),
-        polarity,
         frames,
         size: [w, h],
         every_frames: rough.settings.every_frames,
@@ -94,28 +84,21 @@ pub(super) fn finish(
         refined_share: share(&|p| p.frame.mask.count()),
         unexplained_share: share(&|p| p.unexplained_px),
         instances: kept.iter().filter_map(record).collect(),
-        rejected: refused.iter().map(|r| r.to_report(pixels, &ids)).collect(),
+        rejected,
     };
     Ok(Refined { frames: painted.into_iter().map(|p| p.frame).collect(), report })
 }
 
-/// Things that are one, made one, in the order in which they were found; and what became of those that were taken in.
-fn merged(
-    things: BTreeMap<ObjectId, TrackedObject>,
-    size: (usize, usize),
-) -> (Vec<TrackedObject>, BTreeMap<ObjectId, ObjectId>) {
+/// Things that are one, made one, in the order in which they were found.
+fn merged(things: BTreeMap<ObjectId, TrackedObject>, size: (usize, usize)) -> Vec<TrackedObject> {
     let mut out: Vec<TrackedObject> = Vec::new();
-    let mut now = BTreeMap::new();
     for thing in things.into_values() {
         match out.iter_mut().find(|other| other.is_also(&thing, MERGE_OVERLAP)) {
-            Some(other) => {
-                now.insert(thing.object, other.object);
-                other.absorb(thing, size);
-            }
+            Some(other) => other.absorb(thing, size),
             None => out.push(thing),
         }
     }
-    (out, now)
+    out
 }
 
 /// For each thing the share of its frames in which it has coarse pixels.
@@ -307,15 +290,10 @@ mod tests {
         let thing = TrackedObject {
             object: ObjectId(7),
             prompted: 0,
-            overlap: 1.0,
-            quality: None,
-            coarse_outline: false,
             part_area: 200,
             part_centre_px: [15.0, 20.0],
             masks,
-            overgrown: 0,
             lost: [false; 2],
-            found_again: Vec::new(),
         };
         let held = bounded(&rough, vec![thing], 12, 2.0 / 64.0, &Silent).unwrap();
         let held = &held[0].masks;

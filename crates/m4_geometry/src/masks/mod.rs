@@ -8,7 +8,7 @@
 //! ```
 //!
 //! Motion gives rough dynamic regions per frame; a segmentation network refines their outlines and
-//! where they are in other frames ([`VideoSegmenter`]): a network with a memory, or [`FlowFollower`], which carries masks along optical flow
+//! where they are in other frames ([`VideoSession`]): a network with a memory, or [`FlowFollower`], which carries masks along optical flow
 //! and asks a segmenter of single images, if there is one, what they mean there.
 //!
 //! Source: the segmentation-tracking enhancement of Minute4D (docs/spec/front-end.md 2.4: threshold 0.7, prompts
@@ -22,22 +22,18 @@ mod coarse;
 mod finish;
 mod follow;
 mod ledger;
-mod polarity;
 mod refine;
 mod source;
 #[cfg(test)]
 mod tests;
 
+use crate::classical::dense::SourceError;
 pub use coarse::Coarse;
 use coarse::TAU_STILL;
 pub use follow::FlowFollower;
-pub use polarity::{Polarity, PolarityEvidence};
-pub use refine::{RefineInput, Refined, RefinedFrame, refine};
+pub use refine::{Refined, RefinedFrame, refine};
 use serde::{Deserialize, Serialize};
-pub use source::{
-    FrameSource, ImageError, ImageList, ObjectId, ObjectMask, ObjectPrompt, VideoError, VideoSegmenter, VideoSession,
-    Visibility,
-};
+pub use source::{ObjectId, ObjectMask, ObjectPrompt, VideoSession};
 
 /// Settings of [`refine()`].
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -83,15 +79,6 @@ pub enum InstanceError {
     /// A clip without pixels, or coarse masks of another clip; the text says which.
     #[error("{0}")]
     Input(String),
-    /// A map of motion is inverted.
-    #[error(
-        "the motion maps look inverted ({evidence}): high values must mean dynamic; replace each value by 255 minus it, or \
-         pass `--segmenter none` to keep the masks as they are"
-    )]
-    Polarity {
-        /// What was found.
-        evidence: PolarityEvidence,
-    },
     /// A setting out of range.
     #[error("setting {name} is {value}; it must be {range}")]
     Setting {
@@ -102,24 +89,22 @@ pub enum InstanceError {
         /// What is allowed.
         range: &'static str,
     },
-    /// Following failed.
-    #[error(transparent)]
-    Video(VideoError),
+    /// A network failed.
+    #[error("{segmenter} cannot track objects in frame {frame}: {reason}")]
+    Source {
+        /// Its name.
+        segmenter: String,
+        /// The frame at which it was.
+        frame: usize,
+        /// What went wrong.
+        reason: SourceError,
+    },
     /// The user asked to stop.
     #[error("stopped on request while {phase}")]
     Cancelled {
         /// What was going on.
         phase: &'static str,
     },
-}
-
-impl From<VideoError> for InstanceError {
-    fn from(error: VideoError) -> Self {
-        match error {
-            VideoError::Cancelled { .. } => Self::Cancelled { phase: "tracking objects" },
-            other => Self::Video(other),
-        }
-    }
 }
 
 /// How the way of a thing ends.
@@ -153,24 +138,12 @@ pub struct InstanceRecord {
     pub frames: usize,
     /// Share of the image that it covers, mean over the frames that show it.
     pub mean_area_share: f64,
-    /// The same, the largest.
-    pub max_area_share: f64,
     /// The frame in which it was found.
     pub prompted_frame: usize,
-    /// Intersection over union of the segmenter's mask there with the coarse part.
-    pub prompt_overlap: f32,
-    /// How far the segmenter trusted its mask there.
-    pub prompt_quality: Option<f32>,
-    /// True if it started with the outline of the coarse part, because the segmenter's differed too much.
-    pub coarse_outline: bool,
     /// Share of its frames in which coarse pixels support it.
     pub supported_share: f64,
-    /// Frames in which its mask had become background and was not taken.
-    pub overgrown_frames: usize,
     /// How it ends.
     pub ending: Ending,
-    /// Frames in which it was found again as another thing, which it turned out to be.
-    pub found_again: Vec<usize>,
 }
 
 /// Why a coarse part did not become a thing.
@@ -195,10 +168,7 @@ pub enum Rejection {
         overlap: f32,
     },
     /// The mask is that of a thing that is there already.
-    Duplicate {
-        /// Its number; `None` if that was dropped later.
-        of: Option<u16>,
-    },
+    Duplicate,
     /// Followed over its frames, it hardly ever moves.
     Unsupported {
         /// Share of its frames in which coarse pixels support it.
@@ -229,8 +199,6 @@ pub struct InstanceReport {
     pub segmenter: String,
     /// Where the coarse masks come from: `motion` or `masks`.
     pub coarse: String,
-    /// What speaks for and against the reading of maps of motion.
-    pub polarity: Option<PolarityEvidence>,
     /// Frames of the clip.
     pub frames: usize,
     /// Width and height at which things were followed.

@@ -4,14 +4,12 @@ use super::coarse::{Around, PERSISTENT_IN, Proposal, prompt, proposals};
 use super::coarse::{Coarse, CoarseMasks};
 use super::finish::finish;
 use super::ledger::{Outline, TrackedObject};
-use super::polarity::{Polarity, PolarityEvidence};
-use super::source::{FrameSource, ObjectId, ObjectMask, VideoError, VideoSegmenter, VideoSession};
+use super::source::{ObjectId, ObjectMask, VideoSession};
 use super::{InstanceError, RefineSettings};
 use super::{InstanceReport, Rejected, Rejection};
-use crate::classical::dense::{self, FlowSource, working_size};
-use m4_core::{CompactIds, CompactMask, Progress};
+use crate::classical::dense::{self, working_size};
+use m4_core::{CompactIds, CompactMask, Progress, RgbImage};
 use std::collections::BTreeMap;
-use std::ops::ControlFlow;
 
 /// A mask that covers a larger share of the image is of the background. Specification: 0.3 to 0.35.
 const MOST_SHARE: f32 = 0.35;
@@ -27,16 +25,6 @@ const CARRIED_BOUND: f32 = 6.0 / 480.0;
 const LEAST_SIDE: usize = 16;
 /// What is done, for messages.
 const PHASE: &str = "tracking objects";
-
-/// What is refined.
-pub struct RefineInput<'a> {
-    /// The frames.
-    pub clip: &'a dyn FrameSource,
-    /// Their coarse dynamic masks.
-    pub coarse: &'a Coarse<'a>,
-    /// Flow by which the reading of maps of motion is checked besides their looks.
-    pub flow: Option<&'a dyn FlowSource>,
-}
 
 /// One frame of the result, at the size at which things were followed.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -56,33 +44,42 @@ pub struct Refined {
     pub report: InstanceReport,
 }
 
-/// Finds things in coarse masks, follows them through the clip and says where each is; see [the module](super).
+/// Finds things in coarse masks, follows them through the clip and says where each is; see [the module](super). `open` starts to
+/// follow things in `images` with masks of the size that it is given.
 ///
 /// # Errors
 ///
 /// [`InstanceError`].
-pub fn refine(
-    input: &RefineInput<'_>,
-    segmenter: &dyn VideoSegmenter,
+pub fn refine<'a>(
+    images: &[&RgbImage],
+    coarse: &Coarse<'_>,
     settings: &RefineSettings,
+    open: impl FnOnce((usize, usize)) -> Result<Box<dyn VideoSession + 'a>, InstanceError>,
     progress: &dyn Progress,
 ) -> Result<Refined, InstanceError> {
     settings.check()?;
-    let (frames, full) = (input.clip.frames(), input.clip.size());
+    let (frames, full) = (images.len(), images.first().map_or((0, 0), |image| image.size()));
     if frames == 0 || full.0.min(full.1) < LEAST_SIDE {
         return Err(InstanceError::Input(format!(
             "the clip has {frames} frames of {}x{} pixels; at least one frame of {LEAST_SIDE} px per side is needed",
             full.0, full.1
         )));
     }
-    input.coarse.check(frames)?;
-    let polarity = polarity(input, settings, progress)?;
+    if let Some((frame, image)) = images.iter().enumerate().find(|(_, image)| image.size() != full) {
+        return Err(InstanceError::Input(format!(
+            "frame {frame} is {}x{} where {}x{} was expected; all frames must have one size",
+            image.width(),
+            image.height(),
+            full.0,
+            full.1
+        )));
+    }
+    coarse.check(frames)?;
     let size = working_size(full.0, full.1, settings.side_px);
     let mut search = Search {
-        rough: CoarseMasks { coarse: input.coarse, size, settings },
+        rough: CoarseMasks { coarse, size, settings },
         frames,
-        session: segmenter.open(input.clip, size)?,
-        segmenter: segmenter.name(),
+        session: open(size)?,
         things: BTreeMap::new(),
         rejected: Vec::new(),
         next: 0,
@@ -90,74 +87,22 @@ pub fn refine(
     };
     search.forwards()?;
     search.backwards()?;
-    let Search { rough, things, rejected, .. } = search;
-    let bound = (!segmenter.remembers()).then_some(CARRIED_BOUND);
-    finish(&rough, frames, (segmenter.name(), bound), things, rejected, polarity, progress)
+    let Search { rough, things, rejected, session, .. } = search;
+    let bound = (!session.remembers()).then_some(CARRIED_BOUND);
+    finish(&rough, frames, (session.name(), bound), things, rejected, progress)
 }
 
-/// Checks the reading of maps of motion.
-fn polarity(
-    input: &RefineInput<'_>,
-    settings: &RefineSettings,
-    progress: &dyn Progress,
-) -> Result<Option<PolarityEvidence>, InstanceError> {
-    let Coarse::Motion(maps) = input.coarse else { return Ok(None) };
-    let evidence = PolarityEvidence::of(maps, input.clip, input.flow, settings.tau)?;
-    match evidence.verdict() {
-        Polarity::Moving => {}
-        Polarity::Doubtful => progress.warn(&format!(
-            "the motion maps may be inverted ({evidence}): if high values mean static, replace each value by 255 minus it"
-        )),
-        Polarity::Still => return Err(InstanceError::Polarity { evidence }),
-    }
-    Ok(Some(evidence))
-}
-
-/// A coarse part that did not become a thing, by the thing it would have been.
-pub(super) struct Refusal {
-    pub frame: usize,
-    pub area: usize,
-    pub centre_px: [f32; 2],
-    pub reason: Rejection,
-    /// Of a duplicate: of which thing.
-    pub of: Option<ObjectId>,
-}
-
-impl Refusal {
-    pub fn to_report(&self, pixels: usize, ids: &BTreeMap<ObjectId, u16>) -> Rejected {
-        let reason = match self.reason {
-            Rejection::Duplicate { .. } => {
-                Rejection::Duplicate { of: self.of.and_then(|object| ids.get(&object).copied()) }
-            }
-            other => other,
-        };
-        Rejected {
-            frame: self.frame,
-            area_share: self.area as f64 / pixels.max(1) as f64,
-            centre_px: self.centre_px,
-            reason,
-        }
-    }
-}
-
-fn other_objects(segmenter: &str, found: usize, expected: usize) -> VideoError {
-    VideoError::Input(format!(
-        "{segmenter} returned masks of {found} objects where {expected} were requested, or of others"
-    ))
-}
-
-struct Search<'a> {
+struct Search<'a, 's> {
     rough: CoarseMasks<'a>,
     frames: usize,
-    session: Box<dyn VideoSession + 'a>,
-    segmenter: &'a str,
+    session: Box<dyn VideoSession + 's>,
     things: BTreeMap<ObjectId, TrackedObject>,
-    rejected: Vec<Refusal>,
+    rejected: Vec<Rejected>,
     next: u32,
     progress: &'a dyn Progress,
 }
 
-impl Search<'_> {
+impl Search<'_, '_> {
     /// Frames at which new things are looked for.
     fn stops(&self) -> Vec<usize> {
         (0..self.frames).step_by(self.rough.settings.every_frames).collect()
@@ -203,31 +148,18 @@ impl Search<'_> {
         }
         let (w, h) = self.rough.size;
         let most_px = (MOST_SHARE * (w * h) as f32) as usize;
-        let (things, size, frames, progress, name) =
-            (&mut self.things, self.rough.size, self.frames, self.progress, self.segmenter);
-        let mut wrong: Option<VideoError> = None;
+        let (things, frames, progress) = (&mut self.things, self.frames, self.progress);
         let way = if later { "tracking objects" } else { "tracking objects backwards" };
         let mut sink = |frame: usize, found: Vec<ObjectMask>| {
-            let fits = found.iter().map(|f| f.object).eq(objects.iter().copied());
-            if !fits {
-                wrong = Some(other_objects(name, found.len(), objects.len()));
-                return ControlFlow::Break(());
-            }
             for found in &found {
-                if let Err(error) = VideoError::check_mask(found.object, &found.mask, size) {
-                    wrong = Some(error);
-                    return ControlFlow::Break(());
-                }
                 if let Some(thing) = things.get_mut(&found.object) {
                     thing.note(frame, found, later, most_px);
                 }
             }
             let done = if later { frame + 1 } else { frames - frame };
             progress.update(way, done, frames, &format!("{} objects", found.len()));
-            ControlFlow::Continue(())
         };
-        self.session.follow(&objects, from, to, progress, &mut sink)?;
-        wrong.map_or(Ok(()), |error| Err(error.into()))
+        self.session.follow(&objects, from, to, progress, &mut sink)
     }
 
     /// Makes things of the coarse parts of a frame that no thing covers.
@@ -244,9 +176,9 @@ impl Search<'_> {
         for proposal in proposals(&self.rough, &around, &covered) {
             if proposal.seen_in < PERSISTENT_IN {
                 let seen_in = proposal.seen_in;
-                self.refuse(frame, &proposal, Rejection::Flicker { seen_in }, None);
+                self.refuse(frame, &proposal, Rejection::Flicker { seen_in });
             } else if self.things.len() + asked.len() >= usize::from(u16::MAX) {
-                self.refuse(frame, &proposal, Rejection::TooMany, None);
+                self.refuse(frame, &proposal, Rejection::TooMany);
             } else {
                 asked.push((ObjectId(self.next), proposal));
                 self.next += 1;
@@ -258,9 +190,6 @@ impl Search<'_> {
         let prompts: Vec<_> =
             asked.iter().map(|(object, part)| prompt(*object, &part.outline, &around.here, (w, h))).collect();
         let found = self.session.prompt(frame, &prompts)?;
-        if !found.iter().map(|f| f.object).eq(prompts.iter().map(|p| p.object)) {
-            return Err(other_objects(self.segmenter, found.len(), prompts.len()).into());
-        }
         for ((object, part), found) in asked.into_iter().zip(&found) {
             self.judge(frame, object, &part, found)?;
         }
@@ -276,18 +205,19 @@ impl Search<'_> {
         found: &ObjectMask,
     ) -> Result<(), InstanceError> {
         let (w, h) = self.rough.size;
-        VideoError::check_mask(object, &found.mask, (w, h))?;
-        let outline = match Outline::of(&found.mask) {
-            Some(outline) => outline,
-            None => return self.drop(frame, object, part, Rejection::Nothing, None),
+        let Some(outline) = Outline::of(&found.mask) else {
+            self.drop(frame, object, part, Rejection::Nothing);
+            return Ok(());
         };
         let share = outline.area() as f32 / (w * h) as f32;
         let overlap = outline.overlap(&part.outline);
         if share > MOST_SHARE {
-            return self.drop(frame, object, part, Rejection::TooLarge { share }, None);
+            self.drop(frame, object, part, Rejection::TooLarge { share });
+            return Ok(());
         }
         if overlap < LEAST_OVERLAP {
-            return self.drop(frame, object, part, Rejection::Elsewhere { overlap }, None);
+            self.drop(frame, object, part, Rejection::Elsewhere { overlap });
+            return Ok(());
         }
         // Below this overlap the thing starts with the outline of the coarse part; maps of motion are too coarse to have one.
         let least = match self.rough.coarse {
@@ -296,11 +226,10 @@ impl Search<'_> {
         };
         let coarse_outline = overlap < least;
         let outline = if coarse_outline { part.outline.clone() } else { outline };
-        let there = self.things.values().filter_map(|thing| Some((thing.object, thing.masks.get(&frame)?)));
-        let same = there.filter(|(_, mask)| mask.overlap(&outline) > MERGE_OVERLAP);
-        let same = same.map(|(object, _)| object).next();
-        if same.is_some() {
-            return self.drop(frame, object, part, Rejection::Duplicate { of: None }, same);
+        let mut there = self.things.values().filter_map(|thing| thing.masks.get(&frame));
+        if there.any(|mask| mask.overlap(&outline) > MERGE_OVERLAP) {
+            self.drop(frame, object, part, Rejection::Duplicate);
+            return Ok(());
         }
         if coarse_outline {
             let mask = CompactMask::from_fn(w, h, |x, y| outline.at(x, y));
@@ -309,40 +238,27 @@ impl Search<'_> {
         let thing = TrackedObject {
             object,
             prompted: frame,
-            overlap,
-            quality: found.quality,
-            coarse_outline,
             part_area: part.outline.area(),
             part_centre_px: part.outline.centre_px(),
             masks: BTreeMap::from([(frame, outline)]),
-            overgrown: 0,
             lost: [false; 2],
-            found_again: Vec::new(),
         };
         self.things.insert(object, thing);
         Ok(())
     }
 
-    fn drop(
-        &mut self,
-        frame: usize,
-        object: ObjectId,
-        part: &Proposal,
-        reason: Rejection,
-        of: Option<ObjectId>,
-    ) -> Result<(), InstanceError> {
+    fn drop(&mut self, frame: usize, object: ObjectId, part: &Proposal, reason: Rejection) {
         self.session.forget(object);
-        self.refuse(frame, part, reason, of);
-        Ok(())
+        self.refuse(frame, part, reason);
     }
 
-    fn refuse(&mut self, frame: usize, part: &Proposal, reason: Rejection, of: Option<ObjectId>) {
-        self.rejected.push(Refusal {
+    fn refuse(&mut self, frame: usize, part: &Proposal, reason: Rejection) {
+        let (w, h) = self.rough.size;
+        self.rejected.push(Rejected {
             frame,
-            area: part.outline.area(),
+            area_share: part.outline.area() as f64 / (w * h).max(1) as f64,
             centre_px: part.outline.centre_px(),
             reason,
-            of,
         });
     }
 }

@@ -27,12 +27,13 @@ pub(crate) mod prior;
 mod reconstruct;
 pub mod tracker;
 
+use crate::classical::dense::SourceError;
 use crate::dba::{Grid, Pinhole};
 use crate::resample::{bilinear, crop, resize_area};
 use cvd::{CVD_STEPS, CvdError, PairError};
 use m4_core::{Intrinsics, Plane, RgbImage};
 pub use prior::{DepthPrior, PriorKind};
-pub use reconstruct::{MegasamGeometry, MegasamInput, PairFlow, PairFlowError, SourceFlow, reconstruct, track};
+pub use reconstruct::{MegasamGeometry, MegasamInput, PairFlow, reconstruct, track};
 use serde::{Deserialize, Serialize};
 use tracker::{TrackerError, TrackerSettings};
 
@@ -89,8 +90,13 @@ pub enum MegasamError {
     #[error(transparent)]
     Tracker(#[from] TrackerError),
     /// Flow could not be had.
-    #[error(transparent)]
-    Flow(#[from] PairFlowError),
+    #[error("there is no flow from frame {} to frame {}", between.0, between.1)]
+    Flow {
+        /// Where it would start, and where it would lead.
+        between: (usize, usize),
+        /// What went wrong.
+        source: SourceError,
+    },
     /// Flow could not be kept.
     #[error(transparent)]
     Pairs(#[from] PairError),

@@ -4,7 +4,7 @@ use super::cvd::pairs::{FramePair, PairStore, consistency_mask, halved, pair_lis
 use super::cvd::{ConsistentDepth, CvdInput, optimise, uncertainty_of_static};
 use super::tracker::{Clip, Correspondence, FrameInput, Tracked};
 use super::{CELL_PX, DepthPrior, MegasamError, MegasamSettings, PriorKind, TrackingSize, from_grid, tracker};
-use crate::classical::dense::{FlowSource, ScaledFrame};
+use crate::classical::dense::{InverseSearch, ScaledFrame, SourceError};
 use crate::dba::Observability;
 use crate::resample::resize_bilinear;
 use m4_core::{Flow, Intrinsics, Plane, Progress, RgbImage, Se3};
@@ -40,8 +40,6 @@ pub struct MegasamGeometry {
     pub depth: Vec<Plane<f32>>,
     /// Probability that each cell of the tracker's grid is static, 0..=1.
     pub static_confidence: Vec<Plane<f32>>,
-    /// How much each pixel followed the motion of the camera in the end (the learned certainty u), at half the cropped size.
-    pub certainty: Vec<Plane<f32>>,
     /// True if lengths are metres.
     pub metric: bool,
     /// Scene units a unit of length: what tracker and published files work in.
@@ -54,8 +52,6 @@ pub struct MegasamGeometry {
     pub keyframes: Vec<usize>,
     /// Root mean square of the tracker's weighted residuals at the end, pixels of the images.
     pub residual_px: f64,
-    /// The loss of consistent depth before each step, of both its stages.
-    pub losses: [Vec<f64>; 2],
 }
 
 impl MegasamGeometry {
@@ -174,14 +170,12 @@ fn finish(
         c2w: c2w.collect(),
         depth: depth.collect(),
         static_confidence,
-        certainty: consistent.uncertainty,
         metric,
         norm,
         observability: tracked.observability,
         focal_adjusted: tracked.focal_adjusted,
         keyframes: tracked.keyframes,
         residual_px: tracked.rms_px * CELL_PX as f64 * size.full.0 as f64 / size.scaled.0 as f64,
-        losses: consistent.losses,
     }
 }
 
@@ -214,46 +208,25 @@ fn check(input: &MegasamInput<'_>, settings: &MegasamSettings) -> Result<Trackin
     }
 }
 
-/// Why a pair has no flow.
-#[derive(Debug, thiserror::Error)]
-#[error("there is no flow from frame {source_frame} to frame {target_frame}: {reason}")]
-pub struct PairFlowError {
-    /// Where it would start.
-    pub source_frame: usize,
-    /// Where it would lead.
-    pub target_frame: usize,
-    /// What went wrong.
-    pub reason: Box<dyn std::error::Error + Send + Sync>,
-}
-
 /// Measures flow between two frames of a clip. Pairs are asked for by step and then by source ([`pair_list`]), so that a
 /// network can begin with what it found for a shorter step.
 pub trait PairFlow {
     /// For records and messages.
     fn name(&self) -> &str;
 
-    /// The flow of `pair` and that back, of the size of the images `a` (of the source) and `b`.
-    ///
-    /// # Errors
-    ///
-    /// [`PairFlowError`] where it cannot be had.
-    fn both(&mut self, pair: FramePair, a: &RgbImage, b: &RgbImage) -> Result<[Flow; 2], PairFlowError>;
+    /// The flow of `pair` and that back, of the size of the images `a` (of the source) and `b`; fails where it cannot be had.
+    fn both(&mut self, pair: FramePair, a: &RgbImage, b: &RgbImage) -> Result<[Flow; 2], SourceError>;
 }
 
-/// A source of flow that looks at each pair anew.
-pub struct SourceFlow<'a>(pub &'a dyn FlowSource);
-
-impl PairFlow for SourceFlow<'_> {
+/// Looks at each pair anew.
+impl PairFlow for InverseSearch {
     fn name(&self) -> &str {
-        self.0.name()
+        "classical"
     }
 
-    fn both(&mut self, pair: FramePair, a: &RgbImage, b: &RgbImage) -> Result<[Flow; 2], PairFlowError> {
+    fn both(&mut self, _: FramePair, a: &RgbImage, b: &RgbImage) -> Result<[Flow; 2], SourceError> {
         let [from, to] = [a, b].map(|image| ScaledFrame::new(image, image.size()));
-        let failed =
-            |error| PairFlowError { source_frame: pair.source, target_frame: pair.target, reason: Box::new(error) };
-        let there = self.0.both(&from.flow_image(), &to.flow_image());
-        let (there, back) = there.map_err(failed)?;
+        let (there, back) = InverseSearch::both(*self, &from, &to);
         Ok([there, back])
     }
 }
@@ -287,7 +260,9 @@ pub(super) fn measure(
             _ => image_of(pair.source),
         };
         let b = image_of(pair.target);
-        let [there, back] = flow.both(pair, &a, &b)?;
+        let both = flow.both(pair, &a, &b);
+        let [there, back] =
+            both.map_err(|source| MegasamError::Flow { between: (pair.source, pair.target), source })?;
         let [there, back] = [there, back].map(|flow| halved(&flow));
         let mask = consistency_mask(&there, &back);
         store.push(pair, &there, &mask)?;

@@ -1,8 +1,8 @@
-//! A clip whose frames are asked for one at a time, and what is kept of it while points are followed: flow and depth of the pixels
+//! A capture whose frames are looked at one at a time, and what is kept of it while points are followed: flow and depth of the pixels
 //! that move, and nothing of the others.
 
 use super::TrackError;
-use crate::classical::dense::{FlowError, FlowPair, FlowSource, ScaledFrame};
+use crate::classical::dense::{FlowPair, ScaledFrame, working_size};
 use m4_core::{Camera, Capture, DepthMap, Flow, Mask, Plane, RgbImage};
 
 /// One frame with its geometry, all planes of the size of the camera's image.
@@ -18,60 +18,8 @@ pub struct PosedFrame {
     pub camera: Camera,
 }
 
-impl PosedFrame {
-    /// Refuses planes that are not of one size, and cameras that are not finite.
-    pub(crate) fn check(&self) -> Result<(), String> {
-        let size = self.rgb.size();
-        let k = &self.camera.intrinsics;
-        if self.depth.size() != size || self.moving.size() != size || (k.width, k.height) != size {
-            return Err(format!(
-                "image {size:?}, depth {:?}, mask {:?} and camera {:?} are not of one size",
-                self.depth.size(),
-                self.moving.size(),
-                (k.width, k.height)
-            ));
-        }
-        if size.0.min(size.1) < 2 {
-            return Err(format!("{size:?} pixels are too few"));
-        }
-        let pose = &self.camera.c2w;
-        let finite = |v: &[f64]| v.iter().all(|v| v.is_finite());
-        let lens = [k.fx, k.fy, k.cx, k.cy];
-        if !finite(&lens) || k.fx <= 0.0 || k.fy <= 0.0 {
-            return Err("its focal length is not a number above 0".to_owned());
-        }
-        if !finite(pose.rotation.as_slice()) || !finite(pose.translation.as_slice()) {
-            return Err("its pose is not finite".to_owned());
-        }
-        Ok(())
-    }
-}
-
-/// A posed clip. Frames are read when they are looked at, several at once from different threads, and again when they are
-/// looked at again, so that a long clip need not be in memory; the same frame must always be the same bits.
-pub trait PosedClip: Sync {
-    /// Number of frames.
-    fn frames(&self) -> usize;
-
-    /// Frame `index`; all frames have one size.
-    ///
-    /// # Errors
-    ///
-    /// [`TrackError::Frame`] where it cannot be read.
-    fn read(&self, index: usize) -> Result<PosedFrame, TrackError>;
-}
-
-impl PosedClip for Vec<PosedFrame> {
-    fn frames(&self) -> usize {
-        self.len()
-    }
-
-    fn read(&self, index: usize) -> Result<PosedFrame, TrackError> {
-        self.get(index).cloned().ok_or_else(|| frame_error(index, "the clip ends before it"))
-    }
-}
-
-/// A capture as a clip: images, depth and masks at one size.
+/// A capture as a clip: images, depth and masks at one size. Frames are brought to it when they are looked at, several at once from
+/// different threads, and again when they are looked at again, so that a long clip is not in memory twice.
 #[derive(Debug, Clone, Copy)]
 pub struct CaptureClip<'a> {
     capture: &'a Capture,
@@ -84,18 +32,38 @@ impl<'a> CaptureClip<'a> {
     #[must_use]
     pub fn new(capture: &'a Capture, side_px: usize) -> Self {
         let (w, h) = capture.frames.first().map_or((0, 0), |f| f.rgb.size());
-        Self { capture, size: crate::classical::dense::working_size(w, h, side_px.max(2)) }
+        Self { capture, size: working_size(w, h, side_px.max(2)) }
     }
-}
 
-impl PosedClip for CaptureClip<'_> {
-    fn frames(&self) -> usize {
+    /// Width and height at which frames are read.
+    pub(super) fn size(&self) -> (usize, usize) {
+        self.size
+    }
+
+    /// Number of frames.
+    #[must_use]
+    pub fn frames(&self) -> usize {
         self.capture.frames.len()
     }
 
-    fn read(&self, index: usize) -> Result<PosedFrame, TrackError> {
-        let frame = self.capture.frames.get(index).ok_or_else(|| frame_error(index, "the capture ends before it"))?;
+    /// Frame `index`, below [`Self::frames`].
+    ///
+    /// # Errors
+    ///
+    /// [`TrackError::Frame`] for images too small to follow anything, and cameras that are not finite.
+    pub fn read(&self, index: usize) -> Result<PosedFrame, TrackError> {
+        let frame = &self.capture.frames[index];
+        let refused = |reason| Err(TrackError::Frame { frame: index, reason });
         let (w, h) = self.size;
+        if frame.rgb.width() < w || frame.rgb.height() < h || w.min(h) < 2 {
+            return refused("it is smaller than the first frame, or than 2 pixels");
+        }
+        let camera = frame.camera.resized(w, h);
+        let (k, pose) = (&camera.intrinsics, &camera.c2w);
+        let numbers = pose.rotation.iter().chain(&pose.translation).chain([&k.cx, &k.cy, &k.fx, &k.fy]);
+        if !numbers.into_iter().all(|v| v.is_finite()) || k.fx <= 0.0 || k.fy <= 0.0 {
+            return refused("its camera is not finite, or has a focal length of 0 or less");
+        }
         let nearest =
             |x: usize, y: usize, (fw, fh): (usize, usize)| ((2 * x + 1) * fw / (2 * w), (2 * y + 1) * fh / (2 * h));
         let depth = Plane::from_fn(w, h, |x, y| {
@@ -110,28 +78,8 @@ impl PosedClip for CaptureClip<'_> {
                 if m.at(x, y) { 255 } else { 0 }
             })
         });
-        if frame.rgb.width() < w || frame.rgb.height() < h {
-            return Err(frame_error(index, "it is smaller than the first frame"));
-        }
-        Ok(PosedFrame {
-            rgb: crate::resample::resize_area(&frame.rgb, w, h),
-            depth,
-            moving,
-            camera: frame.camera.resized(w, h),
-        })
+        Ok(PosedFrame { rgb: crate::resample::resize_area(&frame.rgb, w, h), depth, moving, camera })
     }
-}
-
-/// [`TrackError::Frame`] with a reason in words.
-pub(crate) fn frame_error(frame: usize, reason: impl Into<String>) -> TrackError {
-    TrackError::Frame { frame, reason: reason.into().into() }
-}
-
-/// Frame `index`, checked.
-pub(crate) fn read_checked(clip: &dyn PosedClip, index: usize) -> Result<PosedFrame, TrackError> {
-    let frame = clip.read(index)?;
-    frame.check().map_err(|reason| frame_error(index, reason))?;
-    Ok(frame)
 }
 
 /// Values of some pixels of an image.
@@ -200,17 +148,14 @@ pub(crate) fn sparse_flow(flow: &Flow, trip: &[f32], moves: impl Fn(usize) -> bo
 }
 
 /// Forward and backward flow between two frames, of the dynamic pixels of each.
-pub(super) fn sparse_flow_pair(
-    [a, b]: [&PosedFrame; 2],
-    source: &dyn FlowSource,
-) -> Result<[Sparse<[f32; 2]>; 2], FlowError> {
+pub(super) fn sparse_flow_pair([a, b]: [&PosedFrame; 2]) -> [Sparse<[f32; 2]>; 2] {
     let [from, to] = [a, b].map(|frame| ScaledFrame::new(&frame.rgb, frame.rgb.size()));
-    let pair = FlowPair::between(&from.flow_image(), &to.flow_image(), source)?;
+    let pair = FlowPair::between(&from, &to);
     let moves = |f: &PosedFrame, i: usize| f.moving.data()[i] > 0;
-    Ok([
+    [
         sparse_flow(&pair.forward, &pair.forward_round_trip, |i| moves(a, i)),
         sparse_flow(&pair.backward, &pair.backward_round_trip, |i| moves(b, i)),
-    ])
+    ]
 }
 
 #[cfg(test)]

@@ -8,7 +8,7 @@
 use super::flow_tracker::{Chain, Lifted, around, is_inside, lift, one_way};
 use super::predict::{Guess, Lost, Step, lose};
 use super::tracker::nearest;
-use super::{Strip, TrackConfig, TrackError};
+use super::{Strip, TrackError};
 use m4_core::nalgebra::Vector3;
 use m4_core::{DepthMap, Progress};
 use rayon::prelude::*;
@@ -32,7 +32,6 @@ pub(crate) struct Scene<'a> {
     pub strip: &'a Strip,
     /// z-depth of all that a frame sees; 0 or not a number where unknown.
     pub surface: &'a (dyn Fn(usize) -> Result<DepthMap, TrackError> + Sync),
-    pub config: &'a TrackConfig,
 }
 
 /// What became of a lost point in one frame.
@@ -161,7 +160,7 @@ fn again(
     if !forward {
         seen.reverse();
     }
-    let pieces = lift(strip, &Chain { first, seen }, scene.config);
+    let pieces = lift(strip, &Chain { first, seen });
     let piece = pieces.into_iter().find(|p| (p.first..p.first + p.places.len()).contains(&now))?;
     // A little later it must still be where its neighbours say.
     let reach = (piece.places.len() - 1).min(PROOF - 1);

@@ -1,84 +1,56 @@
 //! Points followed along optical flow, frame by frame, and brought into the world with the depth under them; without weights.
 
-use super::clip::{Strip, frame_error, moving, read_checked, sparse_flow_pair};
+use super::clip::{Strip, moving, sparse_flow_pair};
 use super::fill::State;
 use super::tracker::{nearest, thinned};
-use super::{Board, PosedClip, PosedFrame, Query, QueryGrid, Scene, TrackError, TrackedPoints, Tracker3d, fill, seed};
-use crate::classical::dense::FlowSource;
-use m4_core::{Progress, quantile};
+use super::{Board, CaptureClip, PosedFrame, QueryGrid, Scene, TrackError, fill, seed};
+use m4_core::{Progress, Tracks, quantile};
 use rayon::prelude::*;
 
 /// Frames whose images are in memory at a time.
 const BATCH: usize = 8;
 /// Most places of all tracks together: a place takes 17 bytes while points are followed.
 const MOST_PLACES: usize = 8_000_000;
+/// Time over which the depth of a track is smoothed, standard deviation in frames.
+const SMOOTH_FRAMES: f32 = 2.0;
 
-/// How chains become tracks.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct TrackConfig {
-    /// Whether points are carried on where they are hidden, with the local rigid motion of their neighbours (docs/spec/front-end.md 3,
-    /// "cheaper substitute"); else a track ends where its chain ends.
-    pub fill: bool,
-    /// Time over which the depth of a track is smoothed, standard deviation in frames; 0 for none.
-    pub smooth_frames: f32,
-}
-
-impl Default for TrackConfig {
-    fn default() -> Self {
-        Self { fill: true, smooth_frames: 2.0 }
-    }
-}
-
-/// Chains along optical flow, lifted with depth, carried on where they are hidden (docs/spec/front-end.md 7.1, item 8, and
-/// the end of docs/spec/front-end.md 3).
+/// Follows what moves in a clip: chains along optical flow, lifted with depth (docs/spec/front-end.md 7.1, item 8), and carried on where
+/// they are hidden with the local rigid motion of their neighbours (docs/spec/front-end.md 3, "cheaper substitute"). No point starts
+/// where a chain passes, and a chain that jumps becomes several tracks.
 ///
-/// Frames are followed at the size that the clip has. Of each, flow and depth of dynamic regions are kept; images are read a few at a time.
-pub struct FlowTracker<'a> {
-    /// Measures flow between neighbouring frames.
-    pub flow: &'a dyn FlowSource,
-    /// How chains are made and carried on. Where points start ([`QueryGrid`]) is the caller's word.
-    pub config: TrackConfig,
-}
-
-impl Tracker3d for FlowTracker<'_> {
-    /// No point starts where a chain passes, and a chain that jumps becomes several tracks.
-    fn follow_grid(
-        &self,
-        clip: &dyn PosedClip,
-        grid: &QueryGrid,
-        progress: &dyn Progress,
-    ) -> Result<TrackedPoints, TrackError> {
-        grid.check()?;
-        let strip = strip(clip, self.flow, progress)?;
-        let pieces = on_grid(&strip, grid, &self.config);
-        let (mut board, queries) = board_of(clip.frames(), &pieces);
-        let surface = |i: usize| Ok(read_checked(clip, i)?.depth);
-        let scene = Scene { strip: &strip, surface: &surface, config: &self.config };
-        if self.config.fill {
-            fill(&scene, &mut board, progress)?;
-        }
-        followed(board, queries)
-    }
+/// Frames are followed at the size that the clip has. Of each, flow and depth of dynamic regions are kept; images are read a few at a
+/// time. The same clip and grid give the same bits for any number of threads.
+///
+/// # Errors
+///
+/// [`TrackError`] for an unusable grid, where a frame cannot be used, or the user stops.
+pub fn follow(clip: &CaptureClip<'_>, grid: &QueryGrid, progress: &dyn Progress) -> Result<Tracks, TrackError> {
+    grid.check()?;
+    let strip = strip(clip, progress)?;
+    let mut board = board_of(clip.frames(), &on_grid(&strip, grid));
+    let surface = |i: usize| Ok(clip.read(i)?.depth);
+    fill(&Scene { strip: &strip, surface: &surface }, &mut board, progress)?;
+    followed(board)
 }
 
 /// The board as an answer.
-pub(crate) fn followed(board: Board, queries: Vec<Query>) -> Result<TrackedPoints, TrackError> {
+pub(crate) fn followed(board: Board) -> Result<Tracks, TrackError> {
     let visible = board.state.iter().map(|s| *s == State::Seen).collect();
-    TrackedPoints::new(board.frames, queries, board.places, visible, board.confidence)
+    let tracks = Tracks::new(board.frames, board.count, board.places, visible)?;
+    Ok(tracks.with_confidence(&board.confidence)?)
 }
 
-/// Pieces as tracks, and their first places as queries.
-pub(crate) fn board_of(frames: usize, pieces: &[Lifted]) -> (Board, Vec<Query>) {
+/// Pieces as tracks.
+pub(crate) fn board_of(frames: usize, pieces: &[Lifted]) -> Board {
     let mut board = Board::new(frames, pieces.len());
     for (k, piece) in pieces.iter().enumerate() {
         board.put(k, piece);
     }
-    let query = |piece: &Lifted| Some(Query { frame: piece.first, xyz: *piece.places.first()? });
-    (board, pieces.iter().filter_map(query).collect())
+    board
 }
 
 /// Chains that start at regular intervals of frames, each from the cells of a grid that no chain passes, in the world.
-pub(crate) fn on_grid(strip: &Strip, grid: &QueryGrid, config: &TrackConfig) -> Vec<Lifted> {
+pub(crate) fn on_grid(strip: &Strip, grid: &QueryGrid) -> Vec<Lifted> {
     let cell = grid.spacing_px.max(1);
     let columns = strip.width.div_ceil(cell);
     let cell_of = |at: &[f32; 2]| {
@@ -102,18 +74,18 @@ pub(crate) fn on_grid(strip: &Strip, grid: &QueryGrid, config: &TrackConfig) -> 
         let found: Vec<Chain> = seeds.par_iter().map(|at| chain(strip, start, *at)).collect();
         all.extend(found.into_iter().filter(|c| c.seen.len() >= SHORTEST));
     }
-    let lifted: Vec<Vec<Lifted>> = all.par_iter().map(|chain| lift(strip, chain, config)).collect();
+    let lifted: Vec<Vec<Lifted>> = all.par_iter().map(|chain| lift(strip, chain)).collect();
     let lifted: Vec<Lifted> = lifted.into_iter().flatten().collect();
     thinned(&lifted, grid.most.min(MOST_PLACES / frames.max(1)))
 }
 
 /// Flow and depth of dynamic regions in the whole clip.
-fn strip(clip: &dyn PosedClip, flow: &dyn FlowSource, progress: &dyn Progress) -> Result<Strip, TrackError> {
+fn strip(clip: &CaptureClip<'_>, progress: &dyn Progress) -> Result<Strip, TrackError> {
     const PHASE: &str = "computing flow of dynamic objects";
     let frames = clip.frames();
     let mut out = Strip {
-        width: 0,
-        height: 0,
+        width: clip.size().0,
+        height: clip.size().1,
         cameras: Vec::with_capacity(frames),
         moving: Vec::with_capacity(frames),
         forward: Vec::new(),
@@ -125,34 +97,17 @@ fn strip(clip: &dyn PosedClip, flow: &dyn FlowSource, progress: &dyn Progress) -
             return Err(TrackError::Cancelled { phase: PHASE });
         }
         let to = (from + BATCH).min(frames);
-        let read: Vec<Result<PosedFrame, TrackError>> =
-            (from..to).into_par_iter().map(|i| read_checked(clip, i)).collect();
+        let read: Vec<Result<PosedFrame, TrackError>> = (from..to).into_par_iter().map(|i| clip.read(i)).collect();
         // the last frame of the batch before, and this batch
         let mut batch: Vec<PosedFrame> = last.take().into_iter().collect();
         let carried = batch.len();
-        for (i, frame) in (from..to).zip(read) {
-            let frame = frame?;
-            let (w, h) = frame.rgb.size();
-            if i > 0 && (w, h) != (out.width, out.height) {
-                let reason = format!("it has {w}x{h} pixels where the first has {}x{}", out.width, out.height);
-                return Err(frame_error(i, reason));
-            }
-            (out.width, out.height) = (w, h);
-            batch.push(frame);
+        for frame in read {
+            batch.push(frame?);
         }
         out.cameras.extend(batch[carried..].iter().map(|f| f.camera));
         out.moving.extend(batch[carried..].par_iter().map(moving).collect::<Vec<_>>());
-        let first = from - carried;
-        let pairs: Vec<_> = batch
-            .par_windows(2)
-            .enumerate()
-            .map(|(i, pair)| {
-                sparse_flow_pair([&pair[0], &pair[1]], flow)
-                    .map_err(|source| TrackError::Flow { frame: first + i, source })
-            })
-            .collect();
-        for pair in pairs {
-            let [there, back] = pair?;
+        let pairs: Vec<_> = batch.par_windows(2).map(|pair| sparse_flow_pair([&pair[0], &pair[1]])).collect();
+        for [there, back] in pairs {
             out.forward.push(there);
             out.backward.push(back);
         }
@@ -243,7 +198,7 @@ pub(crate) struct Lifted {
 }
 
 /// The pieces of a chain between jumps, in the world.
-pub(crate) fn lift(strip: &Strip, chain: &Chain, config: &TrackConfig) -> Vec<Lifted> {
+pub(crate) fn lift(strip: &Strip, chain: &Chain) -> Vec<Lifted> {
     let frames = || (chain.first..).zip(&chain.seen);
     let raw: Vec<f32> = frames().map(|(frame, at)| around(strip, frame, *at)).collect();
     let place = |frame: usize, at: &[f32; 2], disparity: f32| {
@@ -263,7 +218,7 @@ pub(crate) fn lift(strip: &Strip, chain: &Chain, config: &TrackConfig) -> Vec<Li
             continue;
         }
         if to - from >= SHORTEST {
-            let depth = smooth(&raw[from..to], config.smooth_frames);
+            let depth = smooth(&raw[from..to], SMOOTH_FRAMES);
             let piece = (chain.first + from..).zip(&chain.seen[from..to]).zip(&depth);
             let places: Vec<[f32; 3]> = piece
                 .map(|((frame, at), d)| place(frame, at, *d))
@@ -291,9 +246,6 @@ pub(super) fn around(strip: &Strip, frame: usize, at: [f32; 2]) -> f32 {
 /// Disparity along a track, its logarithm smoothed by lines through the frames around each (weights of standard deviation
 /// `sd` frames), so that what comes nearer steadily is not held back at the ends.
 pub(crate) fn smooth(disparity: &[f32], sd: f32) -> Vec<f32> {
-    if sd <= 0.0 {
-        return disparity.to_vec();
-    }
     let logs: Vec<f64> = disparity.iter().map(|d| f64::from(*d).ln()).collect();
     let reach = (3.0 * sd).ceil() as usize;
     (0..logs.len())

@@ -1,18 +1,15 @@
 //! Points of moving parts followed through *all* frames of a posed clip, seen or hidden.
 //!
 //! ```text
-//! masks every n-th frame -> grid of queries ----------.
-//! PosedClip (one frame at a time) -> Tracker3d ---------+--> TrackedPoints: places, visibility, confidence -> m4_core::Tracks
-//!                                     |
-//!                 FlowTracker: strip (flow and depth of dynamic regions) -> chain -> lift -> fill -> again where it comes back
+//! masks every n-th frame -> grid of queries
+//! CaptureClip (one frame at a time) -> strip (flow and depth of dynamic regions) -> chain -> lift -> fill -> again where it comes back
 //! ```
 //!
-//! [`Tracker3d`] is the seam between the tracking enhancement of Minute4D (section 3.2 of the paper; docs/spec/front-end.md 3; docs/spec/front-end.md 7.1, item 8)
-//! and a method that tracks points: a network such as TAPIP3D, which takes the same queries (frame and
-//! place in the world) and gives the same answers (a place and a probability of being seen in every frame), or
-//! [`FlowTracker`], which needs no weights. That one chains optical flow, lifts it with depth, and where a point is hidden
-//! carries it on with the local rigid motion of its neighbours (as rigid as possible: Sorkine and Alexa 2007), until it can be seen
-//! where it is predicted.
+//! [`follow`] is the tracking enhancement of Minute4D without weights (section 3.2 of the paper; docs/spec/front-end.md 3;
+//! docs/spec/front-end.md 7.1, item 8): it chains optical flow, lifts it with depth, and where a point is hidden carries it on with the
+//! local rigid motion of its neighbours (as rigid as possible: Sorkine and Alexa 2007), until it can be seen where it is predicted. A
+//! network such as TAPIP3D takes the queries of the same grid ([`QueryGrid::queries`]: frame and place in the world) and says where each
+//! is in every frame.
 //!
 //! Pixels here have the centre of the first one at (0, 0), as [`m4_core::Camera::project`] has them; places are world units.
 
@@ -23,9 +20,9 @@ mod predict;
 mod rigid;
 mod tracker;
 
-pub use clip::{CaptureClip, PosedClip, PosedFrame};
-pub use flow_tracker::{FlowTracker, TrackConfig};
-pub use tracker::{Query, QueryGrid, TrackError, TrackedPoints, Tracker3d};
+pub use clip::{CaptureClip, PosedFrame};
+pub use flow_tracker::follow;
+pub use tracker::{Query, QueryGrid, TrackError};
 
 pub(crate) use clip::{Sparse, Strip, sparse_flow};
 pub(crate) use fill::{Board, Scene, fill};

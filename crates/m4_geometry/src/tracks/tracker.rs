@@ -1,9 +1,7 @@
-//! The interface of point trackers, where points start, and why they could not be followed.
+//! Where points start, and why they could not be followed.
 
-use super::PosedClip;
-use super::clip::read_checked;
-use crate::classical::dense::FlowError;
-use m4_core::{Camera, Progress, Tracks};
+use super::CaptureClip;
+use m4_core::{Progress, ShapeError};
 
 /// A point that is to be followed.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -14,99 +12,17 @@ pub struct Query {
     pub xyz: [f32; 3],
 }
 
-impl Query {
-    /// The point that the camera of `frame` sees at `pixel` (centre of the first one: 0, 0) at z-depth `depth`.
-    #[must_use]
-    pub fn at_pixel(frame: usize, camera: &Camera, pixel: [f32; 2], depth: f32) -> Self {
-        let p = camera.unproject(pixel[0].into(), pixel[1].into(), depth.into());
-        Self { frame, xyz: [p.x as f32, p.y as f32, p.z as f32] }
-    }
-}
-
-/// Tracked points.
-#[derive(Debug, Clone, PartialEq)]
-pub struct TrackedPoints {
-    /// One per track, in their order.
-    pub queries: Vec<Query>,
-    /// Places, visibility and confidence of each in every frame; NaN where unknown.
-    pub tracks: Tracks,
-}
-
-impl TrackedPoints {
-    /// Converts the output of a network: positions and visibility probabilities, both `[frames][queries]`. A point is visible from `threshold` on
-    /// (TAPIP3D: 0.9), and its probability is its confidence.
-    ///
-    /// # Errors
-    ///
-    /// [`TrackError::Count`] where there is not one value a frame and query.
-    pub fn from_probabilities(
-        frames: usize,
-        queries: Vec<Query>,
-        xyz: Vec<[f32; 3]>,
-        probability: Vec<f32>,
-        threshold: f32,
-    ) -> Result<Self, TrackError> {
-        let visible = probability.iter().map(|&p| p >= threshold).collect();
-        Self::new(frames, queries, xyz, visible, probability)
-    }
-
-    /// Places, visibility and confidence, all `[frames][queries]`.
-    ///
-    /// # Errors
-    ///
-    /// [`TrackError::Count`] where there is not one value a frame and query.
-    pub fn new(
-        frames: usize,
-        queries: Vec<Query>,
-        xyz: Vec<[f32; 3]>,
-        visible: Vec<bool>,
-        confidence: Vec<f32>,
-    ) -> Result<Self, TrackError> {
-        let count = queries.len();
-        let tracks = Tracks::new(frames, count, xyz, visible).and_then(|t| t.with_confidence(&confidence));
-        let tracks = tracks.map_err(|e| TrackError::Count { found: e.found, frames, queries: count })?;
-        Ok(Self { queries, tracks })
-    }
-}
-
-/// Follows points through all frames of a clip, before and after the frame of the query.
-///
-/// The same clip and grid must give the same bits for any number of threads.
-pub trait Tracker3d: Sync {
-    /// Tracks of everything that moves: queries on a grid in the masks. Places of points that cannot be seen are kept where they
-    /// can be told; NaN where they cannot.
-    ///
-    /// # Errors
-    ///
-    /// [`TrackError`] where a frame cannot be read, the tracker fails, or the user stopped it; [`TrackError::Setting`] for an
-    /// unusable grid.
-    fn follow_grid(
-        &self,
-        clip: &dyn PosedClip,
-        grid: &QueryGrid,
-        progress: &dyn Progress,
-    ) -> Result<TrackedPoints, TrackError>;
-}
-
 /// Why there are no tracks.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum TrackError {
-    /// The clip could not be read.
+    /// A frame cannot be used.
     #[error("points cannot be tracked in frame {frame}: {reason}")]
     Frame {
         /// Which frame.
         frame: usize,
         /// What is wrong with it.
-        reason: Box<dyn std::error::Error + Send + Sync>,
-    },
-    /// The source of flow failed.
-    #[error("no flow between frames {frame} and {}", frame + 1)]
-    Flow {
-        /// The first of the two frames.
-        frame: usize,
-        /// What went wrong.
-        source: FlowError,
+        reason: &'static str,
     },
     /// The tracker failed.
     #[error("{tracker} could not track points: {reason}")]
@@ -117,15 +33,8 @@ pub enum TrackError {
         reason: Box<dyn std::error::Error + Send + Sync>,
     },
     /// Another number of values than of frames times queries.
-    #[error("{found} values for {frames} frames and {queries} queries")]
-    Count {
-        /// Values.
-        found: usize,
-        /// Frames of the clip.
-        frames: usize,
-        /// Queries.
-        queries: usize,
-    },
+    #[error(transparent)]
+    Count(#[from] ShapeError),
     /// A setting out of range.
     #[error("setting {name} is {value}; it must be {expected}")]
     Setting {
@@ -196,7 +105,7 @@ impl QueryGrid {
     pub fn queries(
         &self,
         tracker: &str,
-        clip: &dyn PosedClip,
+        clip: &CaptureClip<'_>,
         progress: &dyn Progress,
     ) -> Result<Vec<Query>, TrackError> {
         const PHASE: &str = "choosing points";
@@ -215,8 +124,8 @@ impl QueryGrid {
     }
 
     /// The queries of frame `index`, one per cell in which something moves.
-    fn of_frame(&self, clip: &dyn PosedClip, index: usize) -> Result<Vec<Query>, TrackError> {
-        let frame = read_checked(clip, index)?;
+    fn of_frame(&self, clip: &CaptureClip<'_>, index: usize) -> Result<Vec<Query>, TrackError> {
+        let frame = clip.read(index)?;
         let (w, h) = frame.rgb.size();
         let (columns, rows) = (w.div_ceil(self.spacing_px), h.div_ceil(self.spacing_px));
         let usable = |x: usize, y: usize| {
@@ -227,7 +136,8 @@ impl QueryGrid {
             (0..columns * rows).filter_map(|c| seed((w, h), c % columns, c / columns, self.spacing_px, &usable));
         let query = |at: [f32; 2]| {
             let z = frame.depth[(at[0] as usize, at[1] as usize)];
-            Query::at_pixel(index, &frame.camera, at, z)
+            let p = frame.camera.unproject(at[0].into(), at[1].into(), z.into());
+            Query { frame: index, xyz: [p.x as f32, p.y as f32, p.z as f32] }
         };
         Ok(seeds.map(query).collect())
     }

@@ -3,57 +3,28 @@
 use super::EnhanceError;
 use crate::record::write_json;
 use crate::{Error, Refusal};
-use m4_core::{Capture, CompactIds, CompactMask, Plane, Progress, RgbImage};
-use m4_geometry::classical::dense::FlowSource;
-use m4_geometry::masks::{
-    Coarse, FrameSource, ImageError, InstanceReport, RefineInput, RefineSettings, RefinedFrame, VideoSegmenter, refine,
-};
+use m4_core::{Capture, CompactIds, CompactMask, Plane, Progress};
+use m4_geometry::masks::{Coarse, InstanceError, InstanceReport, RefineSettings, RefinedFrame, VideoSession, refine};
 use m4_io::capture::Split;
-use std::borrow::Cow;
 use std::path::Path;
 
 /// What was found, beside a capture's list of frames.
 pub(crate) const REPORT_FILE: &str = "instances.json";
 
-/// The frames of a capture.
-struct Frames<'a>(&'a Capture);
-
-impl FrameSource for Frames<'_> {
-    fn frames(&self) -> usize {
-        self.0.frames.len()
-    }
-
-    fn size(&self) -> (usize, usize) {
-        self.0.frames.first().map_or((0, 0), |frame| frame.rgb.size())
-    }
-
-    fn image(&self, frame: usize) -> Result<Cow<'_, RgbImage>, ImageError> {
-        match self.0.frames.get(frame) {
-            Some(frame) => Ok(Cow::Borrowed(&frame.rgb)),
-            None => Err(format!("the capture has {} frames", self.0.frames.len()).into()),
-        }
-    }
-}
-
-/// The capture with refined masks and maps of instances at the size of its images, and what was found; everything else, the maps of motion
-/// too, stays. The dynamic part is read from the maps of motion where every frame has one, else from the masks. `flow` also checks that maps
-/// of motion are not inverted. Refused where a frame says nothing about the dynamic part.
-pub fn masks(
-    mut capture: Capture,
+/// Refined masks and maps of instances at the size of a capture's images, a pair per frame, and what was found. The dynamic part is read
+/// from the maps of motion where every frame has one, else from the masks. `open` as in [`refine()`]. Refused where a frame says nothing
+/// about the dynamic part.
+pub fn masks<'a>(
+    capture: &Capture,
     settings: &RefineSettings,
-    segmenter: &dyn VideoSegmenter,
-    flow: Option<&dyn FlowSource>,
+    open: impl FnOnce((usize, usize)) -> Result<Box<dyn VideoSession + 'a>, InstanceError>,
     progress: &dyn Progress,
-) -> Result<(Capture, InstanceReport), Error> {
-    let coarse = coarse(&capture)?;
-    let input = RefineInput { clip: &Frames(&capture), coarse: &coarse, flow };
-    let refined = refine(&input, segmenter, settings, progress).map_err(EnhanceError::from)?;
-    for (frame, found) in capture.frames.iter_mut().zip(refined.frames) {
-        let (mask, ids) = at_size(found, frame.rgb.size());
-        frame.mask = Some(mask);
-        frame.instances = Some(ids);
-    }
-    Ok((capture, refined.report))
+) -> Result<(Vec<(CompactMask, CompactIds)>, InstanceReport), Error> {
+    let coarse = coarse(capture)?;
+    let images: Vec<_> = capture.frames.iter().map(|frame| &frame.rgb).collect();
+    let refined = refine(&images, &coarse, settings, open, progress).map_err(EnhanceError::from)?;
+    let frames = refined.frames.into_iter().zip(images).map(|(found, image)| at_size(found, image.size()));
+    Ok((frames.collect(), refined.report))
 }
 
 /// Writes a capture, with its report if it has one, into `folder`; see [`m4_io::capture::write()`].
@@ -101,8 +72,7 @@ mod tests {
     use super::{REPORT_FILE, masks, write};
     use crate::test_clips::clip;
     use crate::{Category, Error};
-    use m4_core::{Capture, CompactMask, Plane, Silent};
-    use m4_geometry::classical::dense::InverseSearch;
+    use m4_core::{Capture, CompactIds, CompactMask, Plane, Silent};
     use m4_geometry::masks::{FlowFollower, InstanceReport, RefineSettings};
     use m4_io::capture::{CaptureOptions, Split};
 
@@ -128,11 +98,20 @@ mod tests {
         capture
     }
 
+    type Refined = (Vec<(CompactMask, CompactIds)>, InstanceReport);
+
+    fn refined(capture: &Capture, settings: &RefineSettings) -> Result<Refined, Error> {
+        let images: Vec<_> = capture.frames.iter().map(|frame| &frame.rgb).collect();
+        masks(capture, settings, |size| Ok(Box::new(FlowFollower::new(&images, size, None))), &Silent)
+    }
+
     #[test]
     fn a_capture_gets_numbers_that_are_written_and_read() {
-        let follower = FlowFollower::new(&InverseSearch, None);
-        let settings = RefineSettings::default();
-        let (found, report) = masks(capture(12), &settings, &follower, Some(&InverseSearch), &Silent).unwrap();
+        let mut found = capture(12);
+        let (frames, report) = refined(&found, &RefineSettings::default()).unwrap();
+        for (frame, (mask, ids)) in found.frames.iter_mut().zip(frames) {
+            (frame.mask, frame.instances) = (Some(mask), Some(ids));
+        }
         assert_eq!((report.instances.len(), report.coarse.as_str()), (1, "masks"));
         assert_eq!((report.instances[0].frames, report.instances[0].id), (12, 1));
         for (i, frame) in found.frames.iter().enumerate() {
@@ -152,14 +131,13 @@ mod tests {
 
     #[test]
     fn a_frame_that_says_nothing_is_named() {
-        let follower = FlowFollower::new(&InverseSearch, None);
         let mut given = capture(4);
         given.frames[2].mask = None;
-        let error = masks(given, &RefineSettings::default(), &follower, None, &Silent).unwrap_err();
+        let error = refined(&given, &RefineSettings::default()).unwrap_err();
         assert!(matches!(error, Error::Refused(_)) && error.to_string().contains("00002"), "{error}");
         assert_eq!(error.category(), Category::BadInput);
         let wrong = RefineSettings { every_frames: 0, ..RefineSettings::default() };
-        let error = masks(capture(4), &wrong, &follower, None, &Silent).unwrap_err();
+        let error = refined(&capture(4), &wrong).unwrap_err();
         assert_eq!(error.category(), Category::BadSettings);
     }
 }

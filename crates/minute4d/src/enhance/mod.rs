@@ -28,17 +28,15 @@ use crate::record::{GeometryRecord, Input, plain_json};
 use crate::stage::RecordingObserver;
 use crate::steps::Steps;
 use crate::{Category, Error, Job, Refusal, Settings, hash};
-use m4_core::{Capture, CompactMask, Progress};
-use m4_geometry::classical::dense::{DenseConfig, FlowSource, InverseSearch};
+use m4_core::{Capture, CompactIds, CompactMask, Progress, Tracks};
+use m4_geometry::classical::dense::DenseConfig;
 #[cfg(feature = "nets")]
 use m4_geometry::masks::FlowFollower;
 use m4_geometry::masks::{InstanceError, InstanceReport};
-use m4_geometry::tracks::{CaptureClip, FlowTracker, QueryGrid, TrackConfig, TrackError, Tracker3d};
+use m4_geometry::tracks::{CaptureClip, QueryGrid, TrackError, follow};
 use plan::{Segmentation, Tracking};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
-#[cfg(feature = "nets")]
-use std::sync::Arc;
 use std::time::Instant;
 
 /// Name of the stage.
@@ -123,7 +121,7 @@ pub fn make(input: &Path, out: &Path, job: &Job<'_>) -> Result<EnhanceReport, Er
         networks: plan.used,
         instances: found.map_or(0, |report| report.instances.len()),
         moving_share: [before, moving_share(&capture)],
-        tracks: capture.tracks.as_ref().map_or(0, m4_core::Tracks::count),
+        tracks: capture.tracks.as_ref().map_or(0, Tracks::count),
         seconds,
     })
 }
@@ -151,99 +149,87 @@ pub(crate) fn apply(
     device: &NetworkDevice,
     steps: &Steps<'_>,
 ) -> Result<(Capture, Option<InstanceReport>), Error> {
-    let config = &settings.enhance;
-    let flow = InverseSearch;
     let mut report = None;
     if plan.segmentation != Segmentation::Unchanged {
         // The report as text, the form in which it is written in the end: its variants are distinguished by names.
         let (frames, text): (Vec<_>, String) = steps.keep("masks", |progress| {
-            let (refined, report) = segmented(&capture, &plan.segmentation, config, &flow, device, progress)?;
-            let frames = refined.frames.into_iter().map(|frame| (frame.mask, frame.instances));
-            Ok::<_, Error>((frames.collect(), plain_json(&report)?.to_string()))
+            let (frames, report) = segmented(&capture, &plan.segmentation, settings, device, progress)?;
+            Ok::<_, Error>((frames, plain_json(&report)?.to_string()))
         })?;
         for (frame, (mask, ids)) in capture.frames.iter_mut().zip(frames) {
-            (frame.mask, frame.instances) = (mask, ids);
+            (frame.mask, frame.instances) = (Some(mask), Some(ids));
         }
         let read = serde_json::from_str(&text).map_err(|e| Error::Internal { what: e.to_string() })?;
         report = Some(read);
     }
-    if let Some(tracker) = tracker(&plan.tracking, settings, &flow, device)? {
-        let clip = CaptureClip::new(&capture, settings.dense.working_side_px);
-        let found = steps.keep("tracks", |progress| {
-            let followed = tracker.follow_grid(&clip, &grid(&plan.tracking, config), progress);
-            followed.map(|found| found.tracks).map_err(EnhanceError::from)
-        })?;
+    let follows = match plan.tracking {
+        Tracking::Unchanged => false,
+        Tracking::Flow => settings.dense.tracks,
+        #[cfg(feature = "nets")]
+        Tracking::Tapip3d(_) => true,
+    };
+    if follows {
+        let found = steps.keep("tracks", |progress| tracked(&capture, &plan.tracking, settings, device, progress))?;
         capture.tracks = (found.count() > 0).then_some(found);
     }
     Ok((capture, report))
 }
 
-/// Refines masks with the method that tracks objects; unchanged without one.
+/// Refined masks and numbers of objects, by the method that tracks objects.
 #[cfg_attr(not(feature = "nets"), expect(unused_variables, reason = "only networks need it"))]
 fn segmented(
     capture: &Capture,
     method: &Segmentation,
-    config: &EnhanceConfig,
-    flow: &dyn FlowSource,
+    settings: &Settings,
     device: &NetworkDevice,
     progress: &dyn Progress,
-) -> Result<(Capture, InstanceReport), Error> {
+) -> Result<(Vec<(CompactMask, CompactIds)>, InstanceReport), Error> {
+    #[cfg(feature = "nets")]
+    let (images, config): (Vec<_>, _) =
+        (capture.frames.iter().map(|frame| &frame.rgb).collect(), &settings.enhance.masks);
     match method {
         Segmentation::Unchanged => Err(nothing_to_do()),
         #[cfg(feature = "nets")]
         Segmentation::Mobilesam => {
             let segmenter = resolve_segmenter(Segmenter::Mobilesam)?.load()?;
-            let follower = FlowFollower::new(&InverseSearch, segmenter.as_deref());
-            masks(capture.clone(), &config.masks, &follower, Some(flow), progress)
+            let outlines = segmenter.as_deref().map(|segmenter| ("mobilesam+classical", segmenter));
+            masks(capture, config, |size| Ok(Box::new(FlowFollower::new(&images, size, outlines))), progress)
         }
         #[cfg(feature = "nets")]
         Segmentation::Sam2(path) => {
             let method = NetworkMethod::Segmenter(Segmenter::Sam2);
             let net = m4_nets::Sam2::load(path, &device.device).map_err(unusable(method))?;
-            let follower = networks::Sam2Follower(Arc::new(net));
-            masks(capture.clone(), &config.masks, &follower, Some(flow), progress)
+            masks(capture, config, |size| networks::sam2(net, &images, size), progress)
         }
     }
 }
 
+/// Points of what moves, by the method that follows points.
 #[cfg_attr(not(feature = "nets"), expect(unused_variables, reason = "only networks need it"))]
-fn tracker<'a>(
+fn tracked(
+    capture: &Capture,
     method: &Tracking,
     settings: &Settings,
-    flow: &'a InverseSearch,
     device: &NetworkDevice,
-) -> Result<Option<Box<dyn Tracker3d + 'a>>, Error> {
-    match method {
-        Tracking::Unchanged => Ok(None),
-        Tracking::Flow if !settings.dense.tracks => Ok(None),
-        Tracking::Flow => Ok(Some(Box::new(FlowTracker { flow, config: TrackConfig::default() }))),
-        #[cfg(feature = "nets")]
-        Tracking::Tapip3d(path) => {
-            let method = NetworkMethod::Tracker(Tracker::Tapip3d);
-            let net = m4_nets::Tapip3d::load(path, &device.device).map_err(unusable(method))?;
-            let config = &settings.enhance.tapip3d;
-            let side = |n: usize| ((n as f64 * config.size).round() as usize).max(1);
-            let (w, h) = net.published_size();
-            let options = m4_nets::Tapip3dOptions {
-                iterations: config.iterations,
-                memory_bytes: config.memory_mb.saturating_mul(1_000_000),
-                ..m4_nets::Tapip3dOptions::at((side(w), side(h)))
-            };
-            Ok(Some(Box::new(networks::Tapip3dTracker { net, options })))
-        }
+    progress: &dyn Progress,
+) -> Result<Tracks, Error> {
+    let clip = CaptureClip::new(capture, settings.dense.working_side_px);
+    #[cfg(feature = "nets")]
+    if let Tracking::Tapip3d(path) = method {
+        let method = NetworkMethod::Tracker(Tracker::Tapip3d);
+        let net = m4_nets::Tapip3d::load(path, &device.device).map_err(unusable(method))?;
+        let config = &settings.enhance.tapip3d;
+        let side = |n: usize| ((n as f64 * config.size).round() as usize).max(1);
+        let (w, h) = net.published_size();
+        let options = m4_nets::Tapip3dOptions {
+            iterations: config.iterations,
+            memory_bytes: config.memory_mb.saturating_mul(1_000_000),
+            ..m4_nets::Tapip3dOptions::at((side(w), side(h)))
+        };
+        let grid = QueryGrid { every: config.every, spacing_px: config.spacing_px, most: config.most };
+        return Ok(networks::tapip3d(&net, &options, &clip, &grid, progress).map_err(EnhanceError::from)?);
     }
-}
-
-/// Where points start.
-#[cfg_attr(not(feature = "nets"), expect(unused_variables, reason = "only networks need it"))]
-fn grid(method: &Tracking, config: &EnhanceConfig) -> QueryGrid {
-    match method {
-        #[cfg(feature = "nets")]
-        Tracking::Tapip3d(_) => {
-            QueryGrid { every: config.tapip3d.every, spacing_px: config.tapip3d.spacing_px, most: config.tapip3d.most }
-        }
-        _ => QueryGrid::chains(),
-    }
+    Ok(follow(&clip, &QueryGrid::chains(), progress).map_err(EnhanceError::from)?)
 }
 
 /// Why masks could not be refined or points not be followed.

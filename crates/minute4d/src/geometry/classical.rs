@@ -3,15 +3,15 @@
 use super::Context;
 use super::clip::{Clip, FrameGeometry};
 use super::confidence::{Confidence, Grade};
-use super::depth::{KnownDepth, rescale};
-use super::frontend::CachedFlow;
+use super::depth::{rescale, set_unit, unit};
+use super::frontend::MonoClip;
 use super::given::Given;
 use super::iterate;
 use crate::Error;
 use crate::record::GeometrySummary;
 use m4_core::{Camera, Capture, RgbImage, Tracks};
 use m4_geometry::classical::CameraMotion;
-use m4_geometry::classical::dense::{Dense, MonoDepth, NoDepth, Segmenter, SensorDepth, Sources, estimate};
+use m4_geometry::classical::dense::{Dense, MeasureFlow, Segmenter, Sources, estimate};
 use m4_geometry::classical::sparse::{self, FeatureTracks, Recovered, SparseConfig};
 
 /// Reconstructs `clip`.
@@ -33,9 +33,9 @@ struct Reconstruction<'a> {
     images: Vec<&'a RgbImage>,
     given: &'a Given,
     config: SparseConfig,
-    flow: CachedFlow<'a>,
-    segmenter: Option<Box<dyn Segmenter>>,
-    depth: KnownDepth<'a>,
+    flow: Box<MeasureFlow<'a>>,
+    segmenter: Option<Box<Segmenter<'static>>>,
+    mono: Option<MonoClip>,
 }
 
 /// Cameras, and what was found with them.
@@ -50,33 +50,21 @@ impl<'a> Reconstruction<'a> {
     fn new(clip: &'a Clip, context: &'a Context<'a>) -> Result<Self, Error> {
         let methods = context.methods;
         let (images, given) = (clip.images(), &clip.given);
-        let flow = methods.frontend.flow(context.settings.megasam.flow_iterations, &methods.device)?;
+        let flow = methods.frontend.flow(context.settings.megasam.flow_iterations, &methods.device, context.steps)?;
         let segmenter = methods.segmenter.load()?;
-        let mono = match &given.depth {
-            Some(_) => None,
-            None => methods.frontend.depth(&images, clip.focal_px, &methods.device, context.steps)?,
-        };
-        let depth = KnownDepth::of(given, mono);
+        let mono = methods.frontend.depth(&images, clip.focal_px, &methods.device, context.steps)?;
         let mut config = clip.sparse.clone();
-        if let Some(fov_rad) = depth.fov_rad() {
+        if let Some(fov_rad) = mono.as_ref().and_then(|mono| mono.fov_rad) {
             config.default_fov_deg = fov_rad.to_degrees();
         }
-        Ok(Self {
-            context,
-            images,
-            given,
-            config,
-            flow: CachedFlow { source: flow, steps: context.steps },
-            segmenter,
-            depth,
-        })
+        Ok(Self { context, images, given, config, flow, segmenter, mono })
     }
 
     fn run(&self) -> Result<(Pass, GeometrySummary), Error> {
         let (followed, recovered) = self.cameras()?;
         let mut pass = self.pass("dense", recovered)?;
         let mut rounds = 1;
-        if let (Some(followed), None) = (followed, &self.given.masks) {
+        if self.given.masks.is_none() {
             let (first, frames) = (&pass.recovered.sparse, &mut pass.dense.frames);
             let better = iterate::without_masked(&followed, first, frames, &self.config, self.context.steps)?;
             if let Some(better) = better {
@@ -90,16 +78,13 @@ impl<'a> Reconstruction<'a> {
         Ok((pass, found))
     }
 
-    /// Tracks, unless the cameras are given, and cameras.
-    fn cameras(&self) -> Result<(Option<FeatureTracks>, Recovered), Error> {
+    /// Tracks and cameras.
+    fn cameras(&self) -> Result<(FeatureTracks, Recovered), Error> {
         let (images, config, masks) = (&self.images, &self.config, self.given.masks.as_deref());
-        let found = self.context.steps.keep("cameras", |observer| match &self.given.cameras {
-            Some(cameras) => Ok((None, sparse::with_cameras(images, cameras, masks, config, observer)?)),
-            None => {
-                let followed = sparse::track_features(images, config, observer)?;
-                let recovered = followed.recover(masks, config, observer)?;
-                Ok::<_, sparse::SparseError>((Some(followed), recovered))
-            }
+        let found = self.context.steps.keep("cameras", |observer| {
+            let followed = sparse::track_features(images, config, observer)?;
+            let recovered = followed.recover(masks, config, observer)?;
+            Ok::<_, sparse::SparseError>((followed, recovered))
         })?;
         Ok(found)
     }
@@ -110,24 +95,14 @@ impl<'a> Reconstruction<'a> {
         for warning in &recovered.sparse.warnings {
             observer.warn(warning);
         }
-        let posed = self.given.cameras.is_some();
-        let metric = self.depth.set_unit(&mut recovered.sparse, posed, observer)?;
+        let mono = self.mono.as_ref();
+        let metric = set_unit(mono, &mut recovered.sparse, observer);
         // In a unit in which the scene is about 1 away, as the settings expect.
-        let unit = self.depth.unit(&recovered.sparse, posed);
+        let unit = unit(mono, &recovered.sparse);
         let scaled = (unit != 1.0).then(|| rescale(&recovered.sparse, 1.0 / unit));
         let sparse = scaled.as_ref().unwrap_or(&recovered.sparse);
-        let sensor;
-        let mono: &dyn MonoDepth = match &self.depth {
-            KnownDepth::Given(maps) => {
-                let maps = maps.iter().map(|map| map.map(|z| z / unit as f32)).collect();
-                sensor = SensorDepth { maps };
-                &sensor
-            }
-            // Known up to a factor per frame, or more: in any unit.
-            KnownDepth::Network(mono) => mono,
-            KnownDepth::Unknown => &NoDepth,
-        };
-        let sources = Sources { flow: &self.flow, segmenter: self.segmenter.as_deref(), mono };
+        let sources =
+            Sources { flow: &*self.flow, segmenter: self.segmenter.as_deref(), mono: mono.and_then(MonoClip::maps) };
         let masks = self.given.masks.as_deref();
         let estimated = self
             .context
@@ -146,12 +121,8 @@ impl<'a> Reconstruction<'a> {
     /// Grades the result, warns of a doubtful one, and describes it.
     fn summary(&self, pass: &Pass, rounds: usize) -> GeometrySummary {
         let (sparse, dense, methods) = (&pass.recovered.sparse, &pass.dense, self.context.methods);
-        let known = self.given.depth.as_deref().map(|maps| {
-            let pixels = maps.iter().map(|d| d.data().len()).sum::<usize>().max(1);
-            maps.iter().flat_map(|d| d.data()).filter(|&&z| z > 0.0).count() as f64 / pixels as f64
-        });
         let masked = self.given.masks.is_some();
-        let confidence = Confidence::of(sparse, pass.recovered.focal, &dense.frames, masked, known);
+        let confidence = Confidence::of(sparse, pass.recovered.focal, &dense.frames, masked);
         if let (true, Some(advice)) = (confidence.grade != Grade::Good, &confidence.advice) {
             let warning = format!("geometry is {}: {advice}", confidence.grade.name());
             self.context.observer().warn(&warning);

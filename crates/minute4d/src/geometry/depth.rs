@@ -1,89 +1,32 @@
-//! Depth that is known without parallax, and the unit of length that it sets.
+//! The unit of length, which depth from one image sets.
 
 use super::frontend::MonoClip;
-use super::given::Given;
-use crate::{Error, Observer, Refusal};
+use crate::Observer;
 use m4_core::{DepthMap, median};
 use m4_geometry::classical::{CameraMotion, SparseReconstruction};
 
-/// Given poses and given depth whose units differ by more than this factor do not fit.
-const UNITS: f64 = 1.25;
-
-/// Where depth without parallax comes from.
-pub(super) enum KnownDepth<'a> {
-    /// The user, metres.
-    Given(&'a [DepthMap]),
-    /// Networks.
-    Network(MonoClip),
-    /// Nowhere.
-    Unknown,
+/// Brings a reconstruction to metres where the networks know them; true if lengths are metres then.
+pub(super) fn set_unit(mono: Option<&MonoClip>, sparse: &mut SparseReconstruction, observer: &dyn Observer) -> bool {
+    let Some(maps) = mono.and_then(|mono| mono.metric_m.as_deref()) else { return false };
+    if sparse.camera_motion != CameraMotion::Parallax {
+        return false;
+    }
+    let ratio = depth_ratio(sparse, maps);
+    match ratio {
+        Ok(ratio) => *sparse = rescale(sparse, ratio),
+        Err(found) => observer.warn(&format!(
+            "lengths stay without unit: the depth maps know only {found} of the points that were reconstructed, {NEEDED} are needed"
+        )),
+    }
+    ratio.is_ok()
 }
 
-impl<'a> KnownDepth<'a> {
-    /// Depth that the user provides goes before that of networks.
-    pub fn of(given: &'a Given, mono: Option<MonoClip>) -> Self {
-        match (given.depth.as_deref(), mono) {
-            (Some(maps), _) => Self::Given(maps),
-            (None, Some(mono)) => Self::Network(mono),
-            (None, None) => Self::Unknown,
-        }
-    }
-
-    /// Horizontal field of view that a network found, radians.
-    pub fn fov_rad(&self) -> Option<f64> {
-        match self {
-            Self::Network(mono) => mono.fov_rad,
-            Self::Given(_) | Self::Unknown => None,
-        }
-    }
-
-    /// Brings a reconstruction to the unit of the known depth; true if lengths are metres then. Given poses (`posed`) stay: they must have
-    /// that unit. Refused if given depth covers too few points.
-    pub fn set_unit(
-        &self,
-        sparse: &mut SparseReconstruction,
-        posed: bool,
-        observer: &dyn Observer,
-    ) -> Result<bool, Error> {
-        let parallax = sparse.camera_motion == CameraMotion::Parallax;
-        match self {
-            Self::Given(_) if !parallax => Ok(true),
-            Self::Given(maps) => {
-                let ratio = depth_ratio(sparse, maps)?;
-                if !posed {
-                    *sparse = rescale(sparse, ratio);
-                } else if !(1.0 / UNITS..=UNITS).contains(&ratio) {
-                    observer.warn(&format!(
-                        "given depth and given poses have different units: points are {ratio:.3} times as far away by the depth maps \
-                         (millimetres in the files) as by the poses; give poses in metres"
-                    ));
-                }
-                Ok(true)
-            }
-            Self::Network(MonoClip { metric_m: Some(maps), .. }) if parallax && !posed => {
-                let ratio = depth_ratio(sparse, maps);
-                match &ratio {
-                    Ok(ratio) => *sparse = rescale(sparse, *ratio),
-                    Err(error) => observer.warn(&format!("lengths stay without unit: {error}")),
-                }
-                Ok(ratio.is_ok())
-            }
-            Self::Network(_) | Self::Unknown => Ok(false),
-        }
-    }
-
-    /// A length, in the unit of the cameras, about which the scene is away: dense settings expect 1.
-    pub fn unit(&self, sparse: &SparseReconstruction, posed: bool) -> f64 {
-        let maps = match self {
-            Self::Given(maps) => Some(*maps),
-            Self::Network(mono) => mono.metric_m.as_deref(),
-            Self::Unknown => None,
-        };
-        if posed || maps.is_some() { typical_depth(sparse, maps) } else { 1.0 }
-    }
+/// A length, in the unit of the cameras, about which the scene is away: dense settings expect 1.
+pub(super) fn unit(mono: Option<&MonoClip>, sparse: &SparseReconstruction) -> f64 {
+    mono.and_then(|mono| mono.metric_m.as_deref()).map_or(1.0, |maps| typical_depth(sparse, maps))
 }
 
-/// Fewest points whose depth must be given.
+/// Fewest points whose depth must be known.
 const NEEDED: usize = 30;
 
 /// The reconstruction with all lengths times `by`.
@@ -98,8 +41,9 @@ pub(super) fn rescale(sparse: &SparseReconstruction, by: f64) -> SparseReconstru
     scaled
 }
 
-/// Given depth over reconstructed depth, the median over all sightings of points; refused if too few points have a given depth.
-pub(super) fn depth_ratio(sparse: &SparseReconstruction, depth: &[DepthMap]) -> Result<f64, Refusal> {
+/// Depth of the maps over reconstructed depth, the median over all sightings of points; the number of points with depth if these are too
+/// few.
+fn depth_ratio(sparse: &SparseReconstruction, depth: &[DepthMap]) -> Result<f64, usize> {
     let mut ratios = Vec::new();
     let mut found = 0;
     for track in &sparse.tracks {
@@ -124,15 +68,12 @@ pub(super) fn depth_ratio(sparse: &SparseReconstruction, depth: &[DepthMap]) -> 
     }
     match median(&mut ratios) {
         Some(ratio) if found >= NEEDED => Ok(ratio),
-        _ => Err(Refusal::bad_input(format!(
-            "the depth maps know only {found} of the points that were reconstructed, {NEEDED} are needed to bring both to one scale; give \
-             --poses in metres too, or depth maps with fewer holes"
-        ))),
+        _ => Err(found),
     }
 }
 
-/// How far away the scene is: the median depth of all sightings of points, or else of what was given; 1 without either.
-pub(super) fn typical_depth(sparse: &SparseReconstruction, depth: Option<&[DepthMap]>) -> f64 {
+/// How far away the scene is: the median depth of all sightings of points, or else of the maps; 1 without either.
+fn typical_depth(sparse: &SparseReconstruction, maps: &[DepthMap]) -> f64 {
     let mut depths = Vec::new();
     for track in &sparse.tracks {
         let Some(point) = track.point else { continue };
@@ -140,8 +81,7 @@ pub(super) fn typical_depth(sparse: &SparseReconstruction, depth: Option<&[Depth
         depths.extend(cameras.map(|c| c.project(&point).1).filter(|z| *z > 0.0));
     }
     if depths.is_empty() {
-        let given = depth.unwrap_or_default().iter().flat_map(|d| d.data());
-        depths.extend(given.filter(|z| **z > 0.0).map(|&z| f64::from(z)));
+        depths.extend(maps.iter().flat_map(|d| d.data()).filter(|z| **z > 0.0).map(|&z| f64::from(z)));
     }
     median(&mut depths).unwrap_or(1.0)
 }

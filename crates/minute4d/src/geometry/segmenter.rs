@@ -84,11 +84,11 @@ impl Resolved {
     }
 
     /// The segmenter, loaded; fails if the weights cannot be used.
-    pub(crate) fn load(&self) -> Result<Option<Box<dyn dense::Segmenter>>, Error> {
+    pub(crate) fn load(&self) -> Result<Option<Box<dense::Segmenter<'static>>>, Error> {
         #[cfg(feature = "nets")]
         if let Some((_, path)) = &self.weights {
             let net = m4_nets::MobileSam::load(path, m4_nets::cpu()).map_err(super::unusable(METHOD))?;
-            return Ok(Some(Box::new(network::MobileSamSegmenter(net))));
+            return Ok(Some(Box::new(move |image, size, prompts| network::masks(&net, image, size, prompts))));
         }
         Ok(None)
     }
@@ -98,13 +98,9 @@ impl Resolved {
 mod network {
     //! MobileSAM as a segmenter.
 
-    use super::Segmenter;
     use m4_core::{Plane, RgbImage};
-    use m4_geometry::classical::dense::{self, SegmentError, SegmentMask, SegmentPrompt};
+    use m4_geometry::classical::dense::{SegmentMask, SegmentPrompt, SourceError};
     use m4_nets::{MobileSam, PointPrompt, Prompt};
-
-    /// The network; an image is encoded once for all of its prompts.
-    pub struct MobileSamSegmenter(pub MobileSam);
 
     /// A prompt of an image of `size` as one of `image`.
     fn converted(prompt: &SegmentPrompt, belief: Plane<f32>, image: &RgbImage, size: (usize, usize)) -> Prompt {
@@ -120,42 +116,23 @@ mod network {
         }
     }
 
-    impl MobileSamSegmenter {
-        fn answer(
-            &self,
-            image: &RgbImage,
-            size: (usize, usize),
-            prompts: &[SegmentPrompt],
-        ) -> Result<Vec<SegmentMask>, Box<dyn std::error::Error + Send + Sync>> {
-            let embedding = self.0.encode(image)?;
-            let one = |prompt: &SegmentPrompt| {
-                let belief = Plane::from_vec(size.0, size.1, prompt.belief.clone())?;
-                let belief = embedding.mask_logits(&belief);
-                let masks = self.0.masks(&embedding, &converted(prompt, belief, image, size))?;
-                // The first: box, points and belief leave no doubt which thing is meant.
-                let mask = masks.first().ok_or("the network gave no mask")?;
-                Ok(SegmentMask { logits: mask.logits_at(size).data().to_vec(), quality: mask.iou })
-            };
-            prompts.iter().map(one).collect()
-        }
-    }
-
-    impl dense::Segmenter for MobileSamSegmenter {
-        fn name(&self) -> &str {
-            Segmenter::Mobilesam.name()
-        }
-
-        fn masks(
-            &self,
-            image: &RgbImage,
-            size: (usize, usize),
-            prompts: &[SegmentPrompt],
-        ) -> Result<Vec<SegmentMask>, SegmentError> {
-            self.answer(image, size, prompts).map_err(|error| SegmentError::Source {
-                segmenter: Segmenter::Mobilesam.name().to_owned(),
-                reason: error,
-            })
-        }
+    /// The masks of `prompts`; an image is encoded once for all of them.
+    pub fn masks(
+        net: &MobileSam,
+        image: &RgbImage,
+        size: (usize, usize),
+        prompts: &[SegmentPrompt],
+    ) -> Result<Vec<SegmentMask>, SourceError> {
+        let embedding = net.encode(image)?;
+        let one = |prompt: &SegmentPrompt| {
+            let belief = Plane::from_vec(size.0, size.1, prompt.belief.clone())?;
+            let belief = embedding.mask_logits(&belief);
+            let masks = net.masks(&embedding, &converted(prompt, belief, image, size))?;
+            // The first: box, points and belief leave no doubt which thing is meant.
+            let mask = masks.first().ok_or("the network gave no mask")?;
+            Ok(SegmentMask { logits: mask.logits_at(size).data().to_vec(), quality: mask.iou })
+        };
+        prompts.iter().map(one).collect()
     }
 }
 
@@ -205,7 +182,7 @@ mod tests {
             box_px: edges.map(|v| v * SMALL.0 as f32),
             belief: coarse.iter().map(|&c| if c { 2.0 } else { -2.0 }).collect(),
         };
-        let found = segmenter.masks(&colour_image(), SMALL, &[prompt]).unwrap();
+        let found = segmenter(&colour_image(), SMALL, &[prompt]).unwrap();
         let found: Vec<bool> = found[0].logits.iter().map(|&logit| logit > 0.0).collect();
         let overlap = |mask: &[bool]| {
             let count = |f: &dyn Fn(bool, bool) -> bool| mask.iter().zip(&truth).filter(|(a, b)| f(**a, **b)).count();

@@ -11,7 +11,7 @@ use super::working::{Clip, Ground, each, mask_at_size, try_each};
 use super::{layers, moving_depth, rigid_objects, static_depth, tracks};
 use crate::classical::{CameraMotion, SparseReconstruction, check_count};
 use crate::resample::rgb_and_grey;
-use crate::tracks::{QueryGrid, TrackConfig};
+use crate::tracks::QueryGrid;
 use m4_core::{DepthMap, Mask, Plane, Progress, RgbImage, Tracks};
 
 /// Depth and motion of one frame, all of the size of the frame.
@@ -68,14 +68,17 @@ pub fn estimate(
     let ground = Ground::of(frames, sparse, sources, masks, config, progress)?;
     let (count, (w, h)) = (frames.len(), ground.size);
     let parallax = sparse.camera_motion == CameraMotion::Parallax;
-    let mono = try_each(count, "reading depth", progress, |i| {
-        Mono::read(sources.mono, i, frames[i], (w, h)).map_err(|source| DenseError::Mono { frame: i, source })
-    })?;
-    let mono = Mono { frames: mono };
+    let mono = match sources.mono {
+        Some(mono) => {
+            Mono { kind: mono.kind, frames: each(count, "reading depth", progress, |i| mono.at_size(i, (w, h)))? }
+        }
+        None => Mono::default(),
+    };
     let working = each(count, "shrinking frames", progress, |i| ScaledFrame::new(frames[i], (w, h)))?;
     let flows = try_each(count - 1, "computing flow", progress, |i| {
-        FlowPair::between(&working[i].flow_image(), &working[i + 1].flow_image(), sources.flow)
-            .map_err(|source| DenseError::Flow { frame: i, source })
+        let both = (sources.flow)(i, &working[i], &working[i + 1]);
+        let (forward, backward) = both.map_err(|source| DenseError::Flow { frame: i, source })?;
+        Ok(FlowPair::of(forward, backward))
     })?;
     let points = sparse_points(sparse, w, h);
     let shots = each(count, "preparing frames", progress, |i| {
@@ -111,15 +114,14 @@ pub fn estimate(
     if parallax && ground.one_lens {
         rigid_objects::place(&found, |i| clip.smoother(i), &mut disparity, progress)?;
     }
-    for i in 0..count {
-        if parallax {
+    if parallax {
+        for i in 0..count {
             mono.place_moving(i, &measured[i], &filled[i], &moving[i], &mut disparity[i]);
         }
-        mono.overrule(i, &mut disparity[i]);
     }
     let found = Clip { disparity: &disparity, ..found };
     let tracks = match config.tracks {
-        true => tracks::tracks(&found, &QueryGrid::chains(), &TrackConfig::default(), progress)?,
+        true => tracks::tracks(&found, &QueryGrid::chains(), progress)?,
         false => None,
     };
     let confidence = measured.into_iter().map(|measured| measured.confidence).collect();

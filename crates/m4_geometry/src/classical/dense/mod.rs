@@ -12,8 +12,8 @@
 //! ```
 //!
 //! What measures flow, what outlines the parts of the masks and what knows depth from one image, if anything does, is the
-//! caller's choice ([`Sources`]). Depth from one image (`MonoDepth`: a sensor, later a network) replaces what is measured
-//! where it is metric; else it is aligned to that, and stands where nothing was measured or something moves.
+//! caller's choice ([`Sources`]). Depth from one image ([`MonoDepth`]) is aligned to what is measured, and stands where nothing was
+//! measured or something moves.
 //!
 //! Everything happens at a working size ([`DenseConfig::working_side_px`]) and is brought to the size
 //! of the frames at the end, along the edges of the frames. Inside, depth is *disparity*, one over
@@ -43,14 +43,12 @@ mod tracks;
 mod working;
 
 pub use estimate::{Dense, DenseFrame, Estimate, estimate};
-pub use flow::{FlowError, FlowImage, FlowSource, InverseSearch};
-pub(crate) use flow::{FlowPair, ScaledFrame, round_trip_px};
-pub use mono::{MonoDepth, MonoError, MonoKind, MonoMap, NoDepth, SensorDepth};
+pub(crate) use flow::{FlowPair, round_trip_px};
+pub use flow::{InverseSearch, ScaledFrame};
+pub use mono::{MonoDepth, MonoKind};
 pub(crate) use regions::{Components, to_outside};
-pub(crate) use segment::{
-    LEAST_OVERLAP, LEAST_PART_PX, LEAST_QUALITY, belief, box_of, checked_masks, points_apart, prompt,
-};
-pub use segment::{SegmentError, SegmentMask, SegmentPrompt, Segmenter};
+pub(crate) use segment::{LEAST_OVERLAP, LEAST_PART_PX, LEAST_QUALITY, asked, belief, box_of, points_apart, prompt};
+pub use segment::{SegmentMask, SegmentPrompt, Segmenter};
 pub(crate) use smooth::Smoother;
-pub use sources::{DenseConfig, DenseError, Sources};
+pub use sources::{DenseConfig, DenseError, MeasureFlow, SourceError, Sources};
 pub(crate) use working::working_size;

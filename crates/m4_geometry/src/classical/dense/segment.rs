@@ -10,6 +10,7 @@
 //! What prompts contain and which answers are taken was measured with MobileSAM: docs/geometry.md.
 
 use super::regions::{Components, to_outside};
+use super::sources::SourceError;
 use m4_core::RgbImage;
 
 /// Parts of fewer pixels at the working size are left as they are.
@@ -47,64 +48,21 @@ pub struct SegmentMask {
     pub quality: f32,
 }
 
-/// Why there are no masks.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum SegmentError {
-    /// The segmenter failed.
-    #[error("{segmenter} found no masks: {reason}")]
-    Source {
-        /// Its name.
-        segmenter: String,
-        /// What went wrong.
-        reason: Box<dyn std::error::Error + Send + Sync>,
-    },
-    /// Another number of masks than of prompts, or masks of another size; the text says which.
-    #[error("{0}")]
-    Answer(String),
-}
-
-/// Finds the outline of what a prompt means in an image.
+/// Finds the outline of what each prompt means in an image: a mask for every prompt, in their order. Prompts and masks are of the size
+/// (width, height) that is given, which may be less than that of the image but has its shape.
 ///
 /// Called from several threads at once; the same image and prompts must give the same bits.
-pub trait Segmenter: Sync {
-    /// For records and messages, as `--segmenter` names it.
-    fn name(&self) -> &str;
+pub type Segmenter<'a> =
+    dyn Fn(&RgbImage, (usize, usize), &[SegmentPrompt]) -> Result<Vec<SegmentMask>, SourceError> + Sync + 'a;
 
-    /// A mask for every prompt, in their order. Prompts and masks are of `size` (width, height), which may be less than that of `image` but
-    /// has its shape.
-    ///
-    /// # Errors
-    ///
-    /// [`SegmentError`] where the segmenter fails.
-    fn masks(
-        &self,
-        image: &RgbImage,
-        size: (usize, usize),
-        prompts: &[SegmentPrompt],
-    ) -> Result<Vec<SegmentMask>, SegmentError>;
-}
-
-/// The masks of `prompts`, none for none, checked for number and size.
-pub(crate) fn checked_masks(
-    segmenter: &dyn Segmenter,
+/// The masks of `prompts`; nothing is asked about none.
+pub(crate) fn asked(
+    segmenter: &Segmenter<'_>,
     image: &RgbImage,
     size: (usize, usize),
     prompts: &[SegmentPrompt],
-) -> Result<Vec<SegmentMask>, SegmentError> {
-    if prompts.is_empty() {
-        return Ok(Vec::new());
-    }
-    let found = segmenter.masks(image, size, prompts)?;
-    if found.len() != prompts.len() {
-        let (found, expected) = (found.len(), prompts.len());
-        return Err(SegmentError::Answer(format!("{found} masks for {expected} prompts")));
-    }
-    let (w, h) = size;
-    if let Some(wrong) = found.iter().map(|mask| mask.logits.len()).find(|&n| n != w * h) {
-        return Err(SegmentError::Answer(format!("a mask has {wrong} values where {w} x {h} were asked for")));
-    }
-    Ok(found)
+) -> Result<Vec<SegmentMask>, SourceError> {
+    if prompts.is_empty() { Ok(Vec::new()) } else { segmenter(image, size, prompts) }
 }
 
 /// How much farther from each other than from the part's edge points are to lie.
@@ -172,17 +130,17 @@ pub(crate) fn points_apart(width: usize, height: usize, inner: &[f32], count: us
 /// The mask of a frame: each part of `coarse` (`[height][width]` of `size`, above 0 for moving) as the segmenter sees it in `image`. Parts
 /// that are small, and those of which the segmenter makes something else, stay as they are.
 pub(super) fn sharpen(
-    segmenter: &dyn Segmenter,
+    segmenter: &Segmenter<'_>,
     image: &RgbImage,
     size: (usize, usize),
     coarse: &[u8],
-) -> Result<Vec<u8>, SegmentError> {
+) -> Result<Vec<u8>, SourceError> {
     let (width, height) = size;
     let parts = Components::of(width, height, coarse);
     let large: Vec<usize> = (0..parts.pixels.len()).filter(|&k| parts.pixels[k].len() >= LEAST_PART_PX).collect();
     let of = |k: usize| prompt(width, height, |p| parts.label[p] as usize == k + 1);
     let prompts: Vec<_> = large.iter().map(|&k| of(k)).collect();
-    let found = checked_masks(segmenter, image, size, &prompts)?;
+    let found = asked(segmenter, image, size, &prompts)?;
     let taken: Vec<(usize, &SegmentMask)> =
         large.into_iter().zip(&found).filter(|(k, mask)| means_the_same(mask, &parts.pixels[*k])).collect();
     let mut out = coarse.to_vec();
@@ -211,9 +169,7 @@ fn means_the_same(mask: &SegmentMask, part: &[u32]) -> bool {
 
 #[cfg(test)]
 mod tests {
-    use super::{
-        BELIEF_LIMIT, BELIEF_PER_PX, POINTS, SegmentError, SegmentMask, SegmentPrompt, Segmenter, prompt, sharpen,
-    };
+    use super::{BELIEF_LIMIT, BELIEF_PER_PX, POINTS, SegmentMask, SegmentPrompt, SourceError, prompt, sharpen};
     use m4_core::{Plane, RgbImage};
 
     #[test]
@@ -239,48 +195,21 @@ mod tests {
     const SIZE: (usize, usize) = (64, 48);
 
     /// Takes everything of the colour at the prompt's first point for the thing, at a quality of its red.
-    struct Colours;
-
-    impl Segmenter for Colours {
-        fn name(&self) -> &str {
-            "colours"
-        }
-
-        fn masks(
-            &self,
-            image: &RgbImage,
-            size: (usize, usize),
-            prompts: &[SegmentPrompt],
-        ) -> Result<Vec<SegmentMask>, SegmentError> {
-            assert_eq!(image.size(), size);
-            let of = |prompt: &SegmentPrompt| {
-                let [x, y] = prompt.points_px[0];
-                let colour = image[(x as usize, y as usize)];
-                SegmentMask {
-                    logits: image.data().iter().map(|c| if *c == colour { 3.0 } else { -3.0 }).collect(),
-                    quality: f32::from(colour[0]) / 255.0,
-                }
-            };
-            Ok(prompts.iter().map(of).collect())
-        }
-    }
-
-    struct Wrong(usize, usize);
-
-    impl Segmenter for Wrong {
-        fn name(&self) -> &str {
-            "wrong"
-        }
-
-        fn masks(
-            &self,
-            _: &RgbImage,
-            _: (usize, usize),
-            _: &[SegmentPrompt],
-        ) -> Result<Vec<SegmentMask>, SegmentError> {
-            let mask = SegmentMask { logits: vec![0.0; self.1], quality: 1.0 };
-            Ok(vec![mask; self.0])
-        }
+    fn colours(
+        image: &RgbImage,
+        size: (usize, usize),
+        prompts: &[SegmentPrompt],
+    ) -> Result<Vec<SegmentMask>, SourceError> {
+        assert_eq!(image.size(), size);
+        let of = |prompt: &SegmentPrompt| {
+            let [x, y] = prompt.points_px[0];
+            let colour = image[(x as usize, y as usize)];
+            SegmentMask {
+                logits: image.data().iter().map(|c| if *c == colour { 3.0 } else { -3.0 }).collect(),
+                quality: f32::from(colour[0]) / 255.0,
+            }
+        };
+        Ok(prompts.iter().map(of).collect())
     }
 
     fn disc(x: usize, y: usize, at: (i32, i32), radius: i32) -> bool {
@@ -322,7 +251,7 @@ mod tests {
 
     #[test]
     fn fitting_masks_are_taken_and_others_ignored() {
-        let found = sharpen(&Colours, &image(8, 90), SIZE, &coarse()).unwrap();
+        let found = sharpen(&colours, &image(8, 90), SIZE, &coarse()).unwrap();
         assert!(found == with_others(GOOD) && found != coarse());
     }
 
@@ -330,7 +259,7 @@ mod tests {
     fn taken(image: &RgbImage, coarse: &[u8], at: (usize, usize)) -> bool {
         let p = at.1 * SIZE.0 + at.0;
         assert_eq!(coarse[p], 0);
-        sharpen(&Colours, image, SIZE, coarse).unwrap()[p] > 0
+        sharpen(&colours, image, SIZE, coarse).unwrap()[p] > 0
     }
 
     #[test]
@@ -352,12 +281,5 @@ mod tests {
         ] {
             assert_eq!(taken(image, &coarse, at), wanted, "{what}");
         }
-    }
-
-    #[test]
-    fn answers_that_do_not_fit_are_errors() {
-        let of = |wrong| sharpen(&wrong, &image(8, 90), SIZE, &coarse()).unwrap_err().to_string();
-        assert_eq!(of(Wrong(2, 64 * 48)), "2 masks for 3 prompts");
-        assert!(of(Wrong(3, 5)).contains("5 values where 64 x 48"));
     }
 }

@@ -1,28 +1,29 @@
 //! The methods, settings and errors of the dense half. All other values are constants of the files that use them.
 
-use super::flow::{FlowError, FlowSource};
-use super::mono::{MonoDepth, MonoError, NoDepth};
-use super::segment::{SegmentError, Segmenter};
+use super::flow::ScaledFrame;
+use super::mono::MonoDepth;
+use super::segment::Segmenter;
 use crate::tracks::TrackError;
+use m4_core::Flow;
 use serde::{Deserialize, Serialize};
+
+/// Why a network or another method failed.
+pub type SourceError = Box<dyn std::error::Error + Send + Sync>;
+
+/// Measures flow between frame `i` and the next: from the first to the second, and back, of the size of the images.
+///
+/// Called from several threads at once; the same images must give the same bits.
+pub type MeasureFlow<'a> = dyn Fn(usize, &ScaledFrame, &ScaledFrame) -> Result<(Flow, Flow), SourceError> + Sync + 'a;
 
 /// The methods for flow, segmentation and monocular depth.
 #[derive(Clone, Copy)]
 pub struct Sources<'a> {
     /// Measures flow between neighbouring frames.
-    pub flow: &'a dyn FlowSource,
+    pub flow: &'a MeasureFlow<'a>,
     /// Segments dynamic regions, if present; masks of the user stay as they are.
-    pub segmenter: Option<&'a dyn Segmenter>,
-    /// Depth from one image: [`NoDepth`] if there is none.
-    pub mono: &'a dyn MonoDepth,
-}
-
-impl<'a> Sources<'a> {
-    /// Flow alone.
-    #[must_use]
-    pub fn flow(flow: &'a dyn FlowSource) -> Self {
-        Self { flow, segmenter: None, mono: &NoDepth }
-    }
+    pub segmenter: Option<&'a Segmenter<'a>>,
+    /// Depth from one image, if there is any.
+    pub mono: Option<MonoDepth<'a>>,
 }
 
 /// Settings of [`super::estimate()`].
@@ -58,15 +59,7 @@ pub enum DenseError {
         /// The first of the two frames.
         frame: usize,
         /// What went wrong.
-        source: FlowError,
-    },
-    /// The source of depth failed.
-    #[error("no depth for frame {frame}")]
-    Mono {
-        /// The frame.
-        frame: usize,
-        /// What went wrong.
-        source: MonoError,
+        source: SourceError,
     },
     /// The segmenter failed.
     #[error("no object masks in frame {frame}")]
@@ -74,7 +67,7 @@ pub enum DenseError {
         /// Which frame.
         frame: usize,
         /// What went wrong.
-        source: SegmentError,
+        source: SourceError,
     },
     /// A setting out of range.
     #[error("setting {name} is {value}; it must be {range}")]

@@ -7,44 +7,33 @@
 //!
 //! docs/spec/front-end.md 7.1, item 8 ("3D tracks by flow chaining + lifting"), which is the substitute of its
 //! section 3 for a network that tracks: [`crate::tracks`] with the flow and the depth that this stage has anyway. A chain ends where the
-//! flow does not lead back, where it leaves the image and where it leaves the masks; with `fill` the point goes on with its
-//! neighbours, else what went behind something comes out as another track.
+//! flow does not lead back, where it leaves the image and where it leaves the masks; from there the point goes on with its neighbours.
 //!
 //! Pixels here are those of the working size, with the centre of the first one at 0, 0, as [`m4_core::Camera::unproject`] has them.
 
 use super::flow::FlowPair;
 use super::sources::DenseError;
 use super::working::Clip;
-use crate::tracks::{
-    QueryGrid, Scene, Sparse, Strip, TrackConfig, TrackError, board_of, fill, followed, on_grid, sparse_flow,
-};
+use crate::tracks::{QueryGrid, Scene, Sparse, Strip, TrackError, board_of, fill, followed, on_grid, sparse_flow};
 use m4_core::{Plane, Progress, Tracks};
 
 /// Tracks of everything that moves; `None` if nothing could be followed.
-pub(super) fn tracks(
-    clip: &Clip<'_>,
-    grid: &QueryGrid,
-    config: &TrackConfig,
-    progress: &dyn Progress,
-) -> Result<Option<Tracks>, DenseError> {
+pub(super) fn tracks(clip: &Clip<'_>, grid: &QueryGrid, progress: &dyn Progress) -> Result<Option<Tracks>, DenseError> {
     let strip = strip(clip);
-    let pieces = on_grid(&strip, grid, config);
+    let pieces = on_grid(&strip, grid);
     if pieces.is_empty() {
         return Ok(None);
     }
-    let (mut board, queries) = board_of(clip.moving.len(), &pieces);
+    let mut board = board_of(clip.moving.len(), &pieces);
     let surface = |i: usize| {
         let depth = |x: usize, y: usize| 1.0 / clip.disparity[i][y * clip.width + x];
         Ok(Plane::from_fn(clip.width, clip.height, depth))
     };
-    let scene = Scene { strip: &strip, surface: &surface, config };
-    if config.fill {
-        fill(&scene, &mut board, progress).map_err(|e| match e {
-            TrackError::Cancelled { phase } => DenseError::Cancelled { phase },
-            other => DenseError::Tracks(other),
-        })?;
-    }
-    Ok(Some(followed(board, queries)?.tracks))
+    fill(&Scene { strip: &strip, surface: &surface }, &mut board, progress).map_err(|e| match e {
+        TrackError::Cancelled { phase } => DenseError::Cancelled { phase },
+        other => DenseError::Tracks(other),
+    })?;
+    Ok(Some(followed(board)?))
 }
 
 /// What is kept of the clip.
@@ -69,9 +58,9 @@ fn strip(clip: &Clip<'_>) -> Strip {
 mod tests {
     //! A square that flies past a moving camera, with the flow that it makes.
 
-    use super::{Clip, FlowPair};
+    use super::{Clip, FlowPair, board_of, followed, on_grid, strip};
     use crate::classical::dense::working::ClipData;
-    use crate::tracks::{QueryGrid, TrackConfig};
+    use crate::tracks::QueryGrid;
     use m4_core::{Camera, CounterRng, Flow, Intrinsics, Se3, Silent, Tracks};
     use nalgebra::Vector3;
 
@@ -82,12 +71,9 @@ mod tests {
     const VELOCITY: [f64; 3] = [0.03, -0.012, 0.025];
 
     /// Chains alone.
-    fn chains() -> TrackConfig {
-        TrackConfig { fill: false, ..TrackConfig::default() }
-    }
-
-    fn tracks(clip: &Clip<'_>, config: &TrackConfig) -> Option<Tracks> {
-        super::tracks(clip, &QueryGrid::chains(), config, &Silent).unwrap()
+    fn chains(clip: &ClipData) -> Tracks {
+        let pieces = on_grid(&strip(&clip.clip()), &QueryGrid::chains());
+        followed(board_of(FRAMES, &pieces)).unwrap()
     }
 
     fn depth(t: usize) -> f64 {
@@ -147,7 +133,7 @@ mod tests {
 
     #[test]
     fn a_square_that_flies_is_followed_with_its_velocity() {
-        let found = tracks(&made(0.0).clip(), &chains()).unwrap();
+        let found = chains(&made(0.0));
         assert!(found.count() > 40, "{}", found.count());
         let errors = errors(&found);
         assert!(errors.len() > 400, "{}", errors.len());
@@ -161,16 +147,10 @@ mod tests {
 
     #[test]
     fn depth_that_trembles_is_smoothed_along_the_track() {
-        let clip = made(0.01);
-        let raw = TrackConfig { smooth_frames: 0.0, ..chains() };
-        let median = |config: &TrackConfig| {
-            let errors = errors(&tracks(&clip.clip(), config).unwrap());
-            errors[errors.len() / 2]
-        };
-        // The depth of one frame is off by up to half of what the square moves.
-        let (raw, smooth) = (median(&raw), median(&chains()));
-        assert!(raw > 0.1, "{raw}");
-        assert!(smooth < 0.5 * raw && smooth < 0.08, "{smooth} {raw}");
+        // The depth of one frame is off by up to half of what the square moves; without smoothing, so are its steps by more than 0.1.
+        let errors = errors(&chains(&made(0.01)));
+        let smooth = errors[errors.len() / 2];
+        assert!(smooth < 0.08, "{smooth}");
     }
 
     /// Tracks that are known in all of `frames`.
@@ -187,7 +167,7 @@ mod tests {
         let mut jumping = made(0.0);
         jumping.disparity[8..].iter_mut().flatten().for_each(|d| *d *= 0.7);
         for (what, clip) in [("flow", cut), ("depth", jumping)] {
-            let found = tracks(&clip.clip(), &chains()).unwrap();
+            let found = chains(&clip);
             assert_eq!(known(&found, &[7, 8]), 0, "{what}");
             assert!(known(&found, &[7]) > 0 && known(&found, &[8]) > 0, "{what}");
             let errors = errors(&found);
@@ -195,7 +175,7 @@ mod tests {
         }
         let mut masked = made(0.0);
         masked.moving[5..9].iter_mut().flatten().for_each(|m| *m = 0);
-        let found = tracks(&masked.clip(), &chains()).unwrap();
+        let found = chains(&masked);
         assert!((5..9).all(|t| known(&found, &[t]) == 0) && known(&found, &[9]) > 0);
     }
 
@@ -203,9 +183,9 @@ mod tests {
     fn empty_masks_have_no_tracks_and_dense_ones_are_thinned() {
         let mut still = made(0.0);
         still.moving.iter_mut().for_each(|m| m.fill(0));
-        assert_eq!(tracks(&still.clip(), &chains()), None);
         let grid = QueryGrid { most: 10, ..QueryGrid::chains() };
-        let few = |clip: &Clip<'_>| super::tracks(clip, &grid, &chains(), &Silent).unwrap();
+        let few = |clip: &Clip<'_>| super::tracks(clip, &grid, &Silent).unwrap();
+        assert_eq!(few(&still.clip()), None);
         let mut clip = made(0.0);
         assert_eq!(few(&clip.clip()).unwrap().count(), 10);
         clip.flows.clear();

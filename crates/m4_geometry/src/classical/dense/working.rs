@@ -110,7 +110,14 @@ impl Ground {
                  parts in layers in front of it; views from the side will look flat (film again while walking sideways)",
             );
         }
-        check_count("depth maps", sources.mono.frames().unwrap_or(count), count).map_err(DenseError::Input)?;
+        if let Some(mono) = sources.mono {
+            check_count("depth maps", mono.maps.len(), count).map_err(DenseError::Input)?;
+            if let Some(frame) = mono.maps.iter().position(|map| map.data().is_empty()) {
+                return Err(DenseError::Input(format!(
+                    "the depth map of frame {frame} is empty; give one of the shape of the frame"
+                )));
+            }
+        }
         let cameras: Vec<Camera> = sparse.cameras.iter().map(|c| c.resized(size.0, size.1)).collect();
         let one_lens = cameras.windows(2).all(|pair| pair[0].intrinsics == pair[1].intrinsics);
         if parallax && !one_lens {

@@ -9,9 +9,6 @@
 //!        -> all frames, bundle adjustment and motion classification in turn (map, bundle)
 //! ```
 //!
-//! Where the cameras are known, [`with_cameras`] tracks, triangulates and finds dynamic points; cameras with which few tracks agree
-//! are compared with those of the clip itself.
-//!
 //! Inside, lengths in images are *working pixels*: those of the shrunk image, measured from the
 //! image centre, which is the principal point: observations by a lens that is known to differ are moved there first
 //! (priors). Poses inside are world to camera.
@@ -23,7 +20,6 @@ mod klt;
 mod luma;
 mod map;
 mod outcome;
-mod posed;
 mod priors;
 mod reconstruct;
 mod rotation;
@@ -34,7 +30,6 @@ mod triangulate;
 mod two_view;
 mod zoom;
 
-pub use posed::with_cameras;
 pub use priors::{FocalSource, Recovered};
 pub use reconstruct::{FeatureTracks, track_features};
 use serde::{Deserialize, Serialize};

@@ -36,11 +36,7 @@ pub(super) fn from_tracks(
     clip.solve()
 }
 
-pub(super) fn check(
-    frames: &[&RgbImage],
-    masks: Option<&[Mask]>,
-    config: &SparseConfig,
-) -> Result<(usize, usize), SparseError> {
+fn check(frames: &[&RgbImage], config: &SparseConfig) -> Result<(usize, usize), SparseError> {
     let refused = |what: String| Err(SparseError::Input(what));
     let Some(first) = frames.first().filter(|_| frames.len() >= 2) else {
         let found = frames.len();
@@ -60,7 +56,6 @@ pub(super) fn check(
             "frames of {width}x{height} pixels are too small to track points; at least 64x64 are needed"
         ));
     }
-    check_count("masks", masks.map_or(frames.len(), <[_]>::len), frames.len()).map_err(SparseError::Input)?;
     let range = |name, value: Option<f64>, low: f64, high: f64, range| match value {
         Some(value) if !(value > low && value < high) => Err(SparseError::Setting { name, value, range }),
         _ => Ok(()),
@@ -300,15 +295,7 @@ pub fn track_features(
     config: &SparseConfig,
     progress: &dyn Progress,
 ) -> Result<FeatureTracks, SparseError> {
-    track_checked(frames, check(frames, None, config)?, progress)
-}
-
-/// The same of frames that [`check`] found to have that size.
-pub(super) fn track_checked(
-    frames: &[&RgbImage],
-    (width, height): (usize, usize),
-    progress: &dyn Progress,
-) -> Result<FeatureTracks, SparseError> {
+    let (width, height) = check(frames, config)?;
     let working = WorkingSize::new(width, height, LONGEST_SIDE_PX);
     let tracks = track(frames, working, progress)?;
     Ok(FeatureTracks { tracks, frames: frames.len(), size: [width, height], working })

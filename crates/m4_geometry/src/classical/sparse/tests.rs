@@ -1,12 +1,11 @@
 //! From synthetic tracks to reconstructions with known answers.
 
 use super::luma::WorkingSize;
-use super::posed::posed_tracks;
 use super::reconstruct::{FeatureTracks, from_tracks};
 use super::tracking::RawTrack;
 use super::{SparseConfig, SparseError};
 use crate::classical::{CameraMotion, Motion, SparseReconstruction, Track};
-use m4_core::{Camera, CounterRng, Intrinsics, Plane, Se3, Silent, Sim3, exp_so3, log_so3, nalgebra::Vector3};
+use m4_core::{CounterRng, Plane, Se3, Silent, Sim3, exp_so3, log_so3, nalgebra::Vector3};
 use m4_testkit::StopAtPoll;
 
 const WIDTH: usize = 640;
@@ -294,51 +293,6 @@ fn the_number_of_threads_changes_nothing() {
         (found.cameras, found.residual_px)
     };
     assert_eq!(run(1), run(3));
-}
-
-/// Points and motion of the room's tracks, for cameras that are given.
-fn posed(cameras: &[Camera]) -> Result<SparseReconstruction, SparseError> {
-    let features = features(ROOM.tracks().0, ROOM.frames);
-    posed_tracks(features, cameras, None, &SparseConfig::default(), &Silent).map(|r| r.sparse)
-}
-
-fn room_cameras(focal: f64) -> Vec<Camera> {
-    let camera = |i| Camera { intrinsics: Intrinsics::centred(WIDTH, HEIGHT, focal), c2w: ROOM.pose(i).inverse() };
-    (0..ROOM.frames).map(camera).collect()
-}
-
-#[test]
-fn given_cameras_are_used_and_points_are_in_their_unit() {
-    let cameras = room_cameras(ROOM.focal);
-    let found = posed(&cameras).expect("a reconstruction");
-    assert_eq!(found.cameras, cameras);
-    assert_eq!(found.camera_motion, CameraMotion::Parallax);
-    assert!(found.residual_px < 0.3, "{}", found.residual_px);
-    assert!(misjudged(&found, &ROOM.tracks().1) < ROOM.points / 20);
-    let depth = |t: &Track| Some(cameras[t.first_frame].project(&t.point?).1);
-    let depths: Vec<f64> = found.tracks.iter().filter_map(depth).collect();
-    let inside = depths.iter().filter(|z| (2.5..11.0).contains(*z)).count();
-    assert!(depths.len() > 150 && inside * 20 > depths.len() * 19, "{} of {}", inside, depths.len());
-}
-
-#[test]
-fn given_cameras_that_contradict_the_images_are_rejected() {
-    // World to camera where camera to world is meant, and turned about.
-    let mut wrong = room_cameras(ROOM.focal);
-    for (i, camera) in wrong.iter_mut().enumerate() {
-        camera.c2w.rotation = exp_so3(&Vector3::new(0.0, 1.3 * (i % 3) as f64, 0.0)) * camera.c2w.rotation;
-    }
-    let error = posed(&wrong).unwrap_err().to_string();
-    assert!(error.contains("the given poses do not fit"), "{error}");
-}
-
-#[test]
-fn given_cameras_that_explain_far_less_than_others_are_rejected() {
-    // The last two thirds of the way are walked backwards.
-    let right = room_cameras(ROOM.focal);
-    let wrong: Vec<Camera> = (0..ROOM.frames).map(|i| right[if i < 10 { i } else { 39 - i }]).collect();
-    let error = posed(&wrong).unwrap_err().to_string();
-    assert!(error.contains("the given poses contradict the images"), "{error}");
 }
 
 #[test]

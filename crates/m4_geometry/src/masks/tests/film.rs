@@ -1,6 +1,6 @@
 //! A clip whose things are known.
 
-use crate::classical::dense::{SegmentError, SegmentMask, SegmentPrompt, Segmenter};
+use crate::classical::dense::{SegmentMask, SegmentPrompt, SourceError};
 use crate::masks::{Coarse, Refined};
 use m4_core::{CompactMask, Plane, RgbImage};
 
@@ -159,51 +159,26 @@ fn hue(c: [u8; 3]) -> [i32; 3] {
 }
 
 /// Takes everything of the hue at the prompt's first point for the thing.
-pub struct Hues;
-
-impl Segmenter for Hues {
-    fn name(&self) -> &str {
-        "hues"
-    }
-
-    fn masks(
-        &self,
-        image: &RgbImage,
-        size: (usize, usize),
-        prompts: &[SegmentPrompt],
-    ) -> Result<Vec<SegmentMask>, SegmentError> {
-        assert_eq!(image.size(), size);
-        let of = |prompt: &SegmentPrompt| {
-            let [x, y] = prompt.points_px[0];
-            let wanted = hue(image[(x as usize, y as usize)]);
-            SegmentMask {
-                logits: image.data().iter().map(|c| if hue(*c) == wanted { 3.0 } else { -3.0 }).collect(),
-                quality: 0.9,
-            }
-        };
-        Ok(prompts.iter().map(of).collect())
-    }
+pub fn hues(
+    image: &RgbImage,
+    size: (usize, usize),
+    prompts: &[SegmentPrompt],
+) -> Result<Vec<SegmentMask>, SourceError> {
+    assert_eq!(image.size(), size);
+    let of = |prompt: &SegmentPrompt| {
+        let [x, y] = prompt.points_px[0];
+        let wanted = hue(image[(x as usize, y as usize)]);
+        SegmentMask {
+            logits: image.data().iter().map(|c| if hue(*c) == wanted { 3.0 } else { -3.0 }).collect(),
+            quality: 0.9,
+        }
+    };
+    Ok(prompts.iter().map(of).collect())
 }
 
-/// Grabs the background: all of it, or a corner.
-pub struct Grabber {
-    pub corner_px: usize,
-}
-
-impl Segmenter for Grabber {
-    fn name(&self) -> &str {
-        "grabber"
-    }
-
-    fn masks(
-        &self,
-        _: &RgbImage,
-        (w, h): (usize, usize),
-        prompts: &[SegmentPrompt],
-    ) -> Result<Vec<SegmentMask>, SegmentError> {
-        let corner = |p: usize| p % w < self.corner_px && p / w < self.corner_px;
-        let mask =
-            SegmentMask { logits: (0..w * h).map(|p| if corner(p) { 1.0 } else { -1.0 }).collect(), quality: 1.0 };
-        Ok(vec![mask; prompts.len()])
-    }
+/// Grabs the background: all of it, or a corner of `corner_px` pixels a side.
+pub fn grabbed(corner_px: usize, (w, h): (usize, usize), prompts: usize) -> Vec<SegmentMask> {
+    let corner = |p: usize| p % w < corner_px && p / w < corner_px;
+    let mask = SegmentMask { logits: (0..w * h).map(|p| if corner(p) { 1.0 } else { -1.0 }).collect(), quality: 1.0 };
+    vec![mask; prompts]
 }

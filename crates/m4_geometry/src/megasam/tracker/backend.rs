@@ -3,10 +3,9 @@
 use super::correspondence::{Correspondence, TrackerError};
 use super::keyframes::{Keyframes, Update};
 use super::{BETA, TrackerSettings};
-use crate::dba::{DbaOptions, DbaReport, Factor, Geometry, Observability, Problem, Robust, observability, project};
-use crate::megasam::graph::{FactorGraph, GraphEdge, ProximitySettings};
+use crate::dba::{DbaOptions, DbaReport, Factor, Observability, Problem, observability};
+use crate::megasam::graph::{FactorGraph, ProximitySettings};
 use m4_core::Progress;
-use rayon::prelude::*;
 
 /// Greatest distance of an edge, pixels of the grid: 16.
 const GREATEST_DISTANCE_PX: f64 = 16.0;
@@ -63,7 +62,6 @@ impl Backend {
         let s = &self.settings;
         let update = Update {
             options: DbaOptions {
-                robust: s.robust,
                 min_depth: s.min_depth,
                 #[cfg(test)]
                 python_twin: s.python_twin,
@@ -93,7 +91,7 @@ impl Backend {
     pub fn observability(&self, keyframes: &Keyframes) -> Result<Observability, TrackerError> {
         let edges: Vec<&Factor<f32>> = self.graph.active.iter().map(|e| &e.factor).collect();
         let problem = Problem { edges: &edges, eta: &keyframes.damping };
-        Ok(observability(&keyframes.geometry, &problem, &self.settings.adjustment(Robust::None))?)
+        Ok(observability(&keyframes.geometry, &problem, &self.settings.adjustment())?)
     }
 
     /// Probability that each pixel of each keyframe is static, `[keyframes][height * width]`: the mean over the edges that
@@ -127,39 +125,4 @@ impl Backend {
         self.graph.clear();
         Ok(source.change(&self.graph.take_changes())?)
     }
-}
-
-/// The mean robust weight of every pixel over the edges that start in its frame, `[frames][height * width]`: near 1
-/// where the flow is that of a static scene, near 0 where something else moves. Points that the target does not
-/// see do not vote, nor do components without confidence; a pixel without votes gets 1.
-#[must_use]
-pub fn confidence_from_residuals(
-    geometry: &Geometry<f32>,
-    edges: &[GraphEdge],
-    robust: Robust,
-    min_depth: f64,
-) -> Vec<Vec<f32>> {
-    (0..geometry.frames())
-        .into_par_iter()
-        .map(|frame| {
-            let mut votes = vec![(0.0_f32, 0_u32); geometry.grid.len()];
-            for edge in edges.iter().filter(|e| e.factor.source == frame) {
-                let f = &edge.factor;
-                let g = geometry.relative(f.source, f.target);
-                for (n, vote) in votes.iter_mut().enumerate() {
-                    let (u, v) = ((n % geometry.grid.width) as f64, (n / geometry.grid.width) as f64);
-                    let p = project(&g, &geometry.lens, 1.0, u, v, f64::from(geometry.disparity[frame][n]));
-                    if p.z <= min_depth || f.weight[0][n] + f.weight[1][n] <= 0.0 {
-                        continue;
-                    }
-                    let du = f64::from(f.target_px[0][n]) - p.pixel.x;
-                    let dv = f64::from(f.target_px[1][n]) - p.pixel.y;
-                    vote.0 += robust.weight(du * du + dv * dv) as f32;
-                    vote.1 += 1;
-                }
-            }
-            let mean = |(sum, count): (f32, u32)| if count == 0 { 1.0 } else { sum / count as f32 };
-            votes.into_iter().map(mean).collect()
-        })
-        .collect()
 }

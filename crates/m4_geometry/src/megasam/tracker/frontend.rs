@@ -203,7 +203,7 @@ impl Frontend {
     fn update(&mut self, first: usize, free: Free, source: &mut dyn Correspondence) -> Result<(), TrackerError> {
         let s = &self.settings;
         let update = Update {
-            options: DbaOptions { free, ..s.adjustment(s.frontend_robust) },
+            options: DbaOptions { free, ..s.adjustment() },
             window: first.max(1).min(self.keyframes.len())..self.keyframes.len(),
             inactive_from: Some(first.saturating_sub(3)),
             batch: None,

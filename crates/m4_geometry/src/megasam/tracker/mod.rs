@@ -20,8 +20,8 @@ mod frontend;
 mod keyframes;
 mod track;
 
-use crate::dba::{DbaOptions, MIN_DEPTH, Robust};
-pub use backend::{Backend, confidence_from_residuals};
+use crate::dba::{DbaOptions, MIN_DEPTH};
+pub use backend::Backend;
 pub use correspondence::{Correspondence, CorrespondenceError, EdgeRevision, Revision, SourceRevision, TrackerError};
 pub use frontend::{Frontend, Submitted};
 pub use keyframes::{FrameInput, Keyframes};
@@ -59,10 +59,6 @@ pub struct TrackerSettings {
     pub low_parallax_alpha: f64,
     /// Least scaled depth of a point that counts: 0.25.
     pub min_depth: f64,
-    /// Extra weight of residuals in the front end and the filler: none.
-    pub frontend_robust: Robust,
-    /// Extra weight of residuals in the back end, whose scale also tells static pixels from moving ones: none.
-    pub robust: Robust,
     /// As the program that the fixtures come from: the Python twin of the published solver
     /// ([`crate::dba::DbaOptions::python_twin`]), and edges that retire by the permutation of their ages.
     #[cfg(test)]
@@ -72,26 +68,9 @@ pub struct TrackerSettings {
 }
 
 impl TrackerSettings {
-    /// For correspondences that do not detect motion, such as plain optical flow: residuals are judged instead.
-    /// The front end takes Cauchy's weight at half a pixel of the grid, the back end that of Geman and McClure at one,
-    /// whose tail lets go of moving things altogether; `docs/geometry.md` has the comparison. Where there is no parallax the
-    /// prior is that of the front end: the noise of flow looks like parallax to a weak one.
-    #[must_use]
-    pub fn for_flow() -> Self {
-        Self {
-            frontend_robust: Robust::Cauchy { scale_px: 0.5 },
-            robust: Robust::GemanMcClure { scale_px: 1.0 },
-            low_parallax_alpha: 0.05,
-            ..Self::default()
-        }
-    }
-}
-
-impl TrackerSettings {
     /// What all adjustments of poses share.
-    fn adjustment(&self, robust: Robust) -> DbaOptions {
+    fn adjustment(&self) -> DbaOptions {
         DbaOptions {
-            robust,
             min_depth: self.min_depth,
             #[cfg(test)]
             python_twin: self.python_twin,
@@ -116,8 +95,6 @@ impl Default for TrackerSettings {
             filler_updates: 6,
             low_parallax_alpha: 1e-5,
             min_depth: MIN_DEPTH,
-            frontend_robust: Robust::None,
-            robust: Robust::None,
             #[cfg(test)]
             python_twin: false,
             optimise_focal: true,

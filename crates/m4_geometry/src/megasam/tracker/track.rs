@@ -2,11 +2,11 @@
 //! against the neighbouring keyframes.
 
 use super::TrackerSettings;
-use super::backend::{Backend, confidence_from_residuals};
+use super::backend::Backend;
 use super::correspondence::{Correspondence, TrackerError, check_count};
 use super::frontend::Frontend;
 use super::keyframes::{FrameInput, Keyframes, Update};
-use crate::dba::{DbaOptions, Free, Geometry, Grid, Observability, Pinhole, Robust};
+use crate::dba::{DbaOptions, Free, Geometry, Grid, Observability, Pinhole};
 use crate::megasam::graph::FactorGraph;
 use m4_core::{Progress, Se3};
 
@@ -91,14 +91,7 @@ pub fn track(
     let mut all = everything(&keyframes, clip.frames, &poses);
     let mut backend = Backend::new(&all, *settings);
     let report = backend.run(&mut all, source, settings.final_updates, false, alpha, progress)?;
-    let mut static_confidence = backend.static_confidence(&all);
-    if settings.robust != Robust::None {
-        let residuals =
-            confidence_from_residuals(&all.geometry, &backend.graph.active, settings.robust, settings.min_depth);
-        for (m, r) in static_confidence.iter_mut().flatten().zip(residuals.iter().flatten()) {
-            *m *= r;
-        }
-    }
+    let static_confidence = backend.static_confidence(&all);
     backend.finish(source)?;
     Ok(Tracked {
         geometry: all.geometry,
@@ -198,7 +191,7 @@ pub fn fill(
             graph.add(pairs, &state.geometry, &state.frame, false);
         }
         let update = Update {
-            options: DbaOptions { free: Free::Poses, ..settings.adjustment(settings.frontend_robust) },
+            options: DbaOptions { free: Free::Poses, ..settings.adjustment() },
             window: count..state.len(),
             inactive_from: None,
             batch: None,

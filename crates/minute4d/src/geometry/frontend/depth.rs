@@ -5,14 +5,12 @@ use crate::Error;
 use crate::device::NetworkDevice;
 use crate::steps::Steps;
 use m4_core::{Plane, RgbImage};
-use m4_geometry::classical::dense::{MonoDepth, MonoError, MonoKind, MonoMap};
+use m4_geometry::classical::dense::{MonoDepth, MonoKind};
 #[cfg(feature = "nets")]
 use m4_geometry::megasam::{DepthPrior, MegasamError, TrackingSize};
-use std::borrow::Cow;
 
 /// Depth of every frame of a clip; the maps may be smaller than the images.
 pub struct MonoClip {
-    name: String,
     /// z-depth, metres, 0 where unknown.
     pub metric_m: Option<Vec<Plane<f32>>>,
     /// Relative disparity.
@@ -21,35 +19,21 @@ pub struct MonoClip {
     pub fov_rad: Option<f64>,
 }
 
-#[cfg(feature = "nets")]
 impl MonoClip {
+    /// As the classical front end takes it: relative disparity where both are there, as the one with better edges.
+    pub fn maps(&self) -> Option<MonoDepth<'_>> {
+        let relative = self.relative.as_deref().map(|maps| MonoDepth { kind: MonoKind::AffineDisparity, maps });
+        relative.or_else(|| self.metric_m.as_deref().map(|maps| MonoDepth { kind: MonoKind::UpToScale, maps }))
+    }
+
     /// As the tracker takes it; fails where the maps hold nothing.
+    #[cfg(feature = "nets")]
     pub fn prior(&self, size: &TrackingSize) -> Result<DepthPrior, MegasamError> {
         match (&self.metric_m, &self.relative) {
             (Some(metric), Some(relative)) => DepthPrior::aligned(metric, relative, size),
             (Some(metric), None) => DepthPrior::metric(metric, size),
             (None, relative) => DepthPrior::relative(relative.as_deref().unwrap_or_default(), size),
         }
-    }
-}
-
-/// Relative disparity goes first where both are there, as the one with better edges.
-impl MonoDepth for MonoClip {
-    fn name(&self) -> &str {
-        &self.name
-    }
-
-    fn frames(&self) -> Option<usize> {
-        self.metric_m.as_ref().or(self.relative.as_ref()).map(Vec::len)
-    }
-
-    fn depth(&self, frame: usize, _: &RgbImage) -> Result<Option<MonoMap<'_>>, MonoError> {
-        let map = |kind, planes: &'_ Option<Vec<Plane<f32>>>| -> Option<MonoMap<'_>> {
-            let values = planes.as_ref()?.get(frame)?;
-            Some(MonoMap { kind, values: Cow::Owned(values.clone()) })
-        };
-        let relative = map(MonoKind::AffineDisparity, &self.relative);
-        Ok(relative.or_else(|| map(MonoKind::UpToScale, &self.metric_m)))
     }
 }
 
@@ -185,7 +169,6 @@ mod networks {
             }
             fovs.sort_unstable_by(f64::total_cmp);
             Ok(Some(Self {
-                name,
                 fov_rad: (!fovs.is_empty()).then(|| 0.5 * (fovs[fovs.len() / 2] + fovs[(fovs.len() - 1) / 2])),
                 metric_m: networks.metric.is_some().then_some(metric_m),
                 relative: networks.relative.is_some().then_some(relative),

@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! --frontend WORD+WORD --parse--> Frontend --plan: which weights are here--> Plan
-//!   Plan --load--> FlowSource, MonoMaps    (cameras from tracked corners: classical.rs)
+//!   Plan --load--> MeasureFlow, MonoDepth    (cameras from tracked corners: classical.rs)
 //!              --> tracking network, PairFlow, DepthPrior    (megasam.rs)
 //! ```
 
@@ -13,7 +13,6 @@ mod plan;
 mod tracking;
 
 pub(super) use depth::MonoClip;
-pub(super) use flow::CachedFlow;
 pub use plan::UsedNetwork;
 pub(super) use plan::{Plan, plan};
 #[cfg(feature = "nets")]

@@ -2,13 +2,14 @@
 
 use super::{NetworkCorrespondence, memory};
 use m4_core::{Plane, RgbImage, Se3, Silent};
+use m4_geometry::classical::dense::InverseSearch;
 use m4_geometry::dba::{DbaOptions, Factor, Geometry, Grid, Pinhole, Problem, adjust, project};
 use m4_geometry::megasam::graph::{EdgeChanges, FactorGraph};
 use m4_geometry::megasam::tracker::{
     Correspondence, CorrespondenceError, EdgeRevision, FrameInput, Frontend, Revision, SourceRevision, Submitted,
     TrackerSettings,
 };
-use m4_geometry::megasam::{MegasamInput, MegasamSettings, SourceFlow, TrackingSize, reconstruct, track};
+use m4_geometry::megasam::{MegasamInput, MegasamSettings, TrackingSize, reconstruct, track};
 use m4_nets::droid::{MemoryOptions, Storage};
 use m4_nets::{DroidNet, cpu};
 use m4_testkit::write_formula_weights;
@@ -144,7 +145,6 @@ fn a_clip_goes_all_the_way_and_gives_the_same_bits_again() {
         MegasamSettings { tracking_pixels: (SIDE * SIDE) as f64, tracker: few(), ..MegasamSettings::default() };
     settings.cvd_steps = [3, 4];
     let size = TrackingSize::new((SIDE, SIDE), settings.tracking_pixels).unwrap();
-    let search = m4_geometry::classical::dense::InverseSearch;
     let run = |budget_mb: usize, threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| {
@@ -157,7 +157,7 @@ fn a_clip_goes_all_the_way_and_gives_the_same_bits_again() {
                 prior: None,
             };
             let tracked = track(&input, &mut network, &settings, &Silent).unwrap();
-            reconstruct(&input, tracked, &mut SourceFlow(&search), &settings, &Silent).unwrap()
+            reconstruct(&input, tracked, &mut InverseSearch, &settings, &Silent).unwrap()
         })
     };
     let (a, b) = (run(100, 1), run(1, 3));

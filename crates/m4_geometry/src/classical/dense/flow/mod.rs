@@ -44,22 +44,20 @@ impl FlowPair {
         Self { forward, backward, forward_round_trip, backward_round_trip }
     }
 
-    pub fn between(a: &FlowImage<'_>, b: &FlowImage<'_>, source: &dyn FlowSource) -> Result<Self, FlowError> {
-        let (forward, backward) = source.both(a, b)?;
-        let expected = (a.width, a.height);
-        for flow in [&forward, &backward] {
-            let found = (flow.width, flow.height);
-            let n = expected.0 * expected.1;
-            if found != expected || flow.u.len() != n || flow.v.len() != n {
-                return Err(FlowError::Size { found, expected });
-            }
-        }
-        Ok(Self {
+    /// Of flow both ways, of one size.
+    pub fn of(forward: Flow, backward: Flow) -> Self {
+        Self {
             forward_round_trip: round_trip_px(&forward, &backward),
             backward_round_trip: round_trip_px(&backward, &forward),
             forward,
             backward,
-        })
+        }
+    }
+
+    /// By [`InverseSearch`].
+    pub fn between(a: &ScaledFrame, b: &ScaledFrame) -> Self {
+        let (forward, backward) = InverseSearch.both(a, b);
+        Self::of(forward, backward)
     }
 }
 
@@ -97,89 +95,36 @@ pub(crate) fn round_trip_px(there: &Flow, back: &Flow) -> Vec<f32> {
     out
 }
 
-/// One image, as a source of flow sees it.
-#[derive(Debug, Clone, Copy)]
-pub struct FlowImage<'a> {
+/// An image at another size, not larger than its own, as flow is measured on it.
+#[derive(Debug, Clone)]
+pub struct ScaledFrame {
     /// Columns.
     pub width: usize,
     /// Rows.
     pub height: usize,
     /// `[height][width][3]`, sRGB 0..255.
-    pub rgb: &'a [[u8; 3]],
-    /// `[height][width]`: luma 0..255, not rounded.
-    pub grey: &'a [f32],
-}
-
-/// An image at another size, not larger than its own, as a source of flow sees it.
-#[derive(Clone)]
-pub(crate) struct ScaledFrame {
-    pub width: usize,
-    pub height: usize,
     pub rgb: Vec<[u8; 3]>,
-    /// `[height][width]`: luma 0..255.
+    /// `[height][width]`: luma 0..255, not rounded.
     pub grey: Vec<f32>,
 }
 
 impl ScaledFrame {
+    /// The image at `width` x `height` pixels, by areas.
     pub fn new(image: &RgbImage, (width, height): (usize, usize)) -> Self {
         let (rgb, grey) = rgb_and_grey(image, width, height);
         Self { width, height, rgb, grey }
     }
-
-    pub fn flow_image(&self) -> FlowImage<'_> {
-        FlowImage { width: self.width, height: self.height, rgb: &self.rgb, grey: &self.grey }
-    }
-}
-
-/// Why there is no flow.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum FlowError {
-    /// The source failed.
-    #[error("{source_name} found no flow: {reason}")]
-    Source {
-        /// Its name.
-        source_name: String,
-        /// What went wrong.
-        reason: Box<dyn std::error::Error + Send + Sync>,
-    },
-    /// The source gave flow of another size than that of its images.
-    #[error("the flow has {}x{} values where the images have {}x{}", found.0, found.1, expected.0, expected.1)]
-    Size {
-        /// Width and height of the flow.
-        found: (usize, usize),
-        /// Width and height of the images.
-        expected: (usize, usize),
-    },
-}
-
-/// Measures where the pixels of one image are seen in another: classical search, a network, another program's result.
-///
-/// Called from several threads at once; the same images must give the same bits.
-pub trait FlowSource: Sync {
-    /// For records and messages, as `--frontend` names it.
-    fn name(&self) -> &str;
-
-    /// The flow from `a` to `b` and that from `b` to `a`, of the size of the images, which is the same for both.
-    ///
-    /// # Errors
-    ///
-    /// [`FlowError`] where the source fails.
-    fn both(&self, a: &FlowImage<'_>, b: &FlowImage<'_>) -> Result<(Flow, Flow), FlowError>;
 }
 
 /// Inverse search with variational refinement (Kroeger et al. 2016): no weights, and the default.
 #[derive(Debug, Clone, Copy)]
 pub struct InverseSearch;
 
-impl FlowSource for InverseSearch {
-    fn name(&self) -> &'static str {
-        "classical"
-    }
-
-    fn both(&self, a: &FlowImage<'_>, b: &FlowImage<'_>) -> Result<(Flow, Flow), FlowError> {
-        let [a, b] = [a, b].map(|p| pyramid(p.width, p.height, p.grey));
-        Ok((flow(&a, &b), flow(&b, &a)))
+impl InverseSearch {
+    /// The flow from `a` to `b` and that from `b` to `a`; both images are of one size.
+    pub fn both(self, a: &ScaledFrame, b: &ScaledFrame) -> (Flow, Flow) {
+        let [a, b] = [a, b].map(|p| pyramid(p.width, p.height, &p.grey));
+        (flow(&a, &b), flow(&b, &a))
     }
 }
 

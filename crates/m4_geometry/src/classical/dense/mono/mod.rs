@@ -1,108 +1,45 @@
-//! The seam between dense geometry and whatever knows depth from one image: a sensor, a network, nothing.
-//!
-//! ```text
-//! MonoDepth --> a plane of disparities per frame, NaN where unknown
-//!    metric: taken as it is, and as what was measured
-//!    else:   aligned to what stereo over time measured --> where nothing was measured, and where something moves
-//! ```
+//! Depth from one image, as a network knows it: up to a factor, or more, per frame. It is aligned to what stereo over time measured, and
+//! stands where nothing was measured, and where something moves.
 
 #[cfg(test)]
 mod tests;
 
 use super::static_depth::Measured;
 use super::working::nearest;
-use m4_core::{DepthMap, Plane, RgbImage, median};
-use std::borrow::Cow;
+use m4_core::{Plane, median};
 
 /// What the values of a map are.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum MonoKind {
-    /// z-depth in the unit of the cameras; 0, or not finite, where unknown.
-    Metric,
     /// z-depth up to one factor per frame; 0, or not finite, where unknown.
+    #[default]
     UpToScale,
     /// One over z-depth up to a factor above 0 and a shift per frame; not finite where unknown.
     AffineDisparity,
 }
 
-/// Depth of one frame, `[height][width]`, of any size of the same shape: it is read at the nearest pixel.
-#[derive(Debug, Clone)]
-pub struct MonoMap<'a> {
+/// Depth of every frame from itself alone.
+#[derive(Debug, Clone, Copy)]
+pub struct MonoDepth<'a> {
     /// What the values are.
     pub kind: MonoKind,
-    /// The values.
-    pub values: Cow<'a, Plane<f32>>,
+    /// One map per frame, `[height][width]`, of any size of the same shape: it is read at the nearest pixel.
+    pub maps: &'a [Plane<f32>],
 }
 
-/// Why there is no depth.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum MonoError {
-    /// The source failed.
-    #[error("{source_name} found no depth: {reason}")]
-    Source {
-        /// Its name.
-        source_name: String,
-        /// What went wrong.
-        reason: Box<dyn std::error::Error + Send + Sync>,
-    },
-    /// A map without pixels.
-    #[error("the depth map is empty; give one of the shape of the frame")]
-    Empty,
-}
-
-/// Knows depth from one image: a sensor, a network, another program's result.
-///
-/// Called from several threads at once; the same image must give the same bits.
-pub trait MonoDepth: Send + Sync {
-    /// For records and messages.
-    fn name(&self) -> &str;
-
-    /// For how many frames it has depth; `None` for any number.
-    fn frames(&self) -> Option<usize> {
-        None
-    }
-
-    /// Depth of frame `frame`, which is `image`; `None` where it is unknown. All maps of a clip are of one kind.
-    ///
-    /// # Errors
-    ///
-    /// [`MonoError`] where the source fails.
-    fn depth(&self, frame: usize, image: &RgbImage) -> Result<Option<MonoMap<'_>>, MonoError>;
-}
-
-/// Knows nothing.
-#[derive(Debug, Clone, Copy, Default)]
-pub struct NoDepth;
-
-impl MonoDepth for NoDepth {
-    fn name(&self) -> &'static str {
-        "none"
-    }
-
-    fn depth(&self, _: usize, _: &RgbImage) -> Result<Option<MonoMap<'_>>, MonoError> {
-        Ok(None)
-    }
-}
-
-/// What a sensor measured: a plane per frame, z-depth in the unit of the cameras, 0 where unknown.
-#[derive(Debug, Clone)]
-pub struct SensorDepth {
-    /// One per frame.
-    pub maps: Vec<DepthMap>,
-}
-
-impl MonoDepth for SensorDepth {
-    fn name(&self) -> &'static str {
-        "sensor"
-    }
-
-    fn frames(&self) -> Option<usize> {
-        Some(self.maps.len())
-    }
-
-    fn depth(&self, frame: usize, _: &RgbImage) -> Result<Option<MonoMap<'_>>, MonoError> {
-        Ok(self.maps.get(frame).map(|map| MonoMap { kind: MonoKind::Metric, values: Cow::Borrowed(map) }))
+impl MonoDepth<'_> {
+    /// `[height][width]` of frame `i`: one over depth where the kind is depth, else as given; NaN where unknown.
+    pub(super) fn at_size(&self, i: usize, (width, height): (usize, usize)) -> Vec<f32> {
+        let at = nearest(self.maps[i].size(), width, height);
+        let value = |p: usize| {
+            let v = self.maps[i][at(p)];
+            match self.kind {
+                MonoKind::AffineDisparity if v.is_finite() => v,
+                MonoKind::UpToScale if v > 0.0 && v.is_finite() => 1.0 / v,
+                _ => f32::NAN,
+            }
+        };
+        (0..width * height).map(value).collect()
     }
 }
 
@@ -111,83 +48,26 @@ const PRIOR_WEIGHT: f32 = 0.3;
 /// Confidence from which on a measured disparity takes part in an alignment.
 const SURE: f32 = 0.5;
 
-/// Monocular depth of one frame.
-pub(super) struct FrameDepth {
-    kind: MonoKind,
-    /// `[height][width]`: one over depth for the kinds of depth, else as given; NaN where unknown.
-    values: Vec<f32>,
-}
-
 /// Depth of all frames from one image each, at the working size.
+#[derive(Default)]
 pub(super) struct Mono {
-    pub frames: Vec<Option<FrameDepth>>,
+    pub kind: MonoKind,
+    /// `[frames]` of [`MonoDepth::at_size`]; empty where nothing is known.
+    pub frames: Vec<Vec<f32>>,
 }
 
 impl Mono {
-    /// The map of one frame.
-    pub fn read(
-        source: &dyn MonoDepth,
-        frame: usize,
-        image: &RgbImage,
-        (width, height): (usize, usize),
-    ) -> Result<Option<FrameDepth>, MonoError> {
-        let Some(map) = source.depth(frame, image)? else {
-            return Ok(None);
-        };
-        let (w, h) = map.values.size();
-        if w == 0 || h == 0 {
-            return Err(MonoError::Empty);
-        }
-        let at = nearest((w, h), width, height);
-        let value = |p: usize| {
-            let v = map.values[at(p)];
-            match map.kind {
-                MonoKind::AffineDisparity if v.is_finite() => v,
-                MonoKind::Metric | MonoKind::UpToScale if v > 0.0 && v.is_finite() => 1.0 / v,
-                _ => f32::NAN,
-            }
-        };
-        Ok(Some(FrameDepth { kind: map.kind, values: (0..width * height).map(value).collect() }))
-    }
-
-    /// The known disparity of a frame, NaN where it is unknown.
-    fn metric(&self, i: usize) -> Option<&[f32]> {
-        let known = self.frames[i].as_ref()?;
-        (known.kind == MonoKind::Metric).then_some(&known.values)
-    }
-
-    /// Takes metric depth for measured, but where something moves (above 0).
-    pub fn impose(&self, i: usize, measured: &mut Measured, moving: Option<&[u8]>) {
-        let Some(metric) = self.metric(i) else { return };
-        for (p, d) in metric.iter().enumerate().filter(|(_, d)| d.is_finite()) {
-            if moving.is_none_or(|m| m[p] == 0) {
-                (measured.disparity[p], measured.confidence[p]) = (*d, 1.0);
-            }
-        }
-    }
-
-    /// Puts metric depth over all else.
-    pub fn overrule(&self, i: usize, disparity: &mut [f32]) {
-        let Some(metric) = self.metric(i) else { return };
-        for (out, known) in disparity.iter_mut().zip(metric).filter(|(_, d)| d.is_finite()) {
-            *out = *known;
-        }
-    }
-
-    /// Relative disparity of a frame, brought to `disparity` where that is sure and nothing moves; NaN where unknown. `None`
-    /// without relative disparity, and where too little is sure.
+    /// Disparity of a frame, brought to `disparity` where that is sure and nothing moves; NaN where unknown. `None` where nothing is known
+    /// or too little is sure.
     pub fn aligned(&self, i: usize, disparity: &[f32], confidence: &[f32], moving: Option<&[u8]>) -> Option<Vec<f32>> {
-        let known = self.frames[i].as_ref().filter(|k| k.kind != MonoKind::Metric)?;
+        let known = self.frames.get(i)?;
         let sure = |p: &usize| {
-            confidence[*p] >= SURE
-                && moving.is_none_or(|m| m[*p] == 0)
-                && known.values[*p].is_finite()
-                && disparity[*p] > 0.0
+            confidence[*p] >= SURE && moving.is_none_or(|m| m[*p] == 0) && known[*p].is_finite() && disparity[*p] > 0.0
         };
-        let pair = |p: usize| (f64::from(known.values[p]), f64::from(disparity[p]));
-        let pairs: Vec<(f64, f64)> = (0..known.values.len()).filter(sure).map(pair).collect();
-        let fit = Fit::of(&pairs, known.kind == MonoKind::AffineDisparity)?;
-        Some(known.values.iter().map(|&v| fit.disparity(v).unwrap_or(f32::NAN)).collect())
+        let pair = |p: usize| (f64::from(known[p]), f64::from(disparity[p]));
+        let pairs: Vec<(f64, f64)> = (0..known.len()).filter(sure).map(pair).collect();
+        let fit = Fit::of(&pairs, self.kind == MonoKind::AffineDisparity)?;
+        Some(known.iter().map(|&v| fit.disparity(v).unwrap_or(f32::NAN)).collect())
     }
 
     /// What is measured, and weakly, where nothing is and nothing moves, what is aligned.
@@ -221,19 +101,17 @@ impl Mono {
 
     /// Whether it knows nothing of any frame.
     pub fn is_empty(&self) -> bool {
-        self.frames.iter().all(Option::is_none)
+        self.frames.is_empty()
     }
 
     /// The disparity of a frame of a clip in which nothing can be measured: `made_up`, or as a middle distance of 1 has it.
     pub fn without_parallax(&self, i: usize, made_up: Vec<f32>) -> Vec<f32> {
         let mut out = made_up;
-        let Some(known) = self.frames[i].as_ref().filter(|k| k.kind != MonoKind::Metric) else {
-            return out;
-        };
-        let mut all: Vec<f64> = known.values.iter().filter(|v| v.is_finite()).map(|&v| f64::from(v)).collect();
+        let Some(known) = self.frames.get(i) else { return out };
+        let mut all: Vec<f64> = known.iter().filter(|v| v.is_finite()).map(|&v| f64::from(v)).collect();
         if let Some(middle) = median(&mut all).filter(|middle| *middle > 0.0) {
             let fit = Fit { scale: 1.0 / middle, shift: 0.0 };
-            for (out, v) in out.iter_mut().zip(&known.values) {
+            for (out, v) in out.iter_mut().zip(known) {
                 *out = fit.disparity(*v).unwrap_or(*out);
             }
         }

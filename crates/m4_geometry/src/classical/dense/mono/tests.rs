@@ -1,7 +1,6 @@
-use super::{Mono, MonoDepth, MonoError, MonoKind, MonoMap, NoDepth, SensorDepth};
+use super::{Mono, MonoDepth, MonoKind};
 use crate::classical::dense::static_depth::Measured;
-use m4_core::{CounterRng, Plane, RgbImage};
-use std::borrow::Cow;
+use m4_core::{CounterRng, Plane};
 
 const W: usize = 40;
 const H: usize = 30;
@@ -17,32 +16,24 @@ fn moves(p: usize) -> bool {
 }
 
 /// The true depth, in a disguise that differs from frame to frame; a column is unknown.
-struct Synthetic(MonoKind);
-
-impl MonoDepth for Synthetic {
-    fn name(&self) -> &'static str {
-        "synthetic"
-    }
-
-    fn depth(&self, frame: usize, _: &RgbImage) -> Result<Option<MonoMap<'_>>, MonoError> {
+fn mono(kind: MonoKind) -> Mono {
+    let map = |frame: usize| {
         let factor = 1.7 + frame as f32;
-        let values = Plane::from_fn(W, H, |x, y| {
+        Plane::from_fn(W, H, |x, y| {
             let d = disparity(y * W + x);
-            match self.0 {
+            match kind {
                 _ if x == 3 => f32::NAN,
-                MonoKind::Metric => 1.0 / d,
                 MonoKind::UpToScale => factor / d,
                 MonoKind::AffineDisparity => factor * (d - 0.15),
             }
-        });
-        Ok(Some(MonoMap { kind: self.0, values: Cow::Owned(values) }))
-    }
+        })
+    };
+    read(kind, &[map(0), map(1)])
 }
 
-fn mono(source: &dyn MonoDepth) -> Mono {
-    let image = Plane::filled(2 * W, 2 * H, [0; 3]);
-    let read = |i| Mono::read(source, i, &image, (W, H)).unwrap();
-    Mono { frames: (0..2).map(read).collect() }
+fn read(kind: MonoKind, maps: &[Plane<f32>]) -> Mono {
+    let depth = MonoDepth { kind, maps };
+    Mono { kind, frames: (0..maps.len()).map(|i| depth.at_size(i, (W, H))).collect() }
 }
 
 fn moving() -> Vec<u8> {
@@ -66,7 +57,7 @@ fn measured() -> Measured {
 #[test]
 fn relative_depth_is_aligned_within_two_per_cent_whatever_its_kind() {
     for kind in [MonoKind::UpToScale, MonoKind::AffineDisparity] {
-        let (mono, measured, moving) = (mono(&Synthetic(kind)), measured(), moving());
+        let (mono, measured, moving) = (mono(kind), measured(), moving());
         for i in 0..2 {
             let aligned = mono.aligned(i, &measured.disparity, &measured.confidence, Some(&moving)).unwrap();
             for (p, d) in aligned.iter().enumerate() {
@@ -96,63 +87,34 @@ fn relative_depth_is_aligned_within_two_per_cent_whatever_its_kind() {
             for (p, d) in out.iter().enumerate() {
                 assert!((d / disparity(p) - 1.0).abs() < 0.02, "{kind:?} {p}: {d}");
             }
-            // Relative depth rules nothing.
-            let mut kept = background.clone();
-            mono.overrule(i, &mut kept);
-            assert_eq!(kept, background);
         }
-    }
-}
-
-#[test]
-fn metric_depth_is_taken_as_it_is() {
-    let maps = (0..2).map(|_| Plane::from_fn(W, H, |x, y| if x == 3 { 0.0 } else { 1.0 / disparity(y * W + x) }));
-    let sensor = SensorDepth { maps: maps.collect() };
-    assert_eq!(sensor.frames(), Some(2));
-    for mono in [mono(&sensor), mono(&Synthetic(MonoKind::Metric))] {
-        let (mut measured, moving) = (measured(), moving());
-        mono.impose(1, &mut measured, Some(&moving));
-        let mut out = vec![0.1; W * H];
-        mono.overrule(1, &mut out);
-        for p in 0..W * H {
-            let known = p % W != 3;
-            assert_eq!(measured.confidence[p] == 1.0, !moves(p) && (known || p / W < 20), "{p}");
-            assert!(!known || moves(p) || (measured.disparity[p] / disparity(p) - 1.0).abs() < 1e-6);
-            let want = if known { disparity(p) } else { 0.1 };
-            assert!((out[p] / want - 1.0).abs() < 1e-6, "{p}");
-        }
-        assert!(mono.aligned(1, &measured.disparity, &measured.confidence, None).is_none());
     }
 }
 
 #[test]
 fn without_parallax_relief_is_kept_at_distance_one() {
-    let out = mono(&Synthetic(MonoKind::UpToScale)).without_parallax(1, vec![1.0; W * H]);
+    let out = mono(MonoKind::UpToScale).without_parallax(1, vec![1.0; W * H]);
     let (a, b) = (5 * W + 7, 25 * W + 7);
     assert!((out[b] / out[a] / (disparity(b) / disparity(a)) - 1.0).abs() < 1e-5);
     let mut sorted = out.clone();
     sorted.sort_by(f32::total_cmp);
     assert!((sorted[W * H / 2] - 1.0).abs() < 0.05 && out[5 * W + 3] == 1.0);
-    let nothing = mono(&NoDepth);
+    let nothing = Mono::default();
     assert_eq!(nothing.without_parallax(0, vec![1.5; 4]), [1.5; 4]);
     assert!(nothing.aligned(0, &[1.0; 4], &[1.0; 4], None).is_none());
 }
 
 #[test]
 fn inverted_relief_is_not_used() {
-    struct Sloped(f32);
-    impl MonoDepth for Sloped {
-        fn name(&self) -> &'static str {
-            "sloped"
-        }
-
-        fn depth(&self, _: usize, _: &RgbImage) -> Result<Option<MonoMap<'_>>, MonoError> {
-            let values = Plane::from_fn(W, H, |x, y| self.0 * disparity(y * W + x));
-            Ok(Some(MonoMap { kind: MonoKind::AffineDisparity, values: Cow::Owned(values) }))
-        }
-    }
     let measured = measured();
-    let aligned = |slope: f32| mono(&Sloped(slope)).aligned(0, &measured.disparity, &measured.confidence, None);
+    let aligned = |slope: f32| {
+        read(MonoKind::AffineDisparity, &[Plane::from_fn(W, H, |x, y| slope * disparity(y * W + x))]).aligned(
+            0,
+            &measured.disparity,
+            &measured.confidence,
+            None,
+        )
+    };
     assert!(aligned(-1.0).is_none());
     assert!(aligned(1.0).is_some());
 }

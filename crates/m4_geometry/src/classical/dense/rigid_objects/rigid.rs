@@ -3,7 +3,7 @@
 use super::{BLOCK_PX, Clip, ROUND_TRIP_PX, Tracklet};
 use crate::classical::dense::flow::FlowPair;
 use crate::classical::dense::working::{nearest_pixel, pixel_at};
-use crate::dba::{DbaOptions, Factor, Free, Geometry, Grid, Pinhole, Problem, Robust, adjust};
+use crate::dba::{DbaOptions, Factor, Free, Geometry, Grid, Pinhole, Problem, adjust};
 use m4_core::{Camera, Se3, quantile};
 use nalgebra::{Matrix3, Vector3};
 
@@ -110,7 +110,7 @@ pub(super) fn reconstruct(clip: &Clip<'_>, tracklet: &Tracklet, before: &[Vec<f3
         lm: 1e-4,
         ep: 1e-4,
         prior_alpha: Some(f64::from(PRIOR)),
-        robust: Robust::Cauchy { scale_px: f64::from(NOISE_PX) / BLOCK_PX as f64 },
+        cauchy_px: Some(f64::from(NOISE_PX) / BLOCK_PX as f64),
         min_depth: 0.1,
         #[cfg(test)]
         python_twin: false,
