@@ -189,7 +189,7 @@ fn eval_without_ground_truth_is_rejected() {
     for (line, code, words) in [
         ("eval no-run --data capture", 66, &["scene.safetensors"][..]),
         ("eval-geometry capture --truth missing", 66, &["missing"]),
-        ("eval-geometry capture --truth poses.json", 65, &["poses.json", "pose 0"]),
+        ("eval-geometry capture --truth poses.json", 65, &["poses.json", "lists no frames"]),
     ] {
         dir.refused(line, code, words);
     }

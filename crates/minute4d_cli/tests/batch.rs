@@ -173,6 +173,24 @@ fn stopped_job_saves_and_can_be_rerun() {
     }
 }
 
+/// The system's out-of-memory killer ends the run with SIGKILL, not the job that started it.
+#[cfg(target_os = "linux")]
+#[test]
+fn out_of_memory_job_can_be_rerun() {
+    let dir = Scratch::new();
+    write_clips(&dir, 1);
+    plan(&dir, "--iterations 3000 --set checkpoint.every_s=0.02");
+    let mut running = start_until_saved(job(&dir, "--index 0"), &dir.path("results/.work/clip1"), 1);
+    let found = Command::new("pgrep").args(["-P", &running.0.id().to_string()]).output().unwrap();
+    for pid in String::from_utf8(found.stdout).unwrap().split_whitespace() {
+        assert!(Command::new("kill").args(["-KILL", pid]).status().unwrap().success());
+    }
+    assert_eq!(running.0.wait().unwrap().code(), Some(75));
+    let report = status(&dir, "--failed");
+    let killed = clip(&report, "clip1");
+    assert!(killed["state"] == "retryable" && killed["reason"].as_str().unwrap().contains("out of memory"), "{report}");
+}
+
 #[cfg(target_os = "linux")]
 #[test]
 fn machine_failures_are_not_counted_against_the_clip() {

@@ -69,7 +69,7 @@ mod tests {
 
     fn texture(dx: usize, dy: usize) -> RgbImage {
         let value = |x: usize, y: usize| {
-            (128.0 + 100.0 * (x as f32 * 0.21).sin() * (y as f32 * 0.17 + x as f32 * 0.05).cos()) as u8
+            (128.0 + 100.0 * (x as f32 * 0.09).sin() * (y as f32 * 0.07 + x as f32 * 0.02).cos()) as u8
         };
         Plane::from_fn(200, 100, |x, y| [value(x + dx, y + dy), 90, 30])
     }
