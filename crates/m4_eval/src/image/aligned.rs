@@ -5,8 +5,8 @@ use m4_core::RgbImage;
 
 /// Largest shift along an axis, share of the image width.
 const REACH: f64 = 0.05;
-/// Shifts of the first search are this many pixels apart.
-const STEP_PX: i32 = 2;
+/// Pixels of the region that are compared in the search, spread evenly, at most.
+const SEARCHED: usize = 4000;
 
 /// A region of an image compared with the reference as it lies and after its best shift.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -19,8 +19,8 @@ pub struct Shift {
     pub aligned_db: f64,
 }
 
-/// Finds the shift of `image` with the least squared error over `region`, pixels of `reference`: every second shift of up to 5 % of the width
-/// along each axis, then those beside the best. Outside the image its rim is repeated. `None` if the region is empty.
+/// Finds the shift of `image` with the least squared error over `region`, pixels of `reference`, among all whole ones of up to 5 % of the width
+/// along each axis; of a large region, over pixels spread evenly. Outside the image its rim is repeated. `None` if the region is empty.
 ///
 /// # Errors
 ///
@@ -35,31 +35,24 @@ pub fn best_shift(
         return Ok(None);
     }
     let (w, h) = image.size();
-    let error = |dx: i32, dy: i32| -> u64 {
+    let error = |dx: i32, dy: i32, step: usize| -> u64 {
         let clamped = |i: usize, d: i32, n: usize| (i as i64 - i64::from(d)).clamp(0, n as i64 - 1) as usize;
         let squared = |&(x, y): &(usize, usize)| {
             let (a, b) = (image[(clamped(x, dx, w), clamped(y, dy, h))], reference[(x, y)]);
             (0..3).map(|c| u64::from(a[c].abs_diff(b[c])).pow(2)).sum::<u64>()
         };
-        region.iter().map(squared).sum()
+        region.iter().step_by(step).map(squared).sum()
     };
+    let (reach, step) = ((REACH * w as f64).ceil() as i32, region.len().div_ceil(SEARCHED));
+    let shifts = (-reach..=reach).flat_map(|dy| (-reach..=reach).map(move |dx| (dx, dy)));
     // of equal ones the shortest
-    let better = |best: (u64, i32, i32), (dx, dy): (i32, i32)| {
-        let found = (error(dx, dy), dx, dy);
-        let key = |s: (u64, i32, i32)| (s.0, s.1 * s.1 + s.2 * s.2);
-        if key(found) < key(best) { found } else { best }
-    };
-    let reach = (REACH * w as f64).ceil() as i32 / STEP_PX;
-    let square =
-        |reach: i32, step: i32| (-reach..=reach).flat_map(move |y| (-reach..=reach).map(move |x| (step * x, step * y)));
-    let placed = error(0, 0);
-    let coarse = square(reach, STEP_PX).fold((placed, 0, 0), better);
-    let fine = square(STEP_PX - 1, 1).map(|(x, y)| (coarse.1 + x, coarse.2 + y)).fold(coarse, better);
+    let best = shifts.min_by_key(|&(dx, dy)| (error(dx, dy, step), dx * dx + dy * dy)).unwrap_or_default();
+    let (placed, aligned) = (error(0, 0, 1), error(best.0, best.1, 1));
     let psnr = |sum: u64| {
         let mse = sum as f64 / (3.0 * 255.0 * 255.0 * region.len() as f64);
         (-10.0 * mse.log10()).min(MAX_PSNR_DB)
     };
-    Ok(Some(Shift { by_px: [fine.1, fine.2], placed_db: psnr(placed), aligned_db: psnr(fine.0) }))
+    Ok(Some(Shift { by_px: [best.0, best.1], placed_db: psnr(placed), aligned_db: psnr(aligned) }))
 }
 
 #[cfg(test)]
@@ -80,7 +73,7 @@ mod tests {
         // what the reference shows at (x, y) the image shows at (x - 5, y - 4)
         let found = best_shift(&texture(5, 4), &texture(0, 0), &region).unwrap().unwrap();
         assert_eq!(found.by_px, [5, 4]);
-        assert!(found.aligned_db == super::MAX_PSNR_DB && found.placed_db < 20.0, "{found:?}");
+        assert!(found.aligned_db == super::MAX_PSNR_DB && found.placed_db < 30.0, "{found:?}");
         let none = best_shift(&texture(0, 0), &texture(0, 0), &region).unwrap().unwrap();
         assert_eq!((none.by_px, none.placed_db), ([0, 0], none.aligned_db));
         assert_eq!(best_shift(&texture(0, 0), &texture(0, 0), &[]).unwrap(), None);
