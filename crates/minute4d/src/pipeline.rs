@@ -21,7 +21,8 @@ pub fn run(input: &Path, out: &Path, job: &Job<'_>) -> Result<RunRecord, Error> 
     if is_capture(input) {
         if job.settings.geometry != GeometryOptions::default() {
             job.observer.warn(
-                "the input is a capture, whose geometry is used unchanged: --frontend, --segmenter, --intrinsics and --masks have no effect",
+                "the input is a capture, whose geometry is used unchanged: --frontend, --segmenter, --intrinsics, --poses, --masks and \
+                 --depth have no effect",
             );
         }
         return train::make(input, out, job);

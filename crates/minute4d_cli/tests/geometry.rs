@@ -1,28 +1,58 @@
 //! Geometry from outside. What the user gives replaces what would be computed, and what does not fit is refused by name; clips that
 //! geometry cannot make much of end in a capture with a warning, or in a refusal that says what to do (docs/geometry.md has the table).
 
-use crate::common::clips::{self, FOCAL_PX, SIZE, camera, frame_image, walk};
+use crate::common::clips::{self, FOCAL_PX, SIZE, camera, frame_image, see, walk};
 #[cfg(feature = "nets")]
 use crate::common::text;
 use crate::common::{Ended, Scratch, read_capture};
-use minute4d::core::{Camera, Capture, CounterRng, Mask, Plane, RgbImage};
-use minute4d::io::capture::Split;
-use minute4d::io::image::{read_mask, write_mask};
+use minute4d::Silent;
+use minute4d::core::{Camera, Capture, CaptureFrame, CounterRng, DepthMap, Mask, Plane, RgbImage};
+use minute4d::io::capture::{self, Split};
+use minute4d::io::image::{read_depth, read_mask, write_depth, write_mask};
 use serde_json::{Value, json};
+use std::fmt::Write;
 use std::fs;
 
 const FRAMES: usize = 12;
 
-/// A clip and what is known about it: `clip/`, `masks/`.
-fn known() -> Scratch {
+/// Depth in metres, as the camera sees it.
+fn depth(camera: &Camera) -> DepthMap {
+    Plane::from_fn(SIZE.0, SIZE.1, |x, y| see(camera, x as f64, y as f64).1 as f32)
+}
+
+/// A clip with everything known about it: `clip/`, `depth/`, `masks/`, `poses.txt`, `poses.json`.
+fn known() -> (Scratch, Vec<Camera>) {
     let dir = Scratch::new();
-    clips::write(&dir.path("clip"), walk(FRAMES).iter().map(frame_image));
-    fs::create_dir(dir.path("masks")).unwrap();
-    for i in 0..FRAMES {
+    let cameras = walk(FRAMES);
+    clips::write(&dir.path("clip"), cameras.iter().map(frame_image));
+    for folder in ["depth", "masks"] {
+        fs::create_dir(dir.path(folder)).unwrap();
+    }
+    let mut lines = String::from("# t tx ty tz qx qy qz qw\n");
+    for (i, camera) in cameras.iter().enumerate() {
+        write_depth(&dir.path(&format!("depth/{i:05}.png")), &depth(camera), 0.001).unwrap();
         let mask: Mask = Plane::from_fn(SIZE.0, SIZE.1, |x, _| if x < 40 { 255 } else { 0 });
         write_mask(&dir.path(&format!("masks/{i:05}.png")), &mask).unwrap();
+        let [x, y, z, a, b, c, w] = camera.c2w.to_translation_quaternion();
+        writeln!(lines, "{}.5 {x} {y} {z} {a} {b} {c} {w}", i).unwrap();
     }
-    dir
+    dir.write("poses.txt", lines);
+    let frames = cameras.iter().enumerate().map(|(i, camera)| CaptureFrame {
+        name: format!("{i:05}"),
+        camera: *camera,
+        t: i as f64,
+        rgb: frame_image(camera),
+        depth: None,
+        mask: None,
+        motion: None,
+        instances: None,
+        camera_index: None,
+    });
+    let truth =
+        Capture { frames: frames.collect(), time_frames: FRAMES, duration_s: Some(1.1), metric: true, tracks: None };
+    capture::write(&dir.path("truth"), &truth, Split::Train, &Silent).unwrap();
+    fs::copy(dir.path("truth/transforms_train.json"), dir.path("poses.json")).unwrap();
+    (dir, cameras)
 }
 
 const GEOMETRY: &str = "geometry clip -o out --force";
@@ -34,9 +64,57 @@ fn geometry(dir: &Scratch, options: &str) -> (Value, Capture) {
     (ended.result()["record"].clone(), made)
 }
 
+/// Mean relative error of the depth of a capture, in its own unit, without any alignment.
+fn depth_error(made: &Capture, cameras: &[Camera]) -> f64 {
+    let mut sum = 0.0;
+    for (frame, camera) in made.frames.iter().zip(cameras) {
+        let (found, truth) = (frame.depth.as_ref().unwrap().to_map(), depth(camera));
+        let errors = found.data().iter().zip(truth.data()).map(|(a, b)| f64::from((a - b).abs() / b));
+        sum += errors.sum::<f64>() / truth.data().len() as f64;
+    }
+    sum / made.frames.len() as f64
+}
+
+fn poses_differ(made: &Capture, cameras: &[Camera]) -> f64 {
+    let both = made.frames.iter().zip(cameras);
+    both.map(|(f, c)| (f.camera.c2w.matrix() - c.c2w.matrix()).norm()).fold(0.0, f64::max)
+}
+
+#[test]
+fn given_poses_are_used_and_set_the_unit_of_depth() {
+    let (dir, cameras) = known();
+    let lens = format!("{FOCAL_PX},{FOCAL_PX},{},{}", SIZE.0 / 2, SIZE.1 / 2);
+    let both = format!("--poses poses.txt --intrinsics {lens}");
+    for more in [both.as_str(), "--poses poses.json"] {
+        let (record, made) = geometry(&dir, more);
+        assert_eq!(record["found"]["camera_motion"], "parallax", "{record}");
+        assert_eq!(record["found"]["confidence"]["focal"], "given", "{record}");
+        assert!(poses_differ(&made, &cameras) < 1e-6);
+        let error = depth_error(&made, &cameras);
+        assert!(error < 0.08, "{error}");
+    }
+}
+
+#[test]
+fn poses_without_intrinsics_or_of_another_clip_are_rejected() {
+    let (dir, _) = known();
+    let lines = fs::read_to_string(dir.path("poses.txt")).unwrap();
+    let short: Vec<&str> = lines.lines().take(FRAMES - 1).collect();
+    dir.write("short.txt", short.join("\n"));
+    dir.write("broken.txt", lines.replace("3.5 ", "3.5 x "));
+    for (poses, code, words) in [
+        ("poses.txt", 65, &["poses.txt", "--intrinsics", "--fov"][..]),
+        ("short.txt --fov 56", 65, &["short.txt", "10 poses", "12 frames"]),
+        ("broken.txt --fov 56", 65, &["broken.txt", "line 5"]),
+        ("none.txt", 66, &["none.txt", "--poses"]),
+    ] {
+        dir.refused(&format!("{GEOMETRY} --poses {poses}"), code, words);
+    }
+}
+
 #[test]
 fn given_intrinsics_are_used_with_their_principal_point() {
-    let dir = known();
+    let (dir, _) = known();
     // Images cut off at the left: the principal point is no longer in the middle.
     let cut = 24;
     fs::remove_dir_all(dir.path("clip")).unwrap();
@@ -73,7 +151,7 @@ fn given_intrinsics_are_used_with_their_principal_point() {
 
 #[test]
 fn given_masks_are_used_unchanged() {
-    let dir = known();
+    let (dir, _) = known();
     let (record, _) = geometry(&dir, "--masks masks");
     let share = record["found"]["moving_share"].as_f64().unwrap();
     assert!((share - 0.25).abs() < 0.03, "{record}");
@@ -90,10 +168,41 @@ fn given_masks_are_used_unchanged() {
     dir.refused(&format!("{GEOMETRY} --masks none"), 66, &["none", "--masks"]);
 }
 
+#[test]
+fn given_depth_sets_the_unit() {
+    let (dir, cameras) = known();
+    // Every other pixel column unknown: what is measured there must have the same unit.
+    for i in 0..FRAMES {
+        let path = dir.path(&format!("depth/{i:05}.png"));
+        let map = read_depth(&path, 0.001).unwrap().to_map();
+        let holes = Plane::from_fn(SIZE.0, SIZE.1, |x, y| if (x / 20) % 2 == 0 { map[(x, y)] } else { 0.0 });
+        write_depth(&path, &holes, 0.001).unwrap();
+    }
+    let (record, made) = geometry(&dir, "--depth depth");
+    assert!(made.metric);
+    let error = depth_error(&made, &cameras);
+    assert!(error < 0.08, "{error} {record}");
+    // The length of the way, in metres.
+    let way = |a: &Camera, b: &Camera| (a.centre() - b.centre()).norm();
+    let ours = way(&made.frames[0].camera, &made.frames[FRAMES - 1].camera);
+    let truth = way(&cameras[0], &cameras[FRAMES - 1]);
+    assert!((ours / truth - 1.0).abs() < 0.05, "{ours} {truth}");
+
+    let line = format!("{GEOMETRY} --depth depth");
+    let empty: DepthMap = Plane::filled(SIZE.0, SIZE.1, 0.0);
+    for i in 0..FRAMES {
+        write_depth(&dir.path(&format!("depth/{i:05}.png")), &empty, 0.001).unwrap();
+    }
+    dir.refused(&line, 65, &["depth", "0 (unknown) everywhere"]);
+    let colour = frame_image(&cameras[0]);
+    minute4d::io::image::write_rgb(&dir.path("depth/00002.png"), &colour).unwrap();
+    dir.refused(&line, 65, &["00002.png", "16 bits"]);
+}
+
 #[cfg(feature = "nets")]
 #[test]
 fn front_end_without_weights_names_the_download_and_the_alternative() {
-    let dir = known();
+    let (dir, _) = known();
     fs::create_dir(dir.path("weights")).unwrap();
     let store = dir.path("weights");
     let line = "geometry clip -o out --frontend raft";
@@ -109,7 +218,7 @@ fn front_end_without_weights_names_the_download_and_the_alternative() {
 #[cfg(feature = "nets")]
 #[test]
 fn segmenter_without_weights_names_the_download_and_auto_falls_back() {
-    let dir = known();
+    let (dir, _) = known();
     fs::create_dir(dir.path("weights")).unwrap();
     let store = dir.path("weights");
     let (record, _) = geometry(&dir, "");
@@ -128,7 +237,7 @@ fn segmenter_without_weights_names_the_download_and_auto_falls_back() {
 
 #[test]
 fn changed_masks_invalidate_the_result() {
-    let dir = known();
+    let (dir, _) = known();
     let (first, _) = geometry(&dir, "--masks masks");
     let mask: Mask = Plane::filled(SIZE.0, SIZE.1, 0);
     write_mask(&dir.path("masks/00000.png"), &mask).unwrap();
@@ -188,7 +297,7 @@ fn poor_camera_motion_is_reported() {
         (
             (0..12).map(|i| noisy(&still, i)).collect(),
             "static",
-            &["appears to be static", "geometry is poor", "sideways"],
+            &["appears to be static", "geometry is poor", "--depth"],
         ),
         (vec![still.clone(); 8], "static", &["appears to be static"]),
     ] {

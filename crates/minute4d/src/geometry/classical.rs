@@ -35,6 +35,7 @@ struct Reconstruction<'a> {
     config: SparseConfig,
     flow: Box<MeasureFlow<'a>>,
     segmenter: Option<Box<Segmenter<'static>>>,
+    /// What networks know, unless the user gave depth.
     mono: Option<MonoClip>,
 }
 
@@ -52,7 +53,10 @@ impl<'a> Reconstruction<'a> {
         let (images, given) = (clip.images(), &clip.given);
         let flow = methods.frontend.flow(context.settings.megasam.flow_iterations, &methods.device, context.steps)?;
         let segmenter = methods.segmenter.load()?;
-        let mono = methods.frontend.depth(&images, clip.focal_px, &methods.device, context.steps)?;
+        let mono = match given.depth {
+            Some(_) => None,
+            None => methods.frontend.depth(&images, clip.focal_px, &methods.device, context.steps)?,
+        };
         let mut config = clip.sparse.clone();
         if let Some(fov_rad) = mono.as_ref().and_then(|mono| mono.fov_rad) {
             config.default_fov_deg = fov_rad.to_degrees();
@@ -64,7 +68,7 @@ impl<'a> Reconstruction<'a> {
         let (followed, recovered) = self.cameras()?;
         let mut pass = self.pass("dense", recovered)?;
         let mut rounds = 1;
-        if self.given.masks.is_none() {
+        if self.given.masks.is_none() && self.given.cameras.is_none() {
             let (first, frames) = (&pass.recovered.sparse, &mut pass.dense.frames);
             let better = iterate::without_masked(&followed, first, frames, &self.config, self.context.steps)?;
             if let Some(better) = better {
@@ -83,7 +87,10 @@ impl<'a> Reconstruction<'a> {
         let (images, config, masks) = (&self.images, &self.config, self.given.masks.as_deref());
         let found = self.context.steps.keep("cameras", |observer| {
             let followed = sparse::track_features(images, config, observer)?;
-            let recovered = followed.recover(masks, config, observer)?;
+            let recovered = match &self.given.cameras {
+                Some(cameras) => followed.with_cameras(cameras, masks, config, observer)?,
+                None => followed.recover(masks, config, observer)?,
+            };
             Ok::<_, sparse::SparseError>((followed, recovered))
         })?;
         Ok(found)
@@ -95,14 +102,15 @@ impl<'a> Reconstruction<'a> {
         for warning in &recovered.sparse.warnings {
             observer.warn(warning);
         }
-        let mono = self.mono.as_ref();
-        let metric = set_unit(mono, &mut recovered.sparse, observer);
+        let mono = self.given.depth.as_ref().or(self.mono.as_ref());
+        let posed = self.given.cameras.is_some();
+        let metric = set_unit(mono, &mut recovered.sparse, posed, observer)?;
         // In a unit in which the scene is about 1 away, as the settings expect.
-        let unit = unit(mono, &recovered.sparse);
+        let unit = unit(mono, &recovered.sparse, posed);
         let scaled = (unit != 1.0).then(|| rescale(&recovered.sparse, 1.0 / unit));
         let sparse = scaled.as_ref().unwrap_or(&recovered.sparse);
-        let sources =
-            Sources { flow: &*self.flow, segmenter: self.segmenter.as_deref(), mono: mono.and_then(MonoClip::maps) };
+        let mono = mono.and_then(|mono| mono.maps(unit));
+        let sources = Sources { flow: &*self.flow, segmenter: self.segmenter.as_deref(), mono };
         let masks = self.given.masks.as_deref();
         let estimated = self
             .context
@@ -121,8 +129,12 @@ impl<'a> Reconstruction<'a> {
     /// Grades the result, warns of a doubtful one, and describes it.
     fn summary(&self, pass: &Pass, rounds: usize) -> GeometrySummary {
         let (sparse, dense, methods) = (&pass.recovered.sparse, &pass.dense, self.context.methods);
+        let known = self.given.depth.as_ref().and_then(|depth| depth.metric_m.as_deref()).map(|maps| {
+            let pixels = maps.iter().map(|d| d.data().len()).sum::<usize>().max(1);
+            maps.iter().flat_map(|d| d.data()).filter(|&&z| z > 0.0).count() as f64 / pixels as f64
+        });
         let masked = self.given.masks.is_some();
-        let confidence = Confidence::of(sparse, pass.recovered.focal, &dense.frames, masked);
+        let confidence = Confidence::of(sparse, pass.recovered.focal, &dense.frames, masked, known);
         if let (true, Some(advice)) = (confidence.grade != Grade::Good, &confidence.advice) {
             let warning = format!("geometry is {}: {advice}", confidence.grade.name());
             self.context.observer().warn(&warning);

@@ -62,7 +62,7 @@ pub struct Confidence {
     pub focal_sigma_percent: Option<f64>,
     /// Median reprojection error of static regions, pixels.
     pub residual_px: f64,
-    /// Share of the pixels whose depth was measured and not filled in.
+    /// Share of the pixels whose depth was measured (or given) and not filled in.
     pub measured_share: f64,
 }
 
@@ -78,15 +78,17 @@ const VIEWS: usize = 8;
 pub(super) struct Circumstances {
     pub camera_motion: CameraMotion,
     pub masks_given: bool,
+    pub depth_given: bool,
 }
 
 impl Confidence {
-    /// Of a result.
+    /// Of a result; `known_depth` is the share of pixels whose depth was given.
     pub(super) fn of(
         sparse: &SparseReconstruction,
         focal: FocalSource,
         dense: &[DenseFrame],
         masks_given: bool,
+        known_depth: Option<f64>,
     ) -> Self {
         let pixels = dense.iter().map(|d| d.mask.data().len()).sum::<usize>().max(1) as f64;
         let still = dense.iter().flat_map(|d| d.mask.data()).filter(|&&m| m == 0).count() as f64;
@@ -112,9 +114,10 @@ impl Confidence {
             focal: source,
             focal_sigma_percent: sigma.map(|s| 100.0 * s),
             residual_px: sparse.residual_px,
-            measured_share: measured,
+            measured_share: known_depth.map_or(measured, |known| known.max(measured)),
         };
-        let around = Circumstances { camera_motion: sparse.camera_motion, masks_given };
+        let around =
+            Circumstances { camera_motion: sparse.camera_motion, masks_given, depth_given: known_depth.is_some() };
         (confidence.grade, confidence.advice) = confidence.judge(around);
         confidence
     }
@@ -135,12 +138,14 @@ impl Confidence {
         let crowded = self.static_share < 0.5 && !around.masks_given;
         const CROWDED: &str = "dynamic objects fill the frame: give --masks, or film with more of the surroundings";
         let motion = match around.camera_motion {
-            CameraMotion::Static => {
-                (Grade::Poor, "the camera is static, so depth is a placeholder: film while walking sideways")
-            }
-            CameraMotion::RotationOnly => {
-                (Grade::Poor, "the camera only rotates, so depth is a placeholder: film while walking sideways")
-            }
+            CameraMotion::Static => (
+                Grade::Poor,
+                "the camera is static, so depth is a placeholder: film while walking sideways, or give --depth",
+            ),
+            CameraMotion::RotationOnly => (
+                Grade::Poor,
+                "the camera only rotates, so depth is a placeholder: film while walking sideways, or give --depth",
+            ),
             CameraMotion::Parallax => (
                 low(self.parallax_deg, 2.0, 0.7),
                 "the camera moves little compared with the distance of what it sees: film while walking sideways",
@@ -161,15 +166,16 @@ impl Confidence {
         );
         let measured = (
             low(self.measured_share, 0.35, 0.1),
-            "little of the depth was measured, the rest is filled in: film textured objects while walking sideways",
+            "little of the depth was measured, the rest is filled in: film textured objects while walking sideways, or \
+             give --depth",
         );
         let all = [
-            (true, motion),
+            (!around.depth_given, motion),
             (parallax, tracks),
             (true, focal),
             (parallax, residual),
             (!around.masks_given, (low(self.static_share, 0.6, 0.35), CROWDED)),
-            (parallax, measured),
+            (parallax && !around.depth_given, measured),
         ];
         let findings: Vec<_> = all.into_iter().filter_map(|(counts, finding)| counts.then_some(finding)).collect();
         let worst = findings.iter().map(|(grade, _)| *grade).max().unwrap_or(Grade::Good);
@@ -233,7 +239,8 @@ mod tests {
         residual_px: 0.2,
         measured_share: 0.8,
     };
-    const MOVING: Circumstances = Circumstances { camera_motion: CameraMotion::Parallax, masks_given: false };
+    const MOVING: Circumstances =
+        Circumstances { camera_motion: CameraMotion::Parallax, masks_given: false, depth_given: false };
 
     #[test]
     fn each_weak_number_has_its_grade_and_advice() {
@@ -252,9 +259,10 @@ mod tests {
         weak(&|c| c.focal_sigma_percent = Some(20.0), MOVING, Grade::Poor, "--fov");
         weak(&|c| c.residual_px = 1.0, MOVING, Grade::Fair, "zoom");
         weak(&|c| c.static_share = 0.5, MOVING, Grade::Fair, "--masks");
-        weak(&|c| c.measured_share = 0.2, MOVING, Grade::Fair, "textured");
+        weak(&|c| c.measured_share = 0.2, MOVING, Grade::Fair, "--depth");
         let tripod = Circumstances { camera_motion: CameraMotion::Static, ..MOVING };
         weak(&|c| c.focal = Focal::Assumed, tripod, Grade::Poor, "is static");
-        weak(&|c| c.focal = Focal::Assumed, MOVING, Grade::Fair, "--fov");
+        let given = Circumstances { depth_given: true, ..tripod };
+        weak(&|c| c.focal = Focal::Assumed, given, Grade::Fair, "--fov");
     }
 }

@@ -1,29 +1,52 @@
-//! The unit of length, which depth from one image sets.
+//! The unit of length, which depth that is known without parallax sets.
 
 use super::frontend::MonoClip;
-use crate::Observer;
+use crate::{Observer, Refusal};
 use m4_core::{DepthMap, median};
 use m4_geometry::classical::{CameraMotion, SparseReconstruction};
 
-/// Brings a reconstruction to metres where the networks know them; true if lengths are metres then.
-pub(super) fn set_unit(mono: Option<&MonoClip>, sparse: &mut SparseReconstruction, observer: &dyn Observer) -> bool {
-    let Some(maps) = mono.and_then(|mono| mono.metric_m.as_deref()) else { return false };
-    if sparse.camera_motion != CameraMotion::Parallax {
-        return false;
+/// Given poses and given depth whose units differ by more than this factor do not fit.
+const UNITS: f64 = 1.25;
+
+/// Brings a reconstruction to metres where the user or networks know them; true if lengths are metres then. Given poses (`posed`) stay:
+/// given depth must have their unit. Refused if given depth covers too few points to set the unit.
+pub(super) fn set_unit(
+    mono: Option<&MonoClip>,
+    sparse: &mut SparseReconstruction,
+    posed: bool,
+    observer: &dyn Observer,
+) -> Result<bool, Refusal> {
+    let Some((given, maps)) = mono.and_then(|mono| Some((mono.given, mono.metric_m.as_deref()?))) else {
+        return Ok(false);
+    };
+    if sparse.camera_motion != CameraMotion::Parallax || (posed && !given) {
+        return Ok(given);
     }
-    let ratio = depth_ratio(sparse, maps);
-    match ratio {
-        Ok(ratio) => *sparse = rescale(sparse, ratio),
-        Err(found) => observer.warn(&format!(
-            "lengths stay without unit: the depth maps know only {found} of the points that were reconstructed, {NEEDED} are needed"
+    let few =
+        |found| format!("the depth maps know only {found} of the points that were reconstructed, {NEEDED} are needed");
+    match depth_ratio(sparse, maps) {
+        Ok(ratio) if !posed => *sparse = rescale(sparse, ratio),
+        Ok(ratio) if !(1.0 / UNITS..=UNITS).contains(&ratio) => observer.warn(&format!(
+            "given depth and given poses have different units: points are {ratio:.3} times as far away by the depth maps (millimetres in \
+             the files) as by the poses; give poses in metres"
         )),
+        Err(found) if given && !posed => {
+            let message = format!("{}; give --poses in metres too, or depth maps with fewer holes", few(found));
+            return Err(Refusal::bad_input(message));
+        }
+        Err(found) if !given => {
+            observer.warn(&format!("lengths stay without unit: {}", few(found)));
+            return Ok(false);
+        }
+        _ => {}
     }
-    ratio.is_ok()
+    Ok(true)
 }
 
 /// A length, in the unit of the cameras, about which the scene is away: dense settings expect 1.
-pub(super) fn unit(mono: Option<&MonoClip>, sparse: &SparseReconstruction) -> f64 {
-    mono.and_then(|mono| mono.metric_m.as_deref()).map_or(1.0, |maps| typical_depth(sparse, maps))
+pub(super) fn unit(mono: Option<&MonoClip>, sparse: &SparseReconstruction, posed: bool) -> f64 {
+    let maps = mono.and_then(|mono| mono.metric_m.as_deref());
+    if posed || maps.is_some() { typical_depth(sparse, maps.unwrap_or_default()) } else { 1.0 }
 }
 
 /// Fewest points whose depth must be known.

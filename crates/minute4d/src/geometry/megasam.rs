@@ -4,7 +4,7 @@ use super::Context;
 use super::clip::{Clip, FrameGeometry};
 use super::frontend::{MonoClip, NetworkCorrespondence};
 use crate::record::GeometrySummary;
-use crate::{Error, Observer, enhance};
+use crate::{Error, Observer, Refusal, enhance};
 use m4_core::{Camera, Capture, CompactMask, Intrinsics, Mask, Plane};
 use m4_geometry::classical::dense::InverseSearch;
 use m4_geometry::megasam::{MegasamGeometry, MegasamInput, PairFlow, TAU_MOTION, TrackingSize, reconstruct, track};
@@ -13,18 +13,26 @@ use m4_geometry::resample::resize_bilinear;
 /// Share of moving pixels beyond which it is likelier that the network is misread than that so much moves (docs/spec/front-end.md 1.9).
 const TOO_MUCH_MOTION: f64 = 0.6;
 
-/// Reconstructs `clip`.
+/// Reconstructs `clip`; refused where poses were given.
 pub(super) fn compute(mut clip: Clip, context: &Context<'_>) -> Result<(Capture, GeometrySummary), Error> {
     let (settings, steps, observer) = (&context.settings.megasam, context.steps, context.observer());
     let (plan, device) = (&context.methods.frontend, &context.methods.device);
     let given = &clip.given;
+    if given.cameras.is_some() {
+        let message = "the front end megasam estimates the poses itself: omit --poses, or choose another --frontend";
+        return Err(Refusal::bad_input(message).into());
+    }
     let images = clip.images();
     let full = images.first().map_or((0, 0), |p| p.size());
     let size = TrackingSize::new(full, settings.tracking_pixels)?;
     let known_focal_px = given.lens.map(|lens| lens.fx).or(clip.focal_px);
-    let mono = plan.depth(&images, known_focal_px, device, steps)?;
-    let prior = mono.as_ref().map(|mono: &MonoClip| mono.prior(&size)).transpose()?;
-    let fov_rad = mono.as_ref().and_then(|mono| mono.fov_rad);
+    let mono = match given.depth {
+        Some(_) => None,
+        None => plan.depth(&images, known_focal_px, device, steps)?,
+    };
+    let known = given.depth.as_ref().or(mono.as_ref());
+    let prior = known.map(|mono: &MonoClip| mono.prior(&size)).transpose()?;
+    let fov_rad = known.and_then(|mono| mono.fov_rad);
     drop(mono);
     let lens = given.lens.unwrap_or_else(|| {
         let fov_rad = fov_rad.unwrap_or(settings.default_fov_deg.to_radians());

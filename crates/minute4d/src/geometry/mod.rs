@@ -215,14 +215,19 @@ pub struct GeometryOptions {
     /// The lens: `fx,fy,cx,cy` in pixels of the frames (principal point from the image's corner), or a JSON file with
     /// `fl_x`, `fl_y`, `cx`, `cy`, `w`, `h`.
     pub intrinsics: Option<String>,
+    /// Poses a frame: a `transforms.json`, or a trajectory of lines `t tx ty tz qx qy qz qw` (camera to world, OpenCV
+    /// axes).
+    pub poses: Option<PathBuf>,
     /// A folder of masks, one a frame, not black where something moves.
     pub masks: Option<PathBuf>,
+    /// A folder of depth maps, one a frame: greyscale PNG of 16 bits, millimetres of z-depth, 0 where unknown.
+    pub depth: Option<PathBuf>,
 }
 
 impl GeometryOptions {
     /// True when the user gave anything that replaces what would be computed.
     pub fn any_given(&self) -> bool {
-        self.intrinsics.is_some() || self.masks.is_some()
+        self.intrinsics.is_some() || self.poses.is_some() || self.masks.is_some() || self.depth.is_some()
     }
 }
 

@@ -210,8 +210,8 @@ fn arguments(args: &BatchPlan, settings: &Settings) -> Result<Arguments, Failure
 /// Makes the paths in the settings absolute, since jobs may start in another folder.
 fn make_paths_absolute(settings: &mut Settings) -> Result<(), Failure> {
     let geometry = &mut settings.geometry;
-    if let Some(masks) = &mut geometry.masks {
-        *masks = absolute(masks)?;
+    for path in [&mut geometry.poses, &mut geometry.masks, &mut geometry.depth].into_iter().flatten() {
+        *path = absolute(path)?;
     }
     // The value holds numbers, unless a file of that name exists.
     if let Some(lens) = geometry.intrinsics.as_mut().filter(|lens| Path::new(lens).is_file()) {

@@ -113,9 +113,15 @@ pub struct VideoArgs {
     /// Camera intrinsics: a JSON file with fl_x, fl_y, cx, cy, w and h, or the numbers, in pixels of the frames
     #[arg(long, value_name = "FILE|FX,FY,CX,CY")]
     pub intrinsics: Option<String>,
+    /// Camera poses, one per frame: transforms.json, or lines "t tx ty tz qx qy qz qw" (camera to world, OpenCV axes)
+    #[arg(long, value_name = "FILE")]
+    pub poses: Option<PathBuf>,
     /// Folder of masks, one image per frame, not black where the scene is dynamic
     #[arg(long, value_name = "DIR")]
     pub masks: Option<PathBuf>,
+    /// Folder of depth maps, one 16-bit PNG per frame: z-depth in millimetres, 0 where unknown
+    #[arg(long, value_name = "DIR")]
+    pub depth: Option<PathBuf>,
     /// Refuse a video with damaged frames instead of dropping these frames
     #[arg(long)]
     pub strict_video: bool,
@@ -323,7 +329,9 @@ fn apply_video(settings: &mut Settings, args: &VideoArgs) {
     geometry.segmenter = args.segmenter.unwrap_or(geometry.segmenter);
     geometry.tracker = args.tracker.unwrap_or(geometry.tracker);
     geometry.intrinsics = args.intrinsics.clone().or(geometry.intrinsics.take());
+    geometry.poses = args.poses.clone().or(geometry.poses.take());
     geometry.masks = args.masks.clone().or(geometry.masks.take());
+    geometry.depth = args.depth.clone().or(geometry.depth.take());
 }
 
 /// Prints the effective settings as a file for `--config`.

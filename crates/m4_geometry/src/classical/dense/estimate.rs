@@ -114,10 +114,11 @@ pub fn estimate(
     if parallax && ground.one_lens {
         rigid_objects::place(&found, |i| clip.smoother(i), &mut disparity, progress)?;
     }
-    if parallax {
-        for i in 0..count {
+    for i in 0..count {
+        if parallax {
             mono.place_moving(i, &measured[i], &filled[i], &moving[i], &mut disparity[i]);
         }
+        mono.overrule(i, &mut disparity[i]);
     }
     let found = Clip { disparity: &disparity, ..found };
     let tracks = match config.tracks {

@@ -115,7 +115,11 @@ impl Clip<'_> {
 
     /// Disparities that the neighbours confirm; dynamic pixels (above 0) confirm nothing.
     fn measured(&self, moving: Option<&[Vec<u8>]>) -> Result<Vec<Measured>, DenseError> {
-        self.each("comparing depth", |i| static_depth::measure(self.shots, self.swept, moving, i))
+        self.each("comparing depth", |i| {
+            let mut measured = static_depth::measure(self.shots, self.swept, moving, i);
+            self.mono.impose(i, &mut measured, of(moving, i));
+            measured
+        })
     }
 
     /// The same everywhere, carried on into what was not measured or moves.

@@ -13,7 +13,7 @@ use rayon::prelude::*;
 use std::cmp::Reverse;
 
 /// Fewest points of a reconstruction, whatever the number of tracks; else one in twenty.
-const MIN_POINTS: usize = 30;
+pub(super) const MIN_POINTS: usize = 30;
 /// Fewest common tracks of a start pair.
 const MIN_MATCHES: usize = 40;
 /// Fewest points that the start pair must give.

@@ -9,6 +9,9 @@
 //!        -> all frames, bundle adjustment and motion classification in turn (map, bundle)
 //! ```
 //!
+//! Where the cameras are known, [`FeatureTracks::with_cameras`] triangulates and finds dynamic points; cameras with which few tracks agree
+//! are compared with those of the clip itself.
+//!
 //! Inside, lengths in images are *working pixels*: those of the shrunk image, measured from the
 //! image centre, which is the principal point: observations by a lens that is known to differ are moved there first
 //! (priors). Poses inside are world to camera.
@@ -20,6 +23,7 @@ mod klt;
 mod luma;
 mod map;
 mod outcome;
+mod posed;
 mod priors;
 mod reconstruct;
 mod rotation;

@@ -76,7 +76,7 @@ impl Clip<'_> {
     }
 
     /// All tracks in input pixels, and the median error of those with a point.
-    fn hand_out(&self, map: &Map, motions: &[Motion]) -> (Vec<Track>, f64) {
+    pub(super) fn hand_out(&self, map: &Map, motions: &[Motion]) -> (Vec<Track>, f64) {
         let scale = self.size.scale;
         let mut residuals = Vec::new();
         let seen = |raw: &RawTrack| {

@@ -5,7 +5,7 @@ use super::reconstruct::{FeatureTracks, from_tracks};
 use super::tracking::RawTrack;
 use super::{SparseConfig, SparseError};
 use crate::classical::{CameraMotion, Motion, SparseReconstruction, Track};
-use m4_core::{CounterRng, Plane, Se3, Silent, Sim3, exp_so3, log_so3, nalgebra::Vector3};
+use m4_core::{Camera, CounterRng, Intrinsics, Plane, Se3, Silent, Sim3, exp_so3, log_so3, nalgebra::Vector3};
 use m4_testkit::StopAtPoll;
 
 const WIDTH: usize = 640;
@@ -293,6 +293,53 @@ fn the_number_of_threads_changes_nothing() {
         (found.cameras, found.residual_px)
     };
     assert_eq!(run(1), run(3));
+}
+
+/// Points and motion of the room's tracks, for cameras that are given.
+fn posed(cameras: &[Camera]) -> Result<SparseReconstruction, SparseError> {
+    let features = features(ROOM.tracks().0, ROOM.frames);
+    features.with_cameras(cameras, None, &SparseConfig::default(), &Silent).map(|r| r.sparse)
+}
+
+fn room_cameras(focal: f64) -> Vec<Camera> {
+    let camera = |i| Camera { intrinsics: Intrinsics::centred(WIDTH, HEIGHT, focal), c2w: ROOM.pose(i).inverse() };
+    (0..ROOM.frames).map(camera).collect()
+}
+
+#[test]
+fn given_cameras_are_used_and_points_are_in_their_unit() {
+    let cameras = room_cameras(ROOM.focal);
+    let found = posed(&cameras).expect("a reconstruction");
+    assert_eq!(found.cameras, cameras);
+    assert_eq!(found.camera_motion, CameraMotion::Parallax);
+    assert!(found.residual_px < 0.3, "{}", found.residual_px);
+    assert!(misjudged(&found, &ROOM.tracks().1) < ROOM.points / 20);
+    let depth = |t: &Track| Some(cameras[t.first_frame].project(&t.point?).1);
+    let depths: Vec<f64> = found.tracks.iter().filter_map(depth).collect();
+    let inside = depths.iter().filter(|z| (2.5..11.0).contains(*z)).count();
+    assert!(depths.len() > 150 && inside * 20 > depths.len() * 19, "{} of {}", inside, depths.len());
+}
+
+#[test]
+fn given_cameras_that_contradict_the_images_are_rejected() {
+    let right = room_cameras(ROOM.focal);
+    let mut turned = right.clone();
+    for (i, camera) in turned.iter_mut().enumerate() {
+        camera.c2w.rotation = exp_so3(&Vector3::new(0.0, 1.3 * (i % 3) as f64, 0.0)) * camera.c2w.rotation;
+    }
+    // The last two thirds of the way are walked backwards.
+    let backwards: Vec<Camera> = (0..ROOM.frames).map(|i| right[if i < 10 { i } else { 39 - i }]).collect();
+    let mut broken = right.clone();
+    broken[3].c2w.translation.x = f64::NAN;
+    for (wrong, words) in [
+        (&turned[..], "the given poses do not fit"),
+        (&backwards, "the given poses contradict the images"),
+        (&right[1..], "cameras"),
+        (&broken, "frame 3"),
+    ] {
+        let error = posed(wrong).unwrap_err().to_string();
+        assert!(error.contains(words), "{error}");
+    }
 }
 
 #[test]

@@ -10,7 +10,10 @@ use m4_geometry::classical::dense::{MonoDepth, MonoKind};
 use m4_geometry::megasam::{DepthPrior, MegasamError, TrackingSize};
 
 /// Depth of every frame of a clip; the maps may be smaller than the images.
+#[derive(Debug)]
 pub struct MonoClip {
+    /// Whether the user provided it: it is then exact where it is known.
+    pub given: bool,
     /// z-depth, metres, 0 where unknown.
     pub metric_m: Option<Vec<Plane<f32>>>,
     /// Relative disparity.
@@ -20,10 +23,17 @@ pub struct MonoClip {
 }
 
 impl MonoClip {
-    /// As the classical front end takes it: relative disparity where both are there, as the one with better edges.
-    pub fn maps(&self) -> Option<MonoDepth<'_>> {
+    /// Depth that the user provides, metres, 0 where unknown.
+    pub fn given(metric_m: Vec<Plane<f32>>) -> Self {
+        Self { given: true, metric_m: Some(metric_m), relative: None, fov_rad: None }
+    }
+
+    /// As the classical front end takes it, for cameras whose unit is `unit` metres: relative disparity where both are there, as the one
+    /// with better edges.
+    pub fn maps(&self, unit: f64) -> Option<MonoDepth<'_>> {
+        let metric = if self.given { MonoKind::Metric(unit as f32) } else { MonoKind::UpToScale };
         let relative = self.relative.as_deref().map(|maps| MonoDepth { kind: MonoKind::AffineDisparity, maps });
-        relative.or_else(|| self.metric_m.as_deref().map(|maps| MonoDepth { kind: MonoKind::UpToScale, maps }))
+        relative.or_else(|| self.metric_m.as_deref().map(|maps| MonoDepth { kind: metric, maps }))
     }
 
     /// As the tracker takes it; fails where the maps hold nothing.
@@ -169,6 +179,7 @@ mod networks {
             }
             fovs.sort_unstable_by(f64::total_cmp);
             Ok(Some(Self {
+                given: false,
                 fov_rad: (!fovs.is_empty()).then(|| 0.5 * (fovs[fovs.len() / 2] + fovs[(fovs.len() - 1) / 2])),
                 metric_m: networks.metric.is_some().then_some(metric_m),
                 relative: networks.relative.is_some().then_some(relative),

@@ -1,11 +1,12 @@
-//! What the user provides: intrinsics and masks; read, checked against the clip, and hashed.
+//! Geometry that the user provides: intrinsics, poses, masks, depth; read, checked against the clip, and hashed.
 
-mod lens;
+mod cameras;
 
 use super::GeometryOptions;
+use super::frontend::MonoClip;
 use crate::{Category, Error, Refusal, hash};
-use m4_core::{Intrinsics, Mask, Video};
-use m4_io::image::{read_mask, read_rgb};
+use m4_core::{Camera, DepthMap, Intrinsics, Mask, Plane, Video};
+use m4_io::image::{read_depth, read_mask, read_rgb};
 use m4_io::video::image_files;
 use rayon::prelude::*;
 use serde::Serialize;
@@ -13,13 +14,20 @@ use std::collections::HashMap;
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 
+/// Metres a step of a depth map.
+const DEPTH_UNIT: f64 = 0.001;
+
 /// Hashes of the files that were given: a part of the key of the stage.
 #[derive(Debug, Default, Serialize)]
 pub(super) struct Sources {
     #[serde(skip_serializing_if = "Option::is_none")]
     intrinsics: Option<String>,
     #[serde(skip_serializing_if = "Option::is_none")]
+    poses: Option<String>,
+    #[serde(skip_serializing_if = "Option::is_none")]
     masks: Option<String>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    depth: Option<String>,
 }
 
 impl Sources {
@@ -33,10 +41,12 @@ impl Sources {
             }
             hash::of_path(path).map(Some)
         };
-        let lens_file = options.intrinsics.as_deref().filter(|text| lens::numbers(text).is_none());
+        let lens_file = options.intrinsics.as_deref().filter(|text| cameras::numbers(text).is_none());
         Ok(Self {
             intrinsics: of("--intrinsics", lens_file.map(Path::new))?,
+            poses: of("--poses", options.poses.as_deref())?,
             masks: of("--masks", options.masks.as_deref())?,
+            depth: of("--depth", options.depth.as_deref())?,
         })
     }
 }
@@ -46,52 +56,86 @@ impl Sources {
 pub(super) struct Given {
     /// The lens for frames of this clip's size.
     pub lens: Option<Intrinsics>,
+    /// A camera a frame.
+    pub cameras: Option<Vec<Camera>>,
     /// A mask per frame, 255 where something moves.
     pub masks: Option<Vec<Mask>>,
+    /// Depth a frame.
+    pub depth: Option<MonoClip>,
 }
 
 impl Given {
-    /// Reads what `options` name for the clip `video` that came from `input`. Fails with the name of a file that is missing, damaged, or
-    /// does not fit the clip.
-    pub(super) fn read(options: &GeometryOptions, input: &Path, video: &Video, folder_fps: f64) -> Result<Self, Error> {
+    /// Reads what `options` name for the clip `video` that came from `input`; `focal_px` of the frames where it is known otherwise. Fails
+    /// with the name of a file that is missing, damaged, or does not fit the clip.
+    pub(super) fn read(
+        options: &GeometryOptions,
+        input: &Path,
+        video: &Video,
+        folder_fps: f64,
+        focal_px: Option<f64>,
+    ) -> Result<Self, Error> {
         if !options.any_given() {
             return Ok(Self::default());
         }
         let clip = Clip::of(input, video, folder_fps)?;
         let lens = options.intrinsics.as_deref();
-        let lens = lens.map(|given| lens::lens(given, clip.size)).transpose()?;
-        Ok(Self { lens, masks: options.masks.as_ref().map(|folder| masks(&clip, folder)).transpose()? })
+        let lens = lens.map(|given| cameras::lens(given, clip.size)).transpose()?;
+        let known = lens.or_else(|| focal_px.map(|f| Intrinsics::centred(clip.size.0, clip.size.1, f)));
+        let cameras = options.poses.as_ref().map(|path| cameras::poses(path, &clip, lens, known)).transpose()?;
+        let masks = options.masks.as_ref().map(|folder| each(&clip, "masks", folder, mask)).transpose()?;
+        let depth = |path: &Path| -> Result<DepthMap, Error> { Ok(read_depth(path, DEPTH_UNIT)?.to_map()) };
+        let depth = options.depth.as_ref().map(|folder| each(&clip, "depth maps", folder, depth)).transpose()?;
+        if let (Some(depth), Some(path)) = (&depth, &options.depth)
+            && !depth.iter().flat_map(|d| d.data()).any(|&z| z > 0.0)
+        {
+            let message = format!("the depth maps in {} are 0 (unknown) everywhere", path.display());
+            return Err(Refusal::bad_input(message).into());
+        }
+        Ok(Self { lens, cameras, masks, depth: depth.map(MonoClip::given) })
     }
 
     /// Names of what was given, for the record.
     pub(super) fn names(&self) -> Vec<String> {
-        let given = [("intrinsics", self.lens.is_some()), ("masks", self.masks.is_some())];
+        let given = [
+            ("intrinsics", self.lens.is_some()),
+            ("poses", self.cameras.is_some()),
+            ("masks", self.masks.is_some()),
+            ("depth", self.depth.is_some()),
+        ];
         given.iter().filter(|(_, is)| *is).map(|(name, _)| (*name).to_owned()).collect()
     }
 }
 
-/// Reads the mask of every frame.
-fn masks(clip: &Clip, folder: &Path) -> Result<Vec<Mask>, Error> {
-    let files = clip.files(folder)?;
+/// Reads the file of every frame.
+fn each<T: Send>(
+    clip: &Clip,
+    what: &'static str,
+    folder: &Path,
+    read: impl Fn(&Path) -> Result<Plane<T>, Error> + Sync,
+) -> Result<Vec<Plane<T>>, Error> {
+    let files = clip.files(what, folder)?;
     let one = |path: &PathBuf| {
-        let value = mask(path)?;
-        if same_shape(value.size(), clip.size) {
-            return Ok(value);
+        let value = read(path)?;
+        if !same_shape(value.size(), clip.size) {
+            return Err(other_shape(path, value.size(), clip.size).into());
         }
-        let (found, frame) = (value.size(), clip.size);
-        let message = format!(
-            "{} is {} x {} pixels and the frames are {} x {}: the aspect ratios differ",
-            path.display(),
-            found.0,
-            found.1,
-            frame.0,
-            frame.1
-        );
-        Err(Refusal::bad_input(message).into())
+        Ok(value)
     };
     // The first in order that fails is the one that is named, whatever the number of threads.
-    let all: Vec<Result<Mask, Error>> = files.par_iter().map(one).collect();
+    let all: Vec<Result<Plane<T>, Error>> = files.par_iter().map(one).collect();
     all.into_iter().collect()
+}
+
+/// The refusal of an image of another shape than the frames.
+fn other_shape(path: &Path, found: (usize, usize), frame: (usize, usize)) -> Refusal {
+    Refusal::bad_input(format!(
+        "{} is {} x {} pixels and the frames are {} x {}: the aspect ratios differ",
+        path.display(),
+        found.0,
+        found.1,
+        frame.0,
+        frame.1
+    ))
 }
 
 /// True where both are the same image at some size.
@@ -132,9 +176,8 @@ impl Clip {
         Ok(Self { frames: video.frames.len(), size: video.frames.first().map_or((0, 0), |f| f.rgb.size()), source })
     }
 
-    /// The mask in `folder` for every frame: by the names of the frames where they have names, else by order, as many as the frames or as
-    /// the images that the frames were chosen from.
-    fn files(&self, folder: &Path) -> Result<Vec<PathBuf>, Error> {
+    /// The file in `folder` for every frame: by the names of the frames where they have names, else by order.
+    pub fn files(&self, what: &'static str, folder: &Path) -> Result<Vec<PathBuf>, Error> {
         if !folder.is_dir() {
             let source = std::io::Error::new(std::io::ErrorKind::NotADirectory, "a folder was expected");
             let path = folder.to_path_buf();
@@ -144,22 +187,28 @@ impl Clip {
         if let Some((all, chosen)) = &self.source {
             let by_name: HashMap<&OsStr, &PathBuf> = files.iter().filter_map(|p| Some((p.file_stem()?, p))).collect();
             let named = |&i: &usize| Some((*by_name.get(all.get(i)?.file_stem()?)?).clone());
-            if let Some(named) = chosen.iter().map(named).collect() {
+            if let Some(named) = chosen.iter().map(named).collect::<Option<Vec<_>>>() {
                 return Ok(named);
             }
-            if files.len() == all.len()
-                && let Some(chosen) = chosen.iter().map(|&i| files.get(i).cloned()).collect()
-            {
-                return Ok(chosen);
-            }
         }
-        if files.len() == self.frames {
-            return Ok(files);
+        self.in_order(what, folder, files)
+    }
+
+    /// One of `items` per frame, in order: as many as the frames, or as the images that the frames were chosen from.
+    pub fn in_order<T: Clone>(&self, what: &'static str, path: &Path, items: Vec<T>) -> Result<Vec<T>, Error> {
+        if items.len() == self.frames {
+            return Ok(items);
+        }
+        if let Some((all, chosen)) = &self.source
+            && items.len() == all.len()
+            && let Some(chosen) = chosen.iter().map(|&i| items.get(i).cloned()).collect()
+        {
+            return Ok(chosen);
         }
         Err(Refusal::bad_input(format!(
-            "{} has {} masks for {} frames; give one per frame, in the order or with the names of the frames",
-            folder.display(),
-            files.len(),
+            "{} has {} {what} for {} frames; give one per frame, in the order or with the names of the frames",
+            path.display(),
+            items.len(),
             self.frames
         ))
         .into())

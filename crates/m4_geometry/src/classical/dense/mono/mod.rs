@@ -1,5 +1,5 @@
-//! Depth from one image, as a network knows it: up to a factor, or more, per frame. It is aligned to what stereo over time measured, and
-//! stands where nothing was measured, and where something moves.
+//! Depth without parallax. What a sensor measured is used as it is. What a network knows from one image, up to a factor, or more, per
+//! frame, is aligned to what stereo over time measured, and stands where nothing was measured, and where something moves.
 
 #[cfg(test)]
 mod tests;
@@ -9,13 +9,15 @@ use super::working::nearest;
 use m4_core::{Plane, median};
 
 /// What the values of a map are.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub enum MonoKind {
     /// z-depth up to one factor per frame; 0, or not finite, where unknown.
     #[default]
     UpToScale,
     /// One over z-depth up to a factor above 0 and a shift per frame; not finite where unknown.
     AffineDisparity,
+    /// Measured z-depth, of which a unit of the cameras has this many units; 0, or not finite, where unknown.
+    Metric(f32),
 }
 
 /// Depth of every frame from itself alone.
@@ -36,6 +38,7 @@ impl MonoDepth<'_> {
             match self.kind {
                 MonoKind::AffineDisparity if v.is_finite() => v,
                 MonoKind::UpToScale if v > 0.0 && v.is_finite() => 1.0 / v,
+                MonoKind::Metric(unit) if v > 0.0 && v.is_finite() => unit / v,
                 _ => f32::NAN,
             }
         };
@@ -57,10 +60,35 @@ pub(super) struct Mono {
 }
 
 impl Mono {
+    /// The disparity of a frame that is known without alignment, by pixel.
+    fn metric(&self, i: usize) -> impl Iterator<Item = (usize, f32)> {
+        let known = self.frames.get(i).filter(|_| matches!(self.kind, MonoKind::Metric(_)));
+        known.into_iter().flatten().copied().enumerate().filter(|(_, d)| d.is_finite())
+    }
+
+    /// The disparity of a frame that is known but for an alignment; NaN where unknown.
+    fn relative(&self, i: usize) -> Option<&Vec<f32>> {
+        self.frames.get(i).filter(|_| !matches!(self.kind, MonoKind::Metric(_)))
+    }
+
+    /// Takes metric depth for measured, but where something moves (above 0).
+    pub fn impose(&self, i: usize, measured: &mut Measured, moving: Option<&[u8]>) {
+        for (p, d) in self.metric(i).filter(|(p, _)| moving.is_none_or(|m| m[*p] == 0)) {
+            (measured.disparity[p], measured.confidence[p]) = (d, 1.0);
+        }
+    }
+
+    /// Puts metric depth over all else.
+    pub fn overrule(&self, i: usize, disparity: &mut [f32]) {
+        for (p, d) in self.metric(i) {
+            disparity[p] = d;
+        }
+    }
+
     /// Disparity of a frame, brought to `disparity` where that is sure and nothing moves; NaN where unknown. `None` where nothing is known
     /// or too little is sure.
     pub fn aligned(&self, i: usize, disparity: &[f32], confidence: &[f32], moving: Option<&[u8]>) -> Option<Vec<f32>> {
-        let known = self.frames.get(i)?;
+        let known = self.relative(i)?;
         let sure = |p: &usize| {
             confidence[*p] >= SURE && moving.is_none_or(|m| m[*p] == 0) && known[*p].is_finite() && disparity[*p] > 0.0
         };
@@ -107,7 +135,7 @@ impl Mono {
     /// The disparity of a frame of a clip in which nothing can be measured: `made_up`, or as a middle distance of 1 has it.
     pub fn without_parallax(&self, i: usize, made_up: Vec<f32>) -> Vec<f32> {
         let mut out = made_up;
-        let Some(known) = self.frames.get(i) else { return out };
+        let Some(known) = self.relative(i) else { return out };
         let mut all: Vec<f64> = known.iter().filter(|v| v.is_finite()).map(|&v| f64::from(v)).collect();
         if let Some(middle) = median(&mut all).filter(|middle| *middle > 0.0) {
             let fit = Fit { scale: 1.0 / middle, shift: 0.0 };

@@ -25,6 +25,7 @@ fn mono(kind: MonoKind) -> Mono {
                 _ if x == 3 => f32::NAN,
                 MonoKind::UpToScale => factor / d,
                 MonoKind::AffineDisparity => factor * (d - 0.15),
+                MonoKind::Metric(unit) => unit / d,
             }
         })
     };
@@ -89,6 +90,22 @@ fn relative_depth_is_aligned_within_two_per_cent_whatever_its_kind() {
             }
         }
     }
+}
+
+#[test]
+fn metric_depth_is_taken_as_it_is() {
+    let (mono, mut measured, moving) = (mono(MonoKind::Metric(3.0)), measured(), moving());
+    mono.impose(1, &mut measured, Some(&moving));
+    let mut out = vec![0.1; W * H];
+    mono.overrule(1, &mut out);
+    for p in 0..W * H {
+        let known = p % W != 3;
+        assert_eq!(measured.confidence[p] == 1.0, !moves(p) && (known || p / W < 20), "{p}");
+        assert!(!known || moves(p) || (measured.disparity[p] / disparity(p) - 1.0).abs() < 1e-6);
+        let want = if known { disparity(p) } else { 0.1 };
+        assert!((out[p] / want - 1.0).abs() < 1e-6, "{p}");
+    }
+    assert!(mono.aligned(1, &measured.disparity, &measured.confidence, None).is_none());
 }
 
 #[test]
