@@ -97,7 +97,7 @@ fn front_end_without_weights_names_the_download_and_the_alternative() {
     fs::create_dir(dir.path("weights")).unwrap();
     let store = dir.path("weights");
     let line = "geometry clip -o out --frontend raft";
-    let env = [("MINUTE4D_WEIGHTS", text(&store)), ("HF_HOME", text(&store))];
+    let env = [("MINUTE4D_WEIGHTS", text(&store))];
     let words = ["raft", "minute4d weights add raft-things FILE", "--frontend classical"];
     dir.refused_with(line, &env, 66, &words);
     // What lies there and is no checkpoint is refused too.

@@ -93,7 +93,6 @@ fn made(clip: &Path, out: &Path, store: &Path, frontend: &str, threads: Option<u
     command
         .args(["--exact", "networks::library_caller_makes_a_capture", "--ignored", "--nocapture"])
         .env("MINUTE4D_WEIGHTS", store)
-        .env("HF_HOME", store)
         .env(CLIP, clip)
         .env(OUT, out)
         .env(FRONTEND, frontend);
@@ -141,7 +140,7 @@ fn incompatible_or_missing_front_end_parts_are_rejected() {
     let store = dir.path("weights");
     write_clip(&dir.path("clip"));
     write_weights(&store);
-    let env = ["MINUTE4D_WEIGHTS", "HF_HOME"].map(|name| (name, text(&store)));
+    let env = [("MINUTE4D_WEIGHTS", text(&store))];
     for (options, code, words) in [
         ("megasam+moge", 66, &["moge", "minute4d weights add", "--frontend classical"][..]),
         ("classical+raft", 2, &["classical", "raft", "flow"]),
@@ -157,7 +156,7 @@ fn incompatible_or_missing_front_end_parts_are_rejected() {
 fn weights(dir: &Scratch, line: &str) -> Ended {
     fs::create_dir_all(dir.path("bin")).unwrap();
     let mut command = dir.command(&format!("weights {line} --json"));
-    command.env("MINUTE4D_WEIGHTS", dir.path("store")).env("PATH", dir.path("bin")).env("HF_HOME", dir.path("hf"));
+    command.env("MINUTE4D_WEIGHTS", dir.path("store")).env("PATH", dir.path("bin"));
     Ended::of(command.output().unwrap())
 }
 

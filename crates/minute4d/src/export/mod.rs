@@ -71,7 +71,7 @@ pub fn make(input: &Path, job: &ExportJob, observer: &dyn Observer) -> Result<Ex
     }
     if lone_capture {
         return Err(Refusal::bad_input(format!(
-            "{} is a capture, which the format {} cannot store; choose colmap or nerfstudio, or train it first (`minute4d train`)",
+            "{} is a capture, which the format {} cannot store; choose colmap, or train it first (`minute4d train`)",
             input.display(),
             job.format.name()
         ))
@@ -172,8 +172,6 @@ pub enum Format {
     Gltf,
     /// Of a capture: a COLMAP model with images, masks and points of static regions.
     Colmap,
-    /// Of a capture: a folder of nerfstudio with images, masks, depth and points.
-    Nerfstudio,
     /// A video along the cameras of the source.
     Mp4,
 }
@@ -204,7 +202,6 @@ const FORMATS: &[Entry] = &[
     (Format::Spz, "spz", "scene.spz", Time::Instant),
     (Format::Gltf, "gltf", "scene.glb", Time::Instant),
     (Format::Colmap, "colmap", "colmap", Time::Capture),
-    (Format::Nerfstudio, "nerfstudio", "nerfstudio", Time::Capture),
     (Format::Mp4, "mp4", "scene.mp4", Time::Video),
 ];
 

@@ -1,13 +1,13 @@
-//! Writes files of splats, captures for other tools, and videos.
+//! Writes files of splats, captures for COLMAP, and videos.
 
 use super::{ExportJob, ExportReport, Format, Losses, occupied};
 use crate::error::OutputError;
 use crate::render::{Painter, source_fps};
 use crate::{Error, Observer, Refusal, Settings};
-use m4_core::{Capture, Scene};
+use m4_core::Scene;
 use m4_io::ErrorKind;
 use m4_io::capture::{self, CaptureOptions, Split};
-use m4_io::dataset::{colmap, nerfstudio};
+use m4_io::dataset::colmap;
 use m4_io::scene::{Loss, Written, fourdgs, gltf, ply, splatv, spz};
 use m4_io::video::Mp4Writer;
 use m4_kernels::SimdLevel;
@@ -41,7 +41,7 @@ pub(super) fn write(
         }
         Format::Spz => spz::write(out, scene, t)?,
         Format::Gltf => gltf::write(out, scene, t)?,
-        Format::Colmap | Format::Nerfstudio => return Err(needs_capture(job.format).into()),
+        Format::Colmap => return Err(needs_capture(job.format).into()),
         Format::Mp4 => write_video(out, scene, job.fps, observer)?,
     };
     Ok(written)
@@ -97,40 +97,18 @@ pub(super) fn make_capture(input: &Path, job: &ExportJob, observer: &dyn Observe
     }
     let options = CaptureOptions { reach: job.reach, ..Settings::fast().capture };
     let train = capture::read(input, Split::Train, &options, observer)?;
-    // COLMAP has no place for views of other cameras
-    let has_views = input.join(Split::Test.file_name()).is_file();
-    let takes_views = job.format == Format::Nerfstudio;
-    let test =
-        if has_views && takes_views { Some(capture::read(input, Split::Test, &options, observer)?) } else { None };
     let start = Instant::now();
-    let (bytes, mut losses) = write_capture(&out, &train, test.as_ref(), job.format, observer)?;
-    if has_views && !takes_views {
-        losses.dropped.push("held-out views".to_owned());
-    }
-    let seconds = start.elapsed().as_secs_f64();
-    Ok(ExportReport::of_capture(job.format, out, bytes, losses, seconds))
-}
-
-/// One arm a format; bytes that were written, and what they hold differently.
-fn write_capture(
-    out: &Path,
-    train: &Capture,
-    test: Option<&Capture>,
-    format: Format,
-    observer: &dyn Observer,
-) -> Result<(u64, Losses), Error> {
-    let written = match format {
-        Format::Colmap => colmap::write(out, train, observer),
-        Format::Nerfstudio => nerfstudio::write(out, train, test, observer),
-        other => {
-            return Err(Error::Internal { what: format!("{} was treated as a capture format", other.name()) });
-        }
-    };
-    let written = written.map_err(|error| match error.kind() {
+    let written = colmap::write(&out, &train, observer).map_err(|error| match error.kind() {
         ErrorKind::Cancelled => STOPPED,
         _ => error.into(),
     })?;
-    Ok((written.bytes, Losses::of(written.losses)))
+    let mut losses = Losses::of(written.losses);
+    // COLMAP has no place for views of other cameras
+    if input.join(Split::Test.file_name()).is_file() {
+        losses.dropped.push("held-out views".to_owned());
+    }
+    let seconds = start.elapsed().as_secs_f64();
+    Ok(ExportReport::of_capture(job.format, out, written.bytes, losses, seconds))
 }
 
 const STOPPED: Error = Error::Stopped { stage: "export", saved: false };

@@ -177,6 +177,6 @@ pub(crate) fn read_back(format: Format, path: &Path, moment: usize) -> Option<Re
         Format::Fourdgs => fourdgs::read(path).map_err(DataError::from),
         Format::Ply => ply::read(path).map_err(DataError::from),
         Format::PlySequence => ply::read(&path.join(frame_name(moment))).map_err(DataError::from),
-        Format::Splatv | Format::Spz | Format::Gltf | Format::Colmap | Format::Nerfstudio | Format::Mp4 => return None,
+        Format::Splatv | Format::Spz | Format::Gltf | Format::Colmap | Format::Mp4 => return None,
     })
 }

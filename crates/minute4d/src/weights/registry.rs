@@ -36,8 +36,7 @@ pub enum Origin {
         /// The page that offers it.
         page: &'static str,
     },
-    /// A repository on Hugging Face, which the program does not visit either; a copy that other tools left in the folder of
-    /// `HF_HOME` is used.
+    /// A repository on Hugging Face, which the program does not visit either.
     Hub {
         /// `owner/name`.
         repository: &'static str,

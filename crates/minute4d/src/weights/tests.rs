@@ -220,16 +220,3 @@ fn licences_are_accepted_first() {
     fs::write(&path, b"a checkpoint").unwrap();
     assert!(add(find("tapip3d").unwrap(), &place.store, &path, true).is_ok());
 }
-
-#[test]
-fn files_of_other_tools_are_found() {
-    let place = Place::new();
-    let moge = find("moge-2-l").unwrap();
-    let store = place.store.clone().with_hub(place.path("hf"));
-    assert_eq!(store.installed(moge), None);
-    let folder = place.path("hf/hub/models--Ruicheng--moge-2-vitl/snapshots/abc");
-    fs::create_dir_all(&folder).unwrap();
-    fs::write(folder.join("model.pt"), b"a checkpoint").unwrap();
-    assert_eq!(store.installed(moge), Some(folder.join("model.pt")));
-    assert_eq!(store.verify(moge).unwrap(), Condition::Unknown);
-}

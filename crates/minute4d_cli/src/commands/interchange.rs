@@ -1,5 +1,5 @@
 //! `minute4d import`: turns files of another tool into a scene or a capture. `minute4d export`: writes a scene for other viewers, or a
-//! capture for COLMAP or nerfstudio.
+//! capture for COLMAP.
 
 use crate::failure::Failure;
 use crate::options::{ReachArgs, rate};
@@ -109,11 +109,10 @@ fn of_capture(report: &CaptureReport) -> String {
 
 #[derive(Debug, Args)]
 pub struct Export {
-    /// The folder of a run or a scene file; for colmap and nerfstudio a capture
+    /// The folder of a run or a scene file; for colmap a capture
     pub scene: PathBuf,
     /// Output format [default: by the extension of --out, or 4dgs]. 4dgs, splatv: the whole clip; ply, spz, gltf: one
-    /// instant; ply-sequence: one file per frame; colmap, nerfstudio: cameras, images, masks and points of a capture (and depth);
-    /// mp4: a video rendered from the source cameras
+    /// instant; ply-sequence: one file per frame; colmap: cameras, images, masks and points of a capture; mp4: a video rendered from the source cameras
     #[arg(long, value_name = "FORMAT")]
     pub format: Option<Format>,
     /// Output file, or folder for a sequence [default: scene.EXTENSION next to the scene]
