@@ -1,16 +1,13 @@
-//! Writes files of splats, captures for COLMAP, and videos.
+//! Writes files of splats, and captures for COLMAP.
 
 use super::{ExportJob, ExportReport, Format, Losses, occupied};
 use crate::error::OutputError;
-use crate::render::{Painter, source_fps};
 use crate::{Error, Observer, Refusal, Settings};
 use m4_core::Scene;
 use m4_io::ErrorKind;
 use m4_io::capture::{self, CaptureOptions, Split};
 use m4_io::dataset::colmap;
-use m4_io::scene::{Loss, Written, fourdgs, gltf, ply, splatv, spz};
-use m4_io::video::Mp4Writer;
-use m4_kernels::SimdLevel;
+use m4_io::scene::{Written, fourdgs, gltf, ply, splatv, spz};
 use std::path::Path;
 use std::time::Instant;
 
@@ -42,7 +39,6 @@ pub(super) fn write(
         Format::Spz => spz::write(out, scene, t)?,
         Format::Gltf => gltf::write(out, scene, t)?,
         Format::Colmap => return Err(needs_capture(job.format).into()),
-        Format::Mp4 => write_video(out, scene, job.fps, observer)?,
     };
     Ok(written)
 }
@@ -53,36 +49,6 @@ pub(super) fn needs_capture(format: Format) -> Refusal {
         "the format {} stores captures, not scenes; give the folder of a capture, or choose a format of scenes such as ply",
         format.name()
     ))
-}
-
-/// Renders every camera of the source at its own moment, with its exposure, in the order of time.
-fn write_video(out: &Path, scene: &Scene, fps: Option<f64>, observer: &dyn Observer) -> Result<Written, Error> {
-    let size = match scene.source.first() {
-        Some(first) => first.camera.intrinsics,
-        None => {
-            let message = "the scene has no cameras to render it from; render it along a path, such as --path swing";
-            return Err(Refusal::bad_input(message).into());
-        }
-    };
-    let mut painter = Painter::new(scene, SimdLevel::detect()?);
-    let fps = fps.unwrap_or_else(|| source_fps(scene));
-    let mut writer = Mp4Writer::create(out, size.width, size.height, fps)?;
-    for (i, frame) in scene.source.iter().enumerate() {
-        if observer.cancelled() {
-            return Err(STOPPED);
-        }
-        let camera = frame.camera.resized(size.width, size.height);
-        writer.push(&painter.image(&camera, frame.t, &frame.exposure))?;
-        observer.update("export", i + 1, scene.source.len(), "");
-    }
-    writer.finish()?;
-    let bytes = std::fs::metadata(out).map_err(|source| Error::Read { path: out.to_path_buf(), source })?.len();
-    Ok(Written {
-        path: out.to_path_buf(),
-        bytes,
-        splats: 0,
-        losses: vec![Loss::Baked(format!("everything, into {} images", scene.source.len()))],
-    })
 }
 
 pub(super) fn make_capture(input: &Path, job: &ExportJob, observer: &dyn Observer) -> Result<ExportReport, Error> {
