@@ -54,10 +54,10 @@ fn asymmetric_scene(sh_degree: usize) -> Scene {
 }
 
 /// Any numbers, the same on every run; 16 frames, and colours that no format clips.
-fn random_scene(sh_degree: usize, n_static: usize, n_dynamic: usize) -> Scene {
-    let layout = SplatLayout { isotropic: false, sh_degree, time_degree: 0 };
-    let mut scene =
-        m4_testkit::random_scene(&SceneSpec { layout, n_static, n_dynamic, time_frames: 16, ..SceneSpec::default() });
+fn random_scene() -> Scene {
+    let layout = SplatLayout { isotropic: false, sh_degree: 3, time_degree: 0 };
+    let spec = SceneSpec { layout, n_static: 200, n_dynamic: 300, time_frames: 16, ..SceneSpec::default() };
+    let mut scene = m4_testkit::random_scene(&spec);
     let colours = layout.range(Column::Colour);
     for column in scene.splats.columns_mut().skip(colours.start).take(colours.len()) {
         column.iter_mut().for_each(|v| *v = v.clamp(-0.9, 0.9));
@@ -245,7 +245,7 @@ fn taken_apart(path: &std::path::Path) -> Splats {
 #[test]
 fn spz_round_trips_within_half_a_quantisation_step() {
     let (_dir, path) = temporary("scene.spz");
-    let scene = random_scene(3, 200, 300);
+    let scene = random_scene();
     let written = spz::write(&path, &scene, 7.5).unwrap();
     let expected = m4_io::scene::instant(&scene.splats, 7.5, scene.time_frames as f64);
     let got = taken_apart(&path);

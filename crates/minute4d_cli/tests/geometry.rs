@@ -92,22 +92,6 @@ fn given_masks_are_used_unchanged() {
 
 #[cfg(feature = "nets")]
 #[test]
-fn front_end_without_weights_names_the_download_and_the_alternative() {
-    let dir = known();
-    fs::create_dir(dir.path("weights")).unwrap();
-    let store = dir.path("weights");
-    let line = "geometry clip -o out --frontend raft";
-    let env = [("MINUTE4D_WEIGHTS", text(&store))];
-    let words = ["raft", "minute4d weights add raft-things FILE", "--frontend classical"];
-    dir.refused_with(line, &env, 66, &words);
-    // What lies there and is no checkpoint is refused too.
-    fs::create_dir(store.join("raft-things")).unwrap();
-    fs::write(store.join("raft-things/raft-things.pth"), "no weights").unwrap();
-    dir.refused_with(line, &env, 69, &["raft-things.pth", "RAFT", "--frontend classical"]);
-}
-
-#[cfg(feature = "nets")]
-#[test]
 fn segmenter_without_weights_names_the_download_and_auto_falls_back() {
     let dir = known();
     fs::create_dir(dir.path("weights")).unwrap();

@@ -150,6 +150,10 @@ fn incompatible_or_missing_front_end_parts_are_rejected() {
     ] {
         dir.refused_with(&format!("geometry clip -o out --frontend {options}"), &env, code, words);
     }
+    // a file that is no checkpoint
+    fs::write(store.join("raft-things/raft-things.pth"), "no weights").unwrap();
+    let words = ["raft-things.pth", "RAFT", "--frontend classical"];
+    dir.refused_with("geometry clip -o out --frontend raft", &env, 69, &words);
 }
 
 /// Calls `weights LINE --json` with the store in `store` and the programs of `bin` alone.
