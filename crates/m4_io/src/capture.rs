@@ -29,7 +29,6 @@
 
 pub use crate::pose::Axes;
 
-use crate::dataset::export::{MAX_STEPS, clipped};
 use crate::dataset::nerfstudio::{Frame, LensKeys, Transforms, list_capture, rows};
 use crate::dataset::{ImportOptions, load};
 use crate::files::in_parallel;
@@ -142,6 +141,8 @@ fn list_of_frames(path: &Path, split: Split) -> PathBuf {
     if split == Split::Train && !named.exists() && lone.exists() { lone } else { named }
 }
 
+/// Steps of a 16-bit depth map.
+const MAX_STEPS: f64 = 65535.0;
 /// Steps that the nearest percent of all depths should have at least: rounding costs at most 0.25 % of the depth.
 const MIN_STEPS: f64 = 200.0;
 
@@ -248,7 +249,8 @@ fn images(folder: &Path, frame: &CaptureFrame, entry: &Frame, unit: f64) -> Resu
     if let (Some(path), Some(depth)) = (&entry.depth_file_path, &frame.depth) {
         let depth = depth.to_map();
         image::write_depth(&folder.join(path), &depth, unit)?;
-        far = clipped(&depth, unit);
+        let limit = (MAX_STEPS + 0.5) * unit;
+        far = depth.data().iter().filter(|&&z| f64::from(z) > limit).count();
     }
     if let (Some(path), Some(mask)) = (&entry.mask_path, &frame.mask) {
         image::write_mask(&folder.join(path), &mask.to_mask())?;
@@ -263,7 +265,7 @@ fn images(folder: &Path, frame: &CaptureFrame, entry: &Frame, unit: f64) -> Resu
 }
 
 /// Scene units per step of depth maps: the finest with which the farthest depth fits, unless the near would become coarse.
-pub(crate) fn depth_unit(capture: &Capture) -> f64 {
+fn depth_unit(capture: &Capture) -> f64 {
     let mut known: Vec<f32> = capture
         .frames
         .iter()
@@ -272,17 +274,12 @@ pub(crate) fn depth_unit(capture: &Capture) -> f64 {
         .flat_map(|d| d.every(16))
         .filter(|z| z.is_finite() && *z > 0.0)
         .collect();
-    let farthest = farthest(capture);
+    let depths = capture.frames.iter().filter_map(|f| f.depth.as_ref()).flat_map(|d| d.every(1));
+    let farthest = depths.filter(|z| z.is_finite()).fold(0.0, f32::max);
     if known.is_empty() || farthest <= 0.0 {
         return 1e-3;
     }
     known.sort_by(f32::total_cmp);
     let near = f64::from(known[known.len() / 100]);
     (f64::from(farthest) / MAX_STEPS).min(near / MIN_STEPS)
-}
-
-/// The largest known depth of all frames; 0 where none is.
-pub(crate) fn farthest(capture: &Capture) -> f32 {
-    let depths = capture.frames.iter().filter_map(|f| f.depth.as_ref()).flat_map(|d| d.every(1));
-    depths.filter(|z| z.is_finite()).fold(0.0, f32::max)
 }

@@ -2,10 +2,10 @@
 
 use crate::common::{Stop, pinwheel, says, temporary, without_ffmpeg};
 use m4_core::{Plane, Silent};
+use m4_io::ErrorKind;
 use m4_io::image::{read_depth, read_rgb, write_depth, write_mask, write_rgb};
 use m4_io::scene::safetensors;
 use m4_io::video::{self, VideoOptions};
-use m4_io::{ErrorKind, trajectory};
 use std::path::{Path, PathBuf};
 use tempfile::TempDir;
 
@@ -182,7 +182,7 @@ fn depth_maps_must_be_16_bit_greyscale() {
     says(&error, &["d.jpg", "JPEG"]);
 }
 
-// --- scenes and paths -----------------------------------------------------------------------------
+// --- scenes -----------------------------------------------------------------------------
 
 #[test]
 fn malformed_scene_files_are_refused() {
@@ -202,11 +202,4 @@ fn malformed_scene_files_are_refused() {
     let mut bytes = (json.len() as u64).to_le_bytes().to_vec();
     bytes.extend(json);
     text(&bytes, &["damaged"]);
-}
-
-#[test]
-fn a_camera_path_that_is_missing() {
-    let error = trajectory::read(Path::new("/nowhere/path.json"), 10).unwrap_err();
-    assert_eq!(error.kind(), ErrorKind::NotFound);
-    says(&error, &["/nowhere/path.json"]);
 }

@@ -1,4 +1,4 @@
-//! Captures: what is written comes back, the benchmark scenes are read as they are meant, and captures with faults or that name
+//! Captures: what is written comes back, and captures with faults or that name
 //! files outside of their folder are refused.
 
 use crate::common::{Heard, says};
@@ -10,13 +10,8 @@ use m4_io::reach::Reach;
 use m4_io::{ErrorKind, ReadError};
 use serde_json::{Value, json};
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use tempfile::TempDir;
-
-#[track_caller]
-fn bench(name: &str) -> Option<PathBuf> {
-    m4_testkit::shared(&format!("bench/{name}"))
-}
 
 fn made(frames: usize) -> Capture {
     let pose = |i: usize| {
@@ -122,38 +117,6 @@ fn a_nerfstudio_file_without_times_or_centre_is_read_with_a_warning() {
     // OpenGL looks along -z.
     assert_eq!(got.frames[0].camera.unproject(19.5, 14.5, 2.0).as_slice(), [0.0, 0.0, -2.0]);
     assert!(heard.all().contains("3 frames of") && !heard.all().contains('\n'), "{}", heard.all());
-}
-
-#[test]
-fn depth_of_the_bench_scenes_agrees_between_frames() {
-    let Some(folder) = bench("mill-1") else { return };
-    let capture = read(&folder, Split::Train, &CaptureOptions::default(), &Silent).unwrap();
-    assert_eq!((capture.frames.len(), capture.time_frames), (96, 96));
-    assert!(capture.frames.windows(2).all(|f| f[0].t < f[1].t));
-    // A static surface point seen in frame 10 lands at its own depth in frame 14.
-    let (a, b) = (&capture.frames[10], &capture.frames[14]);
-    let (depth_a, depth_b) = (a.depth.as_ref().unwrap(), b.depth.as_ref().unwrap());
-    let (mut seen, mut agree) = (0, 0);
-    for y in (0..360).step_by(7) {
-        for x in (0..480).step_by(7) {
-            let z = f64::from(depth_a.at(x, y));
-            if z == 0.0 || a.mask.as_ref().unwrap().at(x, y) {
-                continue;
-            }
-            let (p, want) = b.camera.project(&a.camera.unproject(x as f64, y as f64, z));
-            let (u, v) = (p[0].round(), p[1].round());
-            if (0.0..480.0).contains(&u) && (0.0..360.0).contains(&v) {
-                seen += 1;
-                agree += usize::from((f64::from(depth_b.at(u as usize, v as usize)) - want).abs() < 0.02 * want);
-            }
-        }
-    }
-    assert!(seen > 1000 && agree * 10 > seen * 9, "{agree} of {seen}");
-
-    let test = read(&folder, Split::Test, &CaptureOptions::default(), &Silent).unwrap();
-    assert_eq!(test.time_frames, 96);
-    assert!(test.frames.iter().all(|f| f.camera_index.is_some_and(|c| c < 2) && f.depth.is_none()));
-    assert!(test.frames.iter().all(|f| (0.0..=95.0).contains(&f.t)));
 }
 
 /// A capture of two frames, as JSON to spoil.

@@ -3,8 +3,8 @@
 #[cfg(unix)]
 use crate::common::{PROBED, fake_ffmpeg, script, sent};
 use crate::common::{ffmpeg, have_ffmpeg, pinwheel, says, temporary, without_ffmpeg};
-use m4_core::{CounterRng, Plane, Progress, Silent, Video};
-use m4_io::video::{DecoderEnd, DecoderLimits, DecoderProgram, Mp4Writer, VideoOptions, read, read_with};
+use m4_core::{CounterRng, Progress, Silent, Video};
+use m4_io::video::{DecoderEnd, DecoderLimits, DecoderProgram, VideoOptions, read, read_with};
 use m4_io::{ErrorKind, Fault, ReadError};
 use std::path::Path;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -112,25 +112,6 @@ fn damaged_clips_never_crash_the_parent() {
     eprintln!("{whole_clips} whole, {with_warnings} with warnings, {refused} refused");
     // The damage reaches the decoder.
     assert!(with_warnings > 10 && refused > 0, "{with_warnings} {refused}");
-}
-
-#[test]
-fn a_decoder_without_memory() {
-    let (_dir, path) = temporary("large.mp4");
-    let mut writer = Mp4Writer::create(&path, 3840, 2160, 24.0).unwrap();
-    for i in 0..2 {
-        let image = Plane::from_fn(3840, 2160, |x, y| [(x + i) as u8, y as u8, (x ^ y) as u8]);
-        writer.push(&image).unwrap();
-    }
-    writer.finish().unwrap();
-    let few = options(limits(|l| l.memory_mb = 64));
-    let how = failure(
-        read_with(Some(&program()), &path, &few, &Silent),
-        &["large.mp4", "H.264 decoder", "64 MiB", "video.decoder.memory_mb"],
-    );
-    assert_eq!(how, DecoderEnd::Memory { limit_mb: 64 });
-    let enough = options(DecoderLimits::default());
-    assert_eq!(read_with(Some(&program()), &path, &enough, &Silent).unwrap().frames.len(), 2);
 }
 
 #[test]

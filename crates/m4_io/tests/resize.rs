@@ -1,16 +1,7 @@
 //! Resized images agree with those of Pillow.
 
 use m4_core::{ResizeFilter, RgbImage, resize_rgb};
-use safetensors::SafeTensors;
-
-fn read_image(file: &[u8], name: &str) -> RgbImage {
-    let tensors = SafeTensors::deserialize(file).unwrap();
-    let tensor = tensors.tensor(name).unwrap();
-    let [h, w, 3] = tensor.shape() else {
-        panic!("{name} is not an image");
-    };
-    RgbImage::from_vec(*w, *h, tensor.data().as_chunks::<3>().0.to_vec()).unwrap()
-}
+use m4_testkit::Fixture;
 
 #[track_caller]
 fn assert_same(image: &RgbImage, want: &RgbImage, filter: ResizeFilter) {
@@ -22,17 +13,17 @@ fn assert_same(image: &RgbImage, want: &RgbImage, filter: ResizeFilter) {
 
 #[test]
 fn bytes_are_those_of_pillow() {
-    let file = include_bytes!("../../../fixtures/mobile_sam/resize.safetensors");
-    let image = read_image(file, "image");
+    let file = Fixture::open("mobile_sam/resize.safetensors");
+    let image = file.image("image");
     for size in ["150x97", "40x26", "97x20", "13x63"] {
-        assert_same(&image, &read_image(file, size), ResizeFilter::Triangle);
+        assert_same(&image, &file.image(size), ResizeFilter::Triangle);
     }
     for filter in [ResizeFilter::Triangle, ResizeFilter::Cubic] {
         assert_same(&image, &image, filter);
     }
-    let file = include_bytes!("../../../fixtures/ops/resize.safetensors");
-    let cubic = read_image(file, "image_u8");
+    let file = Fixture::open("ops/resize.safetensors");
+    let cubic = file.image("image_u8");
     for size in ["down", "half", "up"] {
-        assert_same(&cubic, &read_image(file, &format!("pil_bicubic_u8_{size}")), ResizeFilter::Cubic);
+        assert_same(&cubic, &file.image(&format!("pil_bicubic_u8_{size}")), ResizeFilter::Cubic);
     }
 }

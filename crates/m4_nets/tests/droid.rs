@@ -1,9 +1,10 @@
 //! MegaSaM's tracking network: its checkpoint and its images.
 
+use crate::common::real_weights;
 use m4_core::{Plane, RgbImage};
 use m4_nets::droid::{DroidMemory, MemoryOptions, Storage};
 use m4_nets::{DroidNet, LoadError, cpu};
-use m4_testkit::{Need, skip, write_formula_weights};
+use m4_testkit::write_formula_weights;
 use std::path::Path;
 use std::sync::Arc;
 use tempfile::TempDir;
@@ -71,10 +72,7 @@ fn images_of_wrong_size_are_refused() {
 /// The published file itself, where it is.
 #[test]
 fn takes_the_published_file() {
-    let folder = std::env::var_os("MINUTE4D_WEIGHTS").map(std::path::PathBuf::from);
-    let path = folder.map(|folder| folder.join("megasam/megasam_final.pth"));
-    let Some(path) = path.filter(|path| path.is_file()) else {
-        skip(Need::Weights, "MINUTE4D_WEIGHTS names no folder with megasam/megasam_final.pth");
+    let Some(path) = real_weights("megasam", "megasam_final.pth") else {
         return;
     };
     let net = DroidNet::load(&path, cpu()).unwrap();

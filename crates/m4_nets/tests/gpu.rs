@@ -234,12 +234,10 @@ fn sam2_matches_the_cpu() {
     let Some(gpu) = gpu() else {
         return;
     };
-    let folder = TempDir::new().unwrap();
-    let path = folder.path().join("weights.safetensors");
     // objects are there beyond doubt
-    FormulaWeights::of_keys(include_str!("../../../fixtures/sam2/tiny.keys.txt"))
-        .with("sam_mask_decoder.pred_obj_score_head.layers.2.bias", &[5.0])
-        .write(&path);
+    let weights = FormulaWeights::of_keys(include_str!("../../../fixtures/sam2/tiny.keys.txt"))
+        .with("sam_mask_decoder.pred_obj_score_head.layers.2.bias", &[5.0]);
+    let (_folder, path) = checkpoint(&weights);
     let (there, here) = (sam2(&path, &gpu), sam2(&path, cpu()));
     for (k, (there, here)) in there.iter().zip(&here).enumerate() {
         assert_close(&format!("frame {k}"), there, here, [1e-4, 3e-4][k]);

@@ -62,7 +62,7 @@ pub enum Command {
     Train(Train),
     /// Render images or a video of a trained scene
     Render(Render),
-    /// Export a scene for other viewers, or a capture for COLMAP or nerfstudio
+    /// Export a scene for other viewers, or a capture for COLMAP
     Export(Export),
     /// Import a splat file as a scene, or a clip with poses from another tool as a capture
     Import(Import),

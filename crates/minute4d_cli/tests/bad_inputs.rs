@@ -35,20 +35,6 @@ fn damaged_videos_are_rejected() {
 }
 
 #[test]
-fn codec_without_a_decoder_names_ffmpeg() {
-    let dir = Scratch::new();
-    write_video(&dir.path("good.mp4"), 8);
-    let mut bytes = dir.read("good.mp4");
-    // The brand at the front may have the same name; the last one is that of the track.
-    let at = bytes.windows(4).rposition(|w| w == b"avc1");
-    let at = at.expect("the codec is named in the index");
-    bytes[at..at + 4].copy_from_slice(b"hev1");
-    dir.write("hevc.mp4", &bytes);
-    let words = ["hevc.mp4", "ffmpeg", "install"];
-    dir.refused_with("geometry hevc.mp4 -o never", &[("PATH", "")], 69, &words);
-}
-
-#[test]
 fn unknown_and_invalid_settings_are_rejected() {
     let dir = Scratch::new();
     let meant = "did you mean \"train.iterations\"?";

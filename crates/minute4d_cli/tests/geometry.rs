@@ -201,22 +201,6 @@ fn given_depth_sets_the_unit() {
 
 #[cfg(feature = "nets")]
 #[test]
-fn front_end_without_weights_names_the_download_and_the_alternative() {
-    let (dir, _) = known();
-    fs::create_dir(dir.path("weights")).unwrap();
-    let store = dir.path("weights");
-    let line = "geometry clip -o out --frontend raft";
-    let env = [("MINUTE4D_WEIGHTS", text(&store)), ("HF_HOME", text(&store))];
-    let words = ["raft", "minute4d weights add raft-things FILE", "--frontend classical"];
-    dir.refused_with(line, &env, 66, &words);
-    // What lies there and is no checkpoint is refused too.
-    fs::create_dir(store.join("raft-things")).unwrap();
-    fs::write(store.join("raft-things/raft-things.pth"), "no weights").unwrap();
-    dir.refused_with(line, &env, 69, &["raft-things.pth", "RAFT", "--frontend classical"]);
-}
-
-#[cfg(feature = "nets")]
-#[test]
 fn segmenter_without_weights_names_the_download_and_auto_falls_back() {
     let (dir, _) = known();
     fs::create_dir(dir.path("weights")).unwrap();

@@ -20,6 +20,7 @@ fn source_formats_are_detected_and_imported() {
         ("dycheck", "dycheck", 2),
         ("nvidia", "nvidia", 0),
         ("record3d/clip.r3d", "record3d", 0),
+        ("../megasam/outputs/dog_droid.npz", "megasam", 0),
     ] {
         let more = match format {
             "colmap" => format!("--images '{}'", fixture("clip/images")),
@@ -40,6 +41,8 @@ fn source_formats_are_detected_and_imported() {
     let recording = fixture("record3d/clip.r3d");
     dir.succeed(&format!("import '{recording}' -o dycheck --force"));
     assert!(!dir.path("dycheck").join(Split::Test.file_name()).exists());
+    write_capture(&dir.path("capture"), false);
+    dir.refused("export capture -o out", 65, &["is a capture, which the format 4dgs cannot store"]);
     let trained = dir.call("train colmap -o out --iterations 5");
     assert!(trained.code == 0 || trained.stderr.contains("depth"), "{}", trained.stderr);
 }
@@ -50,11 +53,17 @@ fn invalid_requests_are_rejected_with_a_hint() {
     fs::create_dir_all(dir.path("empty")).unwrap();
     let recording = fixture("record3d/clip.r3d");
     let davis = fixture("davis/JPEGImages/480p/ball");
+    let droid = fixture("../megasam/outputs/dog_droid.npz");
+    dir.write("bad_droid.npz", b"no archive");
+    dir.write("a.ply", b"ply");
     for (args, code, says) in [
         ("empty", 65, "none of the known layouts"),
         ("empty --format vipe", 65, "pose"),
+        ("bad_droid.npz", 65, "not an npz archive"),
+        ("a.ply --fps 3", 2, "--fps has no meaning for ply"),
+        (&*format!("'{droid}' --depth maps"), 2, "--depth has no meaning for megasam"),
         ("empty --format obj", 2, "no format is called obj"),
-        (&*format!("'{davis}'"), 65, "no camera poses"),
+        (&format!("'{davis}'"), 65, "no camera poses"),
         (&format!("'{recording}' --depth /nowhere"), 66, "/nowhere"),
     ] {
         dir.refused(&format!("import -o out {args}"), code, &[says]);
@@ -67,34 +76,23 @@ fn invalid_requests_are_rejected_with_a_hint() {
 fn exported_captures_import_to_the_same_capture() {
     let dir = Scratch::new();
     dir.succeed(&format!("import '{}' -o own", fixture("dycheck")));
-    let read = |name: &str, split| read_capture(&dir.path(name), split);
-    let (train, test) = (read("own", Split::Train), read("own", Split::Test));
+    let read = |name: &str| read_capture(&dir.path(name), Split::Train);
+    let train = read("own");
     let moves = |c: &Capture| c.frames.iter().filter_map(|f| f.mask.as_ref()).map(|m| m.count()).sum::<usize>();
-    for (format, views) in [("nerfstudio", true), ("colmap", false)] {
-        let line = format!("export own --format {format} -o {format}");
-        let report = dir.succeed(&format!("{line} --json")).result();
-        assert!(report["bytes"].as_u64().unwrap() > 1000, "{report}");
-        assert_eq!(report["losses"]["dropped"].to_string().contains("held-out views"), !views, "{report}");
-        dir.succeed(&format!("import {format} -o again-{format}"));
-        let back = read(&format!("again-{format}"), Split::Train);
-        assert_eq!(back.frames.len(), train.frames.len(), "{format}");
-        for (a, b) in back.frames.iter().zip(&train.frames) {
-            assert!((a.camera.c2w.matrix() - b.camera.c2w.matrix()).amax() < 1e-6, "{format}");
-            assert!((a.camera.intrinsics.fx - b.camera.intrinsics.fx).abs() < 1e-9);
-            assert_eq!(a.rgb, b.rgb, "{format}");
-            if views {
-                let (Some(a), Some(b)) = (&a.depth, &b.depth) else {
-                    continue;
-                };
-                assert!((a.at(9, 7) - b.at(9, 7)).abs() <= 1e-3 * b.at(9, 7), "{format}");
-            }
-        }
-        assert_eq!(moves(&back), moves(&train), "{format}");
-        if views {
-            assert_eq!(read(&format!("again-{format}"), Split::Test).frames.len(), test.frames.len());
-        }
-        dir.refused(&line, 73, &["already exists", "--force"]);
+    let line = "export own --format colmap -o colmap";
+    let report = dir.succeed(&format!("{line} --json")).result();
+    assert!(report["bytes"].as_u64().unwrap() > 1000, "{report}");
+    assert!(report["losses"]["dropped"].to_string().contains("held-out views"), "{report}");
+    dir.succeed("import colmap -o again");
+    let back = read("again");
+    assert_eq!(back.frames.len(), train.frames.len());
+    for (a, b) in back.frames.iter().zip(&train.frames) {
+        assert!((a.camera.c2w.matrix() - b.camera.c2w.matrix()).amax() < 1e-6);
+        assert!((a.camera.intrinsics.fx - b.camera.intrinsics.fx).abs() < 1e-9);
+        assert_eq!(a.rgb, b.rgb);
     }
+    assert_eq!(moves(&back), moves(&train));
+    dir.refused(line, 73, &["already exists", "--force"]);
 }
 
 #[test]
@@ -112,7 +110,7 @@ fn data_sets_that_name_outside_files_need_permission() {
     fs::write(&list, text.replace("\"train/", "\"../private/")).unwrap();
     for line in [
         "split out -o made --protocol holdout",
-        "export out --format nerfstudio -o made",
+        "export out --format colmap -o made",
         "train out -o made --iterations 1",
         "run out -o made --iterations 1",
         "enhance out -o made",
@@ -121,63 +119,7 @@ fn data_sets_that_name_outside_files_need_permission() {
     ] {
         dir.refused(line, 65, &["transforms_train.json", "private/", "--allow-outside"]);
     }
-    dir.succeed("export out --format nerfstudio -o exported --allow-outside");
+    dir.succeed("export out --format colmap -o exported --allow-outside");
     let set = "run out -o made --set capture.reach=\"Anywhere\"";
     dir.refused(set, 78, &["capture.reach"]);
-}
-
-fn megasam(name: &str) -> String {
-    fixture(&format!("../megasam/{name}"))
-}
-
-#[test]
-fn every_layout_is_imported_and_trained() {
-    let dir = Scratch::new();
-    for (source, name) in [
-        ("reconstructions/dog", "folder"),
-        ("outputs/dog_droid.npz", "droid"),
-        ("outputs_cvd/dog_sgd_cvd_hr.npz", "cvd"),
-    ] {
-        let source = megasam(source);
-        let line = format!("import '{source}' -o {name} --fps 10 --json");
-        let report = dir.succeed(&line).result();
-        assert_eq!((&report["frames"], &report["format"]), (&3.into(), &"megasam".into()));
-        // the archives find the map of motion in the folder of reconstructions beside them
-        assert!(report["moving_share"].is_number(), "{report}");
-        let back = read_capture(&dir.path(name), Split::Train);
-        assert_eq!((back.metric, back.time_frames), (false, 3));
-        assert!((back.duration_s.unwrap() - 0.2).abs() < 1e-9);
-        let record = dir.json(&format!("{name}/geometry.json"));
-        assert_eq!((&record["status"], &record["settings"]["format"]), (&"finished".into(), &"megasam".into()));
-        assert!(back.frames.iter().all(|f| f.depth.is_some()));
-    }
-    dir.succeed("train cvd -o cvd-out --iterations 5");
-    let again = format!("import '{}' -o cvd", megasam("outputs/dog_droid.npz"));
-    dir.refused(&again, 73, &["--force"]);
-    let ended = dir.succeed(&format!("{again} --force"));
-    assert!(ended.stderr.contains("3 frames of 24 x 16"), "{}", ended.stderr);
-    assert_eq!(ended.stdout.trim_end(), "cvd");
-}
-
-#[test]
-fn invalid_megasam_requests_are_rejected_with_a_hint() {
-    let dir = Scratch::new();
-    write_capture(&dir.path("capture"), false);
-    dir.write("bad_droid.npz", b"no archive");
-    dir.write("a.ply", b"ply");
-    fs::create_dir_all(dir.path("empty")).unwrap();
-    let droid = megasam("outputs/dog_droid.npz");
-    let words = "is a capture, which the format 4dgs cannot store";
-    for (line, code, says) in [
-        ("export capture -o out", 65, words),
-        ("export capture --format megasam", 2, "choose one of 4dgs"),
-        ("import bad_droid.npz -o out", 65, "not an npz archive"),
-        ("import empty -o out", 65, "is a folder"),
-        ("import empty -o out --format megasam", 65, "the array `images` is missing"),
-        ("import a.ply -o out --fps 3", 2, "--fps has no meaning for ply"),
-        (&*format!("import '{droid}' -o out --depth maps"), 2, "--depth has no meaning for megasam"),
-    ] {
-        dir.refused(line, code, &[says]);
-    }
-    assert!(!dir.path("out").exists(), "what cannot be used leaves nothing behind");
 }

@@ -1,6 +1,7 @@
 //! Scenes to the files of other tools and back, from outside.
 
-use crate::common::{Scratch, frames_of};
+use crate::common::Scratch;
+use crate::render::difference;
 use m4_testkit::{SceneSpec, bare_scene, moving_scene, random_camera, random_splats};
 use minute4d::core::{Column, Exposure, Intrinsics, Scene, SourceFrame, SplatLayout};
 use minute4d::io::scene::safetensors;
@@ -37,48 +38,32 @@ fn number(value: &Value) -> f64 {
 }
 
 #[test]
-fn every_format_renders_like_its_source_scene() {
+fn every_format_is_written_once() {
     let dir = Scratch::new();
     write_scene(&dir, false);
-    // Least PSNR of the worst view. What is rounded: colours and opacities to 1/255 or 1/510, places to a
-    // twentieth of a median scale; PLY rounds nothing. The rest is not read here.
-    for (format, file, least_db) in [
-        ("4dgs", "scene.4dgs", Some(40.0)),
-        ("splatv", "scene.splatv", None),
-        ("ply", "scene.ply", Some(90.0)),
-        ("ply-sequence", "ply", Some(90.0)),
-        ("spz", "scene.spz", None),
-        ("gltf", "scene.glb", None),
+    for (format, file) in [
+        ("4dgs", "scene.4dgs"),
+        ("splatv", "scene.splatv"),
+        ("ply", "scene.ply"),
+        ("ply-sequence", "ply"),
+        ("spz", "scene.spz"),
+        ("gltf", "scene.glb"),
     ] {
         let report = dir.succeed(&format!("export out --format {format} --json")).result();
         assert_eq!(report["path"], format!("out/{file}"));
         assert_eq!(report["format"], format);
         assert!(number(&report["bytes"]) > 1000.0 && number(&report["bytes_per_splat"]) > 5.0);
-        let compared = &report["comparison"];
-        assert_eq!(compared.is_null(), least_db.is_none(), "{format}");
-        if let Some(least_db) = least_db {
-            assert_eq!(compared["views"], 4);
-            let worst = number(&compared["lowest_psnr_db"]);
-            assert!(worst > least_db, "{format}: {worst:.2} dB in the worst view");
-        }
         dir.refused(&format!("export out --format {format}"), 73, &["--force"]);
     }
-    for format in ["colmap", "nerfstudio"] {
-        dir.refused(&format!("export out --format {format}"), 65, &[format, "stores captures"]);
-    }
+    dir.refused("export out --format colmap", 65, &["colmap", "stores captures"]);
     // 17 numbers per splat, besides the header
-    let still = dir.succeed("export out --format ply --force --no-compare --json").result();
+    let still = dir.succeed("export out --format ply --force --json").result();
     assert!((68.0..69.5).contains(&number(&still["bytes_per_splat"])), "{still}");
     assert_eq!(dir.count("out/ply"), FRAMES);
-    let half = dir.succeed("export out --format ply-sequence --fps 11 --force --no-compare --json");
+    let half = dir.succeed("export out --format ply-sequence --fps 11 --force --json");
     let half = half.result();
     assert_eq!(half["moments"].as_array().unwrap().len(), 6);
     assert_eq!(dir.count("out/ply"), 6);
-    assert!(half["comparison"].is_null());
-
-    let ended = dir.succeed("export out -o clip.mp4");
-    assert_eq!(ended.stdout.trim_end(), "clip.mp4", "the result is the path and nothing else");
-    assert_eq!(frames_of(&dir.path("clip.mp4")).0, FRAMES);
 }
 
 #[test]
@@ -88,17 +73,10 @@ fn mip_filter_is_baked() {
     let report = |more: &str| {
         let report = dir.succeed(&format!("export out --force --json {more}")).result();
         let losses = ["baked", "dropped"].map(|sort| report["losses"][sort].to_string());
-        (report["comparison"].clone(), losses)
+        losses
     };
-    for (format, is_read) in
-        [("4dgs", true), ("splatv", false), ("ply", true), ("ply-sequence", true), ("spz", false), ("gltf", false)]
-    {
-        let (compared, [baked, dropped]) = report(&format!("--format {format}"));
-        if is_read {
-            let db = number(&compared["psnr_db"]);
-            println!("{format}: {db:.2} dB");
-            assert!(db > 50.0, "{format}: {db:.2} dB in a player without the filter");
-        }
+    for format in ["4dgs", "splatv", "ply", "ply-sequence", "spz", "gltf"] {
+        let [baked, dropped] = report(&format!("--format {format}"));
         assert!(baked.contains("Mip filter"), "{format}: {baked}");
         assert!(!dropped.contains("Mip") && !dropped.contains("opacity-compensated"), "{format}: {dropped}");
     }
@@ -108,7 +86,7 @@ fn mip_filter_is_baked() {
 fn exports_round_trip_through_import() {
     let dir = Scratch::new();
     write_scene(&dir, false);
-    dir.succeed("export out --no-compare");
+    dir.succeed("export out");
     let report = dir.succeed("import out/scene.4dgs -o back --json").result();
     assert_eq!((&report["cameras"], &report["time_frames"]), (&FRAMES.into(), &FRAMES.into()));
     assert_eq!((&report["splats_static"], &report["splats_dynamic"]), (&576.into(), &60.into()));
@@ -116,9 +94,12 @@ fn exports_round_trip_through_import() {
     assert_eq!(safetensors::read(&dir.path("back/scene.safetensors")).unwrap().scene.source.len(), FRAMES);
     dir.succeed("render back -o png");
     assert_eq!(dir.count("png"), FRAMES);
-    // what has been rounded once is hardly changed by being rounded again
-    let again = dir.succeed("export back --json").result();
-    assert!(number(&again["comparison"]["psnr_db"]) > 40.0, "{again}");
+    dir.succeed("render out -o original");
+    for i in 0..FRAMES {
+        let frame = format!("{i:05}.png");
+        let off = difference(&dir.path("original").join(&frame), &dir.path("png").join(&frame));
+        assert!(off < 1.5, "frame {i}: {off} levels");
+    }
     dir.refused("import out/scene.4dgs -o back", 73, &["--force"]);
     dir.succeed("import out/scene.4dgs -o back --force");
 }
@@ -134,10 +115,8 @@ fn static_ply_of_another_program_gets_cameras() {
     };
     let scene = bare_scene(random_splats(5, &random_camera(3, 64, 48), &spec), 1);
     safetensors::write(&dir.path("a.safetensors"), &scene, None, &BTreeMap::new()).unwrap();
-    // without cameras there is nothing to compare from, and no clip
     let report = dir.succeed("export a.safetensors --format ply -o a.ply --json").result();
-    assert!(report["comparison"].is_null() && report["bytes_per_s"].is_null());
-    dir.refused("export a.safetensors -o a.mp4", 65, &["no cameras"]);
+    assert!(report["bytes_per_s"].is_null());
 
     let ended = dir.succeed("import a.ply -o in");
     assert!(ended.stderr.contains("no cameras"), "{}", ended.stderr);
@@ -161,7 +140,7 @@ fn invalid_requests_are_rejected_with_a_hint() {
         ("export out --format ply --time 99", 2, "frames 0 to 11"),
         ("export out --format ply --time soon", 2, "soon"),
         ("export out --format obj", 2, "choose one of 4dgs"),
-        ("export out --format usd", 2, "choose one of 4dgs"),
+        ("export out -o a.mp4", 2, "minute4d render"),
         ("export nowhere", 66, "nowhere"),
         ("import a.obj -o in", 2, "add --format"),
         ("import a.ply -o in", 65, "stored as ascii"),

@@ -137,7 +137,7 @@ fn line(options: &str) -> String {
 }
 
 /// Mean absolute difference of two images of one size, levels.
-fn difference(a: &Path, b: &Path) -> f64 {
+pub fn difference(a: &Path, b: &Path) -> f64 {
     let (a, b) = (read_rgb(a).unwrap(), read_rgb(b).unwrap());
     assert_eq!(a.size(), b.size());
     let pixels = a.data().as_flattened().iter().zip(b.data().as_flattened());

@@ -1,11 +1,10 @@
-//! Nerfies, HyperNeRF and the iPhone scenes of DyCheck, which share one layout.
+//! The iPhone scenes of DyCheck, and the scenes of Nerfies and HyperNeRF that DyCheck republished in the same layout.
 //!
 //! ```text
-//! dataset.json            ids, train_ids, val_ids
-//! metadata.json           id -> warp_id (or time_id), camera_id
+//! dataset.json            tells the format
 //! scene.json              scale, center, near, far: of the scene after `(x - center) * scale`; used here to tell the unit of depth
 //! extra.json              fps (DyCheck)
-//! splits/{train,val}.json frame_names, camera_ids, time_ids (DyCheck; else train_ids and val_ids of dataset.json)
+//! splits/{train,val}.json frame_names, camera_ids, time_ids
 //! camera/ID.json          orientation (3x3, world to camera), position (the camera's centre), focal_length, principal_point (from the
 //!                         corner), image_size [w, h], skew, pixel_aspect_ratio, radial_distortion [3], tangential_distortion [2]
 //! rgb/Fx/ID.png           shrunk F times; depth/Fx/ID.npy z-depth [h][w][1], 0 where unknown; covisible/Fx/val/ID.png ([`covisible`])
@@ -27,7 +26,7 @@ use crate::files::json;
 use crate::{Fault, ReadError, pose};
 use m4_core::{Intrinsics, Progress, Se3};
 use serde::Deserialize;
-use std::collections::{HashMap, HashSet};
+use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 
 /// By what images are shrunk: 2 in the tables of the papers.
@@ -221,33 +220,15 @@ struct Names {
     time_ids: Vec<u32>,
 }
 
-#[derive(Deserialize)]
-struct Dataset {
-    #[serde(default)]
-    train_ids: Vec<String>,
-    #[serde(default)]
-    val_ids: Vec<String>,
-}
-
-#[derive(Deserialize)]
-struct Meta {
-    /// Which moment; HyperNeRF calls it `time_id` in some files.
-    warp_id: Option<u32>,
-    time_id: Option<u32>,
-    #[serde(default)]
-    camera_id: u32,
-}
-
 pub(super) fn read_split(root: &Path, progress: &dyn Progress) -> Result<Split, ReadError> {
-    let (mut train, test, file) = if root.join("splits/train.json").is_file() {
-        let file = root.join("splits/train.json");
-        let val = root.join("splits/val.json");
-        let test = if val.is_file() { of_split(&val)? } else { Vec::new() };
-        (of_split(&file)?, test, file)
-    } else {
-        let (train, test) = of_dataset(root)?;
-        (train, test, root.join("dataset.json"))
-    };
+    let file = root.join("splits/train.json");
+    if !file.is_file() {
+        let hint = "give a scene of DyCheck, or one of Nerfies or HyperNeRF with the splits of DyCheck";
+        return Err(Fault::missing("splits/train.json", hint).at(root));
+    }
+    let val = root.join("splits/val.json");
+    let mut train = of_split(&file)?;
+    let test = if val.is_file() { of_split(&val)? } else { Vec::new() };
     for id in train.iter().chain(&test) {
         // a name becomes part of a path
         if !(1..=MAX_NAME).contains(&id.name.len()) || id.name.contains(['/', '\\']) || id.name.contains("..") {
@@ -292,26 +273,6 @@ fn of_split(file: &Path) -> Result<Vec<Id>, ReadError> {
     }
     let ids = names.frame_names.into_iter().zip(names.camera_ids).zip(names.time_ids);
     Ok(ids.map(|((name, camera), time)| Id { name, camera, time: time.into() }).collect())
-}
-
-fn of_dataset(root: &Path) -> Result<(Vec<Id>, Vec<Id>), ReadError> {
-    let file = root.join("dataset.json");
-    let dataset: Dataset = json(&file)?;
-    let meta: HashMap<String, Meta> = json(&root.join("metadata.json"))?;
-    let ids = |names: Vec<String>| -> Result<Vec<Id>, ReadError> {
-        let id = |name: String| {
-            let found = meta.get(&name);
-            let time = found.and_then(|m| m.warp_id.or(m.time_id));
-            let Some((meta, time)) = found.zip(time) else {
-                let short: String = name.chars().take(MAX_NAME).collect();
-                let what = format!("warp_id of {short} in metadata.json");
-                return Err(Fault::missing(what, "give the moment of each frame").at(&file));
-            };
-            Ok(Id { camera: meta.camera_id, time: time.into(), name })
-        };
-        names.into_iter().map(id).collect()
-    };
-    Ok((ids(dataset.train_ids)?, ids(dataset.val_ids)?))
 }
 
 /// Maps that are examined.

@@ -20,7 +20,6 @@ pub mod colmap;
 pub mod davis;
 pub mod depth;
 pub mod dycheck;
-pub(crate) mod export;
 pub mod megasam;
 pub mod nerfstudio;
 mod nvidia;
@@ -46,7 +45,7 @@ use std::path::Path;
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum SourceFormat {
-    /// Nerfies, HyperNeRF, DyCheck's iPhone scenes ([`dycheck`]).
+    /// DyCheck's iPhone scenes, and scenes of Nerfies and HyperNeRF in its layout ([`dycheck`]).
     Dycheck,
     /// NVIDIA Dynamic Scenes and other clips with LLFF's `poses_bounds.npy`.
     Nvidia,

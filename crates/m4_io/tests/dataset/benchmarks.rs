@@ -125,25 +125,21 @@ fn dycheck_matches_the_clip_it_was_written_from() {
 }
 
 #[test]
-fn dycheck_without_splits_uses_dataset_lists() {
+fn dycheck_times_are_those_of_the_splits() {
     let (_dir, path) = copied("import/dycheck");
-    std::fs::remove_dir_all(path.join("splits")).unwrap();
     std::fs::remove_file(path.join("extra.json")).unwrap();
+    // every second frame is held out, and one of another camera is left out
+    let put = |split: &str, names: &[&str], cameras: &[u32], times: &[u32]| {
+        let split_json = serde_json::json!({ "frame_names": names, "camera_ids": cameras, "time_ids": times });
+        std::fs::write(path.join(format!("splits/{split}.json")), split_json.to_string()).unwrap();
+    };
+    put("train", &["0_00000", "0_00002", "0_00004", "1_00001"], &[0, 0, 0, 1], &[0, 2, 4, 1]);
+    put("val", &["0_00001", "0_00003", "2_00003"], &[0, 0, 2], &[1, 3, 3]);
     let heard = Heard::default();
     let clip = read(&path, SourceFormat::Dycheck, &ImportOptions::default(), &heard).unwrap();
     assert!(heard.all().contains("30 frames per second"), "{}", heard.all());
-    assert_poses(&clip.train, "c2w");
-    assert!((clip.train.duration_s.unwrap() - 4.0 / 30.0).abs() < 1e-12);
-    assert_eq!(clip.test.unwrap().frames.len(), 2);
-    // a clip of which every second frame is held out, and one of another camera
-    edit(
-        &path.join("dataset.json"),
-        r#""train_ids": ["0_00000", "0_00001", "0_00002", "0_00003", "0_00004"], "val_ids": ["1_00001", "2_00003"]"#,
-        r#""train_ids": ["0_00000", "0_00002", "0_00004", "1_00001"], "val_ids": ["0_00001", "0_00003", "2_00003"]"#,
-    );
-    let heard = Heard::default();
-    let clip = read(&path, SourceFormat::Dycheck, &ImportOptions::default(), &heard).unwrap();
     assert!(heard.all().contains("1 of 4 training frames"), "{}", heard.all());
+    assert!((clip.train.duration_s.unwrap() - 4.0 / 30.0).abs() < 1e-12);
     assert_near(&times(&clip.train), &[0.0, 1.0, 2.0], 0.0);
     assert_near(&times(&clip.test.unwrap()), &[0.5, 1.5, 1.5], 1e-12);
 }
@@ -193,6 +189,9 @@ fn malformed_dycheck_is_rejected_with_file_and_reason() {
     broken("camera/0_00001.json", "[[", "[[9", &["0_00001.json", "orientation", "not a rotation"]);
     broken("camera/0_00001.json", r#""focal_length": 100.0"#, r#""focal_length": -1"#, &["focal lengths -1"]);
     broken("camera/0_00001.json", "[96, 72]", "[72, 96]", &["0_00001.png", "rotated"]);
+    let (_dir, path) = copied("import/dycheck");
+    std::fs::remove_file(path.join("splits/train.json")).unwrap();
+    refuses(&path, SourceFormat::Dycheck, &["splits/train.json is missing"]);
     broken("splits/train.json", r#""time_ids": [4, "#, r#""time_ids": ["#, &["train.json", "4 time_ids"]);
     broken("splits/train.json", r#""time_ids": [4, "#, r#""time_ids": [3, "#, &["of one moment"]);
     broken("splits/val.json", "1_00001", "../../x", &["not the name of a frame"]);

@@ -3,8 +3,8 @@
 use crate::common::{Stop, says};
 use m4_core::nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use m4_core::{Capture, CaptureFrame, CompactMask, Silent, Tracks};
-use m4_io::dataset::{colmap, nerfstudio};
-use m4_io::image::{read_depth, read_mask, read_rgb};
+use m4_io::dataset::colmap;
+use m4_io::image::{read_mask, read_rgb};
 use m4_testkit::BoxScene;
 
 const SIZE: [usize; 2] = [64, 48];
@@ -74,65 +74,17 @@ fn colmap_export_has_cameras_and_static_points() {
 }
 
 #[test]
-fn nerfstudio_export_has_opengl_axes_millimetres_and_static_masks() {
-    let (_, capture) = capture_of(4);
-    let (_, mut test) = capture_of(4);
-    test.frames.truncate(2);
-    let dir = tempfile::tempdir().unwrap();
-    let out = dir.path().join("ns");
-    nerfstudio::write(&out, &capture, Some(&test), &Silent).unwrap();
-    let list: serde_json::Value = serde_json::from_slice(&std::fs::read(out.join("transforms.json")).unwrap()).unwrap();
-    assert_eq!(list["frames"].as_array().unwrap().len(), 6);
-    assert_eq!(list["train_filenames"].as_array().unwrap().len(), 4);
-    assert_eq!(list["test_filenames"][1], "images/test_00001.png");
-    assert_eq!(list["depth_unit_scale_factor"], 0.001);
-    // the second and third column of a pose are turned, the first and the place stay
-    let own = capture.frames[1].camera.c2w.matrix();
-    for i in 0..3 {
-        for (j, sign) in [1.0, -1.0, -1.0, 1.0].into_iter().enumerate() {
-            let found = list["frames"][1]["transform_matrix"][i][j].as_f64().unwrap();
-            assert!((found - sign * own[(i, j)]).abs() < 1e-12);
-        }
-    }
-    let depth = read_depth(&out.join("depths/00002.png"), 0.001).unwrap();
-    let own = capture.frames[2].depth.as_ref().unwrap();
-    assert!((depth.at(30, 20) - own.at(30, 20)).abs() < 6e-4 && own.at(30, 20) > 0.5);
-    let mask = read_mask(&out.join("masks/00002.png")).unwrap();
-    let own = capture.frames[2].mask.as_ref().unwrap();
-    let (x, y) = own.set_pixels().next().unwrap();
-    assert!(!mask.at(x, y) && mask.count() + own.count() == SIZE[0] * SIZE[1]);
-    let ply = std::fs::read(out.join("points.ply")).unwrap();
-    let header = String::from_utf8_lossy(&ply[..ply.len().min(300)]).into_owned();
-    let count: usize = header.split("element vertex ").nth(1).unwrap().lines().next().unwrap().parse().unwrap();
-    let start = header.find("end_header\n").unwrap() + "end_header\n".len();
-    assert_eq!(ply.len() - start, 15 * count);
-}
-
-#[test]
-fn captures_without_depth_have_no_points() {
-    let (_, mut capture) = capture_of(3);
-    capture.frames.iter_mut().for_each(|f| f.depth = None);
-    let dir = tempfile::tempdir().unwrap();
-    let out = dir.path().join("ns");
-    nerfstudio::write(&out, &capture, None, &Silent).unwrap();
-    let list = std::fs::read_to_string(out.join("transforms.json")).unwrap();
-    assert!(!list.contains("ply_file_path") && !list.contains("depth_file_path"), "{list}");
-    assert!(list.contains("mask_path") && !out.join("points.ply").exists());
-}
-
-#[test]
 fn cancelled_or_failed_exports_leave_no_files() {
     let (_, capture) = capture_of(3);
     let dir = tempfile::tempdir().unwrap();
     let out = dir.path().join("out");
-    assert!(nerfstudio::write(&out, &capture, None, &Stop).unwrap_err().to_string().contains("stopped"));
-    assert!(colmap::write(&out, &capture, &Stop).is_err());
+    assert!(colmap::write(&out, &capture, &Stop).unwrap_err().to_string().contains("stopped"));
     let mut broken = capture.clone();
     broken.frames[1].camera.c2w.rotation[(0, 0)] = f64::NAN;
-    says(&nerfstudio::write(&out, &broken, None, &Silent).unwrap_err(), &["frame 1"]);
+    says(&colmap::write(&out, &broken, &Silent).unwrap_err(), &["frame 1"]);
     let mut late = capture.clone();
     late.frames[2].t = 9.0;
-    says(&nerfstudio::write(&out, &late, None, &Silent).unwrap_err(), &["frame 2", "t = 9"]);
+    says(&colmap::write(&out, &late, &Silent).unwrap_err(), &["frame 2", "t = 9"]);
     let mut hollow = capture.clone();
     hollow.frames[0].mask = Some(CompactMask::from_fn(0, 0, |_, _| true));
     says(&colmap::write(&out, &hollow, &Silent).unwrap_err(), &["no pixels"]);

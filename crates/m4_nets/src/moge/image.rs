@@ -1,7 +1,6 @@
 //! Images of any size as the network takes them, the places of its maps' pixels, and its maps in the images' size.
 
 use super::focal;
-use super::layout::Remap;
 use crate::NetError;
 use crate::dinov2::PATCH;
 use crate::error::refuse;
@@ -104,15 +103,12 @@ const LIKELY: f32 = 0.5;
 
 impl RawOutput {
     /// Of planes `[n][height][width]` of raw numbers: three for points, one for the mask (a logit).
-    pub fn of_planes(
-        (width, height): (usize, usize),
-        points: &[f32],
-        mask: &[f32],
-        remap: Remap,
-        metric_scale: f32,
-    ) -> Self {
+    pub fn of_planes((width, height): (usize, usize), points: &[f32], mask: &[f32], metric_scale: f32) -> Self {
         let n = points.len() / 3;
-        let point = |i| remap.point([points[i], points[n + i], points[2 * n + i]]);
+        let point = |i: usize| {
+            let z = points[2 * n + i].exp();
+            [points[i] * z, points[n + i] * z, z]
+        };
         Self {
             width,
             height,

@@ -29,38 +29,16 @@ pub struct Level {
     pub output: Option<usize>,
 }
 
-/// A normalisation in residual blocks.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Norm {
-    /// Over all channels.
-    Layer,
-    /// Over 32 channels each.
-    Group,
-}
-
 /// The decoder or a head.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct StackLayout {
     /// From small to large maps.
     pub levels: Vec<Level>,
-    /// Normalisations before and between the convolutions of residual blocks.
-    pub norms: [Option<Norm>; 2],
 }
 
 impl StackLayout {
-    /// Groups of channels that normalisations of a block have.
-    pub fn groups(&self, width: usize, hidden: usize) -> [Option<usize>; 2] {
-        let groups = |norm: Option<Norm>, width: usize| {
-            norm.map(|norm| match norm {
-                Norm::Layer => 1,
-                Norm::Group => (width / 32).max(1),
-            })
-        };
-        [groups(self.norms[0], width), groups(self.norms[1], hidden)]
-    }
-
-    /// Of the stack `name`, its normalisations taken for `kinds` where there are any; `None` if there is none of that name.
-    pub fn in_checkpoint(shapes: &Shapes, name: &str, kinds: [Norm; 2]) -> Option<Self> {
+    /// Of the stack `name`; `None` if there is none of that name.
+    pub fn in_checkpoint(shapes: &Shapes, name: &str) -> Option<Self> {
         let shape = |part: &str| shapes.get(&format!("{name}.{part}.weight"));
         let side = |part: &str, axis: usize| shape(part).and_then(|shape| shape.get(axis)).copied();
         let mut levels = Vec::new();
@@ -85,13 +63,7 @@ impl StackLayout {
                 break;
             }
         }
-        let any = |part: &str| {
-            let end = format!(".{part}.weight");
-            let start = format!("{name}.res_blocks.");
-            shapes.keys().any(|key| key.starts_with(&start) && key.ends_with(&end))
-        };
-        let norms = [any("in_norm").then_some(kinds[0]), any("hidden_norm").then_some(kinds[1])];
-        (!levels.is_empty()).then_some(Self { levels, norms })
+        (!levels.is_empty()).then_some(Self { levels })
     }
 
     /// Channels of what the levels give away.
@@ -118,14 +90,14 @@ pub struct Layout {
 const MOST_CHANNELS: usize = 1 << 14;
 
 impl Layout {
-    /// Of a checkpoint with `shapes` (by the names of fields), `kinds` telling the normalisations of each stack.
-    pub fn in_checkpoint(shapes: &Shapes, kinds: impl Fn(&str) -> [Norm; 2]) -> Result<Self, String> {
+    /// Of a checkpoint with `shapes` (by the names of fields).
+    pub fn in_checkpoint(shapes: &Shapes) -> Result<Self, String> {
         let wide = shapes.iter().find(|(_, shape)| shape.iter().any(|&n| n > MOST_CHANNELS));
         if let Some((name, shape)) = wide {
             return Err(format!("{name} has the shape {shape:?}, which is too large"));
         }
         let stack = |name: &str| {
-            let found = StackLayout::in_checkpoint(shapes, name, kinds(name));
+            let found = StackLayout::in_checkpoint(shapes, name);
             found.ok_or_else(|| format!("{name} has no level"))
         };
         let projection = shapes.get("encoder.output_projections.0.weight");
@@ -187,41 +159,6 @@ fn fits(name: &str, stack: &StackLayout, inputs: impl Iterator<Item = Option<usi
     Ok(())
 }
 
-/// What becomes of the three numbers of a point.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Remap {
-    Linear,
-    Sinh,
-    /// `z = exp c`, and `(x, y) = (a, b) z`.
-    Exp,
-    SinhExp,
-}
-
-impl Remap {
-    fn named(name: &str) -> Option<Self> {
-        match name {
-            "linear" => Some(Self::Linear),
-            "sinh" => Some(Self::Sinh),
-            "exp" => Some(Self::Exp),
-            "sinh_exp" => Some(Self::SinhExp),
-            _ => None,
-        }
-    }
-
-    /// The point of three numbers.
-    pub fn point(self, [a, b, c]: [f32; 3]) -> [f32; 3] {
-        match self {
-            Self::Linear => [a, b, c],
-            Self::Sinh => [a.sinh(), b.sinh(), c.sinh()],
-            Self::Exp => {
-                let z = c.exp();
-                [a * z, b * z, z]
-            }
-            Self::SinhExp => [a.sinh(), b.sinh(), c.exp()],
-        }
-    }
-}
-
 /// What a checkpoint says of itself.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Config {
@@ -229,24 +166,13 @@ pub struct Config {
     pub taps: Vec<usize>,
     /// Least and most patches that it was trained with.
     pub tokens: (usize, usize),
-    pub remap: Remap,
-    /// Normalisations of the stacks, by their names.
-    norms: Vec<(String, [Norm; 2])>,
 }
 
-/// Default normalisations.
-const NORMS: [Norm; 2] = [Norm::Layer, Norm::Group];
-
 impl Config {
-    /// Of a backbone of `size`: four blocks at equal distances, the last among them, 1200 to 3600 patches, exponential depth. The published
+    /// Of a backbone of `size`: four blocks at equal distances, the last among them, 1200 to 3600 patches. The published
     /// training configuration is that of the large one, whose blocks are 5, 11, 17 and 23.
     pub fn published(size: BackboneSize) -> Self {
-        Self {
-            taps: (1..=4).map(|i| i * size.depth() / 4 - 1).collect(),
-            tokens: (1200, 3600),
-            remap: Remap::Exp,
-            norms: Vec::new(),
-        }
+        Self { taps: (1..=4).map(|i| i * size.depth() / 4 - 1).collect(), tokens: (1200, 3600) }
     }
 
     /// That of the checkpoint at `path`, where it has one: the official ones are a dictionary of `model_config` and `model`.
@@ -275,27 +201,20 @@ impl Config {
             let range = range.ok_or("num_tokens_range is not two rising numbers")?;
             self.tokens = (range[0], range[1]);
         }
-        if let Some(remap) = entry(stored, "remap_output") {
-            let name = text(remap).unwrap_or_default();
-            self.remap = Remap::named(name).ok_or_else(|| format!("remap_output = {remap:?} is not known"))?;
+        if let Some(remap) = entry(stored, "remap_output").filter(|&name| text(name) != Some("exp")) {
+            return Err(format!("remap_output = {remap:?} is not known"));
         }
         for stack in ["neck", "points_head", "mask_head"] {
             if let Some(stored) = entry(stored, stack) {
-                let norms = stack_norms(stored).map_err(|reason| format!("{stack}: {reason}"))?;
-                self.norms.push((stack.to_owned(), norms));
+                check_stack(stored).map_err(|reason| format!("{stack}: {reason}"))?;
             }
         }
         Ok(())
     }
-
-    /// The normalisations of the stack `name`, where it has any.
-    pub fn norms(&self, name: &str) -> [Norm; 2] {
-        let found = self.norms.iter().find(|(stack, _)| stack == name);
-        found.map_or(NORMS, |(_, norms)| *norms)
-    }
 }
 
-fn stack_norms(stored: &PickleValue) -> Result<[Norm; 2], String> {
+/// Fails if a stack has an unknown activation or resampler, which its tensors cannot tell.
+fn check_stack(stored: &PickleValue) -> Result<(), String> {
     if let Some(activation) = entry(stored, "activation").filter(|&name| text(name) != Some("relu")) {
         return Err(format!("activation = {activation:?} is not known"));
     }
@@ -308,17 +227,7 @@ fn stack_norms(stored: &PickleValue) -> Result<[Norm; 2], String> {
     if let Some(up) = ups.iter().find(|up| !known(up)) {
         return Err(format!("resamplers of {up:?} are not known"));
     }
-    let mut norms = NORMS;
-    for (norm, key) in norms.iter_mut().zip(["res_block_in_norm", "res_block_hidden_norm"]) {
-        *norm = match entry(stored, key).map(|name| (name, text(name))) {
-            // without one there is no tensor of it, and its kind is never asked for
-            None | Some((_, Some("none"))) => *norm,
-            Some((_, Some("layer_norm"))) => Norm::Layer,
-            Some((_, Some("group_norm"))) => Norm::Group,
-            Some((other, _)) => return Err(format!("{key} = {other:?} is not known")),
-        };
-    }
-    Ok(norms)
+    Ok(())
 }
 
 fn entry<'a>(value: &'a PickleValue, key: &str) -> Option<&'a PickleValue> {

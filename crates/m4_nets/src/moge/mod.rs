@@ -11,9 +11,9 @@
 //! ```
 //!
 //! The number of patches is free. Widths, levels and heads are read off the checkpoint's tensors; what they cannot tell (which blocks are
-//! tapped, how many patches it was trained with, how numbers become points) is read from the `model_config` of the official files, and
-//! is that of the public training configuration where a file has none: the last block of each quarter, 1200 to 3600, `z = exp c` and
-//! `(x, y) = (a, b) z` of the three numbers `a, b, c` of a point.
+//! tapped, how many patches it was trained with) is read from the `model_config` of the official files, and is that of the public
+//! training configuration where a file has none: the last block of each quarter, 1200 to 3600. The three numbers `a, b, c` of a point
+//! are `z = exp c` and `(x, y) = (a, b) z`.
 
 mod focal;
 mod image;
@@ -65,13 +65,11 @@ struct Scale {
 }
 
 /// Names of the checkpoint that are not those of fields.
-const RENAMES: [(&str, &str); 11] = [
+const RENAMES: [(&str, &str); 9] = [
     (r"^model\.", ""),
     (r"\.resamplers\.(\d+)\.0\.", ".resamplers.$1.transposed."),
     (r"\.resamplers\.(\d+)\.1\.", ".resamplers.$1.conv."),
-    (r"\.layers\.0\.", ".in_norm."),
     (r"\.layers\.2\.", ".conv1."),
-    (r"\.layers\.3\.", ".hidden_norm."),
     (r"\.layers\.5\.", ".conv2."),
     (r"^scale_head\.0\.", "scale_head.layers.0."),
     (r"^scale_head\.2\.", "scale_head.layers.1."),
@@ -147,7 +145,7 @@ impl MoGe {
         let other = |wrong: String| LoadError::misfit(NAME, path, &[], &[wrong]);
         let taps = Layout::taps_of(&shapes);
         let config = Config::of_checkpoint(path, size).map_err(other)?;
-        let layout = Layout::in_checkpoint(&shapes, |stack| config.norms(stack)).map_err(other)?;
+        let layout = Layout::in_checkpoint(&shapes).map_err(other)?;
         let rising = config.taps.windows(2).all(|pair| pair[0] < pair[1]);
         if config.taps.len() != taps || !rising || config.taps.iter().any(|&tap| tap >= size.depth()) {
             let wrong = format!("blocks {:?} are to be tapped by {taps} projections", config.taps);
@@ -179,6 +177,6 @@ impl MoGe {
         let points = planes(out.points)?;
         let mask = planes(out.mask)?;
         let log_scale = numbers(out.log_scale)?.first().copied().unwrap_or(f32::NAN);
-        Ok(RawOutput::of_planes(image.size(), &points, &mask, self.config.remap, log_scale.exp()))
+        Ok(RawOutput::of_planes(image.size(), &points, &mask, log_scale.exp()))
     }
 }

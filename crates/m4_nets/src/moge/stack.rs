@@ -13,8 +13,8 @@ use burn_core as burn;
 use burn_core::module::{Module, Param};
 use burn_core::tensor::activation::relu;
 use burn_core::tensor::{Device, Tensor};
+use burn_nn::Initializer;
 use burn_nn::conv::{Conv2d, ConvTranspose2d};
-use burn_nn::{GroupNorm, GroupNormConfig, Initializer};
 
 /// The decoder or a head.
 #[derive(Module, Debug)]
@@ -32,13 +32,10 @@ struct Enlarge {
     conv: Conv2d,
 }
 
-/// Two convolutions beside a shortcut. Named `layers.0` (a normalisation, if there is one), `layers.2`, `layers.3`, `layers.5` in the
-/// checkpoint.
+/// Two convolutions beside a shortcut. Named `layers.2` and `layers.5` in the checkpoint.
 #[derive(Module, Debug)]
 struct Residual {
-    in_norm: Option<GroupNorm>,
     conv1: Conv2d,
-    hidden_norm: Option<GroupNorm>,
     conv2: Conv2d,
 }
 
@@ -48,23 +45,13 @@ fn wide(channels: [usize; 2], device: &Device) -> Conv2d {
 }
 
 impl Residual {
-    fn new(width: usize, hidden: usize, groups: [Option<usize>; 2], device: &Device) -> Self {
-        let norm = |groups: Option<usize>, width| groups.map(|n| GroupNormConfig::new(n, width).init(device));
-        Self {
-            in_norm: norm(groups[0], width),
-            conv1: wide([width, hidden], device),
-            hidden_norm: norm(groups[1], hidden),
-            conv2: wide([hidden, width], device),
-        }
+    fn new(width: usize, hidden: usize, device: &Device) -> Self {
+        Self { conv1: wide([width, hidden], device), conv2: wide([hidden, width], device) }
     }
 
     fn forward(&self, x: Tensor<4>) -> Tensor<4> {
-        let normed = |norm: &Option<GroupNorm>, x: Tensor<4>| match norm {
-            Some(norm) => norm.forward(x),
-            None => x,
-        };
-        let y = convolve_edges(relu(normed(&self.in_norm, x.clone())), &self.conv1);
-        convolve_edges(relu(normed(&self.hidden_norm, y)), &self.conv2) + x
+        let y = convolve_edges(relu(x.clone()), &self.conv1);
+        convolve_edges(relu(y), &self.conv2) + x
     }
 }
 
@@ -95,8 +82,7 @@ impl Stack {
         let levels = &layout.levels;
         let single = |from: usize, to: usize| conv([from, to], 1, 1, true, device);
         let blocks = |level: &Level| {
-            let block =
-                |&hidden: &usize| Residual::new(level.width, hidden, layout.groups(level.width, hidden), device);
+            let block = |&hidden: &usize| Residual::new(level.width, hidden, device);
             level.blocks.iter().map(block).collect()
         };
         let ups = levels.iter().zip(levels.iter().skip(1));

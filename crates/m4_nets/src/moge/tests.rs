@@ -2,7 +2,7 @@
 
 use super::focal::recovered;
 use super::image::Grid;
-use super::layout::{Config, Layout, Norm, Remap};
+use super::layout::{Config, Layout};
 use super::{MoGe, MoGeOptions, Net, RENAMES, unneeded};
 use crate::dinov2::BackboneSize;
 use crate::fixture::{Fixture, assert_close, assert_near, assert_same_tensors, every_map, renamed};
@@ -88,8 +88,7 @@ fn each_model_has_exactly_the_tensors_of_its_checkpoint() {
         (BackboneSize::Large, LARGE_WITHOUT),
     ] {
         let shapes = renamed(keys, &RENAMES);
-        let config = Config::published(size);
-        let layout = Layout::in_checkpoint(&shapes, |stack| config.norms(stack)).unwrap();
+        let layout = Layout::in_checkpoint(&shapes).unwrap();
         let net = Net::new(size, &layout, &cpu());
         assert_same_tensors(&net, keys, &RENAMES, unneeded);
     }
@@ -104,9 +103,7 @@ fn official_file_holds_the_configuration() {
     assert_eq!(names, ["encoder.backbone.cls_token", "neck.resamplers.3.conv.bias"]);
     let config = Config::of_checkpoint(&path, BackboneSize::Small).unwrap();
     assert_eq!(config.taps, [1, 4, 7, 11]);
-    assert_eq!((config.tokens, config.remap), ((900, 2500), Remap::SinhExp));
-    assert_eq!(config.norms("neck"), [Norm::Layer, Norm::Layer]);
-    assert_eq!(config.norms("mask_head"), [Norm::Layer, Norm::Group]);
+    assert_eq!(config.tokens, (900, 2500));
     let published = Config::published(BackboneSize::Large);
     assert_eq!((published.taps, published.tokens), (vec![5, 11, 17, 23], (1200, 3600)));
 }
@@ -121,7 +118,6 @@ fn an_unknown_setting_is_an_error() {
         (dict("num_tokens_range", PickleValue::List(vec![PickleValue::Int(5)])), "num_tokens_range"),
         (dict("neck", dict("activation", text("silu"))), "silu"),
         (dict("mask_head", dict("resamplers", text("pixel_shuffle"))), "pixel_shuffle"),
-        (dict("neck", dict("res_block_in_norm", text("instance_norm"))), "instance_norm"),
         (dict("encoder", dict("intermediate_layers", PickleValue::Int(4))), "intermediate_layers"),
     ] {
         let error = Config::published(BackboneSize::Small).read(&said).unwrap_err();
@@ -146,8 +142,7 @@ fn layouts_that_do_not_fit_are_refused() {
             Some(shape) => shapes.insert(name.to_owned(), shape),
             None => shapes.remove(name),
         };
-        let config = Config::published(BackboneSize::Small);
-        let error = Layout::in_checkpoint(&shapes, |stack| config.norms(stack)).unwrap_err();
+        let error = Layout::in_checkpoint(&shapes).unwrap_err();
         assert!(error.contains(message), "{error}");
     }
 }

@@ -1,4 +1,4 @@
-//! Exports a scene for other tools, and reports bytes, seconds, and the loss in decibels against our own rendering.
+//! Exports a scene for other tools, and reports bytes, seconds and losses.
 //!
 //! Adding a format: a variant of [`Format`] with its row in the table, an arm in `write.rs`, and, where
 //! there is a reader, one in `crate::import`.
@@ -7,7 +7,7 @@ mod bake;
 mod report;
 mod write;
 
-pub use report::{Comparison, ExportReport, Losses};
+pub use report::{ExportReport, Losses};
 
 use crate::error::OutputError;
 use crate::folder::SCENE_FILE;
@@ -33,8 +33,6 @@ pub struct ExportJob {
     pub fps: Option<f64>,
     /// Replace what is there.
     pub replace: bool,
-    /// Render what was written and compare it with the scene.
-    pub compare: bool,
     /// Which files a capture may name.
     pub reach: m4_io::reach::Reach,
 }
@@ -42,15 +40,7 @@ pub struct ExportJob {
 impl ExportJob {
     /// The format as it is by itself.
     pub fn new(format: Format) -> Self {
-        Self {
-            format,
-            out: None,
-            time: None,
-            fps: None,
-            replace: false,
-            compare: true,
-            reach: m4_io::reach::Reach::Inside,
-        }
+        Self { format, out: None, time: None, fps: None, replace: false, reach: m4_io::reach::Reach::Inside }
     }
 }
 
@@ -71,7 +61,7 @@ pub fn make(input: &Path, job: &ExportJob, observer: &dyn Observer) -> Result<Ex
     }
     if lone_capture {
         return Err(Refusal::bad_input(format!(
-            "{} is a capture, which the format {} cannot store; choose colmap or nerfstudio, or train it first (`minute4d train`)",
+            "{} is a capture, which the format {} cannot store; choose colmap, or train it first (`minute4d train`)",
             input.display(),
             job.format.name()
         ))
@@ -93,16 +83,12 @@ pub fn make(input: &Path, job: &ExportJob, observer: &dyn Observer) -> Result<Ex
     let scene = safetensors::read(&file)?.scene;
     let moments = job.moments(&scene)?;
     let start = Instant::now();
-    let has_splats = job.format.time() != Time::Video;
-    let baked = if has_splats { bake::bake(&scene) } else { None };
-    let (plain, loss) = baked.unzip();
+    let (plain, loss) = bake::bake(&scene).unzip();
     let mut written = write::write(plain.as_ref().unwrap_or(&scene), &out, &moments, job, observer)?;
     written.losses.splice(0..0, loss);
     drop(plain);
     let encode_s = start.elapsed().as_secs_f64();
-    let comparison =
-        if job.compare { report::compare(&scene, &written.path, job.format, &moments, observer)? } else { None };
-    Ok(ExportReport::new(&scene, job.format, &moments, written, encode_s, comparison))
+    Ok(ExportReport::new(&scene, job.format, &moments, written, encode_s))
 }
 
 impl ExportJob {
@@ -114,10 +100,9 @@ impl ExportJob {
                 self.format.name()
             )));
         }
-        let is_sampled = matches!(time, Time::Sequence | Time::Video);
-        if self.fps.is_some() && !is_sampled {
+        if self.fps.is_some() && time != Time::Sequence {
             return Err(Refusal::usage(format!(
-                "--fps has no meaning for {}; leave it out, or choose ply-sequence or mp4",
+                "--fps has no meaning for {}; leave it out, or choose ply-sequence",
                 self.format.name()
             )));
         }
@@ -139,7 +124,7 @@ impl ExportJob {
                 let count = (last / step + 1e-9).floor() as usize + 1;
                 Ok((0..count).map(|i| (i as f64 * step).min(last)).collect())
             }
-            Time::Clip | Time::Video | Time::Capture => Ok(Vec::new()),
+            Time::Clip | Time::Capture => Ok(Vec::new()),
         }
     }
 }
@@ -172,10 +157,6 @@ pub enum Format {
     Gltf,
     /// Of a capture: a COLMAP model with images, masks and points of static regions.
     Colmap,
-    /// Of a capture: a folder of nerfstudio with images, masks, depth and points.
-    Nerfstudio,
-    /// A video along the cameras of the source.
-    Mp4,
 }
 
 /// What a format does with time.
@@ -187,8 +168,6 @@ pub enum Time {
     Instant,
     /// It holds one instant a frame.
     Sequence,
-    /// It holds images.
-    Video,
     /// It holds a capture, no splats.
     Capture,
 }
@@ -204,8 +183,6 @@ const FORMATS: &[Entry] = &[
     (Format::Spz, "spz", "scene.spz", Time::Instant),
     (Format::Gltf, "gltf", "scene.glb", Time::Instant),
     (Format::Colmap, "colmap", "colmap", Time::Capture),
-    (Format::Nerfstudio, "nerfstudio", "nerfstudio", Time::Capture),
-    (Format::Mp4, "mp4", "scene.mp4", Time::Video),
 ];
 
 impl Format {

@@ -1,16 +1,13 @@
-//! Writes files of splats, captures for other tools, and videos.
+//! Writes files of splats, and captures for COLMAP.
 
 use super::{ExportJob, ExportReport, Format, Losses, occupied};
 use crate::error::OutputError;
-use crate::render::{Painter, source_fps};
 use crate::{Error, Observer, Refusal, Settings};
-use m4_core::{Capture, Scene};
+use m4_core::Scene;
 use m4_io::ErrorKind;
 use m4_io::capture::{self, CaptureOptions, Split};
-use m4_io::dataset::{colmap, nerfstudio};
-use m4_io::scene::{Loss, Written, fourdgs, gltf, ply, splatv, spz};
-use m4_io::video::Mp4Writer;
-use m4_kernels::SimdLevel;
+use m4_io::dataset::colmap;
+use m4_io::scene::{Written, fourdgs, gltf, ply, splatv, spz};
 use std::path::Path;
 use std::time::Instant;
 
@@ -41,8 +38,7 @@ pub(super) fn write(
         }
         Format::Spz => spz::write(out, scene, t)?,
         Format::Gltf => gltf::write(out, scene, t)?,
-        Format::Colmap | Format::Nerfstudio => return Err(needs_capture(job.format).into()),
-        Format::Mp4 => write_video(out, scene, job.fps, observer)?,
+        Format::Colmap => return Err(needs_capture(job.format).into()),
     };
     Ok(written)
 }
@@ -53,36 +49,6 @@ pub(super) fn needs_capture(format: Format) -> Refusal {
         "the format {} stores captures, not scenes; give the folder of a capture, or choose a format of scenes such as ply",
         format.name()
     ))
-}
-
-/// Renders every camera of the source at its own moment, with its exposure, in the order of time.
-fn write_video(out: &Path, scene: &Scene, fps: Option<f64>, observer: &dyn Observer) -> Result<Written, Error> {
-    let size = match scene.source.first() {
-        Some(first) => first.camera.intrinsics,
-        None => {
-            let message = "the scene has no cameras to render it from; render it along a path, such as --path swing";
-            return Err(Refusal::bad_input(message).into());
-        }
-    };
-    let mut painter = Painter::new(scene, SimdLevel::detect()?);
-    let fps = fps.unwrap_or_else(|| source_fps(scene));
-    let mut writer = Mp4Writer::create(out, size.width, size.height, fps)?;
-    for (i, frame) in scene.source.iter().enumerate() {
-        if observer.cancelled() {
-            return Err(STOPPED);
-        }
-        let camera = frame.camera.resized(size.width, size.height);
-        writer.push(&painter.image(&camera, frame.t, &frame.exposure))?;
-        observer.update("export", i + 1, scene.source.len(), "");
-    }
-    writer.finish()?;
-    let bytes = std::fs::metadata(out).map_err(|source| Error::Read { path: out.to_path_buf(), source })?.len();
-    Ok(Written {
-        path: out.to_path_buf(),
-        bytes,
-        splats: 0,
-        losses: vec![Loss::Baked(format!("everything, into {} images", scene.source.len()))],
-    })
 }
 
 pub(super) fn make_capture(input: &Path, job: &ExportJob, observer: &dyn Observer) -> Result<ExportReport, Error> {
@@ -97,40 +63,18 @@ pub(super) fn make_capture(input: &Path, job: &ExportJob, observer: &dyn Observe
     }
     let options = CaptureOptions { reach: job.reach, ..Settings::fast().capture };
     let train = capture::read(input, Split::Train, &options, observer)?;
-    // COLMAP has no place for views of other cameras
-    let has_views = input.join(Split::Test.file_name()).is_file();
-    let takes_views = job.format == Format::Nerfstudio;
-    let test =
-        if has_views && takes_views { Some(capture::read(input, Split::Test, &options, observer)?) } else { None };
     let start = Instant::now();
-    let (bytes, mut losses) = write_capture(&out, &train, test.as_ref(), job.format, observer)?;
-    if has_views && !takes_views {
-        losses.dropped.push("held-out views".to_owned());
-    }
-    let seconds = start.elapsed().as_secs_f64();
-    Ok(ExportReport::of_capture(job.format, out, bytes, losses, seconds))
-}
-
-/// One arm a format; bytes that were written, and what they hold differently.
-fn write_capture(
-    out: &Path,
-    train: &Capture,
-    test: Option<&Capture>,
-    format: Format,
-    observer: &dyn Observer,
-) -> Result<(u64, Losses), Error> {
-    let written = match format {
-        Format::Colmap => colmap::write(out, train, observer),
-        Format::Nerfstudio => nerfstudio::write(out, train, test, observer),
-        other => {
-            return Err(Error::Internal { what: format!("{} was treated as a capture format", other.name()) });
-        }
-    };
-    let written = written.map_err(|error| match error.kind() {
+    let written = colmap::write(&out, &train, observer).map_err(|error| match error.kind() {
         ErrorKind::Cancelled => STOPPED,
         _ => error.into(),
     })?;
-    Ok((written.bytes, Losses::of(written.losses)))
+    let mut losses = Losses::of(written.losses);
+    // COLMAP has no place for views of other cameras
+    if input.join(Split::Test.file_name()).is_file() {
+        losses.dropped.push("held-out views".to_owned());
+    }
+    let seconds = start.elapsed().as_secs_f64();
+    Ok(ExportReport::of_capture(job.format, out, written.bytes, losses, seconds))
 }
 
 const STOPPED: Error = Error::Stopped { stage: "export", saved: false };

@@ -20,7 +20,6 @@ use crate::pipeline::Clock;
 use crate::record::{Input, RunRecord, SplatCount};
 use crate::workspace::Workspace;
 use crate::{DataError, Error, Job, Observer, Refusal, Settings, hash};
-use m4_io::scene::ply::frame_name;
 use m4_io::scene::{Imported, fourdgs, ply, safetensors};
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -167,16 +166,9 @@ impl ImportJob {
 }
 
 fn read(format: Format, path: &Path) -> Result<Imported, Error> {
-    let read = read_back(format, path, 0).ok_or_else(|| format::write_only(format))?;
-    Ok(read?)
-}
-
-/// The scene in what was exported; of a sequence that of file `moment`. `None` for formats that are not read.
-pub(crate) fn read_back(format: Format, path: &Path, moment: usize) -> Option<Result<Imported, DataError>> {
-    Some(match format {
-        Format::Fourdgs => fourdgs::read(path).map_err(DataError::from),
-        Format::Ply => ply::read(path).map_err(DataError::from),
-        Format::PlySequence => ply::read(&path.join(frame_name(moment))).map_err(DataError::from),
-        Format::Splatv | Format::Spz | Format::Gltf | Format::Colmap | Format::Nerfstudio | Format::Mp4 => return None,
-    })
+    match format {
+        Format::Fourdgs => Ok(fourdgs::read(path).map_err(DataError::from)?),
+        Format::Ply => Ok(ply::read(path).map_err(DataError::from)?),
+        _ => Err(format::write_only(format).into()),
+    }
 }

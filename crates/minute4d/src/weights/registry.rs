@@ -36,14 +36,6 @@ pub enum Origin {
         /// The page that offers it.
         page: &'static str,
     },
-    /// A repository on Hugging Face, which the program does not visit either; a copy that other tools left in the folder of
-    /// `HF_HOME` is used.
-    Hub {
-        /// `owner/name`.
-        repository: &'static str,
-        /// The file in it.
-        file: &'static str,
-    },
     /// A member of a Python package.
     Pip(Package),
 }
@@ -77,14 +69,14 @@ const fn depth_anything(name: &'static str, file: &'static str) -> Entry {
     Entry { used_for: "relative depth", without: WITHOUT_DEPTH_ANYTHING, ..entry }
 }
 
-const fn moge(name: &'static str, repository: &'static str) -> Entry {
-    let file = "model.pt";
-    Entry { used_for: DEPTH, without: WITHOUT_MOGE, ..known(name, file, "MIT", Origin::Hub { repository, file }) }
+const fn moge(name: &'static str, page: &'static str) -> Entry {
+    let entry = known(name, "model.pt", "MIT", Origin::Authors { page });
+    Entry { used_for: DEPTH, without: WITHOUT_MOGE, ..entry }
 }
 
-const fn sam2(name: &'static str, file: &'static str, repository: &'static str) -> Entry {
-    let used_for = "motion masks: refinement and tracking";
-    Entry { used_for, without: WITHOUT_SAM2, ..known(name, file, "Apache-2.0", Origin::Hub { repository, file }) }
+const fn sam2(name: &'static str, file: &'static str, page: &'static str) -> Entry {
+    let entry = known(name, file, "Apache-2.0", Origin::Authors { page });
+    Entry { used_for: "motion masks: refinement and tracking", without: WITHOUT_SAM2, ..entry }
 }
 
 const fn lpips(
@@ -158,13 +150,13 @@ const ALL: [Entry; 19] = [
             "unidepth-v2-l",
             "model.safetensors",
             "CC BY-NC 4.0",
-            Origin::Hub { repository: "lpiccinelli/unidepth-v2-vitl14", file: "model.safetensors" },
+            Origin::Authors { page: "model.safetensors of the Hugging Face repository lpiccinelli/unidepth-v2-vitl14" },
         )
     },
-    moge("moge-2-l", "Ruicheng/moge-2-vitl"),
-    moge("moge-2-l-normal", "Ruicheng/moge-2-vitl-normal"),
-    moge("moge-2-b-normal", "Ruicheng/moge-2-vitb-normal"),
-    moge("moge-2-s-normal", "Ruicheng/moge-2-vits-normal"),
+    moge("moge-2-l", "model.pt of the Hugging Face repository Ruicheng/moge-2-vitl"),
+    moge("moge-2-l-normal", "model.pt of the Hugging Face repository Ruicheng/moge-2-vitl-normal"),
+    moge("moge-2-b-normal", "model.pt of the Hugging Face repository Ruicheng/moge-2-vitb-normal"),
+    moge("moge-2-s-normal", "model.pt of the Hugging Face repository Ruicheng/moge-2-vits-normal"),
     Entry {
         used_for: "flow for consistent video depth",
         without: "the part raft of --frontend; classical works in its place without any weights",
@@ -175,10 +167,26 @@ const ALL: [Entry; 19] = [
             Origin::Authors { page: "the repository princeton-vl/RAFT, its download_models.sh" },
         )
     },
-    sam2("sam2.1-tiny", "sam2.1_hiera_tiny.pt", "facebook/sam2.1-hiera-tiny"),
-    sam2("sam2.1-small", "sam2.1_hiera_small.pt", "facebook/sam2.1-hiera-small"),
-    sam2("sam2.1-base-plus", "sam2.1_hiera_base_plus.pt", "facebook/sam2.1-hiera-base-plus"),
-    sam2("sam2.1-large", "sam2.1_hiera_large.pt", "facebook/sam2.1-hiera-large"),
+    sam2(
+        "sam2.1-tiny",
+        "sam2.1_hiera_tiny.pt",
+        "sam2.1_hiera_tiny.pt of the Hugging Face repository facebook/sam2.1-hiera-tiny",
+    ),
+    sam2(
+        "sam2.1-small",
+        "sam2.1_hiera_small.pt",
+        "sam2.1_hiera_small.pt of the Hugging Face repository facebook/sam2.1-hiera-small",
+    ),
+    sam2(
+        "sam2.1-base-plus",
+        "sam2.1_hiera_base_plus.pt",
+        "sam2.1_hiera_base_plus.pt of the Hugging Face repository facebook/sam2.1-hiera-base-plus",
+    ),
+    sam2(
+        "sam2.1-large",
+        "sam2.1_hiera_large.pt",
+        "sam2.1_hiera_large.pt of the Hugging Face repository facebook/sam2.1-hiera-large",
+    ),
     Entry {
         commercial: false,
         used_for: "3D point tracks",
@@ -192,7 +200,7 @@ const ALL: [Entry; 19] = [
             },
         )
     },
-    moge("moge-2-b", "Ruicheng/moge-2-vitb"),
+    moge("moge-2-b", "model.pt of the Hugging Face repository Ruicheng/moge-2-vitb"),
 ];
 
 /// Every entry.
@@ -216,7 +224,6 @@ impl Origin {
     pub fn description(&self) -> String {
         match self {
             Self::Authors { page } => (*page).to_owned(),
-            Self::Hub { repository, file } => format!("{file} of the Hugging Face repository {repository}"),
             Self::Pip(package) => format!("{} of the Python package {}", package.member, package.requirement()),
         }
     }

@@ -18,8 +18,6 @@ const RECORD: &str = "record.json";
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Store {
     root: PathBuf,
-    /// Where Hugging Face's own tools keep their files.
-    hub: Option<PathBuf>,
 }
 
 /// State of an installed file of weights.
@@ -62,25 +60,18 @@ pub enum Condition {
 impl Store {
     /// The store in the folder `root`.
     pub fn at(root: impl Into<PathBuf>) -> Self {
-        Self { root: root.into(), hub: None }
+        Self { root: root.into() }
     }
 
     /// The store of this user: the folder `MINUTE4D_WEIGHTS`, or `minute4d/weights` in the folder for caches
-    /// (`XDG_CACHE_HOME`, `~/.cache`, `LOCALAPPDATA`). Files of Hugging Face's tools are looked for in `HF_HOME`
-    /// (`~/.cache/huggingface`).
+    /// (`XDG_CACHE_HOME`, `~/.cache`, `LOCALAPPDATA`).
     pub fn of_user() -> Result<Self, WeightsError> {
         let named = |name: &str| env::var_os(name).filter(|v| !v.is_empty()).map(PathBuf::from);
         let caches = named("XDG_CACHE_HOME")
             .or_else(|| named("HOME").map(|home| home.join(".cache")))
             .or_else(|| named("LOCALAPPDATA"));
-        let hub = named("HF_HOME").or_else(|| caches.as_ref().map(|c| c.join("huggingface")));
         let root = named("MINUTE4D_WEIGHTS").or_else(|| caches.map(|c| c.join("minute4d").join("weights")));
-        Ok(Self { root: root.ok_or(WeightsError::NoFolder)?, hub })
-    }
-
-    /// The same with the folder of `HF_HOME` at `hub`.
-    pub fn with_hub(self, hub: impl Into<PathBuf>) -> Self {
-        Self { hub: Some(hub.into()), ..self }
+        Ok(Self { root: root.ok_or(WeightsError::NoFolder)? })
     }
 
     /// The folder.
@@ -93,9 +84,9 @@ impl Store {
         self.root.join(entry.name).join(entry.file)
     }
 
-    /// The file of `entry`, if it is here: in the store, or where another tool has put it into the folder of `HF_HOME`.
+    /// The file of `entry`, if it is here.
     pub fn installed(&self, entry: &Entry) -> Option<PathBuf> {
-        Some(self.path(entry)).filter(|path| path.is_file()).or_else(|| self.in_hub(entry))
+        Some(self.path(entry)).filter(|path| path.is_file())
     }
 
     /// The file of `entry`, to be loaded.
@@ -109,18 +100,6 @@ impl Store {
             let message = format!("the weights {name} are not installed: {how}. Without them: {without}");
             Refusal::new(Category::NoInput, message).into()
         })
-    }
-
-    /// The newest copy in the folder of `HF_HOME`: `hub/models--OWNER--NAME/snapshots/COMMIT/FILE`.
-    fn in_hub(&self, entry: &Entry) -> Option<PathBuf> {
-        let Origin::Hub { repository, file } = entry.origin else {
-            return None;
-        };
-        let folder = format!("models--{}", repository.replace('/', "--"));
-        let snapshots = self.hub.as_ref()?.join("hub").join(folder).join("snapshots");
-        let files = fs::read_dir(snapshots).ok()?.flatten().map(|s| s.path().join(file));
-        let files = files.filter(|path| path.is_file());
-        files.max_by_key(|path| (fs::metadata(path).and_then(|m| m.modified()).ok(), path.clone()))
     }
 
     /// The record of `entry`; `None` if missing or unreadable.

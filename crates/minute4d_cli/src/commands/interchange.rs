@@ -1,5 +1,5 @@
 //! `minute4d import`: turns files of another tool into a scene or a capture. `minute4d export`: writes a scene for other viewers, or a
-//! capture for COLMAP or nerfstudio.
+//! capture for COLMAP.
 
 use crate::failure::Failure;
 use crate::options::{ReachArgs, rate};
@@ -109,11 +109,10 @@ fn of_capture(report: &CaptureReport) -> String {
 
 #[derive(Debug, Args)]
 pub struct Export {
-    /// The folder of a run or a scene file; for colmap and nerfstudio a capture
+    /// The folder of a run or a scene file; for colmap a capture
     pub scene: PathBuf,
     /// Output format [default: by the extension of --out, or 4dgs]. 4dgs, splatv: the whole clip; ply, spz, gltf: one
-    /// instant; ply-sequence: one file per frame; colmap, nerfstudio: cameras, images, masks and points of a capture (and depth);
-    /// mp4: a video rendered from the source cameras
+    /// instant; ply-sequence: one file per frame; colmap: cameras, images, masks and points of a capture
     #[arg(long, value_name = "FORMAT")]
     pub format: Option<Format>,
     /// Output file, or folder for a sequence [default: scene.EXTENSION next to the scene]
@@ -122,21 +121,26 @@ pub struct Export {
     /// Instant for formats that hold one: a frame number, or seconds with the suffix `s`, as in 1.5s [default: the middle]
     #[arg(long, value_name = "T")]
     pub time: Option<String>,
-    /// Files or frames per second for sequences and videos [default: the rate of the source]
+    /// Files per second for a sequence [default: the rate of the source]
     #[arg(long, value_name = "FPS", value_parser = rate)]
     pub fps: Option<f64>,
     /// Replace an existing file
     #[arg(long)]
     pub force: bool,
-    /// Skip the check that reads 4dgs, ply and ply-sequence files back and compares their renderings with the scene
-    #[arg(long)]
-    pub no_compare: bool,
     #[command(flatten)]
     pub reach: ReachArgs,
 }
 
 pub fn export(args: &Export, output: &Output) -> Result<(), Failure> {
     let named = args.out.as_deref().and_then(Format::of_path);
+    if let Some(other) =
+        args.out.as_deref().filter(|out| args.format.is_none() && named.is_none() && out.extension().is_some())
+    {
+        let other = other.display();
+        return Err(Failure::usage(&format!(
+            "the extension of {other} is not that of a format; add --format (`minute4d render` makes videos)"
+        )));
+    }
     let time = args.time.as_deref().map(str::parse::<Moment>).transpose();
     let time = time.map_err(minute4d::Error::from)?;
     let job = ExportJob {
@@ -144,7 +148,6 @@ pub fn export(args: &Export, output: &Output) -> Result<(), Failure> {
         time,
         fps: args.fps,
         replace: args.force,
-        compare: !args.no_compare,
         reach: args.reach.reach(),
         ..ExportJob::new(args.format.or(named).unwrap_or(Format::Fourdgs))
     };

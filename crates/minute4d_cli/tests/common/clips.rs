@@ -125,16 +125,13 @@ pub fn write_dycheck(root: &Path, n: usize, with_masks: bool) {
 
 /// The same of training frames and views.
 pub fn write_dycheck_of(root: &Path, [train, test]: [Capture; 2], with_masks: bool) {
-    let n = train.frames.len();
     for folder in ["camera", "rgb/2x", "depth/2x", "splits", "covisible/2x/val"] {
         fs::create_dir_all(root.join(folder)).unwrap();
     }
-    let mut meta = serde_json::Map::new();
-    let mut put = |frame: &CaptureFrame, camera: usize, i: usize| {
+    let put = |frame: &CaptureFrame, camera: usize, i: usize| {
         let id = format!("{camera}_{i:05}");
         dycheck_camera(&root.join(format!("camera/{id}.json")), &frame.camera);
         write_rgb(&root.join(format!("rgb/2x/{id}.png")), &frame.rgb).unwrap();
-        meta.insert(id.clone(), json!({"appearance_id": i, "camera_id": camera, "warp_id": i}));
         id
     };
     let mut train_ids = Vec::new();
@@ -167,11 +164,7 @@ pub fn write_dycheck_of(root: &Path, [train, test]: [Capture; 2], with_masks: bo
     let put = |name: &str, value: &Value| fs::write(root.join(name), value.to_string()).unwrap();
     put("splits/train.json", &split(&train_ids));
     put("splits/val.json", &split(&val_ids));
-    let ids: Vec<&String> = train_ids.iter().chain(&val_ids).collect();
-    let dataset =
-        json!({"count": ids.len(), "num_exemplars": n, "ids": ids, "train_ids": train_ids, "val_ids": val_ids});
-    put("dataset.json", &dataset);
-    put("metadata.json", &Value::Object(meta));
+    put("dataset.json", &json!({"count": train_ids.len() + val_ids.len()}));
     put("scene.json", &json!({"center": [0.0, 0.0, 3.0], "scale": 1.0, "near": 2.0, "far": 6.0}));
     put("extra.json", &json!({"factor": 2, "fps": 10, "lookat": [0.0, 0.0, 4.0], "up": [0.0, -1.0, 0.0]}));
 }

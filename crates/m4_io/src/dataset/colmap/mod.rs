@@ -19,8 +19,10 @@
 
 mod parse;
 mod tables;
+mod write;
 
-pub use tables::{ColmapCamera, ColmapImage, ColmapPoint, ColmapTables, read_points, read_tables, write};
+pub use tables::{ColmapCamera, ColmapImage, ColmapPoint, ColmapTables, read_points, read_tables};
+pub use write::write;
 
 use super::files::{Inside, duration_s, given_fps, stored_image};
 use super::{Distortion, ImportOptions, Lens, ListedFrame, Listing};

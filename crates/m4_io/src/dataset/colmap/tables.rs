@@ -1,19 +1,11 @@
-//! The contents of the files, between bytes and cameras, and the writer of a capture, for COLMAP and tools that train on its models.
-//!
-//! ```text
-//! images/00000.png       the training frames
-//! masks/00000.png.png    0 in dynamic regions, as COLMAP names and reads masks
-//! sparse/0/*.bin         PINHOLE cameras, poses (world to camera, OpenCV axes), points of static regions (error -1, no track)
-//! ```
+//! The contents of the files, between bytes and cameras.
 
 use super::parse;
-use crate::dataset::export::{FramePaths, Staging, check, static_points, write_frames};
 use crate::error::AtPath;
 use crate::files::bytes;
-use crate::scene::{Loss, Written, plural};
 use crate::{Fault, ReadError, WriteError};
 use m4_core::nalgebra::{Quaternion, Rotation3, UnitQuaternion, Vector3};
-use m4_core::{Camera, Capture, Intrinsics, Progress, Se3};
+use m4_core::{Camera, Intrinsics, Se3};
 use std::fs;
 use std::path::Path;
 
@@ -159,38 +151,8 @@ fn parse<T>(path: &Path, parse: impl Fn(&[u8]) -> Result<T, PlacedError>) -> Res
     parse(&bytes).map_err(|(place, cause)| cause.within(path, place))
 }
 
-/// Most points: the order of what COLMAP itself makes of a few hundred images.
-const MAX_POINTS: usize = 100_000;
-
-/// Writes the training frames `capture` into the folder `out`, where `images`, `masks` and `sparse` are replaced.
-/// On failure nothing is changed, unless the last renames fail.
-pub fn write(out: &Path, capture: &Capture, progress: &dyn Progress) -> Result<Written, WriteError> {
-    check(out, capture)?;
-    let staging = Staging::new(out)?;
-    let name = |i: usize| format!("{i:05}.png");
-    let frames = capture.frames.iter().enumerate().map(|(i, frame)| {
-        let paths = FramePaths {
-            image: format!("images/{}", name(i)),
-            mask: frame.mask.as_ref().map(|_| format!("masks/{}.png", name(i))),
-            depth: None,
-        };
-        (frame, paths)
-    });
-    write_frames(staging.path(), out, &frames.collect::<Vec<_>>(), 1.0, progress)?;
-    let points: Vec<ColmapPoint> = static_points(capture, MAX_POINTS);
-    let cameras: Vec<_> = capture.frames.iter().map(|f| f.camera).collect();
-    let tables = ColmapTables::new(&cameras, (0..cameras.len()).map(name));
-    write_model(&staging.path().join("sparse/0"), &tables, &points)?;
-    Ok(Written {
-        path: out.to_path_buf(),
-        bytes: staging.commit("sparse")?,
-        splats: 0,
-        losses: losses(capture, points.len()),
-    })
-}
-
 /// Writes the three binary files and reads them back.
-fn write_model(folder: &Path, tables: &ColmapTables, points: &[ColmapPoint]) -> Result<(), WriteError> {
+pub(super) fn write_model(folder: &Path, tables: &ColmapTables, points: &[ColmapPoint]) -> Result<(), WriteError> {
     fs::create_dir_all(folder).map_err(|e| WriteError::io(folder, e))?;
     for (name, bytes) in [
         ("cameras.bin", parse::cameras(&tables.cameras)),
@@ -207,15 +169,4 @@ fn write_model(folder: &Path, tables: &ColmapTables, points: &[ColmapPoint]) -> 
         return Err(verify("a camera, pose or point differs".into()));
     }
     Ok(())
-}
-
-fn losses(capture: &Capture, points: usize) -> Vec<Loss> {
-    let mut losses = vec![Loss::Dropped("when the images were taken".to_owned())];
-    if capture.frames.iter().any(|f| f.depth.is_some()) {
-        losses.push(Loss::Dropped(format!("depth, but for {}", plural(points, "point"))));
-    }
-    if capture.tracks.is_some() {
-        losses.push(Loss::Dropped("tracks".to_owned()));
-    }
-    losses
 }

@@ -11,7 +11,6 @@
 //!
 //! this module   the keys as they are in the file, and the lens of a frame
 //! list     entries -> frames
-//! write    a capture -> the folder of a data set
 //! ```
 //!
 //! **What is converted.**
@@ -34,11 +33,9 @@
 //! Source: nerfstudio's `nerfstudio_dataparser.py`, `depth_dataset.py` and `data_utils.py` (Apache-2.0), `blender_dataparser.py`.
 
 mod list;
-mod write;
 
 pub(crate) use list::list_capture;
 pub(super) use list::{detect, list};
-pub use write::write;
 
 use super::{Distortion, Lens};
 use crate::Fault;
@@ -145,14 +142,14 @@ pub(crate) struct Transforms<F = serde_json::Value> {
     pub time_frames: Option<usize>,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub tracks_path: Option<String>,
-    #[serde(skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing)]
     pub train_filenames: Option<Vec<String>>,
-    #[serde(skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing)]
     pub val_filenames: Option<Vec<String>>,
-    #[serde(skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing)]
     pub test_filenames: Option<Vec<String>>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub ply_file_path: Option<String>,
+    #[serde(skip_serializing)]
+    pub ply_file_path: Option<IgnoredAny>,
     #[serde(skip_serializing)]
     pub applied_transform: Option<Vec<Vec<f64>>>,
     #[serde(skip_serializing)]

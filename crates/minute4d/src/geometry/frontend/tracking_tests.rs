@@ -12,9 +12,7 @@ use m4_geometry::megasam::tracker::{
 use m4_geometry::megasam::{MegasamInput, MegasamSettings, TrackingSize, reconstruct, track};
 use m4_nets::droid::{MemoryOptions, Storage};
 use m4_nets::{DroidNet, cpu};
-use m4_testkit::write_formula_weights;
-use safetensors::SafeTensors;
-use std::path::Path;
+use m4_testkit::{Fixture, assert_close, write_formula_weights};
 
 const KEYS: &str = include_str!("../../../../../fixtures/droid/keys.txt");
 /// The least that the network takes.
@@ -176,27 +174,23 @@ fn a_clip_goes_all_the_way_and_gives_the_same_bits_again() {
 /// `fixtures/droid/update_ba_loop`: three times lookup, update and two iterations of adjustment.
 #[test]
 fn the_published_loop_of_network_and_adjustment_is_met() {
-    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fixtures/droid/update_ba_loop.safetensors");
-    let bytes = std::fs::read(file).unwrap();
-    let all = SafeTensors::deserialize(&bytes).unwrap();
-    let doubles = |name: &str| numbers(&all, name, f64::from_le_bytes);
-    let singles = |name: &str| numbers(&all, name, f32::from_le_bytes);
-    let whole = |name: &str| numbers(&all, name, |bytes| i64::from_le_bytes(bytes) as usize);
-    let images = images(&all);
+    let file = Fixture::open("droid/update_ba_loop.safetensors");
+    let singles = |name: &str| file.floats(name).0;
+    let images = images(&file);
     let references: Vec<&RgbImage> = images.iter().collect();
     let size = TrackingSize { full: (192, 128), scaled: (192, 128), cropped: (192, 128) };
     let exact = MemoryOptions { storage: Storage::F32, ..memory(100) };
     let mut source = NetworkCorrespondence::new(network(), &references, None, size, exact);
     let grid = Grid { width: 24, height: 16 };
     let poses = |name: &str| -> Vec<Se3<f64>> {
-        let values = doubles(name);
+        let values = file.doubles(name);
         values.as_chunks::<7>().0.iter().map(Se3::from_translation_quaternion).collect()
     };
     let planes = |name: &str| -> Vec<Vec<f32>> {
         let single = |plane: &[f64]| plane.iter().map(|&d| d as f32).collect();
-        doubles(name).chunks(grid.len()).map(single).collect()
+        file.doubles(name).chunks(grid.len()).map(single).collect()
     };
-    let k = doubles("intrinsics");
+    let k = file.doubles("intrinsics");
     let mut geometry = Geometry {
         grid,
         lens: Pinhole { fx: k[0], fy: k[1], cx: k[2], cy: k[3] },
@@ -204,7 +198,7 @@ fn the_published_loop_of_network_and_adjustment_is_met() {
         disparity: planes("disps"),
         sensor: planes("disps_sens"),
     };
-    let pairs: Vec<(usize, usize)> = whole("ii").into_iter().zip(whole("jj")).collect();
+    let pairs: Vec<(usize, usize)> = file.indices("ii").into_iter().zip(file.indices("jj")).collect();
     let frames: Vec<usize> = (0..geometry.poses.len()).collect();
     let mut graph = FactorGraph::new(usize::MAX);
     graph.add(&pairs, &geometry, &frames, false);
@@ -218,7 +212,7 @@ fn the_published_loop_of_network_and_adjustment_is_met() {
         revise(&geometry, &mut graph, &mut eta, &mut source);
         let in_order: Vec<usize> = pairs.iter().map(|pair| at(pair, &graph)).collect();
         let m: Vec<f32> = in_order.iter().flat_map(|&e| graph.active[e].static_confidence.clone()).collect();
-        assert_close(&m, &singles(&format!("it{step}_m")), 1e-4, &format!("step {step}: static confidence"));
+        assert_close(&format!("step {step}: static confidence"), &m, &singles(&format!("it{step}_m")), 1e-4);
         let edges: Vec<&Factor<f32>> = graph.active.iter().map(|e| &e.factor).collect();
         let damped: Vec<Vec<f32>> = eta.iter().map(|plane| plane.iter().map(|e| e + 1e-7).collect()).collect();
         let problem = Problem { edges: &edges, eta: &damped };
@@ -228,7 +222,7 @@ fn the_published_loop_of_network_and_adjustment_is_met() {
             assert!(off < 1e-5, "step {step}, frame {frame}: pose off by {off}");
         }
         let want = planes(&format!("it{step}_disps")).concat();
-        assert_close(&geometry.disparity.concat(), &want, 1e-4, &format!("step {step}: disparity"));
+        assert_close(&format!("step {step}: disparity"), &geometry.disparity.concat(), &want, 1e-4);
     }
     let target: Vec<f32> = pairs
         .iter()
@@ -237,30 +231,15 @@ fn the_published_loop_of_network_and_adjustment_is_met() {
             u.iter().zip(v).flat_map(|(&u, &v)| [u, v]).collect::<Vec<f32>>()
         })
         .collect();
-    assert_close(&target, &singles("target_final"), 1e-4, "targets");
-}
-
-/// The values of a tensor.
-fn numbers<const N: usize, T>(all: &SafeTensors<'_>, name: &str, of: impl Fn([u8; N]) -> T) -> Vec<T> {
-    all.tensor(name).unwrap().data().as_chunks::<N>().0.iter().map(|bytes| of(*bytes)).collect()
-}
-
-fn assert_close(got: &[f32], want: &[f32], limit: f32, what: &str) {
-    assert_eq!(got.len(), want.len(), "{what}");
-    let scale = want.iter().fold(0.0_f32, |a, b| a.max(b.abs()));
-    let off = got.iter().zip(want).map(|(g, w)| (g - w).abs());
-    let off = off.fold(0.0_f32, |a, b| if b.is_nan() { f32::INFINITY } else { a.max(b) });
-    assert!(scale > 0.0 && off < limit * scale, "{what}: {off} of {scale}");
+    assert_close("targets", &target, &singles("target_final"), 1e-4);
 }
 
 /// The images of a fixture, `[n][3][h][w]` in the order blue, green, red.
-fn images(all: &SafeTensors<'_>) -> Vec<RgbImage> {
-    let tensor = all.tensor("images_bgr_u8").unwrap();
-    let [n, 3, h, w] = *tensor.shape() else {
-        panic!("no images");
-    };
-    let at = |k: usize, c: usize, x: usize, y: usize| tensor.data()[((k * 3 + c) * h + y) * w + x];
-    (0..n).map(|k| Plane::from_fn(w, h, |x, y| [at(k, 2, x, y), at(k, 1, x, y), at(k, 0, x, y)])).collect()
+fn images(file: &Fixture) -> Vec<RgbImage> {
+    let bytes = file.bytes("images_bgr_u8");
+    let (w, h) = (192, 128);
+    let image = |bgr: &[u8]| Plane::from_fn(w, h, |x, y| [2, 1, 0].map(|c| bgr[(c * h + y) * w + x]));
+    bytes.chunks(3 * w * h).map(image).collect()
 }
 
 /// Asks for all edges at once, from where `geometry` projects pixels.

@@ -2,7 +2,7 @@
 //! masks that accompanies a clip.
 
 use super::{alone, among, within};
-use crate::files::{Wrap, copy, fixture, fixture_bytes};
+use crate::files::{Wrap, fixture, fixture_bytes};
 use crate::reader::{self, Around, Outcome, Reader};
 use m4_core::Silent;
 use m4_io::dataset::ImportOptions;
@@ -116,23 +116,8 @@ fn phones() -> Vec<Reader> {
     ]
 }
 
-/// The same where `dataset.json` and `metadata.json` say which frames there are, as in scenes of Nerfies.
-fn without_splits(reader: Reader) -> Reader {
-    Reader {
-        around: Around::Made(|here| {
-            let to = here.join("dycheck");
-            let copied = copy(&fixture("import/dycheck"), &to);
-            let gone = copied.and_then(|()| std::fs::remove_dir_all(to.join("splits")));
-            gone.unwrap_or_else(|e| panic!("a copy of import/dycheck: {e}"));
-        }),
-        ..reader
-    }
-}
-
 fn data_sets() -> Vec<Reader> {
     vec![
-        without_splits(plain("import-dycheck-dataset", Dycheck, "dycheck", "dataset.json")),
-        without_splits(plain("import-dycheck-metadata", Dycheck, "dycheck", "metadata.json")),
         plain("import-dycheck-scene", Dycheck, "dycheck", "scene.json"),
         plain("import-dycheck-extra", Dycheck, "dycheck", "extra.json"),
         plain("import-dycheck-split", Dycheck, "dycheck", "splits/train.json"),

@@ -5,7 +5,6 @@ use crate::files::{Wrap, fixture_bytes, members};
 use crate::reader::{self, Around, Outcome, Reader};
 use m4_core::{Plane, Silent};
 use m4_io::capture::{self, CaptureOptions, Split};
-use m4_io::dataset::colmap;
 use m4_io::npy::{Array, Npz};
 use m4_io::scene::safetensors;
 use m4_io::scene::{fourdgs, ply};
@@ -19,10 +18,7 @@ use std::path::{Path, PathBuf};
 const MAX_ARRAY_BYTES: u64 = 64 << 20;
 
 pub fn rows() -> Vec<Reader> {
-    [images(), arrays(), paths(), captures(), scenes(), videos(), splats(), colmap_points()]
-        .into_iter()
-        .flatten()
-        .collect()
+    [images(), arrays(), paths(), captures(), scenes(), videos(), splats()].into_iter().flatten().collect()
 }
 
 fn png(reader: Reader) -> Reader {
@@ -243,21 +239,6 @@ fn videos() -> Vec<Reader> {
     };
     let read = |p: &Path| Outcome::of(video::read(p, &own_video(), &Silent), reader::video);
     vec![alone("io-mp4", "a.mp4", seeds, read), png(among("io-video-folder", "import/clip/images", "00002.png", read))]
-}
-
-fn colmap_points() -> Vec<Reader> {
-    let points = || {
-        let dir = tempfile::tempdir().unwrap_or_else(|e| panic!("no temporary folder: {e}"));
-        let folder = dir.path().join("c");
-        let written = colmap::write(&folder, &super::clip(), &Silent);
-        written.unwrap_or_else(|e| panic!("a valid model: {e}"));
-        let bytes = std::fs::read(folder.join("sparse/0/points3D.bin"));
-        vec![bytes.unwrap_or_else(|e| panic!("a valid model: {e}"))]
-    };
-    vec![alone("formats-colmap-points", "points3D.bin", points, |p| {
-        let folder = p.parent().unwrap_or(p);
-        Outcome::of(colmap::read_points(folder), |_| None)
-    })]
 }
 
 /// The scenes that are written: without and with harmonics.

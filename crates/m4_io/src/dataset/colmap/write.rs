@@ -1,22 +1,52 @@
-//! Parts common to the writers of captures for other tools ([`super::colmap::write`], [`super::nerfstudio::write`]).
+//! Writes a capture for COLMAP and tools that train on its models.
 //!
 //! ```text
-//! capture -> points of static regions, images, masks, depth -> a folder beside its place -> read back -> its name
+//! images/00000.png       the training frames
+//! masks/00000.png.png    0 in dynamic regions, as COLMAP names and reads masks
+//! sparse/0/*.bin         PINHOLE cameras, poses (world to camera, OpenCV axes), points of static regions (error -1, no track)
 //! ```
 //!
-//! The dynamic part is 0 in the masks of both folders and left out of the points: their readers rebuild the static part.
+//! All of it is written to a folder beside its place, read back, and then gets its name.
+//!
+//! The dynamic part is 0 in the masks and left out of the points: readers rebuild the static part.
 
-use super::colmap::ColmapPoint;
+use super::tables::write_model;
+use super::{ColmapPoint, ColmapTables};
 use crate::files::in_parallel;
-use crate::scene::usable;
+use crate::scene::{Loss, Written, plural, usable};
 use crate::{ReadError, WriteError, image};
-use m4_core::{Capture, CaptureFrame, DepthMap, Exposure, Plane, Progress, SourceFrame};
+use m4_core::{Capture, CaptureFrame, Exposure, Plane, Progress, SourceFrame};
 use std::fs;
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
+/// Most points: the order of what COLMAP itself makes of a few hundred images.
+const MAX_POINTS: usize = 100_000;
+
+/// Writes the training frames `capture` into the folder `out`, where `images`, `masks` and `sparse` are replaced.
+/// On failure nothing is changed, unless the last renames fail.
+pub fn write(out: &Path, capture: &Capture, progress: &dyn Progress) -> Result<Written, WriteError> {
+    check(out, capture)?;
+    let staging = Staging::new(out)?;
+    let name = |i: usize| format!("{i:05}.png");
+    let stopped = || WriteError::cancelled(out);
+    in_parallel("write frames", &capture.frames, progress, stopped, |i, frame| {
+        write_frame(staging.path(), &name(i), frame)
+    })?;
+    let points = static_points(capture);
+    let cameras: Vec<_> = capture.frames.iter().map(|f| f.camera).collect();
+    let tables = ColmapTables::new(&cameras, (0..cameras.len()).map(name));
+    write_model(&staging.path().join("sparse/0"), &tables, &points)?;
+    Ok(Written {
+        path: out.to_path_buf(),
+        bytes: staging.commit("sparse")?,
+        splats: 0,
+        losses: losses(capture, points.len()),
+    })
+}
+
 /// Refuses captures without frames, and invalid cameras.
-pub(super) fn check(out: &Path, capture: &Capture) -> Result<(), WriteError> {
+fn check(out: &Path, capture: &Capture) -> Result<(), WriteError> {
     if capture.frames.is_empty() {
         return Err(WriteError::bad(out, "the capture has no frames"));
     }
@@ -45,14 +75,14 @@ pub(super) fn check(out: &Path, capture: &Capture) -> Result<(), WriteError> {
     Ok(())
 }
 
-/// Points of static pixels with known depth, at most `most`, spread evenly over frames and pixels.
-pub(super) fn static_points(capture: &Capture, most: usize) -> Vec<ColmapPoint> {
+/// Points of static pixels with known depth, at most [`MAX_POINTS`], spread evenly over frames and pixels.
+fn static_points(capture: &Capture) -> Vec<ColmapPoint> {
     let with_depth = capture.frames.iter().filter(|f| f.depth.is_some()).count();
     let mut points = Vec::new();
-    if with_depth == 0 || most == 0 {
+    if with_depth == 0 {
         return points;
     }
-    let of_frame = (most / with_depth).max(1);
+    let of_frame = (MAX_POINTS / with_depth).max(1);
     for frame in &capture.frames {
         let Some(depth) = &frame.depth else { continue };
         let (w, h) = depth.size();
@@ -85,12 +115,12 @@ pub(super) fn static_points(capture: &Capture, most: usize) -> Vec<ColmapPoint> 
             }
         }
     }
-    points.truncate(most);
+    points.truncate(MAX_POINTS);
     points
 }
 
 /// A folder beside the one that is to be made; dropped, it is removed.
-pub(super) struct Staging {
+struct Staging {
     folder: tempfile::TempDir,
     out: PathBuf,
 }
@@ -148,38 +178,7 @@ fn size(folder: &Path) -> Result<u64, WriteError> {
     Ok(bytes)
 }
 
-/// Steps of a 16-bit depth map.
-pub(crate) const MAX_STEPS: f64 = 65535.0;
-
-/// The files of a frame in a folder; `None` for those that are not written.
-pub(super) struct FramePaths {
-    pub image: String,
-    pub mask: Option<String>,
-    pub depth: Option<String>,
-}
-
-/// How many depths are too far for 16 bits in steps of `unit`.
-pub(crate) fn clipped(depth: &DepthMap, unit: f64) -> usize {
-    let limit = (MAX_STEPS + 0.5) * unit;
-    depth.data().iter().filter(|&&z| f64::from(z) > limit).count()
-}
-
-/// Writes the files of `frames` into `folder`; depth in steps of `unit`. Returns how many depths were too far for 16 bits.
-pub(super) fn write_frames(
-    folder: &Path,
-    out: &Path,
-    frames: &[(&CaptureFrame, FramePaths)],
-    unit: f64,
-    progress: &dyn Progress,
-) -> Result<usize, WriteError> {
-    let stopped = || WriteError::cancelled(out);
-    let clipped = in_parallel("write frames", frames, progress, stopped, |_, (frame, paths)| {
-        write_frame(folder, frame, paths, unit)
-    })?;
-    Ok(clipped.into_iter().sum())
-}
-
-fn write_frame(folder: &Path, frame: &CaptureFrame, paths: &FramePaths, unit: f64) -> Result<usize, WriteError> {
+fn write_frame(folder: &Path, name: &str, frame: &CaptureFrame) -> Result<(), WriteError> {
     fn same<T>(path: &Path, back: Result<T, ReadError>, same: impl Fn(&T) -> bool) -> Result<(), WriteError> {
         match back {
             Ok(back) if same(&back) => Ok(()),
@@ -187,35 +186,27 @@ fn write_frame(folder: &Path, frame: &CaptureFrame, paths: &FramePaths, unit: f6
             Err(e) => Err(WriteError::verify(path, e)),
         }
     }
-    let path = folder.join(&paths.image);
+    let path = folder.join("images").join(name);
     image::write_rgb(&path, &frame.rgb)?;
     same(&path, image::read_rgb(&path), |back| *back == frame.rgb)?;
-    let (w, h) = frame.rgb.size();
-    if let (Some(name), Some(mask)) = (&paths.mask, &frame.mask) {
-        let path = folder.join(name);
-        let (mw, mh) = mask.size();
-        // their readers expect the size of the image, and white where they train
-        let is_static = Plane::from_fn(w, h, |x, y| if mask.at(x * mw / w, y * mh / h) { 0 } else { 255 });
-        image::write_mask(&path, &is_static)?;
-        same(&path, image::read_mask(&path), |back| back.to_mask() == is_static)?;
+    let Some(mask) = &frame.mask else { return Ok(()) };
+    let path = folder.join(format!("masks/{name}.png"));
+    let ((w, h), (mw, mh)) = (frame.rgb.size(), mask.size());
+    // readers expect the size of the image, and white where they train
+    let is_static = Plane::from_fn(w, h, |x, y| if mask.at(x * mw / w, y * mh / h) { 0 } else { 255 });
+    image::write_mask(&path, &is_static)?;
+    same(&path, image::read_mask(&path), |back| back.to_mask() == is_static)
+}
+
+fn losses(capture: &Capture, points: usize) -> Vec<Loss> {
+    let mut losses = vec![Loss::Dropped("when the images were taken".to_owned())];
+    if capture.frames.iter().any(|f| f.depth.is_some()) {
+        losses.push(Loss::Dropped(format!("depth, but for {}", plural(points, "point"))));
     }
-    let (Some(name), Some(depth)) = (&paths.depth, &frame.depth) else {
-        return Ok(0);
-    };
-    let path = folder.join(name);
-    let (dw, dh) = depth.size();
-    let finite = |z: f32| if z.is_finite() { z } else { 0.0 };
-    let depth = Plane::from_fn(w, h, |x, y| finite(depth.at(x * dw / w, y * dh / h)));
-    image::write_depth(&path, &depth, unit)?;
-    same(&path, image::read_depth(&path, unit), |back| {
-        let close = |(i, &z): (usize, &f32)| {
-            // a known depth is a step at least
-            let z = if z > 0.0 { f64::from(z).clamp(unit, MAX_STEPS * unit) } else { 0.0 };
-            (f64::from(back.at(i % w, i / w)) - z).abs() <= 0.51 * unit + 1e-6 * z
-        };
-        back.size() == (w, h) && depth.data().iter().enumerate().all(close)
-    })?;
-    Ok(clipped(&depth, unit))
+    if capture.tracks.is_some() {
+        losses.push(Loss::Dropped("tracks".to_owned()));
+    }
+    losses
 }
 
 #[cfg(test)]
