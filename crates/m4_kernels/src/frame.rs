@@ -36,17 +36,6 @@ pub struct Frame {
     pub depth: Vec<f32>,
 }
 
-/// The gradient of a loss with respect to a [`Frame`]; same layout.
-#[derive(Debug, Clone, Default, PartialEq)]
-pub struct FrameGradient {
-    /// With respect to [`Frame::rgb`].
-    pub rgb: [Vec<f32>; 3],
-    /// With respect to alpha (one minus transmittance); empty for none.
-    pub alpha: Vec<f32>,
-    /// With respect to [`Frame::depth`]; empty for none.
-    pub depth: Vec<f32>,
-}
-
 /// The gradient of a loss with respect to one camera.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct CameraGradient {

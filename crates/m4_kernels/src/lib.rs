@@ -21,7 +21,7 @@
 //! In each folder `mod.rs` is the contract, `reference.rs` the definition (generic over f32 and f64,
 //! slow on purpose, the oracle of the tests), `cpu.rs` the SIMD twin that the product runs, and `gpu.rs` the twin in CubeCL
 //! (feature `gpu`; its devices, memory, sorts and sums are in `gpu`). [`Renderer`] strings the CPU twins together. Lengths are checked when data enters
-//! ([`m4_core::Splats`], [`FrameGradient`]); inside, kernels index freely.
+//! ([`m4_core::Splats`], [`Frame`]); inside, kernels index freely.
 
 #![cfg_attr(
     feature = "gpu",
@@ -53,7 +53,7 @@ mod renderer;
 mod simd;
 mod stage;
 
-pub use frame::{CameraGradient, Frame, FrameGradient, Gradients, StepStats, View};
+pub use frame::{CameraGradient, Frame, Gradients, StepStats, View};
 pub use m4_core::{SIMD_ENV, SimdLevel, SimdLevelError};
 pub use order::morton_order;
 pub use renderer::{FrameStats, Renderer};

@@ -1,7 +1,7 @@
 //! The renderer on the CPU: splats to an image, and gradients back.
 
 use crate::{
-    CameraGradient, Frame, FrameGradient, Gradients, SimdLevel, View,
+    CameraGradient, Frame, Gradients, SimdLevel, View,
     blend::{
         cpu::{self as blend, Sums, Used},
         planes::{BandGradient, BandPlace, BandPlanes},
@@ -176,10 +176,10 @@ impl Renderer {
         &self.frame
     }
 
-    /// The gradient of a loss with respect to splats and camera, given that with respect to the frame drawn last.
+    /// The gradient of a loss with respect to splats and camera, given that with respect to the colours of the frame drawn last
+    /// (same layout as [`Frame::rgb`]).
     /// Panics if `splats` are not as many as those drawn, or a plane of `gradient` has another size than the frame.
-    /// Planes for alpha and depth may be empty (no gradient); depth needs [`View::with_depth`].
-    pub fn backward(&mut self, splats: &Splats, gradient: &FrameGradient, with_camera: bool, out: &mut Gradients) {
+    pub fn backward(&mut self, splats: &Splats, gradient: &[Vec<f32>; 3], with_camera: bool, out: &mut Gradients) {
         let start = Instant::now();
         self.check(splats.n());
         out.resize(splats);
@@ -196,35 +196,22 @@ impl Renderer {
     }
 
     /// Sums of every band.
-    fn blend_backward(&mut self, gradient: &FrameGradient) {
+    fn blend_backward(&mut self, gradient: &[Vec<f32>; 3]) {
         let (level, eye, frame, rows) = (self.level.level(), &self.eye, &self.frame, self.rows.as_slice());
         let pixels = frame.transmittance.len();
-        for plane in &gradient.rgb {
+        for plane in gradient {
             assert_eq!(plane.len(), pixels, "backward: the gradient has the frame's size");
-        }
-        for (plane, size) in [(&gradient.alpha, pixels), (&gradient.depth, frame.depth.len())] {
-            assert!(
-                plane.is_empty() || plane.len() == size,
-                "backward: the gradient of alpha or depth has the frame's size"
-            );
         }
         let tasks = self.bands.iter_mut().enumerate();
         let tasks = tasks.map(|(index, work)| (work.band.lists.len(), (index, work)));
         heaviest_first(tasks.collect(), |(index, work)| {
             let place = place(eye, index);
-            let part = |plane: &'_ [f32]| -> std::ops::Range<usize> {
-                let at = place.top * place.width;
-                if plane.is_empty() { 0..0 } else { at..at + place.rows * place.width }
-            };
-            let rgb = |planes: &'_ [Vec<f32>; 3]| planes.each_ref().map(|p| part(p));
-            let (c, d) = (rgb(&frame.rgb), rgb(&gradient.rgb));
+            let first = place.top * place.width;
+            let part = first..first + place.rows * place.width;
             let g = BandGradient {
-                rgb: std::array::from_fn(|k| &frame.rgb[k][c[k].clone()]),
-                transmittance: &frame.transmittance[part(&frame.transmittance)],
-                depth: &frame.depth[part(&frame.depth)],
-                d_rgb: std::array::from_fn(|k| &gradient.rgb[k][d[k].clone()]),
-                d_alpha: &gradient.alpha[part(&gradient.alpha)],
-                d_depth: &gradient.depth[part(&gradient.depth)],
+                rgb: frame.rgb.each_ref().map(|plane| &plane[part.clone()]),
+                transmittance: &frame.transmittance[part.clone()],
+                d_rgb: gradient.each_ref().map(|plane| &plane[part.clone()]),
             };
             let (band, used, sums) = (&work.band, &work.used, &mut work.sums);
             work.background = dispatch!(level, s => blend::backward(s, band, rows, place, used, &g, sums));

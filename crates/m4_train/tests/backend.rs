@@ -8,13 +8,12 @@ use m4_train::{DensityConfig, TrainConfig, TrainError, Trainer, config::SplitPla
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// Density control, a fit of colours and a new order within this many steps.
+/// Density control and a fit of colours within this many steps.
 fn config() -> TrainConfig {
     let mut config = TrainConfig::fast();
     config.iterations = 100;
     config.seed = 5;
     config.density = DensityConfig { from: 20, every: 20, prune_every: 40, ..DensityConfig::fast() };
-    config.reorder_every = 30;
     config.guard_every = 25;
     config.keep_every_s = 0.0;
     config

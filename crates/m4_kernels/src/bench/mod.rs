@@ -7,6 +7,6 @@ mod stage;
 mod work;
 
 pub use probe::{PEAK_EVALUATIONS, PeakEvaluations, Probe};
-pub use scene::{FRAMES, SceneKind, film};
+pub use scene::SceneKind;
 pub use stage::{Bench, BenchScene, SceneConfig, Times};
 pub use work::{Counts, Kernel, Work, useful_evaluations};

@@ -1,12 +1,11 @@
 //! The synthetic benchmark scenes: a room with six balls, sampled through three nearby cameras, so that a third of the
-//! splats is partly occluded, as in a video; and a rendered sequence of the room in the form that training reads.
+//! splats is partly occluded, as in a video.
 
 use crate::View;
 use m4_core::{
-    Camera, Capture, CaptureFrame, Column, CompactMask, CounterRng, Intrinsics, Plane, Se3, SplatLayout, Splats,
+    Camera, Column, CounterRng, Intrinsics, Se3, SplatLayout, Splats,
     nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3},
 };
-use rayon::prelude::*;
 
 /// Centre and radius, metres.
 const BALLS: [[f64; 4]; 6] = [
@@ -49,7 +48,7 @@ impl SceneKind {
 }
 
 /// Frames of the clip of [`SceneKind::FourD`].
-pub const FRAMES: usize = 64;
+const FRAMES: usize = 64;
 /// Instants at which that clip is timed, evenly spread.
 const INSTANTS: usize = 8;
 /// Share of its splats that is dynamic.
@@ -62,7 +61,7 @@ const REACH: f64 = 2.448;
 const SPEED: f64 = 0.004;
 
 /// Where a ray first hits: distance, normal, a number for the surface.
-pub(super) fn cast(
+fn cast(
     origin: &Vector3<f64>,
     ray: &Vector3<f64>,
     shift: impl Fn(usize) -> Vector3<f64>,
@@ -95,7 +94,7 @@ fn cast_walls(origin: &Vector3<f64>, ray: &Vector3<f64>) -> (f64, Vector3<f64>, 
 }
 
 /// Which ball a surface is, if any.
-pub(super) fn is_ball(surface: usize) -> Option<usize> {
+fn is_ball(surface: usize) -> Option<usize> {
     surface.checked_sub(BALL)
 }
 
@@ -106,11 +105,11 @@ fn velocity(ball: usize) -> Vector3<f64> {
 }
 
 /// Where a ball is at an instant, relative to the middle of the clip.
-pub(super) fn drift(ball: usize, t: f64) -> Vector3<f64> {
+fn drift(ball: usize, t: f64) -> Vector3<f64> {
     velocity(ball) * (t - 0.5 * FRAMES as f64)
 }
 
-pub(super) fn colour(p: &Vector3<f64>, id: usize) -> [f64; 3] {
+fn colour(p: &Vector3<f64>, id: usize) -> [f64; 3] {
     std::array::from_fn(|k| {
         let phase = 3.0 * (p[k] + p[(k + 1) % 3]) + 2.0 * 1.7 * id as f64;
         0.5 + 0.35 * phase.sin()
@@ -118,7 +117,7 @@ pub(super) fn colour(p: &Vector3<f64>, id: usize) -> [f64; 3] {
 }
 
 /// The first camera: 60 degrees wide.
-pub(super) fn camera(width: usize, height: usize) -> Camera {
+fn camera(width: usize, height: usize) -> Camera {
     let focal_px = 0.5 * width as f64 / 30f64.to_radians().tan();
     Camera { intrinsics: Intrinsics::centred(width, height, focal_px), c2w: Se3::identity() }
 }
@@ -178,8 +177,8 @@ fn share_of_balls(k: &Intrinsics) -> f64 {
 }
 
 /// `n` flat discs on the surfaces, in no order.
-pub(super) fn splats(n: usize, (width, height): (usize, usize), kind: SceneKind, sh_degree: usize) -> Splats {
-    let layout = SplatLayout { isotropic: false, sh_degree, time_degree: 0 };
+pub(super) fn splats(n: usize, (width, height): (usize, usize), kind: SceneKind) -> Splats {
+    let layout = SplatLayout { isotropic: false, sh_degree: 0, time_degree: 0 };
     let k = camera(width, height).intrinsics;
     let n_static = match kind {
         SceneKind::Static => n,
@@ -231,9 +230,7 @@ pub(super) fn splats(n: usize, (width, height): (usize, usize), kind: SceneKind,
         set(Column::LogScale, &[a.ln(), b.ln(), (0.2 * a.min(b)).ln()], row);
         set(Column::Quat, &[q.w, q.i, q.j, q.k], row);
         set(Column::Opacity, &[(opacity / (1.0 - opacity)).ln()], row);
-        let mut coefficients = colour(&p, id).map(|c| (c - 0.5) / crate::shade::C0).to_vec();
-        coefficients.extend((3..3 * layout.colour_terms()).map(|_| 0.03 * rng.normal()));
-        set(Column::Colour, &coefficients, row);
+        set(Column::Colour, &colour(&p, id).map(|c| (c - 0.5) / crate::shade::C0), row);
         if dynamic {
             let row = row - n_static;
             let ball = is_ball(id);
@@ -243,76 +240,4 @@ pub(super) fn splats(n: usize, (width, height): (usize, usize), kind: SceneKind,
         }
     }
     out
-}
-
-/// The first balls, which are the largest in the image, are static: an eighth of the image moves.
-const STILL: usize = 2;
-/// How far the camera walks to the side, metres.
-const WALK: f64 = 0.8;
-
-/// `frames` images of `width` x `height` pixels with exact depth, masks of the balls that move, and
-/// a camera that walks past them.
-pub fn film(frames: usize, width: usize, height: usize) -> Capture {
-    let last = (frames.max(2) - 1) as f64;
-    let frames: Vec<CaptureFrame> = (0..frames)
-        .into_par_iter()
-        .map(|i| {
-            let share = i as f64 / last;
-            let mut camera = camera(width, height);
-            camera.c2w = Se3 {
-                translation: Vector3::new(WALK * (share - 0.5), 0.05 * (9.0 * share).sin(), 0.0),
-                ..Se3::identity()
-            };
-            frame(camera, i, share * FRAMES as f64)
-        })
-        .collect();
-    Capture { time_frames: frames.len(), frames, duration_s: Some(last / 24.0), metric: true, tracks: None }
-}
-
-/// Frame `i`, with the balls where they are at the instant `t`.
-fn frame(camera: Camera, i: usize, t: f64) -> CaptureFrame {
-    let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
-    let origin = camera.centre();
-    let shift = |ball: usize| if ball < STILL { Vector3::zeros() } else { drift(ball, t) };
-    let hit = |x: usize, y: usize| {
-        let ray = camera.unproject(x as f64, y as f64, 1.0) - origin;
-        let (unit, length) = (ray.normalize(), ray.norm());
-        let (distance, _, id) = cast(&origin, &unit, shift);
-        // balls carry their colours along
-        let home = origin + unit * distance - is_ball(id).map_or(Vector3::zeros(), shift);
-        let moves = is_ball(id).is_some_and(|ball| ball >= STILL);
-        (distance / length, colour(&home, id), moves)
-    };
-    let hits: Vec<_> = (0..width * height).map(|i| hit(i % width, i / width)).collect();
-    let at = |x: usize, y: usize| &hits[y * width + x];
-    CaptureFrame {
-        name: format!("{i:05}"),
-        camera,
-        t: i as f64,
-        rgb: Plane::from_fn(width, height, |x, y| at(x, y).1.map(|c| (255.0 * c.clamp(0.0, 1.0)).round() as u8)),
-        depth: Some(Plane::from_fn(width, height, |x, y| at(x, y).0 as f32).into()),
-        mask: Some(CompactMask::from_fn(width, height, |x, y| at(x, y).2)),
-        motion: None,
-        instances: None,
-        camera_index: None,
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::film;
-
-    #[test]
-    fn the_room_has_walls_and_moving_balls() {
-        let capture = film(3, 64, 48);
-        assert_eq!((capture.frames.len(), capture.time_frames), (3, 3));
-        let share = |i: usize| {
-            let mask = capture.frames[i].mask.as_ref().unwrap();
-            mask.count() as f64 / (mask.size().0 * mask.size().1) as f64
-        };
-        assert!((0.05..0.3).contains(&share(1)), "{}", share(1));
-        let depth = |i: usize| capture.frames[i].depth.as_ref().unwrap().to_map().into_vec();
-        assert!(depth(0).iter().all(|z| (1.0..7.0).contains(z)), "inside the room");
-        assert_ne!(depth(0), depth(2));
-    }
 }

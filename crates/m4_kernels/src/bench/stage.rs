@@ -2,7 +2,7 @@
 
 use super::{Counts, Kernel, SceneKind, scene, useful_evaluations};
 use crate::{
-    FrameGradient, Gradients, Renderer, SimdLevel, View,
+    Gradients, Renderer, SimdLevel, View,
     adam::cpu::{self as adam, AdamConfig, AdamState},
     loss::cpu::{self as photometric, LossScratch, Target},
     morton_order,
@@ -24,8 +24,6 @@ pub struct SceneConfig {
     pub width: usize,
     /// Rows of the image.
     pub height: usize,
-    /// Degree of the spatial harmonics of the colour, 0..=3.
-    pub sh_degree: usize,
     /// Static or moving.
     pub kind: SceneKind,
 }
@@ -33,7 +31,7 @@ pub struct SceneConfig {
 impl Default for SceneConfig {
     /// 100,000 static splats of one colour each on 480x360 pixels.
     fn default() -> Self {
-        Self { splats: 100_000, width: 480, height: 360, sh_degree: 0, kind: SceneKind::Static }
+        Self { splats: 100_000, width: 480, height: 360, kind: SceneKind::Static }
     }
 }
 
@@ -52,7 +50,7 @@ impl BenchScene {
     /// The scene of `config`. Fails with [`ShapeError`] if the kernels contradict one another; not on any `config`.
     pub fn new(config: &SceneConfig) -> Result<Self, ShapeError> {
         let SceneConfig { width, height, kind, .. } = *config;
-        let splats = scene::splats(config.splats, (width, height), kind, config.sh_degree.min(3));
+        let splats = scene::splats(config.splats, (width, height), kind);
         Ok(Self {
             splats: splats.gather(&morton_order(&splats))?,
             views: scene::views(width, height, kind),
@@ -79,7 +77,7 @@ pub struct Bench {
     level: SimdLevel,
     renderer: Renderer,
     scratch: LossScratch,
-    gradient: FrameGradient,
+    gradient: [Vec<f32>; 3],
     gradients: Gradients,
     state: AdamState,
     rates: Vec<f32>,
@@ -97,7 +95,7 @@ impl Bench {
             gradients: Gradients::default(),
             scene,
             level,
-            gradient: FrameGradient::default(),
+            gradient: Default::default(),
         })
     }
 
@@ -133,7 +131,7 @@ impl Bench {
         let start = Instant::now();
         let frame = self.renderer.render(&self.scene.splats, &self.scene.views[view]);
         let drawn = Instant::now();
-        let (target, gradient) = (&self.scene.target, &mut self.gradient.rgb);
+        let (target, gradient) = (&self.scene.target, &mut self.gradient);
         let loss = photometric::loss(self.level, target, &frame.rgb, LAMBDA_SSIM, &mut self.scratch, gradient);
         let photo = drawn.elapsed();
         self.renderer.backward(&self.scene.splats, &self.gradient, false, &mut self.gradients);
@@ -172,7 +170,7 @@ impl Bench {
             &frame.rgb,
             LAMBDA_SSIM,
             &mut self.scratch,
-            &mut self.gradient.rgb,
+            &mut self.gradient,
         );
         self.renderer.backward(splats, &self.gradient, false, &mut self.gradients);
         let stats = self.renderer.stats();
@@ -202,7 +200,7 @@ mod tests {
     #[test]
     fn steps_are_timed_and_lower_the_loss() {
         for kind in [SceneKind::Static, SceneKind::FourD] {
-            let config = SceneConfig { splats: 4000, width: 96, height: 72, sh_degree: 1, kind };
+            let config = SceneConfig { splats: 4000, width: 96, height: 72, kind };
             let mut bench = Bench::new(SimdLevel::best(), &config).unwrap();
             let counts = bench.count(0);
             assert!(counts.pairs >= counts.used && counts.used > counts.visible / 2, "{counts:?}");

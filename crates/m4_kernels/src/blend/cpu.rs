@@ -47,7 +47,6 @@ impl Sums {
     /// `dx dx`, `dx dy`, `dy dy`.
     pub(crate) const SECOND: [usize; 3] = [6, 8, 10];
     pub(crate) const RGB: [usize; 3] = [1, 3, 5];
-    pub(crate) const DEPTH: usize = 7;
 }
 
 /// What the forward pass leaves of a band's lists for the passes after it: the entries that each tile
@@ -289,7 +288,7 @@ mod tests {
     }
 
     /// Frame, gradients, score, and how much of the lists was used.
-    fn run(level: SimdLevel, records: &[Record], everything: bool, extra: bool) -> (Vec<f32>, [f64; 3], usize) {
+    fn run(level: SimdLevel, records: &[Record], everything: bool) -> (Vec<f32>, [f64; 3], usize) {
         let n = PLACE.rows * PLACE.width;
         let mut band = Band::default();
         let splats: Vec<_> = records.iter().map(|r| (*r, spans(r, everything))).collect();
@@ -299,20 +298,17 @@ mod tests {
         let mut planes = vec![vec![0.0f32; n]; 5];
         let mut used = Used::default();
         let [r, g, b, t, z] = planes.get_disjoint_mut([0, 1, 2, 3, 4]).unwrap();
-        let mut out = BandPlanes { rgb: [r, g, b], transmittance: t, depth: if extra { z } else { &mut [] } };
+        let mut out = BandPlanes { rgb: [r, g, b], transmittance: t, depth: z };
         dispatch!(level.level(), s => forward(s, &band, &rows, PLACE, [0.3, 0.2, 0.1], &mut out, &mut used));
         let gradient = |k: u64| -> Vec<f32> {
             let mut rng = CounterRng::new(6, k, 0);
             (0..n).map(|_| (2.0 * rng.uniform() - 1.0) as f32).collect()
         };
-        let v: Vec<Vec<f32>> = (0..5).map(gradient).collect();
+        let v: Vec<Vec<f32>> = (0..3).map(gradient).collect();
         let g = BandGradient {
             rgb: [&planes[0], &planes[1], &planes[2]],
             transmittance: &planes[3],
-            depth: if extra { &planes[4] } else { &[] },
             d_rgb: [&v[0], &v[1], &v[2]],
-            d_alpha: if extra { &v[3] } else { &[] },
-            d_depth: if extra { &v[4] } else { &[] },
         };
         let mut sums = Vec::new();
         let background = dispatch!(level.level(), s => backward(s, &band, &rows, PLACE, &used, &g, &mut sums));
@@ -331,14 +327,12 @@ mod tests {
         for (n, log_opacity) in [(BATCH - 1, -3.0), (3 * CHUNK + 7, -5.0), (4 * CHUNK, -0.2)] {
             let records = random_records(n, log_opacity);
             for level in SimdLevel::available() {
-                for extra in [false, true] {
-                    let name = format!("{n} splats on {level}, depth and alpha {extra}");
-                    let (some, some_background, some_used) = run(level, &records, false, extra);
-                    let (all, all_background, all_used) = run(level, &records, true, extra);
-                    assert!(some == all && some_background == all_background, "{name}");
-                    assert!(some.iter().all(|v| v.is_finite()), "{name}");
-                    assert!(some_used > n && 2 * some_used < all_used, "{name}: {some_used} of {all_used}");
-                }
+                let name = format!("{n} splats on {level}");
+                let (some, some_background, some_used) = run(level, &records, false);
+                let (all, all_background, all_used) = run(level, &records, true);
+                assert!(some == all && some_background == all_background, "{name}");
+                assert!(some.iter().all(|v| v.is_finite()), "{name}");
+                assert!(some_used > n && 2 * some_used < all_used, "{name}: {some_used} of {all_used}");
             }
         }
     }

@@ -64,13 +64,12 @@ pub(crate) fn blend(
         while k < count && going {
             if comptime!(training) {
                 if k % 32u32 == 0u32 {
-                    let to = ((bucket + b * 8u32 + k / 32u32) * 256u32 + UNIT_POS) as usize * 5;
+                    let to = ((bucket + b * 8u32 + k / 32u32) * 256u32 + UNIT_POS) as usize * 4;
                     if to < checkpoints.len() {
                         checkpoints[to] = light;
                         checkpoints[to + 1] = red;
                         checkpoints[to + 2] = green;
                         checkpoints[to + 3] = blue;
-                        checkpoints[to + 4] = depth;
                     }
                 }
             }
@@ -115,33 +114,17 @@ pub(crate) fn blend(
     }
 }
 
-/// Fills `out`: red, green, blue, all that is blended along the gradient, depth; planes.
+/// Fills `out`: red, green, blue, and all that is blended along the gradient; planes.
 #[cube(launch)]
-pub(crate) fn pixels(
-    image: &[f32],
-    gradient: &[f32],
-    out: &mut [f32],
-    count: u32,
-    #[comptime] with_alpha: bool,
-    #[comptime] with_depth: bool,
-) {
+pub(crate) fn pixels(image: &[f32], gradient: &[f32], out: &mut [f32], count: u32) {
     let i = ABSOLUTE_POS as u32;
     if i < count {
         let at = i as usize;
         let n = count as usize;
         let (r, g, b) = (gradient[at], gradient[n + at], gradient[2 * n + at]);
-        let mut all = r * image[at] + g * image[n + at] + b * image[2 * n + at];
-        if comptime!(with_alpha) {
-            all -= gradient[3 * n + at] * image[3 * n + at];
-        }
-        if comptime!(with_depth) {
-            let d = gradient[4 * n + at];
-            all += d * image[4 * n + at];
-            out[4 * n + at] = d;
-        }
         out[at] = r;
         out[n + at] = g;
         out[2 * n + at] = b;
-        out[3 * n + at] = all;
+        out[3 * n + at] = r * image[at] + g * image[n + at] + b * image[2 * n + at];
     }
 }

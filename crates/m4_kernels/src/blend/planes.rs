@@ -78,17 +78,12 @@ pub(crate) struct BandPlanes<'a> {
     pub(crate) depth: &'a mut [f32],
 }
 
-/// The same, to read: a band's part of a frame and of its gradient.
+/// The same, to read: a band's part of a frame and of the gradient with respect to its colours.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct BandGradient<'a> {
     pub(crate) rgb: [&'a [f32]; 3],
     pub(crate) transmittance: &'a [f32],
-    pub(crate) depth: &'a [f32],
     pub(crate) d_rgb: [&'a [f32]; 3],
-    /// Empty for none.
-    pub(crate) d_alpha: &'a [f32],
-    /// Empty for none.
-    pub(crate) d_depth: &'a [f32],
 }
 
 /// Where a band lies.

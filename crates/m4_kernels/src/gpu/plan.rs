@@ -1,5 +1,6 @@
 //! Plans the device memory of training or rendering before it starts.
 
+use crate::blend::gpu::backward::SUMS;
 use crate::gpu::scan::Scan;
 use crate::gpu::sort::Sort;
 use crate::gpu::splats::parts;
@@ -213,9 +214,9 @@ fn work(size: &Size) -> Vec<Part> {
         vec![part("splats of a frame", &splats), part("tile lists", &lists), part("image", &[5 * pixels, pixels])];
     if size.training {
         let buckets = size.buckets();
-        parts.push(part("gradients of tile entries", &[RECORD * entries]));
+        parts.push(part("gradients of tile entries", &[SUMS * entries]));
         parts.push(part("what gradients start from", &[buckets, CHECKPOINT * TILE * TILE * buckets]));
-        parts.push(part("gradient of the image", &[5 * pixels, 5 * pixels]));
+        parts.push(part("gradient of the image", &[4 * pixels, 3 * pixels]));
     }
     parts
 }

@@ -4,7 +4,7 @@ use crate::gpu::buffer::Buffer;
 use crate::gpu::splats::{DeviceSplats, parts};
 use crate::gpu::work::{Size, Work};
 use crate::gpu::{Gpu, GpuError, Plan};
-use crate::{Frame, FrameGradient, Gradients, View};
+use crate::{Frame, Gradients, View};
 use m4_core::Splats;
 
 /// Draws splats that stay on the device. The twin of [`crate::Renderer`].
@@ -38,27 +38,19 @@ impl Renderer {
         })
     }
 
-    /// The gradient of a loss with respect to the splats, given that with respect to the image of `view`; that of the
+    /// The gradient of a loss with respect to the splats, given that with respect to the colours of the image of `view`; that of the
     /// camera and of the background are left 0. Fails as [`render`](Self::render). Panics if the planes of the gradient
-    /// are not as long as the image (those of alpha and depth may be empty).
-    pub fn backward(&mut self, view: &View, gradient: &FrameGradient, out: &mut Gradients) -> Result<(), GpuError> {
+    /// are not as long as the image.
+    pub fn backward(&mut self, view: &View, gradient: &[Vec<f32>; 3], out: &mut Gradients) -> Result<(), GpuError> {
         self.draw(view, true)?;
         let pixels = view.camera.intrinsics.width * view.camera.intrinsics.height;
-        let with_depth = view.with_depth && !gradient.depth.is_empty();
-        let [r, g, b] = &gradient.rgb;
-        let mut planes = Vec::with_capacity(5 * pixels);
-        for plane in [r, g, b, &gradient.alpha, &gradient.depth] {
-            assert!(plane.is_empty() || plane.len() == pixels, "backward: the gradient has the image's size");
-            planes.extend_from_slice(plane);
-            if plane.is_empty() {
-                planes.resize(planes.len() + pixels, 0.0);
-            }
-        }
+        let planes = gradient.concat();
+        assert_eq!(planes.len(), 3 * pixels, "backward: the gradient has the image's size");
         let doing = "computing a gradient";
         let result = self.splats.like(&self.gpu);
         let work = self.work.as_mut().ok_or_else(nothing_drawn)?;
         work.gradient = Buffer::floats(&self.gpu.client, &planes);
-        work.backward(&self.gpu, &self.splats, &result, view.mip, !gradient.alpha.is_empty(), with_depth, None);
+        work.backward(&self.gpu, &self.splats, &result, view.mip, None);
         let touched = work.touched.read_words(&self.gpu.client, doing)?;
         let columns = result.download(&self.gpu, doing)?;
         debug_assert_eq!(parts(self.splats.layout)[2].end, columns.columns().len());

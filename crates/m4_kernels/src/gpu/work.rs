@@ -1,6 +1,6 @@
 //! The memory and the kernel launches of one frame.
 
-use crate::blend::gpu::{self as blend, backward as blend_backward};
+use crate::blend::gpu::{self as blend, backward as blend_backward, backward::SUMS};
 use crate::gpu::buffer::{Buffer, cubes, units};
 use crate::gpu::scan::Scan;
 use crate::gpu::sort::{Pairs, Sort};
@@ -16,8 +16,8 @@ use cubecl::prelude::{CubeCount, CubeDim};
 
 /// Entries of a bucket, and units of its cube.
 const BUCKET: usize = 32;
-/// Numbers of a checkpoint: transmittance, colours, depth.
-pub const CHECKPOINT: usize = 5;
+/// Numbers of a checkpoint: transmittance, colours.
+pub const CHECKPOINT: usize = 4;
 
 /// The sizes that memory is allocated for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -94,7 +94,7 @@ pub struct Work {
     pub stopwatch: Stopwatch,
     /// Red, green, blue, transmittance, depth: planes.
     pub image: Buffer,
-    /// The loss's gradient with respect to those (alpha instead of transmittance).
+    /// The loss's gradient with respect to the colours: planes.
     pub gradient: Buffer,
     /// 1 for splats that reached a pixel.
     pub touched: Buffer,
@@ -106,7 +106,7 @@ impl Work {
         let client = &gpu.client;
         let (n, tiles, pixels, entries) = (size.n, size.tiles(), size.pixels(), size.entries);
         let only_training = |len: usize| if size.training { len } else { 1 };
-        let (buckets, sums) = (only_training(size.buckets()), only_training(RECORD * entries));
+        let (buckets, sums) = (only_training(size.buckets()), only_training(SUMS * entries));
         let checkpoints = CHECKPOINT * TILE * TILE * buckets;
         for (what, len) in [
             ("the splats of a frame", RECORD * n),
@@ -150,12 +150,12 @@ impl Work {
             tile_of_bucket: empty(buckets),
             checkpoints: empty(checkpoints),
             ends: empty(pixels),
-            planes: empty(only_training(5 * pixels)),
+            planes: empty(only_training(4 * pixels)),
             sums: empty(sums),
             peak: Buffer::words(client, &[0]),
             stopwatch: Stopwatch::default(),
             image: empty(5 * pixels),
-            gradient: empty(only_training(5 * pixels)),
+            gradient: empty(only_training(3 * pixels)),
             touched: empty(n),
         })
     }
@@ -299,8 +299,6 @@ impl Work {
         splats: &DeviceSplats,
         out: &DeviceSplats,
         mip: bool,
-        with_alpha: bool,
-        with_depth: bool,
         camera: Option<&Buffer>,
     ) {
         let client = &gpu.client;
@@ -316,8 +314,6 @@ impl Work {
             self.gradient.arg(),
             self.planes.arg(),
             size.pixels() as u32,
-            with_alpha,
-            with_depth,
         );
         let (count, dim) = self.cubes_of_buckets();
         blend_backward::blend_backward::launch(
@@ -337,7 +333,6 @@ impl Work {
             self.sums.arg(),
             width,
             height,
-            with_depth,
         );
         self.stopwatch.lap(gpu, Kernel::BlendBackward);
         project_backward::launch(

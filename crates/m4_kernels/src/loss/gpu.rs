@@ -5,7 +5,6 @@ use crate::{
     gpu::{
         Gpu,
         buffer::{Buffer, units},
-        frames::DeviceFrame,
         tally::Tally,
         work::Size,
     },
@@ -15,6 +14,8 @@ use cubecl::prelude::*;
 
 const SSIM_C1: f32 = super::SSIM_C1 as f32;
 const SSIM_C2: f32 = super::SSIM_C2 as f32;
+/// What a step of a byte is worth.
+const BYTE: f32 = 1.0 / 255.0;
 
 /// Tap `k` of the window.
 #[cube]
@@ -22,19 +23,12 @@ fn tap(#[comptime] k: u32) -> f32 {
     f32::new(comptime!(window()[k as usize] as f32))
 }
 
-/// Colour `channel` of pixel `at` of a frame, 0..1: planes of bytes, or of words of two bytes, each of which starts with
-/// a number of its own; one of them is worth `worth`.
+/// Colour `channel` of pixel `at` of a frame, 0..1: planes of bytes, each of which starts with a word of its own.
 #[cube]
-pub fn target_at(target: &[u32], at: u32, channel: u32, pixels: u32, worth: f32, #[comptime] wide: bool) -> f32 {
-    if comptime!(wide) {
-        let plane = channel * ((pixels + 1u32) / 2u32);
-        let both = target[(plane + at / 2u32) as usize];
-        f32::cast_from((both >> (16u32 * (at % 2u32))) & 65535u32) * worth
-    } else {
-        let plane = channel * ((pixels + 3u32) / 4u32);
-        let four = target[(plane + at / 4u32) as usize];
-        f32::cast_from((four >> (8u32 * (at % 4u32))) & 255u32) * worth
-    }
+pub fn target_at(target: &[u32], at: u32, channel: u32, pixels: u32) -> f32 {
+    let plane = channel * ((pixels + 3u32) / 4u32);
+    let four = target[(plane + at / 4u32) as usize];
+    f32::cast_from((four >> (8u32 * (at % 4u32))) & 255u32) * BYTE
 }
 
 /// Sum over the cube's 256 units; every unit gets it.
@@ -58,16 +52,7 @@ pub fn cube_sum(value: f32, shared: &mut Shared<[f32]>) -> f32 {
 /// Derivatives of SSIM with respect to the three blurs, and three sums per cube: of SSIM, of absolute differences, and of
 /// squared differences of the image cut to 0..1.
 #[cube(launch)]
-pub(crate) fn similarity(
-    image: &[f32],
-    target: &[u32],
-    slopes: &mut [f32],
-    sums: &mut [f32],
-    width: u32,
-    height: u32,
-    worth: f32,
-    #[comptime] wide: bool,
-) {
+pub(crate) fn similarity(image: &[f32], target: &[u32], slopes: &mut [f32], sums: &mut [f32], width: u32, height: u32) {
     let mut x = Shared::<[f32]>::new_slice(676usize);
     let mut y = Shared::<[f32]>::new_slice(676usize);
     let mut rows = Shared::<[f32]>::new_slice(2080usize);
@@ -84,7 +69,7 @@ pub(crate) fn similarity(
         if cx >= 5u32 && cy >= 5u32 && cx < width + 5u32 && cy < height + 5u32 {
             let at = (cy - 5u32) * width + cx - 5u32;
             a = image[plane + at as usize];
-            b = target_at(target, at, channel, width * height, worth, wide);
+            b = target_at(target, at, channel, width * height);
         }
         x[k as usize] = a;
         y[k as usize] = b;
@@ -180,8 +165,6 @@ pub(crate) fn gradient(
     width: u32,
     height: u32,
     lambda: f32,
-    worth: f32,
-    #[comptime] wide: bool,
 ) {
     let mut planes = Shared::<[f32]>::new_slice(2028usize);
     let mut rows = Shared::<[f32]>::new_slice(1248usize);
@@ -245,7 +228,7 @@ pub(crate) fn gradient(
         }
         let at = (py * width + px) as usize;
         let x = image[plane + at];
-        let y = target_at(target, at as u32, channel, width * height, worth, wide);
+        let y = target_at(target, at as u32, channel, width * height);
         let similarity = a + 2.0f32 * x * b + y * c;
         let mut sign = 0.0f32;
         if x > y {
@@ -286,38 +269,34 @@ impl Loss {
 
     /// Compares `image` with `frame` and adds the sums to `tally`, the loss as that of view `index`. `lambda` is the share of
     /// SSIM.
-    pub fn compare(&self, gpu: &Gpu, image: &Buffer, frame: &DeviceFrame, index: usize, lambda: f32, tally: &Tally) {
+    pub fn compare(&self, gpu: &Gpu, image: &Buffer, frame: &Buffer, index: usize, lambda: f32, tally: &Tally) {
         similarity::launch(
             &gpu.client,
             self.cubes(),
             units(),
             image.arg(),
-            frame.samples.arg(),
+            frame.arg(),
             self.slopes.arg(),
             self.sums.arg(),
             self.size.width as u32,
             self.size.height as u32,
-            frame.worth,
-            frame.wide,
         );
         tally.frame(gpu, &self.sums, self.size.tiles(), 3 * self.size.pixels(), index, lambda);
     }
 
     /// The gradient of what was compared last, with respect to `image`.
-    pub fn gradient(&self, gpu: &Gpu, image: &Buffer, frame: &DeviceFrame, lambda: f32, out: &Buffer) {
+    pub fn gradient(&self, gpu: &Gpu, image: &Buffer, frame: &Buffer, lambda: f32, out: &Buffer) {
         gradient::launch(
             &gpu.client,
             self.cubes(),
             units(),
             image.arg(),
-            frame.samples.arg(),
+            frame.arg(),
             self.slopes.arg(),
             out.arg(),
             self.size.width as u32,
             self.size.height as u32,
             lambda,
-            frame.worth,
-            frame.wide,
         );
     }
 }

@@ -154,8 +154,6 @@ pub(crate) struct Moments<S: Simd> {
     pub(crate) first: [f32x16<S>; 2],
     /// Sums of `omega dx dx`, `omega dx dy`, `omega dy dy`.
     pub(crate) second: [f32x16<S>; 3],
-    /// Gradient with respect to the z-depth as a channel.
-    pub(crate) depth: f32x16<S>,
 }
 
 /// What the projection passes back.
@@ -236,7 +234,7 @@ pub(crate) fn backward<S: Simd, const ISO: bool>(
     let mut point = [
         centre[0] * jx,
         centre[1] * jy,
-        m.depth - (centre[0] * jx * ray[0] + centre[1] * jy * ray[1]) - (d_j[0][0] * jx + d_j[1][1] * jy) * iz,
+        -(centre[0] * jx * ray[0] + centre[1] * jy * ray[1]) - (d_j[0][0] * jx + d_j[1][1] * jy) * iz,
     ];
     for (axis, j) in [(0, jx), (1, jy)] {
         let d = d_j[axis][2] * j * iz;

@@ -214,7 +214,6 @@ fn group_backward<S: Simd, const DYNAMIC: bool, const ISO: bool>(
         weight: sum(Sums::WEIGHT),
         first: each!(2, k => sum(Sums::FIRST[k])),
         second: each!(3, k => sum(Sums::SECOND[k])),
-        depth: sum(Sums::DEPTH),
     };
     let d_rgb: [f32x16<S>; 3] = each!(3, k => sum(Sums::RGB[k]));
     let mut splat: Slice<S> = slice::life::<S, DYNAMIC>(s, c, row, eye.t);
@@ -257,7 +256,7 @@ fn group_backward<S: Simd, const DYNAMIC: bool, const ISO: bool>(
     }
     // composited somewhere: every blended pixel adds to a colour's sum, or had no gradient to give
     let colour = d_rgb[0].abs() + d_rgb[1].abs() + d_rgb[2].abs();
-    let size = moments.weight.abs() + moments.depth.abs() + colour;
+    let size = moments.weight.abs() + colour;
     let touched = bits(size.simd_gt(zero)) & group.seen;
     match out.touched.get_mut(at..at + LANES) {
         Some(flags) => {

@@ -2,7 +2,7 @@
 
 use crate::gpu;
 use m4_core::{Camera, Column, CounterRng, Intrinsics, Se3, SplatLayout, Splats};
-use m4_kernels::{Frame, FrameGradient, Gradients, Renderer, SimdLevel, View, gpu::Renderer as GpuRenderer};
+use m4_kernels::{Frame, Gradients, Renderer, SimdLevel, View, gpu::Renderer as GpuRenderer};
 use m4_testkit::{Flips, SceneSpec, assert_gradient, assert_image, random_camera, random_splats};
 
 /// Splats, half of them dynamic, before a random camera.
@@ -67,7 +67,7 @@ fn images_and_gradients_are_those_of_the_cpu() {
 
             let mut rng = CounterRng::new(seed, 5, 5);
             let mut plane = || (0..size.0 * size.1).map(|_| rng.normal() as f32).collect::<Vec<f32>>();
-            let g = FrameGradient { rgb: [plane(), plane(), plane()], alpha: plane(), depth: plane() };
+            let g = [plane(), plane(), plane()];
             let (mut want, mut got) = (Gradients::default(), Gradients::default());
             cpu.backward(&splats, &g, false, &mut want);
             twin.backward(&view, &g, &mut got).unwrap();
@@ -81,7 +81,7 @@ fn the_same_bits_every_time() {
     let Some(gpu) = gpu("the same bits") else { return };
     let (splats, view) = scene(9, (100, 70), layout(false, 0, 0), 800);
     let plane: Vec<f32> = (0..7000).map(|i| (i % 13) as f32 - 6.0).collect();
-    let g = FrameGradient { rgb: [plane.clone(), plane.clone(), plane], ..FrameGradient::default() };
+    let g = [plane.clone(), plane.clone(), plane];
     let once = || {
         let mut twin = GpuRenderer::new(gpu.clone(), &splats).unwrap();
         let frame = twin.render(&view).unwrap();
@@ -150,7 +150,7 @@ fn both(what: &str, splats: &Splats, view: &View) {
     let Intrinsics { width, height, .. } = view.camera.intrinsics;
     let pixels = width * height;
     let plane = |step: usize| -> Vec<f32> { (0..pixels).map(|i| (i * step % 13) as f32 / 6.0 - 1.0).collect() };
-    let g = FrameGradient { rgb: [plane(5), plane(7), plane(8)], alpha: plane(9), depth: plane(11) };
+    let g = [plane(5), plane(7), plane(8)];
     let (mut want, mut got) = (Gradients::default(), Gradients::default());
     cpu.backward(splats, &g, false, &mut want);
     twin.backward(view, &g, &mut got).unwrap();
@@ -172,7 +172,7 @@ fn no_splats_show_the_background() {
     let frame = twin.render(&view).unwrap();
     assert!(frame.rgb[1].iter().all(|&v| v == 0.4) && frame.transmittance.iter().all(|&v| v == 1.0));
     let plane = vec![1.0; 33 * 17];
-    let g = FrameGradient { rgb: [plane.clone(), plane.clone(), plane], ..FrameGradient::default() };
+    let g = [plane.clone(), plane.clone(), plane];
     let mut out = Gradients::default();
     twin.backward(&view, &g, &mut out).unwrap();
     assert!(out.touched.is_empty() && out.columns.iter().all(Vec::is_empty));

@@ -30,7 +30,7 @@ fn assert_empty(name: &str, level: SimdLevel, splats: &Splats, view: &View) {
     assert!(out.touched.iter().all(|&t| t == 0), "{name}");
     assert_eq!(out.camera, m4_kernels::CameraGradient::default(), "{name}");
     for c in 0..3 {
-        let want: f64 = g.rgb[c].iter().map(|&v| f64::from(v)).sum();
+        let want: f64 = g[c].iter().map(|&v| f64::from(v)).sum();
         assert!((f64::from(out.background[c]) - want).abs() < 1e-3 * (1.0 + want.abs()), "{name}");
     }
     let mut score = vec![0.0; splats.n()];

@@ -2,7 +2,7 @@
 
 use m4_core::{Camera, Column, CounterRng, Splats};
 use m4_kernels::{
-    Frame, FrameGradient, Gradients, Renderer, SimdLevel, View,
+    Frame, Gradients, Renderer, SimdLevel, View,
     blend::reference::{CHANNELS, Hard},
     reference::{Rendered, SceneGradient, Setup, Splat, backward, render, score_splats, splats_of},
 };
@@ -33,26 +33,19 @@ pub fn view(camera: Camera) -> View {
     View { camera, t: 4.3, background: [0.2, 0.4, 0.1], near: 0.2, mip: false, period: 9.0, with_depth: true }
 }
 
-/// A random gradient of every plane that `view` has.
-pub fn frame_gradient(seed: u64, view: &View) -> FrameGradient {
+/// A random gradient of every colour plane.
+pub fn frame_gradient(seed: u64, view: &View) -> [Vec<f32>; 3] {
     let n = view.camera.intrinsics.width * view.camera.intrinsics.height;
     let plane = |index: u64| -> Vec<f32> {
         let mut rng = CounterRng::new(seed, 21, index);
         (0..n).map(|_| (2.0 * rng.uniform() - 1.0) as f32).collect()
     };
-    FrameGradient {
-        rgb: [plane(0), plane(1), plane(2)],
-        alpha: plane(3),
-        depth: if view.with_depth { plane(4) } else { Vec::new() },
-    }
+    [plane(0), plane(1), plane(2)]
 }
 
-/// The same, pixel by pixel; planes that are absent are 0.
-pub fn per_pixel(g: &FrameGradient) -> Vec<[f64; CHANNELS]> {
-    let at = |plane: &[f32], i: usize| plane.get(i).map_or(0.0, |&v| f64::from(v));
-    (0..g.rgb[0].len())
-        .map(|i| [at(&g.rgb[0], i), at(&g.rgb[1], i), at(&g.rgb[2], i), at(&g.depth, i), at(&g.alpha, i)])
-        .collect()
+/// The same, pixel by pixel; 0 for depth and alpha.
+fn per_pixel(g: &[Vec<f32>; 3]) -> Vec<[f64; CHANNELS]> {
+    (0..g[0].len()).map(|i| [f64::from(g[0][i]), f64::from(g[1][i]), f64::from(g[2][i]), 0.0, 0.0]).collect()
 }
 
 /// The reference in f64.
@@ -69,7 +62,7 @@ impl Expected {
         Self { splats, setup, rendered }
     }
 
-    pub fn gradient(&self, g: &FrameGradient) -> SceneGradient<f64> {
+    pub fn gradient(&self, g: &[Vec<f32>; 3]) -> SceneGradient<f64> {
         backward::<f64, Hard>(&self.splats, &self.setup, &self.rendered, &per_pixel(g))
     }
 
@@ -142,7 +135,7 @@ pub fn compare(name: &str, level: SimdLevel, splats: &Splats, view: &View, toler
     assert_gradients(&name, &gradients, &expected.gradient(&g), splats, tolerance);
 
     // positive weights, as errors are
-    let weight: Vec<f32> = g.rgb[0].iter().map(|w| w.abs()).collect();
+    let weight: Vec<f32> = g[0].iter().map(|w| w.abs()).collect();
     let mut score = vec![0.0; splats.n()];
     renderer.score(&weight, &mut score);
     assert_score(&name, &score, &expected.score(&weight));

@@ -12,7 +12,7 @@ use crate::{
 };
 use m4_core::{Capture, Column, Exposure, ShapeError, SplatLayout, Splats};
 use m4_kernels::{
-    FrameGradient, Gradients, Renderer, SimdLevel, StepStats, View,
+    Gradients, Renderer, SimdLevel, StepStats, View,
     adam::cpu::{AdamState, step as adam_step},
     cover,
     loss::cpu::{LossScratch, Target, loss},
@@ -29,7 +29,7 @@ pub struct CpuBackend<'a> {
     splats: Splats,
     adam: AdamState,
     renderer: Renderer,
-    frame_gradient: FrameGradient,
+    frame_gradient: [Vec<f32>; 3],
     gradients: Gradients,
     /// Sum over the frames of a step; empty while a step has one frame.
     sum: Gradients,
@@ -51,7 +51,7 @@ impl<'a> CpuBackend<'a> {
             adam: AdamState::new(&nothing),
             splats: nothing,
             renderer: Renderer::new(level),
-            frame_gradient: FrameGradient::default(),
+            frame_gradient: Default::default(),
             gradients: Gradients::default(),
             sum: Gradients::default(),
             scratch: LossScratch::default(),
@@ -67,7 +67,7 @@ impl<'a> CpuBackend<'a> {
         let drawn = &self.renderer.render(&self.splats, step.view).rgb;
         let exposure = self.exposures.get(step.frame);
         let rgb = exposed(exposure, drawn, &mut self.exposed);
-        let out = &mut self.frame_gradient.rgb;
+        let out = &mut self.frame_gradient;
         let terms = loss(self.level, target, rgb, settings.lambda_ssim, &mut self.scratch, out);
         let stats = &mut self.stats;
         stats.frames += 1;
@@ -105,7 +105,7 @@ impl<'a> CpuBackend<'a> {
         let drawn = &self.renderer.render(&self.splats, view).rgb;
         let exposure = self.exposures.get(frame);
         let rgb = exposed(exposure, drawn, &mut self.exposed);
-        let out = &mut self.frame_gradient.rgb;
+        let out = &mut self.frame_gradient;
         for ((out, rgb), target) in out.iter_mut().zip(rgb).zip(&target) {
             out.clear();
             out.extend(rgb.iter().zip(target).map(|(a, b)| a - b));
@@ -275,7 +275,7 @@ impl Backend for CpuBackend<'_> {
             self.residual(*frame, view);
             self.add_colours(&mut sums.residual);
             if with_weight {
-                self.frame_gradient.rgb.iter_mut().for_each(|plane| plane.fill(1.0));
+                self.frame_gradient.iter_mut().for_each(|plane| plane.fill(1.0));
                 self.add_colours(&mut sums.weight);
             }
         }

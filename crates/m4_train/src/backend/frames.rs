@@ -143,6 +143,6 @@ mod tests {
             }
         }
         let handed = targets(&capture);
-        assert_eq!((handed.len(), handed[2].bytes()), (3, 3 * 5 * 4));
+        assert_eq!((handed.len(), handed[2].planes()[2][19]), (3, 2));
     }
 }

@@ -43,9 +43,6 @@ pub struct TrainConfig {
     /// Colour behind everything. `None`: the mean colour of pixels without a surface (depth 0) where at
     /// least one in a thousand has none, else black (reference: black).
     pub background: Option<[f32; 3]>,
-    /// Splats are laid out anew along a Morton curve every so many iterations, and whenever their
-    /// number changes. 0 for the latter only.
-    pub reorder_every: usize,
     /// Iterations between two checks that every parameter is finite; the state of the last check is
     /// kept in case one is not.
     pub guard_every: usize,
@@ -84,7 +81,6 @@ impl TrainConfig {
             refine: RefineConfig::default(),
             mip: true,
             background: None,
-            reorder_every: 0,
             guard_every: 100,
             keep_every_s: 2.0,
             metrics_every: 50,

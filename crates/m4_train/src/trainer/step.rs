@@ -59,10 +59,6 @@ impl Trainer<'_> {
         self.guard()?;
         self.density_round()?;
         self.arc_round()?;
-        let reorder = self.config.reorder_every;
-        if reorder > 0 && self.iteration.is_multiple_of(reorder) {
-            self.reorder()?;
-        }
         if self.config.colour_fit_rounds > 0 && self.iteration == self.config.iterations {
             self.fit_colours()?;
         }

@@ -6,7 +6,7 @@ use m4_core::{Exposure, Splats};
 use m4_kernels::adam::cpu::{AdamConfig, AdamState, step};
 use m4_kernels::gpu::GpuError;
 use m4_kernels::loss::cpu::{LossScratch, Target, loss};
-use m4_kernels::{CameraGradient, FrameGradient, Gradients, Renderer, SimdLevel, View};
+use m4_kernels::{CameraGradient, Gradients, Renderer, SimdLevel, View};
 use m4_testkit::assert_gradient;
 use m4_train::backend::gpu::GpuTrainer;
 use m4_train::backend::{StepSettings, StepView};
@@ -64,13 +64,12 @@ fn on_the_cpu(splats: &Splats, views: &[(Target, View)], rates: &[f32]) -> Host 
     sum.columns.iter_mut().for_each(|c| c.fill(0.0));
     for (frame, (target, view)) in views.iter().enumerate() {
         let drawn = renderer.render(splats, view).clone();
-        let mut g = FrameGradient::default();
-        let shown = exposed(CASTS.get(frame), &drawn.rgb);
-        loss(SimdLevel::best(), target, &shown, LAMBDA, &mut scratch, &mut g.rgb);
+        let (shown, mut g) = (exposed(CASTS.get(frame), &drawn.rgb), Default::default());
+        loss(SimdLevel::best(), target, &shown, LAMBDA, &mut scratch, &mut g);
         if frame < CASTS.len() {
-            exposures.push(of_exposure(&drawn.rgb, &g.rgb));
+            exposures.push(of_exposure(&drawn.rgb, &g));
         }
-        g.rgb = pulled_back(CASTS.get(frame), &g.rgb);
+        g = pulled_back(CASTS.get(frame), &g);
         let mut out = Gradients::default();
         renderer.backward(splats, &g, true, &mut out);
         cameras.push(out.camera);

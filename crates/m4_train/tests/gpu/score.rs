@@ -7,7 +7,7 @@ use crate::{
 };
 use m4_core::{Column, Exposure, Splats};
 use m4_kernels::{
-    FrameGradient, Gradients, Renderer, SimdLevel, View,
+    Gradients, Renderer, SimdLevel, View,
     adam::cpu::AdamState,
     loss::cpu::{LossScratch, Target, error_map, loss},
 };
@@ -106,7 +106,7 @@ fn sums_on_the_cpu(
     let zero = || [0, 1, 2].map(|_| vec![0.0; splats.n()]);
     let (mut residual, mut weight) = (zero(), zero());
     let first = splats.layout().column(Column::Colour);
-    let add = |renderer: &mut Renderer, g: &FrameGradient, to: &mut [Vec<f64>; 3]| {
+    let add = |renderer: &mut Renderer, g: &[Vec<f32>; 3], to: &mut [Vec<f64>; 3]| {
         let mut out = Gradients::default();
         renderer.backward(splats, g, false, &mut out);
         for (k, to) in to.iter_mut().enumerate() {
@@ -119,9 +119,9 @@ fn sums_on_the_cpu(
         let drawn = exposed(exposures.get(*frame), &renderer.render(splats, view).rgb);
         let target = frames[*frame].rgb();
         let rgb = [0, 1, 2].map(|k| -> Vec<f32> { drawn[k].iter().zip(&target[k]).map(|(a, b)| a - b).collect() });
-        let mut g = FrameGradient { rgb: pulled_back(exposures.get(*frame), &rgb), ..FrameGradient::default() };
+        let mut g = pulled_back(exposures.get(*frame), &rgb);
         add(&mut renderer, &g, &mut residual);
-        g.rgb.iter_mut().for_each(|plane| plane.fill(1.0));
+        g.iter_mut().for_each(|plane| plane.fill(1.0));
         add(&mut renderer, &g, &mut weight);
     }
     [residual, weight]

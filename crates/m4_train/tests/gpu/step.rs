@@ -3,7 +3,7 @@
 use crate::gpu;
 use m4_core::{SplatLayout, Splats};
 use m4_kernels::{
-    FrameGradient, Gradients, Renderer, SimdLevel, View,
+    Gradients, Renderer, SimdLevel, View,
     adam::cpu::{AdamConfig, AdamState, step},
     bench::{Bench as HostBench, Kernel, SceneConfig},
     cover,
@@ -56,13 +56,12 @@ fn on_the_cpu(frames: &[Target], config: &AdamConfig, rates: &[f32], steps: usiz
     let (mut splats, view) = start();
     let mut adam = AdamState::new(&splats);
     let mut renderer = Renderer::new(SimdLevel::best());
-    let (mut scratch, mut out, mut gradients) =
-        (LossScratch::default(), FrameGradient::default(), Gradients::default());
+    let (mut scratch, mut out, mut gradients) = (LossScratch::default(), Default::default(), Gradients::default());
     let (mut l1, mut ssim, mut psnr, mut touched) = (0.0, 0.0, 0.0, 0.0);
     for i in 0..steps {
         let target = &frames[i % frames.len()];
         let drawn = renderer.render(&splats, &view);
-        let terms = loss(SimdLevel::best(), target, &drawn.rgb, LAMBDA, &mut scratch, &mut out.rgb);
+        let terms = loss(SimdLevel::best(), target, &drawn.rgb, LAMBDA, &mut scratch, &mut out);
         (l1, ssim) = (l1 + terms.l1 / steps as f64, ssim + terms.ssim / steps as f64);
         psnr = shown(&drawn.rgb, target);
         renderer.backward(&splats, &out, false, &mut gradients);

@@ -30,13 +30,12 @@ fn backend(gpu: &Gpu, limit_mb: Option<usize>) -> Box<dyn Backend> {
     Box::new(GpuBackend::new(gpu.clone(), limit_mb, 1))
 }
 
-/// Density control, a fit of colours and a new order within this many steps.
+/// Density control and a fit of colours within this many steps.
 fn config(iterations: usize) -> TrainConfig {
     let mut config = TrainConfig::fast();
     config.iterations = iterations;
     config.seed = 5;
     config.density = DensityConfig { from: 20, every: 20, prune_every: 40, ..DensityConfig::fast() };
-    config.reorder_every = 30;
     config
 }
 

@@ -69,13 +69,7 @@ pub fn run(config: &BenchConfig, observer: &dyn Observer) -> Result<BenchReport,
     let mut scenes = Vec::new();
     for &kind in &config.scenes {
         for &(width, height) in &config.sizes {
-            scenes.extend(config.splats.iter().map(|&splats| SceneConfig {
-                splats,
-                width,
-                height,
-                sh_degree: 0,
-                kind,
-            }));
+            scenes.extend(config.splats.iter().map(|&splats| SceneConfig { splats, width, height, kind }));
         }
     }
     #[cfg(feature = "gpu")]

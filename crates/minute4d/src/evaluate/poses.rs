@@ -19,7 +19,7 @@ use m4_core::{Camera, Scene, Sim3};
 use m4_eval::geometry::placement;
 use m4_eval::image::PlanarImage;
 use m4_io::trajectory;
-use m4_kernels::{FrameGradient, Gradients, Renderer, SimdLevel};
+use m4_kernels::{Gradients, Renderer, SimdLevel};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 
@@ -158,7 +158,7 @@ pub(super) struct Refiner<'a> {
     painter: Painter<'a>,
     renderer: Renderer,
     gradients: Gradients,
-    gradient: FrameGradient,
+    gradient: [Vec<f32>; 3],
 }
 
 impl<'a> Refiner<'a> {
@@ -168,7 +168,7 @@ impl<'a> Refiner<'a> {
             painter: Painter::new(scene, level),
             renderer: Renderer::new(level),
             gradients: Gradients::default(),
-            gradient: FrameGradient::default(),
+            gradient: Default::default(),
         }
     }
 
@@ -217,7 +217,7 @@ impl<'a> Refiner<'a> {
         let (width, height) = reference.size();
         let share = 1.0 / (3 * width * height).max(1) as f64;
         let mut sum = 0.0;
-        for (out, (drawn, wanted)) in self.gradient.rgb.iter_mut().zip(frame.rgb.iter().zip(reference.planes())) {
+        for (out, (drawn, wanted)) in self.gradient.iter_mut().zip(frame.rgb.iter().zip(reference.planes())) {
             out.clear();
             out.extend(drawn.iter().zip(wanted).map(|(&a, &b)| {
                 let off = f64::from(a - b);

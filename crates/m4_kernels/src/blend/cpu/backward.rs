@@ -62,26 +62,7 @@ const fn unit(lane: usize) -> [f32; 16] {
     out[lane] = 1.0;
     out
 }
-const UNITS: [[f32; 16]; 4] = [unit(Sums::RGB[0]), unit(Sums::RGB[1]), unit(Sums::RGB[2]), unit(Sums::DEPTH)];
-
-/// Adds up a band's gradient: `sums[i]` for its splat `i`; returns the gradient with respect to the
-/// background. `used` is what [`forward`](super::forward()) left.
-#[inline(always)]
-pub(crate) fn backward<S: Simd>(
-    s: S,
-    band: &Band,
-    rows: &[Row],
-    place: BandPlace,
-    used: &Used,
-    g: &BandGradient<'_>,
-    sums: &mut Vec<Sums>,
-) -> [f64; 3] {
-    if g.d_alpha.is_empty() && g.d_depth.is_empty() {
-        band_backward::<S, false>(s, band, rows, place, used, g, sums)
-    } else {
-        band_backward::<S, true>(s, band, rows, place, used, g, sums)
-    }
-}
+const UNITS: [[f32; 16]; 3] = [unit(Sums::RGB[0]), unit(Sums::RGB[1]), unit(Sums::RGB[2])];
 
 /// The pixels of a tile: the gradient with respect to them, and how far they are.
 #[derive(Clone, Copy)]
@@ -91,8 +72,6 @@ struct State<S: Simd> {
     /// `<g, C>`, all channels together, of what is still behind.
     behind: f32x16<S>,
     rgb: [f32x16<S>; 3],
-    alpha: f32x16<S>,
-    depth: f32x16<S>,
 }
 
 /// What a batch hands from stage to stage.
@@ -104,8 +83,10 @@ struct Stages {
     pairs: [[f64; PIXELS]; BATCH],
 }
 
+/// Adds up a band's gradient: `sums[i]` for its splat `i`; returns the gradient with respect to the
+/// background. `used` is what [`forward`](super::forward()) left.
 #[simd]
-fn band_backward<S: Simd, const EXTRA: bool>(
+pub(crate) fn backward<S: Simd>(
     s: S,
     band: &Band,
     rows: &[Row],
@@ -119,7 +100,7 @@ fn band_backward<S: Simd, const EXTRA: bool>(
     // blocks look splats and pixels up out of order: read in order they come into the cache much
     // faster, and there they stay for the band
     band.touch(rows);
-    for plane in g.rgb.iter().chain(&g.d_rgb).chain([&g.transmittance, &g.depth, &g.d_alpha, &g.d_depth]) {
+    for plane in g.rgb.iter().chain(&g.d_rgb).chain([&g.transmittance]) {
         touch(plane.iter().step_by(16).copied());
     }
     let zero = all(s, 0.0);
@@ -130,18 +111,18 @@ fn band_backward<S: Simd, const EXTRA: bool>(
         Stages { alpha: [[0.0; PIXELS]; BATCH], along: [[0.0; PIXELS]; BATCH], pairs: [[0.0; PIXELS]; BATCH] };
     let mut totals = [Sums::default(); CHUNK];
     for block in 0..place.blocks() {
-        let mut states = [State { t: zero, behind: zero, rgb: [zero; 3], alpha: zero, depth: zero }; BLOCK_TILES];
+        let mut states = [State { t: zero, behind: zero, rgb: [zero; 3] }; BLOCK_TILES];
         for (tile, state) in states.iter_mut().enumerate() {
-            *state = fresh::<S, EXTRA>(s, place, block, tile, g, &mut background);
+            *state = fresh(s, place, block, tile, g, &mut background);
         }
         for chunk in band.list(block)[..used.walked[block] as usize].chunks(CHUNK) {
             copy(chunk, rows, &mut records);
             totals[..chunk.len()].fill(Sums::default());
             for (tile, (state, list)) in states.iter_mut().zip(replayed.chunk()).enumerate() {
                 let pixels = Pixels::new(s, place, block, tile);
-                let table = table::<S, EXTRA>(s, tile, state);
+                let table = table(s, tile, state);
                 for batch in list.chunks(BATCH) {
-                    shapes::<S, EXTRA>(s, batch, &records, &pixels, state, &mut stages);
+                    shapes(s, batch, &records, &pixels, state, &mut stages);
                     replay(s, batch.len(), state, &mut stages);
                     add_sums(s, batch, &stages, &table, &mut totals);
                 }
@@ -169,7 +150,7 @@ fn touch(values: impl Iterator<Item = f32>) {
 
 /// The state of a tile before the first splat; adds its pixels to the gradient of the background.
 #[inline(always)]
-fn fresh<S: Simd, const EXTRA: bool>(
+fn fresh<S: Simd>(
     s: S,
     place: BandPlace,
     block: usize,
@@ -184,8 +165,6 @@ fn fresh<S: Simd, const EXTRA: bool>(
         t: f32x16::from_slice(s, &window.fresh(1.0, T_FLOOR)),
         behind: zero,
         rgb: [zero; 3],
-        alpha: zero,
-        depth: zero,
     };
     for c in 0..3 {
         let v = window.load(s, g.d_rgb[c]);
@@ -193,32 +172,18 @@ fn fresh<S: Simd, const EXTRA: bool>(
         state.behind = v.mul_add(window.load(s, g.rgb[c]), state.behind);
         background[c] = v.mul_add(left, background[c]);
     }
-    if EXTRA {
-        if !g.d_alpha.is_empty() {
-            state.alpha = window.load(s, g.d_alpha);
-            state.behind = state.alpha.mul_add(all(s, 1.0) - left, state.behind);
-        }
-        if !g.d_depth.is_empty() {
-            state.depth = window.load(s, g.d_depth);
-            state.behind = state.depth.mul_add(window.load(s, g.depth), state.behind);
-        }
-    }
     state
 }
 
 /// What the pairs of each pixel of a tile are multiplied with.
 #[inline(always)]
-fn table<S: Simd, const EXTRA: bool>(s: S, tile: usize, state: &State<S>) -> [f32x16<S>; PIXELS] {
+fn table<S: Simd>(s: S, tile: usize, state: &State<S>) -> [f32x16<S>; PIXELS] {
     let rgb: [[f32; PIXELS]; 3] = [state.rgb[0].to_array(), state.rgb[1].to_array(), state.rgb[2].to_array()];
-    let depth: [f32; PIXELS] = state.depth.to_array();
     let mut out = [all(s, 0.0); PIXELS];
     for p in 0..PIXELS {
         let mut row = f32x16::from_slice(s, &MOMENTS[tile][p]);
         for c in 0..3 {
             row = all(s, rgb[c][p]).mul_add(f32x16::from_slice(s, &UNITS[c]), row);
-        }
-        if EXTRA {
-            row = all(s, depth[p]).mul_add(f32x16::from_slice(s, &UNITS[3]), row);
         }
         out[p] = row;
     }
@@ -234,7 +199,7 @@ fn reciprocal<S: Simd>(s: S, x: f32x16<S>) -> f32x16<S> {
 
 /// What does not depend on the splats in front.
 #[inline(always)]
-fn shapes<S: Simd, const EXTRA: bool>(
+fn shapes<S: Simd>(
     s: S,
     batch: &[u8],
     records: &Copies,
@@ -247,10 +212,7 @@ fn shapes<S: Simd, const EXTRA: bool>(
         let alpha = alpha(s, r, pixels);
         alpha.store_slice(&mut out.alpha[n]);
         let rgb = all3(s, &r.rgb);
-        let mut along = rgb[0].mul_add(state.rgb[0], rgb[1].mul_add(state.rgb[1], rgb[2] * state.rgb[2]));
-        if EXTRA {
-            along = all(s, r.depth).mul_add(state.depth, along + state.alpha);
-        }
+        let along = rgb[0].mul_add(state.rgb[0], rgb[1].mul_add(state.rgb[1], rgb[2] * state.rgb[2]));
         along.store_slice(&mut out.along[n]);
     }
 }

@@ -28,7 +28,10 @@ pub(crate) fn bucket_tiles(counts: &[u32], offsets: &[u32], tile_of: &mut [u32],
     }
 }
 
-/// Sums over the pixels of a tile: weight, first and second moments, colours and depth (docs/spec/optimiser.md 1.7).
+/// Sums of an entry over the pixels of its tile: weight, first and second moments, colours (docs/spec/optimiser.md 1.7).
+pub(crate) const SUMS: usize = 9;
+
+/// Adds these sums up.
 #[cube(launch)]
 pub(crate) fn blend_backward(
     records: &[f32],
@@ -44,7 +47,6 @@ pub(crate) fn blend_backward(
     sums: &mut [f32],
     width: u32,
     height: u32,
-    #[comptime] with_depth: bool,
 ) {
     let mut state = Shared::<[f32]>::new_slice(64usize);
     let bucket = CUBE_POS as u32;
@@ -66,7 +68,6 @@ pub(crate) fn blend_backward(
         let mut red = 0.0f32;
         let mut green = 0.0f32;
         let mut blue = 0.0f32;
-        let mut z = 0.0f32;
         if on {
             let r = splats[entry as usize] as usize * RECORD;
             u = records[r];
@@ -78,7 +79,6 @@ pub(crate) fn blend_backward(
             red = records[r + 6];
             green = records[r + 7];
             blue = records[r + 8];
-            z = records[r + 9];
         }
         let mut weight = 0.0f32;
         let mut wx = 0.0f32;
@@ -89,7 +89,6 @@ pub(crate) fn blend_backward(
         let mut d_red = 0.0f32;
         let mut d_green = 0.0f32;
         let mut d_blue = 0.0f32;
-        let mut d_depth = 0.0f32;
         let unit = UNIT_POS as usize;
         for step in 0u32..287u32 {
             // what the unit before left for this one's pixel
@@ -106,18 +105,11 @@ pub(crate) fn blend_backward(
                 if x < width && y < height {
                     let at = (y * width + x) as usize;
                     let (gr, gg, gb) = (pixels[at], pixels[all + at], pixels[2 * all + at]);
-                    let mut gd = 0.0f32;
-                    if comptime!(with_depth) {
-                        gd = pixels[4 * all + at];
-                    }
                     if UNIT_POS == 0u32 {
-                        let k = (bucket * 256u32 + p) as usize * 5;
+                        let k = (bucket * 256u32 + p) as usize * 4;
                         light = checkpoints[k];
                         behind = pixels[3 * all + at]
                             - (gr * checkpoints[k + 1] + gg * checkpoints[k + 2] + gb * checkpoints[k + 3]);
-                        if comptime!(with_depth) {
-                            behind -= gd * checkpoints[k + 4];
-                        }
                     }
                     let dx = u - f32::cast_from(x);
                     let dy = v - f32::cast_from(y);
@@ -127,11 +119,7 @@ pub(crate) fn blend_backward(
                         let raw = (exponent * LN_2).exp();
                         let alpha = raw.min(ALPHA_MAX);
                         let blended = light * alpha;
-                        let mut seen = gr * red + gg * green + gb * blue;
-                        if comptime!(with_depth) {
-                            seen += gd * z;
-                            d_depth += blended * gd;
-                        }
+                        let seen = gr * red + gg * green + gb * blue;
                         d_red += blended * gr;
                         d_green += blended * gg;
                         d_blue += blended * gb;
@@ -154,7 +142,7 @@ pub(crate) fn blend_backward(
             sync_cube();
         }
         if on {
-            let s = slots[entry as usize] as usize * RECORD;
+            let s = slots[entry as usize] as usize * SUMS;
             sums[s] = weight;
             sums[s + 1] = wx;
             sums[s + 2] = wy;
@@ -164,7 +152,6 @@ pub(crate) fn blend_backward(
             sums[s + 6] = d_red;
             sums[s + 7] = d_green;
             sums[s + 8] = d_blue;
-            sums[s + 9] = d_depth;
         }
     }
 }

@@ -1,6 +1,7 @@
 //! Turns the sums of the tiles into gradients of the parameters.
 
-use super::{LOW_PASS, RECORD, Spec, ellipse, offset_of, opacity_logit, row, sight};
+use super::{LOW_PASS, Spec, ellipse, offset_of, opacity_logit, row, sight};
+use crate::blend::gpu::backward::SUMS;
 use crate::gpu::log::write_parts;
 use crate::gpu::vector::{FOCAL, INVERSE_PERIOD, TIME};
 use crate::gpu::vector::{add_scaled, dot, scaled, times, transposed, v3};
@@ -58,9 +59,8 @@ pub(crate) fn project_backward(
             let mut d_red = 0.0f32;
             let mut d_green = 0.0f32;
             let mut d_blue = 0.0f32;
-            let mut d_depth = 0.0f32;
             for k in 0u32..count {
-                let s = (offsets[p as usize] + k) as usize * RECORD;
+                let s = (offsets[p as usize] + k) as usize * SUMS;
                 weight += sums[s];
                 mx += sums[s + 1];
                 my += sums[s + 2];
@@ -70,9 +70,8 @@ pub(crate) fn project_backward(
                 d_red += sums[s + 6];
                 d_green += sums[s + 7];
                 d_blue += sums[s + 8];
-                d_depth += sums[s + 9];
             }
-            let size = weight.abs() + d_depth.abs() + d_red.abs() + d_green.abs() + d_blue.abs();
+            let size = weight.abs() + d_red.abs() + d_green.abs() + d_blue.abs();
             if size > 0.0f32 {
                 seen = 1u32;
             }
@@ -111,7 +110,7 @@ pub(crate) fn project_backward(
             let mut dx = cu * jx;
             let mut dy = cv * jy;
             let mut dz =
-                d_depth - (cu * jx * e.ray_x + cv * jy * e.ray_y) - (dot(&da, &w0) * jx + dot(&db, &w1) * jy) * iz;
+                -(cu * jx * e.ray_x + cv * jy * e.ray_y) - (dot(&da, &w0) * jx + dot(&db, &w1) * jy) * iz;
             let d = dot(&da, &w2) * jx * iz;
             if e.slope_x == e.ray_x {
                 dx -= d;

@@ -13,7 +13,6 @@ use m4_kernels::{
     gpu::{
         Gpu, GpuError,
         buffer::{Buffer, cubes, units},
-        frames::DeviceFrame,
         log::write_parts,
     },
     loss::gpu::target_at,
@@ -167,25 +166,23 @@ impl GpuTrainer {
     }
 
     /// Image minus frame becomes the gradient.
-    fn leave_residual(&self, shown: &Buffer, frame: &DeviceFrame) {
+    fn leave_residual(&self, shown: &Buffer, frame: &Buffer) {
         let pixels = self.work.size.pixels();
         residual::launch(
             &self.gpu.client,
             cubes(pixels, 256),
             units(),
             shown.arg(),
-            frame.samples.arg(),
+            frame.arg(),
             self.work.gradient.arg(),
             pixels as u32,
-            frame.worth,
-            frame.wide,
         );
     }
 
     /// Adds the gradient of the constant coefficients to three planes of `sums`.
     fn add_colours(&mut self, view: &View, sums: &Buffer, first: usize) {
         let n = self.splats.n;
-        self.work.backward(&self.gpu, &self.splats, &self.gradients, view.mip, false, false, None);
+        self.work.backward(&self.gpu, &self.splats, &self.gradients, view.mip, None);
         add_touched::launch(
             &self.gpu.client,
             cubes(n, 256),
@@ -201,13 +198,13 @@ impl GpuTrainer {
 
 /// Image minus frame.
 #[cube(launch)]
-fn residual(image: &[f32], target: &[u32], gradient: &mut [f32], pixels: u32, worth: f32, #[comptime] wide: bool) {
+fn residual(image: &[f32], target: &[u32], gradient: &mut [f32], pixels: u32) {
     let i = ABSOLUTE_POS as u32;
     if i < pixels {
         #[unroll]
         for channel in 0u32..3u32 {
             let at = (channel * pixels + i) as usize;
-            gradient[at] = image[at] - target_at(target, i, channel, pixels, worth, wide);
+            gradient[at] = image[at] - target_at(target, i, channel, pixels);
         }
     }
 }

@@ -149,7 +149,7 @@ impl GpuTrainer {
         }
         let gpu = &self.gpu;
         let camera = step.camera.then(|| self.cameras.next(gpu, step.frame, self.splats.n));
-        self.work.backward(gpu, &self.splats, &self.gradients, step.view.mip, false, false, camera.as_ref());
+        self.work.backward(gpu, &self.splats, &self.gradients, step.view.mip, camera.as_ref());
         if step.camera {
             self.cameras.add_up(gpu);
         }

@@ -4,7 +4,6 @@ use crate::config::ErrorRange;
 use cubecl::prelude::*;
 use m4_kernels::gpu::Gpu;
 use m4_kernels::gpu::buffer::{Buffer, cubes, units};
-use m4_kernels::gpu::frames::DeviceFrame;
 use m4_kernels::gpu::sort::{Pairs, Sort};
 use m4_kernels::loss::gpu::target_at;
 
@@ -54,19 +53,17 @@ impl Mask {
     }
 
     /// The errors of `image`, and the cut.
-    pub fn find(&self, gpu: &Gpu, image: &Buffer, frame: &DeviceFrame, threshold: f32) {
+    pub fn find(&self, gpu: &Gpu, image: &Buffer, frame: &Buffer, threshold: f32) {
         let (client, pixels) = (&gpu.client, self.pixels);
         error_map::launch(
             client,
             cubes(pixels, 256),
             units(),
             image.arg(),
-            frame.samples.arg(),
+            frame.arg(),
             self.errors.arg(),
             self.extremes.arg(),
             pixels as u32,
-            frame.worth,
-            frame.wide,
         );
         match &self.sorted {
             None => cut_of_extremes::launch(
@@ -99,15 +96,7 @@ impl Mask {
 /// Mean over the channels of the absolute differences (Minute4D Eq. 6), 0 where that is not finite; smallest and largest of
 /// each cube.
 #[cube(launch)]
-fn error_map(
-    image: &[f32],
-    target: &[u32],
-    errors: &mut [f32],
-    extremes: &mut [f32],
-    pixels: u32,
-    worth: f32,
-    #[comptime] wide: bool,
-) {
+fn error_map(image: &[f32], target: &[u32], errors: &mut [f32], extremes: &mut [f32], pixels: u32) {
     let mut low = Shared::<[f32]>::new_slice(256usize);
     let mut high = Shared::<[f32]>::new_slice(256usize);
     let i = ABSOLUTE_POS as u32;
@@ -119,7 +108,7 @@ fn error_map(
         #[unroll]
         for channel in 0u32..3u32 {
             let x = image[(channel * pixels + i) as usize];
-            sum += (x - target_at(target, i, channel, pixels, worth, wide)).abs();
+            sum += (x - target_at(target, i, channel, pixels)).abs();
         }
         let mut error = sum * (1.0f32 / 3.0f32);
         if (u32::reinterpret(error) & 0x7f80_0000u32) == 0x7f80_0000u32 {
