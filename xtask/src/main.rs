@@ -7,7 +7,7 @@ use std::path::Path;
 use std::process::{Command, ExitCode};
 use std::time::Instant;
 
-const USAGE: &str = "usage: cargo xtask <test [--full] [--require NEED,...] [-- ARGUMENT...] | check [--skip-tests] | arrows | lock | deny | page | settings [--check] | results-held-out SCENE... | results-time SECONDS,... SCENE... | results-geometry [OPTION VALUE]... INPUT=TRUTH... | results-raw [OPTION VALUE]... SCENE... | results-ablation [--iterations N] [--rows NAME,...] [--reuse] SCENE...>
+const USAGE: &str = "usage: cargo xtask <test [--full] [--require NEED,...] [-- ARGUMENT...] | check [--skip-tests] | arrows | lock | deny | page | settings [--check] | results-held-out SCENE... | results-time SECONDS,... SCENE... | results-geometry [OPTION VALUE]... INPUT=TRUTH... | results-raw [OPTION VALUE]... SCENE...>
 
   test    the tests of the default program, and at the end what could not run here and why; --full: what networks and GPUs add to
           them; --require ffmpeg,chromium,vulkan,...: fail where a test was skipped for want of these (docs/building.md)
@@ -20,8 +20,7 @@ const USAGE: &str = "usage: cargo xtask <test [--full] [--require NEED,...] [-- 
   results-held-out  train each scene in every profile and score its held-out views (docs/results.md)
   results-time      train each scene in both profiles for so many seconds each and score its held-out views
   results-geometry  recover the geometry of each input and compare it with the truth (docs/results.md)
-  results-raw       recover the geometry of each scene, train it and the scene as given, and score the held-out views
-  results-ablation  train each scene with one thing changed at a time and score its held-out views (docs/results.md)";
+  results-raw       recover the geometry of each scene, train it and the scene as given, and score the held-out views";
 
 /// The features that are linted and documented beside the default ones.
 const FULL: [&str; 2] = ["--features", "minute4d_cli/full,m4_nets/gpu"];
@@ -56,9 +55,6 @@ fn main() -> ExitCode {
         }
         ["results-raw", ref scenes @ ..] if !scenes.is_empty() => {
             table(xtask::results::raw(&root, scenes, &root.join("target/results")))
-        }
-        ["results-ablation", ref words @ ..] if !words.is_empty() => {
-            table(xtask::results::ablation(&root, words, &root.join("target/results")))
         }
         _ => {
             eprintln!("{USAGE}");

@@ -3,10 +3,6 @@
 //! Everything goes through the program as a user would run it; rows are read from the files it leaves
 //! (`run.json`, `eval.json`) or prints (`eval-geometry`).
 
-mod ablation;
-
-pub use ablation::ablation;
-
 use anyhow::{Context, Result, anyhow, bail};
 use plotters::prelude::*;
 use serde_json::Value;

@@ -10,7 +10,6 @@ use minute4d::core::{Camera, Capture, CaptureFrame, CounterRng, DepthMap, Mask, 
 use minute4d::io::capture::{self, Split};
 use minute4d::io::image::{read_depth, read_mask, write_depth, write_mask};
 use serde_json::{Value, json};
-use std::fmt::Write;
 use std::fs;
 
 const FRAMES: usize = 12;
@@ -20,7 +19,7 @@ fn depth(camera: &Camera) -> DepthMap {
     Plane::from_fn(SIZE.0, SIZE.1, |x, y| see(camera, x as f64, y as f64).1 as f32)
 }
 
-/// A clip with everything known about it: `clip/`, `depth/`, `masks/`, `poses.txt`, `poses.json`.
+/// A clip with everything known about it: `clip/`, `depth/`, `masks/`, `poses.json`.
 fn known() -> (Scratch, Vec<Camera>) {
     let dir = Scratch::new();
     let cameras = walk(FRAMES);
@@ -28,15 +27,11 @@ fn known() -> (Scratch, Vec<Camera>) {
     for folder in ["depth", "masks"] {
         fs::create_dir(dir.path(folder)).unwrap();
     }
-    let mut lines = String::from("# t tx ty tz qx qy qz qw\n");
     for (i, camera) in cameras.iter().enumerate() {
         write_depth(&dir.path(&format!("depth/{i:05}.png")), &depth(camera), 0.001).unwrap();
         let mask: Mask = Plane::from_fn(SIZE.0, SIZE.1, |x, _| if x < 40 { 255 } else { 0 });
         write_mask(&dir.path(&format!("masks/{i:05}.png")), &mask).unwrap();
-        let [x, y, z, a, b, c, w] = camera.c2w.to_translation_quaternion();
-        writeln!(lines, "{}.5 {x} {y} {z} {a} {b} {c} {w}", i).unwrap();
     }
-    dir.write("poses.txt", lines);
     let frames = cameras.iter().enumerate().map(|(i, camera)| CaptureFrame {
         name: format!("{i:05}"),
         camera: *camera,
@@ -83,31 +78,23 @@ fn poses_differ(made: &Capture, cameras: &[Camera]) -> f64 {
 #[test]
 fn given_poses_are_used_and_set_the_unit_of_depth() {
     let (dir, cameras) = known();
-    let lens = format!("{FOCAL_PX},{FOCAL_PX},{},{}", SIZE.0 / 2, SIZE.1 / 2);
-    let both = format!("--poses poses.txt --intrinsics {lens}");
-    for more in [both.as_str(), "--poses poses.json"] {
-        let (record, made) = geometry(&dir, more);
-        assert_eq!(record["found"]["camera_motion"], "parallax", "{record}");
-        assert_eq!(record["found"]["confidence"]["focal"], "given", "{record}");
-        assert!(poses_differ(&made, &cameras) < 1e-6);
-        let error = depth_error(&made, &cameras);
-        assert!(error < 0.08, "{error}");
-    }
+    let (record, made) = geometry(&dir, "--poses poses.json");
+    assert_eq!(record["found"]["camera_motion"], "parallax", "{record}");
+    assert_eq!(record["found"]["confidence"]["focal"], "given", "{record}");
+    assert!(poses_differ(&made, &cameras) < 1e-6);
+    let error = depth_error(&made, &cameras);
+    assert!(error < 0.08, "{error}");
 }
 
 #[test]
-fn poses_without_intrinsics_or_of_another_clip_are_rejected() {
+fn poses_of_another_clip_are_rejected() {
     let (dir, _) = known();
-    let lines = fs::read_to_string(dir.path("poses.txt")).unwrap();
-    let short: Vec<&str> = lines.lines().take(FRAMES - 1).collect();
-    dir.write("short.txt", short.join("\n"));
-    dir.write("broken.txt", lines.replace("3.5 ", "3.5 x "));
-    for (poses, code, words) in [
-        ("poses.txt", 65, &["poses.txt", "--intrinsics", "--fov"][..]),
-        ("short.txt --fov 56", 65, &["short.txt", "10 poses", "12 frames"]),
-        ("broken.txt --fov 56", 65, &["broken.txt", "line 5"]),
-        ("none.txt", 66, &["none.txt", "--poses"]),
-    ] {
+    let mut list: Value = serde_json::from_slice(&fs::read(dir.path("poses.json")).unwrap()).unwrap();
+    list["frames"].as_array_mut().unwrap().truncate(10);
+    dir.write("short.json", list.to_string());
+    for (poses, code, words) in
+        [("short.json", 65, &["short.json", "10 poses", "12 frames"][..]), ("none.json", 66, &["none.json", "--poses"])]
+    {
         dir.refused(&format!("{GEOMETRY} --poses {poses}"), code, words);
     }
 }

@@ -7,6 +7,7 @@ mod common;
 mod enhance;
 mod faults;
 mod features;
+mod floor;
 mod geometry;
 mod import;
 mod interchange;

@@ -5,8 +5,7 @@ use crate::twin::{compare, every_level, view};
 use m4_core::{Column, SplatLayout, Splats};
 use m4_kernels::{Gradients, Renderer, SimdLevel, View, blend::reference::CHANNELS};
 use m4_testkit::{
-    GradientCase, GradientFixtures, SceneSpec, gradient_fixtures, moving_scene, random_camera,
-    random_splats,
+    GradientCase, GradientFixtures, SceneSpec, gradient_fixtures, moving_scene, random_camera, random_splats,
 };
 
 /// Of the largest component. Rounding costs 1e-6 to 1e-5; a contribution that falls on the other side of

@@ -46,7 +46,7 @@ impl Clip {
         let width = video.frames.first().map_or(0, |f| f.rgb.width());
         let from_fov = |fov: f64| 0.5 * width as f64 / (0.5 * fov.to_radians()).tan();
         let focal_px = sparse.focal_px.or(sparse.fov_deg.map(from_fov));
-        let given = Given::read(&settings.geometry, input, &video, settings.video.folder_fps, focal_px)?;
+        let given = Given::read(&settings.geometry, input, &video, settings.video.folder_fps)?;
         if let Some(lens) = given.lens {
             sparse.intrinsics = Some([lens.fx, lens.fy, lens.cx, lens.cy]);
         }

@@ -215,8 +215,7 @@ pub struct GeometryOptions {
     /// The lens: `fx,fy,cx,cy` in pixels of the frames (principal point from the image's corner), or a JSON file with
     /// `fl_x`, `fl_y`, `cx`, `cy`, `w`, `h`.
     pub intrinsics: Option<String>,
-    /// Poses a frame: a `transforms.json`, or a trajectory of lines `t tx ty tz qx qy qz qw` (camera to world, OpenCV
-    /// axes).
+    /// Poses of the frames: a `transforms.json`.
     pub poses: Option<PathBuf>,
     /// A folder of masks, one a frame, not black where something moves.
     pub masks: Option<PathBuf>,

@@ -113,7 +113,7 @@ pub struct VideoArgs {
     /// Camera intrinsics: a JSON file with fl_x, fl_y, cx, cy, w and h, or the numbers, in pixels of the frames
     #[arg(long, value_name = "FILE|FX,FY,CX,CY")]
     pub intrinsics: Option<String>,
-    /// Camera poses, one per frame: transforms.json, or lines "t tx ty tz qx qy qz qw" (camera to world, OpenCV axes)
+    /// Camera poses, one per frame: the transforms.json of a capture or of nerfstudio
     #[arg(long, value_name = "FILE")]
     pub poses: Option<PathBuf>,
     /// Folder of masks, one image per frame, not black where the scene is dynamic

@@ -161,11 +161,7 @@ fn fresh<S: Simd>(
     let window = place.window(block, tile);
     let left = window.load(s, g.transmittance);
     let zero = all(s, 0.0);
-    let mut state = State {
-        t: f32x16::from_slice(s, &window.fresh(1.0, T_FLOOR)),
-        behind: zero,
-        rgb: [zero; 3],
-    };
+    let mut state = State { t: f32x16::from_slice(s, &window.fresh(1.0, T_FLOOR)), behind: zero, rgb: [zero; 3] };
     for c in 0..3 {
         let v = window.load(s, g.d_rgb[c]);
         state.rgb[c] = v;
@@ -199,14 +195,7 @@ fn reciprocal<S: Simd>(s: S, x: f32x16<S>) -> f32x16<S> {
 
 /// What does not depend on the splats in front.
 #[inline(always)]
-fn shapes<S: Simd>(
-    s: S,
-    batch: &[u8],
-    records: &Copies,
-    pixels: &Pixels<S>,
-    state: &State<S>,
-    out: &mut Stages,
-) {
+fn shapes<S: Simd>(s: S, batch: &[u8], records: &Copies, pixels: &Pixels<S>, state: &State<S>, out: &mut Stages) {
     for (n, &place) in batch.iter().enumerate().take(BATCH) {
         let r = &records[place as usize % CHUNK];
         let alpha = alpha(s, r, pixels);

@@ -109,8 +109,7 @@ pub(crate) fn project_backward(
             let (jx, jy) = (eye[FOCAL] * iz, eye[FOCAL + 1] * iz);
             let mut dx = cu * jx;
             let mut dy = cv * jy;
-            let mut dz =
-                -(cu * jx * e.ray_x + cv * jy * e.ray_y) - (dot(&da, &w0) * jx + dot(&db, &w1) * jy) * iz;
+            let mut dz = -(cu * jx * e.ray_x + cv * jy * e.ray_y) - (dot(&da, &w0) * jx + dot(&db, &w1) * jy) * iz;
             let d = dot(&da, &w2) * jx * iz;
             if e.slope_x == e.ray_x {
                 dx -= d;

@@ -67,21 +67,14 @@ pub(super) struct Given {
 impl Given {
     /// Reads what `options` name for the clip `video` that came from `input`; `focal_px` of the frames where it is known otherwise. Fails
     /// with the name of a file that is missing, damaged, or does not fit the clip.
-    pub(super) fn read(
-        options: &GeometryOptions,
-        input: &Path,
-        video: &Video,
-        folder_fps: f64,
-        focal_px: Option<f64>,
-    ) -> Result<Self, Error> {
+    pub(super) fn read(options: &GeometryOptions, input: &Path, video: &Video, folder_fps: f64) -> Result<Self, Error> {
         if !options.any_given() {
             return Ok(Self::default());
         }
         let clip = Clip::of(input, video, folder_fps)?;
         let lens = options.intrinsics.as_deref();
         let lens = lens.map(|given| cameras::lens(given, clip.size)).transpose()?;
-        let known = lens.or_else(|| focal_px.map(|f| Intrinsics::centred(clip.size.0, clip.size.1, f)));
-        let cameras = options.poses.as_ref().map(|path| cameras::poses(path, &clip, lens, known)).transpose()?;
+        let cameras = options.poses.as_ref().map(|path| cameras::poses(path, &clip, lens)).transpose()?;
         let masks = options.masks.as_ref().map(|folder| each(&clip, "masks", folder, mask)).transpose()?;
         let depth = |path: &Path| -> Result<DepthMap, Error> { Ok(read_depth(path, DEPTH_UNIT)?.to_map()) };
         let depth = options.depth.as_ref().map(|folder| each(&clip, "depth maps", folder, depth)).transpose()?;

