@@ -167,7 +167,7 @@ fn damaged_scenes_are_rejected() {
 fn eval_without_ground_truth_is_rejected() {
     let dir = Scratch::new();
     write_capture(&dir.path("capture"), false);
-    dir.write("poses.json", "{\"poses\": [[[1,1,0,5,48],[0,1,0,6,64],[0,0,1,7,50]]]}");
+    dir.write("poses.json", "{}");
     let run = finished_run();
     let words = ["transforms_test.json", "held-out"];
     dir.refused(&format!("eval '{run}' --data capture"), 65, &words);
@@ -175,7 +175,7 @@ fn eval_without_ground_truth_is_rejected() {
     for (line, code, words) in [
         ("eval no-run --data capture", 66, &["scene.safetensors"][..]),
         ("eval-geometry capture --truth missing", 66, &["missing"]),
-        ("eval-geometry capture --truth poses.json", 65, &["poses.json", "pose 0"]),
+        ("eval-geometry capture --truth poses.json", 65, &["poses.json", "lists no frames"]),
     ] {
         dir.refused(line, code, words);
     }
