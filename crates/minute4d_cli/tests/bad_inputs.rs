@@ -167,7 +167,7 @@ fn damaged_scenes_are_rejected() {
 fn eval_without_ground_truth_is_rejected() {
     let dir = Scratch::new();
     write_capture(&dir.path("capture"), false);
-    dir.write("poses.json", "{\"poses\": [[[1,1,0,5,48],[0,1,0,6,64],[0,0,1,7,50]]]}");
+    dir.write("poses.json", "{}");
     let run = finished_run();
     let words = ["transforms_test.json", "held-out"];
     dir.refused(&format!("eval '{run}' --data capture"), 65, &words);
