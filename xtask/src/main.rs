@@ -7,7 +7,7 @@ use std::path::Path;
 use std::process::{Command, ExitCode};
 use std::time::Instant;
 
-const USAGE: &str = "usage: cargo xtask <test [--full] [--require NEED,...] [-- ARGUMENT...] | check [--skip-tests] | arrows | lock | deny | page | settings [--check] | results-held-out SCENE... | results-time SECONDS,... SCENE... | results-geometry [OPTION VALUE]... INPUT=TRUTH... | results-raw [OPTION VALUE]... SCENE...>
+const USAGE: &str = "usage: cargo xtask <test [--full] [--require NEED,...] [-- ARGUMENT...] | check [--skip-tests] | arrows | lock | deny | page | settings [--check] | results-held-out SCENE... | results-geometry [OPTION VALUE]... INPUT=TRUTH... | results-raw [OPTION VALUE]... SCENE...>
 
   test    the tests of the default program, and at the end what could not run here and why; --full: what networks and GPUs add to
           them; --require ffmpeg,chromium,vulkan,...: fail where a test was skipped for want of these (docs/building.md)
@@ -18,7 +18,6 @@ const USAGE: &str = "usage: cargo xtask <test [--full] [--require NEED,...] [-- 
   page    build the viewer's page from crates/m4_viewer/page (needs npm)
   settings  write the defaults in docs/settings.md from the code; --check: fail where it is not up to date
   results-held-out  train each scene in every profile and score its held-out views (docs/results.md)
-  results-time      train each scene in both profiles for so many seconds each and score its held-out views
   results-geometry  recover the geometry of each input and compare it with the truth (docs/results.md)
   results-raw       recover the geometry of each scene, train it and the scene as given, and score the held-out views";
 
@@ -41,14 +40,6 @@ fn main() -> ExitCode {
         ["settings", "--check"] => step("settings", || settings(&root, false)),
         ["results-held-out", ref scenes @ ..] if !scenes.is_empty() => {
             table(xtask::results::held_out(&root, scenes, &root.join("target/results")))
-        }
-        ["results-time", seconds, ref scenes @ ..] if !scenes.is_empty() => {
-            match seconds.split(',').map(str::parse).collect::<Result<Vec<f64>, _>>() {
-                Ok(seconds) => {
-                    table(xtask::results::time_to_quality(&root, &seconds, scenes, &root.join("target/results")))
-                }
-                Err(error) => Err(error).context(format!("{seconds}: expected seconds such as 5,15,60")),
-            }
         }
         ["results-geometry", ref pairs @ ..] if !pairs.is_empty() => {
             table(xtask::results::geometry(&root, pairs, &root.join("target/results")))

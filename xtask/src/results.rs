@@ -3,8 +3,7 @@
 //! Everything goes through the program as a user would run it; rows are read from the files it leaves
 //! (`run.json`, `eval.json`) or prints (`eval-geometry`).
 
-use anyhow::{Context, Result, anyhow, bail};
-use plotters::prelude::*;
+use anyhow::{Context, Result, bail};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -60,48 +59,6 @@ fn train_and_score(program: &Path, input: &str, scene: &str, out: &Path, options
     run(program, &[&["train", input, "-o", &text, "--quiet"], existing, options].concat())?;
     run(program, &["eval", &text, "--data", scene, "--quiet"])?;
     Ok([json(&out.join("run.json"))?, json(&out.join("eval.json"))?])
-}
-
-fn last_metrics(run: &Path) -> Result<Value> {
-    let path = run.join("metrics.jsonl");
-    let text = std::fs::read_to_string(&path).with_context(|| format!("cannot read {}", path.display()))?;
-    let last = text.lines().last().with_context(|| format!("{} is empty", path.display()))?;
-    serde_json::from_str(last).with_context(|| format!("{}: the last line is not JSON", path.display()))
-}
-
-/// Trains each scene in both profiles for this many seconds of optimisation and scores the held-out views: one Markdown
-/// row each, returned together, and `time-to-quality.svg` in `work`.
-pub fn time_to_quality(root: &Path, seconds: &[f64], scenes: &[&str], work: &Path) -> Result<String> {
-    let program = program(root)?;
-    let mut curves = Vec::new();
-    let mut table = String::from(
-        "| scene | profile | seconds asked | iterations | PSNR | SSIM | PSNR moving | seconds taken |\n|---|---|---|---|---|---|---|---|\n",
-    );
-    for scene in scenes {
-        let name = stem(scene);
-        for profile in ["fast", "faithful"] {
-            let mut curve = Curve { name: format!("{name}, {profile}"), points: Vec::new() };
-            for &s in seconds {
-                let out = work.join(format!("{name}-{profile}-{s}s"));
-                let budget = format!("train.budget_s={s:?}");
-                let options = ["--profile", profile, "--set", &budget];
-                let [record, eval] = train_and_score(&program, scene, scene, &out, &options)?;
-                let mean = &eval["mean"];
-                let psnr = number(&mean["psnr_db"]);
-                curve.points.push((s, psnr));
-                table += &format!(
-                    "| {name} | {profile} | {s} | {} | {psnr:.2} | {:.3} | {:.2} | {:.0} |\n",
-                    record["iterations"],
-                    number(&mean["ssim"]),
-                    number(&mean["masked_psnr_db"]),
-                    number(&last_metrics(&out)?["seconds"]),
-                );
-            }
-            curves.push(curve);
-        }
-    }
-    plot_time_to_quality(&work.join("time-to-quality.svg"), &curves)?;
-    Ok(table)
 }
 
 /// Recovers the geometry of each input from its images alone and compares it with the truth, pairs
@@ -237,75 +194,4 @@ pub fn raw(root: &Path, args: &[&str], work: &Path) -> Result<String> {
         );
     }
     Ok(table)
-}
-
-/// Points of one curve: seconds and decibels.
-struct Curve {
-    /// What it is called in the legend.
-    name: String,
-    /// In order of time.
-    points: Vec<(f64, f64)>,
-}
-
-/// Draws curves over a logarithmic axis of seconds into an SVG file.
-fn plot_time_to_quality(path: &Path, curves: &[Curve]) -> Result<()> {
-    let all = || curves.iter().flat_map(|c| &c.points);
-    let range = |pick: fn(&(f64, f64)) -> f64| {
-        all().map(pick).fold(None, |r: Option<(f64, f64)>, v| Some(r.map_or((v, v), |(a, b)| (a.min(v), b.max(v)))))
-    };
-    let (Some(x), Some(y)) = (range(|p| p.0), range(|p| p.1)) else {
-        return Err(anyhow!("nothing to plot"));
-    };
-    let failed = |e: &dyn std::fmt::Display| anyhow!("{}: {e}", path.display());
-    let root = SVGBackend::new(path, (860, 480)).into_drawing_area();
-    root.fill(&WHITE).map_err(|e| failed(&e))?;
-    let mut chart = ChartBuilder::on(&root)
-        .margin(16)
-        .x_label_area_size(56)
-        .y_label_area_size(68)
-        .build_cartesian_2d((0.9 * x.0..1.1 * x.1).log_scale(), y.0 - 0.5..y.1 + 0.5)
-        .map_err(|e| failed(&e))?;
-    chart
-        .configure_mesh()
-        .x_desc("seconds of optimisation")
-        .y_desc("PSNR of held-out views, dB")
-        .x_label_formatter(&|s| format!("{s:.0}"))
-        .light_line_style(TRANSPARENT)
-        .label_style(("sans-serif", 18))
-        .axis_desc_style(("sans-serif", 18))
-        .draw()
-        .map_err(|e| failed(&e))?;
-    for (i, curve) in curves.iter().enumerate() {
-        let colour = Palette99::pick(i).stroke_width(2);
-        chart
-            .draw_series(LineSeries::new(curve.points.iter().copied(), colour).point_size(3))
-            .map_err(|e| failed(&e))?
-            .label(&curve.name)
-            .legend(move |(x, y)| PathElement::new([(x, y), (x + 18, y)], colour));
-    }
-    chart
-        .configure_series_labels()
-        .position(SeriesLabelPosition::MiddleRight)
-        .label_font(("sans-serif", 17))
-        .background_style(WHITE)
-        .border_style(BLACK.mix(0.2))
-        .draw()
-        .map_err(|e| failed(&e))?;
-    root.present().map_err(|e| failed(&e))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::{Curve, plot_time_to_quality};
-
-    #[test]
-    fn curves_are_plotted_and_an_empty_table_is_rejected() {
-        let path = std::env::temp_dir().join(format!("minute4d-plot-{}.svg", std::process::id()));
-        let curve = Curve { name: "fast".to_owned(), points: vec![(5.0, 27.0), (60.0, 31.0)] };
-        plot_time_to_quality(&path, &[curve]).unwrap();
-        let text = std::fs::read_to_string(&path).unwrap();
-        std::fs::remove_file(&path).unwrap();
-        assert!(text.contains("<polyline") && text.contains("fast"));
-        assert!(plot_time_to_quality(&path, &[]).is_err());
-    }
 }

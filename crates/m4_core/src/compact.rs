@@ -1,6 +1,6 @@
 //! Masks, depth maps and instance maps as a capture stores them: small in memory, bit for bit the same.
 
-use crate::{DepthMap, Mask, Plane};
+use crate::{DepthMap, Mask, Plane, covering};
 
 /// A mask of one bit per pixel.
 #[derive(Debug, Clone, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
@@ -31,6 +31,12 @@ impl CompactMask {
     pub fn at(&self, x: usize, y: usize) -> bool {
         let i = y * self.width + x;
         self.words[i / 64] >> (i % 64) & 1 == 1
+    }
+
+    /// Whether it is set where it covers the centre of pixel `p` of an image of size `from`.
+    pub fn covers(&self, p: (usize, usize), from: (usize, usize)) -> bool {
+        let (x, y) = covering(p, from, self.size());
+        self.at(x, y)
     }
 
     /// Number of pixels that are set.
@@ -107,6 +113,12 @@ impl CompactDepth {
             Values::Floats(map) => map[(x, y)],
             Values::Steps { steps, unit } => depth(steps[(x, y)], *unit),
         }
+    }
+
+    /// The depth where it covers the centre of pixel `p` of an image of size `from`.
+    pub fn covering(&self, p: (usize, usize), from: (usize, usize)) -> f32 {
+        let (x, y) = covering(p, from, self.size());
+        self.at(x, y)
     }
 
     /// z-depth of every `stride`-th pixel (at least 1), row by row from the first.

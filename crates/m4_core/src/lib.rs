@@ -40,7 +40,7 @@ pub use compact::{CompactDepth, CompactIds, CompactMask};
 pub use fearless_simd;
 pub use flow::{Flow, bilinear, bilinear_cell};
 pub use nalgebra;
-pub use plane::{Plane, ShapeError};
+pub use plane::{Plane, ShapeError, covering};
 pub use progress::{Progress, Silent};
 pub use real::{Real, median, quantile};
 pub use resize::{ResizeFilter, dilated, resize_rgb};

@@ -9,6 +9,11 @@ pub struct Plane<T> {
     data: Vec<T>,
 }
 
+/// The pixel of a plane of size `to` that covers the centre of pixel `(x, y)` of one of size `from`.
+pub fn covering((x, y): (usize, usize), from: (usize, usize), to: (usize, usize)) -> (usize, usize) {
+    ((2 * x + 1) * to.0 / (2 * from.0), (2 * y + 1) * to.1 / (2 * from.1))
+}
+
 /// As it is written: its length is checked when it is read.
 #[derive(serde::Deserialize)]
 #[serde(rename = "Plane")]

@@ -8,7 +8,7 @@
 //! Scores follow those of trained scenes to about 1 dB and take seconds (docs/evaluation.md).
 
 use m4_core::nalgebra::Vector3;
-use m4_core::{Camera, Capture, CaptureFrame, RgbImage};
+use m4_core::{Camera, Capture, CaptureFrame, RgbImage, covering};
 
 /// Most frames that static pixels are taken from.
 const STATIC_FRAMES: usize = 16;
@@ -73,17 +73,16 @@ fn points(frame: &CaptureFrame, dynamic: bool) -> Vec<Point> {
     let Some(depth) = &frame.depth else { return Vec::new() };
     let (w, h) = depth.size();
     let camera = frame.camera.resized(w, h);
-    let of =
-        |x: usize, y: usize, size: (usize, usize)| ((2 * x + 1) * size.0 / (2 * w), (2 * y + 1) * size.1 / (2 * h));
     let pixel = |i: usize| {
         let (x, y) = (i % w, i / w);
-        let inside = frame.mask.as_ref().is_some_and(|m| {
-            let (x, y) = of(x, y, m.size());
-            m.at(x, y)
-        });
+        let inside = frame.mask.as_ref().is_some_and(|m| m.covers((x, y), (w, h)));
         let z = depth.at(x, y);
-        (inside == dynamic && z.is_finite() && z > 0.0)
-            .then(|| (camera.unproject(x as f64, y as f64, f64::from(z)).cast(), frame.rgb[of(x, y, frame.rgb.size())]))
+        (inside == dynamic && z.is_finite() && z > 0.0).then(|| {
+            (
+                camera.unproject(x as f64, y as f64, f64::from(z)).cast(),
+                frame.rgb[covering((x, y), (w, h), frame.rgb.size())],
+            )
+        })
     };
     (0..w * h).filter_map(pixel).collect()
 }

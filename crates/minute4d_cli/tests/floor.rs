@@ -24,11 +24,11 @@ fn scene_from_frames_alone_stays_above_the_floor() {
     let geometry = dir.succeed(&format!("eval-geometry out/capture --truth '{SCENE}' --json")).result();
     let mut below = Vec::new();
     for (what, path, most) in [
-        ("trajectory, % of the path", "/trajectory/rmse_percent", 0.12),
-        ("static depth, AbsRel", "/depth/static_abs_rel", 0.027),
-        ("dynamic depth, AbsRel", "/depth/moving_abs_rel", 0.12),
-        ("distance of the robot", "/objects/0/distance", 0.096),
-        ("pixels that the masks miss", "/objects/0/missed", 0.105),
+        ("trajectory, % of the path", "/trajectory/rmse_percent", 0.15),
+        ("static depth, AbsRel", "/depth/static_abs_rel", 0.029),
+        ("dynamic depth, AbsRel", "/depth/moving_abs_rel", 0.116),
+        ("distance of the robot", "/objects/0/distance", 0.075),
+        ("pixels that the masks miss", "/objects/0/missed", 0.108),
     ] {
         let found = number(&geometry, path);
         if found > most {
@@ -36,7 +36,7 @@ fn scene_from_frames_alone_stays_above_the_floor() {
         }
     }
     let report = dir.succeed(&format!("eval out --data '{SCENE}' --json")).result();
-    for (name, whole, dynamic) in [("far", 0.0, 0.0), ("near", 0.0, 0.0), ("between", 0.0, 0.0)] {
+    for (name, whole, dynamic) in [("far", 23.8, 15.9), ("near", 25.8, 18.3), ("between", 26.0, 18.6)] {
         let mean = set(&report, name);
         for (what, key, least) in [("whole", "/psnr_db", whole), ("dynamic", "/masked_psnr_db", dynamic)] {
             let found = number(mean, key);

@@ -36,34 +36,18 @@ pub enum Substitution {
 }
 
 impl Substitution {
-    /// All of them, in the order of reports.
-    pub const ALL: [Self; 9] = [
-        Self::None,
-        Self::Masks,
-        Self::Distance,
-        Self::Relief,
-        Self::DynamicDepth,
-        Self::StaticDepth,
-        Self::Cameras,
-        Self::MasksAndDepth,
-        Self::All,
+    /// All of them in the order of reports, with names for tables and folders.
+    pub const ALL: [(Self, &str); 9] = [
+        (Self::None, "as estimated"),
+        (Self::Masks, "true masks"),
+        (Self::Distance, "true distance"),
+        (Self::Relief, "true relief"),
+        (Self::DynamicDepth, "true dynamic depth"),
+        (Self::StaticDepth, "true static depth"),
+        (Self::Cameras, "true cameras"),
+        (Self::MasksAndDepth, "true masks and depth"),
+        (Self::All, "everything true"),
     ];
-
-    /// For tables and folders.
-    #[must_use]
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::None => "as estimated",
-            Self::Masks => "true masks",
-            Self::Distance => "true distance",
-            Self::Relief => "true relief",
-            Self::DynamicDepth => "true dynamic depth",
-            Self::StaticDepth => "true static depth",
-            Self::Cameras => "true cameras",
-            Self::MasksAndDepth => "true masks and depth",
-            Self::All => "everything true",
-        }
-    }
 }
 
 /// The training frames of an estimate in the world and unit of the truth, beside it.

@@ -64,20 +64,9 @@ impl<'a> CaptureClip<'a> {
         if !numbers.into_iter().all(|v| v.is_finite()) || k.fx <= 0.0 || k.fy <= 0.0 {
             return refused("its camera is not finite, or has a focal length of 0 or less");
         }
-        let nearest =
-            |x: usize, y: usize, (fw, fh): (usize, usize)| ((2 * x + 1) * fw / (2 * w), (2 * y + 1) * fh / (2 * h));
-        let depth = Plane::from_fn(w, h, |x, y| {
-            frame.depth.as_ref().map_or(0.0, |d| {
-                let (x, y) = nearest(x, y, d.size());
-                d.at(x, y)
-            })
-        });
-        let moving = Plane::from_fn(w, h, |x, y| {
-            frame.mask.as_ref().map_or(0, |m| {
-                let (x, y) = nearest(x, y, m.size());
-                if m.at(x, y) { 255 } else { 0 }
-            })
-        });
+        let depth = Plane::from_fn(w, h, |x, y| frame.depth.as_ref().map_or(0.0, |d| d.covering((x, y), (w, h))));
+        let inside = |x, y| frame.mask.as_ref().is_some_and(|m| m.covers((x, y), (w, h)));
+        let moving = Plane::from_fn(w, h, |x, y| if inside(x, y) { 255 } else { 0 });
         Ok(PosedFrame { rgb: crate::resample::resize_area(&frame.rgb, w, h), depth, moving, camera })
     }
 }

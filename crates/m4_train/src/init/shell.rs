@@ -50,10 +50,7 @@ pub(crate) fn shell(capture: &Capture, count: usize, radius: f32) -> Shell {
                     .execute()
                     .item as usize;
                 let colour = frame.rgb[(x, y)];
-                let nothing = frame.depth.as_ref().is_some_and(|depth| {
-                    let (dw, dh) = depth.size();
-                    depth.at((2 * x + 1) * dw / (2 * w), (2 * y + 1) * dh / (2 * h)) <= 0.0
-                });
+                let nothing = frame.depth.as_ref().is_some_and(|depth| depth.covering((x, y), (w, h)) <= 0.0);
                 let add = |sums: &mut [[f64; 4]]| {
                     (0..3).for_each(|k| sums[cell][k] += f64::from(colour[k]) / 255.0);
                     sums[cell][3] += 1.0;

@@ -5,7 +5,7 @@ use super::HeldOut;
 use super::regions::regions;
 use crate::stage::check_stop;
 use crate::{Error, Observer};
-use m4_core::{Camera, Capture, CaptureFrame, CompactMask, RgbImage, median};
+use m4_core::{Camera, Capture, CaptureFrame, CompactMask, RgbImage, covering, median};
 use m4_eval::image::{ImageReport, MeanScore, PlanarImage};
 use m4_eval::warp::{Warp, nearest};
 use rayon::prelude::*;
@@ -88,11 +88,11 @@ fn billboards(capture: &Capture) -> Capture {
     for frame in &mut out.frames {
         let Some(mut depth) = frame.depth.as_ref().map(m4_core::CompactDepth::to_map) else { continue };
         let (w, h) = frame.rgb.size();
-        let to = |x: usize, y: usize| ((2 * x + 1) * depth.width() / (2 * w), (2 * y + 1) * depth.height() / (2 * h));
+        let to = |p: (usize, usize)| covering(p, (w, h), depth.size());
         let below = (CONTACT_SHARE * w as f64).ceil() as usize;
         let objects = regions(frame);
         let dynamic: HashSet<(usize, usize)> = objects.iter().flat_map(|(_, pixels)| pixels).copied().collect();
-        let known = |&p: &(usize, usize)| Some(depth[to(p.0, p.1)]).filter(|z| z.is_finite() && *z > 0.0);
+        let known = |&p: &(usize, usize)| Some(depth[to(p)]).filter(|z| z.is_finite() && *z > 0.0);
         let mut flat = Vec::new();
         for (_, pixels) in objects {
             let foot = pixels.iter().map(|p| p.1).max().unwrap_or(0);
@@ -100,7 +100,7 @@ fn billboards(capture: &Capture) -> Capture {
             let ground = feet.flat_map(|&(x, y)| (y + 1..(y + 1 + below).min(h)).map(move |v| (x, v)));
             let mut ground: Vec<f32> = ground.filter(|p| !dynamic.contains(p)).filter_map(|p| known(&p)).collect();
             let z = median(&mut ground).or_else(|| median(&mut pixels.iter().filter_map(known).collect::<Vec<f32>>()));
-            flat.extend(z.map(|z| (z, pixels.iter().map(|&(x, y)| to(x, y)).collect::<Vec<_>>())));
+            flat.extend(z.map(|z| (z, pixels.iter().map(|&p| to(p)).collect::<Vec<_>>())));
         }
         for (z, pixels) in flat {
             pixels.into_iter().for_each(|p| depth[p] = z);

@@ -18,6 +18,8 @@ use std::path::Path;
 pub struct ExplainRow {
     /// What was true.
     pub what: Substitution,
+    /// Its name.
+    pub name: &'static str,
     /// The set of views: far or near.
     pub set: String,
     /// Scores of the warped capture.
@@ -50,17 +52,18 @@ pub fn explain(
     }
     let substitutes = Substitutes::new(&estimate, &known)?;
     let mut rows = Vec::new();
-    for (i, what) in Substitution::ALL.into_iter().enumerate() {
-        observer.update("explain", i, Substitution::ALL.len(), what.name());
+    for (i, (what, name)) in Substitution::ALL.into_iter().enumerate() {
+        observer.update("explain", i, Substitution::ALL.len(), name);
         let replaced = substitutes.capture(what);
-        let trained =
-            training.map(|(folder, job)| trained(folder, job, what, &replaced, truth, options)).transpose()?;
+        let trained = training
+            .map(|(folder, job)| trained(&folder.join(name.replace(' ', "-")), job, &replaced, truth, options))
+            .transpose()?;
         let warp = Warp::new(&replaced);
         for (set, views) in &lists {
             let share = |view: &CaptureFrame| view.t / (views.time_frames.max(2) - 1) as f64;
             let warped = mean_of(&views.frames, &|view| warp.view(&view.camera, share(view)))?;
             let trained = trained.as_ref().and_then(|t| t.iter().find(|row| row.set == *set)).map(|row| row.mean);
-            rows.extend(warped.map(|warped| ExplainRow { what, set: (*set).to_owned(), warped, trained }));
+            rows.extend(warped.map(|warped| ExplainRow { what, name, set: (*set).to_owned(), warped, trained }));
         }
     }
     observer.update("explain", Substitution::ALL.len(), Substitution::ALL.len(), "done");
@@ -71,12 +74,10 @@ pub fn explain(
 fn trained(
     folder: &Path,
     job: &Job<'_>,
-    what: Substitution,
     replaced: &m4_core::Capture,
     truth: &Path,
     options: &CaptureOptions,
 ) -> Result<Vec<super::SetScore>, Error> {
-    let folder = folder.join(what.name().replace(' ', "-"));
     let (data, out) = (folder.join(crate::folder::CAPTURE_FOLDER), folder.join("scene"));
     capture::write(&data, replaced, Split::Train, job.observer)?;
     crate::train::make(&data, &out, job)?;
@@ -93,7 +94,7 @@ pub fn explain_table(rows: &[ExplainRow]) -> String {
     out += &format!("{:<22} {:<5} {:<24} trained\n", "", "set", "warped");
     for r in rows {
         let trained = r.trained.as_ref().map_or("-".to_owned(), score);
-        out += &format!("{:<22} {:<5} {:<24} {trained}\n", r.what.name(), r.set, score(&r.warped));
+        out += &format!("{:<22} {:<5} {:<24} {trained}\n", r.name, r.set, score(&r.warped));
     }
     out
 }

@@ -1,6 +1,6 @@
 //! The dynamic objects of a frame, as lists of pixels: instances where the frame has them, else connected regions of its mask.
 
-use m4_core::CaptureFrame;
+use m4_core::{CaptureFrame, covering};
 use std::collections::BTreeMap;
 
 /// Connected regions with fewer pixels are noise.
@@ -9,13 +9,11 @@ const LEAST_PIXELS: usize = 40;
 /// The number of an object, the same in all frames, and its pixels `(x, y)` in the image. Regions of a mask have the number 0.
 pub(super) fn regions(frame: &CaptureFrame) -> Vec<(u16, Vec<(usize, usize)>)> {
     let (w, h) = frame.rgb.size();
-    let of =
-        |x: usize, y: usize, size: (usize, usize)| ((2 * x + 1) * size.0 / (2 * w), (2 * y + 1) * size.1 / (2 * h));
     if let Some(ids) = &frame.instances {
         let ids = ids.to_plane();
         let mut objects: BTreeMap<u16, Vec<(usize, usize)>> = BTreeMap::new();
         for (x, y) in (0..w * h).map(|i| (i % w, i / w)) {
-            let id = ids[of(x, y, ids.size())];
+            let id = ids[covering((x, y), (w, h), ids.size())];
             if id != 0 {
                 objects.entry(id).or_default().push((x, y));
             }
@@ -23,12 +21,7 @@ pub(super) fn regions(frame: &CaptureFrame) -> Vec<(u16, Vec<(usize, usize)>)> {
         return objects.into_iter().collect();
     }
     let Some(mask) = &frame.mask else { return Vec::new() };
-    let mut rest: Vec<bool> = (0..w * h)
-        .map(|i| {
-            let (x, y) = of(i % w, i / w, mask.size());
-            mask.at(x, y)
-        })
-        .collect();
+    let mut rest: Vec<bool> = (0..w * h).map(|i| mask.covers((i % w, i / w), (w, h))).collect();
     let mut found = Vec::new();
     for start in 0..w * h {
         if !std::mem::take(&mut rest[start]) {

@@ -50,21 +50,13 @@ impl PatchImage {
     pub fn new(frame: &CaptureFrame) -> Option<Self> {
         let (depth, mask) = (frame.depth.as_ref()?, frame.mask.as_ref()?);
         let (w, h) = frame.rgb.size();
-        let at =
-            |x: usize, y: usize, (sw, sh): (usize, usize)| ((2 * x + 1) * sw / (2 * w), (2 * y + 1) * sh / (2 * h));
         let channel = |c: usize| smooth(&frame.rgb.map(|p| f32::from(p[c]) / 255.0));
         let ((r, g), b) = rayon::join(|| rayon::join(|| channel(0), || channel(1)), || channel(2));
         Some(Self {
             camera: frame.camera,
             rgb: [r, g, b],
-            depth: Plane::from_fn(w, h, |x, y| {
-                let (x, y) = at(x, y, depth.size());
-                depth.at(x, y)
-            }),
-            dynamic: Plane::from_fn(w, h, |x, y| {
-                let (x, y) = at(x, y, mask.size());
-                mask.at(x, y)
-            }),
+            depth: Plane::from_fn(w, h, |x, y| depth.covering((x, y), (w, h))),
+            dynamic: Plane::from_fn(w, h, |x, y| mask.covers((x, y), (w, h))),
         })
     }
 
