@@ -97,7 +97,7 @@ fn draw<'a>(camera: &Camera, points: impl Iterator<Item = &'a Point>, near: f32)
     let mut depth = vec![f32::INFINITY; w * h];
     for (at, colour) in points {
         let p = rotation * at + translation;
-        if !(p.z > near) {
+        if p.z.is_nan() || p.z <= near {
             continue;
         }
         let (x, y) = ((fx * p.x / p.z + cx).floor(), (fy * p.y / p.z + cy).floor());

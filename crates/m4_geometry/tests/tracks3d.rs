@@ -1,5 +1,5 @@
 //! Points of boxes followed behind a pillar and out of the image, against the truth.
-#![expect(clippy::print_stdout, reason = "figures that the documentation names")]
+#![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
 use m4_core::{Capture, CaptureFrame, CompactMask, Plane, Silent, Tracks, nalgebra::Vector3};
 use m4_geometry::tracks::{CaptureClip, QueryGrid, TrackError, follow};

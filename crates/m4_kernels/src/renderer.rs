@@ -310,7 +310,7 @@ fn split<'a>(chunks: &[Chunk], n_static: usize, out: &'a mut Gradients) -> Vec<C
     // columns of dynamic splats are shorter: they start at the first dynamic row
     let shared: Vec<bool> = columns.iter().map(|c| c.len() == n).collect();
     let mut touched = out.touched.as_mut_slice();
-    let mut image = out.image.as_mut().map(Vec::as_mut_slice).unwrap_or_default();
+    let mut image = out.image.as_deref_mut().unwrap_or_default();
     let mut parts = Vec::with_capacity(chunks.len());
     for chunk in chunks {
         let len = chunk.rows.len();

@@ -1,5 +1,4 @@
 //! RAFT against its authors' module, with synthetic weights.
-#![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
 use crate::common::loaded;
 use m4_core::{Flow, Plane, RgbImage};

@@ -1,5 +1,4 @@
 //! `UniDepth` V2 against the authors' module of mid 2024 (`oracles/unidepth_v2.py`), with synthetic weights: a small backbone of five blocks and heads of 128 channels.
-#![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
 use crate::common::{loaded, real_weights};
 use m4_core::{Plane, RgbImage};

@@ -2,7 +2,6 @@
 //! through the bytes of its page and back renders as before, from the source cameras.
 
 #![expect(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
-#![expect(clippy::print_stdout, reason = "figures are read by people")]
 
 use m4_core::{Camera, Capture, CaptureFrame, CompactMask, Exposure, Intrinsics, Plane, Scene, Se3, Silent};
 use m4_core::{SourceFrame, SplatLayout, Splats};

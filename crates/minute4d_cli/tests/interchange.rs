@@ -72,8 +72,7 @@ fn mip_filter_is_baked() {
     write_scene(&dir, true);
     let report = |more: &str| {
         let report = dir.succeed(&format!("export out --force --json {more}")).result();
-        let losses = ["baked", "dropped"].map(|sort| report["losses"][sort].to_string());
-        losses
+        ["baked", "dropped"].map(|sort| report["losses"][sort].to_string())
     };
     for format in ["4dgs", "splatv", "ply", "ply-sequence", "spz", "gltf"] {
         let [baked, dropped] = report(&format!("--format {format}"));

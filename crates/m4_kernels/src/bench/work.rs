@@ -273,8 +273,7 @@ mod tests {
 
     #[test]
     fn tiles_lose_no_pixel() {
-        let config =
-            SceneConfig { splats: 400, width: 61, height: 43, kind: SceneKind::FourD, ..SceneConfig::default() };
+        let config = SceneConfig { splats: 400, width: 61, height: 43, kind: SceneKind::FourD };
         let scene = BenchScene::new(&config).unwrap();
         let view = &scene.views[3];
         let all = ellipses(&splats_of::<f32>(&scene.splats), &Setup::new(view));

@@ -32,7 +32,7 @@ fn exact(planes: &[Vec<f32>; 3]) -> [Vec<f64>; 3] {
 /// A photograph and its colours.
 fn photograph(index: u64, width: usize, height: usize) -> (Target, [Vec<f32>; 3]) {
     let bytes = image(index, width * height).map(|p| p.iter().map(|v| (v * 255.0).round() as u8).collect());
-    let target = Target::from_bytes(width, height, bytes).unwrap();
+    let target = Target::from_bytes(width, height, bytes).expect("planes of that size");
     let rgb = target.rgb();
     (target, rgb)
 }

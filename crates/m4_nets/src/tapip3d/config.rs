@@ -47,7 +47,7 @@ impl Config {
     pub fn read(said: &Value) -> Result<Self, String> {
         for (path, only) in ONLY {
             let got = at(said, path);
-            if let Some(got) = got.filter(|got| got.to_string() != only) {
+            if let Some(got) = got.map(Value::to_string).filter(|got| got != only) {
                 return Err(format!("{path} = {got} is not known here"));
             }
         }
