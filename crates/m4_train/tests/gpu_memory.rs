@@ -16,14 +16,8 @@ fn a_trainer_takes_what_was_planned() {
             return;
         }
     };
-    let scene = BenchScene::new(&SceneConfig {
-        splats: 3000,
-        width: SIZE.0,
-        height: SIZE.1,
-        kind: SceneKind::FourD,
-        ..SceneConfig::default()
-    })
-    .unwrap();
+    let scene =
+        BenchScene::new(&SceneConfig { splats: 3000, width: SIZE.0, height: SIZE.1, kind: SceneKind::FourD }).unwrap();
     let (n, n_static) = (scene.splats.n(), scene.splats.n_static());
     let frames = [&scene.target; 3];
     let entries = Plan::first_entries(n);

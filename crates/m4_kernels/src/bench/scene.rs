@@ -32,7 +32,7 @@ pub enum SceneKind {
     /// Every splat is there all the time, on walls and balls alike.
     Static,
     /// As training has them: the walls are a fifth of the splats; the rest lies on the balls, each alive
-    /// for a frame or two out of [`FRAMES`], so that at any instant most of them are missing.
+    /// for a frame or two out of 64, so that at any instant most of them are missing.
     FourD,
 }
 
