@@ -16,9 +16,9 @@ use std::time::Instant;
 /// Trial steps; the first of them prepare memory and are not counted.
 const STEPS: usize = 16;
 const WARM_UP: usize = 4;
-/// Share of the time that is planned with; the rest is for density control, checks and checkpoints, and for what
+/// Share of the time that is planned with; the rest is for density control, checks, checkpoints and saving the scene, and for what
 /// other programs take away.
-const PLANNED: f64 = 0.95;
+const PLANNED: f64 = 0.92;
 /// Trial steps have at most this multiple of the first splats, whatever the settings allow.
 const MOST_GROWTH: f64 = 4.0;
 /// Fewer iterations than this are no training.
