@@ -72,10 +72,13 @@ impl Expected {
     }
 }
 
+/// Of colours and transmittance, where no contribution is on the other side of the cut-off.
+const PIXEL_TOLERANCE: f64 = 5e-5;
+
 /// Fails unless the frame is that of the reference, but for pixels where f32 puts one contribution on
 /// the other side of the cut-off.
 pub fn assert_frame(name: &str, got: &Frame, want: &Rendered<f64>) {
-    let bounds = Flips { tolerance: 5e-5, step: 0.02, share: 0.005 };
+    let bounds = Flips { tolerance: PIXEL_TOLERANCE, step: 0.02, share: 0.005 };
     let channel = |c: usize| -> Vec<f64> { want.image.pixels.iter().map(|p| p[c]).collect() };
     assert_eq!((got.width, got.height), (want.image.width, want.image.height), "{name}");
     for c in 0..3 {
@@ -128,8 +131,15 @@ pub fn compare(name: &str, level: SimdLevel, splats: &Splats, view: &View, toler
     let name = format!("{name} on {level}");
     let expected = Expected::new(splats, view);
     let mut renderer = Renderer::new(level);
-    assert_frame(&name, renderer.render(splats, view), &expected.rendered);
-    let g = frame_gradient(5, view);
+    let frame = renderer.render(splats, view);
+    assert_frame(&name, frame, &expected.rendered);
+    let mut g = frame_gradient(5, view);
+    // the few pixels where f32 puts a contribution on the other side of the cut-off have another gradient
+    for (i, (&got, want)) in frame.transmittance.iter().zip(&expected.rendered.image.transmittance).enumerate() {
+        if (f64::from(got) - want).abs() > PIXEL_TOLERANCE {
+            g.iter_mut().for_each(|plane| plane[i] = 0.0);
+        }
+    }
     let mut gradients = Gradients::default();
     renderer.backward(splats, &g, true, &mut gradients);
     assert_gradients(&name, &gradients, &expected.gradient(&g), splats, tolerance);
