@@ -90,8 +90,7 @@ fn trained(
 pub fn explain_table(rows: &[ExplainRow]) -> String {
     let cell = |v: Option<f64>| v.map_or("-".to_owned(), |v| format!("{v:.2}"));
     let score = |m: &MeanScore| format!("{:.2} / {} / {}", m.psnr_db, cell(m.masked_psnr_db), cell(m.static_psnr_db));
-    let mut out = "PSNR in dB: whole / dynamic / static\n".to_owned();
-    out += &format!("{:<22} {:<5} {:<24} trained\n", "", "set", "warped");
+    let mut out = format!("{:<22} {:<5} {:<24} trained\n", "whole/dynamic/static", "set", "warped");
     for r in rows {
         let trained = r.trained.as_ref().map_or("-".to_owned(), score);
         out += &format!("{:<22} {:<5} {:<24} {trained}\n", r.name, r.set, score(&r.warped));
