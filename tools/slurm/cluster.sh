@@ -200,9 +200,9 @@ hide | show)
     first=$(first_process "$node") || die "$node does not run"
     [ -d "${HIDE:-}" ] || die "$command: HIDE must name a folder"
     if [ $command = hide ]; then
-        nsenter --target $first --mount mount -t tmpfs none "$HIDE" || die "$node: $HIDE cannot be hidden"
+        nsenter --target $first --mount --pid mount -t tmpfs none "$HIDE" || die "$node: $HIDE cannot be hidden"
     else
-        nsenter --target $first --mount umount --lazy "$HIDE" || die "$node: $HIDE cannot be shown"
+        nsenter --target $first --mount --pid umount --lazy "$HIDE" || die "$node: $HIDE cannot be shown"
     fi
     ;;
 esac
