@@ -25,7 +25,7 @@ dir=${DRILL_DIR:-$(mktemp -d /tmp/minute4d-drill.XXXXXX)}
 mkdir -p "$dir" && chmod 755 "$dir" || die "$dir cannot be made"
 cluster=$dir/cluster results=$dir/results manifest=$dir/jobs.jsonl logs=$dir/jobs.logs
 [ ! -e "$manifest" ] || die "$dir holds a drill already"
-read -r -a settings <<< "${SETTINGS:---fov 56 --iterations 250 --set checkpoint.every_s=2}"
+read -r -a settings <<< "${SETTINGS:---fov 56 --iterations 1500 --set checkpoint.every_s=2}"
 limit=${LIMIT:-3600}
 bad=clip-007
 
