@@ -38,7 +38,7 @@ pub fn conv(channels: [usize; 2], kernel: usize, stride: usize, bias: bool, devi
     Conv2d { stride: [stride, stride], ..conv_by(channels, [kernel, kernel], bias, device) }
 }
 
-/// A convolution of `[from, to]` channels by a kernel of so many rows and columns that waits for its weights, padded by half of it.
+/// A convolution of `[from, to]` channels by a kernel of that many rows and columns that waits for its weights, padded by half of it.
 pub fn conv_by(channels: [usize; 2], kernel: [usize; 2], bias: bool, device: &Device) -> Conv2d {
     let [y, x] = kernel.map(|side| side / 2);
     let config = Conv2dConfig::new(channels, kernel).with_padding(PaddingConfig2d::Explicit(y, x, y, x));

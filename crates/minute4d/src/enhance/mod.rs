@@ -204,7 +204,7 @@ fn segmented(
     }
 }
 
-/// Points of what moves, by the method that follows points.
+/// Tracks of dynamic points, by the tracking method.
 #[cfg_attr(not(feature = "nets"), expect(unused_variables, reason = "only networks need it"))]
 fn tracked(
     capture: &Capture,
