@@ -29,15 +29,19 @@ pub enum Substitution {
     StaticDepth,
     /// Poses and lens.
     Cameras,
+    /// Masks, and depth of dynamic pixels of either mask: what is left is static geometry.
+    Dynamic,
     /// Masks and all depth, with the estimated cameras.
     MasksAndDepth,
+    /// Everything but the depth of static pixels.
+    AllButStaticDepth,
     /// Everything.
     All,
 }
 
 impl Substitution {
     /// All of them in the order of reports, with names for tables and folders.
-    pub const ALL: [(Self, &str); 9] = [
+    pub const ALL: [(Self, &str); 11] = [
         (Self::None, "as estimated"),
         (Self::Masks, "true masks"),
         (Self::Distance, "true distance"),
@@ -45,7 +49,9 @@ impl Substitution {
         (Self::DynamicDepth, "true dynamic depth"),
         (Self::StaticDepth, "true static depth"),
         (Self::Cameras, "true cameras"),
+        (Self::Dynamic, "true dynamic content"),
         (Self::MasksAndDepth, "true masks and depth"),
+        (Self::AllButStaticDepth, "all but static depth"),
         (Self::All, "everything true"),
     ];
 }
@@ -113,17 +119,21 @@ impl<'a> Substitutes<'a> {
             S::Cameras => Some(both.own.map(|z| z * self.depth_over_cameras as f32)),
             S::Distance => Some(both.by_object(truth, |own, _, error| own * (-error).exp() as f32)),
             S::Relief => Some(both.by_object(truth, |_, truth, error| truth * error.exp() as f32)),
-            S::DynamicDepth => Some(both.choose(|own_mask, true_mask| own_mask || true_mask)),
+            S::DynamicDepth | S::Dynamic => Some(both.choose(|own_mask, true_mask| own_mask || true_mask)),
+            S::AllButStaticDepth => {
+                let static_depth = both.own.map(|z| z * self.depth_over_cameras as f32);
+                Some(Both { own: static_depth, ..both }.choose(|own_mask, true_mask| own_mask || true_mask))
+            }
             S::StaticDepth => Some(both.choose(|own_mask, _| !own_mask)),
             S::MasksAndDepth | S::All => Some(both.choose(|_, _| true)),
         };
         if let Some(depth) = depth {
             out.depth = Some(depth.into());
         }
-        if matches!(what, S::Masks | S::MasksAndDepth | S::All) {
+        if matches!(what, S::Masks | S::Dynamic | S::MasksAndDepth | S::AllButStaticDepth | S::All) {
             (out.mask, out.instances) = (truth.mask.clone(), truth.instances.clone());
         }
-        if matches!(what, S::Cameras | S::All) {
+        if matches!(what, S::Cameras | S::AllButStaticDepth | S::All) {
             out.camera = Camera {
                 c2w: truth.camera.c2w,
                 intrinsics: truth.camera.resized(own.rgb.width(), own.rgb.height()).intrinsics,
@@ -246,6 +256,11 @@ mod tests {
             (set(Substitution::None), set(Substitution::Masks), set(Substitution::All)),
             (7 * 12, 8 * 12, 8 * 12)
         );
+        let only_static = |what| (depth(what, (2, 0)), depth(what, (7, 1)), set(what));
+        assert_eq!(only_static(Substitution::Dynamic), (4.0, 4.0, 8 * 12));
+        assert_eq!(only_static(Substitution::AllButStaticDepth), (4.0, 4.0, 8 * 12));
+        close(depth(Substitution::Dynamic, (12, 0)), 2.02);
+        close(depth(Substitution::AllButStaticDepth, (12, 0)), 2.0);
         let pose = |what| of(what).camera.centre() - truth.frames[2].camera.centre();
         assert!(pose(Substitution::None).norm() < 1e-9 && pose(Substitution::Cameras).norm() < 1e-12);
         close(depth(Substitution::All, (7, 1)), 4.0);
