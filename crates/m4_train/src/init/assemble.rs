@@ -8,6 +8,7 @@ use crate::init::{
     config::stopped,
     motion::{Fields, KeyframeTracks, NODE_PIXELS, Paths, REACH_PIXELS, View, fields},
     shell::{Shell, shell},
+    surface::{Surface, surface},
     tracked::{self, Known},
     voxel::{Centroids, Grid, pixels_for},
     write::{BRIGHT, DARK, Writer},
@@ -43,10 +44,17 @@ pub fn initialise(capture: &Capture, config: &InitConfig, progress: &dyn Progres
     let grid = |pixels| Grid::new(config.cells, pixels, focal_px, median_depth, &centres, origin);
     let points = |pixels: &Pixels| pixels.cloud(capture);
 
-    let static_pixels =
-        pixels_for(config.max_static, MIN_PIXELS, |p| grid(p).occupied_by(&clouds.static_points, points));
-    let static_grid = grid(static_pixels);
-    let static_points = static_grid.merge_all(&clouds.static_points, points);
+    let (static_grid, static_points) = if config.merge_surfaces {
+        let Surface { cloud, count } = surface(capture, &clouds.static_points, progress)?;
+        let grid = grid(pixels_for(config.max_static, MIN_PIXELS, |p| grid(p).occupied(&cloud)));
+        let points = grid.merge_weighted(&cloud, &count);
+        (grid, points)
+    } else {
+        let parts = &clouds.static_points;
+        let grid = grid(pixels_for(config.max_static, MIN_PIXELS, |p| grid(p).occupied_by(parts, points)));
+        let merged = grid.merge_all(parts, points);
+        (grid, merged)
+    };
     stopped(progress)?;
     progress.update("voxels", 1, 3, &format!("{} static", static_points.xyz.len()));
 

@@ -85,6 +85,9 @@ pub struct InitConfig {
     /// smears over edges (docs/spec/optimiser.md 2.6 has 5 % for tracked points; measured on whole held-out views: +0.3 and +0.45 dB from frames at
     /// 1.5 %, less at 3 %, none lost with true depth). 0 for none.
     pub free_space: f32,
+    /// Whether points of several frames that are of one surface become one before voxels are made (our rule; docs/decisions/0009). Else voxels
+    /// hold the points of all frames, as the paper has it.
+    pub merge_surfaces: bool,
     /// Moving points that leave the image or go behind something are carried on, with what is seen of
     /// their body, into at most this many keyframes that cannot see them (docs/spec/optimiser.md 2.6: occluded samples are kept).
     /// They come on top of `max_dynamic`. 0 for none.
@@ -130,6 +133,7 @@ impl InitConfig {
             static_frames: 24,
             mask_margin_px: 2,
             free_space: 0.015,
+            merge_surfaces: true,
             carry_keyframes: 24,
             tracked: TrackedInit::default(),
             change_threshold: 0.05,
@@ -153,6 +157,7 @@ impl InitConfig {
             static_frames: 40,
             mask_margin_px: 0,
             free_space: 0.0,
+            merge_surfaces: false,
             carry_keyframes: 0,
             tracked: TrackedInit { enabled: true, seen: true, most: 40_000 },
             change_threshold: 0.0,

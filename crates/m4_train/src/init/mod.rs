@@ -5,7 +5,7 @@
 //! (docs/spec/optimiser.md 2).
 //!
 //! ```text
-//! cloud (depth -> points) -> free_space (what other frames see through goes) -> voxel (points -> centroids) -> write (neighbours -> discs) -> assemble
+//! cloud (depth -> points) -> free_space (what other frames see through goes) -> surface (one of what the frames agree on) -> voxel (points -> centroids) -> write (neighbours -> discs) -> assemble
 //!                                                        -> motion (keyframe to keyframe)
 //! carry (what a keyframe cannot see, from those that can)    tracked (what tracks know of it)
 //! change (moving shadows on static parts)    shell (something behind everything)
@@ -22,6 +22,7 @@ mod config;
 mod free_space;
 mod motion;
 mod shell;
+mod surface;
 mod tracked;
 mod voxel;
 mod write;

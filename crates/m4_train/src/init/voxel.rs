@@ -123,6 +123,23 @@ impl Grid {
         self.centroids(&added(&[], cloud, &self.sorted_keys(cloud)))
     }
 
+    /// The same of points that count `weight` each.
+    pub fn merge_weighted(&self, cloud: &Cloud, weight: &[f32]) -> Centroids {
+        let sum = |cell: &[((i16, u64), u32)]| {
+            let mut sum = Sum { key: cell[0].0, xyz: [0.0; 3], rgb: [0.0; 3], n: 0.0 };
+            for i in cell.iter().map(|entry| entry.1 as usize) {
+                let n = f64::from(weight[i]);
+                for k in 0..3 {
+                    sum.xyz[k] += n * f64::from(cloud.xyz[i][k]);
+                    sum.rgb[k] += n * f64::from(cloud.rgb[i][k]);
+                }
+                sum.n += n;
+            }
+            sum
+        };
+        self.centroids(&self.sorted_keys(cloud).chunk_by(|a, b| a.0 == b.0).map(sum).collect::<Vec<_>>())
+    }
+
     /// The centroid of each cell that holds a point of any of `parts`, which `cloud` makes points of: the bits that
     /// [`merge`](Self::merge) makes of all their points in a row, without all of them in memory at once.
     pub fn merge_all<T: Sync>(&self, parts: &[T], cloud: impl Fn(&T) -> Cloud + Sync) -> Centroids {

@@ -106,13 +106,18 @@ pub fn estimate(
         progress,
     };
     let given = masks.map(|masks| masks.iter().map(|mask| mask_at_size(mask, w, h)).collect());
-    let MotionSegmentation { moving, measured, filled } = clip.segment_motion(given)?;
+    let MotionSegmentation { moving, measured, filled, refined } = clip.segment_motion(given)?;
     let found =
         Clip { width: w, height: h, cameras: &clues.cameras, moving: &moving, disparity: &filled, flows: &flows };
     let mut disparity =
         if parallax || !mono.is_empty() { moving_depth::place(&found) } else { layers::place(&found, &shots) };
     if parallax && ground.one_lens {
         rigid_objects::place(&found, |i| clip.smoother(i), &mut disparity, progress)?;
+    }
+    for ((disparity, refined), moving) in disparity.iter_mut().zip(refined).zip(&moving) {
+        for ((d, refined), _) in disparity.iter_mut().zip(refined).zip(moving).filter(|(_, moves)| **moves == 0) {
+            *d = refined;
+        }
     }
     for i in 0..count {
         if parallax {

@@ -7,6 +7,9 @@
 //!                                                     ^                              |
 //!                                                     '------- once more ------------|
 //!                                                                                    v
+//!                           static depth over wide baselines: refined on brightness, merged over the frames, filled by planes
+//!                                                                                    |
+//!                                                                                    v
 //!                                           depth of the moving parts (without parallax: layers) -> full size
 //!                                                     '-> tracks along the flow ([`crate::tracks`])
 //! ```
@@ -21,16 +24,18 @@
 //!
 //! Follows docs/spec/front-end.md 7.1: inverse search flow (Kroeger et al. 2016),
 //! plane sweep (Collins 1996) with census cost (Zabih and Woodfill 1994), semi-global aggregation
-//! (Hirschmueller 2008), and fast global smoothing (Min et al. 2014).
+//! (Hirschmueller 2008), fast global smoothing (Min et al. 2014), and visibility-based fusion (Merrell et al. 2007).
 
 mod background_model;
 mod estimate;
 mod flow;
+mod fusion;
 mod layers;
 mod mono;
 mod motion;
 mod motion_segmentation;
 mod moving_depth;
+mod refine;
 mod regions;
 mod rigid_objects;
 mod segment;

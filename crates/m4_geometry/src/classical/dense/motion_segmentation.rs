@@ -2,11 +2,13 @@
 
 use super::background_model;
 use super::flow::FlowPair;
+use super::fusion;
 use super::layers;
 use super::mono::Mono;
 use super::motion::{self, FrameDisparity, MotionCues};
+use super::refine;
 use super::segment;
-use super::shot::Shot;
+use super::shot::{Shot, at_parallax};
 use super::smooth::Smoother;
 use super::sources::{DenseError, Sources};
 use super::static_depth::{self, Measured};
@@ -45,8 +47,10 @@ pub(super) struct Clip<'a> {
 pub(super) struct MotionSegmentation {
     pub moving: Masks,
     pub measured: Vec<Measured>,
-    /// Disparity of static regions, also behind dynamic ones.
+    /// Disparity of static regions, also behind dynamic ones, which are placed by it.
     pub filled: Vec<Vec<f32>>,
+    /// The same of static regions alone, more precise; none without parallax.
+    pub refined: Vec<Vec<f32>>,
 }
 
 /// The mask of a frame, if there are any.
@@ -63,7 +67,33 @@ impl Clip<'_> {
         };
         let measured = self.measured(Some(&moving))?;
         let filled = self.filled(&measured, Some(&moving))?;
-        Ok(MotionSegmentation { moving, measured, filled })
+        let refined = if self.parallax { self.refined(&measured, &filled, &moving)? } else { Vec::new() };
+        Ok(MotionSegmentation { moving, measured, filled, refined })
+    }
+
+    /// The static depth `filled` by what frames far apart show: refined on brightness, merged over the frames and filled once more.
+    fn refined(
+        &self,
+        measured: &[Measured],
+        filled: &[Vec<f32>],
+        moving: &[Vec<u8>],
+    ) -> Result<Vec<Vec<f32>>, DenseError> {
+        let cameras = &self.clues.cameras;
+        let at = |i: usize, targets: &[f64]| at_parallax(cameras, i, self.shots[i].median, targets);
+        let details = self.each("refining depth", |i| refine::detail(&self.shots[i]))?;
+        let clip = refine::Estimates { shots: self.shots, cameras, details: &details, disparity: filled, moving };
+        let refined = self.each("refining depth", |i| {
+            let rounds: Vec<Vec<usize>> = refine::PARALLAX_PX.iter().map(|targets| at(i, targets)).collect();
+            let mut out = Measured { disparity: clip.refined(&rounds, i), confidence: measured[i].confidence.clone() };
+            self.mono.impose(i, &mut out, Some(&moving[i]));
+            out
+        })?;
+        self.each("merging depth", |i| {
+            let mut fused = fusion::fuse(self.shots, cameras, &refined, &at(i, &fusion::PARALLAX_PX), i);
+            self.mono.impose(i, &mut fused, Some(&moving[i]));
+            let fused = self.mono.with_prior(i, &fused, Some(&moving[i]));
+            static_depth::fill_planes(&self.shots[i], &self.smoother(i), &fused, Some(&moving[i]))
+        })
     }
 
     /// For every frame in parallel, with progress.

@@ -36,6 +36,8 @@ pub(super) struct Shot {
     /// Frames to compare with, and the way there.
     pub partners: Vec<(usize, Pair)>,
     pub range: Range,
+    /// Median disparity of the sparse points.
+    pub median: f32,
 }
 
 /// Sparse points per frame, at the working size.
@@ -107,6 +109,25 @@ fn partners(cameras: &[Camera], i: usize, median: f32) -> Vec<(usize, Pair)> {
     chosen.into_iter().map(|j| (j, Pair::new(&cameras[i], &cameras[j]))).collect()
 }
 
+/// Of each target parallax the nearest frame in time, on each side, that reaches it; none where the clip ends before. Parallax is that of
+/// a point at median depth, pixels at the working size.
+pub(super) fn at_parallax(cameras: &[Camera], i: usize, median: f32, targets: &[f64]) -> Vec<usize> {
+    /// How much wider the parallax may be, as the camera jumps.
+    const WIDER: f64 = 1.5;
+    let parallax = |j: &usize| parallax_px(&cameras[i], &cameras[*j], f64::from(median));
+    let mut out = Vec::new();
+    for &target in targets {
+        let sides =
+            [(0..i).rev().find(|j| parallax(j) >= target), (i + 1..cameras.len()).find(|j| parallax(j) >= target)];
+        for j in sides.into_iter().flatten() {
+            if parallax(&j) < WIDER * target && !out.contains(&j) {
+                out.push(j);
+            }
+        }
+    }
+    out
+}
+
 impl Shot {
     pub fn new(frame: ScaledFrame, cameras: &[Camera], i: usize, points: &[Vec<SparsePoint>], parallax: bool) -> Self {
         let (range, median) = range(points, i);
@@ -115,8 +136,29 @@ impl Shot {
             points: points[i].clone(),
             partners: if parallax { partners(cameras, i, median) } else { Vec::new() },
             range,
+            median,
             frame,
         }
+    }
+
+    /// A clip of a textured wall at `disparity`, an integer number of pixels of parallax at 1, by cameras that go to the right by one unit a frame.
+    #[cfg(test)]
+    pub fn of_wall(count: usize, (w, h): (usize, usize), disparity: f32) -> (Vec<Self>, Vec<Camera>) {
+        use m4_core::{Intrinsics, Se3};
+        let grey = |x: f32, y: f32| 128.0 + 50.0 * (0.9 * x + 0.3 * y).sin() + 40.0 * (0.37 * x - 0.8 * y).cos();
+        let camera = |i: usize| Camera {
+            intrinsics: Intrinsics::centred(w, h, 1.0),
+            c2w: Se3 { translation: Vector3::new(i as f64, 0.0, 0.0), ..Se3::identity() },
+        };
+        let cameras: Vec<Camera> = (0..count).map(camera).collect();
+        let shot = |i: usize| {
+            let grey: Vec<f32> =
+                (0..w * h).map(|p| grey((p % w) as f32 + i as f32 * disparity, (p / w) as f32)).collect();
+            let frame = ScaledFrame { width: w, height: h, rgb: vec![[0; 3]; w * h], grey };
+            let range = Range { least: 0.5 * disparity, step: disparity / 20.0, count: 31 };
+            Self { frame, census: Vec::new(), points: Vec::new(), partners: Vec::new(), range, median: disparity }
+        };
+        ((0..count).map(shot).collect(), cameras)
     }
 
     /// A frame of which the colours alone are asked for.
@@ -124,7 +166,7 @@ impl Shot {
     pub fn of_colours(image: &m4_core::RgbImage) -> Self {
         let range = Range { least: 1.0, step: 1.0, count: 1 };
         let frame = ScaledFrame::new(image, image.size());
-        Self { frame, census: Vec::new(), points: Vec::new(), partners: Vec::new(), range }
+        Self { frame, census: Vec::new(), points: Vec::new(), partners: Vec::new(), range, median: 1.0 }
     }
 }
 

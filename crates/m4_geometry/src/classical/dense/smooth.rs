@@ -63,6 +63,38 @@ impl Smoother {
         (sum, reach)
     }
 
+    /// Weighted fill by planes: at each pixel the value of the plane that fits `values` with `weight` around it, as far as the image's edges let
+    /// them pass (local regression). Slopes shrink to 0 where too little weight, too close together, determines them.
+    pub fn planes(&self, values: &[f32], weight: &[f32], lambda: f32) -> Vec<f32> {
+        /// Square of the noise of a value over the usual slope, pixels: a quarter of a step of the sweep against its range over the image.
+        const NOISE_PX2: f32 = 2.0;
+        let (w, unit) = (self.width, lambda.sqrt());
+        let at = |p: usize| [(p % w) as f32 / unit, (p / w) as f32 / unit];
+        let moment = |f: &dyn Fn([f32; 2], f32) -> f32| {
+            let mut plane: Vec<f32> =
+                weight.iter().zip(values).enumerate().map(|(p, (w, v))| w * f(at(p), *v)).collect();
+            self.smooth(&mut plane, lambda);
+            plane
+        };
+        let total = moment(&|_, _| 1.0);
+        let [x, y, v] = [moment(&|p, _| p[0]), moment(&|p, _| p[1]), moment(&|_, v| v)];
+        let [xx, xy, yy] = [moment(&|p, _| p[0] * p[0]), moment(&|p, _| p[0] * p[1]), moment(&|p, _| p[1] * p[1])];
+        let [xv, yv] = [moment(&|p, v| p[0] * v), moment(&|p, v| p[1] * v)];
+        let fit = |p: usize| {
+            let total = total[p].max(1e-20);
+            let mean = |sum: &[f32]| sum[p] / total;
+            let ridge = NOISE_PX2 / (lambda * lambda * total);
+            let (mx, my, mv) = (mean(&x), mean(&y), mean(&v));
+            let (vx, vy) = ((mean(&xx) - mx * mx).max(0.0) + ridge, (mean(&yy) - my * my).max(0.0) + ridge);
+            let cross = mean(&xy) - mx * my;
+            let (cx, cy) = (mean(&xv) - mx * mv, mean(&yv) - my * mv);
+            let determinant = (vx * vy - cross * cross).max(ridge * ridge);
+            let [px, py] = at(p);
+            mv + ((cx * vy - cy * cross) * (px - mx) + (cy * vx - cx * cross) * (py - my)) / determinant
+        };
+        (0..values.len()).map(fit).collect()
+    }
+
     /// All columns at once, row by row: the Thomas algorithm with a row as its scalar.
     fn solve_columns(&self, u: &mut [f32], l: f32, ratio: &mut [f32]) {
         let (w, h) = (self.width, self.height);
@@ -169,6 +201,20 @@ mod tests {
         smoother.smooth(&mut dot, 100.0);
         let sum: f32 = dot.iter().sum();
         assert!((sum - 1.0).abs() < 1e-4 && dot[40] < 0.9, "{sum} {}", dot[40]);
+    }
+
+    #[test]
+    fn planes_go_on_where_nothing_is_known() {
+        let (w, h) = (40, 30);
+        let smoother = Smoother::new(w, h, &vec![[90; 3]; w * h], 10.0);
+        let slanted: Vec<f32> = (0..w * h).map(|p| 1.0 + 0.02 * (p % w) as f32 - 0.01 * (p / w) as f32).collect();
+        let weight: Vec<f32> = (0..w * h).map(|p| f32::from(u8::from((10..30).contains(&(p % w))))).collect();
+        let filled = smoother.planes(&slanted, &weight, 900.0);
+        for (p, (found, expected)) in filled.iter().zip(&slanted).enumerate() {
+            assert!((found - expected).abs() < 0.02, "pixel {}, {}: {found} instead of {expected}", p % w, p / w);
+        }
+        let flat = smoother.fill(&slanted, &weight, 900.0).0;
+        assert!((flat[0] - slanted[0]).abs() > 0.1, "a constant fill is no plane");
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! Depth of what does not move: sweep, agreement between frames, fill.
 
-use super::shot::{Shot, SparsePoint};
+use super::shot::Shot;
 use super::smooth::Smoother;
 use super::sweep::{Partner, aggregate, cost_volume};
 use super::working::pixel_at;
@@ -115,13 +115,7 @@ fn despeckle(width: usize, height: usize, measured: &mut Measured, step: f32) {
 pub(super) fn fill(shot: &Shot, smoother: &Smoother, measured: &Measured, moving: Option<&[u8]>) -> Vec<f32> {
     /// Weight of the surroundings against a pixel on which all partners agree.
     const SURROUNDINGS: f32 = 0.15;
-    let (mut values, mut weight) = (measured.disparity.clone(), measured.confidence.clone());
-    let still = |p: &&SparsePoint| moving.is_none_or(|m| m[p.pixel] == 0);
-    for point in shot.points.iter().filter(still) {
-        let total = weight[point.pixel] + POINT_WEIGHT;
-        let sum = values[point.pixel] * weight[point.pixel] + point.disparity * POINT_WEIGHT;
-        (values[point.pixel], weight[point.pixel]) = (sum / total, total);
-    }
+    let (mut values, mut weight) = with_points(shot, measured, moving);
     // Where nothing at all was measured, the middle of the range is as good as any.
     let anything = 1e-6;
     let middle = shot.range.at(0.3 * shot.range.count as f32);
@@ -136,9 +130,34 @@ pub(super) fn fill(shot: &Shot, smoother: &Smoother, measured: &Measured, moving
     }
     // Noise goes where the image is flat and stays where it has edges.
     let (mut filled, _) = smoother.fill(&values, &weight, DENOISE_LAMBDA);
-    let least = 0.5 * shot.range.least;
-    for d in &mut filled {
-        *d = d.max(least);
-    }
+    filled.iter_mut().for_each(|d| *d = d.max(0.5 * shot.range.least));
     filled
+}
+
+/// The same by planes, which cost more, for measurements that are mostly true: surfaces go on with their slope where nothing was measured, and
+/// noise is what differs from the planes.
+pub(super) fn fill_planes(shot: &Shot, smoother: &Smoother, measured: &Measured, moving: Option<&[u8]>) -> Vec<f32> {
+    /// Weight of the surroundings against a pixel of full confidence.
+    const SURROUNDINGS: f32 = 0.02;
+    let (mut values, mut weight) = with_points(shot, measured, moving);
+    let (least, most) = (0.5 * shot.range.least, 2.0 * shot.range.at(shot.range.count as f32));
+    let mut planes = smoother.planes(&values, &weight, FILL_LAMBDA);
+    for ((v, w), plane) in values.iter_mut().zip(&mut weight).zip(&mut planes) {
+        *plane = plane.clamp(least, most);
+        *v = (*v - *plane) * *w / (*w + SURROUNDINGS);
+        *w += SURROUNDINGS;
+    }
+    let (rest, _) = smoother.fill(&values, &weight, DENOISE_LAMBDA);
+    planes.iter().zip(&rest).map(|(plane, rest)| (plane + rest).max(least)).collect()
+}
+
+/// Measurements with the sparse points outside of `moving`, and the weight of each.
+fn with_points(shot: &Shot, measured: &Measured, moving: Option<&[u8]>) -> (Vec<f32>, Vec<f32>) {
+    let (mut values, mut weight) = (measured.disparity.clone(), measured.confidence.clone());
+    for point in shot.points.iter().filter(|p| moving.is_none_or(|m| m[p.pixel] == 0)) {
+        let total = weight[point.pixel] + POINT_WEIGHT;
+        let sum = values[point.pixel] * weight[point.pixel] + point.disparity * POINT_WEIGHT;
+        (values[point.pixel], weight[point.pixel]) = (sum / total, total);
+    }
+    (values, weight)
 }
