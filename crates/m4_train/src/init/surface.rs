@@ -187,8 +187,9 @@ mod tests {
     #[test]
     fn surfaces_apart_stay_apart() {
         let found = points(|_, x| if (20..30).contains(&x) { 0.8 } else { 1.0 });
-        let near = |p: &&[f32; 3]| (p[2] - 0.8 * WALL).abs() < 1e-3 * WALL;
-        let far = found.cloud.xyz.iter().filter(|p| (p[2] - WALL).abs() < 1e-3 * WALL).count();
-        assert_eq!(found.cloud.xyz.iter().filter(near).count() + far, found.cloud.xyz.len());
+        let at = |z: f32| found.cloud.xyz.iter().filter(|p| (p[2] - z).abs() < 1e-3 * WALL).count();
+        let (near, far) = (at(0.8 * WALL), at(WALL));
+        assert!(near >= 10 * SIZE.1 && far >= 50 * SIZE.1, "{near}, {far}");
+        assert_eq!(near + far, found.cloud.xyz.len());
     }
 }
