@@ -1,13 +1,13 @@
 //! `cargo xtask check`: every check that CI runs, in one program.
 #![forbid(unsafe_code)]
-#![expect(clippy::print_stderr, clippy::print_stdout, reason = "a program that reports to a terminal")]
+#![expect(clippy::print_stderr, reason = "a program that reports to a terminal")]
 
 use anyhow::{Context, Result, bail};
 use std::path::Path;
 use std::process::{Command, ExitCode};
 use std::time::Instant;
 
-const USAGE: &str = "usage: cargo xtask <test [--full] [--require NEED,...] [-- ARGUMENT...] | check [--skip-tests] | arrows | lock | deny | page | settings [--check] | results-held-out SCENE... | results-geometry [OPTION VALUE]... INPUT=TRUTH... | results-raw [OPTION VALUE]... SCENE...>
+const USAGE: &str = "usage: cargo xtask <test [--full] [--require NEED,...] [-- ARGUMENT...] | check [--skip-tests] | arrows | lock | deny | page | settings [--check] | results [--only SECTION,...] [--work DIR] [--clips DIR] SCENE...>
 
   test    the tests of the default program, and at the end what could not run here and why; --full: what networks and GPUs add to
           them; --require ffmpeg,chromium,vulkan,...: fail where a test was skipped for want of these (docs/building.md)
@@ -17,9 +17,8 @@ const USAGE: &str = "usage: cargo xtask <test [--full] [--require NEED,...] [-- 
   deny    cargo-deny: licences, sources, duplicate versions (skipped where it is not installed)
   page    build the viewer's page from crates/m4_viewer/page (needs npm)
   settings  write the defaults in docs/settings.md from the code; --check: fail where it is not up to date
-  results-held-out  train each scene in every profile and score its held-out views (docs/results.md)
-  results-geometry  recover the geometry of each input and compare it with the truth (docs/results.md)
-  results-raw       recover the geometry of each scene, train it and the scene as given, and score the held-out views";
+  results  measure the tables of docs/results.md on SCENEs of tools/bench and clips, and write them there: geometry, views, ablation,
+          explain, clips, kernels, or those of --only. Takes hours; the same command continues (in --work, else target/results)";
 
 /// The features that are linted and documented beside the default ones.
 const FULL: [&str; 2] = ["--features", "minute4d_cli/full,m4_nets/gpu"];
@@ -38,15 +37,7 @@ fn main() -> ExitCode {
         ["page"] => step("page", || xtask::page::build(&root, &root.join("target/page"))),
         ["settings"] => step("settings", || settings(&root, true)),
         ["settings", "--check"] => step("settings", || settings(&root, false)),
-        ["results-held-out", ref scenes @ ..] if !scenes.is_empty() => {
-            table(xtask::results::held_out(&root, scenes, &root.join("target/results")))
-        }
-        ["results-geometry", ref pairs @ ..] if !pairs.is_empty() => {
-            table(xtask::results::geometry(&root, pairs, &root.join("target/results")))
-        }
-        ["results-raw", ref scenes @ ..] if !scenes.is_empty() => {
-            table(xtask::results::raw(&root, scenes, &root.join("target/results")))
-        }
+        ["results", ref args @ ..] => xtask::results::run(&root, args),
         _ => {
             eprintln!("{USAGE}");
             return ExitCode::from(2);
@@ -88,11 +79,6 @@ fn check(root: &Path, tests: bool) -> Result<()> {
 fn settings(root: &Path, write: bool) -> Result<()> {
     let env: &[(&str, &str)] = if write { &[("MINUTE4D_WRITE_SETTINGS", "1")] } else { &[] };
     cargo(root, &["test", "--quiet", "-p", "minute4d", "--lib", "settings::page"], env)
-}
-
-fn table(rows: Result<String>) -> Result<()> {
-    print!("{}", rows?);
-    Ok(())
 }
 
 fn step(name: &str, run: impl FnOnce() -> Result<()>) -> Result<()> {

@@ -1,0 +1,69 @@
+//! Geometry from images alone against the truth, and what each kind of error costs.
+
+use super::page::{list, mean, table as markdown};
+use super::runs::{Input, Runs, continuing, read};
+use anyhow::Result;
+use serde_json::{Value, json};
+use std::path::PathBuf;
+
+const HEADINGS: &str = "scene | seconds | trajectory, % of path | rotation, mean deg | focal, % | AbsRel static \
+    | mask IoU / precision / recall | distance, % | drift, % | jitter, % | relief, % | missed, %";
+const TEMPLATES: &str = "{/scene} | {/seconds 0} | {/report/trajectory/rmse_percent 2} | {/report/rotation/mean_deg 2} \
+    | {/report/focal_error_percent 1} | {/report/depth/static_abs_rel 4} \
+    | {/report/mask/iou 2} / {/report/mask/precision 2} / {/report/mask/recall 2} \
+    | {/objects/distance 1} | {/objects/drift 1} | {/objects/jitter 1} | {/objects/relief 1} | {/objects/missed 1}";
+
+/// The geometry of a scene from its training images: seconds, and the report of `eval-geometry`.
+pub(super) fn measured(runs: &mut Runs, scene: &Input) -> Result<Value> {
+    runs.of(scene, "geometry", "capture", |program| {
+        let (out, images) = (capture(scene), scene.path.join("train"));
+        let record = out.join("geometry.json");
+        program.run(|c| {
+            c.arg("geometry").arg(images).arg("-o").arg(&out).args([
+                "--segmenter",
+                "none",
+                "--quiet",
+                continuing(&record),
+            ])
+        })?;
+        let report = program.result(|c| c.arg("eval-geometry").arg(&out).arg("--truth").arg(&scene.path))?;
+        let mut row = json!({"scene": scene.name, "seconds": read(&record)?["seconds"], "report": report});
+        for key in ["distance", "drift", "jitter", "relief", "missed"] {
+            row["objects"][key] = mean(list(&report["objects"]), key).as_f64().map(|share| 100.0 * share).into();
+        }
+        Ok(row)
+    })
+}
+
+/// Where the geometry of a scene is.
+pub(super) fn capture(scene: &Input) -> PathBuf {
+    scene.dir.join("capture")
+}
+
+/// A row per scene.
+pub(super) fn table(runs: &mut Runs, scenes: &[Input]) -> Result<String> {
+    let rows: Result<Vec<_>> = scenes.iter().map(|scene| measured(runs, scene)).collect();
+    Ok(markdown(HEADINGS, TEMPLATES, &rows?))
+}
+
+/// Far views with one kind of estimate at a time replaced by the truth: a row per kind, a column per scene.
+pub(super) fn explained(runs: &mut Runs, scenes: &[Input]) -> Result<String> {
+    let (mut reports, mut headings, mut templates) = (Vec::new(), "what is true".to_owned(), "{/0/name}".to_owned());
+    for (i, scene) in scenes.iter().enumerate() {
+        measured(runs, scene)?;
+        reports.push(runs.of(scene, "replacing estimates by the truth", "explain", |program| {
+            let result = program.result(|c| {
+                c.arg("eval-geometry").arg(capture(scene)).arg("--truth").arg(&scene.path);
+                c.args(["--explain", "--train", "200", "-o"]).arg(scene.dir.join("explain"))
+            })?;
+            Ok(list(&result["explain"]).filter(|row| row["set"] == "far").cloned().collect())
+        })?);
+        let cell = ["psnr_db", "masked_psnr_db", "static_psnr_db"].map(|key| format!("{{/{i}/trained/{key} 2}}"));
+        headings += &format!(" | {}", scene.name);
+        templates += &format!(" | {}", cell.join(" / "));
+    }
+    // the rows of all scenes have the same order
+    let rows = reports.first().map_or(0, |first| list(first).count());
+    let rows: Vec<Value> = (0..rows).map(|i| reports.iter().map(|report| report[i].clone()).collect()).collect();
+    Ok(markdown(&headings, &templates, &rows))
+}

@@ -1,0 +1,105 @@
+//! `cargo xtask results`: measures the tables of `docs/results.md` anew, and writes each into the page between its markers.
+//!
+//! Everything goes through the program as a user would run it; figures are read from the files it leaves (`run.json`, `geometry.json`,
+//! `eval.json`) or prints (`eval-geometry`, `bench`).
+
+mod clips;
+mod geometry;
+mod machine;
+mod page;
+mod runs;
+mod views;
+
+use anyhow::{Context, Result, bail};
+use runs::{Input, Runs, inputs, name};
+use std::path::{Path, PathBuf};
+
+/// The page, relative to the root.
+const PAGE: &str = "docs/results.md";
+
+/// What a section measures: the first scenes of the command, the clips, or the machine.
+enum Over {
+    Scenes(usize),
+    Clips,
+    Machine,
+}
+
+/// A section: its name, what it measures, and its tables of these inputs.
+type Section = (&'static str, Over, fn(&mut Runs, &[Input]) -> Result<String>);
+
+/// In the order of the page.
+const SECTIONS: [Section; 6] = [
+    ("geometry", Over::Scenes(usize::MAX), geometry::table),
+    ("views", Over::Scenes(usize::MAX), views::tables),
+    ("ablation", Over::Scenes(2), views::ablation),
+    ("explain", Over::Scenes(4), geometry::explained),
+    ("clips", Over::Clips, clips::table),
+    ("kernels", Over::Machine, clips::kernels),
+];
+
+/// Measures the sections that `args` ask for (`[--only SECTION,...] [--work DIR] [--clips DIR] SCENE...`) and writes the page after each.
+/// What an earlier call finished at the same commit is not measured again.
+///
+/// # Errors
+///
+/// Wrong arguments, changed files, a page without the markers, a program that fails, files that cannot be read or written.
+pub fn run(root: &Path, args: &[&str]) -> Result<()> {
+    let mut sections: Vec<&Section> = SECTIONS.iter().collect();
+    let (mut work, mut folder, mut scenes) = (root.join("target/results"), None, Vec::new());
+    let mut args = args.iter().copied();
+    while let Some(arg) = args.next() {
+        let mut value = || args.next().with_context(|| format!("{arg}: a value is missing"));
+        match arg {
+            "--only" => {
+                let only: Vec<&str> = value()?.split(',').collect();
+                if let Some(word) = only.iter().find(|word| SECTIONS.iter().all(|s| s.0 != **word)) {
+                    bail!("{word} is no section: {}", SECTIONS.map(|s| s.0).join(", "));
+                }
+                sections.retain(|s| only.contains(&s.0));
+            }
+            "--work" => work = value()?.into(),
+            "--clips" => folder = Some(PathBuf::from(value()?)),
+            _ if arg.starts_with("--") => bail!("{arg}: not an option; --only, --work and --clips are"),
+            scene => scenes.push(scene.into()),
+        }
+    }
+    if scenes.is_empty() && sections.iter().any(|s| matches!(s.1, Over::Scenes(_))) {
+        bail!("no scene is named; without scenes: --only clips,kernels");
+    }
+    let origin = machine::origin(root)?;
+    let scenes = inputs(scenes, &work.join("scenes"))?;
+    let clips = inputs(clips::files(root, folder.as_deref())?, &work.join("clips"))?;
+    let machine = inputs(vec!["machine".into()], &work)?;
+    let over = |section: &Section| match section.1 {
+        Over::Scenes(n) => &scenes[..n.min(scenes.len())],
+        Over::Clips => &clips[..],
+        Over::Machine => &machine[..],
+    };
+    let page = root.join(PAGE);
+    let mut runs = Runs::new(root, &origin);
+    for section in &sections {
+        page::replaced(&page, section.0, "")?;
+        section.2(&mut runs, over(section))?; // counts the runs
+    }
+    runs.begin()?;
+    for section in &sections {
+        let tables = section.2(&mut runs, over(section))?;
+        let words = match section.1 {
+            Over::Scenes(_) => over(section).iter().map(|scene| format!(" {}", scene.name)).collect(),
+            Over::Clips => folder.iter().map(|dir| format!(" --clips {}", name(dir))).collect(),
+            Over::Machine => String::new(),
+        };
+        let date = std::mem::take(&mut runs.date);
+        let line = format!("*{date}, {origin}, `cargo xtask results --only {}{words}`*", section.0);
+        page::write(&page, &page::replaced(&page, section.0, &format!("{line}\n\n{tables}"))?)?;
+    }
+    Ok(())
+}
+
+#[test]
+fn wrong_arguments_are_refused() {
+    for wrong in [&["--only", "view", "a"][..], &["--only"], &["--force", "a"], &["--only", "kernels,views"], &[]] {
+        let error = run(Path::new("nowhere"), wrong).unwrap_err().to_string();
+        assert!(["section", "missing", "option", "scene"].iter().any(|word| error.contains(word)), "{error}");
+    }
+}
