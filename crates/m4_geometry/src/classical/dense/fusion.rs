@@ -11,58 +11,60 @@ pub(super) const PARALLAX_PX: [f64; 4] = [12.0, 24.0, 48.0, 96.0];
 const SAME_STEPS: f32 = 1.0;
 /// A frame sees through a surface if it measures this many steps of the sweep behind it.
 const THROUGH_STEPS: f32 = 2.0;
-/// Frames that measure a surface for full confidence.
+/// Confidence of all frames together for that of 1.
 const FULL: f32 = 3.0;
 
 /// The depth of frame `i` by its own measurement and those of the frames `others`: each pixel takes the nearest surface that no fewer
-/// frames hide than see through, averaged over the frames that measured it. Pixels without one keep their disparity, with confidence 0.
+/// frames hide than see through, the mean of the frames that measured it by their confidence. Pixels without one keep their disparity, with confidence 0.
 pub(super) fn fuse(shots: &[Shot], cameras: &[Camera], measured: &[Measured], others: &[usize], i: usize) -> Measured {
     let (w, h) = (shots[i].frame.width, shots[i].frame.height);
     let seen = seen(cameras, measured, others, i, w);
     let pairs: Vec<(usize, Pair)> = others.iter().map(|&j| (j, Pair::new(&cameras[i], &cameras[j]))).collect();
-    let see_through = |p: usize, disparity: f32| {
+    // whether more than `most` frames see through
+    let see_through = |p: usize, disparity: f32, most: usize| {
         let sees = |(j, pair): &&(usize, Pair)| {
             let at = pair.project((p % w) as f32, (p / w) as f32, disparity);
             let behind = at.disparity - THROUGH_STEPS * shots[*j].range.step;
             let q = pixel_at(w, h, at.x, at.y).filter(|_| at.disparity > 0.0);
             q.is_some_and(|q| measured[*j].confidence[q] > 0.0 && measured[*j].disparity[q] < behind)
         };
-        pairs.iter().filter(sees).count()
+        pairs.iter().filter(sees).nth(most).is_some()
     };
     let same = SAME_STEPS * shots[i].range.step;
     let mut out = Measured { disparity: measured[i].disparity.clone(), confidence: vec![0.0; w * h] };
     let mut values = Vec::new();
     for (p, seen) in seen.chunks_exact(others.len() + 1).enumerate() {
         values.clear();
-        values.extend(seen.iter().copied().filter(|&d| d > 0.0));
-        values.sort_unstable_by(|a, b| b.total_cmp(a));
-        let before = |d: f32| values.iter().take_while(|&&v| v > d + same).count();
-        let Some(&surface) = values.iter().find(|&&d| before(d) >= see_through(p, d)) else { continue };
+        values.extend(seen.iter().copied().filter(|d| d[0] > 0.0));
+        values.sort_unstable_by(|a, b| b[0].total_cmp(&a[0]));
+        let before = |d: f32| values.iter().take_while(|v| v[0] > d + same).count();
+        let Some(&[surface, _]) = values.iter().find(|d| !see_through(p, d[0], before(d[0]))) else { continue };
         let mean = mean_near(&values, surface, same).0;
-        let (mean, count) = mean_near(&values, mean, same);
-        if count > 0.0 {
-            (out.disparity[p], out.confidence[p]) = (mean, (count / FULL).min(1.0));
+        let (mean, total) = mean_near(&values, mean, same);
+        if total > 0.0 {
+            (out.disparity[p], out.confidence[p]) = (mean, (total / FULL).min(1.0));
         }
     }
     out
 }
 
-/// Mean and number of the values that differ from `centre` by at most `same`.
-fn mean_near(values: &[f32], centre: f32, same: f32) -> (f32, f32) {
-    let near = values.iter().filter(|&&v| (v - centre).abs() <= same);
-    let (sum, count) = near.fold((0.0, 0.0), |(sum, count), v| (sum + v, count + 1.0));
-    (sum / f32::max(count, 1.0), count)
+/// Mean of the disparities that differ from `centre` by at most `same`, by their confidence, and the sum of it.
+fn mean_near(values: &[[f32; 2]], centre: f32, same: f32) -> (f32, f32) {
+    let near = values.iter().filter(|v| (v[0] - centre).abs() <= same);
+    let (sum, total) = near.fold((0.0, 0.0), |(sum, total), v| (sum + v[0] * v[1], total + v[1]));
+    (sum / f32::max(total, 1e-9), total)
 }
 
-/// `[pixel][1 + others]`: the nearest disparity that the frame itself and each of the others measured at a pixel of frame `i`; 0 for none.
-fn seen(cameras: &[Camera], measured: &[Measured], others: &[usize], i: usize, width: usize) -> Vec<f32> {
+/// `[pixel][1 + others]`: the nearest disparity that the frame itself and each of the others measured at a pixel of frame `i`, and its confidence;
+/// 0 for none.
+fn seen(cameras: &[Camera], measured: &[Measured], others: &[usize], i: usize, width: usize) -> Vec<[f32; 2]> {
     let layers = others.len() + 1;
     let pixels = measured[i].disparity.len();
     let height = pixels / width;
-    let mut out = vec![0.0f32; pixels * layers];
+    let mut out = vec![[0.0f32; 2]; pixels * layers];
     let sure = |j: usize| (0..pixels).filter(move |&p| measured[j].confidence[p] > 0.0);
     for p in sure(i) {
-        out[p * layers] = measured[i].disparity[p];
+        out[p * layers] = [measured[i].disparity[p], measured[i].confidence[p]];
     }
     for (layer, &j) in (1..).zip(others) {
         let pair = Pair::new(&cameras[j], &cameras[i]);
@@ -70,7 +72,9 @@ fn seen(cameras: &[Camera], measured: &[Measured], others: &[usize], i: usize, w
             let at = pair.project((p % width) as f32, (p / width) as f32, measured[j].disparity[p]);
             if let Some(q) = pixel_at(width, height, at.x, at.y).filter(|_| at.disparity > 0.0) {
                 let nearest = &mut out[q * layers + layer];
-                *nearest = nearest.max(at.disparity);
+                if at.disparity > nearest[0] {
+                    *nearest = [at.disparity, measured[j].confidence[p]];
+                }
             }
         }
     }

@@ -7,7 +7,8 @@ use super::shot::{Pair, Shot};
 use super::smooth::{Smoother, box_blur};
 use super::working::{nearest_pixel, observed};
 use crate::classical::{Motion, SparseReconstruction};
-use m4_core::{Camera, Flow, bilinear, quantile};
+use fearless_simd::Level;
+use m4_core::{Camera, Flow, bilinear, dispatch, quantile};
 
 /// Over how many frames flow is chained and compared, each both ways: the short span for fast motion, the long one for slow motion.
 const SPANS: [usize; 2] = [1, 4];
@@ -194,22 +195,48 @@ fn add_verdict((pixel, moves): (usize, bool), w: usize, h: usize, value: &mut [f
 
 /// Averages evidence with that of the frames before and after, along the flow where its round trip closes.
 pub(super) fn vote(width: usize, height: usize, evidence: &[Vec<f32>], flows: &[FlowPair], i: usize) -> Vec<f32> {
-    // The frame before adds after the frame that follows.
-    let steps = [true, false].map(|later| Some((FlowPair::step(flows, i, later)?, if later { i + 1 } else { i - 1 })));
-    (0..width * height)
-        .map(|p| {
-            let (mut sum, mut weight) = (evidence[i][p], 1.0);
-            for ((flow, trip), other) in steps.iter().flatten() {
-                let close = 1.0 / (1.0 + trip[p] * trip[p]);
-                if close >= 0.1 {
-                    let (x, y) = ((p % width) as f32 + flow.u[p], (p / width) as f32 + flow.v[p]);
-                    sum += close * evidence[*other][nearest_pixel(width, height, x, y)];
-                    weight += close;
-                }
-            }
-            sum / weight
-        })
-        .collect()
+    let (mut sum, mut weight) = (evidence[i].clone(), vec![1.0f32; width * height]);
+    // the frame before adds after the frame that follows
+    for later in [true, false] {
+        if let Some((flow, trip)) = FlowPair::step(flows, i, later) {
+            let other = &evidence[if later { i + 1 } else { i - 1 }];
+            // compiled for each set of vector instructions; the arithmetic is the same on all
+            dispatch!(Level::new(), _s => add_votes([width, height], flow, trip, other, &mut sum, &mut weight));
+        }
+    }
+    sum.iter().zip(&weight).map(|(sum, weight)| sum / weight).collect()
+}
+
+/// Adds the evidence of the frame that `flow` leads to, by how well its round trip closes.
+#[inline(always)]
+fn add_votes(
+    [width, height]: [usize; 2],
+    flow: &Flow,
+    trip: &[f32],
+    other: &[f32],
+    sum: &mut [f32],
+    weight: &mut [f32],
+) {
+    /// Least weight that counts.
+    const LEAST: f32 = 0.1;
+    let (right, bottom) = (width as i32 - 1, height as i32 - 1);
+    let mut pixels = vec![0i32; width];
+    for y in 0..height {
+        let row = y * width..(y + 1) * width;
+        for (x, (pixel, (u, v))) in
+            pixels.iter_mut().zip(flow.u[row.clone()].iter().zip(&flow.v[row.clone()])).enumerate()
+        {
+            let (x, y) = ((x as f32 + u + 0.5) as i32, (y as f32 + v + 0.5) as i32);
+            *pixel = y.clamp(0, bottom) * width as i32 + x.clamp(0, right);
+        }
+        let sums = sum[row.clone()].iter_mut().zip(&mut weight[row.clone()]);
+        for ((sum, weight), (pixel, trip)) in sums.zip(pixels.iter().zip(&trip[row])) {
+            let close = 1.0 / (1.0 + trip * trip);
+            let close = if close >= LEAST { close } else { 0.0 };
+            *sum += close * other.get(*pixel as usize).copied().unwrap_or(0.0);
+            *weight += close;
+        }
+    }
 }
 
 /// Where evidence is above 0, without specks and pinholes.

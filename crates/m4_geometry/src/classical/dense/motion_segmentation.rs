@@ -81,7 +81,12 @@ impl Clip<'_> {
         let cameras = &self.clues.cameras;
         let at = |i: usize, targets: &[f64]| at_parallax(cameras, i, self.shots[i].median, targets);
         let details = self.each("refining depth", |i| refine::detail(&self.shots[i]))?;
-        let clip = refine::Estimates { shots: self.shots, cameras, details: &details, disparity: filled, moving };
+        // the fill smears edges: it is the start only where nothing was measured
+        let start = self.each("refining depth", |i| {
+            let pixels = measured[i].disparity.iter().zip(&measured[i].confidence).zip(&filled[i]);
+            pixels.map(|((measured, confidence), filled)| if *confidence > 0.0 { *measured } else { *filled }).collect()
+        })?;
+        let clip = refine::Estimates { shots: self.shots, cameras, details: &details, disparity: &start, moving };
         let refined = self.each("refining depth", |i| {
             let rounds: Vec<Vec<usize>> = refine::PARALLAX_PX.iter().map(|targets| at(i, targets)).collect();
             let mut out = Measured { disparity: clip.refined(&rounds, i), confidence: measured[i].confidence.clone() };
@@ -92,7 +97,7 @@ impl Clip<'_> {
             let mut fused = fusion::fuse(self.shots, cameras, &refined, &at(i, &fusion::PARALLAX_PX), i);
             self.mono.impose(i, &mut fused, Some(&moving[i]));
             let fused = self.mono.with_prior(i, &fused, Some(&moving[i]));
-            static_depth::fill_planes(&self.shots[i], &self.smoother(i), &fused, Some(&moving[i]))
+            static_depth::fill_planes(&self.shots[i], self.smoother(i), &fused, Some(&moving[i]))
         })
     }
 

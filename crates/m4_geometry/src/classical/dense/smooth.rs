@@ -4,8 +4,10 @@
 const ROUNDS: i32 = 3;
 /// Least coupling of neighbours: values pass even the hardest edge, so that filling has no holes.
 const LEAST_COUPLING: f32 = 1e-4;
-/// Rows that are solved side by side: each is a chain of divisions, whose latency others fill.
+/// Rows of a single plane that are solved side by side: each is a chain of divisions, whose latency others fill.
 const ROWS: usize = 8;
+/// The same of several planes, which have work of their own to fill it with.
+const ROWS_OF_SEVERAL: usize = 2;
 
 /// The couplings of an image, ready to smooth several planes.
 pub(crate) struct Smoother {
@@ -30,20 +32,39 @@ impl Smoother {
         Self { width, height, right, below }
     }
 
+    /// Lets next to nothing pass between neighbours that are both known (`weight` above 0) and differ by more than `limit`: two surfaces.
+    pub fn cut(&mut self, values: &[f32], weight: &[f32], limit: f32) {
+        let apart = |i: usize, j: usize| weight[i] > 0.0 && weight[j] > 0.0 && (values[i] - values[j]).abs() > limit;
+        for (couplings, next) in [(&mut self.right, 1), (&mut self.below, self.width)] {
+            for (i, coupling) in couplings.iter_mut().enumerate().filter(|(_, c)| **c > 0.0) {
+                if apart(i, i + next) {
+                    *coupling = LEAST_COUPLING;
+                }
+            }
+        }
+    }
+
     /// Approximately minimises `sum (u - f)^2 + lambda sum coupling (u_i - u_j)^2`.
     pub fn smooth(&self, values: &mut [f32], lambda: f32) {
+        self.solve::<ROWS, 1>(values.as_chunks_mut().0, lambda);
+    }
+
+    /// The same of `N` planes at once, which share the couplings: `[height][width][N]`.
+    fn smooth_several<const N: usize>(&self, values: &mut [[f32; N]], lambda: f32) {
+        self.solve::<ROWS_OF_SEVERAL, N>(values, lambda);
+    }
+
+    fn solve<const M: usize, const N: usize>(&self, values: &mut [[f32; N]], lambda: f32) {
         let (w, h) = (self.width, self.height);
-        let mut ratio = vec![0.0f32; h.max(ROWS) * w];
+        let mut ratio = vec![0.0f32; h.max(M) * w];
         for round in 1..=ROUNDS {
             let l = 1.5 * 4f32.powi(ROUNDS - round) / (4f32.powi(ROUNDS) - 1.0) * lambda;
-            let several = (values.chunks_mut(ROWS * w), self.right.chunks(ROWS * w));
-            for (rows, right) in several.0.zip(several.1) {
-                match rows.len() / w {
-                    ROWS => solve_rows::<ROWS>(rows, right, l, &mut ratio),
-                    _ => rows
-                        .chunks_exact_mut(w)
-                        .zip(right.chunks_exact(w))
-                        .for_each(|(row, right)| solve_rows::<1>(row, right, l, &mut ratio)),
+            for (rows, right) in values.chunks_mut(M * w).zip(self.right.chunks(M * w)) {
+                if rows.len() == M * w {
+                    solve_rows::<M, N>(rows, right, l, &mut ratio);
+                } else {
+                    let rows = rows.chunks_exact_mut(w).zip(right.chunks_exact(w));
+                    rows.for_each(|(row, right)| solve_rows::<1, N>(row, right, l, &mut ratio));
                 }
             }
             self.solve_columns(values, l, &mut ratio);
@@ -70,49 +91,45 @@ impl Smoother {
         const NOISE_PX2: f32 = 2.0;
         let (w, unit) = (self.width, lambda.sqrt());
         let at = |p: usize| [(p % w) as f32 / unit, (p / w) as f32 / unit];
-        let moment = |f: &dyn Fn([f32; 2], f32) -> f32| {
-            let mut plane: Vec<f32> =
-                weight.iter().zip(values).enumerate().map(|(p, (w, v))| w * f(at(p), *v)).collect();
-            self.smooth(&mut plane, lambda);
-            plane
+        let moments = |(p, (v, weight)): (usize, (&f32, &f32))| {
+            let [x, y] = at(p);
+            [1.0, x, y, *v, x * x, x * y, y * y, x * v, y * v].map(|moment| weight * moment)
         };
-        let total = moment(&|_, _| 1.0);
-        let [x, y, v] = [moment(&|p, _| p[0]), moment(&|p, _| p[1]), moment(&|_, v| v)];
-        let [xx, xy, yy] = [moment(&|p, _| p[0] * p[0]), moment(&|p, _| p[0] * p[1]), moment(&|p, _| p[1] * p[1])];
-        let [xv, yv] = [moment(&|p, v| p[0] * v), moment(&|p, v| p[1] * v)];
-        let fit = |p: usize| {
-            let total = total[p].max(1e-20);
-            let mean = |sum: &[f32]| sum[p] / total;
+        let mut sums: Vec<[f32; 9]> = values.iter().zip(weight).enumerate().map(moments).collect();
+        self.smooth_several(&mut sums, lambda);
+        let fit = |(p, &[total, x, y, v, xx, xy, yy, xv, yv]): (usize, &[f32; 9])| {
+            let total = total.max(1e-20);
+            let [mx, my, mv, xx, xy, yy, xv, yv] = [x, y, v, xx, xy, yy, xv, yv].map(|sum| sum / total);
             let ridge = NOISE_PX2 / (lambda * lambda * total);
-            let (mx, my, mv) = (mean(&x), mean(&y), mean(&v));
-            let (vx, vy) = ((mean(&xx) - mx * mx).max(0.0) + ridge, (mean(&yy) - my * my).max(0.0) + ridge);
-            let cross = mean(&xy) - mx * my;
-            let (cx, cy) = (mean(&xv) - mx * mv, mean(&yv) - my * mv);
+            let (vx, vy) = ((xx - mx * mx).max(0.0) + ridge, (yy - my * my).max(0.0) + ridge);
+            let cross = xy - mx * my;
+            let (cx, cy) = (xv - mx * mv, yv - my * mv);
             let determinant = (vx * vy - cross * cross).max(ridge * ridge);
             let [px, py] = at(p);
             mv + ((cx * vy - cy * cross) * (px - mx) + (cy * vx - cx * cross) * (py - my)) / determinant
         };
-        (0..values.len()).map(fit).collect()
+        sums.iter().enumerate().map(fit).collect()
     }
 
     /// All columns at once, row by row: the Thomas algorithm with a row as its scalar.
-    fn solve_columns(&self, u: &mut [f32], l: f32, ratio: &mut [f32]) {
+    fn solve_columns<const N: usize>(&self, u: &mut [[f32; N]], l: f32, ratio: &mut [f32]) {
         let (w, h) = (self.width, self.height);
         for y in 0..h {
             for x in 0..w {
                 let i = y * w + x;
                 let after = l * self.below[i];
                 let (before, carried, above) =
-                    if y > 0 { (l * self.below[i - w], ratio[i - w], u[i - w]) } else { (0.0, 0.0, 0.0) };
+                    if y > 0 { (l * self.below[i - w], ratio[i - w], u[i - w]) } else { (0.0, 0.0, [0.0; N]) };
                 let pivot = 1.0 / (1.0 + before + after - before * carried);
                 ratio[i] = after * pivot;
-                u[i] = (u[i] + before * above) * pivot;
+                u[i] = std::array::from_fn(|n| (u[i][n] + before * above[n]) * pivot);
             }
         }
         for y in (0..h.saturating_sub(1)).rev() {
             for x in 0..w {
                 let i = y * w + x;
-                u[i] += ratio[i] * u[i + w];
+                let below = u[i + w];
+                u[i].iter_mut().zip(below).for_each(|(u, below)| *u += ratio[i] * below);
             }
         }
     }
@@ -135,25 +152,25 @@ pub(super) fn couplings(width: usize, height: usize, f: impl Fn(usize, usize) ->
     (right, below)
 }
 
-/// Solves `(1 + l (c_before + c_after)) u - l c_before u_before - l c_after u_after = f` in place, in each of `N` rows.
-fn solve_rows<const N: usize>(u: &mut [f32], right: &[f32], l: f32, ratio: &mut [f32]) {
-    let w = u.len() / N;
-    let (mut before, mut carried, mut last) = ([0.0; N], [0.0; N], [0.0; N]);
-    for (x, ratio) in ratio.as_chunks_mut::<N>().0[..w].iter_mut().enumerate() {
-        let after: [f32; N] = std::array::from_fn(|k| l * right[k * w + x]);
-        let value: [f32; N] = std::array::from_fn(|k| u[k * w + x]);
-        for k in 0..N {
+/// Solves `(1 + l (c_before + c_after)) u - l c_before u_before - l c_after u_after = f` in place, in each of `M` rows of `N` planes.
+fn solve_rows<const M: usize, const N: usize>(u: &mut [[f32; N]], right: &[f32], l: f32, ratio: &mut [f32]) {
+    let w = u.len() / M;
+    let (mut before, mut carried, mut last) = ([0.0; M], [0.0; M], [[0.0; N]; M]);
+    for (x, ratio) in ratio.as_chunks_mut::<M>().0[..w].iter_mut().enumerate() {
+        let after: [f32; M] = std::array::from_fn(|k| l * right[k * w + x]);
+        let value: [[f32; N]; M] = std::array::from_fn(|k| u[k * w + x]);
+        for k in 0..M {
             let pivot = 1.0 / (1.0 + before[k] + after[k] - before[k] * carried[k]);
             ratio[k] = after[k] * pivot;
-            last[k] = (value[k] + before[k] * last[k]) * pivot;
+            last[k] = std::array::from_fn(|n| (value[k][n] + before[k] * last[k][n]) * pivot);
         }
-        (0..N).for_each(|k| u[k * w + x] = last[k]);
+        (0..M).for_each(|k| u[k * w + x] = last[k]);
         (before, carried) = (after, *ratio);
     }
     for x in (0..w.saturating_sub(1)).rev() {
-        let ratio = &ratio.as_chunks::<N>().0[x];
-        for k in 0..N {
-            last[k] = u[k * w + x] + ratio[k] * last[k];
+        let ratio = &ratio.as_chunks::<M>().0[x];
+        for k in 0..M {
+            last[k] = std::array::from_fn(|n| u[k * w + x][n] + ratio[k] * last[k][n]);
             u[k * w + x] = last[k];
         }
     }
@@ -215,6 +232,22 @@ mod tests {
         }
         let flat = smoother.fill(&slanted, &weight, 900.0).0;
         assert!((flat[0] - slanted[0]).abs() > 0.1, "a constant fill is no plane");
+    }
+
+    #[test]
+    fn nothing_passes_between_two_surfaces_of_one_colour() {
+        let (w, h) = (20, 8);
+        let step: Vec<f32> = (0..w * h).map(|p| if p % w < 10 { 1.0 } else { 2.0 }).collect();
+        let known = vec![1.0; w * h];
+        let filled = |smoother: &Smoother| smoother.fill(&step, &known, 100.0).0;
+        let mut smoother = Smoother::new(w, h, &vec![[90; 3]; w * h], 10.0);
+        assert!((filled(&smoother)[9] - 1.0).abs() > 0.2, "one surface");
+        smoother.cut(&step, &known, 0.5);
+        assert!(filled(&smoother).iter().zip(&step).all(|(found, expected)| (found - expected).abs() < 0.01));
+        // what is not known separates nothing
+        let mut smoother = Smoother::new(w, h, &vec![[90; 3]; w * h], 10.0);
+        smoother.cut(&step, &vec![0.0; w * h], 0.5);
+        assert!((filled(&smoother)[9] - 1.0).abs() > 0.2);
     }
 
     #[test]

@@ -136,18 +136,23 @@ pub(super) fn fill(shot: &Shot, smoother: &Smoother, measured: &Measured, moving
 
 /// The same by planes, which cost more, for measurements that are mostly true: surfaces go on with their slope where nothing was measured, and
 /// noise is what differs from the planes.
-pub(super) fn fill_planes(shot: &Shot, smoother: &Smoother, measured: &Measured, moving: Option<&[u8]>) -> Vec<f32> {
+pub(super) fn fill_planes(shot: &Shot, mut smoother: Smoother, measured: &Measured, moving: Option<&[u8]>) -> Vec<f32> {
     /// Weight of the surroundings against a pixel of full confidence.
     const SURROUNDINGS: f32 = 0.02;
+    /// Neighbours that differ by more than this are of two surfaces, steps of the sweep.
+    const SURFACE_STEPS: f32 = 2.0;
+    /// Strength of the smoothing of what differs from the planes, pixels squared: more than where [`fill`] smooths depth itself, since slopes stay.
+    const REST_LAMBDA: f32 = 16.0;
     let (mut values, mut weight) = with_points(shot, measured, moving);
     let (least, most) = (0.5 * shot.range.least, 2.0 * shot.range.at(shot.range.count as f32));
+    smoother.cut(&measured.disparity, &measured.confidence, SURFACE_STEPS * shot.range.step);
     let mut planes = smoother.planes(&values, &weight, FILL_LAMBDA);
     for ((v, w), plane) in values.iter_mut().zip(&mut weight).zip(&mut planes) {
         *plane = plane.clamp(least, most);
         *v = (*v - *plane) * *w / (*w + SURROUNDINGS);
         *w += SURROUNDINGS;
     }
-    let (rest, _) = smoother.fill(&values, &weight, DENOISE_LAMBDA);
+    let (rest, _) = smoother.fill(&values, &weight, REST_LAMBDA);
     planes.iter().zip(&rest).map(|(plane, rest)| (plane + rest).max(least)).collect()
 }
 
