@@ -17,9 +17,9 @@ use rayon::prelude::*;
 /// Most points that are carried, all keyframes together; those carried the longest way are left out. Depth that does not agree
 /// from frame to frame makes many of them (our rule).
 pub(crate) const MOST_CARRIED: usize = 300_000;
-/// A carried point behind the depth map by more than this share of the depth is hidden. docs/spec/optimiser.md 2.6 has 0.05; limbs are
-/// thinner than that (measured: +0.3 dB inside moving parts from 0.05 to 0.004; docs/decisions/0004).
-pub(crate) const CARRY_MARGIN: f32 = 0.004;
+/// A carried point behind the depth map by more than this share of the depth is hidden; one nearer to it may be a point of the visible surface itself,
+/// as precisely as points are carried. docs/spec/optimiser.md 2.6 has 0.05; limbs are thinner than that (docs/decisions/0004).
+pub(crate) const CARRY_MARGIN: f32 = 0.02;
 /// Points closer than this, pixels at the median depth, belong to one body (our rule).
 pub(crate) const CARRY_REACH_PIXELS: f32 = 6.0;
 
