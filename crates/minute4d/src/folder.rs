@@ -39,8 +39,9 @@ pub enum Existing {
 }
 
 /// Creates or reuses the folder of a run, and locks it. With [`Existing::Resume`] returns the earlier record. Fails with an [`OutputError`] for
-/// a file of that name, a folder with other things in it, an unexpected earlier run, or one that is running.
-pub(crate) fn open(folder: &Path, existing: Existing) -> Result<(Lock, Option<RunRecord>), Error> {
+/// a file of that name, a folder with other things in it, an unexpected earlier run, or one that is running. The capture of an earlier run is kept
+/// where it is the `input` of this one.
+pub(crate) fn open(folder: &Path, existing: Existing, input: &Path) -> Result<(Lock, Option<RunRecord>), Error> {
     let filled = make(folder)?;
     let lock = Lock::take(folder)?;
     let mut earlier = None;
@@ -51,7 +52,7 @@ pub(crate) fn open(folder: &Path, existing: Existing) -> Result<(Lock, Option<Ru
         let what = if status == Some(Status::Finished) { "a finished run" } else { "an unfinished run" };
         earlier = take_over(folder, existing, record, failed, what, RUN_FILE)?;
         if earlier.is_none() {
-            clear(folder)?;
+            clear(folder, input)?;
         }
     }
     // No other process writes these while the folder is locked.
@@ -150,14 +151,15 @@ pub(crate) fn make(folder: &Path) -> Result<bool, Error> {
     }
 }
 
-/// Removes the files of a run, and nothing else. The record stays until a new one replaces it.
-fn clear(folder: &Path) -> Result<(), Error> {
+/// Removes the files of a run without its `input`, and nothing else. The record stays until a new one replaces it.
+fn clear(folder: &Path, input: &Path) -> Result<(), Error> {
     for file in [SCENE_FILE, METRICS_FILE, PREVIEW_FILE, VIEWER_FILE, EVAL_FILE] {
         remove_file(&folder.join(file))?;
     }
     remove_checkpoints(folder)?;
     let capture = folder.join(CAPTURE_FOLDER);
-    if capture.is_dir() {
+    let is_input = || Some(input.canonicalize().ok()?.starts_with(capture.canonicalize().ok()?));
+    if capture.is_dir() && is_input() != Some(true) {
         clear_capture(&capture)?;
     }
     Ok(())

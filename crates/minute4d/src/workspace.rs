@@ -65,7 +65,7 @@ impl<'a> Workspace<'a> {
     pub fn open(path: &Path, input: Input, job: &'a Job<'a>, clock: Clock) -> Result<Self, Error> {
         let level = job.check()?;
         let gpu = job.device.choice.open()?;
-        let (lock, earlier) = folder::open(path, job.existing)?;
+        let (lock, earlier) = folder::open(path, job.existing, Path::new(&input.path))?;
         let mut record = RunRecord::begin(input, &job.settings, Device::here(level, gpu.as_ref().map(OpenGpu::name)))?;
         if let Some(earlier) = &earlier {
             record.stages = earlier.stages.clone();

@@ -327,6 +327,9 @@ fn static_camera_gives_a_scene() {
     let events = dir.succeed(&format!("{line} --resume")).events();
     let reused = events.iter().filter(|e| e["status"] == "reused").count();
     assert_eq!(reused, 4, "{events:?}");
+    // its capture may be trained anew in its place
+    dir.succeed("train out/capture -o out --force --iterations 10");
+    assert!(dir.path("out/capture/transforms_train.json").is_file());
 }
 
 /// A time for training is a number of iterations: asked for by that number, the run ends with the same bits.
