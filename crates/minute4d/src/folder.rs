@@ -158,11 +158,16 @@ fn clear(folder: &Path, input: &Path) -> Result<(), Error> {
     }
     remove_checkpoints(folder)?;
     let capture = folder.join(CAPTURE_FOLDER);
-    let is_input = || Some(input.canonicalize().ok()?.starts_with(capture.canonicalize().ok()?));
-    if capture.is_dir() && is_input() != Some(true) {
+    if capture.is_dir() && !lies_in(input, &capture) {
         clear_capture(&capture)?;
     }
     Ok(())
+}
+
+/// Whether both exist, and `path` is `folder` or in it.
+fn lies_in(path: &Path, folder: &Path) -> bool {
+    let inside = || Some(path.canonicalize().ok()?.starts_with(folder.canonicalize().ok()?));
+    inside().unwrap_or(false)
 }
 
 /// Removes a file that may be missing.
@@ -225,13 +230,18 @@ pub(crate) struct CaptureFolder<'a> {
 }
 
 impl<'a> CaptureFolder<'a> {
-    /// Creates or reuses the folder for the stage that `record` describes; fails if it is in use, holds something else, or cannot be written.
+    /// Creates or reuses the folder for the stage that `record` describes; fails if it is in use, holds something else, or cannot be written, and
+    /// where the stage would remove its own input.
     pub fn open(
         path: &Path,
         existing: Existing,
         record: GeometryRecord,
         observer: &'a dyn Observer,
     ) -> Result<Self, Error> {
+        let input = Path::new(&record.input.path);
+        if Split::Train.folders().iter().any(|name| lies_in(input, &path.join(name))) {
+            return Err(OutputError::HoldsInput { path: input.to_path_buf() }.into());
+        }
         let filled = make(path)?;
         let lock = Lock::take(path)?;
         let earlier = if filled {

@@ -330,6 +330,10 @@ fn static_camera_gives_a_scene() {
     // its capture may be trained anew in its place
     dir.succeed("train out/capture -o out --force --iterations 10");
     assert!(dir.path("out/capture/transforms_train.json").is_file());
+    for line in ["run out/capture/train -o out --force", "geometry out/capture/train -o out/capture --force"] {
+        dir.refused(line, 73, &["out/capture/train", "choose another folder"]);
+    }
+    assert!(dir.path("out/capture/transforms_train.json").is_file() && dir.path("out/capture/train").is_dir());
 }
 
 /// A time for training is a number of iterations: asked for by that number, the run ends with the same bits.

@@ -1,4 +1,4 @@
-//! Clips by the one command, and the kernels alone.
+//! Clips by the one command.
 
 use super::page::{list, table as markdown};
 use super::runs::{Input, Runs, continuing, read};
@@ -54,19 +54,4 @@ fn row(clip: &Input, run: &Value, last: &str) -> Value {
     let last: Value = serde_json::from_str(last).unwrap_or_default();
     let peak_mib = run["peak_memory_bytes"].as_f64().map(|bytes| bytes / 1_048_576.0);
     json!({"clip": clip.name, "run": run, "peak_mib": peak_mib, "last": last, "warnings": warnings})
-}
-
-/// The first table that `minute4d bench` prints.
-pub(super) fn kernels(runs: &mut Runs, machine: &[Input]) -> Result<String> {
-    let mut tables = String::new();
-    for machine in machine {
-        let value = runs.of(machine, "kernels", "bench", |program| {
-            let printed = program.run(|c| c.arg("bench"))?;
-            let table =
-                printed.lines().skip_while(|line| !line.starts_with('|')).take_while(|line| line.starts_with('|'));
-            Ok(table.collect::<Vec<_>>().join("\n").into())
-        })?;
-        tables += value.as_str().unwrap_or_default();
-    }
-    Ok(tables)
 }

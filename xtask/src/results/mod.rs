@@ -5,6 +5,7 @@
 
 mod clips;
 mod geometry;
+mod kernels;
 mod machine;
 mod page;
 mod runs;
@@ -34,7 +35,7 @@ const SECTIONS: [Section; 6] = [
     ("ablation", Over::Scenes(2), views::ablation),
     ("explain", Over::Scenes(4), geometry::explained),
     ("clips", Over::Clips, clips::table),
-    ("kernels", Over::Machine, clips::kernels),
+    ("kernels", Over::Machine, kernels::table),
 ];
 
 /// Measures the sections that `args` ask for (`[--only SECTION,...] [--work DIR] [--clips DIR] SCENE...`) and writes the page after each.

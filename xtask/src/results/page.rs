@@ -1,4 +1,4 @@
-//! The page and its tables: what stands between the markers of a section is replaced, nothing else.
+//! The page and its tables: the text between the markers of a section is replaced, nothing else.
 //!
 //! A column is a heading and a template with JSON pointers and digits, such as `{/far/psnr_db 2} / {/far/ssim 3}`; a number that is
 //! missing is `-`.

@@ -117,6 +117,12 @@ pub enum OutputError {
         /// The folder.
         path: PathBuf,
     },
+    /// An input that would be removed to make place for the result.
+    #[error("the input {} belongs to the capture that would be replaced; choose another folder for the result", path.display())]
+    HoldsInput {
+        /// The input.
+        path: PathBuf,
+    },
     /// A file that would be replaced.
     #[error("{} already exists; --force replaces it", path.display())]
     WouldReplace {

