@@ -86,15 +86,36 @@ impl Template {
 }
 
 /// Takes the mean out; the root of the sum of squares that is left.
-fn centre(values: &mut [f32]) -> f32 {
-    let mean = values.iter().sum::<f32>() / values.len() as f32;
-    let mut sum = 0.0;
-    for value in values.iter_mut() {
-        *value -= mean;
-        sum += *value * *value;
-    }
-    sum.sqrt()
+pub(super) fn centre(values: &mut [f32]) -> f32 {
+    let mean = sum(values) / values.len() as f32;
+    values.iter_mut().for_each(|v| *v -= mean);
+    dot(values, values).sqrt()
 }
+
+fn sum(values: &[f32]) -> f32 {
+    let (chunks, rest) = values.as_chunks::<LANES>();
+    let mut sums = [0.0; LANES];
+    for chunk in chunks {
+        for k in 0..LANES {
+            sums[k] += chunk[k];
+        }
+    }
+    sums.iter().sum::<f32>() + rest.iter().sum::<f32>()
+}
+
+/// Inner product with partial sums, which the compiler keeps in one register.
+pub(super) fn dot(a: &[f32], b: &[f32]) -> f32 {
+    let ((a, a_rest), (b, b_rest)) = (a.as_chunks::<LANES>(), b.as_chunks::<LANES>());
+    let mut sums = [0.0; LANES];
+    for (x, y) in a.iter().zip(b) {
+        for k in 0..LANES {
+            sums[k] += x[k] * y[k];
+        }
+    }
+    sums.iter().sum::<f32>() + a_rest.iter().zip(b_rest).map(|(x, y)| x * y).sum::<f32>()
+}
+
+const LANES: usize = 8;
 
 /// True when the patch around `p` lies in the image.
 pub(crate) fn inside(plane: &Plane<f32>, p: [f32; 2]) -> bool {

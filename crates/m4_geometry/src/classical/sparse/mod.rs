@@ -16,6 +16,7 @@
 //! image centre, which is the principal point: observations by a lens that is known to differ are moved there first
 //! (priors). Poses inside are world to camera.
 
+mod anchor;
 mod bundle;
 mod degenerate;
 mod growth;

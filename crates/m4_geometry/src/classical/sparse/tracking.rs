@@ -1,8 +1,10 @@
 //! Points followed through the whole clip, from the strongest Shi-Tomasi corner of every empty cell.
 
-use super::klt::{RADIUS, Template, follow, inside};
+use super::anchor::{Anchor, Warp};
+use super::klt::{RADIUS, follow, inside};
 use super::luma::{Pyramid, WorkingSize, luma};
 use super::{SparseError, stopped};
+use m4_core::nalgebra::Matrix2;
 use m4_core::{Plane, Progress, RgbImage};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
@@ -11,8 +13,8 @@ use std::collections::BTreeMap;
 const MAX_ROUND_TRIP_PX: f32 = 0.7;
 /// Least normalised cross-correlation of a patch with itself one frame later.
 const MIN_CORRELATION: f32 = 0.7;
-/// Positions are aligned to the patch of an earlier frame while it correlates this much.
-const ANCHOR_CORRELATION: f32 = 0.92;
+/// Positions are aligned to the first appearance of the point while it correlates this much.
+const ANCHOR_CORRELATION: f32 = 0.85;
 /// ... and while that moves the position by no more than this, working pixels.
 const MAX_DRIFT_PX: f32 = 1.0;
 
@@ -39,8 +41,10 @@ impl RawTrack {
 struct Live {
     first: usize,
     seen: Vec<[f32; 2]>,
-    /// Appearance at the anchor; positions are aligned to it so that errors do not add up.
-    anchor: Template,
+    /// First appearance, or a later one where that no longer looks alike; positions are aligned to it so that errors do not add up.
+    anchor: Anchor,
+    /// From the anchor to the last frame.
+    linear: Matrix2<f32>,
 }
 
 /// Follows corners through all frames; tracks are ordered by first frame, then by cell.
@@ -60,15 +64,15 @@ pub(crate) fn track(
             let frame = batch_index * BATCH + i;
             stopped(progress)?;
             if let Some(previous) = &previous {
-                let moved: Vec<Option<([f32; 2], Option<Template>)>> =
-                    live.par_iter().map(|t| step(t, previous, &current)).collect();
+                let moved: Vec<Option<Step>> = live.par_iter().map(|t| step(t, previous, &current)).collect();
                 let mut kept = Vec::with_capacity(live.len());
                 for (mut t, moved) in live.into_iter().zip(moved) {
-                    let Some((p, anchor)) = moved else {
+                    let Some(Step { at, linear, anchor }) = moved else {
                         done.push(finish(t));
                         continue;
                     };
-                    t.seen.push(p);
+                    t.seen.push(at);
+                    t.linear = linear;
                     t.anchor = anchor.unwrap_or(t.anchor);
                     kept.push(t);
                 }
@@ -78,7 +82,8 @@ pub(crate) fn track(
                 let occupied: Vec<[f32; 2]> = live.iter().filter_map(|t| t.seen.last().copied()).collect();
                 let found = fill_empty_cells(&current.levels[0], &occupied);
                 live.extend(found.into_iter().filter_map(|p| {
-                    Some(Live { first: frame, seen: vec![p], anchor: Template::new(&current.levels[0], p)? })
+                    let anchor = Anchor::new(&current.levels[0], p)?;
+                    Some(Live { first: frame, seen: vec![p], anchor, linear: Matrix2::identity() })
                 }));
             }
             previous = Some(current);
@@ -98,26 +103,31 @@ pub(crate) fn track(
 /// Pyramids held at a time.
 const BATCH: usize = 8;
 
-/// The position of `t` in `to`, and a new anchor where the old one no longer looks alike.
-fn step(t: &Live, from: &Pyramid, to: &Pyramid) -> Option<([f32; 2], Option<Template>)> {
+/// Where a track goes in the next frame.
+struct Step {
+    at: [f32; 2],
+    linear: Matrix2<f32>,
+    /// A new one where the old one no longer looks alike.
+    anchor: Option<Anchor>,
+}
+
+/// The step of `t` to frame `to`; `None` where the point is lost.
+fn step(t: &Live, from: &Pyramid, to: &Pyramid) -> Option<Step> {
     let p = *t.seen.last()?;
-    let (mut q, correlation) = follow(from, to, p)?;
+    let (q, correlation) = follow(from, to, p)?;
     if correlation < MIN_CORRELATION {
         return None;
     }
-    let (back, _) = follow(to, from, q)?;
-    if (back[0] - p[0]).hypot(back[1] - p[1]) > MAX_ROUND_TRIP_PX {
-        return None;
+    let plane = &to.levels[0];
+    let (held, likeness) = t.anchor.align(plane, Warp { linear: t.linear, at: q });
+    let drift = (held.at[0] - q[0]).hypot(held.at[1] - q[1]);
+    if likeness >= ANCHOR_CORRELATION && drift <= MAX_DRIFT_PX {
+        return inside(plane, held.at).then_some(Step { at: held.at, linear: held.linear, anchor: None });
     }
-    let (held, likeness) = t.anchor.align(&to.levels[0], q);
-    let drift = (held[0] - q[0]).hypot(held[1] - q[1]);
-    let anchor = if likeness >= ANCHOR_CORRELATION && drift <= MAX_DRIFT_PX {
-        q = held;
-        None
-    } else {
-        Some(Template::new(&to.levels[0], q)?)
-    };
-    inside(&to.levels[0], q).then_some((q, anchor))
+    let (back, _) = follow(to, from, q)?;
+    let returns = (back[0] - p[0]).hypot(back[1] - p[1]) <= MAX_ROUND_TRIP_PX;
+    let anchor = Some(Anchor::new(plane, q)?);
+    (returns && inside(plane, q)).then_some(Step { at: q, linear: Matrix2::identity(), anchor })
 }
 
 /// Where two tracks have run together the younger one ends.
@@ -248,8 +258,9 @@ fn fill_empty_cells(luma: &Plane<f32>, occupied: &[[f32; 2]]) -> Vec<[f32; 2]> {
 
 #[cfg(test)]
 mod tests {
-    use super::{fill_empty_cells, response};
-    use m4_core::Plane;
+    use super::{fill_empty_cells, response, track};
+    use crate::classical::sparse::luma::WorkingSize;
+    use m4_core::{Plane, Silent};
 
     fn squares() -> Plane<f32> {
         Plane::from_fn(96, 96, |x, y| if (x / 24 + y / 24) % 2 == 0 { 30.0 } else { 200.0 })
@@ -269,5 +280,46 @@ mod tests {
         assert!(fill_empty_cells(&squares(), &all).is_empty());
         let flat = Plane::filled(96, 96, 128.0);
         assert!(fill_empty_cells(&flat, &[]).is_empty());
+    }
+
+    /// A wall that the camera approaches and turns at: scale and rotation change by a third, a patch is soon unlike its first appearance.
+    #[test]
+    fn positions_do_not_drift_while_the_view_changes() {
+        const FRAMES: usize = 30;
+        let centre = [79.5_f64, 59.5];
+        let at = |t: usize, u: [f64; 2]| {
+            let (turn, scale) = (0.012 * t as f64, 1.0 + 0.011 * t as f64);
+            let (s, c) = turn.sin_cos();
+            [centre[0] + scale * (c * u[0] - s * u[1]), centre[1] + scale * (s * u[0] + c * u[1])]
+        };
+        let back = |t: usize, p: [f64; 2]| {
+            let (turn, scale) = (0.012 * t as f64, 1.0 + 0.011 * t as f64);
+            let (s, c) = turn.sin_cos();
+            let d = [(p[0] - centre[0]) / scale, (p[1] - centre[1]) / scale];
+            [c * d[0] + s * d[1], c * d[1] - s * d[0]]
+        };
+        let value = |u: [f64; 2]| {
+            let wave = |a: f64, b: f64, c: f64| (a * u[0] + b * u[1] + c).sin();
+            128.0
+                + 40.0 * wave(0.35, 0.1, 0.3) * wave(-0.1, 0.4, 1.0)
+                + 35.0 * wave(0.13, -0.17, 0.0)
+                + 20.0 * wave(0.6, 0.5, 2.0)
+        };
+        let frames: Vec<_> = (0..FRAMES)
+            .map(|t| Plane::from_fn(160, 120, |x, y| [value(back(t, [x as f64, y as f64])) as u8; 3]))
+            .collect();
+        let tracks =
+            track(&frames.iter().collect::<Vec<_>>(), WorkingSize::new(160, 120, 640), &Silent).expect("tracks");
+        let mut off: Vec<f64> = Vec::new();
+        for t in tracks.iter().filter(|t| t.first == 0 && t.end() == FRAMES) {
+            // Working pixels from the image centre.
+            let pixel = |p: [f64; 2]| [p[0] + centre[0], p[1] + centre[1]];
+            let want = at(FRAMES - 1, back(0, pixel(t.seen[0])));
+            let got = pixel(t.seen[FRAMES - 1]);
+            off.push((got[0] - want[0]).hypot(got[1] - want[1]));
+        }
+        off.sort_by(f64::total_cmp);
+        assert!(off.len() >= 20, "{} tracks last", off.len());
+        assert!(off[off.len() / 2] < 0.05, "median {} px", off[off.len() / 2]);
     }
 }
