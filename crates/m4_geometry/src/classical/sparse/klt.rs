@@ -85,6 +85,9 @@ impl Template {
     }
 }
 
+/// Partial sums, which the compiler keeps in one register.
+const LANES: usize = 8;
+
 /// Takes the mean out; the root of the sum of squares that is left.
 pub(super) fn centre(values: &mut [f32]) -> f32 {
     let mean = sum(values) / values.len() as f32;
@@ -103,7 +106,7 @@ fn sum(values: &[f32]) -> f32 {
     sums.iter().sum::<f32>() + rest.iter().sum::<f32>()
 }
 
-/// Inner product with partial sums, which the compiler keeps in one register.
+/// Inner product.
 pub(super) fn dot(a: &[f32], b: &[f32]) -> f32 {
     let ((a, a_rest), (b, b_rest)) = (a.as_chunks::<LANES>(), b.as_chunks::<LANES>());
     let mut sums = [0.0; LANES];
@@ -114,8 +117,6 @@ pub(super) fn dot(a: &[f32], b: &[f32]) -> f32 {
     }
     sums.iter().sum::<f32>() + a_rest.iter().zip(b_rest).map(|(x, y)| x * y).sum::<f32>()
 }
-
-const LANES: usize = 8;
 
 /// True when the patch around `p` lies in the image.
 pub(crate) fn inside(plane: &Plane<f32>, p: [f32; 2]) -> bool {

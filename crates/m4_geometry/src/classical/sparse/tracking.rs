@@ -287,14 +287,16 @@ mod tests {
     fn positions_do_not_drift_while_the_view_changes() {
         const FRAMES: usize = 30;
         let centre = [79.5_f64, 59.5];
+        let view = |t: usize| {
+            let (sine, cosine) = (0.012 * t as f64).sin_cos();
+            (1.0 + 0.011 * t as f64, sine, cosine)
+        };
         let at = |t: usize, u: [f64; 2]| {
-            let (turn, scale) = (0.012 * t as f64, 1.0 + 0.011 * t as f64);
-            let (s, c) = turn.sin_cos();
+            let (scale, s, c) = view(t);
             [centre[0] + scale * (c * u[0] - s * u[1]), centre[1] + scale * (s * u[0] + c * u[1])]
         };
         let back = |t: usize, p: [f64; 2]| {
-            let (turn, scale) = (0.012 * t as f64, 1.0 + 0.011 * t as f64);
-            let (s, c) = turn.sin_cos();
+            let (scale, s, c) = view(t);
             let d = [(p[0] - centre[0]) / scale, (p[1] - centre[1]) / scale];
             [c * d[0] + s * d[1], c * d[1] - s * d[0]]
         };
