@@ -5,7 +5,6 @@
 //! what the change of the view does to the patch.
 
 use super::klt::{centre, dot};
-use super::luma::sample_square;
 use m4_core::Plane;
 use m4_core::nalgebra::{Matrix2, Matrix6, Vector2, Vector6};
 
@@ -42,12 +41,11 @@ pub(crate) struct Anchor {
 }
 
 impl Anchor {
-    /// The patch around `p`; `None` when it shows nothing to hold on to.
-    pub fn new(plane: &Plane<f32>, p: [f32; 2]) -> Option<Self> {
+    /// The patch around `p` in an image at [`doubled`](super::luma::doubled) resolution; `None` when it shows nothing to hold on to.
+    pub fn new(fine: &Plane<f32>, p: [f32; 2]) -> Option<Self> {
         const WIDE: usize = SIDE + 2;
-        let outer = (REACH + 1) as f32;
         let mut patch = [0.0; WIDE * WIDE];
-        sample_square(plane, p[0] - outer, p[1] - outer, WIDE, &mut patch);
+        sample::<WIDE>(fine, &Warp { linear: Matrix2::identity(), at: p }, &mut patch);
         let mut values = Box::new([0.0; AREA]);
         let mut jacobian = Box::new([[0.0; AREA]; 6]);
         for y in 0..SIDE {
@@ -73,14 +71,14 @@ impl Anchor {
         Some(Self { values, jacobian, inverse, norm })
     }
 
-    /// Moves `start`, the warp to the frame before at the place to begin with, until the patch in `plane` looks like this one; the
-    /// warp and the normalised cross-correlation there.
-    pub fn align(&self, plane: &Plane<f32>, start: Warp) -> (Warp, f32) {
+    /// Moves `start`, the warp to the frame before at the place to begin with, until the patch in `fine`, an image at doubled resolution,
+    /// looks like this one; the warp and the normalised cross-correlation there.
+    pub fn align(&self, fine: &Plane<f32>, start: Warp) -> (Warp, f32) {
         let mut patch = [0.0; AREA];
         let mut warp = start;
         let back = start.linear.try_inverse().unwrap_or_else(Matrix2::identity);
         for _ in 0..ITERATIONS {
-            sample(plane, &warp, &mut patch);
+            sample::<SIDE>(fine, &warp, &mut patch);
             for (value, want) in patch.iter_mut().zip(&*self.values) {
                 *value -= want;
             }
@@ -98,25 +96,26 @@ impl Anchor {
                 break;
             }
         }
-        sample(plane, &warp, &mut patch);
+        sample::<SIDE>(fine, &warp, &mut patch);
         let norm = centre(&mut patch);
         let product = dot(&patch, &*self.values);
         (warp, if norm * self.norm > 0.0 { product / (norm * self.norm) } else { 0.0 })
     }
 }
 
-/// The pixels of the patch in `plane`, bilinear; outside the image the nearest pixel counts.
-fn sample(plane: &Plane<f32>, warp: &Warp, out: &mut [f32; AREA]) {
-    let (w, h) = plane.size();
+/// The patch of side `N` that `warp` marks in an image at doubled resolution, bilinear; outside the image the nearest pixel counts.
+fn sample<const N: usize>(fine: &Plane<f32>, warp: &Warp, out: &mut [f32]) {
+    let (w, h) = fine.size();
     let (right, bottom) = ((w - 1) as f32, (h - 1) as f32);
-    let data = plane.data();
-    for (r, line) in out.chunks_exact_mut(SIDE).enumerate() {
-        let dy = r as f32 - REACH as f32;
-        let from = [warp.at[0] + warp.linear.m12 * dy, warp.at[1] + warp.linear.m22 * dy];
+    let data = fine.data();
+    let (linear, at, reach) = (warp.linear * 2.0, warp.at.map(|v| 2.0 * v), (N / 2) as f32);
+    for (r, line) in out.chunks_exact_mut(N).enumerate() {
+        let dy = r as f32 - reach;
+        let from = [at[0] + linear.m12 * dy, at[1] + linear.m22 * dy];
         for (c, value) in line.iter_mut().enumerate() {
-            let dx = c as f32 - REACH as f32;
-            let x = (from[0] + warp.linear.m11 * dx).clamp(0.0, right);
-            let y = (from[1] + warp.linear.m21 * dx).clamp(0.0, bottom);
+            let dx = c as f32 - reach;
+            let x = (from[0] + linear.m11 * dx).clamp(0.0, right);
+            let y = (from[1] + linear.m21 * dx).clamp(0.0, bottom);
             let (ix, iy) = ((x as usize).min(w - 2), (y as usize).min(h - 2));
             let (ax, ay) = (x - ix as f32, y - iy as f32);
             let i = iy * w + ix;
@@ -130,17 +129,18 @@ fn sample(plane: &Plane<f32>, warp: &Warp, out: &mut [f32; AREA]) {
 #[cfg(test)]
 mod tests {
     use super::{Anchor, Warp};
+    use crate::classical::sparse::luma::doubled;
     use m4_core::Plane;
     use m4_core::nalgebra::{Matrix2, Vector2};
 
-    /// Smooth bumps, seen through `x -> linear (x - centre) + at`.
+    /// Smooth bumps, seen through `x -> linear (x - centre) + at`, at doubled resolution.
     fn seen(warp: &Warp) -> Plane<f32> {
         let back = warp.linear.try_inverse().expect("invertible");
-        Plane::from_fn(96, 72, |x, y| {
+        doubled(&Plane::from_fn(96, 72, |x, y| {
             let p = back * Vector2::new(x as f32 - warp.at[0], y as f32 - warp.at[1]);
             let (u, v) = (p.x + CENTRE[0], p.y + CENTRE[1]);
             120.0 + 50.0 * (0.6 * u).sin() * (0.5 * v + 0.2 * u).cos() + 40.0 * (0.25 * u - 0.4 * v).cos()
-        })
+        }))
     }
 
     const CENTRE: [f32; 2] = [48.0, 36.0];
@@ -166,14 +166,31 @@ mod tests {
         }
     }
 
+    /// Texture at the limit of what pixels show: between whole pixels bilinear values are blurred, which moves the patch.
+    #[test]
+    fn fractions_of_a_pixel_are_not_pulled_to_whole_ones() {
+        let fine = |shift: f32| {
+            let wave =
+                |x: f32, y: f32| (1.1 * x + 0.4 * y).sin() + (0.5 * x - 1.2 * y).cos() + (0.3 * x + 0.2 * y).sin();
+            doubled(&Plane::from_fn(96, 72, |x, y| 128.0 + 30.0 * wave(x as f32 - shift, y as f32 + 0.5 * shift)))
+        };
+        let first = Warp { linear: Matrix2::identity(), at: CENTRE };
+        let anchor = Anchor::new(&fine(0.0), CENTRE).expect("texture");
+        for shift in [0.1, 0.25, 0.4, 0.6, 0.8] {
+            let (found, _) = anchor.align(&fine(shift), first);
+            let off = (found.at[0] - CENTRE[0] - shift).hypot(found.at[1] - CENTRE[1] + 0.5 * shift);
+            assert!(off < 0.01, "shift {shift}: {off} px");
+        }
+    }
+
     #[test]
     fn other_content_does_not_look_alike_and_flat_patches_are_refused() {
         let first = Warp { linear: Matrix2::identity(), at: CENTRE };
         let anchor = Anchor::new(&seen(&first), CENTRE).expect("texture");
         let other = Plane::from_fn(96, 72, |x, y| ((x * 7919 + y * 104_729) % 251) as f32);
-        assert!(anchor.align(&other, first).1 < 0.7);
-        let (_, likeness) = anchor.align(&Plane::filled(96, 72, 90.0), first);
+        assert!(anchor.align(&doubled(&other), first).1 < 0.7);
+        let (_, likeness) = anchor.align(&doubled(&Plane::filled(96, 72, 90.0)), first);
         assert_eq!(likeness, 0.0);
-        assert!(Anchor::new(&Plane::filled(96, 72, 90.0), CENTRE).is_none());
+        assert!(Anchor::new(&doubled(&Plane::filled(96, 72, 90.0)), CENTRE).is_none());
     }
 }

@@ -273,6 +273,7 @@ impl Clip<'_> {
             motions = classify(&map, &self.tracks);
             map.triangulate(&self.tracks, &motions, &self.limits);
             self.register_all(&mut map)?;
+            map.weigh(&self.tracks);
             let tolerance = if round + 1 < ROUNDS { ROUGH } else { FINE };
             report = self.adjust(&mut map, free_focal, tolerance)?;
         }

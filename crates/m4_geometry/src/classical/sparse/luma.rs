@@ -88,11 +88,14 @@ const LEVELS: usize = 4;
 pub(crate) struct Pyramid {
     /// At least one, finest first.
     pub levels: Vec<Plane<f32>>,
+    /// Level 0 at [`doubled`] resolution, for patches that are aligned to a hundredth of a pixel.
+    pub fine: Plane<f32>,
 }
 
 impl Pyramid {
     /// At most [`LEVELS`]; stops before a side falls under 16 pixels.
     pub fn new(base: Plane<f32>) -> Self {
+        let fine = doubled(&base);
         let mut all = vec![base];
         while all.len() < LEVELS {
             let top = &all[all.len() - 1];
@@ -101,8 +104,39 @@ impl Pyramid {
             }
             all.push(halved(top));
         }
-        Self { levels: all }
+        Self { levels: all, fine }
     }
+}
+
+/// Twice the resolution by cubic convolution (Keys 1981): pixel `x` becomes pixel `2 x`, so sizes are `2 n - 1`; the border repeats.
+///
+/// Bilinear values between the pixels of the result are those of a smooth image; between those of `plane` they are blurred by an amount that
+/// depends on the fraction of the pixel, which pulls aligned patches towards whole pixels (docs/decisions/0010).
+pub(crate) fn doubled(plane: &Plane<f32>) -> Plane<f32> {
+    let halfway = |a: f32, b: f32, c: f32, d: f32| 0.5625 * (b + c) - 0.0625 * (a + d);
+    let (w, h) = plane.size();
+    let around = |i: usize, n: usize| [i.saturating_sub(1), i, i + 1, (i + 2).min(n - 1)];
+    let mut rows = Plane::filled(2 * w - 1, h, 0.0);
+    for y in 0..h {
+        let (from, to) = (plane.row(y), rows.row_mut(y));
+        for x in 0..w - 1 {
+            let [a, b, c, d] = around(x, w).map(|i| from[i]);
+            (to[2 * x], to[2 * x + 1]) = (b, halfway(a, b, c, d));
+        }
+        to[2 * w - 2] = from[w - 1];
+    }
+    let mut out = Plane::filled(2 * w - 1, 2 * h - 1, 0.0);
+    for y in 0..h {
+        out.row_mut(2 * y).copy_from_slice(rows.row(y));
+    }
+    for y in 0..h - 1 {
+        let [a, b, c, d] = around(y, h).map(|i| rows.row(i));
+        let above = b.iter().zip(c);
+        for ((to, (&b, &c)), (&a, &d)) in out.row_mut(2 * y + 1).iter_mut().zip(above).zip(a.iter().zip(d)) {
+            *to = halfway(a, b, c, d);
+        }
+    }
+    out
 }
 
 /// Binomial blur (1 4 6 4 1)/16 in both directions, then every second pixel.
@@ -152,7 +186,7 @@ pub(crate) fn sample_square(plane: &Plane<f32>, x: f32, y: f32, side: usize, out
 
 #[cfg(test)]
 mod tests {
-    use super::{Pyramid, WorkingSize, luma, sample_square};
+    use super::{Pyramid, WorkingSize, doubled, luma, sample_square};
     use m4_core::Plane;
 
     #[test]
@@ -167,6 +201,21 @@ mod tests {
         // Corner-based coordinates: working column 10 covers input columns 25 to 27.5, centre 25.75 from 0.
         let want = 0.886 * 2.0 * 25.75 + 0.114 * (25.75 + (12.5 * 2.5 - 0.5));
         assert!((small[(10, 12)] - want).abs() < 0.1, "{} {want}", small[(10, 12)]);
+    }
+
+    #[test]
+    fn doubling_keeps_pixels_and_finds_those_between_them() {
+        let wave = |x: f32, y: f32| (0.6 * x).sin() + (0.5 * y + 0.2 * x).cos();
+        let fine = doubled(&Plane::from_fn(30, 20, |x, y| wave(x as f32, y as f32)));
+        assert_eq!(fine.size(), (59, 39));
+        for y in 3..36 {
+            for x in 3..56 {
+                let want = wave(0.5 * x as f32, 0.5 * y as f32);
+                let near = if x % 2 == 0 && y % 2 == 0 { 1e-6 } else { 0.01 };
+                assert!((fine[(x, y)] - want).abs() < near, "{x}, {y}: {} {want}", fine[(x, y)]);
+            }
+        }
+        assert_eq!(doubled(&Plane::filled(2, 1, 5.0)), Plane::filled(3, 1, 5.0));
     }
 
     #[test]

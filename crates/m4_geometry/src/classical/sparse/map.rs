@@ -18,12 +18,14 @@ pub(crate) struct Map {
     pub poses: Vec<Option<Se3<f64>>>,
     /// World position, per track.
     pub points: Vec<Option<Vector3<f64>>>,
+    /// What the squared residuals of a track count in the adjustment; 1 until [`Map::weigh`].
+    weights: Vec<f64>,
 }
 
 impl Map {
     /// Without points.
     pub fn new(focal: f64, poses: Vec<Option<Se3<f64>>>, tracks: &[RawTrack]) -> Self {
-        Self { focal, poses, points: vec![None; tracks.len()] }
+        Self { focal, poses, points: vec![None; tracks.len()], weights: vec![1.0; tracks.len()] }
     }
 
     /// Sightings of known points in `frame`.
@@ -116,6 +118,22 @@ impl Map {
         report
     }
 
+    /// Weighs the tracks by their own noise: the variance of a track's residuals, held to the median of all by [`PRIOR`]. What makes one
+    /// track worse than others (two surfaces in a patch, reflections) is alike in all its frames, which no loss of single residuals sees.
+    pub fn weigh(&mut self, tracks: &[RawTrack]) {
+        // Sum of squared residuals and degrees of freedom: two numbers per view, less the three of the point.
+        let spread = |(track, point): (&RawTrack, &Option<Vector3<f64>>)| {
+            let errors = self.errors(track, point.as_ref()?);
+            let freedom = (2 * errors.len()).checked_sub(3).filter(|n| *n > 0)? as f64;
+            Some((errors.iter().map(|e| e.min(INLIER_PX).powi(2)).sum::<f64>(), freedom))
+        };
+        let spreads: Vec<Option<(f64, f64)>> = tracks.iter().zip(&self.points).map(spread).collect();
+        let mut variances: Vec<f64> = spreads.iter().flatten().map(|(sum, freedom)| sum / freedom).collect();
+        let Some(typical) = median(&mut variances).filter(|v| *v > 0.0) else { return };
+        let weight = |(sum, freedom)| typical * (PRIOR + freedom) / (PRIOR * typical + sum);
+        self.weights = spreads.into_iter().map(|s| s.map_or(1.0, weight)).collect();
+    }
+
     /// Gives the frames of `all` that are not among `adjusted` the poses that the points ask for.
     fn follow_points(&mut self, tracks: &[RawTrack], all: &[usize], adjusted: &[usize], cauchy_px: f64) {
         let map = &*self;
@@ -158,6 +176,7 @@ impl Map {
         let mut bundle = Bundle {
             poses: frames.iter().filter_map(|&i| self.poses[i]).collect(),
             points: used.iter().filter_map(|&i| self.points[i]).collect(),
+            weights: used.iter().map(|&i| self.weights[i]).collect(),
             log_focal: self.focal.ln(),
             observations,
         };
@@ -195,6 +214,9 @@ impl Map {
         self.all_errors(tracks).map(|e| (1.0 - (e / inlier_px).powi(2)).max(0.0)).sum()
     }
 }
+
+/// Degrees of freedom that the noise of all tracks counts in that of one.
+const PRIOR: f64 = 10.0;
 
 /// Most frames that are adjusted at once, and how many of them must see a point.
 const MOST_FRAMES: usize = 300;
@@ -281,9 +303,37 @@ fn far_point(map: &Map, track: &RawTrack) -> Option<Vector3<f64>> {
 
 #[cfg(test)]
 mod tests {
-    use super::interpolate;
+    use super::{Map, interpolate};
+    use crate::classical::sparse::tracking::RawTrack;
     use m4_core::nalgebra::Vector3;
-    use m4_core::{Se3, exp_so3};
+    use m4_core::{CounterRng, Se3, exp_so3};
+
+    #[test]
+    fn tracks_count_by_their_own_noise() {
+        let (focal, mut rng) = (400.0, CounterRng::new(5, 0, 0));
+        let poses: Vec<_> = (0..30)
+            .map(|i| Se3 { translation: Vector3::new(0.05 * f64::from(i), 0.0, 4.0), ..Se3::identity() })
+            .collect();
+        let points: Vec<Vector3<f64>> = (0..60).map(|_| Vector3::from_fn(|_, _| rng.normal())).collect();
+        // the first is as bad as ten others, the last two are seen once and twice
+        let views = |i: usize| if i < 58 { 30 } else { i - 57 };
+        let track = |(i, x): (usize, &Vector3<f64>)| {
+            let noise_px = if i == 0 { 1.0 } else { 0.1 };
+            let at = |pose: &Se3<f64>| {
+                let p = pose.transform(x);
+                [p.x, p.y].map(|v| focal * v / p.z + noise_px * rng.normal())
+            };
+            RawTrack { first: 0, seen: poses[..views(i)].iter().map(at).collect() }
+        };
+        let tracks: Vec<RawTrack> = points.iter().enumerate().map(track).collect();
+        let mut map = Map::new(focal, poses.iter().copied().map(Some).collect(), &tracks);
+        map.points = points.iter().copied().map(Some).collect();
+        map.weigh(&tracks);
+        assert!(map.weights[0] < 0.1, "{}", map.weights[0]);
+        assert!(map.weights[1..58].iter().all(|w| (0.5..2.0).contains(w)), "{:?}", map.weights);
+        assert_eq!(map.weights[58], 1.0, "one view says nothing of noise");
+        assert!((0.4..2.5).contains(&map.weights[59]), "{}", map.weights[59]);
+    }
 
     #[test]
     fn interpolation_meets_both_ends_and_the_middle() {

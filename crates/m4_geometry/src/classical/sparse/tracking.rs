@@ -82,7 +82,7 @@ pub(crate) fn track(
                 let occupied: Vec<[f32; 2]> = live.iter().filter_map(|t| t.seen.last().copied()).collect();
                 let found = fill_empty_cells(&current.levels[0], &occupied);
                 live.extend(found.into_iter().filter_map(|p| {
-                    let anchor = Anchor::new(&current.levels[0], p)?;
+                    let anchor = Anchor::new(&current.fine, p)?;
                     Some(Live { first: frame, seen: vec![p], anchor, linear: Matrix2::identity() })
                 }));
             }
@@ -119,14 +119,14 @@ fn step(t: &Live, from: &Pyramid, to: &Pyramid) -> Option<Step> {
         return None;
     }
     let plane = &to.levels[0];
-    let (held, likeness) = t.anchor.align(plane, Warp { linear: t.linear, at: q });
+    let (held, likeness) = t.anchor.align(&to.fine, Warp { linear: t.linear, at: q });
     let drift = (held.at[0] - q[0]).hypot(held.at[1] - q[1]);
     if likeness >= ANCHOR_CORRELATION && drift <= MAX_DRIFT_PX {
         return inside(plane, held.at).then_some(Step { at: held.at, linear: held.linear, anchor: None });
     }
     let (back, _) = follow(to, from, q)?;
     let returns = (back[0] - p[0]).hypot(back[1] - p[1]) <= MAX_ROUND_TRIP_PX;
-    let anchor = Some(Anchor::new(plane, q)?);
+    let anchor = Some(Anchor::new(&to.fine, q)?);
     (returns && inside(plane, q)).then_some(Step { at: q, linear: Matrix2::identity(), anchor })
 }
 

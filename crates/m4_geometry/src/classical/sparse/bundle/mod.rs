@@ -1,7 +1,7 @@
 //! Bundle adjustment: poses, points and one shared focal length that explain all observations.
 //!
 //! Residual of a point `X` seen at `u` (pixels from the principal point) by a camera `R, T`:
-//! `r = f p_xy / p_z - u` with `p = R X + T`, loss `c^2/2 log(1 + |r|^2 / c^2)` (Cauchy). Unknowns
+//! `r = f p_xy / p_z - u` with `p = R X + T`, loss `c^2/2 log(1 + w |r|^2 / c^2)` (Cauchy), `w` the weight of the point. Unknowns
 //! are twists `(tau, omega)` on the left of every pose but the first, the logarithm of `f`, and `X`.
 //! Points are eliminated (Schur complement); the reduced system is solved by a Cholesky
 //! factorisation that skips what lies before the first non-zero of each row.
@@ -29,6 +29,8 @@ pub(crate) struct Bundle {
     /// World to camera; the first one with an observation stays where it is.
     pub poses: Vec<Se3<f64>>,
     pub points: Vec<Vector3<f64>>,
+    /// Per point: what all squared residuals of its observations count.
+    pub weights: Vec<f64>,
     /// Natural logarithm of the focal length in pixels.
     pub log_focal: f64,
     /// Sorted by point.
@@ -116,7 +118,8 @@ impl Bundle {
         let focal = self.focal();
         let one = |o: &Observation| {
             let r = project(&self.poses[o.pose], &self.points[o.point], focal, o.at);
-            loss(r.map_or(BEHIND_PX * BEHIND_PX, |r| r[0] * r[0] + r[1] * r[1]), options.cauchy_px)
+            let squared = r.map_or(BEHIND_PX * BEHIND_PX, |r| r[0] * r[0] + r[1] * r[1]);
+            loss(self.weights[o.point] * squared, options.cauchy_px)
         };
         let partials: Vec<f64> = self.observations.par_chunks(CHUNK).map(|chunk| chunk.iter().map(one).sum()).collect();
         partials.iter().sum()
@@ -125,8 +128,12 @@ impl Bundle {
     /// Residuals and derivatives, weighted by the loss.
     fn linearise(&self, options: &BundleOptions) -> Vec<Jacobian> {
         let focal = self.focal();
-        let one =
-            |o: &Observation| Jacobian::new(&self.poses[o.pose], &self.points[o.point], focal, o.at, options.cauchy_px);
+        let one = |o: &Observation| {
+            // loss(w r^2, c) = w loss(r^2, c / sqrt w)
+            let root = self.weights[o.point].sqrt();
+            Jacobian::new(&self.poses[o.pose], &self.points[o.point], focal, o.at, options.cauchy_px / root)
+                .scaled(root)
+        };
         self.observations.par_iter().map(one).collect()
     }
 
@@ -215,6 +222,16 @@ impl Jacobian {
             focal: Vector2::new(focal * x, focal * y) * scale,
         }
     }
+
+    /// Residual and derivatives times `factor`.
+    fn scaled(self, factor: f64) -> Self {
+        Self {
+            residual: self.residual * factor,
+            pose: self.pose * factor,
+            point: self.point * factor,
+            focal: self.focal * factor,
+        }
+    }
 }
 
 #[cfg(test)]
@@ -243,7 +260,7 @@ mod tests {
                 observations.push(Observation { pose, point, at: [400.0 * p.x / p.z + off, 400.0 * p.y / p.z] });
             }
         }
-        Bundle { poses, points, log_focal: 400.0_f64.ln(), observations }
+        Bundle { weights: vec![1.0; points.len()], poses, points, log_focal: 400.0_f64.ln(), observations }
     }
 
     fn options(free_focal: bool) -> BundleOptions {
@@ -285,7 +302,13 @@ mod tests {
 
     #[test]
     fn nothing_to_adjust_is_no_error() {
-        let mut bundle = Bundle { poses: Vec::new(), points: Vec::new(), log_focal: 6.0, observations: Vec::new() };
+        let mut bundle = Bundle {
+            poses: Vec::new(),
+            points: Vec::new(),
+            weights: Vec::new(),
+            log_focal: 6.0,
+            observations: Vec::new(),
+        };
         assert_eq!(bundle.adjust(&options(true), &Silent).cost, 0.0);
     }
 
