@@ -80,13 +80,12 @@ impl Clip<'_> {
     ) -> Result<Vec<Vec<f32>>, DenseError> {
         let cameras = &self.clues.cameras;
         let at = |i: usize, targets: &[f64]| at_parallax(cameras, i, self.shots[i].median, targets);
-        let details = self.each("refining depth", |i| refine::detail(&self.shots[i]))?;
         // the fill smears edges: it is the start only where nothing was measured
         let start = self.each("refining depth", |i| {
             let pixels = measured[i].disparity.iter().zip(&measured[i].confidence).zip(&filled[i]);
             pixels.map(|((measured, confidence), filled)| if *confidence > 0.0 { *measured } else { *filled }).collect()
         })?;
-        let clip = refine::Estimates { shots: self.shots, cameras, details: &details, disparity: &start, moving };
+        let clip = refine::Estimates { shots: self.shots, cameras, disparity: &start, moving };
         let refined = self.each("refining depth", |i| {
             let rounds: Vec<Vec<usize>> = refine::PARALLAX_PX.iter().map(|targets| at(i, targets)).collect();
             let mut out = Measured { disparity: clip.refined(&rounds, i), confidence: measured[i].confidence.clone() };

@@ -18,21 +18,10 @@ const WINDOW: f32 = 25.0;
 /// Every n-th pixel counts for the noise.
 const NOISE_STRIDE: usize = 7;
 
-/// `[height][width]`: brightness less its local mean, so that exposure does not matter.
-pub(super) fn detail(shot: &Shot) -> Vec<f32> {
-    let (w, h) = (shot.frame.width, shot.frame.height);
-    let mut mean = shot.frame.grey.clone();
-    box_blur(w, h, &mut mean);
-    box_blur(w, h, &mut mean);
-    shot.frame.grey.iter().zip(&mean).map(|(g, m)| g - m).collect()
-}
-
 /// A clip with first estimates; lists are by frame, planes `[height][width]`.
 pub(super) struct Estimates<'a> {
     pub shots: &'a [Shot],
     pub cameras: &'a [Camera],
-    /// See [`detail`].
-    pub details: &'a [Vec<f32>],
     /// Of every pixel.
     pub disparity: &'a [Vec<f32>],
     /// Above 0 in dynamic regions, which are left as they are.
@@ -41,11 +30,12 @@ pub(super) struct Estimates<'a> {
 
 impl Estimates<'_> {
     /// The disparity of frame `i` after a round against each list of frames. In a window of 5x5 pixels the step is that of least squares with
-    /// the weights of Cauchy, held by the disparity before as far as its standard deviation allows, and by one step of the sweep.
+    /// the weights of Cauchy, held by the disparity before as far as its standard deviation allows, and by one step of the sweep. Exposure and
+    /// shading do not matter: differences count less their mean around the pixel.
     pub fn refined(&self, rounds: &[Vec<usize>], i: usize) -> Vec<f32> {
         let shot = &self.shots[i];
         let (w, h) = (shot.frame.width, shot.frame.height);
-        let slopes = slopes(w, h, &self.details[i]);
+        let slopes = slopes(w, h, &shot.frame.grey);
         let mut out = self.disparity[i].clone();
         let limit = shot.range.step;
         let prior = (PRIOR_STEPS * limit).powi(-2) / WINDOW;
@@ -73,7 +63,7 @@ impl Estimates<'_> {
         curvature: &mut [f32],
     ) {
         let (w, h) = (self.shots[i].frame.width, self.shots[i].frame.height);
-        let (mine, theirs) = (&self.details[i], &self.details[j]);
+        let (mine, theirs) = (&self.shots[i].frame.grey, &self.shots[j].frame.grey);
         let pair = Pair::new(&self.cameras[i], &self.cameras[j]);
         let hidden = HIDDEN_STEPS * self.shots[j].range.step;
         // what each pixel that both see differs by, and by how much more per disparity
@@ -87,7 +77,8 @@ impl Estimates<'_> {
             let (dx, dy) = ((pair.b[0] - at.x * pair.b[2]) * z, (pair.b[1] - at.y * pair.b[2]) * z);
             Some((p, bilinear(w, h, theirs, at.x, at.y) - mine[p], slopes[p][0] * dx + slopes[p][1] * dy))
         };
-        let samples: Vec<(usize, f32, f32)> = (0..w * h).filter_map(sample).collect();
+        let mut samples: Vec<(usize, f32, f32)> = (0..w * h).filter_map(sample).collect();
+        centre(w, h, &mut samples);
         let mut sizes: Vec<f32> = samples.iter().step_by(NOISE_STRIDE).map(|s| s.1.abs()).collect();
         let noise = 1.4826 * quantile(&mut sizes, 0.5).unwrap_or(0.0).max(LEAST_NOISE);
         for (p, residual, slope) in samples {
@@ -95,6 +86,25 @@ impl Estimates<'_> {
             gradient[p] += weight * slope * residual;
             curvature[p] += weight * slope * slope;
         }
+    }
+}
+
+/// Takes the mean around its pixel out of the difference and the slope of every sample (pixel, difference, slope).
+///
+/// Both are of the aligned images. Means taken from each image before would leave a halo around every line and edge, of one width in all
+/// views, however much a view stretches the surface, and a plain surface beside an edge shows nothing but that halo.
+fn centre(width: usize, height: usize, samples: &mut [(usize, f32, f32)]) {
+    let around = |of: fn(&(usize, f32, f32)) -> f32| {
+        let mut plane = vec![0.0f32; width * height];
+        samples.iter().for_each(|sample| plane[sample.0] = of(sample));
+        box_blur(width, height, &mut plane);
+        box_blur(width, height, &mut plane);
+        plane
+    };
+    let (count, difference, slope) = (around(|_| 1.0), around(|sample| sample.1), around(|sample| sample.2));
+    for sample in samples {
+        sample.1 -= difference[sample.0] / count[sample.0];
+        sample.2 -= slope[sample.0] / count[sample.0];
     }
 }
 
@@ -112,18 +122,20 @@ fn slopes(width: usize, height: usize, plane: &[f32]) -> Vec<[f32; 2]> {
 
 #[cfg(test)]
 mod tests {
-    use super::{Estimates, detail};
+    use super::{Estimates, centre};
     use crate::classical::dense::shot::Shot;
 
     #[test]
     fn brightness_finds_the_disparity_that_the_sweep_missed() {
         let (w, h, truth) = (60, 40, 2.0);
-        let (shots, cameras) = Shot::of_wall(7, (w, h), truth);
-        let details: Vec<Vec<f32>> = shots.iter().map(detail).collect();
+        let (mut shots, cameras) = Shot::of_wall(7, (w, h), truth);
+        // the exposure changes, and a shade goes over the wall with the camera
+        for (i, shot) in shots.iter_mut().enumerate() {
+            shot.frame.grey.iter_mut().enumerate().for_each(|(p, grey)| *grey += 6.0 * i as f32 + 0.3 * (p % w) as f32);
+        }
         let moving = vec![vec![0u8; w * h]; 7];
         let disparity = vec![vec![1.02 * truth; w * h]; 7];
-        let clip =
-            Estimates { shots: &shots, cameras: &cameras, details: &details, disparity: &disparity, moving: &moving };
+        let clip = Estimates { shots: &shots, cameras: &cameras, disparity: &disparity, moving: &moving };
         let found = clip.refined(&[vec![2, 4], vec![1, 5]], 3);
         let inside = (0..w * h).filter(|p| (12..w - 12).contains(&(p % w)) && (4..h - 4).contains(&(p / w)));
         let errors: Vec<f32> = inside.map(|p| (found[p] / truth - 1.0).abs()).collect();
@@ -133,5 +145,24 @@ mod tests {
         let moving = vec![vec![255u8; w * h]; 7];
         let clip = Estimates { moving: &moving, ..clip };
         assert_eq!(clip.refined(&[vec![2, 4]], 3), disparity[3]);
+    }
+    #[test]
+    fn what_is_alike_around_a_pixel_is_taken_out() {
+        let (w, h) = (20, 16);
+        let one = |p: usize| (p, 7.0 + f32::from(u8::from(p == 168)), -3.0);
+        // every third pixel is hidden
+        let mut samples: Vec<_> = (0..w * h).filter(|p| p % 3 != 1).map(one).collect();
+        centre(w, h, &mut samples);
+        for (p, difference, slope) in samples {
+            let near = (p % w).abs_diff(8) <= 4 && (p / w).abs_diff(8) <= 4;
+            let range = if p == 168 {
+                0.8..1.0
+            } else if near {
+                -0.1..1e-4
+            } else {
+                -1e-4..1e-4
+            };
+            assert!(range.contains(&difference) && slope.abs() < 1e-4, "pixel {p}: {difference}, {slope}");
+        }
     }
 }
