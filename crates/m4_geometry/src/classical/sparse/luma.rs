@@ -111,7 +111,7 @@ impl Pyramid {
 /// Twice the resolution by cubic convolution (Keys 1981): pixel `x` becomes pixel `2 x`, so sizes are `2 n - 1`; the border repeats.
 ///
 /// Bilinear values between the pixels of the result are those of a smooth image; between those of `plane` they are blurred by an amount that
-/// depends on the fraction of the pixel, which pulls aligned patches towards whole pixels (docs/decisions/0010).
+/// depends on the fraction of the pixel, which pulls aligned patches towards whole pixels (docs/decisions/0011).
 pub(crate) fn doubled(plane: &Plane<f32>) -> Plane<f32> {
     let halfway = |a: f32, b: f32, c: f32, d: f32| 0.5625 * (b + c) - 0.0625 * (a + d);
     let (w, h) = plane.size();
