@@ -146,6 +146,39 @@ mod tests {
         let clip = Estimates { moving: &moving, ..clip };
         assert_eq!(clip.refined(&[vec![2, 4]], 3), disparity[3]);
     }
+    /// One line on a plain wall, which the other camera sees a fifth larger: what is left of its mean in each image must not pull at the
+    /// plain surface beside it.
+    #[test]
+    fn plain_surfaces_beside_a_line_stay_where_they_are() {
+        let (w, h, truth) = (60, 40, 2.0_f32);
+        let (mut shots, mut cameras) = Shot::of_wall(2, (w, h), truth);
+        cameras[1].c2w.translation.z = 1.0 / 12.0;
+        let moving = vec![vec![0u8; w * h]; 2];
+        // the wall in the two images, and how far pixels beside the line go
+        let place = |i: usize, x: usize| (x as f32 - 29.5) * if i == 0 { 1.0 } else { 5.0 / 6.0 } + 2.0 * i as f32;
+        for (i, shot) in shots.iter_mut().enumerate() {
+            shot.frame.grey =
+                (0..w * h).map(|p| 90.0 + 60.0 * (-0.1 * (place(i, p % w) - 3.0).powi(2)).exp()).collect();
+        }
+        let disparity = vec![vec![truth; w * h], vec![1.2 * truth; w * h]];
+        let moved = |shots: &[Shot]| {
+            let clip = Estimates { shots, cameras: &cameras, disparity: &disparity, moving: &moving };
+            let found = clip.refined(&[vec![1], vec![1]], 0);
+            let beside =
+                (0..w * h).filter(|p| (6..11).contains(&(p % w).abs_diff(32)) && (4..h - 4).contains(&(p / w)));
+            beside.map(|p| (found[p] / truth - 1.0).abs()).fold(0.0, f32::max)
+        };
+        let now = moved(&shots);
+        for shot in &mut shots {
+            let mut mean = shot.frame.grey.clone();
+            super::box_blur(w, h, &mut mean);
+            super::box_blur(w, h, &mut mean);
+            shot.frame.grey.iter_mut().zip(mean).for_each(|(grey, mean)| *grey -= mean);
+        }
+        let with_halos = moved(&shots);
+        assert!(now < 0.012 && with_halos > 0.025, "{now} of the disparity, {with_halos} with halos");
+    }
+
     #[test]
     fn what_is_alike_around_a_pixel_is_taken_out() {
         let (w, h) = (20, 16);
