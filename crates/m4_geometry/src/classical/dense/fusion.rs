@@ -5,14 +5,15 @@ use super::static_depth::Measured;
 use super::working::pixel_at;
 use m4_core::Camera;
 
-/// Parallax of the frames that are merged, pixels at the working size: wide ones see past what near ones take for a surface.
-pub(super) const PARALLAX_PX: [f64; 4] = [12.0, 24.0, 48.0, 96.0];
+/// Parallax of the frames that are merged, pixels at the working size: wide ones see past what near ones take for a surface, near ones see
+/// what the others do not, and the mean of many has less noise.
+pub(super) const PARALLAX_PX: [f64; 10] = [4.0, 6.0, 8.0, 12.0, 17.0, 24.0, 34.0, 48.0, 68.0, 96.0];
 /// Disparities that differ by at most this many steps of the sweep are of one surface.
 const SAME_STEPS: f32 = 1.0;
 /// A frame sees through a surface if it measures this many steps of the sweep behind it.
 const THROUGH_STEPS: f32 = 2.0;
 /// Sum of the frames' confidences that counts as full confidence.
-const FULL: f32 = 3.0;
+const FULL: f32 = 4.0;
 
 /// The depth of frame `i` by its own measurement and those of the frames `others`: each pixel takes the nearest surface that no fewer
 /// frames hide than see through, the mean of the frames that measured it by their confidence. Pixels without one keep their disparity, with confidence 0.
