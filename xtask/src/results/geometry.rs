@@ -2,7 +2,7 @@
 
 use super::page::{list, mean, table as markdown};
 use super::runs::{Input, Runs, continuing, read};
-use anyhow::Result;
+use anyhow::{Context, Result};
 use serde_json::{Value, json};
 use std::path::PathBuf;
 
@@ -18,13 +18,11 @@ pub(super) fn measured(runs: &mut Runs, scene: &Input) -> Result<Value> {
     runs.of(scene, "geometry", "capture", |program| {
         let (out, images) = (capture(scene), scene.path.join("train"));
         let record = out.join("geometry.json");
+        let clip = read(&scene.path.join("transforms_train.json"))?;
+        let fps = clip["fps"].as_f64().with_context(|| format!("{} has no frame rate", scene.path.display()))?;
         program.run(|c| {
-            c.arg("geometry").arg(images).arg("-o").arg(&out).args([
-                "--segmenter",
-                "none",
-                "--quiet",
-                continuing(&record),
-            ])
+            c.arg("geometry").arg(images).arg("-o").arg(&out).args(["--set", &format!("video.folder_fps={fps}")]);
+            c.args(["--segmenter", "none", "--quiet", continuing(&record)])
         })?;
         let report = program.result(|c| c.arg("eval-geometry").arg(&out).arg("--truth").arg(&scene.path))?;
         let mut row = json!({"scene": scene.name, "seconds": read(&record)?["seconds"], "report": report});
