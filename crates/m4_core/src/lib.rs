@@ -38,7 +38,7 @@ pub use camera::{Camera, Intrinsics};
 pub use capture::{Capture, CaptureFrame, Exposure, Scene, SourceFrame, Video, VideoFrame};
 pub use compact::{CompactDepth, CompactIds, CompactMask};
 pub use fearless_simd;
-pub use flow::{Flow, bilinear, bilinear_cell};
+pub use flow::{Flow, bilinear, bilinear_cell, cubic};
 pub use nalgebra;
 pub use plane::{Plane, ShapeError, covering};
 pub use progress::{Progress, Silent};

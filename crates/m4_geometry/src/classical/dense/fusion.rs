@@ -3,7 +3,7 @@
 use super::shot::{Pair, Shot};
 use super::static_depth::Measured;
 use super::working::pixel_at;
-use m4_core::Camera;
+use m4_core::{Camera, bilinear_cell};
 
 /// Parallax of the frames that are merged, pixels at the working size: wide ones see past what near ones take for a surface, near ones see
 /// what the others do not, and the mean of many has less noise.
@@ -15,67 +15,107 @@ const THROUGH_STEPS: f32 = 2.0;
 /// Sum of the frames' confidences that counts as full confidence.
 const FULL: f32 = 4.0;
 
-/// The depth of frame `i` by its own measurement and those of the frames `others`: each pixel takes the nearest surface that no fewer
+/// `[height][width]`: disparity of a frame and its confidence, 0 where it was not measured.
+pub(super) type DepthMap = Vec<(f32, f32)>;
+
+/// The depth of frame `i` by its own `measured` depth and that of the frames `others`: each pixel takes the nearest surface that no fewer
 /// frames hide than see through, the mean of the frames that measured it by their confidence. Pixels without one keep their disparity, with confidence 0.
-pub(super) fn fuse(shots: &[Shot], cameras: &[Camera], measured: &[Measured], others: &[usize], i: usize) -> Measured {
-    let (w, h) = (shots[i].frame.width, shots[i].frame.height);
+pub(super) fn fuse(shots: &[Shot], cameras: &[Camera], measured: &[DepthMap], others: &[usize], i: usize) -> Measured {
+    let size = (shots[i].frame.width, shots[i].frame.height);
+    let (w, h) = size;
     let seen = seen(cameras, measured, others, i, w);
-    let pairs: Vec<(usize, Pair)> = others.iter().map(|&j| (j, Pair::new(&cameras[i], &cameras[j]))).collect();
-    // whether more than `most` frames see through
-    let see_through = |p: usize, disparity: f32, most: usize| {
-        let sees = |(j, pair): &&(usize, Pair)| {
-            let at = pair.project((p % w) as f32, (p / w) as f32, disparity);
-            let behind = at.disparity - THROUGH_STEPS * shots[*j].range.step;
-            let q = pixel_at(w, h, at.x, at.y).filter(|_| at.disparity > 0.0);
-            q.is_some_and(|q| measured[*j].confidence[q] > 0.0 && measured[*j].disparity[q] < behind)
-        };
-        pairs.iter().filter(sees).nth(most).is_some()
-    };
+    let others: Vec<Other<'_>> = others
+        .iter()
+        .map(|&j| {
+            let through = THROUGH_STEPS * shots[j].range.step;
+            Other { size, pair: Pair::new(&cameras[i], &cameras[j]), depth: &measured[j], through }
+        })
+        .collect();
     let same = SAME_STEPS * shots[i].range.step;
-    let mut out = Measured { disparity: measured[i].disparity.clone(), confidence: vec![0.0; w * h] };
+    let mut out = Measured { disparity: measured[i].iter().map(|d| d.0).collect(), confidence: vec![0.0; w * h] };
     let mut values = Vec::new();
     for (p, seen) in seen.chunks_exact(others.len() + 1).enumerate() {
         values.clear();
-        values.extend(seen.iter().copied().filter(|d| d[0] > 0.0));
-        values.sort_unstable_by(|a, b| b[0].total_cmp(&a[0]));
-        let before = |d: f32| values.iter().take_while(|v| v[0] > d + same).count();
-        let Some(&[surface, _]) = values.iter().find(|d| !see_through(p, d[0], before(d[0]))) else { continue };
-        let mean = mean_near(&values, surface, same).0;
-        let (mean, total) = mean_near(&values, mean, same);
+        values.extend(seen.iter().copied().filter(|d| *d > 0.0));
+        values.sort_unstable_by(|a, b| b.total_cmp(a));
+        let at = [(p % w) as f32, (p / w) as f32];
+        let hidden = |d: f32| values.iter().take_while(|v| **v > d + same).count();
+        let seen_through = |d: f32| others.iter().filter(|other| other.sees_through(at, d)).nth(hidden(d)).is_some();
+        let Some(&surface) = values.iter().find(|d| !seen_through(**d)) else { continue };
+        // the nearest of several is too near: what lies around it is the place to begin
+        let start = mean(values.iter().map(|v| (*v, 1.0)).filter(|v| (v.0 - surface).abs() <= same)).0;
+        let own = Some(measured[i][p]).filter(|own| (own.0 - start).abs() <= same);
+        let (disparity, total) = mean(own.into_iter().chain(others.iter().flat_map(|o| o.near(at, start, same))));
         if total > 0.0 {
-            (out.disparity[p], out.confidence[p]) = (mean, (total / FULL).min(1.0));
+            (out.disparity[p], out.confidence[p]) = (disparity, (total / FULL).min(1.0));
         }
     }
     out
 }
 
-/// Mean of the disparities that differ from `centre` by at most `same`, by their confidence, and the sum of it.
-fn mean_near(values: &[[f32; 2]], centre: f32, same: f32) -> (f32, f32) {
-    let near = values.iter().filter(|v| (v[0] - centre).abs() <= same);
-    let (sum, total) = near.fold((0.0, 0.0), |(sum, total), v| (sum + v[0] * v[1], total + v[1]));
+/// Weighted mean of values, and the sum of their weights.
+fn mean(values: impl Iterator<Item = (f32, f32)>) -> (f32, f32) {
+    let (sum, total) = values.fold((0.0, 0.0), |(sum, total), (v, weight)| (sum + weight * v, total + weight));
     (sum / f32::max(total, 1e-9), total)
 }
 
-/// `[pixel][1 + others]`: the nearest disparity that the frame itself and each of the others measured at a pixel of frame `i`, and its confidence;
-/// 0 for none.
-fn seen(cameras: &[Camera], measured: &[Measured], others: &[usize], i: usize, width: usize) -> Vec<[f32; 2]> {
+/// A frame whose depth is merged into another.
+struct Other<'a> {
+    size: (usize, usize),
+    /// From the pixels of the other frame to those of this one.
+    pair: Pair,
+    depth: &'a DepthMap,
+    /// What it sees this far behind a surface it sees through that, in disparity.
+    through: f32,
+}
+
+impl Other<'_> {
+    /// Whether it measured something well behind `disparity` at a place of the other frame.
+    fn sees_through(&self, [x, y]: [f32; 2], disparity: f32) -> bool {
+        let seen = self.pair.project(x, y, disparity);
+        let q = pixel_at(self.size.0, self.size.1, seen.x, seen.y).filter(|_| seen.disparity > 0.0);
+        q.is_some_and(|q| self.depth[q].1 > 0.0 && self.depth[q].0 < seen.disparity - self.through)
+    }
+
+    /// Disparities within `same` of `disparity` in the four pixels around that place, as the other frame sees them, and the weights of bilinear
+    /// interpolation times their confidences. Pixels rounded to whole ones would be off by half a pixel of slope, and the nearest of several too near.
+    fn near(&self, [x, y]: [f32; 2], disparity: f32, same: f32) -> impl Iterator<Item = (f32, f32)> {
+        let (w, h) = self.size;
+        let seen = self.pair.project(x, y, disparity);
+        let (right, bottom) = ((w - 1) as f32, (h - 1) as f32);
+        let inside = seen.disparity > 0.0 && (0.0..right).contains(&seen.x) && (0.0..bottom).contains(&seen.y);
+        let (q, wx, wy) = bilinear_cell(w, h, seen.x, seen.y);
+        let corners = if inside {
+            [(q, 1.0 - wx, 1.0 - wy), (q + 1, wx, 1.0 - wy), (q + w, 1.0 - wx, wy), (q + w + 1, wx, wy)]
+        } else {
+            [(0, 0.0, 0.0); 4]
+        };
+        let unit = disparity / seen.disparity;
+        corners.into_iter().filter_map(move |(q, wx, wy)| {
+            let (theirs, confidence) = self.depth[q];
+            let difference = (theirs - seen.disparity) * unit;
+            (difference.abs() <= same).then_some((disparity + difference, wx * wy * confidence))
+        })
+    }
+}
+
+/// `[pixel][1 + others]`: the nearest disparity that the frame itself and each of the others measured at a pixel of frame `i`; 0 for none.
+fn seen(cameras: &[Camera], measured: &[DepthMap], others: &[usize], i: usize, width: usize) -> Vec<f32> {
     let layers = others.len() + 1;
-    let pixels = measured[i].disparity.len();
+    let pixels = measured[i].len();
     let height = pixels / width;
-    let mut out = vec![[0.0f32; 2]; pixels * layers];
-    let sure = |j: usize| (0..pixels).filter(move |&p| measured[j].confidence[p] > 0.0);
-    for p in sure(i) {
-        out[p * layers] = [measured[i].disparity[p], measured[i].confidence[p]];
+    let mut out = vec![0.0f32; pixels * layers];
+    let sure = |j: usize| measured[j].iter().enumerate().filter(|(_, d)| d.1 > 0.0).map(|(p, d)| (p, d.0));
+    for (p, disparity) in sure(i) {
+        out[p * layers] = disparity;
     }
     for (layer, &j) in (1..).zip(others) {
         let pair = Pair::new(&cameras[j], &cameras[i]);
-        for p in sure(j) {
-            let at = pair.project((p % width) as f32, (p / width) as f32, measured[j].disparity[p]);
+        for (p, disparity) in sure(j) {
+            let at = pair.project((p % width) as f32, (p / width) as f32, disparity);
             if let Some(q) = pixel_at(width, height, at.x, at.y).filter(|_| at.disparity > 0.0) {
                 let nearest = &mut out[q * layers + layer];
-                if at.disparity > nearest[0] {
-                    *nearest = [at.disparity, measured[j].confidence[p]];
-                }
+                *nearest = nearest.max(at.disparity);
             }
         }
     }
@@ -84,19 +124,16 @@ fn seen(cameras: &[Camera], measured: &[Measured], others: &[usize], i: usize, w
 
 #[cfg(test)]
 mod tests {
-    use super::{Measured, fuse};
+    use super::{DepthMap, fuse};
     use crate::classical::dense::shot::Shot;
 
     /// Measurements of a wall at disparity 2 in seven frames, as `wrong(frame, x)` changes them; 0 is none.
     fn fused(wrong: impl Fn(usize, usize) -> f32) -> (Vec<f32>, Vec<f32>) {
         let (w, h) = (60, 8);
         let (shots, cameras) = Shot::of_wall(7, (w, h), 2.0);
-        let measured = |i: usize| {
-            let disparity: Vec<f32> = (0..w * h).map(|p| 2.0 * wrong(i, p % w)).collect();
-            let confidence = disparity.iter().map(|d| f32::from(u8::from(*d > 0.0))).collect();
-            Measured { disparity, confidence }
-        };
-        let measured: Vec<Measured> = (0..7).map(measured).collect();
+        let known = |d: f32| (d, f32::from(u8::from(d > 0.0)));
+        let measured = |i: usize| (0..w * h).map(|p| known(2.0 * wrong(i, p % w))).collect();
+        let measured: Vec<DepthMap> = (0..7).map(measured).collect();
         let out = fuse(&shots, &cameras, &measured, &[1, 2, 4, 5], 3);
         let row = 4 * w + 20..4 * w + 40;
         (out.disparity[row.clone()].to_vec(), out.confidence[row].to_vec())
@@ -111,6 +148,22 @@ mod tests {
         });
         assert!(disparity.iter().all(|d| (d - 2.0).abs() < 1e-3), "{disparity:?}");
         assert!(confidence.iter().all(|c| *c == 1.0), "{confidence:?}");
+    }
+
+    #[test]
+    fn depth_of_a_slanted_wall_is_taken_between_the_pixels_of_other_frames() {
+        let (w, h) = (60, 8);
+        let (shots, cameras) = Shot::of_wall(7, (w, h), 2.0);
+        // 1 / z = slope x + 2 in the first frame; cameras go to the right by one unit per frame, at a focal length of one pixel
+        let slope = 0.012;
+        let truth = |i: usize, x: usize| (2.0 + slope * (x as f32 - 29.5)) / (1.0 - slope * i as f32);
+        let wall = |i: usize| (0..w * h).map(|p| (truth(i, p % w), 1.0)).collect();
+        let measured: Vec<DepthMap> = (0..7).map(wall).collect();
+        let out = fuse(&shots, &cameras, &measured, &[0, 1, 5, 6], 3);
+        for x in 15..45 {
+            let error = out.disparity[4 * w + x] / truth(3, x) - 1.0;
+            assert!(error.abs() < 1e-4, "column {x}: {error}");
+        }
     }
 
     #[test]

@@ -2,7 +2,7 @@
 
 use super::background_model;
 use super::flow::FlowPair;
-use super::fusion;
+use super::fusion::{self, DepthMap};
 use super::layers;
 use super::mono::Mono;
 use super::motion::{self, FrameDisparity, MotionCues};
@@ -79,7 +79,8 @@ impl Clip<'_> {
         moving: &[Vec<u8>],
     ) -> Result<Vec<Vec<f32>>, DenseError> {
         let cameras = &self.clues.cameras;
-        let at = |i: usize, targets: &[f64]| at_parallax(cameras, i, self.shots[i].median, targets);
+        let at =
+            |i: usize, targets: &[f64], least: usize| at_parallax(cameras, i, self.shots[i].median, targets, least);
         // the fill smears edges: it is the start only where nothing was measured
         let start = self.each("refining depth", |i| {
             let pixels = measured[i].disparity.iter().zip(&measured[i].confidence).zip(&filled[i]);
@@ -87,13 +88,14 @@ impl Clip<'_> {
         })?;
         let clip = refine::Estimates { shots: self.shots, cameras, disparity: &start, moving };
         let refined = self.each("refining depth", |i| {
-            let rounds: Vec<Vec<usize>> = refine::PARALLAX_PX.iter().map(|targets| at(i, targets)).collect();
+            let rounds: Vec<Vec<usize>> =
+                refine::PARALLAX_PX.iter().map(|targets| at(i, targets, refine::FRAMES)).collect();
             let mut out = Measured { disparity: clip.refined(&rounds, i), confidence: measured[i].confidence.clone() };
             self.mono.impose(i, &mut out, Some(&moving[i]));
-            out
+            out.disparity.into_iter().zip(out.confidence).collect::<DepthMap>()
         })?;
         self.each("merging depth", |i| {
-            let mut fused = fusion::fuse(self.shots, cameras, &refined, &at(i, &fusion::PARALLAX_PX), i);
+            let mut fused = fusion::fuse(self.shots, cameras, &refined, &at(i, &fusion::PARALLAX_PX, 0), i);
             self.mono.impose(i, &mut fused, Some(&moving[i]));
             let fused = self.mono.with_prior(i, &fused, Some(&moving[i]));
             static_depth::fill_planes(&self.shots[i], self.smoother(i), &fused, Some(&moving[i]))

@@ -3,10 +3,13 @@
 use super::shot::{Pair, Shot};
 use super::smooth::box_blur;
 use super::working::pixel_at;
-use m4_core::{Camera, bilinear, quantile};
+use m4_core::{Camera, cubic, quantile};
 
-/// Parallax of the frames of each round, pixels at the working size: the error that one round leaves is within reach of the next.
-pub(super) const PARALLAX_PX: [&[f64]; 3] = [&[12.0], &[12.0, 24.0], &[24.0, 48.0]];
+/// Parallax of the frames of each round, pixels at the working size: the error that one round leaves is within reach of the next. A step at
+/// the widest parallax leaves a part of the error there, too, so there are two of them.
+pub(super) const PARALLAX_PX: [&[f64]; 4] = [&[12.0], &[12.0, 24.0], &[24.0, 48.0], &[24.0, 48.0]];
+/// Frames of a round, fewer where the clip has no more that are far enough away.
+pub(super) const FRAMES: usize = 4;
 /// Standard deviation of the disparity before, in steps of the sweep.
 const PRIOR_STEPS: f32 = 0.5;
 /// A pixel is taken for hidden in a frame whose own disparity there differs by more than this, in steps of the sweep.
@@ -75,7 +78,7 @@ impl Estimates<'_> {
             }
             let z = at.disparity / disparity[p];
             let (dx, dy) = ((pair.b[0] - at.x * pair.b[2]) * z, (pair.b[1] - at.y * pair.b[2]) * z);
-            Some((p, bilinear(w, h, theirs, at.x, at.y) - mine[p], slopes[p][0] * dx + slopes[p][1] * dy))
+            Some((p, cubic(w, h, theirs, at.x, at.y) - mine[p], slopes[p][0] * dx + slopes[p][1] * dy))
         };
         let mut samples: Vec<(usize, f32, f32)> = (0..w * h).filter_map(sample).collect();
         centre(w, h, &mut samples);

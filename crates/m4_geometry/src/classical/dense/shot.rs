@@ -110,20 +110,33 @@ fn partners(cameras: &[Camera], i: usize, median: f32) -> Vec<(usize, Pair)> {
 }
 
 /// Of each target parallax the nearest frame in time, on each side, that reaches it; none where the clip ends before. Parallax is that of
-/// a point at median depth, pixels at the working size.
-pub(super) fn at_parallax(cameras: &[Camera], i: usize, median: f32, targets: &[f64]) -> Vec<usize> {
+/// a point at median depth, pixels at the working size. Where these are fewer than `least`, frames of the widest parallax that is left make up
+/// for it: a path that is short for its depth has many of them.
+pub(super) fn at_parallax(cameras: &[Camera], i: usize, median: f32, targets: &[f64], least: usize) -> Vec<usize> {
     /// How much wider the parallax may be, as the camera jumps.
     const WIDER: f64 = 1.5;
-    let parallax = |j: &usize| parallax_px(&cameras[i], &cameras[*j], f64::from(median));
+    /// Share of the widest parallax below which a frame adds nothing.
+    const NARROW: f64 = 0.5;
+    let parallax: Vec<f64> = cameras.iter().map(|camera| parallax_px(&cameras[i], camera, f64::from(median))).collect();
     let mut out = Vec::new();
     for &target in targets {
-        let sides =
-            [(0..i).rev().find(|j| parallax(j) >= target), (i + 1..cameras.len()).find(|j| parallax(j) >= target)];
+        let reaches = |j: &usize| parallax[*j] >= target;
+        let sides = [(0..i).rev().find(reaches), (i + 1..cameras.len()).find(reaches)];
         for j in sides.into_iter().flatten() {
-            if parallax(&j) < WIDER * target && !out.contains(&j) {
+            if parallax[j] < WIDER * target && !out.contains(&j) {
                 out.push(j);
             }
         }
+    }
+    if out.len() < least {
+        let most = WIDER * targets.iter().copied().fold(0.0, f64::max);
+        let mut rest: Vec<usize> = (0..cameras.len()).filter(|&j| j != i && parallax[j] < most).collect();
+        rest.sort_by(|&a, &b| parallax[b].total_cmp(&parallax[a]));
+        let enough = NARROW * rest.first().map_or(0.0, |&j| parallax[j]);
+        let chosen = out.len();
+        let more = rest.into_iter().filter(|j| parallax[*j] > enough && !out[..chosen].contains(j));
+        let more: Vec<usize> = more.take(least - chosen).collect();
+        out.extend(more);
     }
     out
 }
@@ -240,7 +253,7 @@ pub(super) fn parallax_px(from: &Camera, to: &Camera, disparity: f64) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use super::{Pair, parallax_px};
+    use super::{Pair, Shot, at_parallax, parallax_px};
     use m4_core::{Camera, Intrinsics, Se3, nalgebra::Vector6};
 
     #[test]
@@ -256,6 +269,19 @@ mod tests {
         let seen = Pair::new(&a, &b).project(x as f32, y as f32, (1.0 / z) as f32);
         assert!((f64::from(seen.x) - u).abs() < 1e-3 && (f64::from(seen.y) - v).abs() < 1e-3, "{seen:?} {u} {v}");
         assert!((1.0 / f64::from(seen.disparity) - depth).abs() < 1e-4);
+    }
+
+    #[test]
+    fn short_paths_have_as_many_frames_as_wide_ones() {
+        // 2 px of parallax from one frame to the next
+        let (_, cameras) = Shot::of_wall(9, (64, 48), 2.0);
+        let chosen = |i: usize, targets: &[f64], least: usize| at_parallax(&cameras, i, 2.0, targets, least);
+        assert_eq!(chosen(4, &[4.0, 8.0], 4), [2, 6, 0, 8]);
+        assert_eq!(chosen(0, &[12.0, 24.0], 0), [6]);
+        // the widest first, none below half of the widest, none beyond what was asked for
+        assert_eq!(chosen(0, &[12.0, 24.0], 4), [6, 8, 7, 5]);
+        assert_eq!(chosen(0, &[12.0, 24.0], 9), [6, 8, 7, 5]);
+        assert_eq!(chosen(0, &[6.0], 3), [3, 4]);
     }
 
     #[test]

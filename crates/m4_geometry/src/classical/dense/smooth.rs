@@ -214,23 +214,31 @@ fn solve_rows<const M: usize, const N: usize>(u: &mut [[f32; N]], right: &[f32],
 /// Mean over 5x5 pixels, fewer at the rim.
 pub(super) fn box_blur(width: usize, height: usize, values: &mut [f32]) {
     const REACH: usize = 2;
+    const SIDE: usize = 2 * REACH + 1;
     let reach = |i: usize, n: usize| i.saturating_sub(REACH)..(i + REACH + 1).min(n);
     let mut rows = vec![0.0f32; values.len()];
-    for y in 0..height {
-        let row = &values[y * width..(y + 1) * width];
-        for (x, out) in rows[y * width..(y + 1) * width].iter_mut().enumerate() {
+    for (row, out) in values.chunks_exact(width).zip(rows.chunks_exact_mut(width)) {
+        for (out, window) in out.iter_mut().skip(REACH).zip(row.windows(SIDE)) {
+            *out = window.iter().sum::<f32>() / SIDE as f32;
+        }
+        for x in (0..width).filter(|x| *x < REACH || x + REACH >= width) {
             let part = &row[reach(x, width)];
-            *out = part.iter().sum::<f32>() / part.len() as f32;
+            out[x] = part.iter().sum::<f32>() / part.len() as f32;
         }
     }
-    for y in 0..height {
+    for (y, target) in values.chunks_exact_mut(width).enumerate() {
         let window = reach(y, height);
         let share = 1.0 / window.len() as f32;
-        let target = &mut values[y * width..(y + 1) * width];
-        target.fill(0.0);
-        for v in window {
-            for (t, r) in target.iter_mut().zip(&rows[v * width..(v + 1) * width]) {
-                *t += share * r;
+        let row = |y: usize| &rows[y * width..(y + 1) * width];
+        if window.len() == SIDE {
+            let [a, b, c, d, e]: [&[f32]; SIDE] = std::array::from_fn(|k| row(window.start + k));
+            for (x, t) in target.iter_mut().enumerate() {
+                *t = share * (a[x] + b[x] + c[x] + d[x] + e[x]);
+            }
+        } else {
+            target.fill(0.0);
+            for y in window {
+                target.iter_mut().zip(row(y)).for_each(|(t, r)| *t += share * r);
             }
         }
     }
