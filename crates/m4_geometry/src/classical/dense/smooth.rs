@@ -218,8 +218,11 @@ pub(super) fn box_blur(width: usize, height: usize, values: &mut [f32]) {
     let reach = |i: usize, n: usize| i.saturating_sub(REACH)..(i + REACH + 1).min(n);
     let mut rows = vec![0.0f32; values.len()];
     for (row, out) in values.chunks_exact(width).zip(rows.chunks_exact_mut(width)) {
-        for (out, window) in out.iter_mut().skip(REACH).zip(row.windows(SIDE)) {
-            *out = window.iter().sum::<f32>() / SIDE as f32;
+        if let Some(inside) = (width + 1).checked_sub(SIDE) {
+            let [a, b, c, d, e]: [&[f32]; SIDE] = std::array::from_fn(|k| &row[k..k + inside]);
+            for (x, out) in out[REACH..REACH + inside].iter_mut().enumerate() {
+                *out = (a[x] + b[x] + c[x] + d[x] + e[x]) / SIDE as f32;
+            }
         }
         for x in (0..width).filter(|x| *x < REACH || x + REACH >= width) {
             let part = &row[reach(x, width)];

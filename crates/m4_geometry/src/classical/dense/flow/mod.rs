@@ -86,7 +86,8 @@ pub(crate) fn round_trip_px(there: &Flow, back: &Flow) -> Vec<f32> {
             let inside = qx >= 0.0 && qy >= 0.0 && qx <= (w - 1) as f32 && qy <= (h - 1) as f32;
             out[i] = if inside {
                 let (u, v) = back.at(qx, qy);
-                (there.u[i] + u).hypot(there.v[i] + v)
+                let (x, y) = (there.u[i] + u, there.v[i] + v);
+                (x * x + y * y).sqrt()
             } else {
                 f32::INFINITY
             };
