@@ -65,7 +65,7 @@ struct Other<'a> {
     /// From the pixels of the other frame to those of this one.
     pair: Pair,
     depth: &'a DepthMap,
-    /// What it sees this far behind a surface it sees through that, in disparity.
+    /// How far behind a surface a measurement must lie to see through it, disparity.
     through: f32,
 }
 
