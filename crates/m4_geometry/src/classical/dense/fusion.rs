@@ -159,7 +159,8 @@ mod tests {
         let truth = |i: usize, x: usize| (2.0 + slope * (x as f32 - 29.5)) / (1.0 - slope * i as f32);
         let wall = |i: usize| (0..w * h).map(|p| (truth(i, p % w), 1.0)).collect();
         let measured: Vec<DepthMap> = (0..7).map(wall).collect();
-        let out = fuse(&shots, &cameras, &measured, &[0, 1, 5, 6], 3);
+        // frames of one side: errors of rounding do not cancel
+        let out = fuse(&shots, &cameras, &measured, &[0, 1, 2], 3);
         for x in 15..45 {
             let error = out.disparity[4 * w + x] / truth(3, x) - 1.0;
             assert!(error.abs() < 1e-4, "column {x}: {error}");
