@@ -13,10 +13,11 @@ use m4_core::{
 /// Disparities tried between the farthest and the nearest surface.
 const HYPOTHESES: usize = 64;
 /// Parallax of a point at median depth between a frame and its partners on each side, pixels at the working size: one partner per
-/// target and side.
-const PARALLAX_PX: [f64; 2] = [6.0, 12.0];
-/// How far away in time partners may be, frames. Specification: 8; slow cameras need more.
-const PARTNER_FRAMES: usize = 24;
+/// target and side. At the widest a step between hypotheses is about a pixel, which tells the two sides of an edge apart; the narrowest sees
+/// what thin objects hide from the others.
+const PARALLAX_PX: [f64; 3] = [6.0, 12.0, 24.0];
+/// How much wider the parallax of another frame may be than the widest that is asked for, as the camera jumps.
+const WIDER: f64 = 1.5;
 /// Least parallax of a partner, pixels at the working size.
 const LEAST_PARALLAX_PX: f64 = 1.5;
 
@@ -75,17 +76,16 @@ fn range(points: &[Vec<SparsePoint>], i: usize) -> (Range, f32) {
 /// the other side serves twice as many.
 fn partners(cameras: &[Camera], i: usize, median: f32) -> Vec<(usize, Pair)> {
     let parallax = |j: usize| parallax_px(&cameras[i], &cameras[j], f64::from(median));
-    let up_to = |reach: usize, later: bool| -> Vec<(usize, f64)> {
-        (1..=reach)
+    let widest = WIDER * PARALLAX_PX.into_iter().fold(0.0, f64::max);
+    // in time, away from the frame; where the camera pauses, until it moves
+    let side = |later: bool| -> Vec<(usize, f64)> {
+        let mut beyond = false;
+        (1..cameras.len())
             .map_while(|k| if later { (i + k < cameras.len()).then_some(i + k) } else { i.checked_sub(k) })
             .map(|j| (j, parallax(j)))
+            .take_while(|&(_, p)| !std::mem::replace(&mut beyond, p > widest))
             .filter(|&(_, p)| p >= LEAST_PARALLAX_PX)
             .collect()
-    };
-    // Where the camera pauses, time goes on until it moves.
-    let side = |later: bool| {
-        let near = up_to(PARTNER_FRAMES, later);
-        if near.is_empty() { up_to(cameras.len(), later) } else { near }
     };
     let (before, after) = (side(false), side(true));
     let mut chosen: Vec<usize> = Vec::new();
@@ -113,8 +113,6 @@ fn partners(cameras: &[Camera], i: usize, median: f32) -> Vec<(usize, Pair)> {
 /// a point at median depth, pixels at the working size. Where these are fewer than `least`, frames of the widest parallax that is left make up
 /// for it: a path that is short for its depth has many of them.
 pub(super) fn at_parallax(cameras: &[Camera], i: usize, median: f32, targets: &[f64], least: usize) -> Vec<usize> {
-    /// How much wider the parallax may be, as the camera jumps.
-    const WIDER: f64 = 1.5;
     /// Share of the widest parallax below which a frame adds nothing.
     const NARROW: f64 = 0.5;
     let parallax: Vec<f64> = cameras.iter().map(|camera| parallax_px(&cameras[i], camera, f64::from(median))).collect();
@@ -253,7 +251,7 @@ pub(super) fn parallax_px(from: &Camera, to: &Camera, disparity: f64) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use super::{Pair, Shot, at_parallax, parallax_px};
+    use super::{Pair, Shot, at_parallax, parallax_px, partners};
     use m4_core::{Camera, Intrinsics, Se3, nalgebra::Vector6};
 
     #[test]
@@ -269,6 +267,24 @@ mod tests {
         let seen = Pair::new(&a, &b).project(x as f32, y as f32, (1.0 / z) as f32);
         assert!((f64::from(seen.x) - u).abs() < 1e-3 && (f64::from(seen.y) - v).abs() < 1e-3, "{seen:?} {u} {v}");
         assert!((1.0 / f64::from(seen.disparity) - depth).abs() < 1e-4);
+    }
+
+    #[test]
+    fn partners_are_chosen_by_parallax_at_every_frame_rate() {
+        let chosen = |count: usize, px: f32, i: usize| -> Vec<usize> {
+            let (_, cameras) = Shot::of_wall(count, (64, 48), px);
+            partners(&cameras, i, px).into_iter().map(|(j, _)| j).collect()
+        };
+        assert_eq!(chosen(61, 2.0, 30), [18, 24, 27, 33, 36, 42]);
+        assert_eq!(chosen(241, 0.5, 120), [72, 96, 108, 132, 144, 168]);
+        // a side that is too short: another parallax of the other side serves
+        assert_eq!(chosen(61, 2.0, 0), [3, 4, 6, 8, 12, 17]);
+        // a pause
+        let (_, mut cameras) = Shot::of_wall(61, (64, 48), 2.0);
+        let still = cameras[0];
+        cameras.splice(0..0, vec![still; 60]);
+        let later: Vec<usize> = partners(&cameras, 10, 2.0).into_iter().map(|(j, _)| j).collect();
+        assert_eq!(later, [63, 64, 66, 68, 72, 77]);
     }
 
     #[test]
