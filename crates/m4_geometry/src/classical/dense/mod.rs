@@ -10,6 +10,9 @@
 //!                           static depth over wide baselines: refined on brightness, merged over the frames, filled by planes
 //!                                                                                    |
 //!                                                                                    v
+//!                                                             outlines of the masks: what differs from the background behind them
+//!                                                                                    |
+//!                                                                                    v
 //!                                           depth of the moving parts (without parallax: layers) -> full size
 //!                                                     '-> tracks along the flow ([`crate::tracks`])
 //! ```
@@ -31,6 +34,7 @@ mod estimate;
 mod flow;
 mod fusion;
 mod layers;
+mod matte;
 mod mono;
 mod motion;
 mod motion_segmentation;

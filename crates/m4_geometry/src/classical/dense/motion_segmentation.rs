@@ -49,7 +49,7 @@ pub(super) struct MotionSegmentation {
     pub measured: Vec<Measured>,
     /// Disparity of static regions, also behind dynamic ones, which are placed by it.
     pub filled: Vec<Vec<f32>>,
-    /// The same of static regions alone, more precise; none without parallax.
+    /// The same of static regions alone, also next to dynamic ones, more precise; none without parallax.
     pub refined: Vec<Vec<f32>>,
 }
 
@@ -61,13 +61,23 @@ fn of(masks: Option<&[Vec<u8>]>, i: usize) -> Option<&[u8]> {
 impl Clip<'_> {
     /// Segments dynamic regions, or takes the masks of the user.
     pub fn segment_motion(&self, given: Option<Masks>) -> Result<MotionSegmentation, DenseError> {
-        let moving = match given {
+        let given_masks = given.is_some();
+        let mut moving = match given {
             Some(given) => given,
             None => self.moving()?,
         };
-        let measured = self.measured(Some(&moving))?;
+        let mut measured = self.measured(Some(&moving))?;
         let filled = self.filled(&measured, Some(&moving))?;
         let refined = if self.parallax { self.refined(&measured, &filled, &moving)? } else { Vec::new() };
+        if !given_masks {
+            if self.parallax {
+                moving = self.sharpened(&moving, &self.grown(&moving)?, &refined)?;
+            }
+            moving = self.segmented(moving)?;
+            for (measured, moving) in measured.iter_mut().zip(&moving) {
+                distrust(measured, moving);
+            }
+        }
         Ok(MotionSegmentation { moving, measured, filled, refined })
     }
 
@@ -112,14 +122,30 @@ impl Clip<'_> {
         Smoother::new(self.width, self.height, &self.shots[i].frame.rgb, FILL_SIGMA)
     }
 
-    /// Sharp masks of dynamic regions.
+    /// Masks of dynamic regions, with the outlines of the images as far as depth of this precision shows what is behind them.
     fn moving(&self) -> Result<Masks, DenseError> {
         let (mut before, mut last) = (None, self.round(None)?);
         for _ in 1..ROUNDS {
             let next = self.round(Some(&last))?;
             before = Some(std::mem::replace(&mut last, next));
         }
-        let moving = self.sharpened(before.as_deref(), &last)?;
+        let near = self.grown(&last)?;
+        let background = if self.parallax {
+            let measured = self.measured(before.as_deref())?;
+            self.each("filling depth", |i| {
+                let mut measured = self.mono.with_prior(i, &measured[i], Some(&near[i]));
+                distrust(&mut measured, &near[i]);
+                self.fill(i, &measured, Some(&near[i]))
+            })?
+        } else {
+            // the place of a background pixel in other frames does not depend on its depth
+            self.filled(&[], None)?
+        };
+        self.sharpened(&last, &near, &background)
+    }
+
+    /// `moving` with the outlines that the segmenter finds, if there is one.
+    fn segmented(&self, moving: Masks) -> Result<Masks, DenseError> {
         let Some(segmenter) = self.sources.segmenter else {
             return Ok(moving);
         };
@@ -174,38 +200,30 @@ impl Clip<'_> {
         static_depth::fill(&self.shots[i], &self.smoother(i), measured, moving)
     }
 
-    /// `moving` with the outlines of the images, by what the other frames show behind it; depth is taken from what
-    /// `before` leaves.
-    fn sharpened(&self, before: Option<&[Vec<u8>]>, moving: &[Vec<u8>]) -> Result<Masks, DenseError> {
-        let (width, height) = (self.width, self.height);
-        let near = self.each("growing masks", |i| dilated(&moving[i], width, height, background_model::GUARD_PX))?;
-        let background = if self.parallax {
-            let measured = self.measured(before)?;
-            self.each("filling depth", |i| {
-                let mut measured = self.mono.with_prior(i, &measured[i], Some(&near[i]));
-                for (c, near) in measured.confidence.iter_mut().zip(&near[i]) {
-                    if *near > 0 {
-                        *c = 0.0;
-                    }
-                }
-                self.fill(i, &measured, Some(&near[i]))
-            })?
-        } else {
-            // the place of a background pixel in other frames does not depend on its depth
-            self.filled(&[], None)?
-        };
+    /// Everything that may be dynamic, given masks that may be a little too narrow.
+    fn grown(&self, moving: &[Vec<u8>]) -> Result<Masks, DenseError> {
+        self.each("growing masks", |i| dilated(&moving[i], self.width, self.height, background_model::GUARD_PX))
+    }
+
+    /// `moving` with the outlines of the images, by what the other frames show behind it: `background` is the static disparity, `near` what may be
+    /// dynamic.
+    fn sharpened(&self, moving: &[Vec<u8>], near: &[Vec<u8>], background: &[Vec<f32>]) -> Result<Masks, DenseError> {
         let scene = background_model::Scene {
-            width,
-            height,
+            width: self.width,
+            height: self.height,
             parallax: self.parallax,
             cameras: &self.clues.cameras,
             shots: self.shots,
-            background: &background,
-            near: &near,
+            background,
+            near,
         };
-        self.each("sharpening masks", |i| {
-            let smoother = self.smoother(i);
-            background_model::sharpen(&scene, i, &moving[i], &smoother)
-        })
+        self.each("sharpening masks", |i| background_model::sharpen(&scene, i, &moving[i], &self.smoother(i)))
+    }
+}
+
+/// Nothing is measured in `moving` (above 0).
+fn distrust(measured: &mut Measured, moving: &[u8]) {
+    for (c, _) in measured.confidence.iter_mut().zip(moving).filter(|(_, moving)| **moving > 0) {
+        *c = 0.0;
     }
 }
