@@ -15,8 +15,8 @@ const POWER: f32 = 4.0;
 const ROUND_TRIP_PX: f32 = 2.0;
 /// Lowest share of the height of a region in which it may touch the ground.
 pub(super) const FEET_SHARE: f32 = 0.1;
-/// How far under the lowest pixels of a region the ground is read, pixels at the working size.
-pub(super) const BELOW_PX: usize = 3;
+/// How far under the lowest pixels of a region the ground is read, pixels at the working size: outlines are right to a pixel.
+pub(super) const BELOW_PX: usize = 1;
 /// Share of the background behind a region that the region must be in front of.
 pub(super) const HIDDEN_QUANTILE: f64 = 0.98;
 
@@ -141,8 +141,8 @@ mod tests {
     fn objects_on_the_ground_have_the_depth_of_their_contact() {
         let out = place(&[block(6)], &[ground()], &[]);
         let inside = out[0][6 * W + 8];
-        // The lowest row is 13; the ground is read 3 rows below.
-        assert!((inside - ground()[16 * W]).abs() < 0.06, "{inside}");
+        // The lowest row is 13; the ground is read a row below.
+        assert!((inside - ground()[14 * W]).abs() < 0.06, "{inside}");
         assert_eq!(out[0][6 * W + 2], ground()[6 * W]);
     }
 
