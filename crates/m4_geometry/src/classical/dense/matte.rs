@@ -35,6 +35,7 @@ pub(super) fn outline(
             continue;
         }
         let (mut sum, mut weight) = ([0.0; 3], 0.0);
+        // the pixel itself, next to the outline, is not among them
         for (q, squared) in around(p, REACH_PX).filter(|(q, _)| depth[*q] >= INNER_PX) {
             let near = 1.0 / (squared * squared);
             weight += near;
