@@ -2,14 +2,14 @@
 
 use m4_kernels::adam::cpu::AdamState;
 use m4_kernels::bench::{BenchScene, SceneConfig, SceneKind};
-use m4_kernels::gpu::{Choice, Gpu, Plan};
+use m4_kernels::gpu::{Gpu, Plan};
 use m4_train::backend::gpu::GpuTrainer;
 
 const SIZE: (usize, usize) = (96, 72);
 
 #[test]
 fn a_trainer_takes_what_was_planned() {
-    let gpu = match Gpu::open(Choice::Best).or_else(|_| Gpu::open(Choice::Software)) {
+    let gpu = match Gpu::for_tests() {
         Ok(gpu) => gpu,
         Err(error) => {
             m4_testkit::skip(m4_testkit::Need::Vulkan, &error.to_string());

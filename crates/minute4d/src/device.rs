@@ -134,7 +134,7 @@ mod gpu {
 
     impl OpenGpu {
         pub(super) fn best() -> Result<Option<Self>, Error> {
-            match best(&adapters()) {
+            match best(adapters()) {
                 Some(_) => Self::open(None).map(Some),
                 None => Ok(None),
             }

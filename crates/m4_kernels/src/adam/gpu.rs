@@ -3,7 +3,7 @@ use super::cpu::AdamConfig;
 use crate::gpu::Gpu;
 use crate::gpu::buffer::{Buffer, cubes, units};
 use crate::gpu::splats::{DeviceSplats, parts};
-use crate::gpu::tally::{Tally, check_parameter};
+use crate::gpu::tally::{Tally, check_parameter, count_step};
 use cubecl::prelude::*;
 
 /// The optimiser's state on the device.
@@ -17,7 +17,7 @@ pub struct DeviceAdam {
     pub steps: Buffer,
 }
 
-/// One step of the splats that `touched` names along `gradients`, one rate per column.
+/// One step of the splats that `touched` names along `gradients`, one rate per column; `tally` counts it.
 pub fn step(
     gpu: &Gpu,
     splats: &DeviceSplats,
@@ -29,59 +29,79 @@ pub fn step(
     rates: &[f32],
 ) {
     let client = &gpu.client;
-    let (n, n_static) = (splats.n, splats.n_static);
-    count_steps::launch(client, cubes(n, 256), units(), touched.arg(), state.steps.arg(), n as u32, config.sparse);
-    let buffers = [splats, gradients, &state.m, &state.v].map(DeviceSplats::buffers);
-    for (k, columns) in parts(splats.layout).into_iter().enumerate() {
-        let [x, g, m, v] = buffers.map(|buffers| buffers[k]);
-        let first = if k == 2 { n_static } else { 0 };
-        let rows = n - first;
-        if rows == 0 {
-            continue;
-        }
-        let count = columns.len() as u32;
-        let rates = Buffer::floats(client, &rates[columns]);
-        adam::launch(
-            client,
-            cubes(rows, 256),
-            units(),
-            x.arg(),
-            g.arg(),
-            m.arg(),
-            v.arg(),
-            touched.arg(),
-            state.steps.arg(),
-            rates.arg(),
-            tally.buffer.arg(),
-            rows as u32,
-            first as u32,
-            n_static as u32,
-            count,
-            config.beta1 as f32,
-            config.beta2 as f32,
-            config.beta2_dynamic as f32,
-            config.eps as f32,
-            config.sparse,
-        );
-    }
+    let [geometry, colour, time] = parts(splats.layout).map(|columns| columns.len() as u32);
+    let rates = Buffer::floats(client, rates);
+    adam::launch(
+        client,
+        cubes(splats.n, 256),
+        units(),
+        splats.geometry.arg(),
+        splats.colour.arg(),
+        splats.time.arg(),
+        gradients.geometry.arg(),
+        gradients.colour.arg(),
+        gradients.time.arg(),
+        state.m.geometry.arg(),
+        state.m.colour.arg(),
+        state.m.time.arg(),
+        state.v.geometry.arg(),
+        state.v.colour.arg(),
+        state.v.time.arg(),
+        touched.arg(),
+        state.steps.arg(),
+        rates.arg(),
+        tally.buffer.arg(),
+        splats.n as u32,
+        splats.n_static as u32,
+        geometry,
+        colour,
+        time,
+        config.beta1 as f32,
+        config.beta2 as f32,
+        config.beta2_dynamic as f32,
+        config.eps as f32,
+        config.sparse,
+    );
 }
 
-/// One optimiser step on `columns` columns of `rows` rows that start at splat `first`; `counts` are after this step's
-/// increment. `tally` notes parameters that are not finite.
+/// A step of one splat: what its columns have in common.
+#[derive(CubeType, Clone, Copy)]
+struct Step {
+    /// Whether it has a gradient; else that is 0.
+    seen: bool,
+    beta1: f32,
+    beta2: f32,
+    /// Corrections of the moments' bias.
+    bias1: f32,
+    bias2: f32,
+    epsilon: f32,
+}
+
+/// One step of each splat, and of its count of steps. `tally` counts the step and the splats touched, and notes parameters that
+/// are not finite.
 #[cube(launch)]
 fn adam(
-    x: &mut [f32],
-    g: &[f32],
-    m: &mut [f32],
-    v: &mut [f32],
+    geometry: &mut [f32],
+    colour: &mut [f32],
+    time: &mut [f32],
+    d_geometry: &[f32],
+    d_colour: &[f32],
+    d_time: &[f32],
+    m_geometry: &mut [f32],
+    m_colour: &mut [f32],
+    m_time: &mut [f32],
+    v_geometry: &mut [f32],
+    v_colour: &mut [f32],
+    v_time: &mut [f32],
     touched: &[u32],
-    counts: &[u32],
+    counts: &mut [u32],
     rates: &[f32],
-    tally: &mut [u32],
-    rows: u32,
-    first: u32,
+    tally: &[Atomic<u32>],
+    n: u32,
     n_static: u32,
-    columns: u32,
+    geometry_columns: u32,
+    colour_columns: u32,
+    time_columns: u32,
     beta1: f32,
     beta2_static: f32,
     beta2_dynamic: f32,
@@ -89,50 +109,71 @@ fn adam(
     #[comptime] sparse: bool,
 ) {
     let i = ABSOLUTE_POS as u32;
-    if i < rows {
-        let splat = first + i;
-        let seen = touched[splat as usize] != 0u32;
-        let mut on = seen;
-        if comptime!(!sparse) {
-            on = true;
+    let mut seen = 0u32;
+    if i < n {
+        seen = touched[i as usize];
+    }
+    count_step(seen, tally);
+    let mut on = seen != 0u32;
+    if comptime!(!sparse) {
+        on = i < n;
+    }
+    if on {
+        let mut beta2 = beta2_static;
+        if i >= n_static {
+            beta2 = beta2_dynamic;
         }
-        if on {
-            let mut beta2 = beta2_static;
-            if splat >= n_static {
-                beta2 = beta2_dynamic;
-            }
-            let steps = f32::cast_from(counts[splat as usize]);
-            let bias1 = 1.0f32 / (1.0f32 - (steps * beta1.ln()).exp());
-            let bias2 = 1.0f32 / (1.0f32 - (steps * beta2.ln()).exp());
-            for c in 0u32..columns {
-                let at = (c * rows + i) as usize;
-                let mut gradient = 0.0f32;
-                if seen {
-                    gradient = g[at];
-                }
-                let mean = beta1 * m[at] + (1.0f32 - beta1) * gradient;
-                let square = beta2 * v[at] + (1.0f32 - beta2) * gradient * gradient;
-                m[at] = mean;
-                v[at] = square;
-                let moved = x[at] - rates[c as usize] * mean * bias1 / ((square * bias2).sqrt() + epsilon);
-                x[at] = moved;
-                check_parameter(moved, tally);
-            }
+        let count = counts[i as usize] + 1u32;
+        counts[i as usize] = count;
+        let steps = f32::cast_from(count);
+        let step = Step {
+            seen: seen != 0u32,
+            beta1,
+            beta2,
+            bias1: 1.0f32 / (1.0f32 - (steps * beta1.ln()).exp()),
+            bias2: 1.0f32 / (1.0f32 - (steps * beta2.ln()).exp()),
+            epsilon,
+        };
+        let mut first = 0u32;
+        move_columns(geometry, d_geometry, m_geometry, v_geometry, rates, tally, first, geometry_columns, i, n, &step);
+        first += geometry_columns;
+        move_columns(colour, d_colour, m_colour, v_colour, rates, tally, first, colour_columns, i, n, &step);
+        first += colour_columns;
+        if i >= n_static {
+            let (row, rows) = (i - n_static, n - n_static);
+            move_columns(time, d_time, m_time, v_time, rates, tally, first, time_columns, row, rows, &step);
         }
     }
 }
 
-/// One more step for every splat that is stepped.
-#[cube(launch)]
-fn count_steps(touched: &[u32], counts: &mut [u32], n: u32, #[comptime] sparse: bool) {
-    let i = ABSOLUTE_POS;
-    if i < n as usize {
-        let mut on = touched[i] != 0u32;
-        if comptime!(!sparse) {
-            on = true;
+/// A step of row `row` in columns whose rates start at `first`.
+#[cube]
+fn move_columns(
+    x: &mut [f32],
+    g: &[f32],
+    m: &mut [f32],
+    v: &mut [f32],
+    rates: &[f32],
+    tally: &[Atomic<u32>],
+    first: u32,
+    columns: u32,
+    row: u32,
+    rows: u32,
+    step: &Step,
+) {
+    for c in 0u32..columns {
+        let at = (c * rows + row) as usize;
+        let mut gradient = 0.0f32;
+        if step.seen {
+            gradient = g[at];
         }
-        if on {
-            counts[i] += 1u32;
-        }
+        let mean = step.beta1 * m[at] + (1.0f32 - step.beta1) * gradient;
+        let square = step.beta2 * v[at] + (1.0f32 - step.beta2) * gradient * gradient;
+        m[at] = mean;
+        v[at] = square;
+        let rate = rates[(first + c) as usize];
+        let moved = x[at] - rate * mean * step.bias1 / ((square * step.bias2).sqrt() + step.epsilon);
+        x[at] = moved;
+        check_parameter(moved, tally);
     }
 }

@@ -20,12 +20,15 @@ pub(crate) fn blend(
     image: &mut [f32],
     checkpoints: &mut [f32],
     ends: &mut [u32],
+    tile_ends: &mut [u32],
     width: u32,
     height: u32,
     #[comptime] with_depth: bool,
     #[comptime] training: bool,
 ) {
     let mut batch = Shared::<[f32]>::new_slice(256usize * RECORD);
+    let mut alive = Shared::<[u32]>::new_slice(1usize);
+    let farthest = Shared::<[Atomic<u32>]>::new_slice(1usize);
     let tile = CUBE_POS as u32;
     let across = (width + 15u32) / 16u32;
     let x = (tile % across) * 16u32 + UNIT_POS % 16u32;
@@ -46,10 +49,15 @@ pub(crate) fn blend(
         bucket = offsets[tile as usize];
     }
     let batches = (end - start + 255u32) / 256u32;
-    for b in 0u32..batches {
+    let mut b = 0u32;
+    let mut open = batches > 0u32;
+    while open {
         let first = start + b * 256u32;
         let entry = first + UNIT_POS;
         sync_cube();
+        if UNIT_POS == 0u32 {
+            alive[0] = 0u32;
+        }
         if entry < end {
             let from = splats[entry as usize] as usize * RECORD;
             let to = UNIT_POS as usize * RECORD;
@@ -73,29 +81,55 @@ pub(crate) fn blend(
                     }
                 }
             }
-            let r = k as usize * RECORD;
-            let dx = batch[r] - px;
-            let dy = batch[r + 1] - py;
-            let power = batch[r + 2] * dx * dx + batch[r + 3] * dx * dy + batch[r + 4] * dy * dy;
-            let exponent = batch[r + 5] - power;
-            if power >= 0.0f32 && exponent >= LOG2_ALPHA_MIN {
-                let alpha = (exponent * LN_2).exp().min(ALPHA_MAX);
-                let behind = light * (1.0f32 - alpha);
-                if behind < T_MIN {
-                    going = false;
-                } else {
-                    let weight = light * alpha;
-                    red += weight * batch[r + 6];
-                    green += weight * batch[r + 7];
-                    blue += weight * batch[r + 8];
-                    if comptime!(with_depth) {
-                        depth += weight * batch[r + 9];
+            // none of the four depends on another
+            let mut exponents = Array::<f32>::new(4usize);
+            #[unroll]
+            for j in 0u32..4u32 {
+                exponents[j as usize] = exponent_at(&batch, k + j, count, px, py);
+            }
+            #[unroll]
+            for j in 0u32..4u32 {
+                let exponent = exponents[j as usize];
+                if going && exponent >= LOG2_ALPHA_MIN {
+                    let alpha = (exponent * LN_2).exp().min(ALPHA_MAX);
+                    let behind = light * (1.0f32 - alpha);
+                    if behind < T_MIN {
+                        going = false;
+                    } else {
+                        let r = (k + j) as usize * RECORD;
+                        let weight = light * alpha;
+                        red += weight * batch[r + 6];
+                        green += weight * batch[r + 7];
+                        blue += weight * batch[r + 8];
+                        if comptime!(with_depth) {
+                            depth += weight * batch[r + 9];
+                        }
+                        light = behind;
+                        last = first + k + j + 1u32;
                     }
-                    light = behind;
-                    last = first + k + 1u32;
                 }
             }
-            k += 1u32;
+            k += 4u32;
+        }
+        if going {
+            // all writers write the same value
+            alive[0] = 1u32;
+        }
+        b += 1u32;
+        // until every pixel is opaque
+        open = workgroup_uniform_load(&alive[0]) != 0u32 && b < batches;
+    }
+    if comptime!(training) {
+        if UNIT_POS == 0u32 {
+            farthest[0].store(0u32);
+        }
+        sync_cube();
+        if inside {
+            farthest[0].fetch_max(last);
+        }
+        sync_cube();
+        if UNIT_POS == 0u32 {
+            tile_ends[tile as usize] = farthest[0].load();
         }
     }
     if inside {
@@ -114,17 +148,18 @@ pub(crate) fn blend(
     }
 }
 
-/// Fills `out`: red, green, blue, and all that is blended along the gradient; planes.
-#[cube(launch)]
-pub(crate) fn pixels(image: &[f32], gradient: &[f32], out: &mut [f32], count: u32) {
-    let i = ABSOLUTE_POS as u32;
-    if i < count {
-        let at = i as usize;
-        let n = count as usize;
-        let (r, g, b) = (gradient[at], gradient[n + at], gradient[2 * n + at]);
-        out[at] = r;
-        out[n + at] = g;
-        out[2 * n + at] = b;
-        out[3 * n + at] = r * image[at] + g * image[n + at] + b * image[2 * n + at];
+/// The logarithm of the opacity, to base 2, of entry `k` at a pixel; too little to be seen after the last entry.
+#[cube]
+fn exponent_at(batch: &Shared<[f32]>, k: u32, count: u32, px: f32, py: f32) -> f32 {
+    let r = k as usize * RECORD;
+    let dx = batch[r] - px;
+    let dy = batch[r + 1] - py;
+    let power = batch[r + 2] * dx * dx + batch[r + 3] * dx * dy + batch[r + 4] * dy * dy;
+    let mut exponent = batch[r + 5] - power;
+    // not so where a number is not finite
+    let is_seen = k < count && power >= 0.0f32;
+    if !is_seen {
+        exponent = f32::new(-1000.0f32);
     }
+    exponent
 }

@@ -11,6 +11,7 @@ use cubecl::wgpu::{
     wgpu::{self, DeviceType},
 };
 use serde::Serialize;
+use std::sync::{Mutex, OnceLock, PoisonError};
 
 /// The kind of an adapter.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
@@ -104,8 +105,13 @@ const SHARED_BYTES: u32 = 13_840;
 
 /// The adapters of this machine in the order of their index, on the first of Vulkan, Metal and DX12 that has more than
 /// software; where none has, software on the first that has any. Before them those of CUDA, in a build with the feature
-/// `cuda`: a GPU can be there twice. Empty without a driver.
-pub fn adapters() -> Vec<Adapter> {
+/// `cuda`: a GPU can be there twice. Empty without a driver. They are looked for once per process.
+pub fn adapters() -> &'static [Adapter] {
+    static ALL: OnceLock<Vec<Adapter>> = OnceLock::new();
+    ALL.get_or_init(find_adapters)
+}
+
+fn find_adapters() -> Vec<Adapter> {
     #[cfg(feature = "cuda")]
     let mut all = crate::gpu::cuda::adapters();
     #[cfg(not(feature = "cuda"))]
@@ -143,7 +149,10 @@ fn graphics_adapters() -> Vec<Adapter> {
 fn adapters_of(backend: wgpu::Backends) -> Vec<Adapter> {
     let mut settings = wgpu::InstanceDescriptor::new_without_display_handle();
     settings.backends = backend;
-    let found = block_on(wgpu::Instance::new(settings).enumerate_adapters(backend));
+    let instance = wgpu::Instance::new(settings);
+    let found = block_on(instance.enumerate_adapters(backend));
+    // with its last instance a driver is unloaded, and threads that used NVIDIA's crash when they end
+    INSTANCES.lock().unwrap_or_else(PoisonError::into_inner).push(instance);
     let mut seen = [0usize; 5];
     let mut out = Vec::new();
     for (index, adapter) in found.iter().enumerate() {
@@ -230,7 +239,7 @@ impl Gpu {
     pub fn open(choice: Choice) -> Result<Self, GpuError> {
         let all = adapters();
         let (wanted, adapter) = match choice {
-            Choice::Best => ("that is more than software".to_owned(), best(&all)),
+            Choice::Best => ("that is more than software".to_owned(), best(all)),
             Choice::Index(index) => (index.to_string(), all.get(index)),
             Choice::Software => ("made of software".to_owned(), all.iter().find(|a| a.kind == AdapterKind::Software)),
         };
@@ -240,6 +249,16 @@ impl Gpu {
             return Err(GpuError::NoAdapter { wanted, found });
         };
         Self::start(adapter)
+    }
+
+    /// Starts the GPU for tests: the one whose index in [`adapters`] the variable `MINUTE4D_TEST_GPU` holds, else the best, else
+    /// a software driver. Fails as [`open`](Self::open).
+    pub fn for_tests() -> Result<Self, GpuError> {
+        let Ok(index) = std::env::var("MINUTE4D_TEST_GPU") else {
+            return Self::open(Choice::Best).or_else(|_| Self::open(Choice::Software));
+        };
+        // what is no number is no index of an adapter
+        Self::open(Choice::Index(index.parse().unwrap_or(usize::MAX)))
     }
 
     fn start(adapter: &Adapter) -> Result<Self, GpuError> {
@@ -256,7 +275,7 @@ impl Gpu {
             return Err(refused("it belongs to no runtime of this build".to_owned()));
         };
         // a device of this process is started once; the second time it is there already
-        let mut started = STARTED.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+        let mut started = STARTED.lock().unwrap_or_else(PoisonError::into_inner);
         if !started.contains(&adapter.place) {
             try_init_setup::<AutoGraphicsApi>(&device, RuntimeOptions::default())
                 .map_err(|error| refused(error.to_string()))?;
@@ -290,7 +309,9 @@ impl Gpu {
     }
 }
 
-static STARTED: std::sync::Mutex<Vec<Place>> = std::sync::Mutex::new(Vec::new());
+/// Of all drivers that were asked for adapters; kept as long as the process runs.
+static INSTANCES: Mutex<Vec<wgpu::Instance>> = Mutex::new(Vec::new());
+static STARTED: Mutex<Vec<Place>> = Mutex::new(Vec::new());
 
 pub(crate) fn failed(doing: &'static str, error: &impl std::fmt::Display) -> GpuError {
     GpuError::Failed { doing, why: error.to_string() }
@@ -303,12 +324,12 @@ fn block_on<F: Future>(future: F) -> F::Output {
 
 #[cfg(test)]
 pub(crate) mod tests {
-    use super::{Choice, Gpu};
+    use super::Gpu;
 
     /// A GPU, or a software Vulkan driver (lavapipe); `None`, and said so, where there is neither.
     #[track_caller]
     pub(crate) fn gpu(test: &str) -> Option<Gpu> {
-        match Gpu::open(Choice::Best).or_else(|_| Gpu::open(Choice::Software)) {
+        match Gpu::for_tests() {
             Ok(gpu) => Some(gpu),
             Err(error) => {
                 m4_testkit::skip(m4_testkit::Need::Vulkan, &format!("{test}: {error}"));

@@ -2,7 +2,7 @@
 //! the folders beside this one, in CubeCL: one source for Vulkan, Metal, DX12 and CUDA.
 //!
 //! ```text
-//! project -> sort by depth -> bin -> sort by tile -> blend -> loss
+//! project -> starts of the tile lists -> entries -> sort of each list -> blend -> loss
 //! adam <- project backward <- blend backward <- gradient of the loss
 //! ```
 //!
@@ -18,7 +18,7 @@
 pub mod buffer;
 #[cfg(feature = "cuda")]
 mod cuda;
-mod device;
+pub(crate) mod device;
 mod error;
 pub mod frames;
 pub mod log;

@@ -5,8 +5,7 @@
 use crate::gpu::Gpu;
 use crate::gpu::buffer::{Buffer, cubes, units};
 use crate::gpu::sort::{Pairs, Sort};
-use crate::gpu::splats::{DeviceSplats, parts};
-use crate::tile_binning::gpu as tile_binning;
+use crate::gpu::splats::{DeviceSplats, gathered_words, parts};
 use cubecl::prelude::*;
 use m4_core::Column;
 
@@ -66,16 +65,7 @@ pub fn morton_order(gpu: &Gpu, splats: &DeviceSplats) -> Buffer {
         (time * (n - n_static)) as u32,
     );
     let by_place = sort.run(client, &places, &all, PLACE_BITS);
-    let by_slot = Pairs { keys: Buffer::empty(client, n), values: by_place.values.clone() };
-    tile_binning::gather::launch(
-        client,
-        cubes(n, 256),
-        units(),
-        by_place.values.arg(),
-        slots.arg(),
-        by_slot.keys.arg(),
-        n as u32,
-    );
+    let by_slot = Pairs { keys: gathered_words(gpu, &slots, &by_place.values, n), values: by_place.values.clone() };
     Sort::new(client, n).run(client, &by_slot, &all, SLOT_BITS).values.clone()
 }
 

@@ -7,7 +7,7 @@ use crate::gpu::splats::parts;
 use crate::gpu::work::{CHECKPOINT, Size};
 use crate::gpu::{Gpu, GpuError, tally::LOSSES, vector::EYE};
 use crate::project::gpu::RECORD;
-use crate::tile_binning::gpu::{REACH, TILE};
+use crate::tile_binning::gpu::{REACH, TILE, TOTALS};
 use m4_core::SplatLayout;
 
 /// Entries of tiles that memory is first made for: this many a splat, and at least as many as [`LEAST_ENTRIES`]. Of a video
@@ -68,8 +68,7 @@ impl Plan {
             part("gradients", &columns),
         ];
         parts.extend(work(&size));
-        let cubes = n.div_ceil(256);
-        parts.push(part("loss", &[9 * pixels, 9 * size.tiles(), cubes, LOSSES + 1]));
+        parts.push(part("loss", &[9 * pixels, 9 * size.tiles(), LOSSES + 1]));
         parts.push(density_control(&columns, n, pixels));
         // planes of bytes, each in words of its own
         let frame = part("frames", &[3 * pixels.div_ceil(4)]);
@@ -203,20 +202,16 @@ fn columns(n_static: usize, n_dynamic: usize, layout: SplatLayout) -> [usize; 3]
 /// What [`Work`](crate::gpu::work::Work) makes.
 fn work(size: &Size) -> Vec<Part> {
     let (n, entries, tiles, pixels) = (size.n, size.entries, size.tiles(), size.pixels());
-    let mut splats = vec![RECORD * n, REACH * n, n, n, 1, n, n, n, n, EYE, 1];
-    splats.extend(Sort::lengths(n));
-    splats.extend(Scan::lengths(n));
-    let mut lists = vec![entries; 4];
-    lists.extend(Sort::lengths(entries));
-    lists.extend([2 * tiles, tiles, tiles]);
-    lists.extend(Scan::lengths(tiles));
+    let splats = [RECORD * n, REACH * n, n, n, n, n, EYE];
+    let mut lists = vec![entries; 6];
+    lists.extend([2 * tiles, tiles, tiles, tiles, tiles, 1, 1, TOTALS]);
     let mut parts =
         vec![part("splats of a frame", &splats), part("tile lists", &lists), part("image", &[5 * pixels, pixels])];
     if size.training {
         let buckets = size.buckets();
         parts.push(part("gradients of tile entries", &[SUMS * entries]));
         parts.push(part("what gradients start from", &[buckets, CHECKPOINT * TILE * TILE * buckets]));
-        parts.push(part("gradient of the image", &[4 * pixels, 3 * pixels]));
+        parts.push(part("gradient of the image", &[3 * pixels]));
     }
     parts
 }

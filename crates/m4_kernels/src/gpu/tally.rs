@@ -31,19 +31,12 @@ pub const LOSSES: usize = 10;
 pub struct Tally {
     /// As the constants of this module say; the first number is the peak of tile entries.
     pub buffer: Buffer,
-    /// Splats touched, one number per cube.
-    parts: Buffer,
 }
 
 impl Tally {
-    /// Makes room for another number of splats.
-    pub fn resize(&mut self, gpu: &Gpu, n: usize) {
-        self.parts = Buffer::empty(&gpu.client, n.div_ceil(256));
-    }
-
-    /// Empty, with room for the losses of `views` views, of `n` splats.
-    pub fn new(gpu: &Gpu, views: usize, n: usize) -> Self {
-        Self { buffer: Self::fresh(gpu, views), parts: Buffer::empty(&gpu.client, n.div_ceil(256)) }
+    /// Empty, with room for the losses of `views` views.
+    pub fn new(gpu: &Gpu, views: usize) -> Self {
+        Self { buffer: Self::fresh(gpu, views) }
     }
 
     fn fresh(gpu: &Gpu, views: usize) -> Buffer {
@@ -63,19 +56,6 @@ impl Tally {
             values as f32,
             lambda,
             view as u32,
-        );
-    }
-
-    /// Counts a step, and the splats among `n` that it touched.
-    pub fn step(&self, gpu: &Gpu, touched: &Buffer, n: usize) {
-        count_touched::launch(&gpu.client, cubes(n, 256), units(), touched.arg(), self.parts.arg(), n as u32);
-        add_step::launch(
-            &gpu.client,
-            cubes(1, 1),
-            units(),
-            self.parts.arg(),
-            self.buffer.arg(),
-            n.div_ceil(256) as u32,
         );
     }
 
@@ -111,10 +91,26 @@ pub fn is_finite(value: f32) -> bool {
 
 /// Notes a parameter that is not finite.
 #[cube]
-pub(crate) fn check_parameter(value: f32, tally: &mut [u32]) {
+pub(crate) fn check_parameter(value: f32, tally: &[Atomic<u32>]) {
     if !is_finite(value) {
-        // all writers write the same value
-        tally[BAD_SPLAT] = 1u32;
+        tally[BAD_SPLAT].store(1u32);
+    }
+}
+
+/// Counts a step, and the splats that are touched, of which each unit has one: 1 or 0.
+#[cube]
+pub(crate) fn count_step(touched: u32, tally: &[Atomic<u32>]) {
+    let mut shared = Shared::<[u32]>::new_slice(256usize);
+    let before = scan_cube(touched, &mut shared);
+    if UNIT_POS == 255u32 {
+        let sum = before + touched;
+        let old = tally[TOUCHED].fetch_add(sum);
+        if old + sum < old {
+            tally[TOUCHED + 1].fetch_add(1u32);
+        }
+    }
+    if ABSOLUTE_POS == 0 {
+        tally[STEPS].fetch_add(1u32);
     }
 }
 
@@ -151,41 +147,5 @@ fn add_up(sums: &[f32], tally: &mut [u32], cubes: u32, count: f32, lambda: f32, 
         add_float(tally, L1, difference);
         tally[SQUARES] = u32::reinterpret(square);
         tally[LOSSES + view as usize] = u32::reinterpret(loss);
-    }
-}
-
-/// How many splats each cube of 256 touched.
-#[cube(launch)]
-fn count_touched(touched: &[u32], parts: &mut [u32], n: u32) {
-    let mut shared = Shared::<[u32]>::new_slice(256usize);
-    let i = ABSOLUTE_POS as u32;
-    let mut mine = 0u32;
-    if i < n && touched[i as usize] != 0u32 {
-        mine = 1u32;
-    }
-    let before = scan_cube(mine, &mut shared);
-    if UNIT_POS == 255u32 && (CUBE_POS as u32) < parts.len() as u32 {
-        parts[CUBE_POS] = before + mine;
-    }
-}
-
-#[cube(launch)]
-fn add_step(parts: &[u32], tally: &mut [u32], count: u32) {
-    let mut shared = Shared::<[u32]>::new_slice(256usize);
-    let mut mine = 0u32;
-    let mut k = UNIT_POS;
-    while k < count {
-        mine += parts[k as usize];
-        k += 256u32;
-    }
-    let before = scan_cube(mine, &mut shared);
-    if UNIT_POS == 255u32 {
-        let old = tally[TOUCHED];
-        let sum = old + before + mine;
-        tally[TOUCHED] = sum;
-        if sum < old {
-            tally[TOUCHED + 1] += 1u32;
-        }
-        tally[STEPS] += 1u32;
     }
 }

@@ -2,15 +2,12 @@
 
 use crate::blend::gpu::{self as blend, backward as blend_backward, backward::SUMS};
 use crate::gpu::buffer::{Buffer, cubes, units};
-use crate::gpu::scan::Scan;
-use crate::gpu::sort::{Pairs, Sort};
 use crate::gpu::splats::DeviceSplats;
 use crate::gpu::timing::Stopwatch;
 use crate::gpu::vector::eye;
 use crate::gpu::{Gpu, GpuError};
 use crate::project::gpu::{RECORD, project, project_backward};
-use crate::tile_binning::gpu as tile_binning;
-use crate::tile_binning::gpu::{REACH, TILE};
+use crate::tile_binning::gpu::{self as tile_binning, REACH, TILE, TOTALS, WANTED, sort};
 use crate::{View, bench::Kernel};
 use cubecl::prelude::{CubeCount, CubeDim};
 
@@ -28,7 +25,7 @@ pub struct Size {
     pub width: usize,
     /// Pixels.
     pub height: usize,
-    /// Entries of tiles at most; those beyond, the farthest, are left out.
+    /// Entries of tiles at most; an image that wants more shows the background.
     pub entries: usize,
     /// For the gradient too.
     pub training: bool,
@@ -53,11 +50,6 @@ impl Size {
     pub fn buckets(&self) -> usize {
         self.entries / BUCKET + self.tiles()
     }
-
-    /// Digits of a tile's number that the sort looks at.
-    fn tile_bits(&self) -> u32 {
-        (usize::BITS - self.tiles().leading_zeros()).div_ceil(4) * 4
-    }
 }
 
 /// Buffers for frames of one size.
@@ -68,25 +60,30 @@ pub struct Work {
     pub(crate) eye: Buffer,
     pub(crate) records: Buffer,
     reaches: Buffer,
-    pub(crate) depth: Pairs,
-    all: Buffer,
-    by_depth: Sort,
-    counts: Buffer,
-    pub(crate) sorted_counts: Buffer,
+    /// Bits of the depths, which lie in the order of the depths.
+    depths: Buffer,
+    /// Entries of each splat, and its first slot.
+    pub(crate) counts: Buffer,
     pub(crate) offsets: Buffer,
-    count: Scan,
-    entries: Pairs,
-    by_tile: Sort,
+    /// Entries of each tile, and slots of all: 0 between frames.
+    tile_counts: Buffer,
+    allocated: Buffer,
+    cursors: Buffer,
+    /// Depth and slot of each entry, tile after tile in any order, and sorted.
+    lists: [Buffer; 2],
+    sorted: [Buffer; 2],
     splat_of_slot: Buffer,
     pub(crate) splat_of_entry: Buffer,
+    /// Where each tile's entries start and end.
     pub(crate) ranges: Buffer,
-    bucket_counts: Buffer,
+    /// The entry after the last that a pixel of the tile shows.
+    tile_ends: Buffer,
     pub(crate) bucket_offsets: Buffer,
-    bucket_count: Scan,
     pub(crate) tile_of_bucket: Buffer,
+    /// Numbers of entries and buckets.
+    pub(crate) totals: Buffer,
     checkpoints: Buffer,
     pub(crate) ends: Buffer,
-    planes: Buffer,
     pub(crate) sums: Buffer,
     /// The largest number of entries that a frame wanted, first of what may be more numbers.
     pub peak: Buffer,
@@ -132,25 +129,23 @@ impl Work {
             eye: empty(1),
             records: empty(RECORD * n),
             reaches: empty(REACH * n),
-            depth: Pairs::empty(client, n),
-            all: Buffer::words(client, &[n as u32]),
-            by_depth: Sort::new(client, n),
+            depths: empty(n),
             counts: empty(n),
-            sorted_counts: empty(n),
             offsets: empty(n),
-            count: Scan::new(client, n),
-            entries: Pairs::empty(client, entries),
-            by_tile: Sort::new(client, entries),
+            tile_counts: Buffer::zeros(client, tiles),
+            allocated: Buffer::words(client, &[0]),
+            cursors: empty(tiles),
+            lists: [empty(entries), empty(entries)],
+            sorted: [empty(entries), empty(entries)],
             splat_of_slot: empty(entries),
             splat_of_entry: empty(entries),
             ranges: empty(2 * tiles),
-            bucket_counts: empty(tiles),
+            tile_ends: empty(tiles),
             bucket_offsets: empty(tiles),
-            bucket_count: Scan::new(client, tiles),
             tile_of_bucket: empty(buckets),
+            totals: empty(TOTALS),
             checkpoints: empty(checkpoints),
             ends: empty(pixels),
-            planes: empty(only_training(4 * pixels)),
             sums: empty(sums),
             peak: Buffer::words(client, &[0]),
             stopwatch: Stopwatch::default(),
@@ -185,67 +180,18 @@ impl Work {
             self.eye.arg(),
             self.records.arg(),
             self.reaches.arg(),
-            self.depth.keys.arg(),
-            self.depth.values.arg(),
+            self.depths.arg(),
             self.counts.arg(),
+            self.offsets.arg(),
+            self.tile_counts.arg(),
+            self.allocated.arg(),
             n as u32,
             splats.n_static as u32,
+            size.across() as u32,
             splats.spec(view.mip),
         );
         self.stopwatch.lap(gpu, Kernel::Project);
-        // an even number of passes: the order is back in `depth`
-        self.by_depth.run(client, &self.depth, &self.all, 32);
-        tile_binning::gather::launch(
-            client,
-            cubes(n, 256),
-            units(),
-            self.depth.values.arg(),
-            self.counts.arg(),
-            self.sorted_counts.arg(),
-            n as u32,
-        );
-        self.count.run(client, &self.sorted_counts, &self.offsets);
-        let count = self.count.total();
-        tile_binning::note_peak::launch(client, cubes(1, 1), CubeDim::new_1d(1), count.arg(), self.peak.arg());
-        tile_binning::emit::launch(
-            client,
-            cubes(n, 256),
-            units(),
-            self.depth.values.arg(),
-            self.sorted_counts.arg(),
-            self.offsets.arg(),
-            self.reaches.arg(),
-            self.eye.arg(),
-            self.entries.keys.arg(),
-            self.splat_of_slot.arg(),
-            self.entries.values.arg(),
-            n as u32,
-            size.across() as u32,
-        );
-        let sorted = self.by_tile.run(client, &self.entries, count, size.tile_bits());
-        tile_binning::pick::launch(
-            client,
-            cubes(size.entries, 256),
-            units(),
-            sorted.values.arg(),
-            self.splat_of_slot.arg(),
-            count.arg(),
-            self.splat_of_entry.arg(),
-        );
-        self.ranges.clear(client);
-        tile_binning::ranges::launch(
-            client,
-            cubes(size.entries, 256),
-            units(),
-            sorted.keys.arg(),
-            count.arg(),
-            self.ranges.arg(),
-            size.entries as u32,
-            tiles as u32,
-        );
-        if size.training {
-            self.make_buckets(gpu);
-        }
+        self.make_lists(gpu);
         self.stopwatch.lap(gpu, Kernel::Bin);
         blend::blend::launch(
             client,
@@ -259,6 +205,7 @@ impl Work {
             self.image.arg(),
             self.checkpoints.arg(),
             self.ends.arg(),
+            self.tile_ends.arg(),
             width,
             height,
             view.with_depth,
@@ -267,26 +214,58 @@ impl Work {
         self.stopwatch.lap(gpu, Kernel::Blend);
     }
 
-    /// Cuts the lists of the tiles into buckets.
-    fn make_buckets(&self, gpu: &Gpu) {
-        let (client, tiles) = (&gpu.client, self.size.tiles());
-        blend_backward::bucket_counts::launch(
+    /// The lists of the tiles, near to far, and their buckets.
+    fn make_lists(&self, gpu: &Gpu) {
+        let (client, size) = (&gpu.client, self.size);
+        let (n, tiles, capacity) = (size.n, size.tiles() as u32, size.entries as u32);
+        tile_binning::tile_starts::launch(
             client,
-            cubes(tiles, 256),
+            cubes(1, 1),
+            units(),
+            self.tile_counts.arg(),
+            self.allocated.arg(),
+            self.ranges.arg(),
+            self.cursors.arg(),
+            self.bucket_offsets.arg(),
+            self.totals.arg(),
+            self.peak.arg(),
+            tiles,
+            capacity,
+        );
+        tile_binning::emit::launch(
+            client,
+            cubes(n, 256),
+            units(),
+            self.counts.arg(),
+            self.offsets.arg(),
+            self.reaches.arg(),
+            self.depths.arg(),
+            self.eye.arg(),
+            self.ranges.arg(),
+            self.cursors.arg(),
+            self.lists[0].arg(),
+            self.lists[1].arg(),
+            self.splat_of_slot.arg(),
+            self.totals.arg(),
+            n as u32,
+            size.across() as u32,
+            capacity,
+        );
+        sort::sort_lists::launch(
+            client,
+            cubes(size.tiles(), 1),
             units(),
             self.ranges.arg(),
-            self.bucket_counts.arg(),
-            tiles as u32,
-        );
-        self.bucket_count.run(client, &self.bucket_counts, &self.bucket_offsets);
-        blend_backward::bucket_tiles::launch(
-            client,
-            cubes(tiles, 256),
-            units(),
-            self.bucket_counts.arg(),
+            self.cursors.arg(),
             self.bucket_offsets.arg(),
+            self.lists[0].arg(),
+            self.lists[1].arg(),
+            self.sorted[0].arg(),
+            self.sorted[1].arg(),
+            self.splat_of_slot.arg(),
+            self.splat_of_entry.arg(),
             self.tile_of_bucket.arg(),
-            tiles as u32,
+            tiles,
         );
     }
 
@@ -306,30 +285,24 @@ impl Work {
         let (width, height) = (size.width as u32, size.height as u32);
         // all since the image was drawn
         self.stopwatch.lap(gpu, Kernel::Photo);
-        blend::pixels::launch(
-            client,
-            cubes(size.pixels(), 256),
-            units(),
-            self.image.arg(),
-            self.gradient.arg(),
-            self.planes.arg(),
-            size.pixels() as u32,
-        );
         let (count, dim) = self.cubes_of_buckets();
         blend_backward::blend_backward::launch(
             client,
             count,
             dim,
             self.records.arg(),
+            self.reaches.arg(),
             self.splat_of_entry.arg(),
-            self.slots().arg(),
+            self.slot_of_entry().arg(),
             self.ranges.arg(),
             self.tile_of_bucket.arg(),
             self.bucket_offsets.arg(),
-            self.buckets().arg(),
+            self.totals.arg(),
             self.checkpoints.arg(),
-            self.planes.arg(),
+            self.image.arg(),
+            self.gradient.arg(),
             self.ends.arg(),
+            self.tile_ends.arg(),
             self.sums.arg(),
             width,
             height,
@@ -343,8 +316,7 @@ impl Work {
             splats.colour.arg(),
             splats.time.arg(),
             self.eye.arg(),
-            self.depth.values.arg(),
-            self.sorted_counts.arg(),
+            self.counts.arg(),
             self.offsets.arg(),
             self.sums.arg(),
             out.geometry.arg(),
@@ -362,18 +334,12 @@ impl Work {
 
     /// How many entries the frame drawn last wanted. Fails with [`GpuError`] if the device failed.
     pub fn entries(&self, gpu: &Gpu, doing: &'static str) -> Result<usize, GpuError> {
-        Ok(self.count.total().read_words(&gpu.client, doing)?[0] as usize)
+        Ok(self.totals.read_words(&gpu.client, doing)?[WANTED] as usize)
     }
 
     /// The slot of each entry, tile after tile, of the frame drawn last.
-    pub(crate) fn slots(&self) -> &Buffer {
-        // where the sort left it: an odd number of passes ends in its own memory
-        &self.by_tile.result(&self.entries, self.size.tile_bits()).values
-    }
-
-    /// How many buckets the frame drawn last has, one number.
-    pub(crate) fn buckets(&self) -> &Buffer {
-        self.bucket_count.total()
+    pub(crate) fn slot_of_entry(&self) -> &Buffer {
+        &self.sorted[1]
     }
 
     /// Cubes of a bucket each, as many as there may be.

@@ -1,13 +1,14 @@
 //! Projects splats of one instant to ellipses on the image, and back: slice, project and shade in one kernel, one unit per splat.
 
 use crate::{
+    gpu::scan::scan_cube,
     gpu::vector::{
         CENTRE, FOCAL, INVERSE_PERIOD, LIMITS, MIDDLE, NEAR, SIZE, TIME, V3, add_scaled, cross, dot, scaled, times,
         transposed, v3,
     },
     shade::gpu::raw_colour,
     slice::gpu::{Shape, life, shape},
-    tile_binning::gpu::{REACH, Reach, tile_rows, tile_span},
+    tile_binning::gpu::{REACH, Reach, count_slack, tile_rows, tile_span},
 };
 pub(crate) use backward::project_backward;
 use cubecl::prelude::*;
@@ -129,7 +130,8 @@ const LOG2_ALPHA_MIN: f32 = crate::blend::LOG2_ALPHA_MIN as f32;
 const HALF_LOG2_E: f32 = 0.5 * LOG2_E;
 const TWO_LN_2: f32 = 2.0 * LN_2;
 
-/// Fills the records of the splats in the frame, their depth keys (all ones for the others) and tile counts.
+/// Fills the records of the splats in the frame, their depths and tile counts, counts them in their tiles, and gives every
+/// tile of a splat a slot: `offsets` is the first of them. Which splats come first is different every time.
 #[cube(launch)]
 pub(crate) fn project(
     geometry: &[f32],
@@ -138,22 +140,26 @@ pub(crate) fn project(
     eye: &[f32],
     records: &mut [f32],
     reaches: &mut [f32],
-    keys: &mut [u32],
-    order: &mut [u32],
+    depths: &mut [u32],
     counts: &mut [u32],
+    offsets: &mut [u32],
+    tiles: &[Atomic<u32>],
+    allocated: &[Atomic<u32>],
     n: u32,
     n_static: u32,
+    across: u32,
     #[comptime] spec: Spec,
 ) {
+    let mut shared = Shared::<[u32]>::new_slice(256usize);
+    let mut base = Shared::<[u32]>::new_slice(1usize);
     let i = ABSOLUTE_POS as u32;
+    let mut count = 0u32;
     if i < n {
         let at = i as usize;
         let rows = n as usize;
         let life = life(geometry, time, i, n, n_static, eye[TIME]);
         let offset = offset_of(eye, &life.mean);
         let z = dot(&row(eye, 2usize), &offset);
-        let mut count = 0u32;
-        let mut key = 0xffff_ffffu32;
         if life.marginal > MARGINAL_MIN && z > eye[NEAR] {
             let shape = shape(geometry, i, n, spec.isotropic);
             let e = ellipse(eye, &offset, &shape, spec.mip);
@@ -175,13 +181,17 @@ pub(crate) fn project(
                     width: eye[SIZE],
                     height: eye[SIZE + 1],
                 };
-                let (first, end) = tile_rows(&reach);
+                let slack = count_slack(&reach);
+                let (first, end) = tile_rows(&reach, slack);
                 for row in first..end {
-                    let (left, right) = tile_span(&reach, row);
+                    let (left, right) = tile_span(&reach, row, slack);
+                    for column in left..right {
+                        tiles[(row * across + column) as usize].fetch_add(1u32);
+                    }
                     count += right - left;
                 }
                 if count > 0u32 {
-                    key = u32::reinterpret(z);
+                    depths[at] = u32::reinterpret(z);
                     let (direction, _) = sight(&offset, spec.sh_terms);
                     let rgb = raw_colour(
                         colour,
@@ -213,8 +223,14 @@ pub(crate) fn project(
                 }
             }
         }
-        keys[at] = key;
-        order[at] = i;
         counts[at] = count;
+    }
+    let before = scan_cube(count, &mut shared);
+    if UNIT_POS == 255u32 {
+        base[0] = allocated[0].fetch_add(before + count);
+    }
+    sync_cube();
+    if i < n {
+        offsets[i as usize] = base[0] + before;
     }
 }

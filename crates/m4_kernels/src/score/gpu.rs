@@ -9,6 +9,7 @@ use crate::gpu::vector::TIME;
 use crate::gpu::work::Work;
 use crate::project::gpu::RECORD;
 use crate::slice::gpu::life;
+use crate::tile_binning::gpu::BUCKETS;
 use cubecl::prelude::*;
 
 /// The errors of a frame and their weights.
@@ -36,11 +37,11 @@ pub fn add(gpu: &Gpu, work: &Work, splats: &DeviceSplats, frame: &FrameScore<'_>
         dim,
         work.records.arg(),
         work.splat_of_entry.arg(),
-        work.slots().arg(),
+        work.slot_of_entry().arg(),
         work.ranges.arg(),
         work.tile_of_bucket.arg(),
         work.bucket_offsets.arg(),
-        work.buckets().arg(),
+        work.totals.arg(),
         work.ends.arg(),
         frame.errors.arg(),
         frame.cut.arg(),
@@ -55,8 +56,7 @@ pub fn add(gpu: &Gpu, work: &Work, splats: &DeviceSplats, frame: &FrameScore<'_>
         splats.geometry.arg(),
         splats.time.arg(),
         work.eye.arg(),
-        work.depth.values.arg(),
-        work.sorted_counts.arg(),
+        work.counts.arg(),
         work.offsets.arg(),
         work.sums.arg(),
         frame.tally.arg(),
@@ -77,7 +77,7 @@ fn score_slots(
     ranges: &[u32],
     tile_of: &[u32],
     offsets: &[u32],
-    bucket_count: &[u32],
+    totals: &[u32],
     ends: &[u32],
     errors: &[f32],
     cut: &[f32],
@@ -88,7 +88,7 @@ fn score_slots(
     let mut weights = Shared::<[f32]>::new_slice(256usize);
     let mut lasts = Shared::<[u32]>::new_slice(256usize);
     let bucket = CUBE_POS as u32;
-    if bucket < bucket_count[0] {
+    if bucket < totals[BUCKETS] {
         let tile = tile_of[bucket as usize];
         let start = ranges[(2u32 * tile) as usize];
         let entry = start + (bucket - offsets[tile as usize]) * 32u32 + UNIT_POS;
@@ -138,7 +138,6 @@ fn score_splats(
     geometry: &[f32],
     time: &[f32],
     eye: &[f32],
-    order: &[u32],
     counts: &[u32],
     offsets: &[u32],
     sums: &[f32],
@@ -149,14 +148,13 @@ fn score_splats(
     loss_at: u32,
     share: f32,
 ) {
-    let p = ABSOLUTE_POS as u32;
-    if p < n {
-        let count = counts[p as usize];
+    let i = ABSOLUTE_POS as u32;
+    if i < n {
+        let count = counts[i as usize];
         if count > 0u32 {
-            let i = order[p as usize];
             let mut sum = 0.0f32;
             for k in 0u32..count {
-                sum += sums[(offsets[p as usize] + k) as usize];
+                sum += sums[(offsets[i as usize] + k) as usize];
             }
             let life = life(geometry, time, i, n, n_static, eye[TIME]);
             let score = sum * life.marginal;

@@ -1,116 +1,143 @@
-//! Binning: turns ellipses into depth-ordered tile lists.
+//! Binning: turns ellipses into depth-ordered tile lists without sorting everything. Splats count themselves in every tile that
+//! they reach (`project`), a scan over the tiles gives each list its place, splats write themselves into the lists, and a
+//! cube per tile sorts its list ([`sort`]).
 
+use crate::gpu::scan::scan_cube;
 use crate::gpu::vector::SIZE;
 use cubecl::prelude::*;
 
-/// `out[i] = values[order[i]]`.
+pub(crate) mod sort;
+
+/// Of [`tile_starts`]' totals: entries that the frame wants, whether or not there is room for them.
+pub(crate) const WANTED: usize = 0;
+/// Buckets of 32 entries.
+pub(crate) const BUCKETS: usize = 1;
+/// How many totals there are.
+pub(crate) const TOTALS: usize = 2;
+
+/// Gives the lists of all tiles their places, in one cube, and sets the counts back to 0 for the next frame. A frame that
+/// wants more entries than there is room for gets none. `peak` keeps the largest number that a frame wanted.
 #[cube(launch)]
-pub(crate) fn pick(order: &[u32], values: &[u32], count: &[u32], out: &mut [u32]) {
-    let i = ABSOLUTE_POS as u32;
-    if i < count[0].min(out.len() as u32) {
-        out[i as usize] = values[order[i as usize] as usize];
+pub(crate) fn tile_starts(
+    counts: &mut [u32],
+    allocated: &mut [u32],
+    ranges: &mut [u32],
+    cursors: &mut [u32],
+    buckets: &mut [u32],
+    totals: &mut [u32],
+    peak: &mut [u32],
+    tiles: u32,
+    capacity: u32,
+) {
+    let mut shared = Shared::<[u32]>::new_slice(256usize);
+    let wanted = allocated[0];
+    let mut entries = 0u32;
+    let mut bucket = 0u32;
+    let mut start = 0u32;
+    while start < tiles {
+        // four tiles a unit
+        let tile = start + 4u32 * UNIT_POS;
+        let mut mine = 0u32;
+        let mut filled = 0u32;
+        if wanted <= capacity {
+            for k in tile..(tile + 4u32).min(tiles) {
+                let count = counts[k as usize];
+                mine += count;
+                filled += buckets_of(count);
+            }
+        }
+        let mut first = entries + scan_cube(mine, &mut shared);
+        entries += shared[255usize];
+        sync_cube();
+        let mut first_bucket = bucket + scan_cube(filled, &mut shared);
+        bucket += shared[255usize];
+        sync_cube();
+        for k in tile..(tile + 4u32).min(tiles) {
+            let at = k as usize;
+            let mut count = counts[at];
+            if wanted > capacity {
+                count = 0u32;
+            }
+            counts[at] = 0u32;
+            ranges[2 * at] = first;
+            ranges[2 * at + 1] = first + count;
+            cursors[at] = first;
+            buckets[at] = first_bucket;
+            first += count;
+            first_bucket += buckets_of(count);
+        }
+        start += 1024u32;
+    }
+    sync_cube();
+    if UNIT_POS == 0u32 {
+        totals[WANTED] = wanted;
+        totals[BUCKETS] = bucket;
+        peak[0] = peak[0].max(wanted);
+        allocated[0] = 0u32;
     }
 }
 
-/// The largest number of entries of any frame so far.
-#[cube(launch)]
-pub(crate) fn note_peak(count: &[u32], peak: &mut [u32]) {
-    if ABSOLUTE_POS == 0 {
-        peak[0] = peak[0].max(count[0]);
-    }
+/// Buckets that hold `count` entries.
+#[cube]
+pub(crate) fn buckets_of(count: u32) -> u32 {
+    (count + 31u32) / 32u32
 }
 
-/// Tile counts in the order of depth.
-#[cube(launch)]
-pub(crate) fn gather(order: &[u32], counts: &[u32], out: &mut [u32], n: u32) {
-    let i = ABSOLUTE_POS as u32;
-    if i < n {
-        out[i as usize] = counts[order[i as usize] as usize];
-    }
-}
-
-/// One entry for every tile that a splat reaches, splats near to far, as long as there is room; `counts` become those
-/// that were made.
+/// One entry for every tile that a splat reaches, anywhere in the tile's list; `counts` become the numbers that were made.
 #[cube(launch)]
 pub(crate) fn emit(
-    order: &[u32],
     counts: &mut [u32],
     offsets: &[u32],
     reaches: &[f32],
+    depths: &[u32],
     eye: &[f32],
+    ranges: &[u32],
+    cursors: &[Atomic<u32>],
     keys: &mut [u32],
-    splats: &mut [u32],
     slots: &mut [u32],
+    splats: &mut [u32],
+    totals: &[u32],
     n: u32,
     across: u32,
+    capacity: u32,
 ) {
-    let p = ABSOLUTE_POS as u32;
-    if p < n {
-        let count = counts[p as usize];
+    let i = ABSOLUTE_POS as u32;
+    if i < n {
+        let at = i as usize;
+        let count = counts[at];
         if count > 0u32 {
-            let splat = order[p as usize];
-            let mut slot = offsets[p as usize];
-            let mut end_slot = slot + count;
-            if end_slot > keys.len() as u32 {
-                end_slot = keys.len() as u32;
-            }
-            let r = splat as usize * REACH;
-            let reach = Reach {
-                u: reaches[r],
-                v: reaches[r + 1],
-                v00: reaches[r + 2],
-                v01: reaches[r + 3],
-                v11: reaches[r + 4],
-                radius: reaches[r + 5],
-                width: eye[SIZE],
-                height: eye[SIZE + 1],
-            };
-            let (first, end) = tile_rows(&reach);
-            for row in first..end {
-                let (left, right) = tile_span(&reach, row);
-                for column in left..right {
-                    if slot < end_slot {
-                        keys[slot as usize] = row * across + column;
-                        splats[slot as usize] = splat;
-                        slots[slot as usize] = slot;
-                        slot += 1u32;
+            let offset = offsets[at];
+            let mut made = 0u32;
+            if totals[WANTED] <= capacity {
+                let r = at * REACH;
+                let reach = Reach {
+                    u: reaches[r],
+                    v: reaches[r + 1],
+                    v00: reaches[r + 2],
+                    v01: reaches[r + 3],
+                    v11: reaches[r + 4],
+                    radius: reaches[r + 5],
+                    width: eye[SIZE],
+                    height: eye[SIZE + 1],
+                };
+                let (first, end) = tile_rows(&reach, SLACK_PX);
+                for row in first..end {
+                    let (left, right) = tile_span(&reach, row, SLACK_PX);
+                    for column in left..right {
+                        let tile = (row * across + column) as usize;
+                        if made < count {
+                            let place = cursors[tile].fetch_add(1u32);
+                            if place < ranges[2 * tile + 1] {
+                                keys[place as usize] = depths[at];
+                                slots[place as usize] = offset + made;
+                                splats[(offset + made) as usize] = i;
+                                made += 1u32;
+                            }
+                        }
                     }
                 }
             }
-            // two kernels may round differently: what was counted and not found lies in no tile
-            counts[p as usize] = slot - offsets[p as usize].min(slot);
-            while slot < end_slot {
-                keys[slot as usize] = 0xffff_ffffu32;
-                splats[slot as usize] = splat;
-                slots[slot as usize] = slot;
-                slot += 1u32;
-            }
-        }
-    }
-}
-
-/// Where each tile's entries start and end.
-#[cube(launch)]
-pub(crate) fn ranges(keys: &[u32], count: &[u32], ranges: &mut [u32], capacity: u32, tiles: u32) {
-    let i = ABSOLUTE_POS as u32;
-    let n = count[0].min(capacity);
-    if i < n {
-        let tile = keys[i as usize];
-        if tile < tiles {
-            let mut starts = i == 0u32;
-            if !starts {
-                starts = keys[(i - 1u32) as usize] != tile;
-            }
-            if starts {
-                ranges[(2u32 * tile) as usize] = i;
-            }
-            let mut ends = i + 1u32 == n;
-            if !ends {
-                ends = keys[(i + 1u32) as usize] != tile;
-            }
-            if ends {
-                ranges[(2u32 * tile + 1u32) as usize] = i + 1u32;
-            }
+            counts[at] = made;
         }
     }
 }
@@ -118,7 +145,11 @@ pub(crate) fn ranges(keys: &[u32], count: &[u32], ranges: &mut [u32], capacity: 
 /// Pixels along a side of a tile.
 pub(crate) const TILE: usize = 16;
 /// Added to both sides of an ellipse, pixels: kernels that round differently agree on its tiles.
-const SLACK_PX: f32 = 0.005;
+pub(crate) const SLACK_PX: f32 = 0.005;
+/// Added when tiles are counted: what rounds differently when entries are made must not find more tiles than were counted.
+const COUNT_SLACK_PX: f32 = 0.007;
+/// The same, as a share of the coordinates.
+const COUNT_SLACK: f32 = 4e-6;
 /// Numbers of a reach in memory.
 pub(crate) const REACH: usize = 6;
 
@@ -139,10 +170,17 @@ pub(crate) struct Reach {
     pub height: f32,
 }
 
+/// The slack with which tiles are counted.
+#[cube]
+pub(crate) fn count_slack(r: &Reach) -> f32 {
+    let size = r.u.abs() + r.v.abs() + (r.radius * r.v00).sqrt() + (r.radius * r.v11).sqrt();
+    COUNT_SLACK_PX + COUNT_SLACK * size
+}
+
 /// First row of tiles that an ellipse reaches, and the one after the last.
 #[cube]
-pub(crate) fn tile_rows(r: &Reach) -> (u32, u32) {
-    let half = (r.radius * r.v11).sqrt() + SLACK_PX;
+pub(crate) fn tile_rows(r: &Reach, slack: f32) -> (u32, u32) {
+    let half = (r.radius * r.v11).sqrt() + slack;
     let top = (r.v - half).ceil().max(0.0f32);
     let bottom = (r.v + half).floor().min(r.height - 1.0f32);
     let mut first = 0u32;
@@ -156,8 +194,8 @@ pub(crate) fn tile_rows(r: &Reach) -> (u32, u32) {
 
 /// First tile of a row that an ellipse reaches, and the one after the last.
 #[cube]
-pub(crate) fn tile_span(r: &Reach, row: u32) -> (u32, u32) {
-    let half = (r.radius * r.v11).sqrt() + SLACK_PX;
+pub(crate) fn tile_span(r: &Reach, row: u32, slack: f32) -> (u32, u32) {
+    let half = (r.radius * r.v11).sqrt() + slack;
     let reach_x = (r.radius * r.v00).sqrt();
     let right_at = r.v01 * reach_x / r.v00;
     let inverse = 1.0f32 / r.v11;
@@ -167,9 +205,9 @@ pub(crate) fn tile_span(r: &Reach, row: u32) -> (u32, u32) {
     let low = (f32::cast_from(row * 16u32) - r.v).max(-half);
     let high = (f32::cast_from(row * 16u32) + 15.0f32 - r.v).min(half);
     let y = right_at.max(low).min(high);
-    let right = r.u + slope * y + ((r.radius - y * y * inverse) * across).max(0.0f32).sqrt() + SLACK_PX;
+    let right = r.u + slope * y + ((r.radius - y * y * inverse) * across).max(0.0f32).sqrt() + slack;
     let y = (-right_at).max(low).min(high);
-    let left = r.u + slope * y - ((r.radius - y * y * inverse) * across).max(0.0f32).sqrt() - SLACK_PX;
+    let left = r.u + slope * y - ((r.radius - y * y * inverse) * across).max(0.0f32).sqrt() - slack;
     let left = left.ceil().max(0.0f32);
     let right = right.floor().min(r.width - 1.0f32);
     let mut first = 0u32;

@@ -12,12 +12,12 @@ mod score;
 mod step;
 mod training;
 
-use m4_kernels::gpu::{Choice, Gpu};
+use m4_kernels::gpu::Gpu;
 
 /// A GPU, or a software Vulkan driver (lavapipe); `None`, and said so, where there is neither.
 #[track_caller]
 fn gpu(test: &str) -> Option<Gpu> {
-    match Gpu::open(Choice::Best).or_else(|_| Gpu::open(Choice::Software)) {
+    match Gpu::for_tests() {
         Ok(gpu) => Some(gpu),
         Err(error) => {
             m4_testkit::skip(m4_testkit::Need::Vulkan, &format!("{test}: {error}"));

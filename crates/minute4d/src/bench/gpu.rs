@@ -24,7 +24,7 @@ const LAMBDA_SSIM: f64 = 0.2;
 pub(super) fn open(device: DeviceChoice) -> Result<Option<Gpu>, Error> {
     let choice = match device {
         DeviceChoice::Cpu => return Ok(None),
-        DeviceChoice::Auto if best(&adapters()).is_none() => return Ok(None),
+        DeviceChoice::Auto if best(adapters()).is_none() => return Ok(None),
         DeviceChoice::Auto | DeviceChoice::Gpu(None) => Choice::Best,
         DeviceChoice::Gpu(Some(index)) => Choice::Index(index),
     };

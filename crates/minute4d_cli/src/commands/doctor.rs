@@ -103,7 +103,7 @@ fn gpus() -> Vec<GpuAdapter> {
     use minute4d::gpu::{AdapterKind, adapters};
     let all = adapters();
     let usable = |a: &minute4d::gpu::Adapter| a.kind != AdapterKind::Software && a.unfit.is_none();
-    let best = minute4d::gpu::best(&all).map(|a| a.index);
+    let best = minute4d::gpu::best(all).map(|a| a.index);
     let why = |a: &minute4d::gpu::Adapter| match (&a.unfit, a.kind) {
         (Some(unfit), _) => Some(unfit.clone()),
         (None, AdapterKind::Software) => Some("software rendering, slower than --device cpu".to_owned()),

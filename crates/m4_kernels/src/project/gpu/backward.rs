@@ -21,7 +21,6 @@ pub(crate) fn project_backward(
     colour: &[f32],
     time: &[f32],
     eye: &[f32],
-    order: &[u32],
     counts: &[u32],
     offsets: &[u32],
     sums: &[f32],
@@ -42,12 +41,11 @@ pub(crate) fn project_backward(
             share[k] = f32::new(0.0f32);
         }
     }
-    let p = ABSOLUTE_POS as u32;
-    if p < n {
-        let i = order[p as usize];
+    let i = ABSOLUTE_POS as u32;
+    if i < n {
         let at = i as usize;
         let rows = n as usize;
-        let count = counts[p as usize];
+        let count = counts[at];
         let mut seen = 0u32;
         if count > 0u32 {
             let mut weight = 0.0f32;
@@ -60,7 +58,7 @@ pub(crate) fn project_backward(
             let mut d_green = 0.0f32;
             let mut d_blue = 0.0f32;
             for k in 0u32..count {
-                let s = (offsets[p as usize] + k) as usize * SUMS;
+                let s = (offsets[at] + k) as usize * SUMS;
                 weight += sums[s];
                 mx += sums[s + 1];
                 my += sums[s + 2];

@@ -158,7 +158,6 @@ impl GpuTrainer {
 
     /// Moves every splat that was seen; `weight` is that of [`cover`].
     fn move_splats(&self, settings: &StepSettings<'_>, weight: f32) {
-        self.tally.step(&self.gpu, &self.work.touched, self.splats.n);
         if weight > 0.0 {
             let (splats, gradients) = (&self.splats, &self.gradients);
             cover::gpu::add(&self.gpu, splats, gradients, &self.work.touched, weight);

@@ -66,7 +66,7 @@ impl GpuTrainer {
             training: true,
         };
         let splats = DeviceSplats::upload(&gpu, splats)?;
-        let tally = Tally::new(&gpu, 1, size.n);
+        let tally = Tally::new(&gpu, 1);
         let mut work = Work::new(&gpu, size)?;
         work.peak = tally.buffer.clone();
         Ok(Self {
@@ -150,17 +150,14 @@ impl GpuTrainer {
             return Ok(());
         }
         self.check_limit(size)?;
-        let (n, peak) = (self.work.size.n, self.work.peak.clone());
+        let peak = self.work.peak.clone();
         self.work.remake(&self.gpu, size)?;
         self.work.peak = peak;
-        if n != size.n {
-            self.tally.resize(&self.gpu, size.n);
-        }
         Ok(())
     }
 
     /// Waits, and returns the statistics of the steps since the last call, by one small read. Makes room for more tile entries where
-    /// frames had more than there was room for; those left out were the farthest.
+    /// frames had more than there was room for; those frames moved nothing.
     /// Fails with [`GpuError`] if the device failed since.
     pub fn stats(&mut self) -> Result<StepStats, GpuError> {
         let (mut stats, entries) = self.tally.take(&self.gpu, TRAINING)?;

@@ -107,7 +107,7 @@ impl GpuTrainer {
     pub(crate) fn scores(&mut self, views: &[(usize, View)], settings: &ScoreSettings) -> Result<Buffer, GpuError> {
         let n = self.splats.n;
         let gpu = self.gpu.clone();
-        let tally = Tally::new(&gpu, views.len(), 0);
+        let tally = Tally::new(&gpu, views.len());
         let scores = Buffer::zeros(&gpu.client, 2 * n);
         let mask = Mask::new(&gpu, self.work.size.pixels(), settings.range);
         let share = 1.0 / views.len().max(1) as f32;
