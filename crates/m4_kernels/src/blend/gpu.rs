@@ -1,4 +1,4 @@
-//! Blends tile lists into an image (Minute4D Eq. 3): one cube per tile, one unit per pixel.
+//! Blends tile lists into an image (Minute4D Eq. 3): one cube per tile of 8x8 pixels, one unit per pixel.
 
 use crate::{gpu::vector::BACKGROUND, project::gpu::RECORD};
 use cubecl::prelude::*;
@@ -26,17 +26,23 @@ pub(crate) fn blend(
     #[comptime] with_depth: bool,
     #[comptime] training: bool,
 ) {
-    let mut batch = Shared::<[f32]>::new_slice(256usize * RECORD);
+    let mut batch = Shared::<[f32]>::new_slice(64usize * RECORD);
     let mut alive = Shared::<[u32]>::new_slice(1usize);
     let farthest = Shared::<[Atomic<u32>]>::new_slice(1usize);
     let tile = CUBE_POS as u32;
-    let across = (width + 15u32) / 16u32;
-    let x = (tile % across) * 16u32 + UNIT_POS % 16u32;
-    let y = (tile / across) * 16u32 + UNIT_POS / 16u32;
+    let across = (width + 7u32) / 8u32;
+    let top = (tile / across) * 8u32;
+    let x = (tile % across) * 8u32 + UNIT_POS % 8u32;
+    let y = top + UNIT_POS / 8u32;
     let inside = x < width && y < height;
     let (px, py) = (f32::cast_from(x), f32::cast_from(y));
-    let start = ranges[(2u32 * tile) as usize];
-    let end = ranges[(2u32 * tile + 1u32) as usize];
+    let mut start = 0u32;
+    let mut end = 0u32;
+    // the grid may have a few cubes more
+    if top < height {
+        start = ranges[(2u32 * tile) as usize];
+        end = ranges[(2u32 * tile + 1u32) as usize];
+    }
     let mut light = 1.0f32;
     let mut red = 0.0f32;
     let mut green = 0.0f32;
@@ -46,13 +52,15 @@ pub(crate) fn blend(
     let mut last = start;
     let mut bucket = 0u32;
     if comptime!(training) {
-        bucket = offsets[tile as usize];
+        if end > start {
+            bucket = offsets[tile as usize];
+        }
     }
-    let batches = (end - start + 255u32) / 256u32;
+    let batches = (end - start + 63u32) / 64u32;
     let mut b = 0u32;
     let mut open = batches > 0u32;
     while open {
-        let first = start + b * 256u32;
+        let first = start + b * 64u32;
         let entry = first + UNIT_POS;
         sync_cube();
         if UNIT_POS == 0u32 {
@@ -67,12 +75,12 @@ pub(crate) fn blend(
             }
         }
         sync_cube();
-        let count = (end - first).min(256u32);
+        let count = (end - first).min(64u32);
         let mut k = 0u32;
         while k < count && going {
             if comptime!(training) {
                 if k % 32u32 == 0u32 {
-                    let to = ((bucket + b * 8u32 + k / 32u32) * 256u32 + UNIT_POS) as usize * 4;
+                    let to = ((bucket + b * 2u32 + k / 32u32) * 64u32 + UNIT_POS) as usize * 4;
                     if to < checkpoints.len() {
                         checkpoints[to] = light;
                         checkpoints[to + 1] = red;
@@ -128,7 +136,7 @@ pub(crate) fn blend(
             farthest[0].fetch_max(last);
         }
         sync_cube();
-        if UNIT_POS == 0u32 {
+        if UNIT_POS == 0u32 && top < height {
             tile_ends[tile as usize] = farthest[0].load();
         }
     }

@@ -6,6 +6,7 @@ use crate::gpu::sort::Sort;
 use crate::gpu::splats::parts;
 use crate::gpu::work::{CHECKPOINT, Size};
 use crate::gpu::{Gpu, GpuError, tally::LOSSES, vector::EYE};
+use crate::loss::gpu as loss;
 use crate::project::gpu::RECORD;
 use crate::tile_binning::gpu::{REACH, TILE, TOTALS};
 use m4_core::SplatLayout;
@@ -68,7 +69,7 @@ impl Plan {
             part("gradients", &columns),
         ];
         parts.extend(work(&size));
-        parts.push(part("loss", &[9 * pixels, 9 * size.tiles(), LOSSES + 1]));
+        parts.push(part("loss", &[9 * pixels, 9 * loss::tiles(width, height), LOSSES + 1]));
         parts.push(density_control(&columns, n, pixels));
         // planes of bytes, each in words of its own
         let frame = part("frames", &[3 * pixels.div_ceil(4)]);
@@ -204,7 +205,7 @@ fn work(size: &Size) -> Vec<Part> {
     let (n, entries, tiles, pixels) = (size.n, size.entries, size.tiles(), size.pixels());
     let splats = [RECORD * n, REACH * n, n, n, n, n, EYE];
     let mut lists = vec![entries; 6];
-    lists.extend([2 * tiles, tiles, tiles, tiles, tiles, 1, 1, TOTALS]);
+    lists.extend([2 * tiles, tiles, tiles, tiles, tiles + 1, 1, TOTALS]);
     let mut parts =
         vec![part("splats of a frame", &splats), part("tile lists", &lists), part("image", &[5 * pixels, pixels])];
     if size.training {

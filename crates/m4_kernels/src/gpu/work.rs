@@ -65,8 +65,8 @@ pub struct Work {
     /// Entries of each splat, and its first slot.
     pub(crate) counts: Buffer,
     pub(crate) offsets: Buffer,
-    /// Entries of each tile, and slots of all: 0 between frames.
-    tile_counts: Buffer,
+    /// Where the tiles' counts change, and slots of all splats: 0 between frames.
+    changes: Buffer,
     allocated: Buffer,
     cursors: Buffer,
     /// Depth and slot of each entry, tile after tile in any order, and sorted.
@@ -114,12 +114,12 @@ impl Work {
         ] {
             gpu.fits(what, 4 * len)?;
         }
-        // a cube a tile along one dimension
-        if tiles > 65_535 {
+        // the loss has a cube per tile of 16x16 pixels along one dimension
+        if size.training && pixels > 65_535 * 256 {
             return Err(GpuError::TooLarge {
                 what: "the image",
                 needed: 20 * pixels / 1_000_000,
-                limit: 20 * 65_535 * TILE * TILE / 1_000_000,
+                limit: 20 * 65_535 * 256 / 1_000_000,
                 name: gpu.adapter().name.clone(),
             });
         }
@@ -132,7 +132,7 @@ impl Work {
             depths: empty(n),
             counts: empty(n),
             offsets: empty(n),
-            tile_counts: Buffer::zeros(client, tiles),
+            changes: Buffer::zeros(client, tiles + 1),
             allocated: Buffer::words(client, &[0]),
             cursors: empty(tiles),
             lists: [empty(entries), empty(entries)],
@@ -183,7 +183,7 @@ impl Work {
             self.depths.arg(),
             self.counts.arg(),
             self.offsets.arg(),
-            self.tile_counts.arg(),
+            self.changes.arg(),
             self.allocated.arg(),
             n as u32,
             splats.n_static as u32,
@@ -196,7 +196,7 @@ impl Work {
         blend::blend::launch(
             client,
             cubes(tiles, 1),
-            units(),
+            CubeDim::new_1d((TILE * TILE) as u32),
             self.records.arg(),
             self.splat_of_entry.arg(),
             self.ranges.arg(),
@@ -222,7 +222,7 @@ impl Work {
             client,
             cubes(1, 1),
             units(),
-            self.tile_counts.arg(),
+            self.changes.arg(),
             self.allocated.arg(),
             self.ranges.arg(),
             self.cursors.arg(),
@@ -254,7 +254,7 @@ impl Work {
         sort::sort_lists::launch(
             client,
             cubes(size.tiles(), 1),
-            units(),
+            CubeDim::new_1d(sort::UNITS),
             self.ranges.arg(),
             self.cursors.arg(),
             self.bucket_offsets.arg(),

@@ -242,10 +242,17 @@ pub(crate) fn gradient(
     }
 }
 
+/// Tiles of 16x16 pixels of an image.
+pub(crate) fn tiles(width: usize, height: usize) -> usize {
+    width.div_ceil(16) * height.div_ceil(16)
+}
+
 /// Memory for frames of one size.
 #[derive(Debug)]
 pub struct Loss {
     size: Size,
+    /// Tiles of 16x16 pixels.
+    tiles: usize,
     /// SSIM's derivatives, three planes per channel.
     slopes: Buffer,
     /// Three sums per tile and channel.
@@ -257,14 +264,15 @@ impl Loss {
     pub fn new(gpu: &Gpu, size: Size) -> Self {
         Self {
             size,
+            tiles: tiles(size.width, size.height),
             slopes: Buffer::empty(&gpu.client, 9 * size.pixels()),
-            sums: Buffer::empty(&gpu.client, 9 * size.tiles()),
+            sums: Buffer::empty(&gpu.client, 9 * tiles(size.width, size.height)),
         }
     }
 
     /// A cube a tile and channel.
     fn cubes(&self) -> CubeCount {
-        CubeCount::Static(self.size.tiles() as u32, 3, 1)
+        CubeCount::Static(self.tiles as u32, 3, 1)
     }
 
     /// Compares `image` with `frame` and adds the sums to `tally`, the loss as that of view `index`. `lambda` is the share of
@@ -281,7 +289,7 @@ impl Loss {
             self.size.width as u32,
             self.size.height as u32,
         );
-        tally.frame(gpu, &self.sums, self.size.tiles(), 3 * self.size.pixels(), index, lambda);
+        tally.frame(gpu, &self.sums, self.tiles, 3 * self.size.pixels(), index, lambda);
     }
 
     /// The gradient of what was compared last, with respect to `image`.

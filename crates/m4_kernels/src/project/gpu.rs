@@ -130,7 +130,7 @@ const LOG2_ALPHA_MIN: f32 = crate::blend::LOG2_ALPHA_MIN as f32;
 const HALF_LOG2_E: f32 = 0.5 * LOG2_E;
 const TWO_LN_2: f32 = 2.0 * LN_2;
 
-/// Fills the records of the splats in the frame, their depths and tile counts, counts them in their tiles, and gives every
+/// Fills the records of the splats in the frame, their depths and tile counts, notes where the tiles' counts change, and gives every
 /// tile of a splat a slot: `offsets` is the first of them. Which splats come first is different every time.
 #[cube(launch)]
 pub(crate) fn project(
@@ -143,7 +143,7 @@ pub(crate) fn project(
     depths: &mut [u32],
     counts: &mut [u32],
     offsets: &mut [u32],
-    tiles: &[Atomic<u32>],
+    changes: &[Atomic<u32>],
     allocated: &[Atomic<u32>],
     n: u32,
     n_static: u32,
@@ -185,10 +185,12 @@ pub(crate) fn project(
                 let (first, end) = tile_rows(&reach, slack);
                 for row in first..end {
                     let (left, right) = tile_span(&reach, row, slack);
-                    for column in left..right {
-                        tiles[(row * across + column) as usize].fetch_add(1u32);
+                    if left < right {
+                        // one more entry from the first tile on, one less after the last
+                        changes[(row * across + left) as usize].fetch_add(1u32);
+                        changes[(row * across + right) as usize].fetch_sub(1u32);
+                        count += right - left;
                     }
-                    count += right - left;
                 }
                 if count > 0u32 {
                     depths[at] = u32::reinterpret(z);

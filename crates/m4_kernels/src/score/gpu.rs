@@ -85,18 +85,18 @@ fn score_slots(
     width: u32,
     height: u32,
 ) {
-    let mut weights = Shared::<[f32]>::new_slice(256usize);
-    let mut lasts = Shared::<[u32]>::new_slice(256usize);
+    let mut weights = Shared::<[f32]>::new_slice(64usize);
+    let mut lasts = Shared::<[u32]>::new_slice(64usize);
     let bucket = CUBE_POS as u32;
     if bucket < totals[BUCKETS] {
         let tile = tile_of[bucket as usize];
         let start = ranges[(2u32 * tile) as usize];
         let entry = start + (bucket - offsets[tile as usize]) * 32u32 + UNIT_POS;
-        let across = (width + 15u32) / 16u32;
-        let (left, top) = ((tile % across) * 16u32, (tile / across) * 16u32);
+        let across = (width + 7u32) / 8u32;
+        let (left, top) = ((tile % across) * 8u32, (tile / across) * 8u32);
         let mut p = UNIT_POS;
-        while p < 256u32 {
-            let (x, y) = (left + p % 16u32, top + p / 16u32);
+        while p < 64u32 {
+            let (x, y) = (left + p % 8u32, top + p / 8u32);
             let mut weight = 0.0f32;
             let mut last = 0u32;
             if x < width && y < height {
@@ -118,9 +118,9 @@ fn score_slots(
             let (a, b, c) = (records[r + 2], records[r + 3], records[r + 4]);
             let log_opacity = records[r + 5];
             let mut sum = 0.0f32;
-            for p in 0u32..256u32 {
-                let dx = u - f32::cast_from(left + p % 16u32);
-                let dy = v - f32::cast_from(top + p / 16u32);
+            for p in 0u32..64u32 {
+                let dx = u - f32::cast_from(left + p % 8u32);
+                let dy = v - f32::cast_from(top + p / 8u32);
                 let power = a * dx * dx + b * dx * dy + c * dy * dy;
                 let exponent = log_opacity - power;
                 if entry < lasts[p as usize] && power >= 0.0f32 && exponent >= LOG2_ALPHA_MIN {

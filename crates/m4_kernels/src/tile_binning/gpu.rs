@@ -1,6 +1,6 @@
-//! Binning: turns ellipses into depth-ordered tile lists without sorting everything. Splats count themselves in every tile that
-//! they reach (`project`), a scan over the tiles gives each list its place, splats write themselves into the lists, and a
-//! cube per tile sorts its list ([`sort`]).
+//! Binning: turns ellipses into depth-ordered tile lists without sorting everything. Splats note in each row of tiles where
+//! their count changes (`project`), a scan over the tiles gives each list its place, splats write themselves into the lists,
+//! and a cube per tile sorts its list ([`sort`]).
 
 use crate::gpu::scan::scan_cube;
 use crate::gpu::vector::SIZE;
@@ -15,11 +15,15 @@ pub(crate) const BUCKETS: usize = 1;
 /// How many totals there are.
 pub(crate) const TOTALS: usize = 2;
 
-/// Gives the lists of all tiles their places, in one cube, and sets the counts back to 0 for the next frame. A frame that
-/// wants more entries than there is room for gets none. `peak` keeps the largest number that a frame wanted.
+/// Tiles of a unit in a round of [`tile_starts`].
+const RUN: u32 = 16;
+
+/// Gives the lists of all tiles their places, in one cube, and sets the changes of their counts back to 0 for the next frame: the
+/// number of entries of a tile is the sum of the changes up to it. A frame that wants more entries than there is room for gets none.
+/// `peak` keeps the largest number that a frame wanted.
 #[cube(launch)]
 pub(crate) fn tile_starts(
-    counts: &mut [u32],
+    changes: &mut [u32],
     allocated: &mut [u32],
     ranges: &mut [u32],
     cursors: &mut [u32],
@@ -31,20 +35,32 @@ pub(crate) fn tile_starts(
 ) {
     let mut shared = Shared::<[u32]>::new_slice(256usize);
     let wanted = allocated[0];
+    // before the round: entries of the tile, entries and buckets of all tiles
+    let mut level = 0u32;
     let mut entries = 0u32;
     let mut bucket = 0u32;
     let mut start = 0u32;
     while start < tiles {
-        // four tiles a unit
-        let tile = start + 4u32 * UNIT_POS;
+        let tile = start + RUN * UNIT_POS;
+        let end = (tile + RUN).min(tiles);
+        let mut change = 0u32;
+        for k in tile..end {
+            change += changes[k as usize];
+        }
+        let first_level = level + scan_cube(change, &mut shared);
+        level += shared[255usize];
+        sync_cube();
+        let mut count = first_level;
         let mut mine = 0u32;
         let mut filled = 0u32;
-        if wanted <= capacity {
-            for k in tile..(tile + 4u32).min(tiles) {
-                let count = counts[k as usize];
-                mine += count;
-                filled += buckets_of(count);
-            }
+        for k in tile..end {
+            count += changes[k as usize];
+            mine += count;
+            filled += buckets_of(count);
+        }
+        if wanted > capacity {
+            mine = 0u32;
+            filled = 0u32;
         }
         let mut first = entries + scan_cube(mine, &mut shared);
         entries += shared[255usize];
@@ -52,21 +68,23 @@ pub(crate) fn tile_starts(
         let mut first_bucket = bucket + scan_cube(filled, &mut shared);
         bucket += shared[255usize];
         sync_cube();
-        for k in tile..(tile + 4u32).min(tiles) {
+        let mut count = first_level;
+        for k in tile..end {
             let at = k as usize;
-            let mut count = counts[at];
+            count += changes[at];
+            changes[at] = 0u32;
+            let mut here = count;
             if wanted > capacity {
-                count = 0u32;
+                here = 0u32;
             }
-            counts[at] = 0u32;
             ranges[2 * at] = first;
-            ranges[2 * at + 1] = first + count;
+            ranges[2 * at + 1] = first + here;
             cursors[at] = first;
             buckets[at] = first_bucket;
-            first += count;
-            first_bucket += buckets_of(count);
+            first += here;
+            first_bucket += buckets_of(here);
         }
-        start += 1024u32;
+        start += RUN * 256u32;
     }
     sync_cube();
     if UNIT_POS == 0u32 {
@@ -74,6 +92,7 @@ pub(crate) fn tile_starts(
         totals[BUCKETS] = bucket;
         peak[0] = peak[0].max(wanted);
         allocated[0] = 0u32;
+        changes[tiles as usize] = 0u32;
     }
 }
 
@@ -83,7 +102,8 @@ pub(crate) fn buckets_of(count: u32) -> u32 {
     (count + 31u32) / 32u32
 }
 
-/// One entry for every tile that a splat reaches, anywhere in the tile's list; `counts` become the numbers that were made.
+/// One entry for every tile that a splat reaches, anywhere in the tile's list; `counts` become the numbers that were made. The units
+/// of a cube share the entries of its 256 splats, of which a few can have hundreds.
 #[cube(launch)]
 pub(crate) fn emit(
     counts: &mut [u32],
@@ -101,49 +121,97 @@ pub(crate) fn emit(
     across: u32,
     capacity: u32,
 ) {
-    let i = ABSOLUTE_POS as u32;
+    // slots of each splat, of which there are as many as it was counted in tiles, from those of the first
+    let mut starts = Shared::<[u32]>::new_slice(256usize);
+    let mut all = Shared::<[u32]>::new_slice(1usize);
+    let cube = ABSOLUTE_POS as u32 - UNIT_POS;
+    let i = cube + UNIT_POS;
+    let fits = totals[WANTED] <= capacity;
+    let mut count = 0u32;
     if i < n {
-        let at = i as usize;
-        let count = counts[at];
-        if count > 0u32 {
-            let offset = offsets[at];
-            let mut made = 0u32;
-            if totals[WANTED] <= capacity {
-                let r = at * REACH;
-                let reach = Reach {
-                    u: reaches[r],
-                    v: reaches[r + 1],
-                    v00: reaches[r + 2],
-                    v01: reaches[r + 3],
-                    v11: reaches[r + 4],
-                    radius: reaches[r + 5],
-                    width: eye[SIZE],
-                    height: eye[SIZE + 1],
-                };
-                let (first, end) = tile_rows(&reach, SLACK_PX);
-                for row in first..end {
-                    let (left, right) = tile_span(&reach, row, SLACK_PX);
-                    for column in left..right {
-                        let tile = (row * across + column) as usize;
-                        if made < count {
-                            let place = cursors[tile].fetch_add(1u32);
-                            if place < ranges[2 * tile + 1] {
-                                keys[place as usize] = depths[at];
-                                slots[place as usize] = offset + made;
-                                splats[(offset + made) as usize] = i;
-                                made += 1u32;
-                            }
-                        }
-                    }
+        count = counts[i as usize];
+        if !fits {
+            counts[i as usize] = 0u32;
+        }
+    }
+    let start = scan_cube(count, &mut starts);
+    sync_cube();
+    starts[UNIT_POS as usize] = start;
+    if UNIT_POS == 255u32 {
+        all[0] = start + count;
+    }
+    let end = workgroup_uniform_load(&all[0]);
+    if fits && end > 0u32 {
+        let base = offsets[cube as usize];
+        let mut t = UNIT_POS;
+        while t < end {
+            // the last splat that starts here or before
+            let mut low = 0u32;
+            let mut step = 128u32;
+            while step > 0u32 {
+                if starts[(low + step) as usize] <= t {
+                    low += step;
+                }
+                step /= 2u32;
+            }
+            let splat = (cube + low) as usize;
+            let nth = t - starts[low as usize];
+            let r = splat * REACH;
+            let reach = Reach {
+                u: reaches[r],
+                v: reaches[r + 1],
+                v00: reaches[r + 2],
+                v01: reaches[r + 3],
+                v11: reaches[r + 4],
+                radius: reaches[r + 5],
+                width: eye[SIZE],
+                height: eye[SIZE + 1],
+            };
+            let (tile, made) = nth_tile(&reach, nth, across);
+            if tile != NO_TILE {
+                let place = cursors[tile as usize].fetch_add(1u32);
+                if place < ranges[(2u32 * tile + 1u32) as usize] {
+                    keys[place as usize] = depths[splat];
+                    slots[place as usize] = base + t;
+                    splats[(base + t) as usize] = splat as u32;
                 }
             }
-            counts[at] = made;
+            // the first that was counted and is not there
+            if tile == NO_TILE && nth == made {
+                counts[splat] = made;
+            }
+            t += 256u32;
         }
     }
 }
 
+/// In place of a tile.
+const NO_TILE: u32 = 0xffff_ffff;
+
+/// The tile of number `nth`, row by row, that an ellipse reaches, and how many there are up to its row. [`NO_TILE`], and how many there
+/// are at all, if there are not that many.
+#[cube]
+fn nth_tile(reach: &Reach, nth: u32, across: u32) -> (u32, u32) {
+    let mut tile = NO_TILE.runtime();
+    let mut made = 0u32;
+    let (first, end) = tile_rows(reach, SLACK_PX);
+    let mut row = first;
+    while row < end && tile == NO_TILE {
+        let (left, right) = tile_span(reach, row, SLACK_PX);
+        if nth < made + right - left {
+            tile = row * across + left + nth - made;
+        }
+        made += right - left;
+        row += 1u32;
+    }
+    (tile, made)
+}
+
 /// Pixels along a side of a tile.
-pub(crate) const TILE: usize = 16;
+pub const TILE: usize = 8;
+const SIDE: u32 = TILE as u32;
+/// The last pixel of a row, from the first.
+const LAST: f32 = TILE as f32 - 1.0;
 /// Added to both sides of an ellipse, pixels: kernels that round differently agree on its tiles.
 pub(crate) const SLACK_PX: f32 = 0.005;
 /// Added when tiles are counted: what rounds differently when entries are made must not find more tiles than were counted.
@@ -186,8 +254,8 @@ pub(crate) fn tile_rows(r: &Reach, slack: f32) -> (u32, u32) {
     let mut first = 0u32;
     let mut end = 0u32;
     if top <= bottom {
-        first = u32::cast_from(top) / 16u32;
-        end = u32::cast_from(bottom) / 16u32 + 1u32;
+        first = u32::cast_from(top) / SIDE;
+        end = u32::cast_from(bottom) / SIDE + 1u32;
     }
     (first, end)
 }
@@ -202,8 +270,8 @@ pub(crate) fn tile_span(r: &Reach, row: u32, slack: f32) -> (u32, u32) {
     let det = r.v00 * r.v11 - r.v01 * r.v01;
     let across = (det * inverse).max(0.0f32);
     let slope = r.v01 * inverse;
-    let low = (f32::cast_from(row * 16u32) - r.v).max(-half);
-    let high = (f32::cast_from(row * 16u32) + 15.0f32 - r.v).min(half);
+    let low = (f32::cast_from(row * SIDE) - r.v).max(-half);
+    let high = (f32::cast_from(row * SIDE) + LAST - r.v).min(half);
     let y = right_at.max(low).min(high);
     let right = r.u + slope * y + ((r.radius - y * y * inverse) * across).max(0.0f32).sqrt() + slack;
     let y = (-right_at).max(low).min(high);
@@ -213,8 +281,8 @@ pub(crate) fn tile_span(r: &Reach, row: u32, slack: f32) -> (u32, u32) {
     let mut first = 0u32;
     let mut end = 0u32;
     if low <= high && left <= right {
-        first = u32::cast_from(left) / 16u32;
-        end = u32::cast_from(right) / 16u32 + 1u32;
+        first = u32::cast_from(left) / SIDE;
+        end = u32::cast_from(right) / SIDE + 1u32;
     }
     (first, end)
 }

@@ -181,7 +181,7 @@ fn case(
         pairs: mean(|c| c.pairs as f64),
         blends_per_pixel: mean(|c| c.useful as f64 / (c.pixels as f64).max(1.0)),
         useful_share: match gpu {
-            Some(_) => mean(|c| c.useful as f64 / ((c.used * GPU_TILE) as f64).max(1.0)),
+            Some(_) => mean(|c| c.useful as f64 / ((c.used * GPU_TILE_PIXELS) as f64).max(1.0)),
             None => mean(Counts::useful_share),
         },
         stream_gb_per_s: probe.bytes_per_s / 1e9,
@@ -195,7 +195,7 @@ fn case(
 }
 
 /// Pixels of a tile on a GPU.
-const GPU_TILE: usize = 16 * 16;
+const GPU_TILE_PIXELS: usize = 8 * 8;
 
 fn mean_work(kernel: Kernel, counts: &[Counts]) -> Work {
     let n = counts.len().max(1) as f64;

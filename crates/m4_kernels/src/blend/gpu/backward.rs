@@ -37,12 +37,12 @@ pub(crate) fn blend_backward(
     height: u32,
 ) {
     // of each pixel of the tile: the gradient, its end, the light that is left, and what is blended behind along the gradient
-    let mut d_reds = Shared::<[f32]>::new_slice(256usize);
-    let mut d_greens = Shared::<[f32]>::new_slice(256usize);
-    let mut d_blues = Shared::<[f32]>::new_slice(256usize);
-    let mut lasts = Shared::<[u32]>::new_slice(256usize);
-    let mut lights = Shared::<[f32]>::new_slice(256usize);
-    let mut behinds = Shared::<[f32]>::new_slice(256usize);
+    let mut d_reds = Shared::<[f32]>::new_slice(64usize);
+    let mut d_greens = Shared::<[f32]>::new_slice(64usize);
+    let mut d_blues = Shared::<[f32]>::new_slice(64usize);
+    let mut lasts = Shared::<[u32]>::new_slice(64usize);
+    let mut lights = Shared::<[f32]>::new_slice(64usize);
+    let mut behinds = Shared::<[f32]>::new_slice(64usize);
     // of each entry
     let mut entries = Shared::<[f32]>::new_slice(32usize * USED);
     let mut boxes = Shared::<[u32]>::new_slice(64usize);
@@ -55,8 +55,8 @@ pub(crate) fn blend_backward(
         let first = ranges[(2u32 * tile) as usize] + (bucket - offsets[tile as usize]) * 32u32;
         let end = ranges[(2u32 * tile + 1u32) as usize];
         let tile_end = tile_ends[tile as usize];
-        let across = (width + 15u32) / 16u32;
-        let (left, top) = ((tile % across) * 16u32, (tile / across) * 16u32);
+        let across = (width + 7u32) / 8u32;
+        let (left, top) = ((tile % across) * 8u32, (tile / across) * 8u32);
         let (x0, y0) = (f32::cast_from(left), f32::cast_from(top));
         // entries that every pixel hides have no gradient
         let mut count = 0u32;
@@ -76,11 +76,11 @@ pub(crate) fn blend_backward(
         if count > 0u32 {
             let all = (width * height) as usize;
             let mut p = UNIT_POS;
-            while p < 256u32 {
-                let (x, y) = (left + p % 16u32, top + p / 16u32);
+            while p < 64u32 {
+                let (x, y) = (left + p % 8u32, top + p / 8u32);
                 if x < width && y < height {
                     let at = (y * width + x) as usize;
-                    let k = (bucket * 256u32 + p) as usize * 4;
+                    let k = (bucket * 64u32 + p) as usize * 4;
                     let (gr, gg, gb) = (gradient[at], gradient[all + at], gradient[2 * all + at]);
                     let shown = gr * image[at] + gg * image[all + at] + gb * image[2 * all + at];
                     lasts[p as usize] = ends[at];
@@ -119,7 +119,7 @@ pub(crate) fn blend_backward(
                 // q / columns
                 let row = (q * factor) >> 16u32;
                 let (px, py) = (box_x + q - row * columns, box_y + row);
-                let at = (16u32 * py + px) as usize;
+                let at = (8u32 * py + px) as usize;
                 // rounded as in the forward pass
                 let dx = u - (x0 + f32::cast_from(px));
                 let dy = v - (y0 + f32::cast_from(py));
@@ -207,8 +207,8 @@ fn bounding_box(reaches: &[f32], splat: usize, left: u32, top: u32, width: u32, 
     let (x0, y0) = (f32::cast_from(left), f32::cast_from(top));
     let half_x = (reaches[r + 5] * reaches[r + 2]).sqrt() + SLACK_PX;
     let half_y = (reaches[r + 5] * reaches[r + 4]).sqrt() + SLACK_PX;
-    let right = f32::cast_from(width.min(left + 16u32)) - 1.0f32;
-    let bottom = f32::cast_from(height.min(top + 16u32)) - 1.0f32;
+    let right = f32::cast_from(width.min(left + 8u32)) - 1.0f32;
+    let bottom = f32::cast_from(height.min(top + 8u32)) - 1.0f32;
     let x_first = (reaches[r] - half_x).ceil().max(x0);
     let y_first = (reaches[r + 1] - half_y).ceil().max(y0);
     let x_last = (reaches[r] + half_x).floor().min(right);

@@ -42,33 +42,19 @@ pub(crate) fn project_backward(
         }
     }
     let i = ABSOLUTE_POS as u32;
+    let mut count = 0u32;
+    if i < n {
+        count = counts[i as usize];
+    }
+    let sum = sum_of_slots(counts, offsets, sums, i, count);
     if i < n {
         let at = i as usize;
         let rows = n as usize;
-        let count = counts[at];
         let mut seen = 0u32;
         if count > 0u32 {
-            let mut weight = 0.0f32;
-            let mut mx = 0.0f32;
-            let mut my = 0.0f32;
-            let mut xx = 0.0f32;
-            let mut xy = 0.0f32;
-            let mut yy = 0.0f32;
-            let mut d_red = 0.0f32;
-            let mut d_green = 0.0f32;
-            let mut d_blue = 0.0f32;
-            for k in 0u32..count {
-                let s = (offsets[at] + k) as usize * SUMS;
-                weight += sums[s];
-                mx += sums[s + 1];
-                my += sums[s + 2];
-                xx += sums[s + 3];
-                xy += sums[s + 4];
-                yy += sums[s + 5];
-                d_red += sums[s + 6];
-                d_green += sums[s + 7];
-                d_blue += sums[s + 8];
-            }
+            let (weight, mx, my) = (sum[0], sum[1], sum[2]);
+            let (xx, xy, yy) = (sum[3], sum[4], sum[5]);
+            let (d_red, d_green, d_blue) = (sum[6], sum[7], sum[8]);
             let size = weight.abs() + d_red.abs() + d_green.abs() + d_blue.abs();
             if size > 0.0f32 {
                 seen = 1u32;
@@ -187,4 +173,84 @@ pub(crate) fn project_backward(
     if comptime!(with_camera) {
         write_parts(&share, camera, 10usize);
     }
+}
+
+/// A splat of more slots than this is the work of a whole cube.
+const MANY: u32 = 64;
+/// Units that add up a part each of one of the nine sums: 28 parts.
+const ADDERS: u32 = 252;
+
+/// The sums of splat `i` over its `count` slots, in an order that is the same every time. All units of a cube come here.
+#[cube]
+fn sum_of_slots(counts: &[u32], offsets: &[u32], sums: &[f32], i: u32, count: u32) -> Array<f32> {
+    let mut shares = Shared::<[f32]>::new_slice(256usize * SUMS);
+    let mut parts = Shared::<[f32]>::new_slice(252usize);
+    let mut large = Shared::<[u32]>::new_slice(256usize);
+    let number = Shared::<[Atomic<u32>]>::new_slice(1usize);
+    let mut out = Array::<f32>::new(SUMS);
+    #[unroll]
+    for k in 0usize..SUMS {
+        out[k] = f32::new(0.0f32);
+    }
+    if UNIT_POS == 0u32 {
+        number[0].store(0u32);
+    }
+    sync_cube();
+    if count > MANY {
+        large[number[0].fetch_add(1u32) as usize] = UNIT_POS;
+    }
+    if count > 0u32 && count <= MANY {
+        let first = offsets[i as usize];
+        for slot in first..first + count {
+            #[unroll]
+            for k in 0usize..SUMS {
+                out[k] += sums[slot as usize * SUMS + k];
+            }
+        }
+    }
+    for next in 0u32..workgroup_uniform_load_atomic(&number[0]) {
+        let owner = large[next as usize];
+        let splat = (i - UNIT_POS + owner) as usize;
+        let first = offsets[splat];
+        let end = first + counts[splat];
+        let mut share = Array::<f32>::new(SUMS);
+        #[unroll]
+        for k in 0usize..SUMS {
+            share[k] = f32::new(0.0f32);
+        }
+        let mut slot = first + UNIT_POS;
+        while slot < end {
+            #[unroll]
+            for k in 0usize..SUMS {
+                share[k] += sums[slot as usize * SUMS + k];
+            }
+            slot += 256u32;
+        }
+        #[unroll]
+        for k in 0usize..SUMS {
+            shares[256 * k + UNIT_POS as usize] = share[k];
+        }
+        sync_cube();
+        if UNIT_POS < ADDERS {
+            let from = (UNIT_POS / 28u32) as usize * 256;
+            let start = (UNIT_POS % 28u32) * 10u32;
+            let mut part = 0.0f32;
+            for k in start.min(256u32)..(start + 10u32).min(256u32) {
+                part += shares[from + k as usize];
+            }
+            parts[UNIT_POS as usize] = part;
+        }
+        sync_cube();
+        if UNIT_POS == owner {
+            #[unroll]
+            for k in 0usize..SUMS {
+                let mut total = 0.0f32;
+                for part in 0usize..28usize {
+                    total += parts[28 * k + part];
+                }
+                out[k] = total;
+            }
+        }
+    }
+    out
 }

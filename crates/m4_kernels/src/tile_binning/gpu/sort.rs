@@ -6,6 +6,8 @@ use cubecl::prelude::*;
 
 /// Entries that are sorted at once.
 const PIECE: u32 = 1024;
+/// Units of a cube: most lists have a few dozen entries.
+pub(crate) const UNITS: u32 = 64;
 /// In place of a slot after the end of a list.
 const NO_SLOT: u32 = 0xffff_ffff;
 
@@ -41,7 +43,7 @@ pub(crate) fn sort_lists(
             if to < tile_of.len() {
                 tile_of[to] = tile;
             }
-            k += 256u32;
+            k += UNITS;
         }
         // the passes alternate between the two memories and end in the second
         let mut passes = 0u32;
@@ -67,7 +69,7 @@ pub(crate) fn sort_lists(
                 }
                 piece_keys[k as usize] = key;
                 piece_slots[k as usize] = slot;
-                k += 256u32;
+                k += UNITS;
             }
             sync_cube();
             sort_piece(&mut piece_keys, &mut piece_slots, splat_of_slot, size);
@@ -81,7 +83,7 @@ pub(crate) fn sort_lists(
                     keys[to] = piece_keys[k as usize];
                     slots[to] = piece_slots[k as usize];
                 }
-                k += 256u32;
+                k += UNITS;
             }
             sync_storage();
             piece += PIECE;
@@ -102,7 +104,7 @@ pub(crate) fn sort_lists(
         while k < count {
             let at = (start + k) as usize;
             splats[at] = splat_of_slot[sorted_slots[at] as usize];
-            k += 256u32;
+            k += UNITS;
         }
         if UNIT_POS == 0u32 {
             ranges[(2u32 * tile + 1u32) as usize] = end;
@@ -146,7 +148,7 @@ fn sort_piece(keys: &mut Shared<[u32]>, slots: &mut Shared<[u32]>, splat_of_slot
                     keys[b] = key_a;
                     slots[b] = slot_a;
                 }
-                pair += 256u32;
+                pair += UNITS;
             }
             sync_cube();
             step /= 2u32;
@@ -194,15 +196,16 @@ fn merge(
         let to = (start + base + k - run * width + low - begin) as usize;
         to_keys[to] = key;
         to_slots[to] = slot;
-        k += 256u32;
+        k += UNITS;
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::sort_lists;
-    use crate::gpu::buffer::{Buffer, cubes, units};
+    use crate::gpu::buffer::{Buffer, cubes};
     use crate::gpu::device::tests::gpu;
+    use cubecl::prelude::CubeDim;
     use m4_core::CounterRng;
 
     /// Entries of the lists, in memory one after the other.
@@ -239,7 +242,7 @@ mod tests {
         sort_lists::launch(
             client,
             cubes(LENGTHS.len(), 1),
-            units(),
+            CubeDim::new_1d(super::UNITS),
             range_buffer.arg(),
             buffer(&words(&cursors)).arg(),
             buffer(&words(&buckets)).arg(),
