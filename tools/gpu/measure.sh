@@ -1,14 +1,14 @@
 #!/usr/bin/env bash
-# Measures this machine's GPU: kernels and whole steps at three sizes, and a training of 5,000 iterations.
+# Measures this machine's GPU: kernels and whole steps at three sizes, a complete run, and trainings of 5,000 iterations.
 #
-#   tools/gpu/measure.sh            # the best GPU; within eight minutes once the program is built
+#   tools/gpu/measure.sh            # the best GPU; within ten minutes once the program is built
 #   GPU=gpu:1 tools/gpu/measure.sh  # the one that `minute4d doctor` lists as 1
 #   QUICK=1 GPU=gpu:0 tools/gpu/measure.sh   # a small setting, to see that everything runs
 #
 # Needs this folder and a driver. MINUTE4D is the program (default: target/release/minute4d, built if it is not there),
-# RESULTS where the reports go (default: bench/runs, with the name of the GPU), CAPTURE a capture to train on (default:
-# that of examples/pinwheel.mp4, made here). What is skipped, and why, is said at the end and in the summary; the exit code is
-# 0 if nothing failed.
+# RESULTS where the reports go (default: bench/runs, with the name of the GPU), CAPTURE a capture or benchmark scene to train on
+# (default: that of a complete run of examples/pinwheel.mp4, which is timed). What is skipped, and why, is said at the end and in the
+# summary; the exit code is 0 if nothing failed.
 set -uo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/../.."
 
@@ -26,19 +26,19 @@ if [ ! -x "$program" ]; then
     cargo build --release -p minute4d_cli --features full >&2 || exit 69
 fi
 
-limit=480
+limit=600
 if [ -n "${QUICK:-}" ]; then
     cases=("2000 96x72" "4000 128x96")
     steps=1
     iterations=20
-    geometry=(--end 0.7 --size 192)
-    settings=(--set init.max_static=1000 --set init.max_dynamic=1000)
+    video=(--end 0.7 --size 192 --iterations 20)
+    few=(--set init.max_static=1000 --set init.max_dynamic=1000)
 else
     cases=("100000 360x480" "200000 854x480" "300000 960x720")
     steps=15
     iterations=5000
-    geometry=()
-    settings=()
+    video=()
+    few=(--set init.max_static=20000 --set init.max_dynamic=80000)
 fi
 
 SECONDS=0
@@ -91,41 +91,77 @@ for case in "${cases[@]}"; do
 done
 
 capture=${CAPTURE:-}
-help=$("$program" train --help)
-if [[ "$help" != *--device* ]]; then
-    skipped+=("training: this program has no train --device")
-else
-    if [ -z "$capture" ]; then
-        echo "== geometry of examples/pinwheel.mp4" >&2
-        capture=$work/capture
-        within 120 "$program" geometry examples/pinwheel.mp4 -o "$capture" --quiet "${geometry[@]}" >/dev/null
-        code=$?
-        [ $code -eq 0 ] || { skipped+=("training: no capture, $(why $code)"); capture=; }
-    fi
-fi
-if [ -n "$capture" ] && [ -z "${skipped[*]:-}" ]; then
-    echo "== $iterations iterations" >&2
-    # what the driver says is in use, every half second, where it can be asked
-    if command -v nvidia-smi >/dev/null && nvidia-smi >/dev/null 2>&1; then
-        nvidia-smi --query-gpu=memory.used --format=csv,noheader,nounits --loop-ms=500 >"$work/memory.txt" 2>/dev/null &
-        watcher=$!
-    else
-        skipped+=("memory in use by the driver: there is no nvidia-smi")
-    fi
+whole=
+if [ -z "$capture" ]; then
+    echo "== complete run of examples/pinwheel.mp4" >&2
     start=$SECONDS
-    within 240 "$program" train "$capture" -o "$work/out" --device "$gpu" --iterations "$iterations" --no-viewer --quiet "${settings[@]}" \
-        --set checkpoint.every_s=100000 >"$work/train.txt" 2>"$work/train.err"
+    within 240 "$program" run examples/pinwheel.mp4 -o "$work/pinwheel" --device "$gpu" --quiet "${video[@]}" >/dev/null
     code=$?
-    wall=$((SECONDS - start))
-    [ -z "$watcher" ] || { kill "$watcher" 2>/dev/null; wait "$watcher" 2>/dev/null; watcher=; }
-    if [ $code -ne 0 ]; then
-        failed+=("training: $(why $code)")
-        tail -5 "$work/train.err" >&2
+    if [ $code -eq 0 ]; then
+        capture=$work/pinwheel/capture
+        whole=$((SECONDS - start))
+    else
+        failed+=("run: $(why $code)")
     fi
 fi
 
-record=$work/out/run.json
-name=$(sed -n 's/^gpu *//p' "$work/doctor.txt" | head -1)
+# trains with more settings; what it took goes to files of that name
+training() {
+    local name=$1
+    shift
+    echo "== $iterations iterations, $name" >&2
+    # what the driver says is in use, every half second, where it can be asked
+    watcher=
+    if command -v nvidia-smi >/dev/null && nvidia-smi >/dev/null 2>&1; then
+        nvidia-smi --query-gpu=memory.used --format=csv,noheader,nounits --loop-ms=500 >"$work/$name.memory" 2>/dev/null &
+        watcher=$!
+    fi
+    local start=$SECONDS
+    within 240 "$program" train "$capture" -o "$work/$name" --device "$gpu" --iterations "$iterations" --no-viewer --quiet "$@" \
+        --set checkpoint.every_s=100000 >/dev/null 2>"$work/$name.err"
+    local code=$?
+    echo $((SECONDS - start)) >"$work/$name.wall"
+    [ -z "$watcher" ] || { kill "$watcher" 2>/dev/null; wait "$watcher" 2>/dev/null; watcher=; }
+    if [ $code -ne 0 ]; then
+        failed+=("training, $name: $(why $code)")
+        tail -5 "$work/$name.err" >&2
+    fi
+}
+if [ -n "$capture" ]; then
+    training few "${few[@]}"
+    training all
+    [ -s "$work/all.memory" ] || skipped+=("memory in use by the driver: there is no nvidia-smi")
+else
+    skipped+=("training: no capture")
+fi
+
+# a row for each key that a training's files have
+rows() {
+    local name=$1 record=$work/$1/run.json last key found
+    [ -f "$record" ] || return
+    echo
+    echo "## $2"
+    echo
+    echo "| what | value |"
+    echo "|---|---|"
+    echo "| status | $(value "$record" status) |"
+    echo "| iterations | $(value "$record" iterations '"stages": {') |"
+    echo "| static splats at the end | $(value "$record" static '"splats": {') |"
+    echo "| dynamic splats at the end | $(value "$record" dynamic '"splats": {') |"
+    last=$(tail -1 "$work/$name/metrics.jsonl" 2>/dev/null)
+    for key in touched seconds processor_seconds loss psnr; do
+        found=$(sed -n "s/.*\"$key\":\([-0-9.eE]*\).*/\1/p" <<<"$last")
+        [ -z "$found" ] || echo "| last $key of metrics.jsonl | $found |"
+    done
+    echo "| initialisation and training, s | $(value "$record" seconds '"stages": {' '"train": {') |"
+    echo "| the whole command with preview, s | $(cat "$work/$name.wall") |"
+    echo "| peak memory of the host, bytes | $(grep -o '"peak_memory_bytes": [0-9]*' "$record" | grep -o '[0-9]*$' | sort -n | tail -1) |"
+    if [ -s "$work/$name.memory" ]; then
+        echo "| most memory in use on a GPU of this machine, all programs, MiB | $(sort -n "$work/$name.memory" | tail -1) |"
+        echo "| before training, MiB | $(head -1 "$work/$name.memory") |"
+    fi
+}
+
 summary=$results/$slug-training.md
 {
     echo "# Training on a GPU, $day"
@@ -135,28 +171,20 @@ summary=$results/$slug-training.md
     echo "Asked for: \`--device $gpu\`. Adapters, as \`minute4d doctor\` lists them:"
     echo
     sed -n 's/^gpu *\(.*\)/- \1/p' "$work/doctor.txt"
-    echo
-    echo "| what | value |"
-    echo "|---|---|"
-    if [ -f "$record" ]; then
-        echo "| GPU | $(value "$record" gpu '"device": {') |"
-        echo "| status | $(value "$record" status) |"
-        echo "| iterations | $(value "$record" iterations '"stages": {') |"
-        echo "| initialisation and training, s | $(value "$record" seconds '"stages": {' '"train": {') |"
-        echo "| the whole command with preview, s | $wall |"
-        echo "| static splats | $(value "$record" static '"splats": {') |"
-        echo "| dynamic splats | $(value "$record" dynamic '"splats": {') |"
-        last=$(tail -1 "$work/out/metrics.jsonl" 2>/dev/null)
-        for key in seconds loss psnr; do
-            found=$(sed -n "s/.*\"$key\":\([-0-9.eE]*\).*/\1/p" <<<"$last")
-            [ -z "$found" ] || echo "| last $key of metrics.jsonl | $found |"
+    if [ -n "$whole" ]; then
+        record=$work/pinwheel/run.json
+        echo
+        echo "## Complete run of examples/pinwheel.mp4: $whole s"
+        echo
+        echo "| stage | s |"
+        echo "|---|---|"
+        for stage in geometry enhance train preview viewer; do
+            found=$(value "$record" seconds '"stages": {' "\"$stage\": {")
+            [ -z "$found" ] || echo "| $stage | $found |"
         done
-        echo "| peak memory of the host, bytes | $(grep -o '"peak_memory_bytes": [0-9]*' "$record" | grep -o '[0-9]*$' | sort -n | tail -1) |"
     fi
-    if [ -s "$work/memory.txt" ]; then
-        echo "| most memory in use on a GPU of this machine, all programs, MiB | $(sort -n "$work/memory.txt" | tail -1) |"
-        echo "| before training, MiB | $(head -1 "$work/memory.txt") |"
-    fi
+    rows few "Training from at most 100,000 splats"
+    rows all "Training from as many splats as the capture gives"
     echo
     if [ ${#skipped[@]} -gt 0 ]; then printf 'Skipped: %s\n\n' "${skipped[@]}"; fi
     if [ ${#failed[@]} -gt 0 ]; then printf 'Failed: %s\n\n' "${failed[@]}"; fi

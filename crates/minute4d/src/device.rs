@@ -9,10 +9,11 @@ use std::str::FromStr;
 /// Where kernels are asked to run.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub enum DeviceChoice {
-    /// The best GPU, or the processor where there is none; never a software GPU, since the processor's own path is faster.
+    /// The best GPU that is a card of its own, or the processor where there is none or it does not start: others have not been
+    /// measured, and the processor's own path is faster than software.
+    #[default]
     Auto,
     /// The processor.
-    #[default]
     Cpu,
     /// A GPU: the best, or the one of that index in the list of `doctor`, software too.
     Gpu(Option<usize>),
@@ -51,27 +52,47 @@ impl fmt::Display for DeviceChoice {
 }
 
 impl DeviceChoice {
-    /// The GPU that is chosen, ready for work; `None` where that is the processor.
+    /// The GPU that is chosen, ready for work; `None` where that is the processor. `warn` is told of a GPU that [`Self::Auto`] chose
+    /// and that does not start.
     ///
     /// # Errors
     ///
     /// [`Error::Gpu`] if there is no such GPU or it does not start; [`Error::NoGpuSupport`] where one is asked for and this
     /// build has no support for it.
-    pub fn open(self) -> Result<Option<OpenGpu>, Error> {
+    pub fn open(self, warn: impl FnOnce(&str)) -> Result<Option<OpenGpu>, Error> {
         match self {
             Self::Cpu => Ok(None),
-            Self::Auto => OpenGpu::best(),
+            Self::Auto => Ok(OpenGpu::automatic().unwrap_or_else(|error| {
+                warn(&format!("the CPU is used instead of the GPU: {error}"));
+                None
+            })),
             Self::Gpu(index) => OpenGpu::open(index).map(Some),
         }
     }
 
-    /// Where networks run by this choice.
+    /// Whether a GPU was asked for, which then starts.
+    ///
+    /// # Errors
+    ///
+    /// As [`DeviceChoice::open`].
+    #[cfg(feature = "nets")]
+    pub(crate) fn is_gpu(self) -> Result<bool, Error> {
+        match self {
+            Self::Cpu | Self::Auto => Ok(false),
+            Self::Gpu(index) => OpenGpu::open(index).map(|_| true),
+        }
+    }
+
+    /// Where networks run by this choice: on a GPU that was asked for only, since they have not been measured on one.
     ///
     /// # Errors
     ///
     /// As [`DeviceChoice::open`].
     pub fn for_networks(self) -> Result<NetworkDevice, Error> {
-        Ok(self.open()?.map_or_else(NetworkDevice::processor, |gpu| gpu.for_networks()))
+        match self {
+            Self::Cpu | Self::Auto => Ok(NetworkDevice::processor()),
+            Self::Gpu(index) => Ok(OpenGpu::open(index)?.for_networks()),
+        }
     }
 }
 
@@ -122,7 +143,7 @@ mod gpu {
     use m4_core::Splats;
     #[cfg(feature = "nets")]
     use m4_kernels::gpu::Runtime;
-    use m4_kernels::gpu::{Choice, Gpu, Renderer, adapters, best};
+    use m4_kernels::gpu::{Choice, Gpu, Renderer, adapters, automatic};
     use m4_kernels::{Frame, View};
     use m4_train::backend::{Backend, gpu::GpuBackend};
 
@@ -133,11 +154,8 @@ mod gpu {
     }
 
     impl OpenGpu {
-        pub(super) fn best() -> Result<Option<Self>, Error> {
-            match best(adapters()) {
-                Some(_) => Self::open(None).map(Some),
-                None => Ok(None),
-            }
+        pub(super) fn automatic() -> Result<Option<Self>, Error> {
+            automatic(adapters()).map(|adapter| Self::open(Some(adapter.index))).transpose()
         }
 
         pub(super) fn open(index: Option<usize>) -> Result<Self, Error> {
@@ -202,7 +220,7 @@ mod gpu {
     pub enum OpenGpu {}
 
     impl OpenGpu {
-        pub(super) fn best() -> Result<Option<Self>, Error> {
+        pub(super) fn automatic() -> Result<Option<Self>, Error> {
             Ok(None)
         }
 

@@ -1,6 +1,6 @@
 //! A run in progress: its folder, its record, and its observer.
 
-use crate::device::OpenGpu;
+use crate::device::{DeviceChoice, OpenGpu};
 use crate::folder::{self, Lock};
 use crate::pipeline::Clock;
 use crate::record::{Device, FileRecord, Input, RunRecord, StageRecord, Status, peak_memory_bytes};
@@ -64,7 +64,11 @@ impl<'a> Workspace<'a> {
     /// Creates or reuses a folder and records the start of the run.
     pub fn open(path: &Path, input: Input, job: &'a Job<'a>, clock: Clock) -> Result<Self, Error> {
         let level = job.check()?;
-        let gpu = job.device.choice.open()?;
+        let gpu = match job.device.choice {
+            // its gradients in the image stay on the CPU
+            DeviceChoice::Auto if !job.settings.train.density.loss_guided => None,
+            choice => choice.open(|why| job.observer.warn(why))?,
+        };
         let (lock, earlier) = folder::open(path, job.existing, Path::new(&input.path))?;
         let mut record = RunRecord::begin(input, &job.settings, Device::here(level, gpu.as_ref().map(OpenGpu::name)))?;
         if let Some(earlier) = &earlier {

@@ -59,6 +59,11 @@ pub(crate) fn blend(
     let batches = (end - start + 63u32) / 64u32;
     let mut b = 0u32;
     let mut open = batches > 0u32;
+    // the record of the next batch is fetched while this one is blended
+    let mut ahead = Array::<f32>::new(RECORD);
+    if start + UNIT_POS < end {
+        fetch(records, splats, start + UNIT_POS, &mut ahead);
+    }
     while open {
         let first = start + b * 64u32;
         let entry = first + UNIT_POS;
@@ -67,14 +72,16 @@ pub(crate) fn blend(
             alive[0] = 0u32;
         }
         if entry < end {
-            let from = splats[entry as usize] as usize * RECORD;
             let to = UNIT_POS as usize * RECORD;
             #[unroll]
             for k in 0usize..RECORD {
-                batch[to + k] = records[from + k];
+                batch[to + k] = ahead[k];
             }
         }
         sync_cube();
+        if entry + 64u32 < end {
+            fetch(records, splats, entry + 64u32, &mut ahead);
+        }
         let count = (end - first).min(64u32);
         let mut k = 0u32;
         while k < count && going {
@@ -153,6 +160,16 @@ pub(crate) fn blend(
         if comptime!(with_depth) {
             image[4 * pixels + at] = depth;
         }
+    }
+}
+
+/// The record of an entry.
+#[cube]
+fn fetch(records: &[f32], splats: &[u32], entry: u32, out: &mut Array<f32>) {
+    let from = splats[entry as usize] as usize * RECORD;
+    #[unroll]
+    for k in 0usize..RECORD {
+        out[k] = records[from + k];
     }
 }
 

@@ -208,6 +208,11 @@ pub fn best(adapters: &[Adapter]) -> Option<&Adapter> {
     adapters.iter().filter(of_use).min_by_key(rank)
 }
 
+/// The one that is chosen where the user does not choose: the best, if it is a card of its own. Others have not been measured.
+pub fn automatic(adapters: &[Adapter]) -> Option<&Adapter> {
+    best(adapters).filter(|a| a.kind == AdapterKind::Discrete)
+}
+
 /// The choice of a GPU.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Choice {

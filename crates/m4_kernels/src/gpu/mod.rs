@@ -33,7 +33,9 @@ mod timing;
 pub mod vector;
 pub mod work;
 
-pub use device::{Adapter, AdapterKind, Choice, DeviceMemory, Gpu, Runtime, adapters, best, missing_for_cuda};
+pub use device::{
+    Adapter, AdapterKind, Choice, DeviceMemory, Gpu, Runtime, adapters, automatic, best, missing_for_cuda,
+};
 pub use error::GpuError;
 pub use plan::{Part, Plan};
 pub use renderer::Renderer;

@@ -8,7 +8,7 @@ use crate::gpu::work::{CHECKPOINT, Size};
 use crate::gpu::{Gpu, GpuError, tally::LOSSES, vector::EYE};
 use crate::loss::gpu as loss;
 use crate::project::gpu::RECORD;
-use crate::tile_binning::gpu::{REACH, TILE, TOTALS};
+use crate::tile_binning::gpu::{ALLOCATED, REACH, TILE, TOTALS};
 use m4_core::SplatLayout;
 
 /// Entries of tiles that memory is first made for: this many a splat, and at least as many as [`LEAST_ENTRIES`]. Of a video
@@ -203,9 +203,9 @@ fn columns(n_static: usize, n_dynamic: usize, layout: SplatLayout) -> [usize; 3]
 /// What [`Work`](crate::gpu::work::Work) makes.
 fn work(size: &Size) -> Vec<Part> {
     let (n, entries, tiles, pixels) = (size.n, size.entries, size.tiles(), size.pixels());
-    let splats = [RECORD * n, REACH * n, n, n, n, n, EYE];
+    let splats = [RECORD * n, REACH * n, n, n, n, n, n, EYE];
     let mut lists = vec![entries; 6];
-    lists.extend([2 * tiles, tiles, tiles, tiles, tiles + 1, 1, TOTALS]);
+    lists.extend([2 * tiles, tiles, tiles, tiles, tiles + 1, ALLOCATED, TOTALS]);
     let mut parts =
         vec![part("splats of a frame", &splats), part("tile lists", &lists), part("image", &[5 * pixels, pixels])];
     if size.training {

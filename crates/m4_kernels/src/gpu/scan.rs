@@ -11,11 +11,17 @@ pub(crate) const BLOCK: usize = 1024;
 /// Exclusive sum of one value per unit over a cube of 256.
 #[cube]
 pub fn scan_cube(value: u32, shared: &mut Shared<[u32]>) -> u32 {
+    scan_units(value, shared, 256u32)
+}
+
+/// Exclusive sum of one value per unit over a cube of `units`, a power of two; `shared` then has the inclusive ones.
+#[cube]
+pub(crate) fn scan_units(value: u32, shared: &mut Shared<[u32]>, #[comptime] units: u32) -> u32 {
     let unit = UNIT_POS as usize;
     shared[unit] = value;
     sync_cube();
     let mut step = 1u32;
-    while step < 256u32 {
+    while step < units {
         let mut add = 0u32;
         if UNIT_POS >= step {
             add = shared[unit - step as usize];

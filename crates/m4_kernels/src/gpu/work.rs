@@ -6,8 +6,8 @@ use crate::gpu::splats::DeviceSplats;
 use crate::gpu::timing::Stopwatch;
 use crate::gpu::vector::eye;
 use crate::gpu::{Gpu, GpuError};
-use crate::project::gpu::{RECORD, project, project_backward};
-use crate::tile_binning::gpu::{self as tile_binning, REACH, TILE, TOTALS, WANTED, sort};
+use crate::project::gpu::{RECORD, project, project_backward, sum_large};
+use crate::tile_binning::gpu::{self as tile_binning, ALLOCATED, LARGE_CUBES, REACH, TILE, TOTALS, WANTED, sort};
 use crate::{View, bench::Kernel};
 use cubecl::prelude::{CubeCount, CubeDim};
 
@@ -68,6 +68,8 @@ pub struct Work {
     /// Where the tiles' counts change, and slots of all splats: 0 between frames.
     changes: Buffer,
     allocated: Buffer,
+    /// Splats in many tiles.
+    large: Buffer,
     cursors: Buffer,
     /// Depth and slot of each entry, tile after tile in any order, and sorted.
     lists: [Buffer; 2],
@@ -133,7 +135,8 @@ impl Work {
             counts: empty(n),
             offsets: empty(n),
             changes: Buffer::zeros(client, tiles + 1),
-            allocated: Buffer::words(client, &[0]),
+            allocated: Buffer::words(client, &[0; ALLOCATED]),
+            large: empty(n),
             cursors: empty(tiles),
             lists: [empty(entries), empty(entries)],
             sorted: [empty(entries), empty(entries)],
@@ -185,6 +188,7 @@ impl Work {
             self.offsets.arg(),
             self.changes.arg(),
             self.allocated.arg(),
+            self.large.arg(),
             n as u32,
             splats.n_static as u32,
             size.across() as u32,
@@ -218,10 +222,12 @@ impl Work {
     fn make_lists(&self, gpu: &Gpu) {
         let (client, size) = (&gpu.client, self.size);
         let (n, tiles, capacity) = (size.n, size.tiles() as u32, size.entries as u32);
+        let most = gpu.adapter().max_units.min(1024).next_power_of_two();
+        let most = if most > gpu.adapter().max_units { most / 2 } else { most };
         tile_binning::tile_starts::launch(
             client,
             cubes(1, 1),
-            units(),
+            CubeDim::new_1d(most),
             self.changes.arg(),
             self.allocated.arg(),
             self.ranges.arg(),
@@ -231,6 +237,7 @@ impl Work {
             self.peak.arg(),
             tiles,
             capacity,
+            most,
         );
         tile_binning::emit::launch(
             client,
@@ -248,6 +255,25 @@ impl Work {
             self.splat_of_slot.arg(),
             self.totals.arg(),
             n as u32,
+            size.across() as u32,
+            capacity,
+        );
+        tile_binning::emit_large::launch(
+            client,
+            cubes(LARGE_CUBES, 1),
+            units(),
+            self.counts.arg(),
+            self.offsets.arg(),
+            self.reaches.arg(),
+            self.depths.arg(),
+            self.eye.arg(),
+            self.ranges.arg(),
+            self.cursors.arg(),
+            self.lists[0].arg(),
+            self.lists[1].arg(),
+            self.splat_of_slot.arg(),
+            self.large.arg(),
+            self.totals.arg(),
             size.across() as u32,
             capacity,
         );
@@ -308,6 +334,16 @@ impl Work {
             height,
         );
         self.stopwatch.lap(gpu, Kernel::BlendBackward);
+        sum_large::launch(
+            client,
+            cubes(LARGE_CUBES, 1),
+            units(),
+            self.counts.arg(),
+            self.offsets.arg(),
+            self.large.arg(),
+            self.totals.arg(),
+            self.sums.arg(),
+        );
         project_backward::launch(
             client,
             cubes(n, 256),

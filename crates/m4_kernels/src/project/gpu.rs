@@ -8,9 +8,9 @@ use crate::{
     },
     shade::gpu::raw_colour,
     slice::gpu::{Shape, life, shape},
-    tile_binning::gpu::{REACH, Reach, count_slack, tile_rows, tile_span},
+    tile_binning::gpu::{LARGE_SPLATS, MANY, REACH, Reach, SLOTS, count_slack, tile_rows, tile_span},
 };
-pub(crate) use backward::project_backward;
+pub(crate) use backward::{project_backward, sum_large};
 use cubecl::prelude::*;
 use std::f32::consts::{LN_2, LOG2_E};
 
@@ -145,6 +145,7 @@ pub(crate) fn project(
     offsets: &mut [u32],
     changes: &[Atomic<u32>],
     allocated: &[Atomic<u32>],
+    large: &mut [u32],
     n: u32,
     n_static: u32,
     across: u32,
@@ -229,7 +230,10 @@ pub(crate) fn project(
     }
     let before = scan_cube(count, &mut shared);
     if UNIT_POS == 255u32 {
-        base[0] = allocated[0].fetch_add(before + count);
+        base[0] = allocated[SLOTS].fetch_add(before + count);
+    }
+    if count > MANY {
+        large[allocated[LARGE_SPLATS].fetch_add(1u32) as usize] = i;
     }
     sync_cube();
     if i < n {

@@ -2,7 +2,7 @@
 //! their count changes (`project`), a scan over the tiles gives each list its place, splats write themselves into the lists,
 //! and a cube per tile sorts its list ([`sort`]).
 
-use crate::gpu::scan::scan_cube;
+use crate::gpu::scan::{scan_cube, scan_units};
 use crate::gpu::vector::SIZE;
 use cubecl::prelude::*;
 
@@ -12,15 +12,29 @@ pub(crate) mod sort;
 pub(crate) const WANTED: usize = 0;
 /// Buckets of 32 entries.
 pub(crate) const BUCKETS: usize = 1;
+/// Splats in more than [`MANY`] tiles, as counted.
+pub(crate) const LARGE: usize = 2;
 /// How many totals there are.
-pub(crate) const TOTALS: usize = 2;
+pub(crate) const TOTALS: usize = 3;
+
+/// What `project` hands out: slots,
+pub(crate) const SLOTS: usize = 0;
+/// and places in the list of large splats.
+pub(crate) const LARGE_SPLATS: usize = 1;
+/// How many kinds there are.
+pub(crate) const ALLOCATED: usize = 2;
+
+/// A splat in more tiles than this is large: a whole cube writes its entries and adds up its gradients.
+pub(crate) const MANY: u32 = 64;
+/// Cubes that share the large splats.
+pub(crate) const LARGE_CUBES: usize = 512;
 
 /// Tiles of a unit in a round of [`tile_starts`].
-const RUN: u32 = 16;
+const RUN: u32 = 4;
 
-/// Gives the lists of all tiles their places, in one cube, and sets the changes of their counts back to 0 for the next frame: the
-/// number of entries of a tile is the sum of the changes up to it. A frame that wants more entries than there is room for gets none.
-/// `peak` keeps the largest number that a frame wanted.
+/// Gives the lists of all tiles their places, in one cube of `units`, and sets the changes of their counts back to 0 for the next
+/// frame: the number of entries of a tile is the sum of the changes up to it. A frame that wants more entries than there is room for
+/// gets none. `peak` keeps the largest number that a frame wanted.
 #[cube(launch)]
 pub(crate) fn tile_starts(
     changes: &mut [u32],
@@ -32,9 +46,11 @@ pub(crate) fn tile_starts(
     peak: &mut [u32],
     tiles: u32,
     capacity: u32,
+    #[comptime] units: u32,
 ) {
-    let mut shared = Shared::<[u32]>::new_slice(256usize);
-    let wanted = allocated[0];
+    let mut shared = Shared::<[u32]>::new_slice(units as usize);
+    let last = comptime!(units as usize - 1);
+    let wanted = allocated[SLOTS];
     // before the round: entries of the tile, entries and buckets of all tiles
     let mut level = 0u32;
     let mut entries = 0u32;
@@ -42,56 +58,60 @@ pub(crate) fn tile_starts(
     let mut start = 0u32;
     while start < tiles {
         let tile = start + RUN * UNIT_POS;
-        let end = (tile + RUN).min(tiles);
+        let mut counts = Array::<u32>::new(4usize);
         let mut change = 0u32;
-        for k in tile..end {
-            change += changes[k as usize];
+        #[unroll]
+        for k in 0u32..4u32 {
+            let at = (tile + k) as usize;
+            if tile + k < tiles {
+                change += changes[at];
+                changes[at] = 0u32;
+            }
+            counts[k as usize] = change;
         }
-        let first_level = level + scan_cube(change, &mut shared);
-        level += shared[255usize];
+        let before = level + scan_units(change, &mut shared, units);
+        level += shared[last];
         sync_cube();
-        let mut count = first_level;
         let mut mine = 0u32;
         let mut filled = 0u32;
-        for k in tile..end {
-            count += changes[k as usize];
+        #[unroll]
+        for k in 0usize..4usize {
+            let mut count = counts[k] + before;
+            if wanted > capacity || tile + k as u32 >= tiles {
+                count = 0u32;
+            }
+            counts[k] = count;
             mine += count;
             filled += buckets_of(count);
         }
-        if wanted > capacity {
-            mine = 0u32;
-            filled = 0u32;
-        }
-        let mut first = entries + scan_cube(mine, &mut shared);
-        entries += shared[255usize];
+        let mut first = entries + scan_units(mine, &mut shared, units);
+        entries += shared[last];
         sync_cube();
-        let mut first_bucket = bucket + scan_cube(filled, &mut shared);
-        bucket += shared[255usize];
+        let mut first_bucket = bucket + scan_units(filled, &mut shared, units);
+        bucket += shared[last];
         sync_cube();
-        let mut count = first_level;
-        for k in tile..end {
-            let at = k as usize;
-            count += changes[at];
-            changes[at] = 0u32;
-            let mut here = count;
-            if wanted > capacity {
-                here = 0u32;
+        #[unroll]
+        for k in 0u32..4u32 {
+            let at = (tile + k) as usize;
+            let count = counts[k as usize];
+            if tile + k < tiles {
+                ranges[2 * at] = first;
+                ranges[2 * at + 1] = first + count;
+                cursors[at] = first;
+                buckets[at] = first_bucket;
             }
-            ranges[2 * at] = first;
-            ranges[2 * at + 1] = first + here;
-            cursors[at] = first;
-            buckets[at] = first_bucket;
-            first += here;
-            first_bucket += buckets_of(here);
+            first += count;
+            first_bucket += buckets_of(count);
         }
-        start += RUN * 256u32;
+        start += RUN * units;
     }
-    sync_cube();
     if UNIT_POS == 0u32 {
         totals[WANTED] = wanted;
         totals[BUCKETS] = bucket;
+        totals[LARGE] = allocated[LARGE_SPLATS];
         peak[0] = peak[0].max(wanted);
-        allocated[0] = 0u32;
+        allocated[SLOTS] = 0u32;
+        allocated[LARGE_SPLATS] = 0u32;
         changes[tiles as usize] = 0u32;
     }
 }
@@ -102,8 +122,8 @@ pub(crate) fn buckets_of(count: u32) -> u32 {
     (count + 31u32) / 32u32
 }
 
-/// One entry for every tile that a splat reaches, anywhere in the tile's list; `counts` become the numbers that were made. The units
-/// of a cube share the entries of its 256 splats, of which a few can have hundreds.
+/// One entry for every tile that a splat reaches which is not large, anywhere in the tile's list; `counts` become the numbers that were
+/// made. The units of a cube share the entries of its 256 splats.
 #[cube(launch)]
 pub(crate) fn emit(
     counts: &mut [u32],
@@ -121,17 +141,20 @@ pub(crate) fn emit(
     across: u32,
     capacity: u32,
 ) {
-    // slots of each splat, of which there are as many as it was counted in tiles, from those of the first
+    // entries before each splat's
     let mut starts = Shared::<[u32]>::new_slice(256usize);
     let mut all = Shared::<[u32]>::new_slice(1usize);
     let cube = ABSOLUTE_POS as u32 - UNIT_POS;
     let i = cube + UNIT_POS;
-    let fits = totals[WANTED] <= capacity;
     let mut count = 0u32;
     if i < n {
         count = counts[i as usize];
-        if !fits {
+        if totals[WANTED] > capacity {
             counts[i as usize] = 0u32;
+            count = 0u32;
+        }
+        if count > MANY {
+            count = 0u32;
         }
     }
     let start = scan_cube(count, &mut starts);
@@ -141,47 +164,143 @@ pub(crate) fn emit(
         all[0] = start + count;
     }
     let end = workgroup_uniform_load(&all[0]);
-    if fits && end > 0u32 {
-        let base = offsets[cube as usize];
-        let mut t = UNIT_POS;
-        while t < end {
-            // the last splat that starts here or before
-            let mut low = 0u32;
-            let mut step = 128u32;
-            while step > 0u32 {
-                if starts[(low + step) as usize] <= t {
-                    low += step;
-                }
-                step /= 2u32;
-            }
-            let splat = (cube + low) as usize;
-            let nth = t - starts[low as usize];
-            let r = splat * REACH;
-            let reach = Reach {
-                u: reaches[r],
-                v: reaches[r + 1],
-                v00: reaches[r + 2],
-                v01: reaches[r + 3],
-                v11: reaches[r + 4],
-                radius: reaches[r + 5],
-                width: eye[SIZE],
-                height: eye[SIZE + 1],
-            };
-            let (tile, made) = nth_tile(&reach, nth, across);
-            if tile != NO_TILE {
-                let place = cursors[tile as usize].fetch_add(1u32);
-                if place < ranges[(2u32 * tile + 1u32) as usize] {
-                    keys[place as usize] = depths[splat];
-                    slots[place as usize] = base + t;
-                    splats[(base + t) as usize] = splat as u32;
-                }
-            }
-            // the first that was counted and is not there
-            if tile == NO_TILE && nth == made {
-                counts[splat] = made;
-            }
-            t += 256u32;
+    let mut t = UNIT_POS;
+    while t < end {
+        let owner = last_from(&starts, t);
+        let splat = cube + owner;
+        let nth = t - starts[owner as usize];
+        let reach = reach_of(reaches, splat, eye);
+        let (tile, made) = nth_tile(&reach, nth, across);
+        if tile != NO_TILE {
+            let slot = offsets[splat as usize] + nth;
+            write_entry(tile, splat, slot, depths, ranges, cursors, keys, slots, splats);
         }
+        // the first that was counted and is not there
+        if tile == NO_TILE && nth == made {
+            counts[splat as usize] = made;
+        }
+        t += 256u32;
+    }
+}
+
+/// As [`emit`], for large splats: a cube takes one after the other, a unit a row of tiles at first and then tiles.
+#[cube(launch)]
+pub(crate) fn emit_large(
+    counts: &mut [u32],
+    offsets: &[u32],
+    reaches: &[f32],
+    depths: &[u32],
+    eye: &[f32],
+    ranges: &[u32],
+    cursors: &[Atomic<u32>],
+    keys: &mut [u32],
+    slots: &mut [u32],
+    splats: &mut [u32],
+    large: &[u32],
+    totals: &[u32],
+    across: u32,
+    capacity: u32,
+) {
+    // tiles before each row's, and the first of each
+    let mut starts = Shared::<[u32]>::new_slice(256usize);
+    let mut firsts = Shared::<[u32]>::new_slice(256usize);
+    let mut all = Shared::<[u32]>::new_slice(1usize);
+    let mut number = totals[LARGE];
+    if totals[WANTED] > capacity {
+        number = 0u32;
+    }
+    let mut next = CUBE_POS as u32;
+    while next < number {
+        let splat = large[next as usize];
+        let count = counts[splat as usize];
+        let slot = offsets[splat as usize];
+        let reach = reach_of(reaches, splat, eye);
+        let (first, end) = tile_rows(&reach, SLACK_PX);
+        let mut made = 0u32;
+        let mut top = first;
+        while top < end {
+            let row = top + UNIT_POS;
+            let mut left = 0u32;
+            let mut columns = 0u32;
+            if row < end {
+                let (from, to) = tile_span(&reach, row, SLACK_PX);
+                left = from;
+                columns = to - from;
+            }
+            let start = scan_cube(columns, &mut starts);
+            sync_cube();
+            starts[UNIT_POS as usize] = start;
+            firsts[UNIT_POS as usize] = row * across + left;
+            if UNIT_POS == 255u32 {
+                all[0] = start + columns;
+            }
+            let tiles = workgroup_uniform_load(&all[0]);
+            let mut t = UNIT_POS;
+            while t < tiles.min(count - made) {
+                let row = last_from(&starts, t) as usize;
+                let tile = firsts[row] + t - starts[row];
+                write_entry(tile, splat, slot + made + t, depths, ranges, cursors, keys, slots, splats);
+                t += 256u32;
+            }
+            made += tiles.min(count - made);
+            top += 256u32;
+            sync_cube();
+        }
+        if UNIT_POS == 0u32 {
+            counts[splat as usize] = made;
+        }
+        next += CUBE_COUNT as u32;
+    }
+}
+
+/// The last of 256 places whose start is `t` or less.
+#[cube]
+fn last_from(starts: &Shared<[u32]>, t: u32) -> u32 {
+    let mut low = 0u32;
+    let mut step = 128u32;
+    while step > 0u32 {
+        if starts[(low + step) as usize] <= t {
+            low += step;
+        }
+        step /= 2u32;
+    }
+    low
+}
+
+/// Writes an entry into the list of its tile.
+#[cube]
+fn write_entry(
+    tile: u32,
+    splat: u32,
+    slot: u32,
+    depths: &[u32],
+    ranges: &[u32],
+    cursors: &[Atomic<u32>],
+    keys: &mut [u32],
+    slots: &mut [u32],
+    splats: &mut [u32],
+) {
+    let place = cursors[tile as usize].fetch_add(1u32);
+    if place < ranges[(2u32 * tile + 1u32) as usize] {
+        keys[place as usize] = depths[splat as usize];
+        slots[place as usize] = slot;
+        splats[slot as usize] = splat;
+    }
+}
+
+/// The reach of a splat from memory.
+#[cube]
+fn reach_of(reaches: &[f32], splat: u32, eye: &[f32]) -> Reach {
+    let r = splat as usize * REACH;
+    Reach {
+        u: reaches[r],
+        v: reaches[r + 1],
+        v00: reaches[r + 2],
+        v01: reaches[r + 3],
+        v11: reaches[r + 4],
+        radius: reaches[r + 5],
+        width: eye[SIZE],
+        height: eye[SIZE + 1],
     }
 }
 

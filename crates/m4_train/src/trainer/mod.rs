@@ -137,13 +137,9 @@ impl<'a> Trainer<'a> {
         config: TrainConfig,
         level: SimdLevel,
     ) -> Self {
-        let mut backend = CpuBackend::new(capture, config.target_cache_mb, level);
-        if config.density.needs_image_gradients() {
-            backend.collect_image_gradients();
-        }
         Self {
             capture,
-            backend: Box::new(backend),
+            backend: cpu(capture, &config, level),
             frames_wanted: None,
             is_uploaded: false,
             is_current: true,
@@ -254,6 +250,15 @@ impl<'a> Trainer<'a> {
         Ok(())
     }
 
+    /// Takes steps on the CPU from here on; `level` is what its kernels are compiled for. After a device failed, from its last good
+    /// state. Fails with [`TrainError::Device`] if another backend that was used before fails to give its splats back.
+    pub fn use_cpu(&mut self, level: SimdLevel) -> Result<(), TrainError> {
+        self.synchronize()?;
+        self.backend = cpu(self.capture, &self.config, level);
+        self.frames_wanted = None;
+        Ok(())
+    }
+
     /// Whether steps are done when they return.
     pub(crate) fn is_synchronous(&self) -> bool {
         self.backend.is_synchronous()
@@ -303,6 +308,15 @@ impl<'a> Trainer<'a> {
             processor_seconds: self.processor_seconds,
         }
     }
+}
+
+/// The CPU as a backend.
+fn cpu<'a>(capture: &'a Capture, config: &TrainConfig, level: SimdLevel) -> Box<dyn Backend + 'a> {
+    let mut backend = CpuBackend::new(capture, config.target_cache_mb, level);
+    if config.density.needs_image_gradients() {
+        backend.collect_image_gradients();
+    }
+    Box::new(backend)
 }
 
 /// Refuses what no run can start from.

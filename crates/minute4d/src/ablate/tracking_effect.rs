@@ -24,7 +24,7 @@ struct Place {
 /// Writes the ground truth of that region and the renders of the scenes in `folders` (without, with) side by side to `path`;
 pub fn write(folders: &[PathBuf; 2], data: &Path, path: &Path, job: &Job<'_>) -> Result<Option<PathBuf>, Error> {
     let level = SimdLevel::detect()?;
-    let gpu = job.device.choice.open()?;
+    let gpu = job.device.choice.open(|why| job.observer.warn(why))?;
     let read = |run: &Path| HeldOut::read(run, data, job.settings.capture.reach, job.observer);
     let (without, with) = (read(&folders[0])?, read(&folders[1])?);
     let mut draw_without = SceneRenderer::new(&without.scene, level, gpu.as_ref())?;

@@ -6,7 +6,7 @@ use crate::stage::check_stop;
 use crate::{Error, Observer};
 use cpu_time::ProcessTime;
 use m4_kernels::bench::{Bench as Host, Counts, SceneConfig};
-use m4_kernels::gpu::{Choice, Gpu, GpuError, Laps, Plan, adapters, best};
+use m4_kernels::gpu::{Choice, Gpu, GpuError, Laps, Plan, adapters, automatic};
 use m4_kernels::{SimdLevel, StepStats};
 use m4_train::backend::gpu::{Bench, Drawing};
 use std::time::{Duration, Instant};
@@ -24,8 +24,11 @@ const LAMBDA_SSIM: f64 = 0.2;
 pub(super) fn open(device: DeviceChoice) -> Result<Option<Gpu>, Error> {
     let choice = match device {
         DeviceChoice::Cpu => return Ok(None),
-        DeviceChoice::Auto if best(adapters()).is_none() => return Ok(None),
-        DeviceChoice::Auto | DeviceChoice::Gpu(None) => Choice::Best,
+        DeviceChoice::Auto => match automatic(adapters()) {
+            Some(adapter) => Choice::Index(adapter.index),
+            None => return Ok(None),
+        },
+        DeviceChoice::Gpu(None) => Choice::Best,
         DeviceChoice::Gpu(Some(index)) => Choice::Index(index),
     };
     Ok(Some(Gpu::open(choice)?))

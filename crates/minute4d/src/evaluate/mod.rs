@@ -194,7 +194,7 @@ pub fn views(out: &Path, data: &Path, options: &EvalOptions, observer: &dyn Obse
         None => None,
     };
     let held = HeldOut::read(out, data, options.reach, observer)?;
-    let gpu = options.device.open()?;
+    let gpu = options.device.open(|why| observer.warn(why))?;
     let mut renderer = SceneRenderer::new(&held.scene, level, gpu.as_ref())?;
     let (images, other, choices, drawing_s) = match options.protocol {
         None => {

@@ -111,7 +111,7 @@ pub fn make(scene: &Path, out: &Path, job: &RenderJob, observer: &dyn Observer) 
     let level = SimdLevel::detect()?;
     let file = if scene.is_dir() { scene.join(SCENE_FILE) } else { scene.to_path_buf() };
     let scene = safetensors::read(&file)?.scene;
-    let gpu = job.device.open()?;
+    let gpu = job.device.open(|why| observer.warn(why))?;
     let mut renderer = SceneRenderer::new(&scene, level, gpu.as_ref())?;
     let plan = job.plan(&scene, renderer.painter())?;
     let stops = &plan.stops;

@@ -2,7 +2,7 @@
 
 mod checkpoint;
 
-use crate::device::OpenGpu;
+use crate::device::{DeviceChoice, OpenGpu};
 use crate::error::OutputError;
 use crate::folder::{self, METRICS_FILE, SCENE_FILE, VIEWER_FILE};
 use crate::pipeline::Clock;
@@ -152,6 +152,15 @@ fn train(
         };
         let outcome = match trainer.run(&timer, &mut note) {
             Ok(outcome) => outcome,
+            Err(error @ TrainError::Device { .. })
+                if run.gpu.is_some() && run.job.device.choice == DeviceChoice::Auto =>
+            {
+                keeper.warn(&format!("{error}; the run goes on from there on the CPU"));
+                trainer.use_cpu(run.level)?;
+                // nor does it draw the preview
+                run.gpu = None;
+                continue;
+            }
             Err(error @ (TrainError::Diverged { .. } | TrainError::Device { .. })) => {
                 // The trainer is back in its last good state: worth keeping, not worth going on with.
                 save(run, &mut trainer, &mut checkpoints, &mut log)?;

@@ -103,11 +103,12 @@ fn gpus() -> Vec<GpuAdapter> {
     use minute4d::gpu::{AdapterKind, adapters};
     let all = adapters();
     let usable = |a: &minute4d::gpu::Adapter| a.kind != AdapterKind::Software && a.unfit.is_none();
-    let best = minute4d::gpu::best(all).map(|a| a.index);
+    let chosen = minute4d::gpu::automatic(all).map(|a| a.index);
     let why = |a: &minute4d::gpu::Adapter| match (&a.unfit, a.kind) {
         (Some(unfit), _) => Some(unfit.clone()),
         (None, AdapterKind::Software) => Some("software rendering, slower than --device cpu".to_owned()),
-        (None, _) if usable(a) && best != Some(a.index) => Some("another GPU is better".to_owned()),
+        (None, kind) if kind != AdapterKind::Discrete => Some("not measured; --device gpu uses it".to_owned()),
+        (None, _) if usable(a) && chosen != Some(a.index) => Some("another GPU is better".to_owned()),
         _ => None,
     };
     all.iter()

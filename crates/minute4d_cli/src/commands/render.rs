@@ -40,9 +40,9 @@ pub struct Render {
     /// `swing`, `bullet`: maximum rotation to either side, degrees
     #[arg(long, value_name = "DEG", allow_negative_numbers = true, help_heading = "Camera paths")]
     pub degrees: Option<f64>,
-    /// Device that renders: `cpu`, `gpu` (the best one), `gpu:N` (`minute4d doctor` lists them), or `auto` (a hardware GPU if
-    /// there is one, else the CPU)
-    #[arg(long, value_name = "DEVICE", default_value = "cpu")]
+    /// Device that renders: `cpu`, `gpu` (the best one), `gpu:N` (`minute4d doctor` lists them), or `auto` (the best graphics
+    /// card, else the CPU)
+    #[arg(long, value_name = "DEVICE", default_value = "auto")]
     pub device: DeviceChoice,
     /// Replace existing images or an existing video
     #[arg(long)]

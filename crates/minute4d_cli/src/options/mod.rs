@@ -19,9 +19,9 @@ use values::{degrees, duration, seconds};
 
 #[derive(Debug, Args)]
 pub struct DeviceArgs {
-    /// Device for training and networks: `cpu`, `gpu` (the best one), `gpu:N` (`minute4d doctor` lists them), or `auto` (a hardware
-    /// GPU if there is one, else the CPU)
-    #[arg(long, value_name = "DEVICE", default_value = "cpu")]
+    /// Device for training: `cpu`, `gpu` (the best one), `gpu:N` (`minute4d doctor` lists them), or `auto` (the best graphics card, else
+    /// or if it fails the CPU). Networks run on a GPU only with `gpu`
+    #[arg(long, value_name = "DEVICE", default_value = "auto")]
     pub device: DeviceChoice,
     /// Limit of GPU memory for training in megabytes: frames that do not fit are uploaded when needed; training that does not
     /// fit without them is refused [default: unlimited]

@@ -7,6 +7,7 @@ use crate::gpu::vector::{FOCAL, INVERSE_PERIOD, TIME};
 use crate::gpu::vector::{add_scaled, dot, scaled, times, transposed, v3};
 use crate::shade::gpu::shade_backward;
 use crate::slice::gpu::{life, quat_backward, shape};
+use crate::tile_binning::gpu::{LARGE, MANY};
 use cubecl::prelude::*;
 
 /// The smallest normal number.
@@ -46,12 +47,12 @@ pub(crate) fn project_backward(
     if i < n {
         count = counts[i as usize];
     }
-    let sum = sum_of_slots(counts, offsets, sums, i, count);
     if i < n {
         let at = i as usize;
         let rows = n as usize;
         let mut seen = 0u32;
         if count > 0u32 {
+            let sum = sum_of_slots(offsets[at], count, sums);
             let (weight, mx, my) = (sum[0], sum[1], sum[2]);
             let (xx, xy, yy) = (sum[3], sum[4], sum[5]);
             let (d_red, d_green, d_blue) = (sum[6], sum[7], sum[8]);
@@ -175,82 +176,80 @@ pub(crate) fn project_backward(
     }
 }
 
-/// A splat of more slots than this is the work of a whole cube.
-const MANY: u32 = 64;
 /// Units that add up a part each of one of the nine sums: 28 parts.
 const ADDERS: u32 = 252;
 
-/// The sums of splat `i` over its `count` slots, in an order that is the same every time. All units of a cube come here.
+/// The sums of a splat over its slots in their order; those of a large one are in its first slot.
 #[cube]
-fn sum_of_slots(counts: &[u32], offsets: &[u32], sums: &[f32], i: u32, count: u32) -> Array<f32> {
-    let mut shares = Shared::<[f32]>::new_slice(256usize * SUMS);
-    let mut parts = Shared::<[f32]>::new_slice(252usize);
-    let mut large = Shared::<[u32]>::new_slice(256usize);
-    let number = Shared::<[Atomic<u32>]>::new_slice(1usize);
+fn sum_of_slots(first: u32, count: u32, sums: &[f32]) -> Array<f32> {
     let mut out = Array::<f32>::new(SUMS);
     #[unroll]
     for k in 0usize..SUMS {
         out[k] = f32::new(0.0f32);
     }
-    if UNIT_POS == 0u32 {
-        number[0].store(0u32);
-    }
-    sync_cube();
+    let mut end = first + count;
     if count > MANY {
-        large[number[0].fetch_add(1u32) as usize] = UNIT_POS;
+        end = first + 1u32;
     }
-    if count > 0u32 && count <= MANY {
-        let first = offsets[i as usize];
-        for slot in first..first + count {
-            #[unroll]
-            for k in 0usize..SUMS {
-                out[k] += sums[slot as usize * SUMS + k];
-            }
-        }
-    }
-    for next in 0u32..workgroup_uniform_load_atomic(&number[0]) {
-        let owner = large[next as usize];
-        let splat = (i - UNIT_POS + owner) as usize;
-        let first = offsets[splat];
-        let end = first + counts[splat];
-        let mut share = Array::<f32>::new(SUMS);
+    for slot in first..end {
         #[unroll]
         for k in 0usize..SUMS {
-            share[k] = f32::new(0.0f32);
-        }
-        let mut slot = first + UNIT_POS;
-        while slot < end {
-            #[unroll]
-            for k in 0usize..SUMS {
-                share[k] += sums[slot as usize * SUMS + k];
-            }
-            slot += 256u32;
-        }
-        #[unroll]
-        for k in 0usize..SUMS {
-            shares[256 * k + UNIT_POS as usize] = share[k];
-        }
-        sync_cube();
-        if UNIT_POS < ADDERS {
-            let from = (UNIT_POS / 28u32) as usize * 256;
-            let start = (UNIT_POS % 28u32) * 10u32;
-            let mut part = 0.0f32;
-            for k in start.min(256u32)..(start + 10u32).min(256u32) {
-                part += shares[from + k as usize];
-            }
-            parts[UNIT_POS as usize] = part;
-        }
-        sync_cube();
-        if UNIT_POS == owner {
-            #[unroll]
-            for k in 0usize..SUMS {
-                let mut total = 0.0f32;
-                for part in 0usize..28usize {
-                    total += parts[28 * k + part];
-                }
-                out[k] = total;
-            }
+            out[k] += sums[slot as usize * SUMS + k];
         }
     }
     out
+}
+
+/// Adds up the slots of each large splat, in an order that is the same every time, and leaves the sums in its first slot. A cube
+/// takes one after the other.
+#[cube(launch)]
+pub(crate) fn sum_large(counts: &[u32], offsets: &[u32], large: &[u32], totals: &[u32], sums: &mut [f32]) {
+    let mut shares = Shared::<[f32]>::new_slice(256usize * SUMS);
+    let mut parts = Shared::<[f32]>::new_slice(252usize);
+    let number = totals[LARGE];
+    let mut next = CUBE_POS as u32;
+    while next < number {
+        let splat = large[next as usize] as usize;
+        let first = offsets[splat];
+        let count = counts[splat];
+        // fewer can have been made than were counted
+        if count > MANY {
+            let mut share = Array::<f32>::new(SUMS);
+            #[unroll]
+            for k in 0usize..SUMS {
+                share[k] = f32::new(0.0f32);
+            }
+            let mut slot = first + UNIT_POS;
+            while slot < first + count {
+                #[unroll]
+                for k in 0usize..SUMS {
+                    share[k] += sums[slot as usize * SUMS + k];
+                }
+                slot += 256u32;
+            }
+            #[unroll]
+            for k in 0usize..SUMS {
+                shares[256 * k + UNIT_POS as usize] = share[k];
+            }
+            sync_cube();
+            if UNIT_POS < ADDERS {
+                let from = (UNIT_POS / 28u32) as usize * 256;
+                let start = (UNIT_POS % 28u32) * 10u32;
+                let mut part = 0.0f32;
+                for k in start.min(256u32)..(start + 10u32).min(256u32) {
+                    part += shares[from + k as usize];
+                }
+                parts[UNIT_POS as usize] = part;
+            }
+            sync_cube();
+            if UNIT_POS < 9u32 {
+                let mut total = 0.0f32;
+                for part in 0u32..28u32 {
+                    total += parts[(28u32 * UNIT_POS + part) as usize];
+                }
+                sums[first as usize * SUMS + UNIT_POS as usize] = total;
+            }
+        }
+        next += CUBE_COUNT as u32;
+    }
 }

@@ -7,7 +7,7 @@ use cubecl::prelude::*;
 /// Entries that are sorted at once.
 const PIECE: u32 = 1024;
 /// Units of a cube: most lists have a few dozen entries.
-pub(crate) const UNITS: u32 = 64;
+pub(crate) const UNITS: u32 = 128;
 /// In place of a slot after the end of a list.
 const NO_SLOT: u32 = 0xffff_ffff;
 

@@ -78,7 +78,7 @@ const FLOWS: [Part; 2] = [Part::Raft, Part::Classical];
 const DEPTHS: [&[Part]; 5] =
     [&[Part::Moge], &[Part::Unidepth, Part::DepthAnything], &[Part::Unidepth], &[Part::DepthAnything], &[]];
 
-/// Finds what `asked` needs. `auto` is `classical` on the processor, by measurement (docs/geometry.md, "Front ends"); on a GPU it is
+/// Finds what `asked` needs. `auto` is `classical` on the processor, by measurement (docs/geometry.md, "Front ends"); on a GPU that was asked for it is
 /// `megasam` where the weights of all of its parts are here. Fails if weights are missing, or if a requested GPU does not start.
 #[cfg(feature = "nets")]
 pub fn plan(asked: &Frontend, device: DeviceChoice) -> Result<Plan, Error> {
@@ -88,9 +88,7 @@ pub fn plan(asked: &Frontend, device: DeviceChoice) -> Result<Plan, Error> {
         let best = [Part::Megasam, Part::Raft];
         let depth = DEPTHS.iter().find(|d| !d.is_empty() && d.iter().all(|&p| here(p)));
         match depth {
-            Some(depth) if best.iter().all(|&p| here(p)) && device != DeviceChoice::Cpu && device.open()?.is_some() => {
-                [&best, *depth].concat()
-            }
+            Some(depth) if best.iter().all(|&p| here(p)) && device.is_gpu()? => [&best, *depth].concat(),
             _ => vec![Part::Classical],
         }
     } else {
