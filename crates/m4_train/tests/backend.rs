@@ -126,6 +126,16 @@ fn a_backend_that_fails_leaves_the_last_good_splats() {
     end.unwrap();
     assert!(kept == there);
 
+    // the CPU goes on from there
+    let mut trainer = Trainer::new(&capture, disturbed(&scene, 2), config(), SimdLevel::best()).unwrap();
+    trainer.use_backend(Box::new(failing(31, None))).unwrap();
+    assert!(trainer.run_until(100, &Silent, &mut |_| {}).is_err());
+    trainer.use_cpu(SimdLevel::best()).unwrap();
+    let mut losses = Vec::new();
+    trainer.run_until(100, &Silent, &mut |event| losses.push(event.loss)).unwrap();
+    assert_eq!(trainer.iteration(), 100);
+    assert!(trainer.splats().is_finite() && losses.last() < losses.first(), "{losses:?}");
+
     // splats are not copied more often than the settings say
     let rarely = TrainConfig { keep_every_s: 1e9, arcs: false, ..config() };
     let rounds = Arc::new(AtomicUsize::new(0));

@@ -105,7 +105,8 @@ pub(crate) fn count_step(touched: u32, tally: &[Atomic<u32>]) {
     if UNIT_POS == 255u32 {
         let sum = before + touched;
         let old = tally[TOUCHED].fetch_add(sum);
-        if old + sum < old {
+        // the low word went over
+        if old > 0xffff_ffffu32 - sum {
             tally[TOUCHED + 1].fetch_add(1u32);
         }
     }

@@ -7,7 +7,7 @@ use crate::gpu::timing::Stopwatch;
 use crate::gpu::vector::eye;
 use crate::gpu::{Gpu, GpuError};
 use crate::project::gpu::{RECORD, project, project_backward, sum_large};
-use crate::tile_binning::gpu::{self as tile_binning, ALLOCATED, LARGE_CUBES, REACH, TILE, TOTALS, WANTED, sort};
+use crate::tile_binning::gpu::{ALLOCATED, LARGE_CUBES, REACH, TILE, TOTALS, WANTED, entries, sort, starts};
 use crate::{View, bench::Kernel};
 use cubecl::prelude::{CubeCount, CubeDim};
 
@@ -222,9 +222,9 @@ impl Work {
     fn make_lists(&self, gpu: &Gpu) {
         let (client, size) = (&gpu.client, self.size);
         let (n, tiles, capacity) = (size.n, size.tiles() as u32, size.entries as u32);
-        let most = gpu.adapter().max_units.min(1024).next_power_of_two();
-        let most = if most > gpu.adapter().max_units { most / 2 } else { most };
-        tile_binning::tile_starts::launch(
+        // a power of two
+        let most = if gpu.adapter().max_units >= 1024 { 1024 } else { 256 };
+        starts::tile_starts::launch(
             client,
             cubes(1, 1),
             CubeDim::new_1d(most),
@@ -239,7 +239,7 @@ impl Work {
             capacity,
             most,
         );
-        tile_binning::emit::launch(
+        entries::emit::launch(
             client,
             cubes(n, 256),
             units(),
@@ -258,7 +258,7 @@ impl Work {
             size.across() as u32,
             capacity,
         );
-        tile_binning::emit_large::launch(
+        entries::emit_large::launch(
             client,
             cubes(LARGE_CUBES, 1),
             units(),
