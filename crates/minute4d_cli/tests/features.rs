@@ -92,7 +92,7 @@ fn a_gpu_memory_limit_does_not_apply_to_the_cpu() {
     let dir = Scratch::new();
     for line in [
         "bench --quick --max-vram 100",
-        "train capture -o out --max-vram 100",
+        "train capture -o out --device cpu --max-vram 100",
         "run clip.mp4 -o out --device cpu --max-vram 100",
     ] {
         dir.refused(line, 2, &["--max-vram", "--device gpu"]);

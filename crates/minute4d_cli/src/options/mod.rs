@@ -23,8 +23,8 @@ pub struct DeviceArgs {
     /// or if it fails the CPU). Networks run on a GPU only with `gpu`
     #[arg(long, value_name = "DEVICE", default_value = "auto")]
     pub device: DeviceChoice,
-    /// Limit of GPU memory for training in megabytes: frames that do not fit are uploaded when needed; training that does not
-    /// fit without them is refused [default: unlimited]
+    /// Limit of GPU memory for training in megabytes, of no effect on the CPU: frames that do not fit are uploaded when needed;
+    /// training that does not fit without them is refused, with `auto` left to the CPU [default: unlimited]
     #[arg(long, value_name = "MB", value_parser = clap::value_parser!(u32).range(1..))]
     pub max_vram: Option<u32>,
 }
