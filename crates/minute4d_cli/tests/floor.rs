@@ -1,5 +1,5 @@
 //! The regression floor: `fixtures/floor`, a rendered scene with ground truth, from its frames alone and with its geometry given. The bounds
-//! are what the program reached on 2026-11-24, less 1 dB, and half as much again for errors of geometry. They fail for training that ends after 20
+//! are what the program reached on 2026-11-26, or earlier where that was better, less 1 dB, and half as much again for errors of geometry. They fail for training that ends after 20
 //! steps, for a focal length that is wrong by a third (`--fov 40`) and for masks without an object.
 
 use crate::common::Scratch;
@@ -25,8 +25,8 @@ fn scene_stays_above_the_floor() {
     let geometry = dir.succeed(&format!("eval-geometry out/capture --truth '{SCENE}' --json")).result();
     let mut below = Vec::new();
     for (what, path, most) in [
-        ("trajectory, % of the path", "/trajectory/rmse_percent", 0.15),
-        ("static depth, AbsRel", "/depth/static_abs_rel", 0.029),
+        ("trajectory, % of the path", "/trajectory/rmse_percent", 0.034),
+        ("static depth, AbsRel", "/depth/static_abs_rel", 0.0148),
         ("dynamic depth, AbsRel", "/depth/moving_abs_rel", 0.116),
         ("distance of the robot", "/objects/0/distance", 0.075),
         ("pixels that the masks miss", "/objects/0/missed", 0.108),
@@ -38,8 +38,8 @@ fn scene_stays_above_the_floor() {
     }
     dir.succeed(&format!("train '{SCENE}' -o given --iterations 300 --no-viewer"));
     for (run, bounds) in [
-        ("out", [("far", 23.8, 15.9), ("near", 25.8, 18.3), ("between", 26.0, 18.6)]),
-        ("given", [("far", 27.9, 20.1), ("near", 30.9, 22.9), ("between", 30.3, 20.3)]),
+        ("out", [("far", 25.5, 16.0), ("near", 29.6, 19.5), ("between", 29.9, 19.6)]),
+        ("given", [("far", 27.9, 20.4), ("near", 31.0, 23.1), ("between", 30.3, 20.4)]),
     ] {
         let report = dir.succeed(&format!("eval {run} --data '{SCENE}' --json")).result();
         for (name, whole, dynamic) in bounds {
