@@ -23,9 +23,11 @@ const PLANNED: f64 = 0.92;
 const MOST_GROWTH: f64 = 4.0;
 /// Fewer iterations than this are no training.
 const LEAST: usize = 50;
+/// The paper's number. Held-out views gain tenths of a decibel from 200 to as many; a GPU would take tens of thousands in a minute.
+const MOST: usize = 5000;
 
 /// The number of iterations that take `seconds()`, asked after the trial steps, on rayon's current pool, or on a `backend`: trial steps on a copy of `splats` with what density control may add,
-/// and on one that is split into segments of arcs besides, which the second half of a run has. A multiple of 10, at least 50. Unlike everything else in this crate it depends on the machine: with the number that it returns,
+/// and on one that is split into segments of arcs besides, which the second half of a run has. A multiple of 10, at least 50 and at most 5,000. Unlike everything else in this crate it depends on the machine: with the number that it returns,
 /// training is a function of its inputs again.
 /// Fails as [`Trainer::new`] and [`Trainer::run`].
 pub fn affordable_iterations(
@@ -51,7 +53,7 @@ pub fn affordable_iterations(
     }
     let fits = frames_drawn(config.colour_fit_rounds, capture.frames.len()) / config.batch as f64;
     let count = (PLANNED * seconds() / step_s.max(1e-6) - fits).max(0.0) as usize;
-    Ok((count / 10 * 10).max(LEAST))
+    Ok((count / 10 * 10).clamp(LEAST, MOST))
 }
 
 /// The splats that density control may make of these: most of a run has as many. What is wrong is mostly in what

@@ -122,8 +122,15 @@ fn train(
             let budget_s = settings.train.budget_s;
             if budget_s > 0.0 || end.is_some() {
                 let seconds = || affordable(budget_s, started, end);
-                let trial = run.gpu.as_ref().map(|_| &make as BackendMaker<'_>);
-                let n = m4_train::affordable_iterations(capture, &splats, &config, run.level, trial, seconds)?;
+                let level = run.level;
+                let fitting = |trial| m4_train::affordable_iterations(capture, &splats, &config, level, trial, seconds);
+                let n = match fitting(run.gpu.as_ref().map(|_| &make as BackendMaker<'_>)) {
+                    Err(error) if may_leave_gpu(run, &error) => {
+                        leave_gpu(run, keeper, &error);
+                        fitting(None)
+                    }
+                    other => other,
+                }?;
                 if budget_s > 0.0 || n < config.iterations {
                     config.iterations = n;
                     let note =
@@ -138,7 +145,7 @@ fn train(
             (trainer, log)
         }
     };
-    if let Some(gpu) = &gpu {
+    if let Some(gpu) = &run.gpu {
         trainer.use_backend(gpu.training(run.job.device.max_vram_mb, settings.train.batch))?;
     }
     let observer = run.job.observer;
@@ -152,13 +159,9 @@ fn train(
         };
         let outcome = match trainer.run(&timer, &mut note) {
             Ok(outcome) => outcome,
-            Err(error @ TrainError::Device { .. })
-                if run.gpu.is_some() && run.job.device.choice == DeviceChoice::Auto =>
-            {
-                keeper.warn(&format!("{error}; the run goes on from there on the CPU"));
+            Err(error) if may_leave_gpu(run, &error) => {
+                leave_gpu(run, keeper, &error);
                 trainer.use_cpu(run.level)?;
-                // nor does it draw the preview
-                run.gpu = None;
                 continue;
             }
             Err(error @ (TrainError::Diverged { .. } | TrainError::Device { .. })) => {
@@ -193,6 +196,18 @@ fn train(
     let path = run.path(SCENE_FILE);
     trainer.save(|scene, state| publish(&path, scene, state))?;
     Ok(trainer.into_scene())
+}
+
+/// Whether a GPU failed that the user did not ask for.
+fn may_leave_gpu(run: &Workspace<'_>, error: &TrainError) -> bool {
+    let failed = matches!(error, TrainError::Device { .. });
+    failed && run.gpu.is_some() && run.job.device.choice == DeviceChoice::Auto
+}
+
+/// Trains on the CPU from here on; nor does the GPU draw the preview.
+fn leave_gpu(run: &mut Workspace<'_>, keeper: &RecordingObserver<'_>, error: &TrainError) {
+    keeper.warn(&format!("{error}; the run goes on from there on the CPU"));
+    run.gpu = None;
 }
 
 /// Seconds that are left for iterations: of the budget, which the first splats have taken a part of, but at least half of it; and of
