@@ -52,8 +52,8 @@ impl fmt::Display for DeviceChoice {
 }
 
 impl DeviceChoice {
-    /// The GPU that is chosen, ready for work; `None` where that is the processor. `warn` is told of a GPU that [`Self::Auto`] chose
-    /// and that does not start.
+    /// The GPU that is chosen, ready for work; `None` where that is the processor. `warn` gets the reason where the GPU that
+    /// [`Self::Auto`] chose does not start.
     ///
     /// # Errors
     ///

@@ -244,7 +244,7 @@ fn a_million_splats() {
     let got = GpuRenderer::new(gpu, &splats).unwrap().render(&view).unwrap();
     let mut cpu = Renderer::new(SimdLevel::best());
     let want = cpu.render(&splats, &view);
-    // so many that some are at the threshold of alpha; their gradients need more memory than a software driver gives to one buffer
+    // of a million some are at the threshold of alpha; their gradients need more memory than a software driver gives to one buffer
     for (got, want) in got.rgb.iter().chain([&got.transmittance]).zip(want.rgb.iter().chain([&want.transmittance])) {
         let want: Vec<f64> = want.iter().map(|&v| f64::from(v)).collect();
         assert_image("a million", got, &want, FLIPS);
