@@ -52,8 +52,13 @@ pub fn affordable_iterations(
         step_s += (1.0 - ARCS_AT) * (after_s - step_s).max(0.0);
     }
     let fits = frames_drawn(config.colour_fit_rounds, capture.frames.len()) / config.batch as f64;
-    let count = (PLANNED * seconds() / step_s.max(1e-6) - fits).max(0.0) as usize;
-    Ok((count / 10 * 10).clamp(LEAST, MOST))
+    Ok(count(seconds(), step_s, fits))
+}
+
+/// Iterations of `step_s` that take `seconds` with as many steps besides as `fits`.
+fn count(seconds: f64, step_s: f64, fits: f64) -> usize {
+    let all = (PLANNED * seconds / step_s.max(1e-6) - fits).max(0.0) as usize;
+    (all / 10 * 10).clamp(LEAST, MOST)
 }
 
 /// The splats that density control may make of these: most of a run has as many. What is wrong is mostly in what
@@ -136,9 +141,14 @@ fn trial(
 
 #[cfg(test)]
 mod tests {
-    use super::grown;
+    use super::{count, grown};
     use crate::TrainConfig;
     use m4_core::{Column, SplatLayout, Splats};
+
+    #[test]
+    fn a_budget_ends_at_the_papers_number() {
+        assert_eq!([count(10.0, 0.01, 12.0), count(60.0, 4e-4, 64.0), count(1.0, 0.5, 0.0)], [900, 5000, 50]);
+    }
 
     #[test]
     fn trial_steps_have_as_many_splats_as_the_run_will() {

@@ -23,7 +23,7 @@ pub struct Geometry {
     pub out: Option<PathBuf>,
     #[command(flatten)]
     pub video: VideoArgs,
-    /// Device for networks: `cpu`, `gpu` (the best one), `gpu:N` (`minute4d doctor` lists them), or `auto`
+    /// Device for networks: `cpu`, `gpu` (the best one), `gpu:N` (`minute4d doctor` lists them), or `auto` (the CPU)
     #[arg(long, value_name = "DEVICE", default_value = "cpu")]
     pub device: DeviceChoice,
     #[command(flatten)]
@@ -82,7 +82,7 @@ pub struct Enhance {
     /// Tracking method [default: auto]
     #[arg(long, value_parser = trackers())]
     pub tracker: Option<Tracker>,
-    /// Device for networks: `cpu`, `gpu` (the best one), `gpu:N` (`minute4d doctor` lists them), or `auto`
+    /// Device for networks: `cpu`, `gpu` (the best one), `gpu:N` (`minute4d doctor` lists them), or `auto` (the CPU)
     #[arg(long, value_name = "DEVICE", default_value = "cpu")]
     pub device: DeviceChoice,
     #[command(flatten)]

@@ -42,7 +42,7 @@ pub struct Reproduce {
     /// Also run every scene without segmentation, without tracking, without loss-guided density control, and without any
     #[arg(long)]
     pub ablations: bool,
-    /// Device for training, rendering and networks: `cpu`, `gpu`, `gpu:N` or `auto`
+    /// Device for training, rendering and networks: `cpu`, `gpu`, `gpu:N`, or `auto` (networks on the CPU)
     #[arg(long, value_name = "DEVICE", default_value = "cpu")]
     pub device: DeviceChoice,
     #[command(flatten)]
@@ -98,7 +98,7 @@ pub struct Ablate {
     /// Dilate the masks of dynamic regions by this many pixels before scoring
     #[arg(long, value_name = "PX", default_value_t = 0)]
     pub grow_mask: usize,
-    /// Device for training and networks: `cpu`, `gpu`, `gpu:N` or `auto`
+    /// Device for training and networks: `cpu`, `gpu`, `gpu:N`, or `auto` (networks on the CPU)
     #[arg(long, value_name = "DEVICE", default_value = "cpu")]
     pub device: DeviceChoice,
     #[command(flatten)]

@@ -33,10 +33,10 @@ pub(crate) fn tile_starts(
     let mut start = 0u32;
     while start < tiles {
         let tile = start + RUN * UNIT_POS;
-        let mut counts = Array::<u32>::new(4usize);
+        let mut counts = Array::<u32>::new(RUN as usize);
         let mut change = 0u32;
         #[unroll]
-        for k in 0u32..4u32 {
+        for k in 0u32..RUN {
             let at = (tile + k) as usize;
             if tile + k < tiles {
                 change += changes[at];
@@ -50,12 +50,12 @@ pub(crate) fn tile_starts(
         let mut mine = 0u32;
         let mut filled = 0u32;
         #[unroll]
-        for k in 0usize..4usize {
-            let mut count = counts[k] + before;
-            if wanted > capacity || tile + k as u32 >= tiles {
+        for k in 0u32..RUN {
+            let mut count = counts[k as usize] + before;
+            if wanted > capacity || tile + k >= tiles {
                 count = 0u32;
             }
-            counts[k] = count;
+            counts[k as usize] = count;
             mine += count;
             filled += buckets_of(count);
         }
@@ -66,7 +66,7 @@ pub(crate) fn tile_starts(
         bucket += shared[last];
         sync_cube();
         #[unroll]
-        for k in 0u32..4u32 {
+        for k in 0u32..RUN {
             let at = (tile + k) as usize;
             let count = counts[k as usize];
             if tile + k < tiles {
