@@ -11,7 +11,7 @@ pub(super) const PARALLAX_PX: [f64; 10] = [4.0, 6.0, 8.0, 12.0, 17.0, 24.0, 34.0
 /// Disparities that differ by at most this many steps of the sweep are of one surface.
 const SAME_STEPS: f32 = 1.0;
 /// A frame sees through a surface if it measures this many steps of the sweep behind it.
-const THROUGH_STEPS: f32 = 2.0;
+const THROUGH_STEPS: f32 = 1.0;
 /// Sum of the frames' confidences that counts as full confidence.
 const FULL: f32 = 4.0;
 

@@ -7,7 +7,7 @@
 //!                                                     ^                              |
 //!                                                     '------- once more ------------|
 //!                                                                                    v
-//!                           static depth over wide baselines: refined on brightness, merged over the frames, filled by planes
+//!                           static depth over wide baselines: refined on brightness, merged over the frames, at steps one of two surfaces, filled by planes
 //!                                                                                    |
 //!                                                                                    v
 //!                                                             outlines of the masks: what differs from the background behind them
@@ -30,6 +30,7 @@
 //! (Hirschmueller 2008), fast global smoothing (Min et al. 2014), and visibility-based fusion (Merrell et al. 2007).
 
 mod background_model;
+mod edges;
 mod estimate;
 mod flow;
 mod fusion;

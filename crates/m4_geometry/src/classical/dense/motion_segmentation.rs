@@ -1,6 +1,7 @@
 //! Separates dynamic from static regions: motion spoils depth and depth shows motion, so one is found from the other in turn.
 
 use super::background_model;
+use super::edges;
 use super::flow::FlowPair;
 use super::fusion::{self, DepthMap};
 use super::layers;
@@ -104,11 +105,16 @@ impl Clip<'_> {
             self.mono.impose(i, &mut out, Some(&moving[i]));
             out.disparity.into_iter().zip(out.confidence).collect::<DepthMap>()
         })?;
-        self.each("merging depth", |i| {
-            let mut fused = fusion::fuse(self.shots, cameras, &refined, &at(i, &fusion::PARALLAX_PX, 0), i);
+        let merged = self.each("merging depth", |i| {
+            fusion::fuse(self.shots, cameras, &refined, &at(i, &fusion::PARALLAX_PX, 0), i)
+        })?;
+        let merged = edges::Merged { shots: self.shots, cameras, depth: &merged, moving };
+        self.each("filling depth", |i| {
+            let smoother = self.smoother(i);
+            let mut fused = merged.assigned(i, &at(i, &edges::PARALLAX_PX, 0), &smoother);
             self.mono.impose(i, &mut fused, Some(&moving[i]));
             let fused = self.mono.with_prior(i, &fused, Some(&moving[i]));
-            static_depth::fill_planes(&self.shots[i], self.smoother(i), &fused, Some(&moving[i]))
+            static_depth::fill_planes(&self.shots[i], smoother, &fused, Some(&moving[i]))
         })
     }
 

@@ -13,7 +13,7 @@ pub(super) const FRAMES: usize = 4;
 /// Standard deviation of the disparity before, in steps of the sweep.
 const PRIOR_STEPS: f32 = 0.5;
 /// A pixel is taken for hidden in a frame whose own disparity there differs by more than this, in steps of the sweep.
-const HIDDEN_STEPS: f32 = 1.5;
+const HIDDEN_STEPS: f32 = 1.0;
 /// Least noise of the difference of two brightnesses, 0..255.
 const LEAST_NOISE: f32 = 0.5;
 /// Pixels that [`box_blur`] averages.
