@@ -151,16 +151,23 @@ mod gpu {
     #[derive(Debug, Clone)]
     pub struct OpenGpu {
         gpu: Gpu,
+        automatic: bool,
     }
 
     impl OpenGpu {
         pub(super) fn automatic() -> Result<Option<Self>, Error> {
-            automatic(adapters()).map(|adapter| Self::open(Some(adapter.index))).transpose()
+            let Some(adapter) = automatic(adapters()) else { return Ok(None) };
+            Ok(Some(Self { automatic: true, ..Self::open(Some(adapter.index))? }))
         }
 
         pub(super) fn open(index: Option<usize>) -> Result<Self, Error> {
             let gpu = Gpu::open(index.map_or(Choice::Best, Choice::Index))?;
-            Ok(Self { gpu })
+            Ok(Self { gpu, automatic: false })
+        }
+
+        /// Whether no one asked for it: where it fails, the CPU goes on.
+        pub fn is_automatic(&self) -> bool {
+            self.automatic
         }
 
         /// What it is called.
@@ -226,6 +233,11 @@ mod gpu {
 
         pub(super) fn open(_: Option<usize>) -> Result<Self, Error> {
             Err(Error::NoGpuSupport)
+        }
+
+        /// Whether no one asked for it: where it fails, the CPU goes on.
+        pub fn is_automatic(&self) -> bool {
+            match *self {}
         }
 
         /// What it is called.

@@ -63,7 +63,7 @@ fn draw(run: &Workspace<'_>, capture: &Capture, scene: &Scene, keeper: &Recordin
     let mut writer = Mp4Writer::create(&run.path(PREVIEW_FILE), 3 * size.0 + 2 * GAP, size.1, fps)?;
 
     let still = &scene.source[scene.source.len() / 2];
-    let mut renderer = SceneRenderer::new(scene, run.level, run.gpu.as_ref())?;
+    let mut renderer = SceneRenderer::new(scene, run.level, run.gpu.as_ref(), keeper)?;
     let distance = renderer.painter().median_depth(&still.camera, still.t).unwrap_or(1.0);
     let n = scene.source.len();
     let rounds = ((MIN_SECONDS * fps / n as f64).ceil() as usize).clamp(1, 100);
@@ -132,7 +132,7 @@ pub fn poster(run: &Path, input: &Path, settings: &Settings) -> Result<PathBuf, 
     };
     let (width, height) = panel_size(&source.camera, SIDE_PX);
     let photo = resize_rgb(&photo.rgb, width, height, ResizeFilter::Triangle);
-    let mut renderer = SceneRenderer::new(&scene, SimdLevel::detect()?, None)?;
+    let mut renderer = SceneRenderer::new(&scene, SimdLevel::detect()?, None, &Silent)?;
     let again = renderer.image(&source.camera.resized(width, height), source.t, &source.exposure)?;
     let mut both = Plane::filled(2 * width, height, [0; 3]);
     for y in 0..height {

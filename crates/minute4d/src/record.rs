@@ -65,7 +65,7 @@ pub struct StageRecord {
 /// The device of a run.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Device {
-    /// `"cpu"` or `"gpu"`: where training steps are taken.
+    /// `"cpu"` or `"gpu"`: where training steps are taken, the last ones where a GPU failed.
     pub kind: String,
     /// The name of the GPU.
     #[serde(default, skip_serializing_if = "Option::is_none")]

@@ -27,8 +27,8 @@ pub fn write(folders: &[PathBuf; 2], data: &Path, path: &Path, job: &Job<'_>) ->
     let gpu = job.device.choice.open(|why| job.observer.warn(why))?;
     let read = |run: &Path| HeldOut::read(run, data, job.settings.capture.reach, job.observer);
     let (without, with) = (read(&folders[0])?, read(&folders[1])?);
-    let mut draw_without = SceneRenderer::new(&without.scene, level, gpu.as_ref())?;
-    let mut draw_with = SceneRenderer::new(&with.scene, level, gpu.as_ref())?;
+    let mut draw_without = SceneRenderer::new(&without.scene, level, gpu.as_ref(), job.observer)?;
+    let mut draw_with = SceneRenderer::new(&with.scene, level, gpu.as_ref(), job.observer)?;
     let mut best: Option<Place> = None;
     for frame in &with.test.frames {
         check_stop(job.observer, "ablate", true)?;

@@ -169,7 +169,7 @@ pub struct EvalReport {
     pub choices: Option<Choices>,
     /// Images a second while drawing, one after the other, each copied to the host.
     pub frames_per_s: Option<f64>,
-    /// Rendering device: `cpu`, or the GPU's name.
+    /// Rendering device: `cpu`, or the name of the GPU that drew all images.
     pub device: String,
     /// Seconds it took.
     pub seconds: f64,
@@ -195,7 +195,7 @@ pub fn views(out: &Path, data: &Path, options: &EvalOptions, observer: &dyn Obse
     };
     let held = HeldOut::read(out, data, options.reach, observer)?;
     let gpu = options.device.open(|why| observer.warn(why))?;
-    let mut renderer = SceneRenderer::new(&held.scene, level, gpu.as_ref())?;
+    let mut renderer = SceneRenderer::new(&held.scene, level, gpu.as_ref(), observer)?;
     let (images, other, choices, drawing_s) = match options.protocol {
         None => {
             let (images, other, drawing_s) = plain(&held, data, out, options, &mut renderer, observer)?;
@@ -216,7 +216,7 @@ pub fn views(out: &Path, data: &Path, options: &EvalOptions, observer: &dyn Obse
         mean_others: means.map(|(name, (mean, views))| (name, OtherMean { mean, views })).collect(),
         choices,
         frames_per_s: (drawing_s > 0.0).then(|| images.frames.len() as f64 / drawing_s),
-        device: gpu.as_ref().map_or("cpu", |gpu| gpu.name()).to_owned(),
+        device: gpu.as_ref().filter(|_| renderer.is_on_gpu()).map_or("cpu", |gpu| gpu.name()).to_owned(),
         sets: other.rows,
         images,
         near: other.near,

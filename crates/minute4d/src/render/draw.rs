@@ -1,10 +1,10 @@
 //! Draws scenes, on the processor or a GPU, and writes the images to their destination.
 
 use super::Stop;
-use crate::device::{GpuPainter, OpenGpu};
+use crate::device::OpenGpu;
 use crate::error::OutputError;
 use crate::folder::{self, remove_file};
-use crate::{Error, Refusal};
+use crate::{Error, Observer, Refusal};
 use m4_core::{Camera, Exposure, Plane, RgbImage, Scene};
 use m4_io::image;
 use m4_io::video::Mp4Writer;
@@ -74,21 +74,48 @@ pub fn to_rgb(frame: &Frame, exposure: &Exposure) -> RgbImage {
     })
 }
 
-/// Renders a scene on a GPU if there is one, else on the CPU.
+/// Renders a scene on a GPU if there is one, else on the CPU, and from the image on at which a GPU fails that no one asked for.
 pub struct SceneRenderer<'a> {
     scene: &'a Scene,
     painter: Painter<'a>,
-    on_gpu: Option<GpuPainter>,
+    on_gpu: Option<OnGpu<'a>>,
+    observer: &'a dyn Observer,
+}
+
+/// Draws a view.
+type Draw<'a> = dyn FnMut(&View) -> Result<Frame, Error> + 'a;
+
+/// What draws on a GPU.
+struct OnGpu<'a> {
+    frame: Box<Draw<'a>>,
+    /// Whether the CPU may take over.
+    automatic: bool,
 }
 
 impl<'a> SceneRenderer<'a> {
-    /// Copies the splats to the GPU, if there is one.
-    pub fn new(scene: &'a Scene, level: SimdLevel, gpu: Option<&OpenGpu>) -> Result<Self, Error> {
-        Ok(Self {
-            scene,
-            painter: Painter::new(scene, level),
-            on_gpu: gpu.map(|gpu| gpu.painter(&scene.splats)).transpose()?,
-        })
+    /// Copies the splats to the GPU, if there is one; `observer` is warned where the CPU takes over.
+    ///
+    /// # Errors
+    ///
+    /// [`Error`] of a GPU that was asked for and cannot hold the splats.
+    pub fn new(
+        scene: &'a Scene,
+        level: SimdLevel,
+        gpu: Option<&OpenGpu>,
+        observer: &'a dyn Observer,
+    ) -> Result<Self, Error> {
+        let mut out = Self { scene, painter: Painter::new(scene, level), on_gpu: None, observer };
+        if let Some(gpu) = gpu {
+            match gpu.painter(&scene.splats) {
+                Ok(mut painter) => {
+                    let frame = Box::new(move |view: &View| painter.frame(view));
+                    out.on_gpu = Some(OnGpu { frame, automatic: gpu.is_automatic() });
+                }
+                Err(error) if gpu.is_automatic() => out.leave_gpu(&error),
+                Err(error) => return Err(error),
+            }
+        }
+        Ok(out)
     }
 
     /// The CPU painter, for planning paths.
@@ -96,20 +123,51 @@ impl<'a> SceneRenderer<'a> {
         &mut self.painter
     }
 
+    /// Whether the next image is drawn on the GPU.
+    pub fn is_on_gpu(&self) -> bool {
+        self.on_gpu.is_some()
+    }
+
     /// Renders a camera at a time (frames) as the kernels give it: without exposure, clamping or rounding.
+    ///
+    /// # Errors
+    ///
+    /// [`Error`] of a GPU that was asked for and fails.
     pub fn frame(&mut self, camera: &Camera, t: f64) -> Result<Frame, Error> {
-        match &mut self.on_gpu {
-            Some(gpu) => gpu.frame(&view(self.scene, camera, t)),
+        match self.frame_on_gpu(camera, t)? {
+            Some(frame) => Ok(frame),
             None => Ok(self.painter.frame(camera, t, false).clone()),
         }
     }
 
     /// Renders a camera at a time (frames) to eight bits per channel, with an exposure.
+    ///
+    /// # Errors
+    ///
+    /// As [`Self::frame`].
     pub fn image(&mut self, camera: &Camera, t: f64, exposure: &Exposure) -> Result<RgbImage, Error> {
-        match &mut self.on_gpu {
-            Some(gpu) => Ok(to_rgb(&gpu.frame(&view(self.scene, camera, t))?, exposure)),
+        match self.frame_on_gpu(camera, t)? {
+            Some(frame) => Ok(to_rgb(&frame, exposure)),
             None => Ok(self.painter.image(camera, t, exposure)),
         }
+    }
+
+    /// `None` where the CPU is to draw.
+    fn frame_on_gpu(&mut self, camera: &Camera, t: f64) -> Result<Option<Frame>, Error> {
+        let Some(gpu) = &mut self.on_gpu else { return Ok(None) };
+        match (gpu.frame)(&view(self.scene, camera, t)) {
+            Ok(frame) => Ok(Some(frame)),
+            Err(error) if gpu.automatic => {
+                self.leave_gpu(&error);
+                Ok(None)
+            }
+            Err(error) => Err(error),
+        }
+    }
+
+    fn leave_gpu(&mut self, error: &Error) {
+        self.observer.warn(&format!("{error}; the CPU draws from here on"));
+        self.on_gpu = None;
     }
 }
 
@@ -217,4 +275,39 @@ fn remove_from(folder: &Path, next: usize) -> Result<(), Error> {
         }
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{OnGpu, Painter, SceneRenderer};
+    use crate::Error;
+    use crate::stage::RecordingObserver;
+    use m4_core::{Camera, Exposure, Intrinsics, Se3, Silent};
+    use m4_kernels::SimdLevel;
+    use m4_testkit::{SceneSpec, random_scene};
+
+    #[test]
+    fn the_cpu_takes_over_from_a_gpu_that_no_one_asked_for() {
+        let scene = random_scene(&SceneSpec::default());
+        let camera = Camera { intrinsics: Intrinsics::centred(48, 32, 40.0), c2w: Se3::identity() };
+        let level = SimdLevel::detect().unwrap();
+        let drawn = Painter::new(&scene, level).image(&camera, 1.0, &Exposure::IDENTITY);
+        let observer = RecordingObserver::new(&Silent);
+        let with = |automatic: bool| {
+            let frame = Box::new(|_: &_| Err(Error::Internal { what: "device lost".to_owned() }));
+            let on_gpu = Some(OnGpu { frame, automatic });
+            SceneRenderer { on_gpu, ..SceneRenderer::new(&scene, level, None, &observer).unwrap() }
+        };
+        let mut automatic = with(true);
+        for _ in 0..2 {
+            assert!(automatic.image(&camera, 1.0, &Exposure::IDENTITY).unwrap() == drawn);
+            assert!(!automatic.is_on_gpu());
+        }
+        let warnings = observer.warnings();
+        assert!(
+            warnings.len() == 1 && warnings[0].contains("device lost") && warnings[0].contains("CPU"),
+            "{warnings:?}"
+        );
+        assert!(with(false).image(&camera, 1.0, &Exposure::IDENTITY).is_err());
+    }
 }

@@ -93,7 +93,7 @@ pub struct Rendered {
     pub size: (usize, usize),
     /// Wall-clock seconds.
     pub seconds: f64,
-    /// The GPU that drew, or the processor's vector instructions.
+    /// The GPU that drew all images, or the processor's vector instructions.
     pub device: String,
 }
 
@@ -112,7 +112,7 @@ pub fn make(scene: &Path, out: &Path, job: &RenderJob, observer: &dyn Observer) 
     let file = if scene.is_dir() { scene.join(SCENE_FILE) } else { scene.to_path_buf() };
     let scene = safetensors::read(&file)?.scene;
     let gpu = job.device.open(|why| observer.warn(why))?;
-    let mut renderer = SceneRenderer::new(&scene, level, gpu.as_ref())?;
+    let mut renderer = SceneRenderer::new(&scene, level, gpu.as_ref(), observer)?;
     let plan = job.plan(&scene, renderer.painter())?;
     let stops = &plan.stops;
     let mut sink = Sink::open(out, stops, plan.fps, job.replace)?;
@@ -131,7 +131,7 @@ pub fn make(scene: &Path, out: &Path, job: &RenderJob, observer: &dyn Observer) 
         fps: plan.fps,
         size,
         seconds: start.elapsed().as_secs_f64(),
-        device: gpu.map_or_else(|| level.name().to_owned(), |gpu| gpu.name().to_owned()),
+        device: gpu.as_ref().filter(|_| renderer.is_on_gpu()).map_or(level.name(), |gpu| gpu.name()).to_owned(),
     })
 }
 

@@ -2,11 +2,11 @@
 
 mod checkpoint;
 
-use crate::device::{DeviceChoice, OpenGpu};
+use crate::device::OpenGpu;
 use crate::error::OutputError;
 use crate::folder::{self, METRICS_FILE, SCENE_FILE, VIEWER_FILE};
 use crate::pipeline::Clock;
-use crate::record::{Input, RunRecord, SplatCount};
+use crate::record::{Device, Input, RunRecord, SplatCount};
 use crate::settings::{InitSettings, Profile, TrainSettings, part_to_toml};
 use crate::stage::RecordingObserver;
 use crate::workspace::{Task, Workspace};
@@ -201,13 +201,14 @@ fn train(
 /// Whether a GPU failed that the user did not ask for.
 fn may_leave_gpu(run: &Workspace<'_>, error: &TrainError) -> bool {
     let failed = matches!(error, TrainError::Device { .. });
-    failed && run.gpu.is_some() && run.job.device.choice == DeviceChoice::Auto
+    failed && run.gpu.as_ref().is_some_and(OpenGpu::is_automatic)
 }
 
-/// Trains on the CPU from here on; nor does the GPU draw the preview.
+/// Trains on the CPU from here on, which the record then names; nor does the GPU draw the preview.
 fn leave_gpu(run: &mut Workspace<'_>, keeper: &RecordingObserver<'_>, error: &TrainError) {
     keeper.warn(&format!("{error}; the run goes on from there on the CPU"));
     run.gpu = None;
+    run.record.device = Device::here(run.level, None);
 }
 
 /// Seconds that are left for iterations: of the budget, which the first splats have taken a part of, but at least half of it; and of
