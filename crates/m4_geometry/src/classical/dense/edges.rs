@@ -19,8 +19,9 @@ const STEP: f32 = 2.0;
 const DOUBT_PX: usize = 4;
 /// Half the side of the window that is searched for two surfaces, pixels.
 const WINDOW_PX: usize = 7;
-/// The farther surface is read this far from the nearer one, which reaches over it, and the nearer one this far from the farther, pixels.
+/// How far from the nearer surface the farther one is read, since the nearer reaches over it, pixels.
 const HALO_PX: usize = 3;
+/// How far from the farther surface the nearer one is read, pixels.
 const RIM_PX: usize = 1;
 /// Half the side of the window to which planes are fitted, pixels.
 const FIT_PX: usize = 9;
@@ -80,9 +81,9 @@ impl Merged<'_> {
         }
         let (evidence, _) = smoother.fill(&evidence, &weight, SMOOTH_LAMBDA);
         for (p, surfaces) in doubtful {
-            let is_near = evidence[p] > 0.0;
-            if is_near != surfaces.nearer_to_near(out.disparity[p]) {
-                out.disparity[p] = if is_near { surfaces.near } else { surfaces.far };
+            let near = evidence[p] > 0.0;
+            if near != surfaces.is_near(out.disparity[p]) {
+                out.disparity[p] = if near { surfaces.near } else { surfaces.far };
             }
         }
         out
@@ -95,10 +96,10 @@ impl Merged<'_> {
 
     /// Above 0 for the nearer surface: by how much its colour fits better, and which one was measured.
     fn evidence(&self, i: usize, p: usize, surfaces: Surfaces, views: &[(usize, Pair)]) -> f32 {
-        let before = if surfaces.nearer_to_near(self.depth[i].disparity[p]) { PRIOR } else { -PRIOR };
+        let measured = if surfaces.is_near(self.depth[i].disparity[p]) { PRIOR } else { -PRIOR };
         let difference = |disparity| self.colour_difference(i, p, disparity, views);
         let seen = difference(surfaces.near).zip(difference(surfaces.far));
-        before + seen.map_or(0.0, |(near, far)| (far - near) / MOST_DIFFERENCE)
+        measured + seen.map_or(0.0, |(near, far)| (far - near) / MOST_DIFFERENCE)
     }
 
     /// Mean difference to the colours that `views` show on pixel `p` of frame `i` at a disparity, 0..255; `None` where nothing but other surfaces is seen.
@@ -109,8 +110,8 @@ impl Merged<'_> {
         for (j, pair) in views {
             let seen = pair.project((p % w) as f32, (p / w) as f32, disparity);
             let Some(q) = pixel_at(w, h, seen.x, seen.y).filter(|_| seen.disparity > 0.0) else { continue };
-            let before = seen.disparity + STEP * self.shots[*j].range.step;
-            let hidden = self.depth[*j].confidence[q] > 0.0 && self.depth[*j].disparity[q] > before;
+            let nearer = seen.disparity + STEP * self.shots[*j].range.step;
+            let hidden = self.depth[*j].confidence[q] > 0.0 && self.depth[*j].disparity[q] > nearer;
             if hidden || self.moving[*j][q] > 0 {
                 continue;
             }
@@ -124,7 +125,8 @@ impl Merged<'_> {
 }
 
 impl Surfaces {
-    fn nearer_to_near(self, disparity: f32) -> bool {
+    /// Whether a disparity is closer to the nearer surface.
+    fn is_near(self, disparity: f32) -> bool {
         (disparity - self.near).abs() < (disparity - self.far).abs()
     }
 }
@@ -295,7 +297,9 @@ mod tests {
 
     #[test]
     fn what_was_not_measured_stays_unknown() {
-        let confidence = assigned(2, |x| (28..30).contains(&x)).confidence;
+        let Measured { disparity, confidence } = assigned(2, |x| (28..30).contains(&x));
+        // on the wall, but of the post by the depth before
+        assert_eq!((disparity[28], disparity[29]), (NEAR, NEAR));
         assert_eq!((confidence[27], confidence[28], confidence[29], confidence[30]), (1.0, 0.0, 0.0, 1.0));
     }
 
