@@ -6,6 +6,7 @@
 //! dba/           dense bundle adjustment, which both use
 //! masks/         segmentation and tracking of dynamic objects, for masks of any source
 //! tracks/        tracks of dynamic points through a clip whose cameras and depth are known, visible or occluded
+//! frame_rate     seconds in frames
 //! resample       images and maps in other sizes
 //! ```
 //!
@@ -15,9 +16,12 @@
 
 pub mod classical;
 pub mod dba;
+mod frame_rate;
 pub mod masks;
 pub mod megasam;
 #[cfg(test)]
 mod published;
 pub mod resample;
 pub mod tracks;
+
+pub use frame_rate::FrameRate;

@@ -10,6 +10,7 @@ use super::iterate;
 use crate::Error;
 use crate::record::GeometrySummary;
 use m4_core::{Camera, Capture, RgbImage, Tracks};
+use m4_geometry::FrameRate;
 use m4_geometry::classical::CameraMotion;
 use m4_geometry::classical::dense::{Dense, MeasureFlow, Segmenter, Sources, estimate};
 use m4_geometry::classical::sparse::{self, FeatureTracks, Recovered, SparseConfig};
@@ -31,6 +32,7 @@ pub(super) fn compute(clip: Clip, context: &Context<'_>) -> Result<(Capture, Geo
 struct Reconstruction<'a> {
     context: &'a Context<'a>,
     images: Vec<&'a RgbImage>,
+    rate: FrameRate,
     given: &'a Given,
     config: SparseConfig,
     flow: Box<MeasureFlow<'a>>,
@@ -61,7 +63,7 @@ impl<'a> Reconstruction<'a> {
         if let Some(fov_rad) = mono.as_ref().and_then(|mono| mono.fov_rad) {
             config.default_fov_deg = fov_rad.to_degrees();
         }
-        Ok(Self { context, images, given, config, flow, segmenter, mono })
+        Ok(Self { context, images, rate: clip.rate(), given, config, flow, segmenter, mono })
     }
 
     fn run(&self) -> Result<(Pass, GeometrySummary), Error> {
@@ -112,10 +114,9 @@ impl<'a> Reconstruction<'a> {
         let mono = mono.and_then(|mono| mono.maps(unit));
         let sources = Sources { flow: &*self.flow, segmenter: self.segmenter.as_deref(), mono };
         let masks = self.given.masks.as_deref();
-        let estimated = self
-            .context
-            .steps
-            .keep(name, |observer| estimate(&self.images, sparse, &sources, masks, &settings.dense, observer))?;
+        let estimated = self.context.steps.keep(name, |observer| {
+            estimate(&self.images, self.rate, sparse, &sources, masks, &settings.dense, observer)
+        })?;
         let mut dense = estimated.enlarge(&self.images, observer)?;
         if unit != 1.0 {
             for z in dense.frames.iter_mut().flat_map(|f| f.depth.data_mut()) {

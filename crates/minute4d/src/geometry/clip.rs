@@ -9,6 +9,7 @@ use super::frontend::Plan;
 use super::given::Given;
 use crate::{Error, Observer, Settings};
 use m4_core::{Camera, Capture, CaptureFrame, CompactDepth, CompactMask, Plane, RgbImage, Tracks, Video};
+use m4_geometry::FrameRate;
 use m4_geometry::classical::sparse::SparseConfig;
 use m4_io::video::{VideoOptions, evenly};
 use std::path::Path;
@@ -56,6 +57,12 @@ impl Clip {
     /// The images.
     pub fn images(&self) -> Vec<&RgbImage> {
         self.video.frames.iter().map(|f| &f.rgb).collect()
+    }
+
+    /// The rate of the frames.
+    pub fn rate(&self) -> FrameRate {
+        let times_s: Vec<f64> = self.video.frames.iter().map(|f| f.time_s).collect();
+        FrameRate::of_times(&times_s).unwrap_or(FrameRate::FILM)
     }
 
     /// The capture of these frames; lengths are metres if `metric`.

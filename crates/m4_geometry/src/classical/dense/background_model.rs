@@ -8,15 +8,16 @@
 
 use super::flow::{ScaledFrame, bilinear_rgb};
 use super::matte;
-use super::motion::{STATIC_VOTE, THRESHOLD, mask};
+use super::motion::mask;
 use super::shot::{Pair, Shot};
 use super::smooth::{Smoother, box_blur};
+use crate::FrameRate;
 use m4_core::{Camera, dilated, quantile};
 use std::array;
 use std::ops::RangeInclusive;
 
-/// Distances in time of the frames that a background is made of where there is parallax, each both ways.
-const REACHES: [usize; 5] = [2, 5, 9, 14, 20];
+/// Distances in time of the frames that a background is made of where there is parallax, each both ways, seconds.
+const REACHES_S: [f64; 5] = [0.08, 0.21, 0.38, 0.58, 0.83];
 /// Fewest frames that must have seen a pixel of the background.
 const LEAST_FRAMES: usize = 2;
 /// Frames, spread over the clip, that the background is searched in without parallax or behind what is masked in all near frames.
@@ -56,6 +57,7 @@ pub(super) struct Scene<'a> {
     pub height: usize,
     /// Whether the camera moves from its place.
     pub parallax: bool,
+    pub rate: FrameRate,
     pub cameras: &'a [Camera],
     pub shots: &'a [Shot],
     /// `[height][width]` by frame: disparity of static regions, continued behind dynamic ones.
@@ -82,7 +84,8 @@ fn backgrounds(scene: &Scene<'_>, i: usize, zone: &[u8]) -> Vec<Option<Backgroun
     };
     let spread = SPREAD_FRAMES.min(count);
     let all = pairs((0..spread).map(|k| k * count / spread).collect());
-    let near = REACHES.iter().flat_map(|reach| [i.checked_sub(*reach), Some(i + reach).filter(|&j| j < count)]);
+    let reaches = scene.rate.distances(&REACHES_S);
+    let near = reaches.iter().flat_map(|reach| [i.checked_sub(*reach), Some(i + reach).filter(|&j| j < count)]);
     // errors of depth grow with the parallax; without it, an object that rests for a while is not the background of the whole clip
     let near = if scene.parallax { pairs(near.flatten().collect()) } else { all.clone() };
     let mut seen: Vec<[f32; 3]> = Vec::new();
@@ -96,10 +99,12 @@ fn backgrounds(scene: &Scene<'_>, i: usize, zone: &[u8]) -> Vec<Option<Backgroun
                 let at = pair.project((p % w) as f32, (p / w) as f32, disparity);
                 scene.colour(*j, at.x, at.y, masked).filter(|_| at.disparity > 0.0)
             };
-            seen.clear();
-            seen.extend(near.iter().filter_map(|pair| shown(pair, false)));
-            if seen.len() >= LEAST_FRAMES {
-                return Some(agreed(seen.iter()));
+            for frames in [&near, &all] {
+                seen.clear();
+                seen.extend(frames.iter().filter_map(|pair| shown(pair, false)));
+                if seen.len() >= LEAST_FRAMES {
+                    return Some(agreed(seen.iter()));
+                }
             }
             seen.clear();
             seen.extend(all.iter().filter_map(|pair| shown(pair, true)));
@@ -199,6 +204,10 @@ pub(super) fn sharpen(scene: &Scene<'_>, i: usize, before: &[u8], smoother: &Smo
 const SAMPLES: usize = 25;
 /// Least noise of a pixel, 0..255.
 const NOISE: f32 = 4.0;
+/// Difference at which a pixel is as likely dynamic as static, in units of the noise.
+const THRESHOLD: f32 = 2.5;
+/// Strength of a vote for static against one for dynamic, 0..1.
+const STATIC_VOTE: f32 = 0.5;
 
 /// The usual colour of every pixel of a static camera: median over time, channel by channel. `frames` must not be empty.
 pub(super) fn median_colours(frames: &[ScaledFrame]) -> Vec<[u8; 3]> {
@@ -239,6 +248,7 @@ mod tests {
         ScaledFrame, Scene, Shot, Smoother, backgrounds, difference_evidence, dilated, evidence, median_colours,
         recurring, sharpen,
     };
+    use crate::FrameRate;
     use m4_core::{
         Camera, Intrinsics, Plane, Se3,
         nalgebra::{Vector3, Vector6},
@@ -354,7 +364,7 @@ mod tests {
         background: &'a [Vec<f32>],
         near: &'a [Vec<u8>],
     ) -> Scene<'a> {
-        Scene { width: W, height: H, parallax: true, cameras, shots, background, near }
+        Scene { width: W, height: H, parallax: true, rate: FrameRate::FILM, cameras, shots, background, near }
     }
 
     #[test]

@@ -9,6 +9,7 @@ use super::shot::{Shot, sparse_points};
 use super::sources::{DenseConfig, DenseError, Sources};
 use super::working::{Clip, Ground, each, mask_at_size, try_each};
 use super::{layers, moving_depth, rigid_objects, static_depth, tracks};
+use crate::FrameRate;
 use crate::classical::{CameraMotion, SparseReconstruction, check_count};
 use crate::resample::rgb_and_grey;
 use crate::tracks::QueryGrid;
@@ -52,13 +53,14 @@ pub struct Estimate {
 }
 
 /// Estimates depth, motion masks and confidence of every frame and tracks of dynamic objects, given cameras and feature tracks, with the
-/// methods of `sources`. `masks` has one mask per frame, of any size, above 0 in dynamic regions; motion is not estimated then.
+/// methods of `sources`. `rate` is that of `frames`; `masks` has one mask per frame, of any size, above 0 in dynamic regions; motion is not estimated then.
 ///
 /// # Errors
 ///
 /// [`DenseError`] if frames and cameras do not fit, a setting is out of range, a source fails, or the user stopped it.
 pub fn estimate(
     frames: &[&RgbImage],
+    rate: FrameRate,
     sparse: &SparseReconstruction,
     sources: &Sources<'_>,
     masks: Option<&[Mask]>,
@@ -87,6 +89,7 @@ pub fn estimate(
     let swept = each(count, "sweeping depth", progress, |i| static_depth::sweep(&shots, i))?;
     let still = sparse.camera_motion == CameraMotion::Static && count >= LEAST_BACKGROUND;
     let clues = MotionCues {
+        rate,
         cameras: ground.cameras,
         verdicts: verdicts(sparse, w, h),
         background: still.then(|| median_colours(&working)),
@@ -108,7 +111,7 @@ pub fn estimate(
     let given = masks.map(|masks| masks.iter().map(|mask| mask_at_size(mask, w, h)).collect());
     let MotionSegmentation { moving, measured, filled, refined } = clip.segment_motion(given)?;
     let found =
-        Clip { width: w, height: h, cameras: &clues.cameras, moving: &moving, disparity: &filled, flows: &flows };
+        Clip { width: w, height: h, rate, cameras: &clues.cameras, moving: &moving, disparity: &filled, flows: &flows };
     let mut disparity =
         if parallax || !mono.is_empty() { moving_depth::place(&found) } else { layers::place(&found, &shots) };
     if parallax && ground.one_lens {

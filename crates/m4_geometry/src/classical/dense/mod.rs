@@ -49,7 +49,9 @@ mod smooth;
 mod sources;
 mod static_depth;
 mod sweep;
+mod temporal;
 mod tracks;
+mod trajectories;
 mod working;
 
 pub use estimate::{Dense, DenseFrame, Estimate, estimate};

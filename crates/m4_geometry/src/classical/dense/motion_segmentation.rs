@@ -13,13 +13,14 @@ use super::shot::{Shot, at_parallax};
 use super::smooth::Smoother;
 use super::sources::{DenseError, Sources};
 use super::static_depth::{self, Measured};
+use super::temporal;
 use super::working::{each, try_each};
 use m4_core::{Progress, RgbImage, dilated};
 
 /// How often depth and motion are estimated in turn: the second round knows the masks of the first.
 const ROUNDS: usize = 2;
-/// How often evidence of motion is averaged with that of the frames before and after, along the flow.
-const VOTES: usize = 16;
+/// Time in which evidence of motion counts e times less, seconds: what moves is dynamic a little before and after, too.
+const MEMORY_S: f64 = 0.4;
 /// Colour difference that stops the edge-aware fill of depth, 0..255 (Min et al. 2014, sigma).
 const FILL_SIGMA: f32 = 8.0;
 
@@ -166,7 +167,7 @@ impl Clip<'_> {
         let (w, h) = (self.width, self.height);
         let measured = self.measured(before)?;
         let filled = self.filled(&measured, before)?;
-        let mut evidence = self.each("finding motion", |i| {
+        let evidence = self.each("finding motion", |i| {
             let seen = FrameDisparity {
                 frame: &self.shots[i].frame,
                 disparity: &filled[i],
@@ -175,9 +176,8 @@ impl Clip<'_> {
             let smoother = self.smoother(i);
             motion::evidence(self.clues, self.shots, self.flows, i, &seen, &smoother)
         })?;
-        for _ in 0..VOTES {
-            evidence = self.each("voting on motion", |i| motion::vote(w, h, &evidence, self.flows, i))?;
-        }
+        let memory = self.clues.rate.exact(MEMORY_S).max(1.0) as f32;
+        let evidence = temporal::mean(w, &evidence, self.flows, memory, motion::trust);
         self.each("cutting masks", |i| motion::mask(w, h, &evidence[i]))
     }
 
@@ -218,6 +218,7 @@ impl Clip<'_> {
             width: self.width,
             height: self.height,
             parallax: self.parallax,
+            rate: self.clues.rate,
             cameras: &self.clues.cameras,
             shots: self.shots,
             background,

@@ -225,13 +225,16 @@ impl Pair {
     }
 
     pub fn project(&self, x: f32, y: f32, disparity: f32) -> Reprojected {
+        self.project_with_slope(x, y, disparity).0
+    }
+
+    /// The same, and the derivative of the place by the disparity.
+    pub fn project_with_slope(&self, x: f32, y: f32, disparity: f32) -> (Reprojected, [f32; 2]) {
         let r = self.ray(x, y);
         let z = 1.0 / (r[2] + disparity * self.b[2]);
-        Reprojected {
-            x: (r[0] + disparity * self.b[0]) * z,
-            y: (r[1] + disparity * self.b[1]) * z,
-            disparity: disparity * z,
-        }
+        let (x, y) = ((r[0] + disparity * self.b[0]) * z, (r[1] + disparity * self.b[1]) * z);
+        let slope = [(self.b[0] - x * self.b[2]) * z, (self.b[1] - y * self.b[2]) * z];
+        (Reprojected { x, y, disparity: disparity * z }, slope)
     }
 }
 

@@ -2,6 +2,7 @@
 
 use super::flow::FlowPair;
 use super::sources::{DenseConfig, DenseError, Sources};
+use crate::FrameRate;
 use crate::classical::{CameraMotion, SparseReconstruction, Track, check_count};
 use m4_core::{Camera, Mask, Progress, RgbImage};
 use rayon::prelude::*;
@@ -19,6 +20,7 @@ const LEAST_FRAME_SIDE: usize = 32;
 pub(super) struct Clip<'a> {
     pub width: usize,
     pub height: usize,
+    pub rate: FrameRate,
     pub cameras: &'a [Camera],
     /// Above 0 in dynamic regions.
     pub moving: &'a [Vec<u8>],
@@ -43,7 +45,7 @@ impl ClipData {
     pub fn clip(&self) -> Clip<'_> {
         let (width, height) = self.size;
         let Self { cameras, moving, disparity, flows, .. } = self;
-        Clip { width, height, cameras, moving, disparity, flows }
+        Clip { width, height, rate: FrameRate::FILM, cameras, moving, disparity, flows }
     }
 }
 

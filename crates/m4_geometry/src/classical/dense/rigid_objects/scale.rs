@@ -17,6 +17,9 @@ const STANDING_SHARE: f32 = 0.3;
 const STILL_REST: f64 = 0.12;
 /// ... unless that is farther than what it hides by more than this factor.
 const STILL_RANGE: f32 = 1.2;
+/// Rounds of the robust fit of a fixed place, and the residual that counts half, in medians (Cauchy).
+const ROUNDS: usize = 5;
+const CAUCHY: f64 = 2.0;
 /// Over how many rows the slope of the ground is read.
 const SLOPE_ROWS: usize = 6;
 
@@ -136,16 +139,26 @@ fn in_place(clip: &Clip<'_>, tracklet: &Tracklet, shape: &Shape) -> Option<(f64,
         c.push(c2w.translation);
         v.push(c2w.rotation * shape.poses[k].transform(&middle));
     }
-    without_mean(&mut c);
-    without_mean(&mut v);
-    let dot = |a: &[Vector3<f64>], b: &[Vector3<f64>]| -> f64 { a.iter().zip(b).map(|(a, b)| a.dot(b)).sum() };
-    let (cc, cv, vv) = (dot(&c, &c), dot(&c, &v), dot(&v, &v));
-    (cc > 0.0 && vv > 0.0).then(|| (-cv / cc, ((vv - cv * cv / cc).max(0.0) / vv).sqrt()))
-}
-
-fn without_mean(values: &mut [Vector3<f64>]) {
-    let mean = values.iter().sum::<Vector3<f64>>() / values.len().max(1) as f64;
-    for v in values {
-        *v -= mean;
+    let mut weights = vec![1.0; c.len()];
+    let mut out = None;
+    for _ in 0..ROUNDS {
+        let mean = |values: &[Vector3<f64>]| -> Vector3<f64> {
+            values.iter().zip(&weights).map(|(v, w)| v * *w).sum::<Vector3<f64>>() / weights.iter().sum::<f64>()
+        };
+        let (c_mean, v_mean) = (mean(&c), mean(&v));
+        let dot = |a: &[Vector3<f64>], a_mean: Vector3<f64>, b: &[Vector3<f64>], b_mean: Vector3<f64>| -> f64 {
+            a.iter().zip(b).zip(&weights).map(|((a, b), w)| w * (a - a_mean).dot(&(b - b_mean))).sum()
+        };
+        let (cc, cv, vv) = (dot(&c, c_mean, &c, c_mean), dot(&c, c_mean, &v, v_mean), dot(&v, v_mean, &v, v_mean));
+        if !(cc > 0.0 && vv > 0.0) {
+            return None;
+        }
+        out = Some((-cv / cc, ((vv - cv * cv / cc).max(0.0) / vv).sqrt()));
+        // a few frames whose mask is wrong do not count
+        let off = |c: &Vector3<f64>, v: &Vector3<f64>| (v - v_mean - (c - c_mean) * (cv / cc)).norm();
+        let off: Vec<f64> = c.iter().zip(&v).map(|(c, v)| off(c, v)).collect();
+        let typical = f64::from(quantile(&mut off.iter().map(|off| *off as f32).collect::<Vec<_>>(), 0.5)?);
+        weights = off.iter().map(|off| 1.0 / (1.0 + (off / (CAUCHY * typical.max(1e-12))).powi(2))).collect();
     }
+    out
 }

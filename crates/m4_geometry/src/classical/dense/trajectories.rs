@@ -1,0 +1,338 @@
+//! Places that the flow leads pixels to, against what static points would do.
+//!
+//! If a pixel is static, one disparity explains all of its places in the frames before and after. The disparity that fits best is found
+//! in closed form, with the estimated one as a prior; a velocity that is fitted besides says how much more likely a dynamic pixel is, given
+//! the noise of the flow. Long spans tell slow motion, which is below the noise of short ones, and motion that looks like another depth
+//! as long as the camera moves evenly.
+
+use super::flow::{FlowPair, ScaledFrame};
+use super::shot::{Pair, Shot};
+use super::smooth::box_blur;
+use super::working::nearest_pixel;
+use crate::FrameRate;
+use m4_core::{Camera, Flow, bilinear, quantile};
+
+/// Spans over which places are compared, each both ways, seconds.
+const SPANS_S: [f64; 3] = [1.0 / 24.0, 1.0 / 6.0, 1.0];
+/// Distance of the pixels that are followed, pixels at the working size: the flow comes from patches twice as far apart.
+const STRIDE_PX: usize = 2;
+/// Noise of the flow between two frames, one standard deviation, pixels at the working size, and what of it grows with its length.
+const FLOW_NOISE_PX: f32 = 0.1;
+const FLOW_NOISE_SHARE: f32 = 0.05;
+/// Speed of dynamic pixels, one standard deviation, image widths per second.
+const SPEED: f32 = 0.1;
+/// Logarithm of a ratio of likelihoods that is certain.
+const CERTAIN: f32 = 4.0;
+/// Least difference in brightness between two views of a pixel, 0..255, mean of 5x5 pixels. The static place is refuted where it
+/// differs by twice what the place that the flow leads to does.
+const BRIGHTNESS_NOISE: f32 = 1.0;
+const BRIGHTNESS_SHARE: f32 = 0.3;
+/// Darkest shadow, as a share of the light, and the cost of one that leaves 1/e of it, 0..255.
+const DARKEST: f32 = 0.3;
+const SHADOW_COST: f32 = 0.6;
+/// Least weight of flow that the brightness does not confirm, 0..1: on a flat wall flow is a guess.
+const LEAST_REFUTED: f32 = 0.1;
+/// Most that a place counts, in variances: flow that fails is as far off as it likes.
+const MOST_OFF: f32 = 60.0;
+
+/// A clip and the static disparity of one frame.
+pub(super) struct Trajectories<'a> {
+    pub shots: &'a [Shot],
+    /// At the working size.
+    pub cameras: &'a [Camera],
+    pub flows: &'a [FlowPair],
+    pub rate: FrameRate,
+    /// `[height][width]`: as if all pixels were static.
+    pub disparity: &'a [f32],
+    /// `[height][width]`: one standard deviation.
+    pub deviation: &'a [f32],
+}
+
+/// What the places of a pixel say.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Verdict {
+    /// From -1 for certainly static to 1 for certainly dynamic.
+    pub dynamic: f32,
+    /// Number of places, each weighted by its precision.
+    pub weight: f32,
+}
+
+/// Sums over the places of a pixel, each weighted by its precision; times are seconds from the frame, negative before it.
+#[derive(Debug, Clone, Copy, Default)]
+struct Sums {
+    /// Squared residuals at the estimated disparity.
+    square: f32,
+    /// Squared derivatives of the place by the disparity, and residuals times these.
+    slope: f32,
+    slope_residual: f32,
+    /// Squared times, and residuals and derivatives times these.
+    time: f32,
+    time_residual: [f32; 2],
+    time_slope: [f32; 2],
+    count: f32,
+    weight: f32,
+}
+
+impl Sums {
+    /// Adds a place; its residual and derivative in pixels, its precision in one over pixels squared.
+    fn add(&mut self, [x, y]: [f32; 2], [sx, sy]: [f32; 2], time_s: f32, precision: f32) {
+        self.square += (x * x + y * y) * precision;
+        self.slope += (sx * sx + sy * sy) * precision;
+        self.slope_residual += (sx * x + sy * y) * precision;
+        let time = time_s * precision;
+        self.time += time_s * time;
+        self.time_residual = [self.time_residual[0] + time * x, self.time_residual[1] + time * y];
+        self.time_slope = [self.time_slope[0] + time * sx, self.time_slope[1] + time * sy];
+        self.count += 1.0;
+    }
+
+    fn joined(&self, other: &Self) -> Self {
+        let both = |a: [f32; 2], b: [f32; 2]| [a[0] + b[0], a[1] + b[1]];
+        Self {
+            square: self.square + other.square,
+            slope: self.slope + other.slope,
+            slope_residual: self.slope_residual + other.slope_residual,
+            time: self.time + other.time,
+            time_residual: both(self.time_residual, other.time_residual),
+            time_slope: both(self.time_slope, other.time_slope),
+            count: self.count + other.count,
+            weight: self.weight + other.weight,
+        }
+    }
+
+    /// Logarithm of how much more likely a dynamic point is than a static one, the disparity of both having this variance.
+    ///
+    /// A dynamic point has an even velocity (the ratio of evidences of two linear models), or it is anywhere: what is left of the residuals
+    /// beyond the noise. `speed` is in pixels per second.
+    fn ratio(&self, variance: f32, speed: f32) -> f32 {
+        let fit = variance / (1.0 + variance * self.slope);
+        let left = self.square - self.slope_residual * self.slope_residual * fit;
+        let [tx, ty] = self.time_slope;
+        let [gx, gy] = [0, 1].map(|axis| self.time_residual[axis] - self.time_slope[axis] * self.slope_residual * fit);
+        let prior = 1.0 / (speed * speed);
+        let [a, b, c] = [self.time - tx * tx * fit + prior, -tx * ty * fit, self.time - ty * ty * fit + prior];
+        let determinant = (a * c - b * b).max(prior * prior);
+        let explained = (c * gx * gx - 2.0 * b * gx * gy + a * gy * gy) / determinant;
+        0.5 * (explained.max(left - 2.0 * self.count) - (determinant / (prior * prior)).ln())
+    }
+
+    fn verdict(before: &Self, after: &Self, deviation: f32, speed: f32) -> Verdict {
+        let both = before.joined(after);
+        let mut ratio = both.ratio(deviation * deviation, speed).clamp(-CERTAIN, CERTAIN);
+        if ratio > 0.0 {
+            // what an object covers or uncovers is static before or after
+            let one = before.ratio(0.0, speed).min(after.ratio(0.0, speed));
+            ratio = (ratio + one.min(0.0)).max(-CERTAIN);
+        }
+        Verdict { dynamic: ratio / CERTAIN, weight: both.weight }
+    }
+}
+
+impl Trajectories<'_> {
+    /// The verdicts on all pixels of frame `i`, `[height][width]`.
+    pub fn verdicts(&self, i: usize) -> Vec<Verdict> {
+        let speed = SPEED * self.shots[i].frame.width as f32;
+        let [before, after] = [false, true].map(|later| self.sums(i, later));
+        let sums = before.iter().zip(&after).zip(self.deviation);
+        sums.map(|((before, after), deviation)| Sums::verdict(before, after, *deviation, speed)).collect()
+    }
+
+    /// Sums over the places in the frames after or before frame `i`.
+    fn sums(&self, i: usize, later: bool) -> Vec<Sums> {
+        let mut sums = vec![Sums::default(); self.disparity.len()];
+        let spans = self.rate.distances(&SPANS_S);
+        let mut followed = Followed::start(&self.shots[i].frame);
+        for k in 1..=spans.last().copied().unwrap_or_default() {
+            let Some(from) = (if later { Some(i + k - 1) } else { (i + 1).checked_sub(k) }) else { break };
+            let Some((flow, trip)) = FlowPair::step(self.flows, from, later) else { break };
+            followed.advance(flow, trip);
+            if spans.contains(&k) {
+                self.add_places(i, if later { i + k } else { i - k }, &followed, &mut sums);
+            }
+        }
+        sums
+    }
+
+    /// Adds the places in frame `j` that the pixels of frame `i` were followed to.
+    fn add_places(&self, i: usize, j: usize, followed: &Followed, sums: &mut [Sums]) {
+        let (here, there) = (&self.shots[i].frame, &self.shots[j].frame);
+        let w = here.width;
+        let pair = Pair::new(&self.cameras[i], &self.cameras[j]);
+        let pixels = || self.disparity.iter().enumerate();
+        let fixed: Vec<_> =
+            pixels().map(|(p, d)| pair.project_with_slope((p % w) as f32, (p / w) as f32, *d)).collect();
+        let places: Vec<Place> = pixels().map(|(p, _)| followed.of(p % w, p / w)).collect();
+        let static_difference = difference(here, there, fixed.iter().map(|(at, _)| [at.x, at.y]));
+        let flow_difference = difference(here, there, places.iter().map(|place| [place.x, place.y]));
+        let residual = |p: usize| {
+            let (place, (at, _)) = (&places[p], &fixed[p]);
+            let known = place.variance.is_finite() && at.disparity > 0.0;
+            known.then_some([place.x - at.x, place.y - at.y])
+        };
+        // most of a frame is static, so what half of it exceeds is an error of the cameras
+        let mut lengths: Vec<f32> = (0..places.len()).filter_map(residual).map(|[x, y]| x.hypot(y)).collect();
+        let camera_error = quantile(&mut lengths, 0.5).unwrap_or(0.0);
+        let time_s = self.rate.seconds(i.abs_diff(j)) as f32 * if j < i { -1.0 } else { 1.0 };
+        for (p, sums) in sums.iter_mut().enumerate() {
+            let Some(residual) = residual(p) else { continue };
+            let variance = places[p].variance;
+            let (here, there) = (static_difference[p], flow_difference[p]);
+            let refuted = ((here - there) / (BRIGHTNESS_NOISE + BRIGHTNESS_SHARE * there)).clamp(LEAST_REFUTED, 1.0);
+            let precision = refuted / (variance + camera_error * camera_error);
+            let square = (residual[0] * residual[0] + residual[1] * residual[1]) * precision;
+            let kept = (MOST_OFF * refuted * refuted / square).sqrt().min(1.0);
+            sums.add(residual.map(|r| kept * r), fixed[p].1, time_s, precision);
+            sums.weight += 1.0 / (1.0 + variance);
+        }
+    }
+}
+
+/// How much places in another frame differ in brightness from the pixels here, `[height][width]`, 0..255; a shadow on one of them is
+/// all but free.
+fn difference(here: &ScaledFrame, there: &ScaledFrame, places: impl Iterator<Item = [f32; 2]>) -> Vec<f32> {
+    let (w, h) = (here.width, here.height);
+    let blurred = |mut values: Vec<f32>| {
+        box_blur(w, h, &mut values);
+        values
+    };
+    let other: Vec<f32> = places.map(|[x, y]| bilinear(w, h, &there.grey, x, y)).collect();
+    let means = blurred(here.grey.clone()).into_iter().zip(blurred(other.clone()));
+    let light: Vec<f32> = means.map(|(a, b)| ((a + 1.0) / (b + 1.0)).clamp(DARKEST, 1.0 / DARKEST)).collect();
+    let pixels = || here.grey.iter().zip(&other).zip(&light);
+    let plain = blurred(pixels().map(|((a, b), _)| (a - b).abs()).collect());
+    // at the light of the darker one, so that noise counts alike
+    let shadow = blurred(pixels().map(|((a, b), light)| (a - light * b).abs() / light.max(1.0)).collect());
+    let shadow = shadow.iter().zip(&light).map(|(shadow, light)| shadow + SHADOW_COST * light.ln().abs());
+    plain.iter().zip(shadow).map(|(plain, shadow)| plain.min(shadow)).collect()
+}
+
+/// Where the flow has led a pixel.
+#[derive(Clone, Copy)]
+struct Place {
+    x: f32,
+    y: f32,
+    /// Pixels squared, per axis; infinite once the flow has left the image.
+    variance: f32,
+}
+
+/// Every second pixel of every second row, followed along the flow.
+struct Followed {
+    columns: usize,
+    places: Vec<Place>,
+}
+
+impl Followed {
+    fn start(frame: &ScaledFrame) -> Self {
+        let (columns, rows) = (frame.width.div_ceil(STRIDE_PX), frame.height.div_ceil(STRIDE_PX));
+        let place = |g: usize| Place {
+            x: (g % columns * STRIDE_PX) as f32,
+            y: (g / columns * STRIDE_PX) as f32,
+            variance: 0.0,
+        };
+        Self { columns, places: (0..columns * rows).map(place).collect() }
+    }
+
+    /// Follows one more step, whose error is independent of those before.
+    fn advance(&mut self, flow: &Flow, round_trip_px: &[f32]) {
+        for place in self.places.iter_mut().filter(|place| place.variance.is_finite()) {
+            let missed = round_trip_px[nearest_pixel(flow.width, flow.height, place.x, place.y)];
+            let (u, v) = flow.at(place.x, place.y);
+            let share = FLOW_NOISE_SHARE * u.hypot(v);
+            let variance = place.variance + FLOW_NOISE_PX * FLOW_NOISE_PX + share * share + 0.25 * missed * missed;
+            *place = Place { x: place.x + u, y: place.y + v, variance };
+        }
+    }
+
+    /// The place of a pixel: it goes where the followed one beside it goes.
+    fn of(&self, x: usize, y: usize) -> Place {
+        let place = self.places[y / STRIDE_PX * self.columns + x / STRIDE_PX];
+        Place { x: place.x + (x % STRIDE_PX) as f32, y: place.y + (y % STRIDE_PX) as f32, ..place }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{FlowPair, FrameRate, Shot, Trajectories};
+    use m4_core::Flow;
+
+    const W: usize = 64;
+    const H: usize = 48;
+    const FRAMES: usize = 49;
+    const MIDDLE: usize = 24;
+
+    /// A clip of a wall, at disparity 1, in front of which a square moves down by `speed` pixels a frame; it stays in its column, as a static
+    /// point at disparity 0 does. Returns the verdicts on the frame in the middle and which pixels are of the square.
+    fn verdicts(speed: f32, rate: f64) -> (Vec<f32>, Vec<bool>) {
+        let inside = |t: usize, p: usize| {
+            let top = 14.0 + speed * (t as f32 - MIDDLE as f32);
+            let (x, y) = (p % W, (p / W) as f32);
+            (24..40).contains(&x) && y >= top && y < top + 16.0
+        };
+        let (mut shots, cameras) = Shot::of_wall(FRAMES, (W, H), 1.0);
+        for (t, shot) in shots.iter_mut().enumerate() {
+            for p in (0..W * H).filter(|&p| inside(t, p)) {
+                let (x, y) = ((p % W) as f32, (p / W) as f32 - speed * t as f32);
+                shot.frame.grey[p] = 120.0 + 60.0 * (1.3 * x).sin() + 50.0 * (0.9 * y + 0.4 * x).cos();
+            }
+        }
+        let flow = |t: usize, sign: f32| {
+            let along = |p: usize| if inside(t, p) { (0.0, sign * speed) } else { (-sign, 0.0) };
+            let (u, v) = (0..W * H).map(along).unzip();
+            Flow { width: W, height: H, u, v }
+        };
+        let flows: Vec<FlowPair> = (0..FRAMES - 1).map(|t| FlowPair::of(flow(t, 1.0), flow(t + 1, -1.0))).collect();
+        let square: Vec<bool> = (0..W * H).map(|p| inside(MIDDLE, p)).collect();
+        let disparity: Vec<f32> = square.iter().map(|inside| if *inside { 0.1 } else { 1.0 }).collect();
+        let deviation: Vec<f32> = square.iter().map(|inside| if *inside { 0.3 } else { 0.02 }).collect();
+        let rate = FrameRate::new(rate).unwrap();
+        let clip = Trajectories {
+            shots: &shots,
+            cameras: &cameras,
+            flows: &flows,
+            rate,
+            disparity: &disparity,
+            deviation: &deviation,
+        };
+        (clip.verdicts(MIDDLE).iter().map(|verdict| verdict.dynamic).collect(), square)
+    }
+
+    /// Mean verdict on the pixels of the square and on those of the wall, a margin aside.
+    fn means((verdicts, square): (Vec<f32>, Vec<bool>)) -> (f32, f32) {
+        let mean = |wanted: bool| {
+            let same = |p: usize| {
+                (-2..=2).all(|k: isize| {
+                    [k, k * W as isize].iter().all(|off| square.get((p as isize + off) as usize) == Some(&wanted))
+                })
+            };
+            let all: Vec<f32> = (0..W * H).filter(|&p| same(p)).map(|p| verdicts[p]).collect();
+            assert!(all.len() > 50, "{}", all.len());
+            all.iter().sum::<f32>() / all.len() as f32
+        };
+        (mean(true), mean(false))
+    }
+
+    #[test]
+    fn slow_motion_shows_over_long_spans() {
+        let (square, wall) = means(verdicts(0.25, 24.0));
+        assert!(square > 0.8 && wall < -0.5, "{square} {wall}");
+        // the same clip as if it were shorter than the longest span
+        let (square, _) = means(verdicts(0.02, 240.0));
+        assert!(square < 0.1, "{square}");
+    }
+
+    #[test]
+    fn motion_like_that_of_another_disparity_is_none() {
+        let (square, wall) = means(verdicts(0.0, 24.0));
+        assert!(square < 0.0 && wall < -0.5, "{square} {wall}");
+    }
+
+    #[test]
+    fn what_the_square_will_cover_is_static() {
+        let (verdicts, square) = verdicts(0.5, 24.0);
+        let below =
+            |p: usize| !square[p] && (2..12).any(|rows| p >= rows * W && square[p - rows * W]) && !square[p - W];
+        let all: Vec<f32> = (W..W * H).filter(|&p| below(p)).map(|p| verdicts[p]).collect();
+        let dynamic = all.iter().filter(|v| **v > 0.0).count() as f32 / all.len() as f32;
+        assert!(all.len() > 100 && dynamic < 0.1, "{} {dynamic}", all.len());
+    }
+}
