@@ -67,7 +67,6 @@ fn few() -> Settings {
 const CLIP: &str = "MINUTE4D_TEST_CLIP";
 const OUT: &str = "MINUTE4D_TEST_OUT";
 const FRONTEND: &str = "MINUTE4D_TEST_FRONTEND";
-const THREADS: &str = "MINUTE4D_TEST_THREADS";
 
 /// The process that makes a capture: the store of weights is that of its environment.
 #[test]
@@ -82,13 +81,10 @@ fn library_caller_makes_a_capture() {
         existing: Existing::Refuse,
         observer: &Silent,
     };
-    let threads = env::var(THREADS).ok().map(|n| n.parse().unwrap());
-    let out = env::var(OUT).unwrap();
-    let make = || geometry::make(Path::new(&clip), Path::new(&out), &job).map(drop);
-    minute4d::with_threads(threads, make).unwrap().unwrap();
+    geometry::make(Path::new(&clip), Path::new(&env::var(OUT).unwrap()), &job).unwrap();
 }
 
-fn made(clip: &Path, out: &Path, store: &Path, frontend: &str, threads: Option<usize>) -> Capture {
+fn made(clip: &Path, out: &Path, store: &Path, frontend: &str) -> Capture {
     let mut command = Command::new(env::current_exe().unwrap());
     command
         .args(["--exact", "networks::library_caller_makes_a_capture", "--ignored", "--nocapture"])
@@ -96,9 +92,6 @@ fn made(clip: &Path, out: &Path, store: &Path, frontend: &str, threads: Option<u
         .env(CLIP, clip)
         .env(OUT, out)
         .env(FRONTEND, frontend);
-    if let Some(threads) = threads {
-        command.env(THREADS, threads.to_string());
-    }
     let ended = Ended::of(command.output().unwrap());
     assert_eq!(ended.code, 0, "{} {}", ended.stdout, ended.stderr);
     read_capture(out, Split::Train)
@@ -111,7 +104,7 @@ fn megasam_front_end_makes_a_capture_and_records_its_networks() {
     write_clip(&clip);
     write_weights(&store);
     let first = dir.path("first");
-    let capture = made(&clip, &first, &store, "megasam", None);
+    let capture = made(&clip, &first, &store, "megasam");
     let record: Value = serde_json::from_str(&fs::read_to_string(first.join("geometry.json")).unwrap()).unwrap();
     // The choice, and the lack of a depth network, is reported.
     let warnings = record["warnings"].to_string();
@@ -124,14 +117,6 @@ fn megasam_front_end_makes_a_capture_and_records_its_networks() {
     assert!(found["keyframes"].as_array().unwrap().len() > 2, "{found}");
     assert_eq!((capture.frames.len(), capture.metric), (FRAMES, false));
     assert!(capture.frames.iter().all(|f| f.motion.is_some() && f.mask.is_some() && f.depth.is_some()));
-
-    // Another time, on another number of threads: the same bits.
-    let second = dir.path("second");
-    let again = made(&clip, &second, &store, "megasam+raft", Some(1));
-    for (a, b) in capture.frames.iter().zip(&again.frames) {
-        assert_eq!(a.camera, b.camera);
-        assert_eq!((&a.depth, &a.motion, &a.mask), (&b.depth, &b.motion, &b.mask));
-    }
 }
 
 #[test]
