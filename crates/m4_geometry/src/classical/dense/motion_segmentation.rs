@@ -19,7 +19,7 @@ use m4_core::{Progress, RgbImage, dilated};
 
 /// How often depth and motion are estimated in turn: the second round knows the masks of the first.
 const ROUNDS: usize = 2;
-/// Time in which evidence of motion counts e times less, seconds: what moves is dynamic a little before and after, too.
+/// Time in which evidence of motion counts e times less, seconds: an object in motion is dynamic a little before and after, too.
 const MEMORY_S: f64 = 0.4;
 /// Colour difference that stops the edge-aware fill of depth, 0..255 (Min et al. 2014, sigma).
 const FILL_SIGMA: f32 = 8.0;
