@@ -103,9 +103,9 @@ fn megasam_front_end_makes_a_capture_and_records_its_networks() {
     let (clip, store) = (dir.path("clip"), dir.path("weights"));
     write_clip(&clip);
     write_weights(&store);
-    let first = dir.path("first");
-    let capture = made(&clip, &first, &store, "megasam");
-    let record: Value = serde_json::from_str(&fs::read_to_string(first.join("geometry.json")).unwrap()).unwrap();
+    let out = dir.path("out");
+    let capture = made(&clip, &out, &store, "megasam");
+    let record: Value = serde_json::from_str(&fs::read_to_string(out.join("geometry.json")).unwrap()).unwrap();
     // The choice, and the lack of a depth network, is reported.
     let warnings = record["warnings"].to_string();
     assert!(warnings.contains("raft") && warnings.contains("no depth from one image"), "{warnings}");

@@ -139,26 +139,55 @@ fn in_place(clip: &Clip<'_>, tracklet: &Tracklet, shape: &Shape) -> Option<(f64,
         c.push(c2w.translation);
         v.push(c2w.rotation * shape.poses[k].transform(&middle));
     }
+    fixed(&c, &v)
+}
+
+/// The factor `q` for which `q c + v` stays closest to one place, and what is left of the path of `v`, as a share; a few frames may be
+/// wrong. `None` where nothing moves.
+fn fixed(c: &[Vector3<f64>], v: &[Vector3<f64>]) -> Option<(f64, f64)> {
     let mut weights = vec![1.0; c.len()];
     let mut out = None;
     for _ in 0..ROUNDS {
         let mean = |values: &[Vector3<f64>]| -> Vector3<f64> {
             values.iter().zip(&weights).map(|(v, w)| v * *w).sum::<Vector3<f64>>() / weights.iter().sum::<f64>()
         };
-        let (c_mean, v_mean) = (mean(&c), mean(&v));
+        let (c_mean, v_mean) = (mean(c), mean(v));
         let dot = |a: &[Vector3<f64>], a_mean: Vector3<f64>, b: &[Vector3<f64>], b_mean: Vector3<f64>| -> f64 {
             a.iter().zip(b).zip(&weights).map(|((a, b), w)| w * (a - a_mean).dot(&(b - b_mean))).sum()
         };
-        let (cc, cv, vv) = (dot(&c, c_mean, &c, c_mean), dot(&c, c_mean, &v, v_mean), dot(&v, v_mean, &v, v_mean));
+        let (cc, cv, vv) = (dot(c, c_mean, c, c_mean), dot(c, c_mean, v, v_mean), dot(v, v_mean, v, v_mean));
         if !(cc > 0.0 && vv > 0.0) {
             return None;
         }
         out = Some((-cv / cc, ((vv - cv * cv / cc).max(0.0) / vv).sqrt()));
-        // a few frames whose mask is wrong do not count
+        // frames whose mask is wrong count little
         let off = |c: &Vector3<f64>, v: &Vector3<f64>| (v - v_mean - (c - c_mean) * (cv / cc)).norm();
-        let off: Vec<f64> = c.iter().zip(&v).map(|(c, v)| off(c, v)).collect();
+        let off: Vec<f64> = c.iter().zip(v).map(|(c, v)| off(c, v)).collect();
         let typical = f64::from(quantile(&mut off.iter().map(|off| *off as f32).collect::<Vec<_>>(), 0.5)?);
         weights = off.iter().map(|off| 1.0 / (1.0 + (off / (CAUCHY * typical.max(1e-12))).powi(2))).collect();
     }
     out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Vector3, fixed};
+
+    #[test]
+    fn a_fixed_place_is_found_although_a_few_frames_are_wrong() {
+        let c: Vec<Vector3<f64>> =
+            (0..40).map(|k| 0.05 * f64::from(k)).map(|t| Vector3::new(t, 0.2 * (3.0 * t).sin(), 0.1 * t)).collect();
+        let place = Vector3::new(0.5, -0.2, 4.0);
+        let mut v: Vec<Vector3<f64>> = c.iter().map(|c| place - c * 1.5).collect();
+        for v in &mut v[..4] {
+            *v += Vector3::new(0.6, 0.3, -0.8);
+        }
+        let (factor, rest) = fixed(&c, &v).unwrap();
+        assert!((factor - 1.5).abs() < 0.01 && rest < 0.05, "{factor} {rest}");
+        // what moves by itself has no such place, and a camera that stands says nothing
+        let moves: Vec<Vector3<f64>> =
+            (0..40).map(|k| 0.3 * f64::from(k)).map(|t| Vector3::new(t.sin(), t.cos(), 0.0)).collect();
+        assert!(fixed(&c, &moves).unwrap().1 > 0.5);
+        assert_eq!(fixed(&vec![place; 40], &moves), None);
+    }
 }
