@@ -164,7 +164,7 @@ fn evidence(scene: &Scene<'_>, i: usize, before: &[u8], background: &[Option<Bac
     let around = |of: &dyn Fn(usize, &Background) -> f32| {
         let mut values: Vec<f32> =
             background.iter().enumerate().map(|(p, b)| b.as_ref().map_or(0.0, |b| of(p, b))).collect();
-        box_blur(w, h, &mut values);
+        box_blur::<5>(w, h, &mut values);
         values
     };
     // Shadows keep the pattern of what they fall on: the background may be darker by one factor around a pixel.

@@ -78,9 +78,9 @@ pub(super) fn evidence(
         disparity: seen.disparity,
         deviation: &deviation,
     };
-    for ((value, weight), verdict) in value.iter_mut().zip(&mut weight).zip(trajectories.verdicts(i)) {
-        *value += verdict.weight * verdict.dynamic;
-        *weight += verdict.weight;
+    for (p, verdict) in trajectories.verdicts(i) {
+        value[p] += verdict.weight * verdict.dynamic;
+        weight[p] += verdict.weight;
     }
     for p in 0..w * h {
         let agreement = AGREEMENT * seen.confidence[p] * seen.confidence[p];

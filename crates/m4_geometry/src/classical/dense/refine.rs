@@ -47,8 +47,8 @@ impl Estimates<'_> {
             for &j in others {
                 self.add(&slopes, &out, (i, j), &mut gradient, &mut curvature);
             }
-            box_blur(w, h, &mut gradient);
-            box_blur(w, h, &mut curvature);
+            box_blur::<5>(w, h, &mut gradient);
+            box_blur::<5>(w, h, &mut curvature);
             for (d, (g, c)) in out.iter_mut().zip(gradient.iter().zip(&curvature)) {
                 *d -= (g / (c + prior)).clamp(-limit, limit);
             }
@@ -100,8 +100,8 @@ fn centre(width: usize, height: usize, samples: &mut [(usize, f32, f32)]) {
     let around = |of: fn(&(usize, f32, f32)) -> f32| {
         let mut plane = vec![0.0f32; width * height];
         samples.iter().for_each(|sample| plane[sample.0] = of(sample));
-        box_blur(width, height, &mut plane);
-        box_blur(width, height, &mut plane);
+        box_blur::<5>(width, height, &mut plane);
+        box_blur::<5>(width, height, &mut plane);
         plane
     };
     let (count, difference, slope) = (around(|_| 1.0), around(|sample| sample.1), around(|sample| sample.2));
@@ -174,8 +174,8 @@ mod tests {
         let now = moved(&shots);
         for shot in &mut shots {
             let mut mean = shot.frame.grey.clone();
-            super::box_blur(w, h, &mut mean);
-            super::box_blur(w, h, &mut mean);
+            super::box_blur::<5>(w, h, &mut mean);
+            super::box_blur::<5>(w, h, &mut mean);
             shot.frame.grey.iter_mut().zip(mean).for_each(|(grey, mean)| *grey -= mean);
         }
         let with_halos = moved(&shots);

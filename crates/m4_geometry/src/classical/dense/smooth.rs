@@ -211,20 +211,19 @@ fn solve_rows<const M: usize, const N: usize>(u: &mut [[f32; N]], right: &[f32],
     }
 }
 
-/// Mean over 5x5 pixels, fewer at the rim.
-pub(super) fn box_blur(width: usize, height: usize, values: &mut [f32]) {
-    const REACH: usize = 2;
-    const SIDE: usize = 2 * REACH + 1;
-    let reach = |i: usize, n: usize| i.saturating_sub(REACH)..(i + REACH + 1).min(n);
+/// Mean over `SIDE` x `SIDE` pixels (odd), fewer at the rim.
+pub(super) fn box_blur<const SIDE: usize>(width: usize, height: usize, values: &mut [f32]) {
+    let far = SIDE / 2;
+    let reach = |i: usize, n: usize| i.saturating_sub(far)..(i + far + 1).min(n);
     let mut rows = vec![0.0f32; values.len()];
     for (row, out) in values.chunks_exact(width).zip(rows.chunks_exact_mut(width)) {
         if let Some(inside) = (width + 1).checked_sub(SIDE) {
-            let [a, b, c, d, e]: [&[f32]; SIDE] = std::array::from_fn(|k| &row[k..k + inside]);
-            for (x, out) in out[REACH..REACH + inside].iter_mut().enumerate() {
-                *out = (a[x] + b[x] + c[x] + d[x] + e[x]) / SIDE as f32;
+            let shifted: [&[f32]; SIDE] = std::array::from_fn(|k| &row[k..k + inside]);
+            for (x, out) in out[far..far + inside].iter_mut().enumerate() {
+                *out = shifted.iter().map(|row| row[x]).sum::<f32>() / SIDE as f32;
             }
         }
-        for x in (0..width).filter(|x| *x < REACH || x + REACH >= width) {
+        for x in (0..width).filter(|x| *x < far || x + far >= width) {
             let part = &row[reach(x, width)];
             out[x] = part.iter().sum::<f32>() / part.len() as f32;
         }
@@ -234,9 +233,9 @@ pub(super) fn box_blur(width: usize, height: usize, values: &mut [f32]) {
         let share = 1.0 / window.len() as f32;
         let row = |y: usize| &rows[y * width..(y + 1) * width];
         if window.len() == SIDE {
-            let [a, b, c, d, e]: [&[f32]; SIDE] = std::array::from_fn(|k| row(window.start + k));
+            let around: [&[f32]; SIDE] = std::array::from_fn(|k| row(window.start + k));
             for (x, t) in target.iter_mut().enumerate() {
-                *t = share * (a[x] + b[x] + c[x] + d[x] + e[x]);
+                *t = share * around.iter().map(|row| row[x]).sum::<f32>();
             }
         } else {
             target.fill(0.0);

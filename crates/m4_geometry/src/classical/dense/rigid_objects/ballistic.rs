@@ -15,11 +15,12 @@
 
 use super::ground::Ground;
 use super::{Clip, Flight, Tracklet, flight};
+use crate::FrameRate;
 use m4_core::{Camera, quantile};
 use nalgebra::{Matrix6, Vector2, Vector3, Vector6};
 
-/// Frames in flight that make a clip one in which things fall.
-const EVIDENCE: usize = 16;
+/// Time in flight, of all objects together, that makes a clip one in which things fall, seconds.
+const EVIDENCE_S: f64 = 2.0 / 3.0;
 /// How often flights and the rate are found in turn.
 const ROUNDS: usize = 3;
 /// Flights of one part may differ by this factor in its size.
@@ -29,6 +30,7 @@ const BULGE: f64 = 0.6;
 
 /// An object that may be in flight.
 pub(super) struct RigidObject<'a> {
+    pub rate: FrameRate,
     /// Of its frames.
     pub cameras: &'a [Camera],
     pub observations: Vec<Observation>,
@@ -49,6 +51,7 @@ pub(super) fn depths(
         .iter()
         .zip(depth)
         .map(|(t, depth)| RigidObject {
+            rate: clip.rate,
             cameras: &clip.cameras[t.first..t.first + t.parts.len()],
             observations: observations(clip, t),
             depth,
@@ -58,7 +61,7 @@ pub(super) fn depths(
     let mut flights = Vec::new();
     for _ in 0..ROUNDS {
         flights = flight::find(&objects, ground, g);
-        if flights.iter().flatten().map(Flight::frames).sum::<usize>() < EVIDENCE {
+        if flights.iter().flatten().map(Flight::frames).sum::<usize>() < clip.rate.frames(EVIDENCE_S) {
             return None;
         }
         g = flight::settled_rate(&objects, &flights, ground)?;
@@ -94,8 +97,8 @@ fn one_size(object: &RigidObject<'_>, flights: &[Flight], ground: &Ground, g: f6
 
 /// A part of less than this share of what it was in the frames around is half hidden.
 const WHOLE: f64 = 0.75;
-/// How many frames around are looked at, on each side.
-const AROUND: usize = 4;
+/// Time around a frame that tells how large a part usually is, on each side, seconds.
+const AROUND_S: f64 = 1.0 / 6.0;
 /// A part that shares more than this of its edge with another may be behind it.
 const SHARED: f64 = 0.08;
 
@@ -116,12 +119,13 @@ pub(super) struct Observation {
 fn observations(clip: &Clip<'_>, tracklet: &Tracklet) -> Vec<Observation> {
     let area: Vec<f64> = tracklet.parts.iter().map(|p| p.len() as f64).collect();
     let mut own = vec![false; clip.width * clip.height];
+    let reach = clip.rate.frames(AROUND_S);
     (0..area.len())
         .map(|k| {
             let camera = &clip.cameras[tracklet.first + k];
             let lens = &camera.intrinsics;
             let (middle, clear) = outline(clip, tracklet, k, &mut own);
-            let around = &area[k.saturating_sub(AROUND)..(k + AROUND + 1).min(area.len())];
+            let around = &area[k.saturating_sub(reach)..(k + reach + 1).min(area.len())];
             let usual = around.iter().copied().fold(0.0, f64::max);
             let radius_px = (area[k] / std::f64::consts::PI).sqrt();
             let [u, v] = [middle.x + 0.5, middle.y + 0.5];

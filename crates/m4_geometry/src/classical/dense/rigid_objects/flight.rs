@@ -6,10 +6,10 @@ use super::ground::Ground;
 use m4_core::quantile;
 use rayon::prelude::*;
 
-/// Fewest frames of a flight.
-const SHORTEST: usize = 8;
-/// Most frames: a longer flight is cut, which costs little.
-const LONGEST: usize = 48;
+/// Shortest flight, seconds.
+const SHORTEST_S: f64 = 1.0 / 3.0;
+/// Longest, seconds: a longer one is cut, which costs little.
+const LONGEST_S: f64 = 2.0;
 /// Noise of the middle of a part, pixels at the working size, and what of it grows with the part, a share of its radius.
 const NOISE_PX: f64 = 0.15;
 const NOISE_SHARE: f64 = 0.010;
@@ -44,6 +44,7 @@ pub(super) fn find(objects: &[RigidObject<'_>], ground: &Ground, g: f64) -> Vec<
 /// Cuts the frames of an object so that what lies off parabolas, what is on none, and the number of parabolas cost least.
 fn of_one(object: &RigidObject<'_>, ground: &Ground, g: f64) -> Vec<Flight> {
     let n = object.depth.len();
+    let [shortest, longest] = [SHORTEST_S, LONGEST_S].map(|s| object.rate.frames(s));
     let noise = |first: usize, end: usize| {
         let radius = object.observations[first..end].iter().map(|s| s.radius_px).sum::<f64>() / (end - first) as f64;
         NOISE_PX + NOISE_SHARE * radius
@@ -53,7 +54,7 @@ fn of_one(object: &RigidObject<'_>, ground: &Ground, g: f64) -> Vec<Flight> {
     let mut last: Vec<Option<(usize, Parabola)>> = vec![None; n + 1];
     for end in 1..=n {
         cost[end] = cost[end - 1] + if object.observations[end - 1].whole { AFOOT } else { UNSEEN };
-        for first in end.saturating_sub(LONGEST)..(end + 1).saturating_sub(SHORTEST) {
+        for first in end.saturating_sub(longest)..(end + 1).saturating_sub(shortest) {
             let Some(parabola) = Parabola::fit(object, (first, end), ground, g) else {
                 continue;
             };
@@ -82,9 +83,9 @@ fn of_one(object: &RigidObject<'_>, ground: &Ground, g: f64) -> Vec<Flight> {
     out
 }
 
-/// Frames of a first reading, and fewest readings.
-const WINDOW: usize = 10;
-const READINGS: usize = 8;
+/// Length of a first reading, and time in which readings must start, of all objects together, seconds.
+const WINDOW_S: f64 = 5.0 / 12.0;
+const READINGS_S: f64 = 1.0 / 3.0;
 /// A first reading misses its parabola by less, pixels at the working size.
 const MISS_PX: f64 = 0.9;
 /// Its parabola bends away from a straight line by more, pixels at the working size.
@@ -101,11 +102,12 @@ pub(super) fn first_rate(objects: &[RigidObject<'_>], ground: &Ground) -> Option
     let mut all: Vec<f64> = objects
         .iter()
         .flat_map(|object| {
-            let starts = 0..(object.depth.len() + 1).saturating_sub(WINDOW);
+            let starts = 0..(object.depth.len() + 1).saturating_sub(object.rate.frames(WINDOW_S));
             starts.filter_map(|first| reading(object, first, ground))
         })
         .collect();
-    if all.len() < READINGS {
+    let rate = objects.first()?.rate;
+    if all.len() < rate.frames(READINGS_S) {
         return None;
     }
     all.sort_by(f64::total_cmp);
@@ -117,9 +119,9 @@ pub(super) fn first_rate(objects: &[RigidObject<'_>], ground: &Ground) -> Option
 }
 
 fn reading(object: &RigidObject<'_>, first: usize, ground: &Ground) -> Option<f64> {
-    let end = first + WINDOW;
-    let z = object.depth[first..end].iter().sum::<f64>() / WINDOW as f64;
-    let (mid, frames) = ((first + end) / 2, WINDOW as f64);
+    let end = first + object.rate.frames(WINDOW_S);
+    let (mid, frames) = ((first + end) / 2, (end - first) as f64);
+    let z = object.depth[first..end].iter().sum::<f64>() / frames;
     let mut g = 0.2 * z / (frames * frames);
     let mut miss_px = f64::INFINITY;
     // The depth is nearly affine in the rate.

@@ -4,8 +4,8 @@ use super::Clip;
 use m4_core::CounterRng;
 use nalgebra::{Matrix3, Vector3};
 
-/// Frames and pixels between samples.
-const FRAMES: usize = 6;
+/// Time between samples, seconds, and pixels between them.
+const EVERY_S: f64 = 0.25;
 const PIXELS: usize = 12;
 /// Planes tried.
 const TRIES: usize = 400;
@@ -74,7 +74,7 @@ fn oriented(normal: Vector3<f64>, through: &Vector3<f64>, axis: &Vector3<f64>) -
 /// Static points and their z-depths.
 fn samples(clip: &Clip<'_>) -> Vec<(Vector3<f64>, f64)> {
     let mut out = Vec::new();
-    for t in (0..clip.cameras.len()).step_by(FRAMES) {
+    for t in (0..clip.cameras.len()).step_by(clip.rate.frames(EVERY_S)) {
         for y in (PIXELS / 2..clip.height).step_by(PIXELS) {
             for x in (PIXELS / 2..clip.width).step_by(PIXELS) {
                 let p = y * clip.width + x;

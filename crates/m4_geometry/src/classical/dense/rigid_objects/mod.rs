@@ -31,8 +31,8 @@ pub(super) use tracklet::{Tracklet, follow};
 const BLOCK_PX: usize = 4;
 /// Regions smaller than this share of the image are not shaped.
 const LEAST_SHARE: f32 = 0.002;
-/// Fewest frames of a region.
-const SHORTEST: usize = 5;
+/// Shortest time that a region is followed, seconds.
+const SHORTEST_S: f64 = 0.2;
 /// Flow whose round trip misses by more than this is not followed, pixels at the working size.
 pub(super) const ROUND_TRIP_PX: f32 = 1.5;
 /// Strength of the edge-aware spreading, pixels squared (Min et al. 2014, lambda).

@@ -175,7 +175,8 @@ fn tilt(width: usize, disparity: &mut [f32]) {
     }
 }
 
-/// Over how many frames a region is compared with itself, each both ways; rising.
+/// Over how many frames a region is compared with itself, each both ways; rising. Not in seconds: errors add up with every step of the
+/// flow, and at 60 frames per second spans of the same seconds as at 24 gave 3 to 12 % worse depth on three scenes.
 const SPANS: [usize; 3] = [1, 3, 8];
 
 /// One bit a pixel of every frame of a tracklet.

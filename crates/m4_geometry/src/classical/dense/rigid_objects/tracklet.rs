@@ -5,7 +5,7 @@
 //! carrying their labels along the flow, those that will be by carrying labels back from then; a region is what has
 //! the same pair of labels.
 
-use super::{Clip, LEAST_SHARE, ROUND_TRIP_PX, SHORTEST};
+use super::{Clip, LEAST_SHARE, ROUND_TRIP_PX, SHORTEST_S};
 use crate::classical::dense::flow::FlowPair;
 use crate::classical::dense::regions::Components;
 use crate::classical::dense::working::pixel_at;
@@ -91,7 +91,7 @@ pub(in super::super) fn follow(clip: &Clip<'_>) -> Vec<Tracklet> {
         before = Some(now);
     }
     done.extend(open.into_iter().flatten());
-    done.retain(|t| t.parts.len() >= SHORTEST);
+    done.retain(|t| t.parts.len() >= clip.rate.frames(SHORTEST_S));
     done
 }
 
@@ -162,6 +162,7 @@ fn next(
     for &l in known.iter().filter(|l| **l > 0) {
         *area.entry(l).or_default() += 1;
     }
+    let shortest = clip.rate.frames(SHORTEST_S);
     let mut out = vec![0u32; w * h];
     // By part: the labels it takes on, with their votes.
     let mut heirs: Vec<Vec<(u32, usize)>> = Vec::new();
@@ -182,7 +183,7 @@ fn next(
         // What was apart for a moment only is a flaw of the masks.
         let kept = |l: u32, n: usize| {
             n as f32 >= KEPT * area[&l] as f32
-                && (Some((l, n)) == first || !alone && n >= least / 2 && age.get(&l).is_some_and(|a| *a >= SHORTEST))
+                && (Some((l, n)) == first || !alone && n >= least / 2 && age.get(&l).is_some_and(|a| *a >= shortest))
         };
         heirs.push(votes.into_iter().filter(|(l, n)| kept(*l, *n)).collect());
     }
