@@ -9,6 +9,7 @@ use anyhow::{Context, Result, bail};
 use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write;
+use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::sync::{Mutex, PoisonError};
@@ -34,9 +35,11 @@ const FULL: [&str; 12] = [
 
 /// Compiles in one unit what most of the time of the tests is spent in, so that everything can be inlined. Not in Cargo.toml: who
 /// changes one of these crates and runs its tests alone wants only the changed parts compiled.
-const ONE_UNIT: [&str; 4] = [
+const ONE_UNIT: [&str; 6] = [
     "--config",
     "profile.dev.package.m4_geometry.codegen-units=1",
+    "--config",
+    "profile.dev.package.m4_nets.codegen-units=1",
     "--config",
     "profile.dev.package.m4_train.codegen-units=1",
 ];
@@ -280,35 +283,41 @@ fn run_alone(program: &Program, names: &[String], list: &Path) -> Result<()> {
     if output.status.success() { Ok(()) } else { bail!("{} ended with {}", program.name, output.status) }
 }
 
-/// Builds the programs of tests of a selection of packages.
+/// Builds the programs of tests of a selection of packages; warnings are errors.
 fn programs(root: &Path, selection: &[&str], more: &[String]) -> Result<Vec<Program>> {
-    let mut command = cargo(root, &["test", "--lib", "--bins", "--tests", "--no-run"]);
-    command.arg("--message-format=json-render-diagnostics");
-    command.args(selection).args(more).stderr(Stdio::inherit());
-    let output = command.output().context("cannot start cargo")?;
-    if !output.status.success() {
-        bail!("the tests cannot be built: cargo ended with {}", output.status);
-    }
-    let mut programs = Vec::new();
-    for line in String::from_utf8_lossy(&output.stdout).lines() {
-        let Ok(message) = serde_json::from_str::<Value>(line) else {
+    let mut command = cargo(root, &["test", "--lib", "--bins", "--tests", "--no-run", "--message-format=json"]);
+    command.args(selection).args(more).stdout(Stdio::piped()).stderr(Stdio::inherit());
+    let mut build = command.spawn().context("cannot start cargo")?;
+    let (mut programs, mut warned) = (Vec::new(), false);
+    for line in BufReader::new(build.stdout.take().context("cargo has no output")?).lines() {
+        let Ok(message) = serde_json::from_str::<Value>(&line.context("cannot read the output of cargo")?) else {
             continue;
         };
-        let text = |value: &Value| value.as_str().map(str::to_owned);
-        let is_test = message["reason"] == "compiler-artifact" && message["profile"]["test"] == true;
-        let parts = (
-            text(&message["executable"]),
-            text(&message["manifest_path"]),
-            text(&message["target"]["name"]),
-            text(&message["target"]["kind"][0]),
-        );
-        if let (true, (Some(path), Some(manifest), Some(target), Some(kind))) = (is_test, parts) {
-            let folder = Path::new(&manifest).parent().unwrap_or(root).to_path_buf();
-            let package = folder.file_name().unwrap_or_default().to_string_lossy().into_owned();
-            programs.push(Program { name: format!("{package} ({kind} {target})"), path: path.into(), folder });
+        if let Some(rendered) = message["message"]["rendered"].as_str() {
+            eprint!("{rendered}");
+            warned |= message["message"]["level"] == "warning";
         }
+        programs.extend(program(root, &message));
+    }
+    let status = build.wait().context("cargo did not end")?;
+    if !status.success() {
+        bail!("the tests cannot be built: cargo ended with {status}");
+    }
+    if warned {
+        bail!("the compiler warns (above); warnings are errors here");
     }
     Ok(programs)
+}
+
+/// The program of tests that a message of cargo announces.
+fn program(root: &Path, message: &Value) -> Option<Program> {
+    let is_test = message["reason"] == "compiler-artifact" && message["profile"]["test"] == true;
+    let text = |value: &Value| value.as_str().map(str::to_owned);
+    let path = text(&message["executable"]).filter(|_| is_test)?;
+    let folder = Path::new(message["manifest_path"].as_str()?).parent().unwrap_or(root).to_path_buf();
+    let (target, kind) = (text(&message["target"]["name"])?, text(&message["target"]["kind"][0])?);
+    let package = folder.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    Some(Program { name: format!("{package} ({kind} {target})"), path: path.into(), folder })
 }
 
 /// The names of a program's tests that are not ignored.

@@ -17,7 +17,7 @@ use m4_testkit::{Fixture, assert_close, write_formula_weights};
 const KEYS: &str = include_str!("../../../../../fixtures/droid/keys.txt");
 /// The least that the network takes.
 const SIDE: usize = 128;
-const FRAMES: usize = 24;
+const FRAMES: usize = 16;
 /// Keyframes before the first adjustment (docs/spec/front-end.md 1.5).
 const WARMUP: usize = 8;
 /// Updates after which an edge retires (docs/spec/front-end.md 1.5).
