@@ -18,8 +18,9 @@ const SPANS_S: [f64; 3] = [1.0 / 24.0, 1.0 / 6.0, 1.0];
 const STRIDE_PX: usize = 2;
 /// Side of the square of these over which brightness is compared, counted in them.
 const PATCH: usize = 3;
-/// Noise of the flow between two frames, one standard deviation, pixels at the working size, and a share of its length besides.
-const FLOW_NOISE_PX: f32 = 0.1;
+/// Noise of the flow after a second, one standard deviation, pixels at the working size: its variance grows with time, in however many
+/// steps. And that of every step, a share of its length.
+const FLOW_NOISE_PX: f32 = 0.5;
 const FLOW_NOISE_SHARE: f32 = 0.05;
 /// Speed of dynamic pixels, one standard deviation, image widths per second.
 const SPEED: f32 = 0.1;
@@ -148,10 +149,11 @@ impl Trajectories<'_> {
         let mut sums = vec![Sums::default(); grid.pixels.len()];
         let spans = self.rate.distances(&SPANS_S);
         let mut places = grid.places();
+        let noise = FLOW_NOISE_PX * FLOW_NOISE_PX * self.rate.seconds(1) as f32;
         for k in 1..=spans.last().copied().unwrap_or_default() {
             let Some(from) = (if later { Some(i + k - 1) } else { (i + 1).checked_sub(k) }) else { break };
             let Some((flow, trip)) = FlowPair::step(self.flows, from, later) else { break };
-            places.iter_mut().for_each(|place| place.advance(flow, trip));
+            places.iter_mut().for_each(|place| place.advance(flow, trip, noise));
             if spans.contains(&k) {
                 self.add_places(i, if later { i + k } else { i - k }, grid, &places, &mut sums);
             }
@@ -204,14 +206,14 @@ struct Place {
 }
 
 impl Place {
-    /// Follows one more step, whose error is independent of those before.
-    fn advance(&mut self, flow: &Flow, round_trip_px: &[f32]) {
+    /// Follows one more step, whose error is independent of those before; `noise` is the variance that every step has, pixels squared.
+    fn advance(&mut self, flow: &Flow, round_trip_px: &[f32], noise: f32) {
         if self.variance.is_infinite() {
             return;
         }
         let missed = round_trip_px[nearest_pixel(flow.width, flow.height, self.x, self.y)];
         let (u, v) = flow.at(self.x, self.y);
-        let noise = FLOW_NOISE_PX * FLOW_NOISE_PX + FLOW_NOISE_SHARE * FLOW_NOISE_SHARE * (u * u + v * v);
+        let noise = noise + FLOW_NOISE_SHARE * FLOW_NOISE_SHARE * (u * u + v * v);
         *self = Self { x: self.x + u, y: self.y + v, variance: self.variance + noise + 0.25 * missed * missed };
     }
 }
