@@ -31,12 +31,18 @@ pub(super) use tracklet::{Tracklet, follow};
 const BLOCK_PX: usize = 4;
 /// Regions smaller than this share of the image are not shaped.
 const LEAST_SHARE: f32 = 0.002;
-/// Shortest time that a region is followed, seconds.
+/// Shortest time that a region is followed, seconds, and fewest frames, which its adjustment needs at any rate.
 const SHORTEST_S: f64 = 0.2;
+const FEWEST: usize = 5;
 /// Flow whose round trip misses by more than this is not followed, pixels at the working size.
 pub(super) const ROUND_TRIP_PX: f32 = 1.5;
 /// Strength of the edge-aware spreading, pixels squared (Min et al. 2014, lambda).
 const FILL_LAMBDA: f32 = 100.0;
+
+/// Fewest frames of a region.
+fn shortest(clip: &Clip<'_>) -> usize {
+    clip.rate.frames(SHORTEST_S).max(FEWEST)
+}
 
 /// A part that was adjusted, and what its frames say about its scale.
 type Body<'a> = (&'a Tracklet, rigid::Shape, scale::Reading);

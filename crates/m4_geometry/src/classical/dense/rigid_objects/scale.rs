@@ -184,7 +184,7 @@ mod tests {
         }
         let (factor, rest) = fixed(&c, &v).unwrap();
         assert!((factor - 1.5).abs() < 0.01 && rest < 0.05, "{factor} {rest}");
-        // what moves by itself has no such place, and a camera that stands says nothing
+        // an object in motion has no such place, and a camera that stands says nothing
         let moves: Vec<Vector3<f64>> =
             (0..40).map(|k| 0.3 * f64::from(k)).map(|t| Vector3::new(t.sin(), t.cos(), 0.0)).collect();
         assert!(fixed(&c, &moves).unwrap().1 > 0.5);

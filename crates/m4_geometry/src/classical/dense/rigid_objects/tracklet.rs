@@ -5,7 +5,7 @@
 //! carrying their labels along the flow, those that will be by carrying labels back from then; a region is what has
 //! the same pair of labels.
 
-use super::{Clip, LEAST_SHARE, ROUND_TRIP_PX, SHORTEST_S};
+use super::{Clip, LEAST_SHARE, ROUND_TRIP_PX, shortest};
 use crate::classical::dense::flow::FlowPair;
 use crate::classical::dense::regions::Components;
 use crate::classical::dense::working::pixel_at;
@@ -91,7 +91,7 @@ pub(in super::super) fn follow(clip: &Clip<'_>) -> Vec<Tracklet> {
         before = Some(now);
     }
     done.extend(open.into_iter().flatten());
-    done.retain(|t| t.parts.len() >= clip.rate.frames(SHORTEST_S));
+    done.retain(|t| t.parts.len() >= shortest(clip));
     done
 }
 
@@ -162,7 +162,7 @@ fn next(
     for &l in known.iter().filter(|l| **l > 0) {
         *area.entry(l).or_default() += 1;
     }
-    let shortest = clip.rate.frames(SHORTEST_S);
+    let shortest = shortest(clip);
     let mut out = vec![0u32; w * h];
     // By part: the labels it takes on, with their votes.
     let mut heirs: Vec<Vec<(u32, usize)>> = Vec::new();
