@@ -9,7 +9,8 @@ use super::shot::{Pair, Shot};
 use super::smooth::Smoother;
 use super::static_depth::Measured;
 use super::working::pixel_at;
-use m4_core::Camera;
+use fearless_simd::Level;
+use m4_core::{Camera, dispatch};
 
 /// Parallax of the frames whose colours are compared, pixels at the working size.
 pub(super) const PARALLAX_PX: [f64; 3] = [12.0, 24.0, 48.0];
@@ -198,7 +199,12 @@ impl<'a> Steps<'a> {
 }
 
 /// Extremes of `values` in squares of `2 reach + 1` pixels, by `of` the minimum or the maximum: one pixel wider at a time.
-fn around((w, h): (usize, usize), values: &[f32], reach: usize, of: impl Fn(f32, f32) -> f32) -> Vec<f32> {
+fn around(size: (usize, usize), values: &[f32], reach: usize, of: impl Fn(f32, f32) -> f32) -> Vec<f32> {
+    dispatch!(Level::new(), _s => extremes(size, values, reach, &of))
+}
+
+#[inline(always)]
+fn extremes((w, h): (usize, usize), values: &[f32], reach: usize, of: &impl Fn(f32, f32) -> f32) -> Vec<f32> {
     let mut out = values.to_vec();
     let mut rows = out.clone();
     for _ in 0..reach {

@@ -9,7 +9,7 @@ use super::mono::Mono;
 use super::motion::{self, FrameDisparity, MotionCues};
 use super::refine;
 use super::segment;
-use super::shot::{Shot, at_parallax};
+use super::shot::{Shot, at_parallax, keyframes};
 use super::smooth::Smoother;
 use super::sources::{DenseError, Sources};
 use super::static_depth::{self, Measured};
@@ -91,8 +91,11 @@ impl Clip<'_> {
         moving: &[Vec<u8>],
     ) -> Result<Vec<Vec<f32>>, DenseError> {
         let cameras = &self.clues.cameras;
-        let at =
-            |i: usize, targets: &[f64], least: usize| at_parallax(cameras, i, self.shots[i].median, targets, least);
+        let all: Vec<usize> = (0..cameras.len()).collect();
+        let keys = keyframes(cameras, self.shots, refine::KEYFRAME_PX);
+        let at = |frames: &[usize], i: usize, targets: &[f64], least: usize| {
+            at_parallax(cameras, frames, i, self.shots[i].median, targets, least)
+        };
         // the fill smears edges: it is the start only where nothing was measured
         let start = self.each("refining depth", |i| {
             let pixels = measured[i].disparity.iter().zip(&measured[i].confidence).zip(&filled[i]);
@@ -100,19 +103,23 @@ impl Clip<'_> {
         })?;
         let clip = refine::Estimates { shots: self.shots, cameras, disparity: &start, moving };
         let refined = self.each("refining depth", |i| {
+            if keys.binary_search(&i).is_err() {
+                // what it shows is taken from the keyframes around it
+                return start[i].iter().map(|d| (*d, 0.0)).collect::<DepthMap>();
+            }
             let rounds: Vec<Vec<usize>> =
-                refine::PARALLAX_PX.iter().map(|targets| at(i, targets, refine::FRAMES)).collect();
+                refine::PARALLAX_PX.iter().map(|targets| at(&all, i, targets, refine::FRAMES)).collect();
             let mut out = Measured { disparity: clip.refined(&rounds, i), confidence: measured[i].confidence.clone() };
             self.mono.impose(i, &mut out, Some(&moving[i]));
             out.disparity.into_iter().zip(out.confidence).collect::<DepthMap>()
         })?;
         let merged = self.each("merging depth", |i| {
-            fusion::fuse(self.shots, cameras, &refined, &at(i, &fusion::PARALLAX_PX, 0), i)
+            fusion::fuse(self.shots, cameras, &refined, &at(&keys, i, &fusion::PARALLAX_PX, 0), i)
         })?;
         let merged = edges::Merged { shots: self.shots, cameras, depth: &merged, moving };
         self.each("filling depth", |i| {
             let smoother = self.smoother(i);
-            let mut fused = merged.assigned(i, &at(i, &edges::PARALLAX_PX, 0), &smoother);
+            let mut fused = merged.assigned(i, &at(&all, i, &edges::PARALLAX_PX, 0), &smoother);
             self.mono.impose(i, &mut fused, Some(&moving[i]));
             let fused = self.mono.with_prior(i, &fused, Some(&moving[i]));
             static_depth::fill_planes(&self.shots[i], smoother, &fused, Some(&moving[i]))
@@ -131,14 +138,14 @@ impl Clip<'_> {
 
     /// Masks of dynamic regions, with the outlines of the images as far as depth of this precision shows what is behind them.
     fn moving(&self) -> Result<Masks, DenseError> {
-        let (mut before, mut last) = (None, self.round(None)?);
+        let mut round = self.round(None)?;
         for _ in 1..ROUNDS {
-            let next = self.round(Some(&last))?;
-            before = Some(std::mem::replace(&mut last, next));
+            let (masks, _) = round;
+            round = self.round(Some(&masks))?;
         }
+        let (last, measured) = round;
         let near = self.grown(&last)?;
         let background = if self.parallax {
-            let measured = self.measured(before.as_deref())?;
             self.each("filling depth", |i| {
                 let mut measured = self.mono.with_prior(i, &measured[i], Some(&near[i]));
                 distrust(&mut measured, &near[i]);
@@ -162,8 +169,8 @@ impl Clip<'_> {
         })
     }
 
-    /// Masks, given those of the round before.
-    fn round(&self, before: Option<&[Vec<u8>]>) -> Result<Masks, DenseError> {
+    /// Masks, given those of the round before, and the disparities that were measured with those.
+    fn round(&self, before: Option<&[Vec<u8>]>) -> Result<(Masks, Vec<Measured>), DenseError> {
         let (w, h) = (self.width, self.height);
         let measured = self.measured(before)?;
         let filled = self.filled(&measured, before)?;
@@ -178,7 +185,7 @@ impl Clip<'_> {
         })?;
         let memory = self.clues.rate.exact(MEMORY_S).max(1.0) as f32;
         let evidence = temporal::mean(w, &evidence, self.flows, memory, motion::trust);
-        self.each("cutting masks", |i| motion::mask(w, h, &evidence[i]))
+        Ok((self.each("cutting masks", |i| motion::mask(w, h, &evidence[i]))?, measured))
     }
 
     /// Disparities that the neighbours confirm; dynamic pixels (above 0) confirm nothing.

@@ -109,18 +109,26 @@ fn partners(cameras: &[Camera], i: usize, median: f32) -> Vec<(usize, Pair)> {
     chosen.into_iter().map(|j| (j, Pair::new(&cameras[i], &cameras[j]))).collect()
 }
 
-/// Of each target parallax the nearest frame in time, on each side, that reaches it; none where the clip ends before. Parallax is that of
-/// a point at median depth, pixels at the working size. Where these are fewer than `least`, frames of the widest parallax that is left make up
-/// for it: a path that is short for its depth has many of them.
-pub(super) fn at_parallax(cameras: &[Camera], i: usize, median: f32, targets: &[f64], least: usize) -> Vec<usize> {
+/// Of each target parallax the nearest of `frames` in time, on each side of frame `i`, that reaches it; none where the clip ends before. Parallax is
+/// that of a point at median depth, pixels at the working size. Where these are fewer than `least`, frames of the widest parallax that is left make up
+/// for it: a path that is short for its depth has many of them. `frames` are in order of time.
+pub(super) fn at_parallax(
+    cameras: &[Camera],
+    frames: &[usize],
+    i: usize,
+    median: f32,
+    targets: &[f64],
+    least: usize,
+) -> Vec<usize> {
     /// Share of the widest parallax below which a frame adds nothing.
     const NARROW: f64 = 0.5;
     let parallax: Vec<f64> = cameras.iter().map(|camera| parallax_px(&cameras[i], camera, f64::from(median))).collect();
     let mut out = Vec::new();
     for &target in targets {
-        let reaches = |j: &usize| parallax[*j] >= target;
-        let sides = [(0..i).rev().find(reaches), (i + 1..cameras.len()).find(reaches)];
-        for j in sides.into_iter().flatten() {
+        let reaches = |j: &&usize| parallax[**j] >= target;
+        let (before, after) = frames.split_at(frames.partition_point(|&j| j < i));
+        let sides = [before.iter().rev().find(reaches), after.iter().find(reaches)];
+        for &j in sides.into_iter().flatten() {
             if parallax[j] < WIDER * target && !out.contains(&j) {
                 out.push(j);
             }
@@ -128,7 +136,7 @@ pub(super) fn at_parallax(cameras: &[Camera], i: usize, median: f32, targets: &[
     }
     if out.len() < least {
         let most = WIDER * targets.iter().copied().fold(0.0, f64::max);
-        let mut rest: Vec<usize> = (0..cameras.len()).filter(|&j| j != i && parallax[j] < most).collect();
+        let mut rest: Vec<usize> = frames.iter().copied().filter(|&j| j != i && parallax[j] < most).collect();
         rest.sort_by(|&a, &b| parallax[b].total_cmp(&parallax[a]));
         let enough = NARROW * rest.first().map_or(0.0, |&j| parallax[j]);
         let chosen = out.len();
@@ -252,9 +260,21 @@ pub(super) fn parallax_px(from: &Camera, to: &Camera, disparity: f64) -> f64 {
     }
 }
 
+/// Frames that are `px` pixels of parallax apart, of a point at median depth, at the working size; the first and the last are among them.
+pub(super) fn keyframes(cameras: &[Camera], shots: &[Shot], px: f64) -> Vec<usize> {
+    let mut out = vec![0];
+    for i in 1..cameras.len() {
+        let last = out[out.len() - 1];
+        if i + 1 == cameras.len() || parallax_px(&cameras[last], &cameras[i], f64::from(shots[last].median)) >= px {
+            out.push(i);
+        }
+    }
+    out
+}
+
 #[cfg(test)]
 mod tests {
-    use super::{Pair, Shot, at_parallax, parallax_px, partners};
+    use super::{Pair, Shot, at_parallax, keyframes, parallax_px, partners};
     use m4_core::{Camera, Intrinsics, Se3, nalgebra::Vector6};
 
     #[test]
@@ -294,13 +314,31 @@ mod tests {
     fn short_paths_have_as_many_frames_as_wide_ones() {
         // 2 px of parallax from one frame to the next
         let (_, cameras) = Shot::of_wall(9, (64, 48), 2.0);
-        let chosen = |i: usize, targets: &[f64], least: usize| at_parallax(&cameras, i, 2.0, targets, least);
+        let all: Vec<usize> = (0..9).collect();
+        let chosen = |i: usize, targets: &[f64], least: usize| at_parallax(&cameras, &all, i, 2.0, targets, least);
         assert_eq!(chosen(4, &[4.0, 8.0], 4), [2, 6, 0, 8]);
         assert_eq!(chosen(0, &[12.0, 24.0], 0), [6]);
         // the widest first, none below half of the widest, none beyond what was asked for
         assert_eq!(chosen(0, &[12.0, 24.0], 4), [6, 8, 7, 5]);
         assert_eq!(chosen(0, &[12.0, 24.0], 9), [6, 8, 7, 5]);
         assert_eq!(chosen(0, &[6.0], 3), [3, 4]);
+        // of the frames that are asked for, whether or not the frame itself is one of them
+        assert_eq!(at_parallax(&cameras, &[0, 3, 6, 8], 4, 2.0, &[4.0, 8.0], 4), [6, 0, 8]);
+    }
+
+    #[test]
+    fn keyframes_are_as_far_apart_at_every_frame_rate_and_none_is_in_a_pause() {
+        let keys = |count: usize, px: f32| {
+            let (shots, cameras) = Shot::of_wall(count, (64, 48), px);
+            keyframes(&cameras, &shots, 3.0)
+        };
+        assert_eq!(keys(10, 1.0), [0, 3, 6, 9]);
+        assert_eq!(keys(20, 0.5), [0, 6, 12, 18, 19]);
+        assert_eq!(keys(4, 8.0), [0, 1, 2, 3]);
+        let (shots, mut cameras) = Shot::of_wall(10, (64, 48), 1.0);
+        let still = cameras[6];
+        cameras[6..].fill(still);
+        assert_eq!(keyframes(&cameras, &shots, 3.0), [0, 3, 6, 9]);
     }
 
     #[test]

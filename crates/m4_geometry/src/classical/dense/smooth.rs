@@ -1,5 +1,8 @@
 //! Edge-aware smoothing and filling: the fast global smoother (Min et al. 2014).
 
+use fearless_simd::Level;
+use m4_core::dispatch;
+
 /// Rounds of row and column solves. Min et al.: 3.
 const ROUNDS: i32 = 3;
 /// Least coupling of neighbours: values pass even the hardest edge, so that filling has no holes.
@@ -90,6 +93,12 @@ impl Smoother {
     }
 
     fn solve<const M: usize, const N: usize>(&self, values: &mut [[f32; N]], lambda: f32) {
+        // compiled for each set of vector instructions; the arithmetic is the same on all
+        dispatch!(Level::new(), _s => self.solve_rounds::<M, N>(values, lambda));
+    }
+
+    #[inline(always)]
+    fn solve_rounds<const M: usize, const N: usize>(&self, values: &mut [[f32; N]], lambda: f32) {
         let (w, h) = (self.width, self.height);
         let mut ratio = vec![0.0f32; h.max(M) * w];
         for round in 1..=ROUNDS {
@@ -147,24 +156,32 @@ impl Smoother {
     }
 
     /// All columns at once, row by row: the Thomas algorithm with a row as its scalar.
+    #[inline(always)]
     fn solve_columns<const N: usize>(&self, u: &mut [[f32; N]], l: f32, ratio: &mut [f32]) {
-        let (w, h) = (self.width, self.height);
-        for y in 0..h {
-            for x in 0..w {
-                let i = y * w + x;
-                let after = l * self.below[i];
-                let (before, carried, above) =
-                    if y > 0 { (l * self.below[i - w], ratio[i - w], u[i - w]) } else { (0.0, 0.0, [0.0; N]) };
+        let w = self.width;
+        let first = ratio[..w].iter_mut().zip(&mut u[..w]).zip(&self.below);
+        for ((ratio, u), below) in first {
+            let pivot = 1.0 / (1.0 + l * below);
+            *ratio = l * below * pivot;
+            u.iter_mut().for_each(|u| *u *= pivot);
+        }
+        for (y, below) in self.below.chunks_exact(w).enumerate().skip(1) {
+            let (before, here) = (&self.below[(y - 1) * w..y * w], y * w..(y + 1) * w);
+            let (carried, ratio) = ratio[..here.end].split_at_mut(here.start);
+            let (above, u) = u[..here.end].split_at_mut(here.start);
+            let (carried, above) = (&carried[here.start - w..], &above[here.start - w..]);
+            let rows = ratio.iter_mut().zip(u).zip(carried).zip(above).zip(before).zip(below);
+            for (((((ratio, u), carried), above), before), below) in rows {
+                let (before, after) = (l * before, l * below);
                 let pivot = 1.0 / (1.0 + before + after - before * carried);
-                ratio[i] = after * pivot;
-                u[i] = std::array::from_fn(|n| (u[i][n] + before * above[n]) * pivot);
+                *ratio = after * pivot;
+                u.iter_mut().zip(above).for_each(|(u, above)| *u = (*u + before * above) * pivot);
             }
         }
-        for y in (0..h.saturating_sub(1)).rev() {
-            for x in 0..w {
-                let i = y * w + x;
-                let below = u[i + w];
-                u[i].iter_mut().zip(below).for_each(|(u, below)| *u += ratio[i] * below);
+        for y in (0..self.height.saturating_sub(1)).rev() {
+            let (u, below) = u[y * w..].split_at_mut(w);
+            for ((u, below), ratio) in u.iter_mut().zip(&*below).zip(&ratio[y * w..]) {
+                u.iter_mut().zip(below).for_each(|(u, below)| *u += ratio * below);
             }
         }
     }
@@ -188,6 +205,7 @@ pub(super) fn couplings(width: usize, height: usize, f: impl Fn(usize, usize) ->
 }
 
 /// Solves `(1 + l (c_before + c_after)) u - l c_before u_before - l c_after u_after = f` in place, in each of `M` rows of `N` planes.
+#[inline(always)]
 fn solve_rows<const M: usize, const N: usize>(u: &mut [[f32; N]], right: &[f32], l: f32, ratio: &mut [f32]) {
     let w = u.len() / M;
     let (mut before, mut carried, mut last) = ([0.0; M], [0.0; M], [[0.0; N]; M]);
@@ -213,6 +231,11 @@ fn solve_rows<const M: usize, const N: usize>(u: &mut [[f32; N]], right: &[f32],
 
 /// Mean over `SIDE` x `SIDE` pixels (odd), fewer at the rim.
 pub(super) fn box_blur<const SIDE: usize>(width: usize, height: usize, values: &mut [f32]) {
+    dispatch!(Level::new(), _s => blur::<SIDE>(width, height, values));
+}
+
+#[inline(always)]
+fn blur<const SIDE: usize>(width: usize, height: usize, values: &mut [f32]) {
     let far = SIDE / 2;
     let reach = |i: usize, n: usize| i.saturating_sub(far)..(i + far + 1).min(n);
     let mut rows = vec![0.0f32; values.len()];

@@ -169,12 +169,13 @@ struct Path {
 pub(super) fn aggregate(width: usize, height: usize, count: usize, volume: &[u8], grey: &[f32]) -> Vec<f32> {
     let mut total = vec![0i16; width * height * count];
     for downwards in [true, false] {
-        pass(width, height, count, volume, grey, downwards, &mut total);
+        dispatch!(Level::new(), _s => pass(width, height, count, volume, grey, downwards, &mut total));
     }
     winner(count, &total)
 }
 
 /// Adds four directions: along the row, and from the three neighbours in the previous row.
+#[inline(always)]
 fn pass(width: usize, height: usize, count: usize, volume: &[u8], grey: &[f32], downwards: bool, total: &mut [i16]) {
     let fresh = || Path { values: vec![FAR; count + 2], least: 0 };
     let rows = |n: usize| (0..n).map(|_| fresh()).collect::<Vec<Path>>();
@@ -221,6 +222,7 @@ fn pass(width: usize, height: usize, count: usize, volume: &[u8], grey: &[f32], 
 }
 
 /// One step of equation 13: `cost + min(same, neighbour + p1, least + p2) - least`.
+#[inline(always)]
 fn extend(cost: &[u8], from: &Path, p1: i16, p2: i16, to: &mut Path, total: &mut [i16]) {
     let n = cost.len();
     // A start holds FAR everywhere and a least of 0, so `least + p2` wins and the cost is plain.

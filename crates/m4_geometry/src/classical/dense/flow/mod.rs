@@ -4,7 +4,7 @@ mod search;
 mod variational;
 
 use crate::resample::rgb_and_grey;
-use m4_core::{Flow, RgbImage, bilinear_cell};
+use m4_core::{Flow, RgbImage, bilinear_cell, dispatch};
 use search::{Level, pyramid};
 
 /// Bilinear colour at `(x, y)`, clamped to the image.
@@ -62,13 +62,19 @@ impl FlowPair {
 }
 
 fn flow(a: &[Level], b: &[Level]) -> Flow {
+    // compiled for each set of vector instructions; the arithmetic is the same on all
+    dispatch!(fearless_simd::Level::new(), _s => coarse_to_fine(a, b))
+}
+
+#[inline(always)]
+fn coarse_to_fine(a: &[Level], b: &[Level]) -> Flow {
     let mut flow: Option<Flow> = None;
     for (a, b) in a.iter().zip(b).rev() {
         let start = match &flow {
             Some(coarse) => coarse.resized(a.width, a.height),
             None => Flow::zero(a.width, a.height),
         };
-        let mut fine = search::search(a, b, &start);
+        let mut fine = search::search(a, b, start);
         variational::refine(a, b, &mut fine);
         flow = Some(fine);
     }

@@ -102,12 +102,12 @@ struct Patch {
 struct Search<'a> {
     a: &'a Level,
     b: &'a Level,
-    size: usize,
-    difference: Vec<f32>,
+    difference: [[f32; PATCH_PX]; PATCH_PX],
 }
 
-fn positions(n: usize, size: usize) -> Vec<usize> {
-    let last = n - size;
+/// Where patches begin along a side of `n` pixels, at least [`PATCH_PX`].
+fn positions(n: usize) -> Vec<usize> {
+    let last = n - PATCH_PX;
     let mut out: Vec<usize> = (0..=last).step_by(STRIDE_PX).collect();
     if !last.is_multiple_of(STRIDE_PX) {
         out.push(last);
@@ -115,13 +115,17 @@ fn positions(n: usize, size: usize) -> Vec<usize> {
     out
 }
 
-pub(super) fn search(a: &Level, b: &Level, start: &Flow) -> Flow {
-    let size = PATCH_PX.min(a.width).min(a.height);
-    let (xs, ys) = (positions(a.width, size), positions(a.height, size));
-    let mut search = Search { a, b, size, difference: vec![0.0; size * size] };
+/// The flow of `start` after inverse search; as it is where the images are smaller than a patch.
+#[inline(always)]
+pub(super) fn search(a: &Level, b: &Level, start: Flow) -> Flow {
+    if a.width.min(a.height) < PATCH_PX {
+        return start;
+    }
+    let (xs, ys) = (positions(a.width), positions(a.height));
+    let mut search = Search { a, b, difference: [[0.0; PATCH_PX]; PATCH_PX] };
     let patches: Vec<Patch> =
-        ys.iter().flat_map(|&y| xs.iter().map(move |&x| (x, y))).map(|(x, y)| Patch::new(a, x, y, size)).collect();
-    let centre = (size / 2) as f32 - 0.5;
+        ys.iter().flat_map(|&y| xs.iter().map(move |&x| (x, y))).map(|(x, y)| Patch::new(a, x, y)).collect();
+    let centre = (PATCH_PX / 2) as f32 - 0.5;
     let mut flow: Vec<[f32; 2]> = patches
         .iter()
         .map(|p| {
@@ -153,7 +157,7 @@ pub(super) fn search(a: &Level, b: &Level, start: &Flow) -> Flow {
                 let found = search.descend(&patches[i], flow[i]);
                 let moved = (found[0] - initial[i][0]).hypot(found[1] - initial[i][1]);
                 let c = search.cost(&patches[i], found);
-                if c < cost[i] && moved < 2.0 * size as f32 {
+                if c < cost[i] && moved < 2.0 * PATCH_PX as f32 {
                     (flow[i], cost[i]) = (found, c);
                 }
             }
@@ -162,20 +166,36 @@ pub(super) fn search(a: &Level, b: &Level, start: &Flow) -> Flow {
     average(&mut search, &patches, &flow)
 }
 
+/// A row of a patch that begins at `from`.
+#[inline(always)]
+fn row<const N: usize>(plane: &[f32], from: usize) -> &[f32; N] {
+    plane[from..].first_chunk().expect("patches lie inside of their planes")
+}
+
+/// Sums of the lanes, in pairs.
+#[inline(always)]
+fn total(lanes: [f32; PATCH_PX]) -> f32 {
+    let [a, b, c, d, e, f, g, h] = lanes;
+    ((a + e) + (c + g)) + ((b + f) + (d + h))
+}
+
 impl Patch {
-    fn new(a: &Level, x: usize, y: usize, size: usize) -> Self {
-        let (mut xx, mut xy, mut yy, mut sx, mut sy) = (0.0f32, 0.0f32, 0.0f32, 0.0f32, 0.0f32);
-        for j in 0..size {
-            let row = (y + j) * a.width + x;
-            for (gx, gy) in a.dx[row..row + size].iter().zip(&a.dy[row..row + size]) {
-                xx += gx * gx;
-                xy += gx * gy;
-                yy += gy * gy;
-                sx += gx;
-                sy += gy;
+    #[inline(always)]
+    fn new(a: &Level, x: usize, y: usize) -> Self {
+        // lane by lane
+        let mut sums = [[0.0f32; PATCH_PX]; 5];
+        for j in 0..PATCH_PX {
+            let from = (y + j) * a.width + x;
+            let (dx, dy): (&[f32; PATCH_PX], &[f32; PATCH_PX]) = (row(&a.dx, from), row(&a.dy, from));
+            for i in 0..PATCH_PX {
+                let (gx, gy) = (dx[i], dy[i]);
+                for (sum, add) in sums.iter_mut().zip([gx * gx, gx * gy, gy * gy, gx, gy]) {
+                    sum[i] += add;
+                }
             }
         }
-        let n = (size * size) as f32;
+        let [xx, xy, yy, sx, sy] = sums.map(total);
+        let n = (PATCH_PX * PATCH_PX) as f32;
         let (xx, xy, yy) = (xx - sx * sx / n, xy - sx * sy / n, yy - sy * sy / n);
         // A little of the trace keeps the step along an edge finite.
         let damp = 0.01 * (xx + yy) + 1e-3 * n;
@@ -187,57 +207,60 @@ impl Patch {
 
 impl Search<'_> {
     /// Fills `difference` with `b(x + f) - a(x)` and returns its mean.
+    #[inline(always)]
     fn sample(&mut self, patch: &Patch, f: [f32; 2]) -> f32 {
-        let (b, size) = (self.b, self.size);
+        let b = self.b;
         let stride = b.width + 2 * BORDER;
-        let limit = |v: f32, n: usize| v.max(0.0).min((n + 2 * BORDER - size - 1) as f32 - 1e-3);
+        let limit = |v: f32, n: usize| v.max(0.0).min((n + 2 * BORDER - PATCH_PX - 1) as f32 - 1e-3);
         let x = limit(patch.x as f32 + f[0] + BORDER as f32, b.width);
         let y = limit(patch.y as f32 + f[1] + BORDER as f32, b.height);
         let (ix, iy) = (x as usize, y as usize);
         let (fx, fy) = (x - ix as f32, y - iy as f32);
         let (w00, w10) = ((1.0 - fx) * (1.0 - fy), fx * (1.0 - fy));
         let (w01, w11) = ((1.0 - fx) * fy, fx * fy);
-        let mut sum = 0.0f32;
-        for j in 0..size {
-            let top = &b.padded[(iy + j) * stride + ix..][..size + 1];
-            let bottom = &b.padded[(iy + j + 1) * stride + ix..][..size + 1];
-            let a = &self.a.image[(patch.y + j) * self.a.width + patch.x..][..size];
-            let out = &mut self.difference[j * size..(j + 1) * size];
-            for i in 0..size {
+        let mut sums = [0.0f32; PATCH_PX];
+        for j in 0..PATCH_PX {
+            let top: &[f32; PATCH_PX + 1] = row(&b.padded, (iy + j) * stride + ix);
+            let bottom: &[f32; PATCH_PX + 1] = row(&b.padded, (iy + j + 1) * stride + ix);
+            let a: &[f32; PATCH_PX] = row(&self.a.image, (patch.y + j) * self.a.width + patch.x);
+            for i in 0..PATCH_PX {
                 let value = w00 * top[i] + w10 * top[i + 1] + w01 * bottom[i] + w11 * bottom[i + 1];
-                out[i] = value - a[i];
-                sum += out[i];
+                self.difference[j][i] = value - a[i];
+                sums[i] += self.difference[j][i];
             }
         }
-        sum / (size * size) as f32
+        total(sums) / (PATCH_PX * PATCH_PX) as f32
     }
 
     /// Sum of squared differences after removal of their mean.
+    #[inline(always)]
     fn cost(&mut self, patch: &Patch, f: [f32; 2]) -> f32 {
         let mean = self.sample(patch, f);
-        let square: f32 = self.difference.iter().map(|d| d * d).sum();
-        square - mean * mean * self.difference.len() as f32
+        let mut squares = [0.0f32; PATCH_PX];
+        for difference in &self.difference {
+            squares.iter_mut().zip(difference).for_each(|(square, d)| *square += d * d);
+        }
+        total(squares) - mean * mean * (PATCH_PX * PATCH_PX) as f32
     }
 
+    #[inline(always)]
     fn descend(&mut self, patch: &Patch, start: [f32; 2]) -> [f32; 2] {
         let Some([ixx, ixy, iyy]) = patch.inverse else {
             return start;
         };
-        let (size, width) = (self.size, self.a.width);
         let mut f = start;
         for _ in 0..ITERATIONS {
             let mean = self.sample(patch, f);
-            let (mut bx, mut by) = (0.0f32, 0.0f32);
-            for j in 0..size {
-                let row = (patch.y + j) * width + patch.x;
-                let d = &self.difference[j * size..(j + 1) * size];
-                let (gx, gy) = (&self.a.dx[row..row + size], &self.a.dy[row..row + size]);
-                for i in 0..size {
-                    bx += gx[i] * d[i];
-                    by += gy[i] * d[i];
+            let (mut bx, mut by) = ([0.0f32; PATCH_PX], [0.0f32; PATCH_PX]);
+            for (j, d) in self.difference.iter().enumerate() {
+                let from = (patch.y + j) * self.a.width + patch.x;
+                let (gx, gy): (&[f32; PATCH_PX], &[f32; PATCH_PX]) = (row(&self.a.dx, from), row(&self.a.dy, from));
+                for i in 0..PATCH_PX {
+                    bx[i] += gx[i] * d[i];
+                    by[i] += gy[i] * d[i];
                 }
             }
-            let (bx, by) = (bx - patch.sum[0] * mean, by - patch.sum[1] * mean);
+            let (bx, by) = (total(bx) - patch.sum[0] * mean, total(by) - patch.sum[1] * mean);
             let (du, dv) = (ixx * bx + ixy * by, ixy * bx + iyy * by);
             f = [f[0] - du, f[1] - dv];
             if du * du + dv * dv < SMALL_STEP_PX * SMALL_STEP_PX {
@@ -249,19 +272,23 @@ impl Search<'_> {
 }
 
 /// The mean of the patches over a pixel, weighted by how well each explains it.
+#[inline(always)]
 fn average(search: &mut Search<'_>, patches: &[Patch], flow: &[[f32; 2]]) -> Flow {
-    let (width, height, size) = (search.a.width, search.a.height, search.size);
+    let (width, height) = (search.a.width, search.a.height);
     let mut out = Flow::zero(width, height);
     let mut weight = vec![0.0f32; width * height];
     for (patch, &f) in patches.iter().zip(flow) {
         let mean = search.sample(patch, f);
-        for j in 0..size {
-            let row = (patch.y + j) * width + patch.x;
-            for i in 0..size {
-                let w = 1.0 / (search.difference[j * size + i] - mean).abs().max(1.0);
-                weight[row + i] += w;
-                out.u[row + i] += w * f[0];
-                out.v[row + i] += w * f[1];
+        for (j, difference) in search.difference.iter().enumerate() {
+            let from = (patch.y + j) * width + patch.x;
+            let u = &mut out.u[from..][..PATCH_PX];
+            let v = &mut out.v[from..][..PATCH_PX];
+            let weight = &mut weight[from..][..PATCH_PX];
+            for i in 0..PATCH_PX {
+                let w = 1.0 / (difference[i] - mean).abs().max(1.0);
+                weight[i] += w;
+                u[i] += w * f[0];
+                v[i] += w * f[1];
             }
         }
     }

@@ -4,6 +4,7 @@
 use super::super::smooth::couplings;
 use super::search::{Level, gradient};
 use m4_core::{Flow, bilinear_cell};
+use std::iter;
 
 /// Linearisations of the energy per level. Kroeger et al.: level + 1; 3 measured as good.
 const REFINEMENTS: usize = 3;
@@ -22,41 +23,69 @@ const NORMALISE: f32 = 0.01;
 /// Over-relaxation.
 const OMEGA: f32 = 1.6;
 
-/// A pixel of one linearisation, without smoothness: `[a11 a12; a12 a22] (du, dv) = (b1, b2)`.
-struct Equations {
-    a11: f32,
-    a12: f32,
-    a22: f32,
-    b1: f32,
-    b2: f32,
+/// Numbers that are worked out side by side.
+const LANES: usize = 16;
+
+/// Calls a method for every number below `$count`, [`LANES`] at once, then one at a time; the call takes how many as its constant.
+macro_rules! in_lanes {
+    ($count:expr, $i:ident => $object:ident.$method:ident($($argument:expr),*)) => {{
+        let (count, mut $i) = ($count, 0);
+        while $i + LANES <= count {
+            $object.$method::<LANES>($($argument),*);
+            $i += LANES;
+        }
+        while $i < count {
+            $object.$method::<1>($($argument),*);
+            $i += 1;
+        }
+    }};
 }
 
+#[inline(always)]
+fn load<const N: usize>(plane: &[f32], from: usize) -> [f32; N] {
+    *plane[from..].first_chunk().expect("the plane has that many")
+}
+
+#[inline(always)]
+fn store<const N: usize>(plane: &mut [f32], from: usize, values: [f32; N]) {
+    *plane[from..].first_chunk_mut().expect("the plane has that many") = values;
+}
+
+/// One linearisation of the energy, as what each pixel goes to given those around it: `goal + response pull`, where `pull` is the sum over its
+/// four neighbours of their flow times its coupling to them. All planes are `[height][width]`.
 struct System {
-    pixels: Vec<Equations>,
-    /// Smoothness between a pixel and the next in its row.
-    right: Vec<f32>,
-    /// Smoothness between a pixel and the one below.
-    below: Vec<f32>,
+    /// Along x and y.
+    goal: [Vec<f32>; 2],
+    /// `[r11 r12; r12 r22]`.
+    response: [Vec<f32>; 3],
+    /// Smoothness between a pixel and the one before it in its row, and one more 0 at the end; 0 at the rim.
+    before: Vec<f32>,
+    /// Smoothness between a pixel and the one above, and one more row of 0; 0 at the rim.
+    above: Vec<f32>,
 }
 
+#[inline(always)]
 pub(super) fn refine(a: &Level, b: &Level, flow: &mut Flow) {
     let (w, h) = (a.width, a.height);
-    let (mut du, mut dv) = (vec![0.0f32; w * h], vec![0.0f32; w * h]);
+    // a row more above and below
+    let mut relaxed = [vec![0.0f32; w * (h + 2)], vec![0.0f32; w * (h + 2)]];
     for _ in 0..REFINEMENTS {
         let system = linearise(a, b, flow);
-        du.fill(0.0);
-        dv.fill(0.0);
-        for _ in 0..RELAXATIONS {
-            relax(&system, flow, &mut du, &mut dv);
+        let Flow { u, v, .. } = flow;
+        for (relaxed, flow) in relaxed.iter_mut().zip([&*u, &*v]) {
+            relaxed[w..w * (h + 1)].copy_from_slice(flow);
         }
-        for i in 0..w * h {
-            flow.u[i] += du[i].clamp(-2.0, 2.0);
-            flow.v[i] += dv[i].clamp(-2.0, 2.0);
+        for _ in 0..RELAXATIONS {
+            relax(&system, (w, h), &mut relaxed);
+        }
+        for (relaxed, flow) in relaxed.iter().zip([u, v]) {
+            flow.iter_mut().zip(&relaxed[w..]).for_each(|(flow, to)| *flow += (to - *flow).clamp(-2.0, 2.0));
         }
     }
 }
 
 /// `b` and its gradient as seen from `a` through the flow; `inside` is 0 where they left the image.
+#[inline(always)]
 fn warp(b: &Level, flow: &Flow) -> ([Vec<f32>; 3], Vec<f32>) {
     let (w, h) = (flow.width, flow.height);
     let mut out = [vec![0.0; w * h], vec![0.0; w * h], vec![0.0; w * h]];
@@ -78,35 +107,117 @@ fn warp(b: &Level, flow: &Flow) -> ([Vec<f32>; 3], Vec<f32>) {
     (out, inside)
 }
 
+#[inline(always)]
 fn linearise(a: &Level, b: &Level, flow: &Flow) -> System {
     let (w, h) = (a.width, a.height);
     let ([image, dx, dy], inside) = warp(b, flow);
     let mean = |p: &[f32], q: &[f32]| -> Vec<f32> { p.iter().zip(q).map(|(p, q)| 0.5 * (p + q)).collect() };
     let (ix, iy) = (mean(&dx, &a.dx), mean(&dy, &a.dy));
     let ((ixx, ixy), (_, iyy)) = (gradient(w, h, &ix), gradient(w, h, &iy));
-    let equations = |i: usize| {
-        let it = image[i] - a.image[i];
-        let (ixt, iyt) = (dx[i] - a.dx[i], dy[i] - a.dy[i]);
-        // Each constraint is divided by its gradient, so that it measures a distance.
-        let n0 = 1.0 / (ix[i] * ix[i] + iy[i] * iy[i] + NORMALISE);
-        let n1 = 1.0 / (ixx[i] * ixx[i] + ixy[i] * ixy[i] + NORMALISE);
-        let n2 = 1.0 / (ixy[i] * ixy[i] + iyy[i] * iyy[i] + NORMALISE);
-        let brightness = inside[i] * BRIGHTNESS / (n0 * it * it + ROBUST * ROBUST).sqrt();
-        let edges = inside[i] * GRADIENT / (n1 * ixt * ixt + n2 * iyt * iyt + ROBUST * ROBUST).sqrt();
-        let (k0, k1, k2) = (brightness * n0, edges * n1, edges * n2);
-        Equations {
-            a11: k0 * ix[i] * ix[i] + k1 * ixx[i] * ixx[i] + k2 * ixy[i] * ixy[i],
-            a12: k0 * ix[i] * iy[i] + k1 * ixx[i] * ixy[i] + k2 * ixy[i] * iyy[i],
-            a22: k0 * iy[i] * iy[i] + k1 * ixy[i] * ixy[i] + k2 * iyy[i] * iyy[i],
-            b1: -(k0 * ix[i] * it + k1 * ixx[i] * ixt + k2 * ixy[i] * iyt),
-            b2: -(k0 * iy[i] * it + k1 * ixy[i] * ixt + k2 * iyy[i] * iyt),
-        }
-    };
     let (right, below) = smoothness(flow);
-    System { pixels: (0..w * h).map(equations).collect(), right, below }
+    let before: Vec<f32> = iter::once(0.0).chain(right).collect();
+    let above: Vec<f32> = iter::repeat_n(0.0, w).chain(below).collect();
+    let plane = || vec![0.0f32; w * h];
+    let mut system = System { goal: [plane(), plane()], response: [plane(), plane(), plane()], before, above };
+    let seen = Seen { image, dx, dy, ix, iy, ixx, ixy, iyy, inside };
+    in_lanes!(w * h, i => system.set(a, &seen, flow, i));
+    system
+}
+
+/// What a linearisation is made of: the warped image with its gradient, the mean gradient of both images with its own, and 0 outside.
+struct Seen {
+    image: Vec<f32>,
+    dx: Vec<f32>,
+    dy: Vec<f32>,
+    ix: Vec<f32>,
+    iy: Vec<f32>,
+    ixx: Vec<f32>,
+    ixy: Vec<f32>,
+    iyy: Vec<f32>,
+    inside: Vec<f32>,
+}
+
+impl System {
+    /// Sets `N` pixels from `i` on.
+    #[inline(always)]
+    fn set<const N: usize>(&mut self, a: &Level, seen: &Seen, flow: &Flow, i: usize) {
+        let at = |plane: &[f32]| load::<N>(plane, i);
+        let [image, dx, dy, inside] = [&seen.image, &seen.dx, &seen.dy, &seen.inside].map(|plane| at(plane));
+        let [ix, iy, ixx, ixy, iyy] = [&seen.ix, &seen.iy, &seen.ixx, &seen.ixy, &seen.iyy].map(|plane| at(plane));
+        let [a_image, a_dx, a_dy, u, v] = [&a.image, &a.dx, &a.dy, &flow.u, &flow.v].map(|plane| at(plane));
+        let [left, right] = [i, i + 1].map(|i| load::<N>(&self.before, i));
+        let [above, below] = [i, i + flow.width].map(|i| load::<N>(&self.above, i));
+        let mut out = [[0.0f32; N]; 5];
+        for k in 0..N {
+            let it = image[k] - a_image[k];
+            let (ixt, iyt) = (dx[k] - a_dx[k], dy[k] - a_dy[k]);
+            // Each constraint is divided by its gradient, so that it measures a distance.
+            let n0 = 1.0 / (ix[k] * ix[k] + iy[k] * iy[k] + NORMALISE);
+            let n1 = 1.0 / (ixx[k] * ixx[k] + ixy[k] * ixy[k] + NORMALISE);
+            let n2 = 1.0 / (ixy[k] * ixy[k] + iyy[k] * iyy[k] + NORMALISE);
+            let brightness = inside[k] * BRIGHTNESS / (n0 * it * it + ROBUST * ROBUST).sqrt();
+            let edges = inside[k] * GRADIENT / (n1 * ixt * ixt + n2 * iyt * iyt + ROBUST * ROBUST).sqrt();
+            let (k0, k1, k2) = (brightness * n0, edges * n1, edges * n2);
+            // [a11 a12; a12 a22] (du, dv) = (b1, b2), with the smoothness on the left
+            let coupled = left[k] + right[k] + above[k] + below[k];
+            let a11 = k0 * ix[k] * ix[k] + k1 * ixx[k] * ixx[k] + k2 * ixy[k] * ixy[k] + coupled;
+            let a12 = k0 * ix[k] * iy[k] + k1 * ixx[k] * ixy[k] + k2 * ixy[k] * iyy[k];
+            let a22 = k0 * iy[k] * iy[k] + k1 * ixy[k] * ixy[k] + k2 * iyy[k] * iyy[k] + coupled;
+            let b1 = -(k0 * ix[k] * it + k1 * ixx[k] * ixt + k2 * ixy[k] * iyt) - coupled * u[k];
+            let b2 = -(k0 * iy[k] * it + k1 * ixy[k] * ixt + k2 * iyy[k] * iyt) - coupled * v[k];
+            let determinant = a11 * a22 - a12 * a12;
+            let inverse = 1.0 / if determinant > 1e-12 { determinant } else { 1e-12 };
+            let [r11, r12, r22] = [a22 * inverse, -a12 * inverse, a11 * inverse];
+            out[0][k] = r11;
+            out[1][k] = r12;
+            out[2][k] = r22;
+            out[3][k] = u[k] + r11 * b1 + r12 * b2;
+            out[4][k] = v[k] + r12 * b1 + r22 * b2;
+        }
+        for (plane, out) in self.response.iter_mut().chain(&mut self.goal).zip(out) {
+            store(plane, i, out);
+        }
+    }
+
+    /// Relaxes those of `N` pixels from `i` on whose turn it is: the first, or not `even`, the second, and every second from there. `flow` has a row more
+    /// above and below.
+    ///
+    /// All are worked out and half of them kept: pixels of one colour do not see each other, and what has no branches and no strides runs on vector
+    /// instructions.
+    #[inline(always)]
+    fn relax<const N: usize>(&self, width: usize, flow: &mut [Vec<f32>; 2], i: usize, even: bool) {
+        let here = i + width;
+        let coupling: [[f32; N]; 4] =
+            [load(&self.before, i), load(&self.before, i + 1), load(&self.above, i), load(&self.above, here)];
+        let pull = |flow: &[f32]| -> [f32; N] {
+            let [left, right, above, below]: [[f32; N]; 4] =
+                [here - 1, here + 1, i, here + width].map(|from| load(flow, from));
+            let mut sum = [0.0; N];
+            for k in 0..N {
+                let (beside, over) = (
+                    coupling[0][k] * left[k] + coupling[1][k] * right[k],
+                    coupling[2][k] * above[k] + coupling[3][k] * below[k],
+                );
+                sum[k] = beside + over;
+            }
+            sum
+        };
+        let (pull_u, pull_v) = (pull(&flow[0]), pull(&flow[1]));
+        let [r11, r12, r22]: [[f32; N]; 3] = self.response.each_ref().map(|plane| load(plane, i));
+        let [goal_u, goal_v]: [[f32; N]; 2] = self.goal.each_ref().map(|plane| load(plane, i));
+        let [mut u, mut v]: [[f32; N]; 2] = flow.each_ref().map(|plane| load(plane, here));
+        for k in 0..N {
+            let relaxed = |from: f32, to: f32| if (k % 2 == 0) == even { from + OMEGA * (to - from) } else { from };
+            u[k] = relaxed(u[k], goal_u[k] + r11[k] * pull_u[k] + r12[k] * pull_v[k]);
+            v[k] = relaxed(v[k], goal_v[k] + r12[k] * pull_u[k] + r22[k] * pull_v[k]);
+        }
+        store(&mut flow[0], here, u);
+        store(&mut flow[1], here, v);
+    }
 }
 
 /// [`SMOOTHNESS`] over `sqrt(|grad u|^2 + |grad v|^2 + e^2)`, averaged onto the edges between pixels; 0 at the rim.
+#[inline(always)]
 fn smoothness(flow: &Flow) -> (Vec<f32>, Vec<f32>) {
     let (w, h) = (flow.width, flow.height);
     let ((ux, uy), (vx, vy)) = (gradient(w, h, &flow.u), gradient(w, h, &flow.v));
@@ -118,41 +229,13 @@ fn smoothness(flow: &Flow) -> (Vec<f32>, Vec<f32>) {
     couplings(w, h, |i, j| psi[i] + psi[j])
 }
 
-/// One red-black sweep of successive over-relaxation.
-fn relax(s: &System, flow: &Flow, du: &mut [f32], dv: &mut [f32]) {
-    let (w, h) = (flow.width, flow.height);
+/// One red-black sweep of successive over-relaxation of `flow`, which has a row more above and below.
+#[inline(always)]
+fn relax(system: &System, (w, h): (usize, usize), flow: &mut [Vec<f32>; 2]) {
     for colour in 0..2 {
         for y in 0..h {
-            for x in ((y + colour) % 2..w).step_by(2) {
-                let i = y * w + x;
-                let (mut sum, mut pull_u, mut pull_v) = (0.0f32, 0.0f32, 0.0f32);
-                let mut add = |weight: f32, j: usize| {
-                    sum += weight;
-                    pull_u += weight * (flow.u[j] + du[j]);
-                    pull_v += weight * (flow.v[j] + dv[j]);
-                };
-                if x > 0 {
-                    add(s.right[i - 1], i - 1);
-                }
-                if x + 1 < w {
-                    add(s.right[i], i + 1);
-                }
-                if y > 0 {
-                    add(s.below[i - w], i - w);
-                }
-                if y + 1 < h {
-                    add(s.below[i], i + w);
-                }
-                let e = &s.pixels[i];
-                let b1 = e.b1 + pull_u - sum * flow.u[i];
-                let b2 = e.b2 + pull_v - sum * flow.v[i];
-                // The 2x2 block is solved at once.
-                let (a11, a12, a22) = (e.a11 + sum, e.a12, e.a22 + sum);
-                let inverse = 1.0 / (a11 * a22 - a12 * a12).max(1e-12);
-                let (nu, nv) = ((a22 * b1 - a12 * b2) * inverse, (a11 * b2 - a12 * b1) * inverse);
-                du[i] += OMEGA * (nu - du[i]);
-                dv[i] += OMEGA * (nv - dv[i]);
-            }
+            let even = |x: usize| (x + y + colour).is_multiple_of(2);
+            in_lanes!(w, x => system.relax(w, flow, y * w + x, even(x)));
         }
     }
 }

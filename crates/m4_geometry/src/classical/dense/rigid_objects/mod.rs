@@ -36,6 +36,8 @@ const SHORTEST_S: f64 = 0.2;
 const FEWEST: usize = 5;
 /// Flow whose round trip misses by more than this is not followed, pixels at the working size.
 pub(super) const ROUND_TRIP_PX: f32 = 1.5;
+/// Background that is nearer than the part before it by more than this factor is not behind it: it was filled in from something static in front of it.
+const IN_FRONT: f32 = 1.2;
 /// Strength of the edge-aware spreading, pixels squared (Min et al. 2014, lambda).
 const FILL_LAMBDA: f32 = 100.0;
 
@@ -140,7 +142,8 @@ fn spread(
         for &p in pixels {
             let p = p as usize;
             if reach[p] > 1e-4 {
-                disparity[p] = filled[p].max(clip.disparity[i][p]);
+                let background = clip.disparity[i][p];
+                disparity[p] = if background < IN_FRONT * filled[p] { filled[p].max(background) } else { filled[p] };
             }
         }
     }

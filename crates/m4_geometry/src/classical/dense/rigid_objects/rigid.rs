@@ -5,7 +5,7 @@ use crate::classical::dense::flow::FlowPair;
 use crate::classical::dense::working::{nearest_pixel, pixel_at};
 use crate::dba::{DbaOptions, Factor, Free, Geometry, Grid, Pinhole, Problem, adjust};
 use m4_core::{Camera, Se3, quantile};
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::Vector3;
 
 /// Fewest adjusted pixels per frame.
 const LEAST_POINTS: usize = 12;
@@ -13,7 +13,7 @@ const LEAST_POINTS: usize = 12;
 const NOISE_PX: f32 = 0.6;
 /// Weight of the disparity that contact suggests.
 const PRIOR: f32 = 0.001;
-/// Share of the relief of a region that is kept, 0..1; the rest is drawn to a plane.
+/// Share of the relief of a region that is kept, 0..1, its slope included: adjustment of small regions over few frames exaggerates both.
 const RELIEF: f32 = 0.5;
 /// Iterations with the shape held.
 const POSE_ITERATIONS: usize = 6;
@@ -127,9 +127,7 @@ pub(super) fn reconstruct(clip: &Clip<'_>, tracklet: &Tracklet, before: &[Vec<f3
         .zip(&geometry.sensor)
         .map(|(d, s)| d.iter().zip(s).map(|(d, s)| if *s > 0.0 { d * unit } else { 0.0 }).collect())
         .collect();
-    for d in &mut disparity {
-        tilt(grid.width, d);
-    }
+    disparity.iter_mut().for_each(|d| flatten(d));
     let mut poses = geometry.poses;
     for pose in &mut poses {
         pose.translation /= f64::from(unit);
@@ -137,42 +135,11 @@ pub(super) fn reconstruct(clip: &Clip<'_>, tracklet: &Tracklet, before: &[Vec<f3
     Some(Shape { grid, poses, disparity })
 }
 
-/// Draws disparities towards the plane that fits them best (a plane of the scene is one of disparity); [`RELIEF`] of what lies off
-/// it stays.
-fn tilt(width: usize, disparity: &mut [f32]) {
-    let mut weights: Vec<f64> = disparity.iter().map(|d| if *d > 0.0 { 1.0 } else { 0.0 }).collect();
-    let mut plane = Vector3::zeros();
-    let row = |g: usize| Vector3::new((g % width) as f64, (g / width) as f64, 1.0);
-    for _ in 0..5 {
-        let (mut a, mut b) = (Matrix3::identity() * 1e-6, Vector3::zeros());
-        for (g, d) in disparity.iter().enumerate().filter(|(_, d)| **d > 0.0) {
-            let r = row(g);
-            a += r * r.transpose() * weights[g];
-            b += r * f64::from(*d) * weights[g];
-        }
-        let Some(inverse) = a.try_inverse() else { return };
-        plane = inverse * b;
-        let mut off: Vec<f32> = disparity
-            .iter()
-            .enumerate()
-            .filter(|(_, d)| **d > 0.0)
-            .map(|(g, d)| (f64::from(*d) - row(g).dot(&plane)).abs() as f32)
-            .collect();
-        let Some(scale) = quantile(&mut off, 0.5) else {
-            return;
-        };
-        let scale = 2.0 * f64::from(scale).max(1e-9);
-        for (g, d) in disparity.iter().enumerate() {
-            let e = (f64::from(*d) - row(g).dot(&plane)) / scale;
-            weights[g] = 1.0 / (1.0 + e * e);
-        }
-    }
-    for (g, d) in disparity.iter_mut().enumerate().filter(|(_, d)| **d > 0.0) {
-        let flat = row(g).dot(&plane) as f32;
-        if flat > 0.0 {
-            *d = flat + RELIEF * (*d - flat);
-        }
-    }
+/// Draws disparities towards their median; [`RELIEF`] of what they differ by stays.
+fn flatten(disparity: &mut [f32]) {
+    let known = disparity.iter_mut().filter(|d| **d > 0.0);
+    let Some(median) = quantile(&mut known.map(|d| *d).collect::<Vec<_>>(), 0.5) else { return };
+    disparity.iter_mut().filter(|d| **d > 0.0).for_each(|d| *d = median + RELIEF * (*d - median));
 }
 
 /// Over how many frames a region is compared with itself, each both ways; rising. Not in seconds: errors add up with every step of the

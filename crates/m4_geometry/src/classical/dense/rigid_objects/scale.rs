@@ -6,8 +6,10 @@ use crate::classical::dense::moving_depth::{BELOW_PX, FEET_SHARE, HIDDEN_QUANTIL
 use m4_core::quantile;
 use nalgebra::Vector3;
 
-/// Share of the frames whose lower bound of the scale the scale exceeds.
-const TOUCH_QUANTILE: f64 = 0.75;
+/// Share of the frames whose lower bound of the scale the scale exceeds, where nothing but bounds is known.
+const BOUND_QUANTILE: f64 = 0.75;
+/// The same of frames in which a part stands on the ground: they are as often too near as too far.
+const TOUCH_QUANTILE: f64 = 0.5;
 /// A region has ground under it where the background there comes nearer by more than this share of its disparity per row.
 const GROUND_SLOPE: f32 = 0.003;
 /// Least share of its frames in which a region must have ground under it for its scale to be known.
@@ -35,9 +37,8 @@ pub(super) struct Reading {
 
 /// Reads the scale of one part.
 ///
-/// In every frame the part is at least as near as what it hides and as the ground at its feet: a lower bound of
-/// the factor, which is met while it touches the ground. The bounds of all frames are in one unit, so a high
-/// quantile of them is the touch, and a few bad readings do no harm.
+/// In every frame the part is at least as near as what it hides: a lower bound of the factor, so a high quantile of all frames is one, too. Where
+/// there is ground at its feet it touches that, but for the errors of its outline and its shape: the median of those frames. All are in one unit.
 pub(super) fn read(clip: &Clip<'_>, tracklet: &Tracklet, shape: &Shape) -> Option<Reading> {
     let frames = tracklet.parts.len();
     let (mut all, mut standing, mut typical) = (Vec::new(), Vec::new(), Vec::new());
@@ -45,12 +46,11 @@ pub(super) fn read(clip: &Clip<'_>, tracklet: &Tracklet, shape: &Shape) -> Optio
         let Some(bound) = bound(clip, tracklet, shape, k) else { continue };
         all.push(bound.factor);
         typical.push(bound.typical);
-        standing.extend((bound.slope > GROUND_SLOPE).then_some(bound.factor));
+        standing.extend(bound.standing());
     }
     let share = standing.len() as f32 / frames as f32;
-    let quantile_of = |v: &mut Vec<f32>| quantile(v, TOUCH_QUANTILE);
-    let (bound, typical) = (quantile_of(&mut all)?, quantile(&mut typical, 0.5)?);
-    let touch = quantile_of(&mut standing).filter(|_| share >= STANDING_SHARE);
+    let (bound, typical) = (quantile(&mut all, BOUND_QUANTILE)?, quantile(&mut typical, 0.5)?);
+    let touch = quantile(&mut standing, TOUCH_QUANTILE).filter(|_| share >= STANDING_SHARE);
     // Nothing but the right factor makes a part stay where it is while the camera passes it.
     let still = in_place(clip, tracklet, shape)
         .map(|(factor, rest)| (factor as f32, rest))
@@ -69,8 +69,7 @@ pub(super) fn settle(readings: &[&Reading]) -> Vec<f32> {
 
 /// The factor by the ground under a part in one frame, if it is ground.
 pub(super) fn standing(clip: &Clip<'_>, tracklet: &Tracklet, shape: &Shape, k: usize) -> Option<f32> {
-    let bound = bound(clip, tracklet, shape, k)?;
-    (bound.slope > GROUND_SLOPE).then_some(bound.factor)
+    bound(clip, tracklet, shape, k)?.standing()
 }
 
 /// Fills what is not known between what is, evenly in ratios, and carries the first and the last on.
@@ -89,11 +88,22 @@ pub(super) fn between(known: &[Option<f32>], out: &mut [f32]) {
 
 /// What one frame says.
 struct Bound {
+    /// By what the part hides and what lies under it.
     factor: f32,
+    /// By what lies under it alone.
+    feet: f32,
     /// Median disparity of the part.
     typical: f32,
     /// How fast what lies under the part comes nearer downwards, as a share of its disparity a row: a wall's is about 0.
     slope: f32,
+}
+
+impl Bound {
+    /// The factor by the ground under the part, if that is ground. What it seems to hide says nothing then: beside something static in front of
+    /// the part, the background that is filled in behind it is as near as that.
+    fn standing(&self) -> Option<f32> {
+        (self.slope > GROUND_SLOPE && self.feet > 0.0).then_some(self.feet)
+    }
 }
 
 fn bound(clip: &Clip<'_>, tracklet: &Tracklet, shape: &Shape, k: usize) -> Option<Bound> {
@@ -120,6 +130,7 @@ fn bound(clip: &Clip<'_>, tracklet: &Tracklet, shape: &Shape, k: usize) -> Optio
     let factor = feet.max(hidden);
     (factor > 0.0).then_some(Bound {
         factor,
+        feet,
         typical: quantile(&mut own, 0.5)?,
         slope: quantile(&mut slope, 0.5).unwrap_or(0.0),
     })
