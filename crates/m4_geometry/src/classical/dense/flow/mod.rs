@@ -196,6 +196,16 @@ mod tests {
     }
 
     #[test]
+    fn images_smaller_than_a_patch_have_flow() {
+        let (w, h) = (6, 5);
+        let image =
+            |shift: f32| -> Vec<f32> { (0..w * h).map(|i| texture((i % w) as f32 - shift, (i / w) as f32)).collect() };
+        let found = flow(&pyramid(w, h, &image(0.0)), &pyramid(w, h, &image(0.3)));
+        assert_eq!((found.width, found.height), (w, h));
+        assert!(found.u.iter().chain(&found.v).all(|v| v.is_finite()));
+    }
+
+    #[test]
     fn flow_of_flat_images_is_zero() {
         let flat = pyramid(W, H, &vec![77.0; W * H]);
         let found = flow(&flat, &flat);

@@ -239,3 +239,40 @@ fn relax(system: &System, (w, h): (usize, usize), flow: &mut [Vec<f32>; 2]) {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::search::pyramid;
+    use super::{LANES, System, linearise, relax};
+    use m4_core::Flow;
+
+    /// A row is two blocks of lanes and five pixels.
+    const W: usize = 2 * LANES + 5;
+    const H: usize = 30;
+
+    #[test]
+    fn pixels_side_by_side_relax_as_one_at_a_time() {
+        let image = |shift: f32| -> Vec<f32> {
+            let at = |i: usize| ((i % W) as f32 - shift, (i / W) as f32);
+            (0..W * H)
+                .map(at)
+                .map(|(x, y)| 128.0 + 50.0 * (0.5 * x + 0.2 * y).sin() + 30.0 * (0.3 * y - 0.1 * x).cos())
+                .collect()
+        };
+        let (a, b) = (pyramid(W, H, &image(0.0)), pyramid(W, H, &image(0.7)));
+        let system = linearise(&a[0], &b[0], &Flow::zero(W, H));
+        let start = || [vec![0.0f32; W * (H + 2)], vec![0.0f32; W * (H + 2)]];
+        let (mut lanes, mut single) = (start(), start());
+        let one = |system: &System, flow: &mut [Vec<f32>; 2], colour: usize| {
+            for i in 0..W * H {
+                system.relax::<1>(W, flow, i, (i % W + i / W + colour).is_multiple_of(2));
+            }
+        };
+        for _ in 0..4 {
+            relax(&system, (W, H), &mut lanes);
+            (0..2).for_each(|colour| one(&system, &mut single, colour));
+        }
+        assert!(lanes == single, "the order of lanes matters");
+        assert!(lanes[0].iter().any(|u| u.abs() > 1e-3), "nothing moved");
+    }
+}
