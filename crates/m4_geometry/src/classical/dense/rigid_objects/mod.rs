@@ -36,7 +36,7 @@ const SHORTEST_S: f64 = 0.2;
 const FEWEST: usize = 5;
 /// Flow whose round trip misses by more than this is not followed, pixels at the working size.
 pub(super) const ROUND_TRIP_PX: f32 = 1.5;
-/// Background that is nearer than the part before it by more than this factor is not behind it: it was filled in from something static in front of it.
+/// Background that is nearer than the part in front of it by more than this factor is not behind it: it was filled in from a static occluder.
 const IN_FRONT: f32 = 1.2;
 /// Strength of the edge-aware spreading, pixels squared (Min et al. 2014, lambda).
 const FILL_LAMBDA: f32 = 100.0;
