@@ -11,7 +11,7 @@ pub(super) const PARALLAX_PX: [&[f64]; 4] = [&[12.0], &[12.0, 24.0], &[24.0, 48.
 /// Frames of a round, fewer where the clip has no more that are far enough away.
 pub(super) const FRAMES: usize = 4;
 /// Parallax between frames that are refined, pixels at the working size: those between them see the same, and merging brings its depth to them. With 2,
-/// 3 and 4 pixels static depth of `pendulum-1`, which has the least parallax of the first group, is off by 1, 4 and 4 % more, that of other scenes by as
+/// 3 and 4 pixels static depth of `pendulum-1`, which has the least parallax of the first group, is off by 2, 4 and 4 % more, that of other scenes by as
 /// much as without.
 pub(super) const KEYFRAME_PX: f64 = 3.0;
 /// Standard deviation of the disparity before, in steps of the sweep.
