@@ -1,10 +1,11 @@
 //! A backend that must be waited for gives the bits of one that need not, and one that fails leaves the last splats that were checked.
 
 use crate::common::{Watched, disturbed, video};
-use m4_core::Silent;
+use m4_core::{Silent, Splats};
 use m4_kernels::SimdLevel;
 use m4_train::backend::CpuBackend;
-use m4_train::{DensityConfig, TrainConfig, TrainError, Trainer, config::SplitPlacement};
+use m4_train::{DensityConfig, TrainConfig, TrainError, Trainer, config::SplitPlacement, init::FirstSplats};
+use std::collections::HashSet;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -155,4 +156,56 @@ fn a_backend_that_fails_leaves_the_last_good_splats() {
     assert_eq!((what, iteration, good_iteration, at), ("a parameter of a splat", 50, 25, 25));
     let (_, there, _) = run(0, 25);
     assert!(kept == there);
+}
+
+/// The bits of static splats, in no order.
+fn static_bits(splats: &Splats, rows: impl Iterator<Item = usize>) -> HashSet<Vec<u32>> {
+    let columns = splats.columns();
+    let shared = &columns[..splats.layout().shared_columns()];
+    rows.map(|row| shared.iter().map(|column| column[row].to_bits()).collect()).collect()
+}
+
+#[test]
+fn fixed_splats_are_drawn_but_never_trained_cloned_or_pruned() {
+    let (scene, capture) = video();
+    let splats = disturbed(&scene, 2);
+    let fixed = 3..splats.n_static() / 2;
+    let bits = static_bits(&splats, fixed.clone());
+    assert!(bits.len() == fixed.len() && bits.len() > 20);
+    let level = SimdLevel::best();
+    let start = |fixed: std::ops::Range<usize>| {
+        let first = FirstSplats { splats: splats.clone(), fixed };
+        Trainer::new(&capture, first, config(), level).unwrap()
+    };
+    let kept = |trainer: &Trainer<'_>| {
+        let now = static_bits(trainer.splats(), 0..trainer.splats().n_static());
+        bits.intersection(&now).count()
+    };
+    let finish = |trainer: &mut Trainer<'_>| trainer.run(&Silent, &mut |_| {}).map(|_| ());
+
+    let mut free = start(0..0);
+    finish(&mut free).unwrap();
+    assert!(2 * kept(&free) < bits.len(), "those in view are trained otherwise");
+
+    let mut whole = start(fixed.clone());
+    finish(&mut whole).unwrap();
+    assert_eq!(kept(&whole), bits.len());
+    assert!(whole.splats().n() > splats.n(), "density control adds others");
+
+    let mut half = start(fixed.clone());
+    half.run_until(37, &Silent, &mut |_| {}).unwrap();
+    let (saved, state) = (half.scene(), half.state());
+    let mut rest = Trainer::resume(&capture, saved.splats, &state, config(), level).unwrap();
+    finish(&mut rest).unwrap();
+    assert!(rest.scene() == whole.scene(), "resumed");
+
+    // without the state of the optimiser, which a device keeps for itself when it fails
+    let mut broken = Watched::new(Box::new(CpuBackend::new(&capture, 0, level)), None);
+    broken.fails_at = 31;
+    let mut moved = start(fixed);
+    moved.use_backend(Box::new(broken)).unwrap();
+    assert!(finish(&mut moved).is_err());
+    moved.use_cpu(level).unwrap();
+    finish(&mut moved).unwrap();
+    assert_eq!(kept(&moved), bits.len(), "after a device failed");
 }

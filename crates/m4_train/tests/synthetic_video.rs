@@ -65,7 +65,7 @@ fn perturbed_splats_recover_image_and_velocity() {
 fn training_from_depth_exceeds_30_db() {
     let (_, capture) = video();
     let init = InitConfig { max_static: 3000, max_dynamic: 1500, ..InitConfig::fast() };
-    let splats = initialise(&capture, &init, &Silent).unwrap();
+    let splats = initialise(&capture, &init, &Silent).unwrap().splats;
     assert!(splats.n_static() > 1000 && splats.n_dynamic() > 300);
     let mut config = config(240);
     config.density = DensityConfig { from: 60, every: 40, prune_every: 80, ..DensityConfig::fast() };

@@ -81,7 +81,7 @@ fn opacities(times: &[f64]) -> Vec<f64> {
         shell_splats: 0,
         ..InitConfig::fast()
     };
-    let splats = dynamic(&initialise(&capture(times), &config, &Silent).unwrap());
+    let splats = dynamic(&initialise(&capture(times), &config, &Silent).unwrap().splats);
     let mut renderer = Renderer::new(SimdLevel::best());
     let at = |t: f64| {
         let frame = renderer.render(

@@ -1,6 +1,6 @@
 //! The SIMD version of the optimiser step.
 
-use super::AdamParams;
+use super::{AdamParams, FIXED};
 use crate::{
     Gradients, SimdLevel,
     simd::{LANES, all, dispatch, each, exp_m1},
@@ -41,7 +41,7 @@ pub struct AdamState {
     pub m: Splats,
     /// Second moments, same columns as the splats.
     pub v: Splats,
-    /// `[n]` steps taken.
+    /// `[n]` steps taken, or [`FIXED`].
     pub step: Vec<u32>,
 }
 
@@ -186,9 +186,11 @@ impl Bias {
                     }
                 }
             }
-            let live = u32x16::from_slice(s, &marks).simd_gt(none);
-            let step = if config.sparse { live.select(one, none) } else { one };
-            let counts = u32x16::from_slice(s, &counts) + step;
+            let counts = u32x16::from_slice(s, &counts);
+            let free = counts.simd_lt(u32x16::splat(s, FIXED));
+            let live = u32x16::from_slice(s, &marks).simd_gt(none) & free;
+            let step = if config.sparse { live.select(one, none) } else { free.select(one, none) };
+            let counts = counts + step;
             match chunk.counts.get_mut(at..at + LANES) {
                 Some(here) => counts.store_slice(here),
                 None => chunk.counts[at..].copy_from_slice(&counts.to_array()[..rows - at]),

@@ -1,5 +1,5 @@
 //! Sparse Adam: one unit per splat, for all its columns.
-use super::cpu::AdamConfig;
+use super::{FIXED, cpu::AdamConfig};
 use crate::gpu::Gpu;
 use crate::gpu::buffer::{Buffer, cubes, units};
 use crate::gpu::splats::{DeviceSplats, parts};
@@ -13,7 +13,7 @@ pub struct DeviceAdam {
     pub m: DeviceSplats,
     /// Second moments.
     pub v: DeviceSplats,
-    /// Steps of each splat.
+    /// Steps of each splat, or [`FIXED`].
     pub steps: Buffer,
 }
 
@@ -77,7 +77,7 @@ struct Step {
     epsilon: f32,
 }
 
-/// One step of each splat, and of its count of steps. `tally` counts the step and the splats touched, and notes parameters that
+/// One step of each splat that is not [`FIXED`], and of its count of steps. `tally` counts the step and the splats touched, and notes parameters that
 /// are not finite.
 #[cube(launch)]
 fn adam(
@@ -117,6 +117,9 @@ fn adam(
     let mut on = seen != 0u32;
     if comptime!(!sparse) {
         on = i < n;
+    }
+    if on {
+        on = counts[i as usize] != FIXED;
     }
     if on {
         let mut beta2 = beta2_static;

@@ -7,12 +7,16 @@
 //! ```
 //!
 //! Rows that are not touched keep parameter, moments and count as they are: a splat that is seen in one frame of twenty
-//! is not dragged on by old momentum in the other nineteen. `count` is the value *after* this step's increment.
+//! is not dragged on by old momentum in the other nineteen. `count` is the value *after* this step's increment. Rows whose count is
+//! [`FIXED`] are never stepped.
 
 pub mod cpu;
 #[cfg(feature = "gpu")]
 pub mod gpu;
 pub mod reference;
+
+/// In place of a count of steps: the splat is drawn, but keeps its parameters.
+pub const FIXED: u32 = u32::MAX;
 
 /// The constants of Adam.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -1,6 +1,6 @@
 //! The definition of one optimiser step.
 
-use super::AdamParams;
+use super::{AdamParams, FIXED};
 use m4_core::Real;
 
 /// One parameter: its new value, first and second moment.
@@ -14,7 +14,7 @@ pub fn update<T: Real>(x: T, g: T, m: T, v: T, count: u32, rate: T, params: &Ada
     (x - rate * mean / (root + T::of(params.epsilon)), m, v)
 }
 
-/// One column: rows with `touched` 0 keep everything. `count` is after this step's increment; all
+/// One column: rows with `touched` 0, or `count` [`FIXED`], keep everything. `count` is after this step's increment; all
 /// slices have the same length.
 pub fn step<T: Real>(
     x: &mut [T],
@@ -27,7 +27,7 @@ pub fn step<T: Real>(
     params: &AdamParams,
 ) {
     for i in 0..x.len() {
-        if touched[i] != 0 {
+        if touched[i] != 0 && count[i] != FIXED {
             (x[i], m[i], v[i]) = update(x[i], g[i], m[i], v[i], count[i], rate, params);
         }
     }

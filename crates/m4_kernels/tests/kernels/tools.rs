@@ -5,7 +5,7 @@ use m4_core::{Camera, CounterRng, SplatLayout, Splats};
 use m4_kernels::{
     Gradients, Renderer,
     adam::{
-        AdamParams,
+        AdamParams, FIXED,
         cpu::{AdamConfig, AdamState, step},
         reference,
     },
@@ -122,7 +122,7 @@ fn small_scene(seed: u64) -> (Camera, Splats) {
 }
 
 #[test]
-fn adam_sparse_and_dense() {
+fn adam_sparse_dense_and_fixed() {
     every_level(|level| {
         for sparse in [true, false] {
             let (_, mut splats) = small_scene(3);
@@ -133,7 +133,9 @@ fn adam_sparse_and_dense() {
                 splats.columns().iter().map(|c| c.iter().map(|&v| f64::from(v)).collect()).collect();
             let (mut m, mut v): (Vec<Vec<f64>>, Vec<Vec<f64>>) =
                 x.iter().map(|c| (vec![0.0; c.len()], vec![0.0; c.len()])).unzip();
-            let mut count = vec![0u32; splats.n()];
+            // static and dynamic ones, next to others of the same lanes
+            let mut count: Vec<u32> = (0..splats.n()).map(|row| if row % 7 == 3 { FIXED } else { 0 }).collect();
+            state.step.copy_from_slice(&count);
             let (n_static, shared) = (splats.n_static(), splats.layout().shared_columns());
 
             for iteration in 0..25 {
@@ -147,7 +149,7 @@ fn adam_sparse_and_dense() {
                     column.iter_mut().for_each(|g| *g = (size * rng.normal()) as f32);
                 }
                 for (count, &t) in count.iter_mut().zip(&gradients.touched) {
-                    *count += u32::from(t != 0 || !sparse);
+                    *count += u32::from(*count != FIXED && (t != 0 || !sparse));
                 }
                 for c in 0..x.len() {
                     let first = if c < shared { 0 } else { n_static };

@@ -13,7 +13,10 @@ use crate::{
 use m4_core::{Capture, Column, Exposure, ShapeError, SplatLayout, Splats};
 use m4_kernels::{
     Gradients, Renderer, SimdLevel, StepStats, View,
-    adam::cpu::{AdamState, step as adam_step},
+    adam::{
+        FIXED,
+        cpu::{AdamState, step as adam_step},
+    },
     cover,
     loss::cpu::{LossScratch, Target, loss},
     morton_order,
@@ -95,8 +98,16 @@ impl<'a> CpuBackend<'a> {
         }
     }
 
+    /// Rows that are never stepped, all of them static.
+    fn fixed(&self) -> Vec<usize> {
+        (0..self.splats.n_static()).filter(|&row| self.adam.step[row] == FIXED).collect()
+    }
+
     fn backward(&mut self, camera: bool) {
         self.renderer.backward(&self.splats, &self.frame_gradient, camera, &mut self.gradients);
+        for row in self.fixed() {
+            self.gradients.touched[row] = 0;
+        }
     }
 
     /// Leaves image minus target as the gradient.
@@ -241,7 +252,11 @@ impl Backend for CpuBackend<'_> {
             renderer: &mut self.renderer,
             scratch: &mut self.scratch,
         };
-        Ok(score(&mut input, &self.splats, views))
+        let mut scores = score(&mut input, &self.splats, views);
+        for row in self.fixed() {
+            (scores.densify[row], scores.prune[row]) = (0.0, 0.0);
+        }
+        Ok(scores)
     }
 
     fn collect_image_gradients(&mut self) -> bool {

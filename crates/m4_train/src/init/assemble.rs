@@ -15,6 +15,7 @@ use crate::init::{
 };
 use m4_core::{Capture, Progress, SplatLayout, Splats};
 use rayon::prelude::*;
+use std::ops::Range;
 
 /// Voxels are never smaller than this, pixels at the median depth: splats finer than the pixels leave cracks in views from the
 /// side (measured: -0.4 dB inside moving parts at 0.5; docs/decisions/0004).
@@ -24,12 +25,28 @@ const TINT_PIXELS: f32 = 5.0;
 /// Radius of the shell, in units of the depth below which 99 of 100 pixels lie (our rule).
 const SHELL_RADIUS: f32 = 2.0;
 
+/// Where a training starts.
+#[derive(Debug, Clone, PartialEq)]
+pub struct FirstSplats {
+    /// Static ones first; dynamic ones are in order of time.
+    pub splats: Splats,
+    /// Rows that are drawn, but never trained or split: nothing that a frame shows is theirs, they only fill what no frame shows
+    /// (docs/decisions/0020).
+    pub fixed: Range<usize>,
+}
+
+impl From<Splats> for FirstSplats {
+    /// All of them are trained.
+    fn from(splats: Splats) -> Self {
+        Self { splats, fixed: 0..0 }
+    }
+}
+
 /// The first splats of a capture.
 ///
-/// Frames without a mask are static everywhere; frames without depth are skipped. Static splats come first; dynamic
-/// ones are in order of time. Fails with [`InitError`] if a setting is out of range, the capture has no frame or no
+/// Frames without a mask are static everywhere; frames without depth are skipped. Fails with [`InitError`] if a setting is out of range, the capture has no frame or no
 /// usable depth, a camera is not finite, or `progress` asked to stop.
-pub fn initialise(capture: &Capture, config: &InitConfig, progress: &dyn Progress) -> Result<Splats, InitError> {
+pub fn initialise(capture: &Capture, config: &InitConfig, progress: &dyn Progress) -> Result<FirstSplats, InitError> {
     config.check()?;
     if let Some(tracks) = capture.tracks.as_ref().filter(|t| t.frames() != capture.frames.len()) {
         return Err(InitError::Tracks { frames: capture.frames.len(), tracks: tracks.frames() });
@@ -109,10 +126,10 @@ pub fn initialise(capture: &Capture, config: &InitConfig, progress: &dyn Progres
         .collect();
     let shell = shell(capture, config.shell_splats, SHELL_RADIUS * clouds.far_depth as f32);
     let parts = Parts { static_points, shell, moving, paths, hidden, tracked, tints };
-    let splats = assemble(capture, config, &parts);
-    let note = format!("{} static, {} dynamic", splats.n_static(), splats.n_dynamic());
+    let first = assemble(capture, config, &parts);
+    let note = format!("{} static, {} dynamic", first.splats.n_static(), first.splats.n_dynamic());
     progress.update("voxels", 3, 3, &note);
-    Ok(splats)
+    Ok(first)
 }
 
 /// Splats that darken or brighten what is behind them, at one keyframe; the colour of a centroid is the
@@ -180,7 +197,7 @@ fn every_nth(n: usize, count: usize) -> impl Iterator<Item = usize> {
     (0..n).step_by(n.div_ceil(count).max(1))
 }
 
-fn assemble(capture: &Capture, config: &InitConfig, parts: &Parts) -> Splats {
+fn assemble(capture: &Capture, config: &InitConfig, parts: &Parts) -> FirstSplats {
     let layout = SplatLayout { isotropic: config.isotropic, sh_degree: 0, time_degree: 0 };
     let n_moving: usize = parts.moving.iter().map(|(_, c)| c.xyz.len()).sum();
     let unseen = || parts.hidden.iter().chain(&parts.tracked);
@@ -193,6 +210,7 @@ fn assemble(capture: &Capture, config: &InitConfig, parts: &Parts) -> Splats {
     let mut writer = Writer { splats: &mut splats, config, row: 0 };
     writer.surface(&parts.static_points);
     writer.shell(&parts.shell);
+    let fixed = writer.row - parts.shell.filling..writer.row;
     let times: Vec<f64> = parts.moving.iter().map(|(t, _)| *t).collect();
     if config.static_fade {
         writer.time(0, static_life(capture, config));
@@ -213,7 +231,7 @@ fn assemble(capture: &Capture, config: &InitConfig, parts: &Parts) -> Splats {
             writer.shorten(first, &parts.paths[i].bend);
         }
     }
-    splats
+    FirstSplats { splats, fixed }
 }
 
 /// Middle and logarithm of the standard deviation in time, frames, of static points that fade.

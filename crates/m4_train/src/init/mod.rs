@@ -27,5 +27,5 @@ mod tracked;
 mod voxel;
 mod write;
 
-pub use assemble::initialise;
+pub use assemble::{FirstSplats, initialise};
 pub use config::{CellSize, InitConfig, InitError, TimeSpread, TrackedInit, VelocityInit};

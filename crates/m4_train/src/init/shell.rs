@@ -1,4 +1,5 @@
-//! The background sphere: a shell of large, distant splats, so that a view from the side shows a plausible colour instead of black.
+//! The background sphere: a shell of large, distant splats, so that a view from the side shows a plausible colour instead of black. What it
+//! shows behind surfaces is a guess, which training must not use to explain them (docs/decisions/0020).
 
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use m4_core::{Capture, nalgebra::Vector3};
@@ -20,12 +21,15 @@ pub(crate) struct Shell {
     pub rgb: Vec<[f32; 3]>,
     /// Standard deviation of each, world units.
     pub sd: f32,
+    /// The last so many lie where every pixel seen has a surface, or none was seen: they only fill gaps.
+    pub filling: usize,
 }
 
 /// `count` splats, evenly over a sphere of `radius` around the cameras.
 ///
 /// A cell's colour is the mean of what was seen in its direction: of pixels without a surface (depth 0) where there
-/// were any, else of all. Directions never seen take the distance-weighted mean of the nearest that were.
+/// were any, else of all. Directions never seen take the distance-weighted mean of the nearest that were. Cells with pixels without a
+/// surface come first.
 pub(crate) fn shell(capture: &Capture, count: usize, radius: f32) -> Shell {
     if count == 0 || capture.frames.is_empty() {
         return Shell::default();
@@ -66,9 +70,13 @@ pub(crate) fn shell(capture: &Capture, count: usize, radius: f32) -> Shell {
     let seen: Vec<Option<[f32; 3]>> = empty.iter().zip(&any).map(|(e, a)| mean(e).or(mean(a))).collect();
     let centre: Vector3<f64> =
         capture.frames.iter().map(|f| f.camera.centre()).sum::<Vector3<f64>>() / capture.frames.len() as f64;
+    let rgb = spread(&directions, &seen);
+    let (sky, filling): (Vec<usize>, Vec<usize>) = (0..count).partition(|&cell| empty[cell][3] > 0.0);
+    let cells = || sky.iter().chain(&filling);
     Shell {
-        rgb: spread(&directions, &seen),
-        xyz: directions.iter().map(|d| [0, 1, 2].map(|k| centre[k] as f32 + radius * d[k])).collect(),
+        rgb: cells().map(|&cell| rgb[cell]).collect(),
+        xyz: cells().map(|&cell| [0, 1, 2].map(|k| centre[k] as f32 + radius * directions[cell][k])).collect(),
+        filling: filling.len(),
         sd: 0.75 * radius * (4.0 * std::f32::consts::PI / count as f32).sqrt(),
     }
 }
@@ -135,6 +143,11 @@ mod tests {
         };
         let capture = Capture { frames: vec![frame], time_frames: 1, duration_s: None, metric: true, tracks: None };
         let shell = shell(&capture, 1000, 10.0);
+        // within the view of the right half, and nowhere else, pixels without a surface were seen
+        let sky = shell.xyz.len() - shell.filling;
+        assert!((5..250).contains(&sky), "{sky} of 1000");
+        assert!(shell.xyz[..sky].iter().all(|p| p[0] > -1.0 && p[2] > 0.0));
+        assert_eq!(shell.filling, 1000 - sky);
         for (p, rgb) in shell.xyz.iter().zip(&shell.rgb) {
             assert!((p.iter().map(|v| v * v).sum::<f32>().sqrt() - 10.0).abs() < 1e-3);
             if p[0] < -5.0 && p[2] > 0.0 {

@@ -8,6 +8,7 @@ use crate::{
     MetricsEvent, TrainError,
     backend::{Backend, CpuBackend},
     config::TrainConfig,
+    init::FirstSplats,
     metrics::Totals,
     refine::Refinement,
     scale::SceneScale,
@@ -17,9 +18,9 @@ use crate::{
 };
 use cpu_time::ProcessTime;
 use m4_core::{Capture, Column, Progress, Splats, TrainState, median};
-use m4_kernels::adam::cpu::AdamState;
+use m4_kernels::adam::{FIXED, cpu::AdamState};
 use m4_kernels::{SimdLevel, View, morton_order};
-use std::time::Instant;
+use std::{collections::HashSet, time::Instant};
 use step::StepReport;
 
 pub(crate) use periodic::ARCS_AT;
@@ -68,6 +69,8 @@ pub struct Trainer<'a> {
     splats: Splats,
     good: usize,
     adam: AdamState,
+    /// Where splats are that are never stepped, as bits: the way to know them again without the optimiser's state.
+    fixed: HashSet<[u32; 3]>,
     fit: Refinement,
     picker: Picker,
     iteration: usize,
@@ -80,17 +83,24 @@ pub struct Trainer<'a> {
 }
 
 impl<'a> Trainer<'a> {
-    /// A run that starts from `splats`. Fails with [`TrainError`] if a setting is out of range, the capture has no
+    /// A run that starts from `first`. Fails with [`TrainError`] if a setting is out of range, the capture has no
     /// frames, or the splats are none or not finite.
     pub fn new(
         capture: &'a Capture,
-        splats: Splats,
+        first: impl Into<FirstSplats>,
         config: TrainConfig,
         level: SimdLevel,
     ) -> Result<Self, TrainError> {
+        let FirstSplats { splats, fixed } = first.into();
         check_start(capture, &splats, &config)?;
-        let splats = splats.gather(&morton_order(&splats))?;
-        let adam = AdamState::new(&splats);
+        let order = morton_order(&splats);
+        let splats = splats.gather(&order)?;
+        let mut adam = AdamState::new(&splats);
+        for (step, &row) in adam.step.iter_mut().zip(&order) {
+            if fixed.contains(&(row as usize)) {
+                *step = FIXED;
+            }
+        }
         let basis = RateBasis {
             // a life longer than the video moves no further than the video lasts
             time_sd: median_time_sd(&splats).min(0.25 * capture.time_frames as f32).max(0.5),
@@ -150,6 +160,7 @@ impl<'a> Trainer<'a> {
             time_frames: capture.time_frames,
             duration_s: capture.duration_s,
             scale: SceneScale::of(capture),
+            fixed: (0..splats.n()).filter(|&row| adam.step[row] == FIXED).map(|row| place(&splats, row)).collect(),
             fit: Refinement::new(capture.frames.iter().map(|f| f.camera)),
             picker: Picker::new(config.seed, capture.frames.len()),
             iteration: 0,
@@ -331,6 +342,11 @@ fn check_start(capture: &Capture, splats: &Splats, config: &TrainConfig) -> Resu
     } else {
         return Ok(());
     })
+}
+
+/// Bits of the centre of a splat.
+fn place(splats: &Splats, row: usize) -> [u32; 3] {
+    [0, 1, 2].map(|k| splats.column(Column::Mean, k)[row].to_bits())
 }
 
 /// Median standard deviation in time, frames; 1 without dynamic splats.

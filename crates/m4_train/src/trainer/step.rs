@@ -1,6 +1,6 @@
 //! One iteration, the same for every backend.
 
-use super::Trainer;
+use super::{Trainer, place};
 use crate::{
     TrainError,
     backend::{Backend, BackendError, StepSettings, StepView, targets},
@@ -8,7 +8,10 @@ use crate::{
     schedule::rates,
 };
 use m4_core::Exposure;
-use m4_kernels::{View, adam::cpu::AdamState};
+use m4_kernels::{
+    View,
+    adam::{FIXED, cpu::AdamState},
+};
 use std::time::{Duration, Instant};
 
 /// What the last steps found.
@@ -194,6 +197,11 @@ impl Trainer<'_> {
     /// Goes back to the splats here, without the moments, which led to the failure.
     fn go_back(&mut self) {
         self.adam = AdamState::new(&self.splats);
+        for (row, step) in self.adam.step.iter_mut().enumerate() {
+            if self.fixed.contains(&place(&self.splats, row)) {
+                *step = FIXED;
+            }
+        }
         self.iteration = self.good;
         (self.is_uploaded, self.is_current) = (false, true);
         self.counts = (self.splats.n_static(), self.splats.n_dynamic());

@@ -7,6 +7,7 @@ mod batch;
 #[path = "../common/mod.rs"]
 mod common;
 mod density;
+mod fixed;
 mod room;
 mod score;
 mod step;

@@ -4,7 +4,7 @@ use crate::on_threads;
 use m4_core::{
     Camera, Capture, CaptureFrame, Column, CompactMask, Intrinsics, Plane, Se3, Silent, Splats, nalgebra::Vector3,
 };
-use m4_train::init::{InitConfig, InitError, TimeSpread, VelocityInit, initialise};
+use m4_train::init::{FirstSplats, InitConfig, InitError, TimeSpread, VelocityInit, initialise};
 
 const WALL: f64 = 4.0;
 const SQUARE: f64 = 2.0;
@@ -67,7 +67,7 @@ fn mean(splats: &Splats, row: usize) -> [f32; 3] {
 
 #[test]
 fn static_and_dynamic_points_are_separated() {
-    let splats = initialise(&capture(8), &fast(), &Silent).unwrap();
+    let splats = initialise(&capture(8), &fast(), &Silent).unwrap().splats;
     assert!(splats.is_finite());
     assert!((1000..=2000).contains(&splats.n_static()), "{} static", splats.n_static());
     assert!((1000..=2000).contains(&splats.n_dynamic()), "{} dynamic", splats.n_dynamic());
@@ -83,7 +83,7 @@ fn static_and_dynamic_points_are_separated() {
 
 #[test]
 fn a_moving_square_has_its_velocity() {
-    let splats = initialise(&capture(8), &fast(), &Silent).unwrap();
+    let splats = initialise(&capture(8), &fast(), &Silent).unwrap().splats;
     let vx = splats.column(Column::Velocity, 0);
     let good = vx.iter().filter(|&&v| (f64::from(v) - SPEED).abs() < 0.3 * SPEED).count();
     assert!(good * 10 > vx.len() * 7, "{good} of {} splats move as the square does", vx.len());
@@ -94,7 +94,7 @@ fn a_moving_square_has_its_velocity() {
 #[test]
 fn the_faithful_profile_has_one_scale_and_fades_everything() {
     let config = InitConfig { max_static: 1000, max_dynamic: 500, ..InitConfig::faithful() };
-    let splats = initialise(&capture(8), &config, &Silent).unwrap();
+    let splats = initialise(&capture(8), &config, &Silent).unwrap().splats;
     assert_eq!(splats.n_static(), 0);
     assert!(splats.layout().isotropic);
     assert!(splats.column(Column::Velocity, 0).iter().all(|&v| v == 0.0));
@@ -117,8 +117,8 @@ fn a_shadow_on_the_wall_is_laid_over_it() {
         frame.rgb = Plane::from_fn(96, 64, |x, y| lit[(x, y)].map(|c| if x >= 88 { c / 2 } else { c }));
     }
     let config = InitConfig { change_threshold: 0.05, velocity: VelocityInit::Zero, ..fast() };
-    let plain = initialise(&capture, &InitConfig { change_threshold: 0.0, ..config.clone() }, &Silent).unwrap();
-    let splats = initialise(&capture, &config, &Silent).unwrap();
+    let plain = initialise(&capture, &InitConfig { change_threshold: 0.0, ..config.clone() }, &Silent).unwrap().splats;
+    let splats = initialise(&capture, &config, &Silent).unwrap().splats;
     assert_eq!(splats.n_static(), plain.n_static());
     assert!(splats.n_dynamic() > plain.n_dynamic() + 50);
     // every splat that is not on the square lies just before the wall, on its right
@@ -137,16 +137,23 @@ fn a_shadow_on_the_wall_is_laid_over_it() {
 }
 
 #[test]
-fn the_shell_lies_behind_everything() {
+fn the_shell_lies_behind_everything_and_is_fixed_but_where_pixels_have_no_surface() {
     let config = InitConfig { shell_splats: 300, ..fast() };
-    let capture = capture(4);
-    let n = initialise(&capture, &fast(), &Silent).unwrap().n_static();
-    let splats = initialise(&capture, &config, &Silent).unwrap();
-    assert_eq!(splats.n_static(), n + 300);
+    let mut capture = capture(4);
+    let n = initialise(&capture, &fast(), &Silent).unwrap().splats.n_static();
+    let FirstSplats { splats, fixed } = initialise(&capture, &config, &Silent).unwrap();
+    assert_eq!((splats.n_static(), fixed), (n + 300, n..n + 300));
     for row in n..n + 300 {
         let r = mean(&splats, row).iter().map(|v| v * v).sum::<f32>().sqrt();
         assert!(r > 7.5, "radius {r} where the wall is at 4");
     }
+    for frame in &mut capture.frames {
+        frame.depth = Some(Plane::from_fn(96, 64, |_, y| if y < 20 { 0.0 } else { WALL as f32 }).into());
+    }
+    let FirstSplats { splats, fixed } = initialise(&capture, &config, &Silent).unwrap();
+    let sky = splats.n_static() - 300..fixed.start;
+    assert!(sky.len() > 2 && fixed.end == splats.n_static());
+    assert!(sky.clone().all(|row| mean(&splats, row)[1] < 0.0), "above the wall");
 }
 
 #[test]
@@ -155,7 +162,7 @@ fn without_masks_everything_is_static() {
     for frame in &mut capture.frames {
         frame.mask = None;
     }
-    let splats = initialise(&capture, &fast(), &Silent).unwrap();
+    let splats = initialise(&capture, &fast(), &Silent).unwrap().splats;
     assert!(splats.n_static() > 0 && splats.n_dynamic() == 0);
 }
 
@@ -179,7 +186,7 @@ fn missing_and_useless_depth_are_clear_errors() {
 fn one_frame_is_enough_and_depth_may_have_its_own_size() {
     let mut one = capture(1);
     one.frames[0].depth = Some(Plane::filled(48, 32, WALL as f32).into());
-    let splats = initialise(&one, &fast(), &Silent).unwrap();
+    let splats = initialise(&one, &fast(), &Silent).unwrap().splats;
     assert!(splats.is_finite() && splats.n_static() > 500 && splats.n_dynamic() > 10);
 }
 
@@ -188,7 +195,7 @@ fn one_frame_is_enough_and_depth_may_have_its_own_size() {
 fn lifetimes_reach_over_missing_frames() {
     let mut capture = capture(8);
     capture.frames.retain(|frame| frame.t != 3.0 && frame.t != 4.0);
-    let splats = initialise(&capture, &fast(), &Silent).unwrap();
+    let splats = initialise(&capture, &fast(), &Silent).unwrap().splats;
     let (mean, sd) = (splats.column(Column::TimeMean, 0), splats.column(Column::LogTimeSd, 0));
     for (t, sd) in mean.iter().zip(sd) {
         let want = if [2.0, 5.0].contains(t) { 2.0 } else { 1.0 };
@@ -200,14 +207,14 @@ fn lifetimes_reach_over_missing_frames() {
 #[test]
 fn threads_do_not_change_a_bit() {
     let capture = capture(5);
-    let run = |threads| on_threads(threads, || initialise(&capture, &fast(), &Silent).unwrap());
+    let run = |threads| on_threads(threads, || initialise(&capture, &fast(), &Silent).unwrap().splats);
     let (one, three) = (run(1), run(3));
     for (a, b) in one.columns().iter().zip(three.columns()) {
         assert!(a.iter().zip(b).all(|(a, b)| a.to_bits() == b.to_bits()));
     }
     let other =
         InitConfig { velocity: VelocityInit::Zero, time_spread: TimeSpread::KeyframeGaps { factor: 2.0 }, ..fast() };
-    let still = initialise(&capture, &other, &Silent).unwrap();
+    let still = initialise(&capture, &other, &Silent).unwrap().splats;
     assert!((still.column(Column::LogTimeSd, 0)[0] - 2.0f32.ln()).abs() < 1e-6);
 }
 
@@ -219,7 +226,7 @@ fn frames_of_one_instant_make_no_endless_velocities() {
         frame.t = (i / 2) as f64;
     }
     capture.time_frames = 4;
-    let splats = initialise(&capture, &fast(), &Silent).unwrap();
+    let splats = initialise(&capture, &fast(), &Silent).unwrap().splats;
     assert!(splats.n_dynamic() > 100 && splats.is_finite());
     for k in 0..3 {
         let fastest = splats.column(Column::Velocity, k).iter().fold(0.0f32, |m, v| m.max(v.abs()));

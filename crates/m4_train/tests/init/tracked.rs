@@ -117,7 +117,7 @@ fn is_hidden(p: [f32; 3]) -> bool {
 }
 
 fn run(tracks: Option<Tracks>, tracked: TrackedInit) -> Splats {
-    let splats = initialise(&capture(tracks), &config(tracked), &Silent).expect("a usable capture");
+    let splats = initialise(&capture(tracks), &config(tracked), &Silent).expect("a usable capture").splats;
     assert!(splats.is_finite());
     splats
 }
@@ -190,7 +190,7 @@ fn threads_do_not_change_a_bit() {
                 velocity: InitConfig::fast().velocity,
                 ..config(TrackedInit { seen: true, ..on() })
             };
-            initialise(&capture(Some(true_tracks())), &config, &Silent).unwrap()
+            initialise(&capture(Some(true_tracks())), &config, &Silent).unwrap().splats
         })
     };
     let bits = |s: &Splats| -> Vec<u32> { s.columns().iter().flat_map(|c| c.iter().map(|v| v.to_bits())).collect() };

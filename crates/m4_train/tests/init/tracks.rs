@@ -80,9 +80,9 @@ fn same_bits(a: &Splats, b: &Splats) -> bool {
 
 #[test]
 fn points_move_as_the_tracks_near_them_do() {
-    let alone = initialise(&capture(None), &with_tracks(true), &Silent).unwrap();
+    let alone = initialise(&capture(None), &with_tracks(true), &Silent).unwrap().splats;
     assert!(speed(&alone) < 0.2 * SPEED, "nothing in the images shows the motion: {}", speed(&alone));
-    let tracked = initialise(&capture(Some(tracks(BAND).unwrap())), &with_tracks(true), &Silent).unwrap();
+    let tracked = initialise(&capture(Some(tracks(BAND).unwrap())), &with_tracks(true), &Silent).unwrap().splats;
     let v = tracked.column(Column::Velocity, 0);
     assert!(v.len() > 500);
     let good = v.iter().filter(|v| (**v - SPEED).abs() < 0.1 * SPEED).count();
@@ -91,19 +91,21 @@ fn points_move_as_the_tracks_near_them_do() {
 
 #[test]
 fn tracks_that_are_far_or_not_wanted_change_nothing() {
-    let alone = initialise(&capture(None), &with_tracks(true), &Silent).unwrap();
-    let far = initialise(&capture(Some(tracks(3.5).unwrap())), &with_tracks(true), &Silent).unwrap();
+    let alone = initialise(&capture(None), &with_tracks(true), &Silent).unwrap().splats;
+    let far = initialise(&capture(Some(tracks(3.5).unwrap())), &with_tracks(true), &Silent).unwrap().splats;
     assert!(same_bits(&alone, &far));
-    let unwanted = initialise(&capture(Some(tracks(BAND).unwrap())), &with_tracks(false), &Silent).unwrap();
+    let unwanted = initialise(&capture(Some(tracks(BAND).unwrap())), &with_tracks(false), &Silent).unwrap().splats;
     assert!(same_bits(&alone, &unwanted));
-    let tracked = initialise(&capture(Some(tracks(BAND).unwrap())), &with_tracks(true), &Silent).unwrap();
+    let tracked = initialise(&capture(Some(tracks(BAND).unwrap())), &with_tracks(true), &Silent).unwrap().splats;
     assert!(!same_bits(&alone, &tracked));
 }
 
 #[test]
 fn threads_do_not_change_a_bit() {
     let run = |threads| {
-        on_threads(threads, || initialise(&capture(Some(tracks(BAND).unwrap())), &with_tracks(true), &Silent).unwrap())
+        on_threads(threads, || {
+            initialise(&capture(Some(tracks(BAND).unwrap())), &with_tracks(true), &Silent).unwrap().splats
+        })
     };
     assert!(same_bits(&run(1), &run(3)));
 }
@@ -117,7 +119,7 @@ fn tracks_of_another_clip_are_refused_and_degenerate_tracks_are_ignored() {
     for count in [0, 1, 500] {
         let n = FRAMES * count;
         let odd = Tracks::new(FRAMES, count, vec![[0.0, 0.0, BAND]; n], vec![true; n]).unwrap();
-        let splats = initialise(&capture(Some(odd)), &with_tracks(true), &Silent).unwrap();
+        let splats = initialise(&capture(Some(odd)), &with_tracks(true), &Silent).unwrap().splats;
         assert!(splats.is_finite());
     }
 }

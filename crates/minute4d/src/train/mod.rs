@@ -118,12 +118,13 @@ fn train(
         None => {
             folder::remove_checkpoints(&run.folder)?;
             folder::remove_file(&run.path(METRICS_FILE))?;
-            let splats = m4_train::init::initialise(capture, &settings.init_config(), keeper)?;
+            let first = m4_train::init::initialise(capture, &settings.init_config(), keeper)?;
             let budget_s = settings.train.budget_s;
             if budget_s > 0.0 || end.is_some() {
                 let seconds = || affordable(budget_s, started, end);
                 let level = run.level;
-                let fitting = |trial| m4_train::affordable_iterations(capture, &splats, &config, level, trial, seconds);
+                let fitting =
+                    |trial| m4_train::affordable_iterations(capture, &first.splats, &config, level, trial, seconds);
                 let n = match fitting(run.gpu.as_ref().map(|_| &make as BackendMaker<'_>)) {
                     Err(error) if may_leave_gpu(run, &error) => {
                         leave_gpu(run, keeper, &error);
@@ -138,7 +139,7 @@ fn train(
                     keeper.update(STAGE, 0, n, &note);
                 }
             }
-            let mut trainer = Trainer::new(capture, splats, config, run.level)?;
+            let mut trainer = Trainer::new(capture, first, config, run.level)?;
             let mut log = MetricsLog::new(&run.path(METRICS_FILE));
             // The number of iterations may have been measured: a run resumed after a kill uses the same.
             save(run, &mut trainer, &mut checkpoints, &mut log)?;

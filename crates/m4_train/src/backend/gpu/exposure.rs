@@ -10,6 +10,7 @@ use cubecl::prelude::*;
 use m4_core::Exposure;
 use m4_kernels::{
     View,
+    adam::FIXED,
     gpu::{
         Gpu, GpuError,
         buffer::{Buffer, cubes, units},
@@ -189,6 +190,7 @@ impl GpuTrainer {
             units(),
             self.gradients.colour.arg(),
             self.work.touched.arg(),
+            self.adam.steps.arg(),
             sums.arg(),
             n as u32,
             first as u32,
@@ -216,12 +218,12 @@ fn fill_ones(values: &mut [f32], count: u32) {
     }
 }
 
-/// Adds three columns to three planes, where touched.
+/// Adds three columns to three planes, where touched and not fixed.
 #[cube(launch)]
-fn add_touched(columns: &[f32], touched: &[u32], sums: &mut [f32], n: u32, first: u32) {
+fn add_touched(columns: &[f32], touched: &[u32], steps: &[u32], sums: &mut [f32], n: u32, first: u32) {
     let i = ABSOLUTE_POS as u32;
     if i < n {
-        if touched[i as usize] != 0u32 {
+        if touched[i as usize] != 0u32 && steps[i as usize] != FIXED {
             for k in 0u32..3u32 {
                 let at = k * n + i;
                 sums[(first + at) as usize] += columns[at as usize];

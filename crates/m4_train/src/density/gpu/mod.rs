@@ -18,13 +18,14 @@ use crate::{
     config::CloneOpacity,
     density::Scores,
 };
-use cubecl::prelude::Client;
+use cubecl::prelude::*;
 use error_mask::Mask;
 use m4_kernels::{
     View,
+    adam::FIXED,
     gpu::{
         GpuError,
-        buffer::Buffer,
+        buffer::{Buffer, cubes, units},
         splats::gathered,
         tally::{LOSSES, Tally},
         work::Size,
@@ -121,6 +122,19 @@ impl GpuTrainer {
                 FrameScore { errors: &mask.errors, cut: &mask.cut, tally: &tally.buffer, loss: LOSSES + index, share };
             add(&gpu, &self.work, &self.splats, &frame, &scores);
         }
+        forget_fixed::launch(&gpu.client, cubes(n, 256), units(), self.adam.steps.arg(), scores.arg(), n as u32);
         Ok(scores)
+    }
+}
+
+/// Sets both scores of fixed splats to 0.
+#[cube(launch)]
+fn forget_fixed(steps: &[u32], scores: &mut [f32], n: u32) {
+    let i = ABSOLUTE_POS as u32;
+    if i < n {
+        if steps[i as usize] == FIXED {
+            scores[i as usize] = 0.0f32;
+            scores[(n + i) as usize] = 0.0f32;
+        }
     }
 }
