@@ -68,10 +68,12 @@ pub(super) fn depths(
     }
     let along = |object: &RigidObject<'_>, flights: &[Flight]| {
         let mut out = vec![None; object.depth.len()];
-        for flight in of_one_size(object, flights, ground, g) {
-            for (k, out) in out.iter_mut().enumerate().take(flight.end).skip(flight.first) {
-                let z = flight.parabola.depth(&object.cameras[k], k, ground, g);
-                *out = Some(z * (1.0 - BULGE * object.observations[k].radius));
+        if one_size(object, flights, ground, g) {
+            for flight in flights {
+                for (k, out) in out.iter_mut().enumerate().take(flight.end).skip(flight.first) {
+                    let z = flight.parabola.depth(&object.cameras[k], k, ground, g);
+                    *out = Some(z * (1.0 - BULGE * object.observations[k].radius));
+                }
             }
         }
         out
@@ -79,13 +81,8 @@ pub(super) fn depths(
     Some(objects.iter().zip(&flights).map(|(object, f)| along(object, f)).collect())
 }
 
-/// The flights in which a part has one size: in others it is another thing whose image touches it, or the parabola is not its path.
-fn of_one_size<'a>(
-    object: &RigidObject<'_>,
-    flights: &'a [Flight],
-    ground: &Ground,
-    g: f64,
-) -> impl Iterator<Item = &'a Flight> {
+/// Whether a part keeps its size from flight to flight; two things whose images touch may not.
+fn one_size(object: &RigidObject<'_>, flights: &[Flight], ground: &Ground, g: f64) -> bool {
     let size = |flight: &Flight| {
         let mut all: Vec<f32> = (flight.first..flight.end)
             .filter(|&k| object.observations[k].whole)
@@ -93,19 +90,9 @@ fn of_one_size<'a>(
             .collect();
         quantile(&mut all, 0.5)
     };
-    let sizes: Vec<(Option<f32>, f64)> = flights.iter().map(|f| (size(f), f.parabola.doubt)).collect();
-    flights.iter().zip(like_the_surest(&sizes)).filter(|(_, alike)| *alike).map(|(flight, _)| flight)
-}
-
-/// Whether each size agrees with that of the least doubt; an unknown one does.
-fn like_the_surest(sizes: &[(Option<f32>, f64)]) -> Vec<bool> {
-    let known = sizes.iter().filter_map(|&(size, doubt)| Some((size?, doubt)));
-    let surest = known.min_by(|a, b| a.1.total_cmp(&b.1)).map(|(size, _)| size);
-    let alike = |size: Option<f32>| match (size, surest) {
-        (Some(a), Some(b)) => a < RESIZED * b && b < RESIZED * a,
-        _ => true,
-    };
-    sizes.iter().map(|&(size, _)| alike(size)).collect()
+    let sizes: Vec<f32> = flights.iter().filter_map(size).collect();
+    let least = sizes.iter().copied().fold(f32::INFINITY, f32::min);
+    sizes.iter().all(|s| *s < RESIZED * least)
 }
 
 /// A part of less than this share of what it was in the frames around is half hidden.
@@ -292,18 +279,5 @@ impl Parabola {
     /// Its z-depth in the camera of that frame.
     pub fn depth(&self, camera: &Camera, k: usize, ground: &Ground, g: f64) -> f64 {
         camera.w2c().transform(&self.at(k, ground, g)).z
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::like_the_surest;
-
-    #[test]
-    fn flights_of_another_size_than_the_surest_are_left_out() {
-        let sizes = [(Some(1.35), 0.2), (Some(1.0), 0.1), (None, 0.01), (Some(0.8), 0.3), (Some(0.7), 0.3)];
-        assert_eq!(like_the_surest(&sizes), [false, true, true, true, false]);
-        assert_eq!(like_the_surest(&[(Some(1.0), 0.2), (Some(1.35), 0.1)]), [false, true]);
-        assert_eq!(like_the_surest(&[(None, 0.2)]), [true]);
     }
 }
