@@ -132,7 +132,8 @@ impl GpuTrainer {
 fn forget_fixed(steps: &[u32], scores: &mut [f32], n: u32) {
     let i = ABSOLUTE_POS as u32;
     if i < n {
-        if steps[i as usize] == FIXED {
+        let step = steps[i as usize];
+        if step == FIXED {
             scores[i as usize] = 0.0f32;
             scores[(n + i) as usize] = 0.0f32;
         }
