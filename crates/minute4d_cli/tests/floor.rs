@@ -1,5 +1,5 @@
 //! The regression floor: `fixtures/floor`, a rendered scene with ground truth, from its frames alone and with its geometry given. The bounds
-//! are what the program reached on 2026-11-26, or earlier where that was better, less 1 dB, and half as much again for errors of geometry. They fail for training that ends after 20
+//! are what the program reached on 2026-11-27, or earlier where that was better, less 1 dB, and half as much again for errors of geometry. They fail for training that ends after 20
 //! steps, for a focal length that is wrong by a third (`--fov 40`) and for masks without an object.
 
 use crate::common::Scratch;
@@ -38,7 +38,7 @@ fn scene_stays_above_the_floor() {
     }
     dir.succeed(&format!("train '{SCENE}' -o given --iterations 300 --no-viewer"));
     for (run, bounds) in [
-        ("out", [("far", 25.5, 16.0), ("near", 29.6, 19.5), ("between", 29.9, 19.6)]),
+        ("out", [("far", 25.9, 16.0), ("near", 29.6, 19.5), ("between", 29.9, 19.6)]),
         ("given", [("far", 27.9, 20.4), ("near", 31.0, 23.1), ("between", 30.3, 20.4)]),
     ] {
         let report = dir.succeed(&format!("eval {run} --data '{SCENE}' --json")).result();
