@@ -21,7 +21,7 @@ pub(crate) struct Shell {
     pub rgb: Vec<[f32; 3]>,
     /// Standard deviation of each, world units.
     pub sd: f32,
-    /// The last so many lie where every pixel seen has a surface, or none was seen: they only fill gaps.
+    /// Number of splats at the end in whose direction every pixel seen has a surface, or none was seen: they only fill gaps.
     pub filling: usize,
 }
 
