@@ -199,6 +199,9 @@ fn fixed_splats_are_drawn_but_never_trained_cloned_or_pruned() {
     finish(&mut rest).unwrap();
     assert!(rest.scene() == whole.scene(), "resumed");
 
+    let dynamic = splats.n_static()..splats.n();
+    assert!(start(dynamic).state() == start(0..0).state(), "dynamic splats are trained all the same");
+
     // without the state of the optimiser, which a device keeps for itself when it fails
     let mut broken = Watched::new(Box::new(CpuBackend::new(&capture, 0, level)), None);
     broken.fails_at = 31;

@@ -77,8 +77,8 @@ struct Step {
     epsilon: f32,
 }
 
-/// One step of each splat that is not [`FIXED`], and of its count of steps. `tally` counts the step and the splats touched, and notes parameters that
-/// are not finite.
+/// One step of each splat that is not [`FIXED`], and of its count of steps. `tally` counts the step and the splats touched, and
+/// notes parameters that are not finite.
 #[cube(launch)]
 fn adam(
     geometry: &mut [f32],

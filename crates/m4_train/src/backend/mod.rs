@@ -171,7 +171,8 @@ pub trait Backend: std::fmt::Debug {
     /// Waits for all steps and returns their statistics since the last call. Fails with [`BackendError`].
     fn stats(&mut self) -> Result<StepStats, BackendError>;
 
-    /// Both scores of every splat over some frames, as [`crate::density`] defines them; 0 of [fixed](m4_kernels::adam::FIXED) ones. Fails with [`BackendError`].
+    /// Both scores of every splat over some frames, as [`crate::density`] defines them; 0 of
+    /// [fixed](m4_kernels::adam::FIXED) ones. Fails with [`BackendError`].
     fn score(&mut self, views: &[(usize, View)], settings: &ScoreSettings) -> Result<Scores, BackendError>;
 
     /// Collects the gradients with respect to the centres of splats in the image from here on, which take the place of the scores where
@@ -185,6 +186,7 @@ pub trait Backend: std::fmt::Debug {
     /// Fails with [`BackendError`].
     fn densify(&mut self, round: &DensityRound<'_>) -> Result<Option<DensityStats>, BackendError>;
 
-    /// Sums for the fit of colours over some frames; nothing for [fixed](m4_kernels::adam::FIXED) splats. Fails with [`BackendError`].
+    /// Sums for the fit of colours over some frames; nothing for [fixed](m4_kernels::adam::FIXED) splats.
+    /// Fails with [`BackendError`].
     fn colour_sums(&mut self, views: &[(usize, View)], with_weight: bool) -> Result<ColourSums, BackendError>;
 }

@@ -30,8 +30,8 @@ const SHELL_RADIUS: f32 = 2.0;
 pub struct FirstSplats {
     /// Static ones first; dynamic ones are in order of time.
     pub splats: Splats,
-    /// Rows that are drawn, but never trained or split: nothing that a frame shows is theirs, they only fill what no frame shows
-    /// (docs/decisions/0020).
+    /// Static rows that are drawn, but never trained or split: nothing that a frame shows is theirs, they only fill what no
+    /// frame shows (docs/decisions/0020). Dynamic rows among them are trained.
     pub fixed: Range<usize>,
 }
 
@@ -44,8 +44,8 @@ impl From<Splats> for FirstSplats {
 
 /// The first splats of a capture.
 ///
-/// Frames without a mask are static everywhere; frames without depth are skipped. Fails with [`InitError`] if a setting is out of range, the capture has no frame or no
-/// usable depth, a camera is not finite, or `progress` asked to stop.
+/// Frames without a mask are static everywhere; frames without depth are skipped. Fails with [`InitError`] if a setting is
+/// out of range, the capture has no frame or no usable depth, a camera is not finite, or `progress` asked to stop.
 pub fn initialise(capture: &Capture, config: &InitConfig, progress: &dyn Progress) -> Result<FirstSplats, InitError> {
     config.check()?;
     if let Some(tracks) = capture.tracks.as_ref().filter(|t| t.frames() != capture.frames.len()) {

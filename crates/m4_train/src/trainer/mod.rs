@@ -93,6 +93,7 @@ impl<'a> Trainer<'a> {
     ) -> Result<Self, TrainError> {
         let FirstSplats { splats, fixed } = first.into();
         check_start(capture, &splats, &config)?;
+        let fixed = fixed.start..fixed.end.min(splats.n_static());
         let order = morton_order(&splats);
         let splats = splats.gather(&order)?;
         let mut adam = AdamState::new(&splats);
