@@ -6,10 +6,10 @@ use anyhow::{Context, Result};
 use serde_json::{Value, json};
 use std::path::PathBuf;
 
-const HEADINGS: &str = "scene | seconds | trajectory, % of path | rotation, mean deg | focal, % | AbsRel static \
+const HEADINGS: &str = "scene | seconds | trajectory, % of path | rotation, mean deg | focal, % | static AbsRel / outside masks \
     | mask IoU / precision / recall | distance, % | drift, % | jitter, % | relief, % | missed, %";
 const TEMPLATES: &str = "{/scene} | {/seconds 0} | {/report/trajectory/rmse_percent 2} | {/report/rotation/mean_deg 2} \
-    | {/report/focal_error_percent 1} | {/report/depth/static_abs_rel 4} \
+    | {/report/focal_error_percent 1} | {/report/depth/static_abs_rel 4} / {/report/depth/static_outside_masks_abs_rel 4} \
     | {/report/mask/iou 2} / {/report/mask/precision 2} / {/report/mask/recall 2} \
     | {/objects/distance 1} | {/objects/drift 1} | {/objects/jitter 1} | {/objects/relief 1} | {/objects/missed 1}";
 

@@ -1,7 +1,7 @@
 //! Scores depth after one scale factor, and masks.
 
 use super::report::{DepthError, MaskScore, median_of_sorted};
-use m4_core::{CaptureFrame, CompactDepth, CompactMask};
+use m4_core::{CaptureFrame, CompactMask};
 
 /// Pixels used for the common factor and for the error: every one of these columns and rows.
 const STRIDE_PX: usize = 2;
@@ -16,6 +16,16 @@ struct Sum {
 }
 
 impl Sum {
+    /// Counts a pixel of the truth `z`; `e` is 0 where the estimate has no depth.
+    fn add(&mut self, e: f64, z: f64) {
+        self.truth += 1;
+        if e > 0.0 {
+            self.count += 1;
+            self.abs_rel += (e - z).abs() / z;
+            self.within += usize::from((e / z).max(z / e) < 1.25);
+        }
+    }
+
     fn score(&self) -> Option<(f64, f64, f64)> {
         let share = |part: usize, whole: usize| part as f64 / whole as f64;
         (self.count > 0)
@@ -39,19 +49,36 @@ pub(super) fn is_set(mask: &CompactMask, at: (usize, usize), size: (usize, usize
     covering(at, size, mask.size()).is_some_and(|(x, y)| mask.at(x, y))
 }
 
-/// Visits `(estimate, truth, moving)` wherever the truth knows a depth.
-fn visit(estimate: &CompactDepth, truth: &CompactDepth, mask: Option<&CompactMask>, mut f: impl FnMut(f64, f64, bool)) {
+/// Where a pixel of the truth lies.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Region {
+    Static,
+    /// Static, but in the mask of the estimate, where depth is that of a dynamic object.
+    StaticInMask,
+    Dynamic,
+}
+
+/// Visits `(estimate, truth, region)` wherever the truth knows a depth.
+fn visit((estimate, truth): (&CaptureFrame, &CaptureFrame), mut f: impl FnMut(f64, f64, Region)) {
+    let masks = [&truth.mask, &estimate.mask];
+    let Some((estimate, truth)) = estimate.depth.as_ref().zip(truth.depth.as_ref()) else {
+        return;
+    };
     let size = truth.size();
     for y in (0..size.1).step_by(STRIDE_PX) {
         for x in (0..size.0).step_by(STRIDE_PX) {
             let z = truth.at(x, y);
             if usable(z) {
-                let moving = mask.is_some_and(|m| is_set(m, (x, y), size));
+                let region = match masks.map(|mask| mask.as_ref().is_some_and(|m| is_set(m, (x, y), size))) {
+                    [true, _] => Region::Dynamic,
+                    [false, true] => Region::StaticInMask,
+                    [false, false] => Region::Static,
+                };
                 let e = covering((x, y), size, estimate.size())
                     .map(|(x, y)| estimate.at(x, y))
                     .filter(|&e| usable(e))
                     .unwrap_or(0.0);
-                f(f64::from(e), f64::from(z), moving);
+                f(f64::from(e), f64::from(z), region);
             }
         }
     }
@@ -59,14 +86,13 @@ fn visit(estimate: &CompactDepth, truth: &CompactDepth, mask: Option<&CompactMas
 
 /// `None` if no pair of frames has depth on both sides.
 pub(super) fn depth_error(pairs: &[(&CaptureFrame, &CaptureFrame)]) -> Option<DepthError> {
-    let maps: Vec<_> =
-        pairs.iter().filter_map(|(e, t)| Some((e.depth.as_ref()?, t.depth.as_ref()?, t.mask.as_ref()))).collect();
+    let pairs: Vec<_> = pairs.iter().copied().filter(|(e, t)| e.depth.is_some() && t.depth.is_some()).collect();
     let mut ratios: Vec<f64> = Vec::new();
     let mut any = Vec::new();
-    for &(e, t, mask) in &maps {
-        visit(e, t, mask, |e, z, moving| {
+    for &pair in &pairs {
+        visit(pair, |e, z, region| {
             if e > 0.0 {
-                (if moving { &mut any } else { &mut ratios }).push(z / e);
+                (if region == Region::Dynamic { &mut any } else { &mut ratios }).push(z / e);
             }
         });
     }
@@ -78,23 +104,23 @@ pub(super) fn depth_error(pairs: &[(&CaptureFrame, &CaptureFrame)]) -> Option<De
     }
     ratios.sort_by(f64::total_cmp);
     let scale = median_of_sorted(&ratios);
-    let mut sums = [Sum::default(); 2];
-    for &(e, t, mask) in &maps {
-        visit(e, t, mask, |e, z, moving| {
-            let sum = &mut sums[usize::from(moving)];
-            sum.truth += 1;
-            if e > 0.0 {
-                sum.count += 1;
-                sum.abs_rel += (scale * e - z).abs() / z;
-                sum.within += usize::from((scale * e / z).max(z / (scale * e)) < 1.25);
+    let [mut outside, mut fixed, mut moving] = [Sum::default(); 3];
+    for &pair in &pairs {
+        visit(pair, |e, z, region| match region {
+            Region::Static => {
+                outside.add(scale * e, z);
+                fixed.add(scale * e, z);
             }
+            Region::StaticInMask => fixed.add(scale * e, z),
+            Region::Dynamic => moving.add(scale * e, z),
         });
     }
-    let [fixed, moving] = sums.map(|s| s.score());
+    let [outside, fixed, moving] = [outside, fixed, moving].map(|s| s.score());
     Some(DepthError {
-        frames: maps.len(),
+        frames: pairs.len(),
         scale,
         static_abs_rel: fixed.map(|s| s.0),
+        static_outside_masks_abs_rel: outside.map(|s| s.0),
         static_within_25_percent: fixed.map(|s| s.1),
         static_coverage: fixed.map(|s| s.2),
         moving_abs_rel: moving.map(|s| s.0),

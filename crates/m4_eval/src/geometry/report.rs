@@ -18,6 +18,10 @@ pub struct DepthError {
     pub scale: f64,
     /// Mean of `|scale * estimate - truth| / truth` over static pixels that the estimate covers.
     pub static_abs_rel: Option<f64>,
+    /// The same over those of them that the masks of the estimate leave static: without the errors of masks, inside of which depth is
+    /// that of dynamic objects.
+    #[serde(default)]
+    pub static_outside_masks_abs_rel: Option<f64>,
     /// Share of those pixels within a factor of 1.25.
     pub static_within_25_percent: Option<f64>,
     /// Share of the static pixels of the truth that the estimate covers.
@@ -99,8 +103,14 @@ impl GeometryReport {
         line("focal length", format!("{:+.2} %", self.focal_error_percent));
         if let Some(depth) = &self.depth {
             let cell = |v: Option<f64>| v.map_or("-".to_owned(), |v| format!("{v:.4}"));
-            let (fixed, moving) = (cell(depth.static_abs_rel), cell(depth.moving_abs_rel));
-            line("depth", format!("AbsRel {fixed} static, {moving} dynamic (all pixels of the true masks)"));
+            let [fixed, outside, moving] =
+                [depth.static_abs_rel, depth.static_outside_masks_abs_rel, depth.moving_abs_rel].map(cell);
+            line(
+                "depth",
+                format!(
+                    "AbsRel {fixed} static ({outside} outside the masks), {moving} dynamic (all pixels of the true masks)"
+                ),
+            );
         }
         if let Some(mask) = &self.mask {
             line("masks", format!("IoU {:.3}, precision {:.3}, recall {:.3}", mask.iou, mask.precision, mask.recall));
@@ -283,6 +293,19 @@ pub(super) mod tests {
         assert!((depth.moving_abs_rel.unwrap() - 0.5).abs() < 1e-12);
         assert_eq!(depth.moving_within_25_percent, Some(0.0));
         assert!((depth.static_coverage.unwrap() - 0.75).abs() < 1e-12);
+    }
+
+    #[test]
+    fn static_pixels_in_masks_count_apart() {
+        let mut estimate = capture(2);
+        for frame in &mut estimate.frames {
+            // a quarter of the static half is in the mask, and as far as the dynamic half
+            frame.mask = Some(CompactMask::from_fn(16, 12, |x, _| x < 10));
+            frame.depth = Some(Plane::from_fn(16, 12, |x, _| if x < 10 { 4.0 } else { 2.0 }).into());
+        }
+        let depth = evaluate(&estimate, &capture(2)).unwrap().depth.unwrap();
+        assert_eq!(depth.static_outside_masks_abs_rel, Some(0.0));
+        assert!((depth.static_abs_rel.unwrap() - 0.25).abs() < 1e-12);
     }
 
     #[test]
