@@ -18,9 +18,10 @@ use std::path::{Path, PathBuf};
 /// The page, relative to the root.
 const PAGE: &str = "docs/results.md";
 
-/// What a section measures: the first scenes of the command, the clips, or the machine.
+/// What a section measures: the scenes of the command, the first of those that have held-out views, the clips, or the machine.
 enum Over {
-    Scenes(usize),
+    Scenes,
+    Views(usize),
     Clips,
     Machine,
 }
@@ -30,10 +31,10 @@ type Section = (&'static str, Over, fn(&mut Runs, &[Input]) -> Result<String>);
 
 /// In the order of the page.
 const SECTIONS: [Section; 6] = [
-    ("geometry", Over::Scenes(usize::MAX), geometry::table),
-    ("views", Over::Scenes(usize::MAX), views::tables),
-    ("ablation", Over::Scenes(2), views::ablation),
-    ("explain", Over::Scenes(4), geometry::explained),
+    ("geometry", Over::Scenes, geometry::table),
+    ("views", Over::Views(usize::MAX), views::tables),
+    ("ablation", Over::Views(2), views::ablation),
+    ("explain", Over::Views(4), geometry::explained),
     ("clips", Over::Clips, clips::table),
     ("kernels", Over::Machine, kernels::table),
 ];
@@ -64,15 +65,18 @@ pub fn run(root: &Path, args: &[&str]) -> Result<()> {
             scene => scenes.push(scene.into()),
         }
     }
-    if scenes.is_empty() && sections.iter().any(|s| matches!(s.1, Over::Scenes(_))) {
+    if scenes.is_empty() && sections.iter().any(|s| matches!(s.1, Over::Scenes | Over::Views(_))) {
         bail!("no scene is named; without scenes: --only clips,kernels");
     }
     let origin = machine::origin(root)?;
     let scenes = inputs(scenes, &work.join("scenes"))?;
+    let has_views = |scene: &&Input| scene.path.join("transforms_test.json").is_file();
+    let with_views: Vec<Input> = scenes.iter().filter(has_views).cloned().collect();
     let clips = inputs(clips::files(root, folder.as_deref())?, &work.join("clips"))?;
     let machine = inputs(vec!["machine".into()], &work)?;
     let over = |section: &Section| match section.1 {
-        Over::Scenes(n) => &scenes[..n.min(scenes.len())],
+        Over::Scenes => &scenes[..],
+        Over::Views(n) => &with_views[..n.min(with_views.len())],
         Over::Clips => &clips[..],
         Over::Machine => &machine[..],
     };
@@ -86,7 +90,7 @@ pub fn run(root: &Path, args: &[&str]) -> Result<()> {
     for section in &sections {
         let tables = section.2(&mut runs, over(section))?;
         let words = match section.1 {
-            Over::Scenes(_) => over(section).iter().map(|scene| format!(" {}", scene.name)).collect(),
+            Over::Scenes | Over::Views(_) => over(section).iter().map(|scene| format!(" {}", scene.name)).collect(),
             Over::Clips => folder.iter().map(|dir| format!(" --clips {}", name(dir))).collect(),
             Over::Machine => String::new(),
         };

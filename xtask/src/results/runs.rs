@@ -9,6 +9,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 /// A scene or a clip.
+#[derive(Clone)]
 pub(super) struct Input {
     /// That of its folder, or of its file without the extension.
     pub name: String,
