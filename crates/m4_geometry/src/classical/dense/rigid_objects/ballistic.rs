@@ -4,14 +4,14 @@
 //! ```text
 //! tracklets -> observations: where the middle of a part is seen, and in which frames all of the part is
 //!           -> the acceleration, first from the estimated depth of the parts
-//!           -> flight: stretches of frames on one parabola (parabola: the fit)  <-.
-//!           -> the acceleration from how the camera moved, and from the ground that nothing falls through --'
+//!           -> flights: intervals of frames on one parabola  <-----------------------------------------------.
+//!           -> the acceleration from the motion of the camera, and from the ground that nothing falls through --'
 //!           -> depth by frame
 //! ```
 //!
 //! The rays to an object on a parabola `p + u t + g t^2 / 2` say where it is once `g` is known: every frame gives two
-//! linear equations for the six unknowns of `p` and `u`. Down is the normal of the ground; how fast things fall, in the
-//! unit of the cameras, is one number for the whole clip. Needs no size and no shape, but a ground, and a way that bends.
+//! linear equations for the six unknowns of `p` and `u`. Down is the normal of the ground; the acceleration, in the unit of
+//! the cameras per frame squared, is one number for the whole clip. Needs neither size nor shape, but a ground and a curved path.
 
 use super::ground::Ground;
 use super::{Clip, Flight, Tracklet, flight};
@@ -19,12 +19,12 @@ use crate::FrameRate;
 use m4_core::{Camera, quantile};
 use nalgebra::{Matrix6, Vector2, Vector3, Vector6};
 
-/// Time in flight, of all objects together, that makes a clip one in which things fall, seconds.
-const EVIDENCE_S: f64 = 2.0 / 3.0;
-/// How often flights and the rate are found in turn.
+/// Least time in flight, of all objects together, for the prior to be used, seconds.
+const LEAST_IN_FLIGHT_S: f64 = 2.0 / 3.0;
+/// How often flights and the acceleration are found in turn.
 const ROUNDS: usize = 3;
-/// Flights of one part may differ by this factor in its size.
-const RESIZED: f32 = 1.3;
+/// The sizes that two flights of one part imply may differ by less than this factor.
+const SIZE_RATIO: f32 = 1.3;
 /// The mean depth of what is seen of an object is nearer than its middle by this share of its radius: two thirds for a ball.
 const BULGE: f64 = 0.6;
 
@@ -34,13 +34,13 @@ pub(super) struct RigidObject<'a> {
     /// Of its frames.
     pub cameras: &'a [Camera],
     pub observations: Vec<Observation>,
-    /// z-depth that it seems to have, by frame.
+    /// Its estimated z-depth, by frame.
     pub depth: &'a [f64],
 }
 
-/// The depth of what flies, by part and frame: of what is seen of it, not of its middle. `None` where nothing flies.
+/// The z-depth of objects in flight, by part and frame: of their visible side, not of their middle. `None` where nothing is in flight.
 ///
-/// `depth` is the z-depth that each part seems to have by frame, of which only the order of magnitude matters.
+/// `depth` is the estimated z-depth of each part by frame, of which only the order of magnitude matters.
 pub(super) fn depths(
     clip: &Clip<'_>,
     ground: &Ground,
@@ -57,14 +57,14 @@ pub(super) fn depths(
             depth,
         })
         .collect();
-    let mut g = flight::first_rate(&objects, ground)?;
+    let mut g = flight::first_acceleration(&objects, ground)?;
     let mut flights = Vec::new();
     for _ in 0..ROUNDS {
         flights = flight::find(&objects, ground, g);
-        if flights.iter().flatten().map(Flight::frames).sum::<usize>() < clip.rate.frames(EVIDENCE_S) {
+        if flights.iter().flatten().map(Flight::frames).sum::<usize>() < clip.rate.frames(LEAST_IN_FLIGHT_S) {
             return None;
         }
-        g = flight::settled_rate(&objects, &flights, ground)?;
+        g = flight::settled_acceleration(&objects, &flights, ground)?;
     }
     let along = |object: &RigidObject<'_>, flights: &[Flight]| {
         let mut out = vec![None; object.depth.len()];
@@ -85,34 +85,34 @@ pub(super) fn depths(
 fn one_size(object: &RigidObject<'_>, flights: &[Flight], ground: &Ground, g: f64) -> bool {
     let size = |flight: &Flight| {
         let mut all: Vec<f32> = (flight.first..flight.end)
-            .filter(|&k| object.observations[k].whole)
+            .filter(|&k| object.observations[k].complete)
             .map(|k| (object.observations[k].radius * flight.parabola.depth(&object.cameras[k], k, ground, g)) as f32)
             .collect();
         quantile(&mut all, 0.5)
     };
     let sizes: Vec<f32> = flights.iter().filter_map(size).collect();
     let least = sizes.iter().copied().fold(f32::INFINITY, f32::min);
-    sizes.iter().all(|s| *s < RESIZED * least)
+    sizes.iter().all(|s| *s < SIZE_RATIO * least)
 }
 
-/// A part of less than this share of what it was in the frames around is half hidden.
-const WHOLE: f64 = 0.75;
+/// A part with less than this share of its area in the frames around is partly hidden.
+const COMPLETE: f64 = 0.75;
 /// Time around a frame that tells how large a part usually is, on each side, seconds.
 const AROUND_S: f64 = 1.0 / 6.0;
-/// A part that shares more than this of its edge with another may be behind it.
+/// A part that shares more than this of its outline with another may be behind it.
 const SHARED: f64 = 0.08;
 
 /// What one frame shows of a part.
 pub(super) struct Observation {
-    /// Two directions in the world, across the ray to the middle: their product with what leads from the camera to a
-    /// point of depth 1 is how far the point is seen from the middle, pixels at the working size.
+    /// Two directions in the world, across the ray to the middle: their product with the vector from the camera to a
+    /// point of depth 1 is the distance of the point from the middle in the image, pixels at the working size.
     pub across: [Vector3<f64>; 2],
     /// Of a disc of the same area, over the focal length.
     pub radius: f64,
     /// The same in pixels.
     pub radius_px: f64,
     /// All of the part is in the image and nothing is in front of it, as far as one can tell.
-    pub whole: bool,
+    pub complete: bool,
 }
 
 /// By frame of the tracklet.
@@ -136,7 +136,7 @@ fn observations(clip: &Clip<'_>, tracklet: &Tracklet) -> Vec<Observation> {
                 ],
                 radius: radius_px / lens.fx,
                 radius_px,
-                whole: clear && area[k] > WHOLE * usual,
+                complete: clear && area[k] > COMPLETE * usual,
             }
         })
         .collect()
@@ -171,29 +171,29 @@ fn outline(clip: &Clip<'_>, tracklet: &Tracklet, k: usize, own: &mut [bool]) -> 
 }
 
 /// Fewest frames in which the whole object is seen.
-const LEAST_WHOLE: usize = 6;
+const LEAST_COMPLETE: usize = 6;
 /// Solutions, each weighted by the depths of the one before.
 const SOLUTIONS: usize = 4;
-/// Depths that differ from what the object seems to have by more than this factor are a failure.
+/// Depths that differ from the estimated one by more than this factor are a failure.
 const RANGE: f64 = 20.0;
 
 /// The parabola through the rays to an object, affine in the acceleration.
 #[derive(Clone)]
 pub(super) struct Parabola {
-    /// The frame, counted from the object's first, where it is at its place with its velocity.
+    /// The frame, counted from the object's first, that position and velocity belong to.
     middle: f64,
-    /// Place and velocity a frame without acceleration, and what an acceleration of 1 adds to them.
-    still: Vector6<f64>,
-    fall: Vector6<f64>,
+    /// Position and velocity per frame without acceleration, and what an acceleration of 1 adds to them.
+    without_acceleration: Vector6<f64>,
+    per_acceleration: Vector6<f64>,
     /// Root mean square distance of the middles from it, pixels at the working size.
-    pub miss_px: f64,
+    pub residual_px: f64,
     /// Frames in which the whole object is seen.
     pub seen: usize,
     /// Standard deviation of the depth for a pixel of noise, as a share of it.
-    pub doubt: f64,
-    /// The acceleration that would fit best, and one over its variance for a pixel of noise.
-    pub best: f64,
-    pub sharp: f64,
+    pub depth_sigma: f64,
+    /// The acceleration that fits best, and one over its variance for a pixel of noise.
+    pub best_acceleration: f64,
+    pub information: f64,
 }
 
 impl Parabola {
@@ -224,9 +224,10 @@ impl Parabola {
         ground: &Ground,
         g: f64,
     ) -> Option<Self> {
-        let (mut a, mut still, mut fall) = (Matrix6::zeros(), Vector6::zeros(), Vector6::zeros());
+        let (mut a, mut without_acceleration, mut per_acceleration) =
+            (Matrix6::zeros(), Vector6::zeros(), Vector6::zeros());
         let mut rows = Vec::new();
-        for (i, z) in z.iter().enumerate().filter(|(i, _)| object.observations[first + i].whole) {
+        for (i, z) in z.iter().enumerate().filter(|(i, _)| object.observations[first + i].complete) {
             let k = first + i;
             let t = k as f64 - middle;
             let c = object.cameras[k].centre();
@@ -237,42 +238,43 @@ impl Parabola {
                 row.fixed_rows_mut::<3>(3).copy_from(&(e * t));
                 let (b, d) = (e.dot(&c), -0.5 * t * t * e.dot(&ground.down));
                 a += row * row.transpose();
-                still += row * b;
-                fall += row * d;
+                without_acceleration += row * b;
+                per_acceleration += row * d;
                 rows.push((row, b, d));
             }
         }
-        if rows.len() < 2 * LEAST_WHOLE {
+        if rows.len() < 2 * LEAST_COMPLETE {
             return None;
         }
         let solver = a.cholesky()?;
-        let (still, fall) = (solver.solve(&still), solver.solve(&fall));
-        let (mut off, mut cross, mut sharp) = (0.0, 0.0, 0.0);
+        let (without_acceleration, per_acceleration) =
+            (solver.solve(&without_acceleration), solver.solve(&per_acceleration));
+        let (mut off, mut cross, mut information) = (0.0, 0.0, 0.0);
         for (row, b, d) in &rows {
-            let (rc, rg) = (row.dot(&still) - b, row.dot(&fall) - d);
+            let (rc, rg) = (row.dot(&without_acceleration) - b, row.dot(&per_acceleration) - d);
             off += (rc + g * rg).powi(2);
             cross += rc * rg;
-            sharp += rg * rg;
+            information += rg * rg;
         }
         let at = z.len() / 2;
         let ahead = (object.cameras[first + at].c2w.rotation * Vector3::z()) / z[at];
         let place = solver.inverse().fixed_view::<3, 3>(0, 0).into_owned();
         Some(Self {
             middle,
-            still,
-            fall,
-            miss_px: (2.0 * off / rows.len() as f64).sqrt(),
+            without_acceleration,
+            per_acceleration,
+            residual_px: (2.0 * off / rows.len() as f64).sqrt(),
             seen: rows.len() / 2,
-            doubt: ahead.dot(&(place * ahead)).sqrt(),
-            best: -cross / sharp.max(1e-30),
-            sharp,
+            depth_sigma: ahead.dot(&(place * ahead)).sqrt(),
+            best_acceleration: -cross / information.max(1e-30),
+            information,
         })
     }
 
     /// The middle of the object in frame `k` at the acceleration `g`.
     pub fn at(&self, k: usize, ground: &Ground, g: f64) -> Vector3<f64> {
         let t = k as f64 - self.middle;
-        let x = self.still + self.fall * g;
+        let x = self.without_acceleration + self.per_acceleration * g;
         x.fixed_rows::<3>(0) + x.fixed_rows::<3>(3) * t + ground.down * (0.5 * g * t * t)
     }
 

@@ -36,8 +36,9 @@ const SHORTEST_S: f64 = 0.2;
 const FEWEST: usize = 5;
 /// Flow whose round trip misses by more than this is not followed, pixels at the working size.
 pub(super) const ROUND_TRIP_PX: f32 = 1.5;
-/// Background that is nearer than the part in front of it by more than this factor is not behind it: it was filled in from a static occluder.
-const IN_FRONT: f32 = 1.2;
+/// A part may seem to lie behind what it hides by up to this factor of depth. Background that is nearer still is not behind it but was
+/// filled in from a static occluder, and a scale that puts the part farther still is wrong.
+const OCCLUSION_RANGE: f32 = 1.2;
 /// Strength of the edge-aware spreading, pixels squared (Min et al. 2014, lambda).
 const FILL_LAMBDA: f32 = 100.0;
 
@@ -143,7 +144,8 @@ fn spread(
             let p = p as usize;
             if reach[p] > 1e-4 {
                 let background = clip.disparity[i][p];
-                disparity[p] = if background < IN_FRONT * filled[p] { filled[p].max(background) } else { filled[p] };
+                disparity[p] =
+                    if background < OCCLUSION_RANGE * filled[p] { filled[p].max(background) } else { filled[p] };
             }
         }
     }

@@ -1,7 +1,7 @@
 //! The one number that the motion of a part does not reveal.
 
 use super::rigid::Shape;
-use super::{Clip, Tracklet};
+use super::{Clip, OCCLUSION_RANGE, Tracklet};
 use crate::classical::dense::moving_depth::{BELOW_PX, FEET_SHARE, HIDDEN_QUANTILE};
 use m4_core::quantile;
 use nalgebra::Vector3;
@@ -15,10 +15,8 @@ const GROUND_SLOPE: f32 = 0.003;
 /// Least share of its frames in which a region must have ground under it for its scale to be known.
 const STANDING_SHARE: f32 = 0.3;
 /// A region whose path, at its best scale, is shorter than this share of what the path of the camera would make of it at another
-/// scale stays in place, and that is its scale.
+/// scale stays in place, and that is its scale, unless it is out of [`OCCLUSION_RANGE`].
 const STILL_REST: f64 = 0.12;
-/// ... unless that is farther than what it hides by more than this factor.
-const STILL_RANGE: f32 = 1.2;
 /// Rounds of the robust fit of a fixed place, and the residual that counts half, in medians (Cauchy).
 const ROUNDS: usize = 5;
 const CAUCHY: f64 = 2.0;
@@ -54,7 +52,7 @@ pub(super) fn read(clip: &Clip<'_>, tracklet: &Tracklet, shape: &Shape) -> Optio
     // Nothing but the right factor makes a part stay where it is while the camera passes it.
     let still = in_place(clip, tracklet, shape)
         .map(|(factor, rest)| (factor as f32, rest))
-        .filter(|&(factor, rest)| rest < STILL_REST && factor > bound / STILL_RANGE);
+        .filter(|&(factor, rest)| rest < STILL_REST && factor > bound / OCCLUSION_RANGE);
     Some(Reading { typical, bound, known: still.map(|(factor, _)| factor).or(touch) })
 }
 
