@@ -20,9 +20,13 @@ fn mix(mut z: u64) -> u64 {
 impl CounterRng {
     /// The stream of `seed`, `purpose` (what the numbers are for) and `index` (iteration, splat, ...).
     pub fn new(seed: u64, purpose: u64, index: u64) -> Self {
-        let key = mix(mix(seed ^ 0x9e37_79b9_7f4a_7c15).wrapping_add(purpose))
-            .wrapping_add(mix(index ^ 0x517c_c1b7_2722_0a95));
+        let key = Self::base(seed, purpose).wrapping_add(mix(index ^ 0x517c_c1b7_2722_0a95));
         Self { key, counter: 0 }
+    }
+
+    /// The part of a stream's key that the index has no part in: for GPUs, which make the rest.
+    pub fn base(seed: u64, purpose: u64) -> u64 {
+        mix(mix(seed ^ 0x9e37_79b9_7f4a_7c15).wrapping_add(purpose))
     }
 
     /// 64 uniform bits.

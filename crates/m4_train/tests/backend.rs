@@ -1,13 +1,14 @@
 //! A backend that must be waited for gives the bits of one that need not, and one that fails leaves the last splats that were checked.
 
-use crate::common::{Watched, disturbed, video};
+use crate::common::{FRAMES, disturbed, video};
+use crate::watched::{Calls, Watched};
 use m4_core::{Silent, Splats};
 use m4_kernels::SimdLevel;
 use m4_train::backend::CpuBackend;
 use m4_train::{DensityConfig, TrainConfig, TrainError, Trainer, config::SplitPlacement, init::FirstSplats};
 use std::collections::HashSet;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::atomic::Ordering;
 
 /// Density control and a fit of colours within this many steps.
 fn config() -> TrainConfig {
@@ -21,11 +22,13 @@ fn config() -> TrainConfig {
 }
 
 #[test]
-fn asynchronous_steps_and_density_control_of_the_trainer_give_the_same_bits() {
+fn asynchronous_steps_give_the_same_bits() {
     let (scene, capture) = video();
     let mut cameras = config();
     let refine = &mut cameras.refine;
     (refine.poses, refine.focal, refine.exposure, refine.from) = (true, true, true, 20);
+    let mut paths = cameras.clone();
+    paths.refine.focal = false;
     let faithful = TrainConfig { iterations: 60, keep_every_s: 1e9, ..TrainConfig::faithful() };
     let drawn = DensityConfig { split_placement: SplitPlacement::Sample, ..config().density };
     let literal = DensityConfig {
@@ -36,20 +39,23 @@ fn asynchronous_steps_and_density_control_of_the_trainer_give_the_same_bits() {
         prune_every: 20,
         ..DensityConfig::faithful()
     };
-    for (config, own) in [
-        (config(), 4),
-        (cameras, 4),
-        (TrainConfig { batch: 3, ..config() }, 4),
-        (faithful, 0),
-        (TrainConfig { density: drawn, ..config() }, 4),
-        (TrainConfig { density: literal, keep_every_s: 1e9, ..config() }, 6),
+    for (config, rounds, most_waits) in [
+        (config(), 4, 20),
+        (cameras, 4, 100),
+        // all frames are drawn before one of them is drawn twice
+        (paths.clone(), 4, 20 + 3 * 80 / FRAMES),
+        (TrainConfig { batch: 3, ..paths }, 4, 80),
+        (TrainConfig { batch: 3, ..config() }, 4, 20),
+        (faithful, 0, 20),
+        (TrainConfig { density: drawn, ..config() }, 4, 20),
+        (TrainConfig { density: literal, keep_every_s: 1e9, ..config() }, 6, 20),
     ] {
-        let run = |watched: Option<Option<&Arc<AtomicUsize>>>| {
+        let run = |calls: Option<&Arc<Calls>>| {
             let splats = disturbed(&scene, 2);
             let mut trainer = Trainer::new(&capture, splats, config.clone(), SimdLevel::best()).unwrap();
-            if let Some(rounds) = watched {
+            if let Some(calls) = calls {
                 let cpu = CpuBackend::new(&capture, 0, SimdLevel::best());
-                trainer.use_backend(Box::new(Watched::new(Box::new(cpu), rounds))).unwrap();
+                trainer.use_backend(Box::new(Watched::new(Box::new(cpu), calls))).unwrap();
             }
             let mut events = Vec::new();
             // stopped and asked in between, as checkpoints do
@@ -61,20 +67,20 @@ fn asynchronous_steps_and_density_control_of_the_trainer_give_the_same_bits() {
             let state = format!("{:?}", trainer.state());
             (middle, trainer.scene(), state, counts, losses)
         };
-        let rounds = Arc::new(AtomicUsize::new(0));
-        let here = run(None);
-        for (there, decider) in [(run(Some(Some(&rounds))), "the backend"), (run(Some(None)), "the trainer")] {
-            assert!(here.0 == there.0, "after 37 steps, {decider} decides");
-            assert!(here.1 == there.1, "at the end, {decider} decides");
-            assert!(here.2 == there.2, "the optimiser's state, {decider} decides");
-            assert_eq!(here.3, there.3, "splats, {decider} decides");
-            for (i, (a, b)) in here.4.iter().zip(&there.4).enumerate() {
-                assert!((a - b).abs() < 1e-9, "loss of event {i}: {a} and {b}");
-            }
+        let calls = Arc::default();
+        let (here, there) = (run(None), run(Some(&calls)));
+        assert!(here.0 == there.0, "after 37 steps");
+        assert!(here.1 == there.1, "at the end");
+        assert!(here.2 == there.2, "the optimiser's state");
+        assert_eq!(here.3, there.3, "splats");
+        for (i, (a, b)) in here.4.iter().zip(&there.4).enumerate() {
+            assert!((a - b).abs() < 1e-9, "loss of event {i}: {a} and {b}");
         }
-        assert_eq!(rounds.load(Ordering::Relaxed), own, "rounds of the backend");
+        assert_eq!(calls.rounds.load(Ordering::Relaxed), rounds, "rounds of density control");
+        let waits = calls.waits.load(Ordering::Relaxed);
+        assert!(waits <= most_waits, "{waits} waits");
         let (first, last) = (disturbed(&scene, 2).n(), here.1.splats.n());
-        assert_eq!(own > 0, first != last, "{first} splats became {last}");
+        assert_eq!(rounds > 0, first != last, "{first} splats became {last}");
     }
 }
 
@@ -95,7 +101,7 @@ fn densification_by_gradients_adds_splats_on_the_cpu_and_is_refused_elsewhere() 
     let (first, last) = (disturbed(&scene, 2).n(), scene_there.splats.n());
     assert!(last > first && last <= 3 * first, "{first} splats became {last}");
     assert!(scene_there.splats.is_finite() && run(&[37, 100]) == scene_there, "stopped in between");
-    let other = Watched::new(Box::new(CpuBackend::new(&capture, 0, SimdLevel::best())), None);
+    let other = Watched::new(Box::new(CpuBackend::new(&capture, 0, SimdLevel::best())), &Arc::default());
     let refused = start().use_backend(Box::new(other)).unwrap_err().to_string();
     assert!(refused.contains("density.loss_guided") && refused.contains("--device cpu"), "{refused}");
 }
@@ -103,21 +109,19 @@ fn densification_by_gradients_adds_splats_on_the_cpu_and_is_refused_elsewhere() 
 #[test]
 fn a_backend_that_fails_leaves_the_last_good_splats() {
     let (scene, capture) = video();
-    let watched = |rounds: Option<&Arc<AtomicUsize>>| {
-        Watched::new(Box::new(CpuBackend::new(&capture, 0, SimdLevel::best())), rounds)
-    };
+    let watched = |calls: &Arc<Calls>| Watched::new(Box::new(CpuBackend::new(&capture, 0, SimdLevel::best())), calls);
     let run_with = |watched: Watched<'_>, config: TrainConfig, iterations: usize| {
         let mut trainer = Trainer::new(&capture, disturbed(&scene, 2), config, SimdLevel::best()).unwrap();
         trainer.use_backend(Box::new(watched)).unwrap();
         let end = trainer.run_until(iterations, &Silent, &mut |_| {});
         (end, trainer.scene(), trainer.iteration())
     };
-    let failing = |fails_at, rounds: Option<&Arc<AtomicUsize>>| {
-        let mut watched = watched(rounds);
+    let failing = |fails_at, calls: &Arc<Calls>| {
+        let mut watched = watched(calls);
         watched.fails_at = fails_at;
         watched
     };
-    let run = |fails_at, iterations| run_with(failing(fails_at, None), config(), iterations);
+    let run = |fails_at, iterations| run_with(failing(fails_at, &Arc::default()), config(), iterations);
     let (end, kept, at) = run(31, 100);
     let Err(TrainError::Device { why, iteration, good_iteration }) = end else {
         panic!("{end:?}");
@@ -129,7 +133,7 @@ fn a_backend_that_fails_leaves_the_last_good_splats() {
 
     // the CPU goes on from there
     let mut trainer = Trainer::new(&capture, disturbed(&scene, 2), config(), SimdLevel::best()).unwrap();
-    trainer.use_backend(Box::new(failing(31, None))).unwrap();
+    trainer.use_backend(Box::new(failing(31, &Arc::default()))).unwrap();
     assert!(trainer.run_until(100, &Silent, &mut |_| {}).is_err());
     trainer.use_cpu(SimdLevel::best()).unwrap();
     let mut losses = Vec::new();
@@ -139,15 +143,15 @@ fn a_backend_that_fails_leaves_the_last_good_splats() {
 
     // splats are not copied more often than the settings say
     let rarely = TrainConfig { keep_every_s: 1e9, arcs: false, ..config() };
-    let rounds = Arc::new(AtomicUsize::new(0));
-    let (end, kept, at) = run_with(failing(71, Some(&rounds)), rarely, 100);
+    let calls = Arc::default();
+    let (end, kept, at) = run_with(failing(71, &calls), rarely, 100);
     assert!(matches!(end, Err(TrainError::Device { good_iteration: 0, .. })), "{end:?}");
-    assert_eq!((at, rounds.load(Ordering::Relaxed)), (0, 3));
+    assert_eq!((at, calls.rounds.load(Ordering::Relaxed)), (0, 3));
     let (_, there, _) = run(0, 0);
     assert!(kept == there);
 
     // the backend says at the next check that a number is not finite
-    let mut broken = watched(Some(&rounds));
+    let mut broken = watched(&calls);
     broken.breaks_at = 41;
     let (end, kept, at) = run_with(broken, config(), 100);
     let Err(TrainError::Diverged { what, iteration, good_iteration }) = end else {
@@ -203,7 +207,7 @@ fn fixed_splats_are_drawn_but_never_trained_cloned_or_pruned() {
     assert!(start(dynamic).state() == start(0..0).state(), "dynamic splats are trained all the same");
 
     // without the state of the optimiser, which a device keeps for itself when it fails
-    let mut broken = Watched::new(Box::new(CpuBackend::new(&capture, 0, level)), None);
+    let mut broken = Watched::new(Box::new(CpuBackend::new(&capture, 0, level)), &Arc::default());
     broken.fails_at = 31;
     let mut moved = start(fixed);
     moved.use_backend(Box::new(broken)).unwrap();

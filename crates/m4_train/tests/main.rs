@@ -7,6 +7,7 @@ mod determinism;
 mod fewer_steps;
 mod init;
 mod synthetic_video;
+mod watched;
 
 /// Runs `f` on a pool of that many threads.
 fn on_threads<R: Send>(threads: usize, f: impl FnOnce() -> R + Send) -> R {

@@ -24,6 +24,7 @@ pub mod frames;
 pub mod log;
 pub mod morton;
 mod plan;
+pub mod random;
 mod renderer;
 pub mod scan;
 pub mod sort;

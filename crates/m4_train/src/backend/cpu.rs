@@ -98,6 +98,23 @@ impl<'a> CpuBackend<'a> {
         }
     }
 
+    /// Both scores of every splat over some frames; 0 of fixed ones.
+    fn score(&mut self, views: &[(usize, View)], settings: &ScoreSettings) -> Scores {
+        let mut input = ScoreInput {
+            level: self.level,
+            settings,
+            frames: &mut self.frames,
+            exposures: &self.exposures,
+            renderer: &mut self.renderer,
+            scratch: &mut self.scratch,
+        };
+        let mut scores = score(&mut input, &self.splats, views);
+        for row in self.fixed() {
+            (scores.densify[row], scores.prune[row]) = (0.0, 0.0);
+        }
+        scores
+    }
+
     /// Rows that are never stepped, all of them static.
     fn fixed(&self) -> Vec<usize> {
         (0..self.splats.n_static()).filter(|&row| self.adam.step[row] == FIXED).collect()
@@ -243,31 +260,15 @@ impl Backend for CpuBackend<'_> {
         Ok(stats)
     }
 
-    fn score(&mut self, views: &[(usize, View)], settings: &ScoreSettings) -> Result<Scores, BackendError> {
-        let mut input = ScoreInput {
-            level: self.level,
-            settings,
-            frames: &mut self.frames,
-            exposures: &self.exposures,
-            renderer: &mut self.renderer,
-            scratch: &mut self.scratch,
-        };
-        let mut scores = score(&mut input, &self.splats, views);
-        for row in self.fixed() {
-            (scores.densify[row], scores.prune[row]) = (0.0, 0.0);
-        }
-        Ok(scores)
-    }
-
     fn collect_image_gradients(&mut self) -> bool {
         self.image_gradients.get_or_insert_default();
         true
     }
 
-    fn densify(&mut self, round: &DensityRound<'_>) -> Result<Option<DensityStats>, BackendError> {
+    fn densify(&mut self, round: &DensityRound<'_>) -> Result<DensityStats, BackendError> {
         let scores = match &mut self.image_gradients {
             Some(sums) => sums.take(self.splats.n()),
-            None => self.score(round.views, &round.scores)?,
+            None => self.score(round.views, &round.scores),
         };
         let plan = round.rules.plan(&self.splats, &scores);
         let mut stats = DensityStats::default();
@@ -277,7 +278,7 @@ impl Backend for CpuBackend<'_> {
             (stats.cloned, stats.split, stats.pruned) = (plan.cloned, plan.split, plan.pruned);
         }
         (stats.n_static, stats.n_dynamic) = (self.splats.n_static(), self.splats.n_dynamic());
-        Ok(Some(stats))
+        Ok(stats)
     }
 
     fn colour_sums(&mut self, views: &[(usize, View)], with_weight: bool) -> Result<ColourSums, BackendError> {

@@ -12,10 +12,7 @@ pub mod gpu;
 pub use cpu::CpuBackend;
 pub(crate) use frames::{FrameStore, targets};
 
-use crate::{
-    config::ErrorRange,
-    density::{Rules, Scores},
-};
+use crate::{config::ErrorRange, density::Rules};
 use m4_core::{Exposure, Splats};
 use m4_kernels::adam::cpu::{AdamConfig, AdamState};
 use m4_kernels::loss::cpu::Target;
@@ -171,20 +168,15 @@ pub trait Backend: std::fmt::Debug {
     /// Waits for all steps and returns their statistics since the last call. Fails with [`BackendError`].
     fn stats(&mut self) -> Result<StepStats, BackendError>;
 
-    /// Both scores of every splat over some frames, as [`crate::density`] defines them; 0 of
-    /// [fixed](m4_kernels::adam::FIXED) ones. Fails with [`BackendError`].
-    fn score(&mut self, views: &[(usize, View)], settings: &ScoreSettings) -> Result<Scores, BackendError>;
-
     /// Collects the gradients with respect to the centres of splats in the image from here on, which take the place of the scores where
     /// [`crate::DensityConfig::loss_guided`] is off. False from a backend that has none.
     fn collect_image_gradients(&mut self) -> bool {
         false
     }
 
-    /// A whole round of density control, as [`crate::density::apply`] of the round's plan does it. Where nothing would be
-    /// left, nothing changes. `None` from a backend that does not support this round: the trainer then asks for scores and decides.
-    /// Fails with [`BackendError`].
-    fn densify(&mut self, round: &DensityRound<'_>) -> Result<Option<DensityStats>, BackendError>;
+    /// A whole round of density control, as [`crate::density::apply`] of the round's plan does it; scores of
+    /// [fixed](m4_kernels::adam::FIXED) splats are 0. Where nothing would be left, nothing changes. Fails with [`BackendError`].
+    fn densify(&mut self, round: &DensityRound<'_>) -> Result<DensityStats, BackendError>;
 
     /// Sums for the fit of colours over some frames; nothing for [fixed](m4_kernels::adam::FIXED) splats.
     /// Fails with [`BackendError`].

@@ -65,14 +65,19 @@ fn apply_to_splats(
                 }
             }
             Origin::Child(k) => {
-                let key = (iteration as u64) << 8 | u64::from(k);
                 let parent = u64::from(plan.rows[row]);
-                let rng = CounterRng::new(seed, purpose::SPLIT.wrapping_add(key << 32), parent);
+                let rng = CounterRng::new(seed, child_purpose(iteration, k), parent);
                 become_child(out, row, rng);
             }
         }
     }
     Ok(())
+}
+
+/// What the random numbers of child `k` of splats that are split after `iteration` steps are for; the parent's row is the index.
+pub(super) fn child_purpose(iteration: usize, k: u8) -> u64 {
+    let key = (iteration as u64) << 8 | u64::from(k);
+    purpose::SPLIT.wrapping_add(key << 32)
 }
 
 /// The state of splats that were [rearranged](Splats::rearrange) in the same way.

@@ -60,6 +60,8 @@ pub struct Trainer<'a> {
     saved: Instant,
     /// What the last steps found.
     last: StepReport,
+    /// Frames whose cameras or exposures have gradients that the backend still holds.
+    unsettled: HashSet<usize>,
     /// Frames, one per frame of the capture.
     times: Vec<f64>,
     time_frames: usize,
@@ -157,6 +159,7 @@ impl<'a> Trainer<'a> {
             counts: (splats.n_static(), splats.n_dynamic()),
             saved: Instant::now(),
             last: StepReport::NONE,
+            unsettled: HashSet::new(),
             times: capture.frames.iter().map(|f| f.t).collect(),
             time_frames: capture.time_frames,
             duration_s: capture.duration_s,
@@ -245,7 +248,8 @@ impl<'a> Trainer<'a> {
 
     /// Takes steps on `backend` from here on instead of the CPU. The result depends on it as on a SIMD level: the same device gives
     /// the same bits, another one last digits of its own.
-    /// With corrections of cameras or exposures every step waits for the device.
+    /// Corrections of poses or exposures wait for the device where a frame is drawn again, a few times for all frames; that of
+    /// the focal length waits in every step.
     /// Fails with [`TrainError::Device`] if the backend that was used before fails to give its splats back, and with
     /// [`TrainError::BadSetting`] if it has no gradients in the image and density control needs them.
     pub fn use_backend(&mut self, mut backend: Box<dyn Backend + 'a>) -> Result<(), TrainError> {

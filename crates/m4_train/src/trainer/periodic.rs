@@ -4,7 +4,7 @@ use crate::{
     TrainError, arcs,
     backend::{DensityRound, ScoreSettings},
     colour_fit::correct,
-    density::{Decision, Rules, apply},
+    density::{Decision, Rules},
     schedule::purpose,
     trainer::Trainer,
 };
@@ -38,6 +38,7 @@ impl Trainer<'_> {
         let (config, scale) = (self.config.density.clone(), self.scale.clone());
         let mut views = Vec::new();
         if due.densify || due.prune_by_score {
+            self.settle()?;
             self.prepare()?;
             if config.loss_guided {
                 views = self.frames_to_score();
@@ -54,30 +55,12 @@ impl Trainer<'_> {
             seed: self.config.seed,
             iteration: self.iteration,
         };
-        let Some(stats) = self.ask(|backend| backend.densify(&round))? else {
-            return self.round_here(&round);
-        };
+        let stats = self.ask(|backend| backend.densify(&round))?;
         if !stats.changes_nothing() {
             self.counts = (stats.n_static, stats.n_dynamic);
             self.reorder()?;
         }
         Ok(())
-    }
-
-    /// A round that the backend does not support: scored there, decided and carried out here.
-    fn round_here(&mut self, round: &DensityRound<'_>) -> Result<(), TrainError> {
-        let scores = self.ask(|backend| backend.score(round.views, &round.scores))?;
-        self.download()?;
-        let plan = round.rules.plan(&self.splats, &scores);
-        // A set of splats is never emptied: whatever the rules say, there must be something to train.
-        if plan.changes_nothing() || plan.rows.is_empty() {
-            return Ok(());
-        }
-        self.synchronize()?;
-        let (config, splats, adam) = (round.rules.config, &mut self.splats, &mut self.adam);
-        apply(config, &plan, splats, adam, round.seed, round.iteration)?;
-        self.prepare()?;
-        self.reorder()
     }
 
     /// Frames drawn for the scores, and how they are seen.
@@ -91,6 +74,7 @@ impl Trainer<'_> {
 impl Trainer<'_> {
     /// Solves for the colours; weights are measured once.
     pub(super) fn fit_colours(&mut self) -> Result<(), TrainError> {
+        self.settle()?;
         let views: Vec<(usize, View)> = (0..self.times.len()).map(|frame| (frame, self.view(frame))).collect();
         self.prepare()?;
         self.download()?;

@@ -32,8 +32,11 @@ impl Trainer<'_> {
     /// Draws the frames of a step, compares, moves every splat that was seen, and does what is due after it.
     pub(crate) fn step(&mut self) -> Result<(), TrainError> {
         let (i, n, batch) = (self.iteration, self.config.iterations, self.config.batch);
-        self.prepare()?;
         let frames: Vec<usize> = (0..batch).map(|k| self.picker.pick(i * batch + k)).collect();
+        if frames.iter().any(|frame| self.unsettled.contains(frame)) {
+            self.settle()?;
+        }
+        self.prepare()?;
         let views: Vec<View> = frames.iter().map(|&f| self.view(f)).collect();
         let x = schedule::progress(i, n);
         let mut lr = rates(&self.config.lr, self.splats.layout(), &self.scale, self.basis, x);
@@ -53,8 +56,11 @@ impl Trainer<'_> {
         };
         self.ask(|backend| backend.step(&views, &settings))?;
         self.is_current = false;
-        if camera || exposure || self.backend.is_synchronous() {
-            // cameras and exposures are corrected before they are used again
+        if camera || exposure {
+            self.unsettled.extend(&frames);
+        }
+        // all frames share the focal length
+        if (camera && self.config.refine.focal) || self.backend.is_synchronous() {
             self.report()?;
         }
 
@@ -71,6 +77,7 @@ impl Trainer<'_> {
     /// Waits for the backend, adds its statistics to the totals, corrects cameras and exposures, and returns loss and PSNR.
     pub(crate) fn report(&mut self) -> Result<StepReport, TrainError> {
         let stats = self.ask(|backend| backend.stats())?;
+        self.unsettled.clear();
         if stats.steps == 0 {
             return Ok(self.last);
         }
@@ -99,6 +106,14 @@ impl Trainer<'_> {
         }
         self.last = StepReport { loss, psnr: stats.psnr };
         Ok(self.last)
+    }
+
+    /// Corrects the cameras and exposures of all frames drawn so far: before one of them is drawn again, or saved.
+    pub(super) fn settle(&mut self) -> Result<(), TrainError> {
+        if !self.unsettled.is_empty() {
+            self.report()?;
+        }
+        Ok(())
     }
 
     /// Frames, splats and exposures are on the backend: before anything is drawn.
@@ -162,6 +177,7 @@ impl Trainer<'_> {
     /// Fails with [`TrainError::Device`] if it failed; the trainer then has the last good splats.
     pub(super) fn synchronize(&mut self) -> Result<(), TrainError> {
         if self.is_uploaded {
+            self.settle()?;
             let (splats, adam) = self.ask(|backend| backend.take())?;
             self.is_uploaded = false;
             if !splats.is_finite() {
@@ -206,5 +222,6 @@ impl Trainer<'_> {
         (self.is_uploaded, self.is_current) = (false, true);
         self.counts = (self.splats.n_static(), self.splats.n_dynamic());
         self.last = StepReport::NONE;
+        self.unsettled.clear();
     }
 }

@@ -9,9 +9,7 @@ pub use bench::{Bench, Drawing};
 pub use trainer::GpuTrainer;
 pub(crate) use trainer::TRAINING;
 
-use super::{Backend, BackendError, ColourSums, DensityRound, DensityStats, ScoreSettings, StepSettings, StepView};
-use crate::config::SplitPlacement;
-use crate::density::Scores;
+use super::{Backend, BackendError, ColourSums, DensityRound, DensityStats, StepSettings, StepView};
 use m4_core::{Exposure, Splats};
 use m4_kernels::adam::cpu::AdamState;
 use m4_kernels::gpu::{Gpu, GpuError, Plan};
@@ -130,17 +128,8 @@ impl Backend for GpuBackend {
         self.trainer()?.stats().map_err(failed)
     }
 
-    fn score(&mut self, views: &[(usize, View)], settings: &ScoreSettings) -> Result<Scores, BackendError> {
-        self.trainer()?.score(views, settings).map_err(failed)
-    }
-
-    fn densify(&mut self, round: &DensityRound<'_>) -> Result<Option<DensityStats>, BackendError> {
-        let rules = &round.rules;
-        if rules.due.densify && rules.config.split_placement == SplitPlacement::Sample {
-            // random numbers are drawn on the CPU
-            return Ok(None);
-        }
-        self.trainer()?.densify(round).map(Some).map_err(failed)
+    fn densify(&mut self, round: &DensityRound<'_>) -> Result<DensityStats, BackendError> {
+        self.trainer()?.densify(round).map_err(failed)
     }
 
     fn colour_sums(&mut self, views: &[(usize, View)], with_weight: bool) -> Result<ColourSums, BackendError> {

@@ -15,7 +15,6 @@ use crate::{
         DensityRound, DensityStats, ScoreSettings,
         gpu::{GpuTrainer, TRAINING},
     },
-    config::CloneOpacity,
     density::Scores,
 };
 use cubecl::prelude::*;
@@ -39,10 +38,10 @@ mod outcomes;
 mod rank;
 
 impl GpuTrainer {
-    /// Clones, splits and prunes splats by the rules of `round`. Halves always lie along the longest axis. Survivors
-    /// keep the optimiser's state, new splats start from nothing. Rows are in their old order, static before dynamic,
-    /// the new ones after those that stay; halves lie 0.6 standard deviations to both sides along the longest axis, 0.8
-    /// as long there. Where nothing would be left, nothing changes. Fails with [`GpuError`] if there is no such frame,
+    /// Clones, splits and prunes splats by the rules of `round`. Survivors keep the optimiser's state, new splats start from
+    /// nothing. Rows are in their old order, static before dynamic, the new ones after those that stay; halves lie 0.6
+    /// standard deviations to both sides along the longest axis, 0.8 as long there, or are drawn as on the CPU, to the last
+    /// digits. Where nothing would be left, nothing changes. Fails with [`GpuError`] if there is no such frame,
     /// if there is no room, or if the device failed; the trainer is not to be used after that.
     pub fn densify(&mut self, round: &DensityRound<'_>) -> Result<DensityStats, GpuError> {
         let n = self.splats.n;
@@ -60,12 +59,11 @@ impl GpuTrainer {
         if grown.changes_nothing() || next == 0 {
             return Ok(unchanged);
         }
-        let share = round.rules.config.clone_opacity == CloneOpacity::Share;
         let rows = new_splats::Rows::new(&client, &outcomes, (n, unchanged.n_static), next);
         let shape = (next, grown.n_static);
         self.gather_adam(&rows.states, shape);
         let splats = gathered(&self.gpu, &self.splats, &rows.sources, shape);
-        rows.shape(&client, &self.splats, &splats, share);
+        rows.shape(&client, &self.splats, &splats, round);
         self.splats = splats;
         self.gradients = self.splats.like(&self.gpu);
         self.make(Size { n: next, ..self.work.size })?;

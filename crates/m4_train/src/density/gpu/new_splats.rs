@@ -2,20 +2,26 @@
 #![expect(clippy::collapsible_if, reason = "kernels are expanded: conditions at compile time stand alone")]
 
 use super::outcomes::{Outcomes, birth_of, stay_of};
+use crate::backend::DensityRound;
+use crate::config::{CloneOpacity, SplitPlacement};
+use crate::density::new_splats::child_purpose;
 use cubecl::prelude::*;
+use m4_core::CounterRng;
 use m4_kernels::gpu::buffer::{Buffer, cubes, units};
+use m4_kernels::gpu::random::{Wide, key, normal, wide};
 use m4_kernels::gpu::splats::DeviceSplats;
 use m4_kernels::gpu::splats::NOTHING;
-use m4_kernels::gpu::vector::{dot, v3};
-use m4_kernels::slice::gpu::shape;
+use m4_kernels::gpu::vector::{V3, dot, v3};
+use m4_kernels::slice::gpu::{Shape, shape};
 
-/// A row is the splat that it was.
-const KEPT: u32 = 0;
-/// A clone, or what was cloned.
+/// A clone, or what was cloned; 0 is a row that stays as it is.
 const SHARES: u32 = 1;
 /// The two halves of a splat.
 const HALF: u32 = 2;
 const OTHER_HALF: u32 = 3;
+
+/// Of drawn children, whose scales are those of the parent over 1.6.
+const LN_SPLIT_FACTOR: f32 = 0.470_003_63;
 
 /// Of each row of the next splats:
 pub(super) struct Rows {
@@ -47,7 +53,10 @@ impl Rows {
     }
 
     /// Makes clones and halves of the copies of their `parents` that `splats` has.
-    pub fn shape(&self, client: &Client, parents: &DeviceSplats, splats: &DeviceSplats, share_opacity: bool) {
+    pub fn shape(&self, client: &Client, parents: &DeviceSplats, splats: &DeviceSplats, round: &DensityRound<'_>) {
+        let config = round.rules.config;
+        let [first, second] = [0, 1].map(|child| CounterRng::base(round.seed, child_purpose(round.iteration, child)));
+        let words = |base: u64| ((base >> 32) as u32, base as u32);
         shape_new_splats::launch(
             client,
             cubes(splats.n, 256),
@@ -56,10 +65,17 @@ impl Rows {
             self.sources.arg(),
             parents.geometry.arg(),
             splats.geometry.arg(),
+            splats.time.arg(),
             parents.n as u32,
             splats.n as u32,
+            splats.n_static as u32,
+            words(first).0,
+            words(first).1,
+            words(second).0,
+            words(second).1,
             splats.layout.isotropic,
-            share_opacity,
+            config.clone_opacity == CloneOpacity::Share,
+            config.split_placement == SplitPlacement::Sample,
         );
     }
 }
@@ -105,28 +121,105 @@ fn shape_new_splats(
     sources: &[u32],
     parents: &[f32],
     to: &mut [f32],
+    time: &mut [f32],
     old: u32,
     n: u32,
+    n_static: u32,
+    first_high: u32,
+    first_low: u32,
+    second_high: u32,
+    second_low: u32,
     #[comptime] isotropic: bool,
     #[comptime] share_opacity: bool,
+    #[comptime] drawn: bool,
 ) {
     let i = ABSOLUTE_POS as u32;
     if i < n {
         let (mark, row) = (marks[i as usize], sources[i as usize]);
-        if mark == HALF || mark == OTHER_HALF {
-            let mut sign = 1.0f32;
-            if mark == OTHER_HALF {
-                sign = f32::new(-1.0);
+        let is_half = mark == HALF || mark == OTHER_HALF;
+        if is_half {
+            if comptime!(drawn) {
+                let mut high = first_high;
+                let mut low = first_low;
+                if mark == OTHER_HALF {
+                    high = second_high;
+                    low = second_low;
+                }
+                let key = key(&wide(high, low), row);
+                draw_child(parents, row, old, to, time, i, n, n_static, &key, isotropic);
+            } else {
+                let mut sign = 1.0f32;
+                if mark == OTHER_HALF {
+                    sign = f32::new(-1.0);
+                }
+                halve(parents, row, old, to, i, n, sign, isotropic);
             }
-            halve(parents, row, old, to, i, n, sign, isotropic);
         }
         if comptime!(share_opacity) {
-            if mark != KEPT {
+            if mark == SHARES || (is_half && comptime!(!drawn)) {
                 let column = comptime!(if isotropic { 4u32 } else { 10u32 });
                 to[(column * n + i) as usize] = shared_opacity(parents[(column * old + row) as usize]);
             }
         }
     }
+}
+
+/// A point of the splat's Gaussian, in space and time, and scales over 1.6 (3DGS).
+#[cube]
+fn draw_child(
+    parents: &[f32],
+    row: u32,
+    old: u32,
+    to: &mut [f32],
+    time: &mut [f32],
+    i: u32,
+    n: u32,
+    n_static: u32,
+    key: &Wide,
+    #[comptime] isotropic: bool,
+) {
+    let s = shape(parents, row, old, isotropic);
+    let local = v3(s.scale.x * normal(key, 0u32), s.scale.y * normal(key, 1u32), s.scale.z * normal(key, 2u32));
+    let shift = turned(&s, &local, isotropic);
+    let mut x = shift.x;
+    let mut y = shift.y;
+    let mut z = shift.z;
+    if i >= n_static {
+        let (j, dynamic) = ((i - n_static) as usize, (n - n_static) as usize);
+        let log_sd = time[dynamic + j];
+        let dt = log_sd.exp() * normal(key, 3u32);
+        time[j] += dt;
+        time[dynamic + j] = log_sd - LN_SPLIT_FACTOR;
+        x += time[2 * dynamic + j] * dt;
+        y += time[3 * dynamic + j] * dt;
+        z += time[4 * dynamic + j] * dt;
+    }
+    to[i as usize] += x;
+    to[(n + i) as usize] += y;
+    to[(2u32 * n + i) as usize] += z;
+    to[(3u32 * n + i) as usize] -= LN_SPLIT_FACTOR;
+    if comptime!(!isotropic) {
+        to[(4u32 * n + i) as usize] -= LN_SPLIT_FACTOR;
+        to[(5u32 * n + i) as usize] -= LN_SPLIT_FACTOR;
+    }
+}
+
+/// A vector of the splat's own axes, in the world; as it is where there is no rotation.
+#[cube]
+fn turned(s: &Shape, local: &V3, #[comptime] isotropic: bool) -> V3 {
+    // all three before any changes: a vector shares its numbers with the variables that it is made of
+    let (turned_x, turned_y, turned_z) = (dot(&s.r0, local), dot(&s.r1, local), dot(&s.r2, local));
+    let mut x = local.x;
+    let mut y = local.y;
+    let mut z = local.z;
+    if comptime!(!isotropic) {
+        if s.w != 0.0f32 || s.q.x != 0.0f32 || s.q.y != 0.0f32 || s.q.z != 0.0f32 {
+            x = turned_x;
+            y = turned_y;
+            z = turned_z;
+        }
+    }
+    v3(x, y, z)
 }
 
 /// 0.6 standard deviations along the longest axis, 0.8 as long there: `0.6^2 + 0.8^2 = 1`.
@@ -149,19 +242,11 @@ fn halve(parents: &[f32], row: u32, old: u32, to: &mut [f32], i: u32, n: u32, si
             y = 0.0f32;
             z = sign * 0.6f32 * s.scale.z;
         }
-        // the world's axes where there is no rotation
-        if s.w != 0.0f32 || s.q.x != 0.0f32 || s.q.y != 0.0f32 || s.q.z != 0.0f32 {
-            let local = v3(x, y, z);
-            // the vector shares its numbers with the variables it was made of: all three before any changes
-            let (turned_x, turned_y, turned_z) = (dot(&s.r0, &local), dot(&s.r1, &local), dot(&s.r2, &local));
-            x = turned_x;
-            y = turned_y;
-            z = turned_z;
-        }
     }
-    to[i as usize] = parents[row as usize] + x;
-    to[(n + i) as usize] = parents[(old + row) as usize] + y;
-    to[(2u32 * n + i) as usize] = parents[(2u32 * old + row) as usize] + z;
+    let shift = turned(&s, &v3(x, y, z), isotropic);
+    to[i as usize] = parents[row as usize] + shift.x;
+    to[(n + i) as usize] = parents[(old + row) as usize] + shift.y;
+    to[(2u32 * n + i) as usize] = parents[(2u32 * old + row) as usize] + shift.z;
     let column = 3u32 + axis;
     // ln 0.8
     to[(column * n + i) as usize] = parents[(column * old + row) as usize] - 0.223_143_55f32;
