@@ -24,6 +24,7 @@ mod error;
 mod metrics;
 mod pace;
 mod refine;
+mod rehearsal;
 mod scale;
 mod schedule;
 mod state;
@@ -34,5 +35,6 @@ pub use config::{AdamConfig, DensityConfig, RateConfig, RefineConfig, TrainConfi
 pub use error::TrainError;
 pub use metrics::MetricsEvent;
 pub use pace::affordable_iterations;
+pub use rehearsal::rehearse;
 pub use scale::SceneScale;
 pub use trainer::{Outcome, Trainer};

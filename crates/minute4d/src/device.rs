@@ -140,11 +140,12 @@ mod gpu {
 
     use super::NetworkDevice;
     use crate::Error;
-    use m4_core::Splats;
+    use m4_core::{Capture, SplatLayout, Splats};
     #[cfg(feature = "nets")]
     use m4_kernels::gpu::Runtime;
     use m4_kernels::gpu::{Choice, Gpu, Renderer, adapters, automatic};
     use m4_kernels::{Frame, View};
+    use m4_train::TrainConfig;
     use m4_train::backend::{Backend, gpu::GpuBackend};
 
     /// A GPU that was started.
@@ -197,6 +198,20 @@ mod gpu {
         pub fn training(&self, max_vram_mb: Option<usize>, batch: usize) -> Box<dyn Backend> {
             Box::new(GpuBackend::new(self.gpu.clone(), max_vram_mb, batch))
         }
+
+        /// Compiles the kernels of a training by `config` of splats of `layout`, as [`m4_train::rehearse`] does, and gives the memory
+        /// for it back. What fails here fails again in the training, which then says so.
+        pub(crate) fn rehearse(
+            &self,
+            capture: &Capture,
+            layout: SplatLayout,
+            config: &TrainConfig,
+            max_vram_mb: Option<usize>,
+        ) {
+            let backend = self.training(max_vram_mb, config.batch);
+            let done = m4_train::rehearse(capture, layout, config, backend);
+            drop(done.map(|()| self.gpu.give_back()));
+        }
     }
 
     /// Draws splats that lie on a GPU.
@@ -218,9 +233,9 @@ mod gpu {
     //! Replaces the GPU in a build without GPU support; every request is an error.
 
     use crate::Error;
-    use m4_core::Splats;
+    use m4_core::{Capture, SplatLayout, Splats};
     use m4_kernels::{Frame, View};
-    use m4_train::Backend;
+    use m4_train::{Backend, TrainConfig};
 
     /// A GPU that was started; there is none in this build.
     #[derive(Debug, Clone)]
@@ -256,6 +271,10 @@ mod gpu {
 
         /// Takes training steps on it.
         pub fn training(&self, _: Option<usize>, _: usize) -> Box<dyn Backend> {
+            match *self {}
+        }
+
+        pub(crate) fn rehearse(&self, _: &Capture, _: SplatLayout, _: &TrainConfig, _: Option<usize>) {
             match *self {}
         }
     }

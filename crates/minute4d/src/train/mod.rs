@@ -12,9 +12,10 @@ use crate::stage::RecordingObserver;
 use crate::workspace::{Task, Workspace};
 use crate::{Error, Job, Observer, Settings, StageEvent, hash, preview, viewer};
 use checkpoint::{CheckpointTimer, Checkpoints, MetricsLog};
-use m4_core::{Capture, Progress, Scene, Splats, TrainState};
+use m4_core::{Capture, Progress, Scene, SplatLayout, Splats, TrainState};
 use m4_io::capture::Split;
 use m4_io::scene::safetensors;
+use m4_train::init::{FirstSplats, InitError};
 use m4_train::{BackendError, BackendMaker, MetricsEvent, Outcome, TrainError, Trainer};
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -118,7 +119,7 @@ fn train(
         None => {
             folder::remove_checkpoints(&run.folder)?;
             folder::remove_file(&run.path(METRICS_FILE))?;
-            let first = m4_train::init::initialise(capture, &settings.init_config(), keeper)?;
+            let first = first_splats(run, capture, keeper)?;
             let budget_s = settings.train.budget_s;
             if budget_s > 0.0 || end.is_some() {
                 let seconds = || affordable(budget_s, started, end);
@@ -197,6 +198,23 @@ fn train(
     let path = run.path(SCENE_FILE);
     trainer.save(|scene, state| publish(&path, scene, state))?;
     Ok(trainer.into_scene())
+}
+
+/// Makes the first splats, while a GPU compiles the kernels of the training that follows.
+fn first_splats(
+    run: &Workspace<'_>,
+    capture: &Capture,
+    keeper: &RecordingObserver<'_>,
+) -> Result<FirstSplats, InitError> {
+    let (init, config) = (run.job.settings.init_config(), run.job.settings.train_config());
+    let layout = SplatLayout { isotropic: init.isotropic, sh_degree: 0, time_degree: 0 };
+    std::thread::scope(|scope| {
+        if let Some(gpu) = &run.gpu {
+            let max_vram_mb = run.job.device.max_vram_mb;
+            scope.spawn(move || gpu.rehearse(capture, layout, &config, max_vram_mb));
+        }
+        m4_train::init::initialise(capture, &init, keeper)
+    })
 }
 
 /// Whether a GPU failed that the user did not ask for.
