@@ -141,7 +141,8 @@ fn explain(path: &str, message: &str, table: &Table, layer: &str) -> SettingsErr
         let dotted = |key: &str| {
             if parent.is_empty() { key.to_owned() } else { format!("{parent}.{key}") }
         };
-        let suggestion = nearest(&key, &known).map(dotted).or_else(|| elsewhere(&key, table));
+        let suggestion =
+            nearest(&key, &known).map(dotted).or_else(|| elsewhere(&key, table)).filter(|other| *other != dotted(&key));
         return SettingsError::UnknownKey { layer: layer.to_owned(), key: dotted(&key), suggestion, known };
     }
     let value = path
@@ -286,6 +287,8 @@ mod tests {
         let text = refusal("error_threshold=2");
         assert!(text.contains("did you mean \"train.density.error_threshold\"?"), "{text}");
         assert!(refusal("iterations=7").contains("did you mean \"train.iterations\"?"));
+        let text = refusal("train.density.until=2");
+        assert!(text.contains("there is no setting") && !text.contains("did you mean"), "{text}");
         let text = refusal("zzz=2");
         assert!(!text.contains("did you mean") && text.contains("profile, video, capture"), "{text}");
     }
