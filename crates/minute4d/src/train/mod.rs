@@ -20,6 +20,7 @@ use m4_train::{BackendError, BackendMaker, MetricsEvent, Outcome, TrainError, Tr
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::path::Path;
+use std::thread::ScopedJoinHandle;
 use std::time::Instant;
 
 /// Name of the stage.
@@ -208,12 +209,14 @@ fn first_splats(
 ) -> Result<FirstSplats, InitError> {
     let (init, config) = (run.job.settings.init_config(), run.job.settings.train_config());
     let layout = SplatLayout { isotropic: init.isotropic, sh_degree: 0, time_degree: 0 };
+    let max_vram_mb = run.job.device.max_vram_mb;
     std::thread::scope(|scope| {
-        if let Some(gpu) = &run.gpu {
-            let max_vram_mb = run.job.device.max_vram_mb;
-            scope.spawn(move || gpu.rehearse(capture, layout, &config, max_vram_mb));
-        }
-        m4_train::init::initialise(capture, &init, keeper)
+        let rehearsal =
+            run.gpu.as_ref().map(|gpu| scope.spawn(move || gpu.rehearse(capture, layout, &config, max_vram_mb)));
+        let first = m4_train::init::initialise(capture, &init, keeper);
+        // nor does a driver that panics there end the run here
+        drop(rehearsal.map(ScopedJoinHandle::join));
+        first
     })
 }
 
