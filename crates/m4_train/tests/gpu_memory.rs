@@ -1,14 +1,34 @@
-//! What is planned is what is taken. The runtime counts for the whole process, so that this test has one of its own.
+//! What is planned is what is taken, and a rehearsal gives back what it takes. The runtime counts for the whole process, so that this
+//! test has one of its own.
 
+use m4_core::{Camera, Capture, CaptureFrame, Intrinsics, Plane, Se3, SplatLayout};
 use m4_kernels::adam::cpu::AdamState;
 use m4_kernels::bench::{BenchScene, SceneConfig, SceneKind};
 use m4_kernels::gpu::{Gpu, Plan};
-use m4_train::backend::gpu::GpuTrainer;
+use m4_train::backend::gpu::{GpuBackend, GpuTrainer};
+use m4_train::{RefineConfig, TrainConfig, rehearse};
 
 const SIZE: (usize, usize) = (96, 72);
 
+/// Two images of one wall.
+fn wall() -> Capture {
+    let camera = Camera { intrinsics: Intrinsics::centred(SIZE.0, SIZE.1, 90.0), c2w: Se3::identity() };
+    let frame = |i: usize| CaptureFrame {
+        name: format!("{i:03}"),
+        camera,
+        t: i as f64,
+        rgb: Plane::from_fn(SIZE.0, SIZE.1, |x, y| [(2 * x) as u8, (3 * y) as u8, (40 * i) as u8]),
+        depth: Some(Plane::filled(SIZE.0, SIZE.1, 2.0f32).into()),
+        mask: None,
+        motion: None,
+        instances: None,
+        camera_index: None,
+    };
+    Capture { frames: (0..2).map(frame).collect(), time_frames: 2, duration_s: None, metric: true, tracks: None }
+}
+
 #[test]
-fn a_trainer_takes_what_was_planned() {
+fn a_trainer_takes_what_was_planned_and_a_rehearsal_gives_all_back() {
     let gpu = match Gpu::for_tests() {
         Ok(gpu) => gpu,
         Err(error) => {
@@ -33,4 +53,15 @@ fn a_trainer_takes_what_was_planned() {
     assert!(plan.check_buffers(&gpu).is_ok());
     drop(trainer);
     assert!(gpu.memory().in_use < before + taken / 10, "dropped");
+
+    let refine = RefineConfig { poses: true, focal: true, exposure: true, ..RefineConfig::default() };
+    let everything = TrainConfig { batch: 2, refine, ..TrainConfig::fast() };
+    for (isotropic, config) in [(false, everything), (true, TrainConfig::faithful())] {
+        let layout = SplatLayout { isotropic, sh_degree: 0, time_degree: 0 };
+        let backend = Box::new(GpuBackend::new(gpu.clone(), None, config.batch));
+        rehearse(&wall(), layout, &config, backend).unwrap();
+    }
+    gpu.give_back().unwrap();
+    let after = gpu.memory().in_use;
+    assert!(after <= before, "{after} bytes after rehearsals, {before} before");
 }

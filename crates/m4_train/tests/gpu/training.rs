@@ -2,13 +2,13 @@
 
 use crate::common::{FRAMES, disturbed, video};
 use crate::gpu;
-use m4_core::{Capture, Silent, SplatLayout, Splats};
+use m4_core::{Capture, Silent, Splats};
 use m4_kernels::gpu::Gpu;
 use m4_kernels::{Renderer, SimdLevel, View};
 use m4_testkit::MovingScene;
 use m4_train::backend::gpu::GpuBackend;
 use m4_train::config::SplitPlacement;
-use m4_train::{Backend, DensityConfig, TrainConfig, Trainer, rehearse};
+use m4_train::{Backend, DensityConfig, TrainConfig, Trainer};
 
 fn view(scene: &MovingScene, frame: usize) -> View {
     View {
@@ -89,26 +89,6 @@ fn a_gpu_learns_what_the_cpu_learns() {
         let (n, m) = (here.splats().n() as f64, there.splats().n() as f64);
         assert!((n - m).abs() < 0.03 * n + 2.0, "{n} and {m} splats");
     }
-}
-
-#[test]
-fn a_rehearsal_leaves_nothing_but_compiled_kernels() {
-    let Some(gpu) = gpu("rehearsal") else {
-        return;
-    };
-    let (_, capture) = video();
-    let before = gpu.memory();
-    let mut everything = config(60);
-    everything.batch = 2;
-    let refine = &mut everything.refine;
-    (refine.poses, refine.focal, refine.exposure) = (true, true, true);
-    for (isotropic, config) in [(false, everything), (true, TrainConfig::faithful())] {
-        let layout = SplatLayout { isotropic, sh_degree: 0, time_degree: 0 };
-        rehearse(&capture, layout, &config, backend(&gpu, None)).unwrap();
-    }
-    gpu.give_back().unwrap();
-    let after = gpu.memory();
-    assert!(after.in_use <= before.in_use, "{before:?}, {after:?}");
 }
 
 #[test]
