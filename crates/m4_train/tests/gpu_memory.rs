@@ -1,4 +1,4 @@
-//! What is planned is what is taken, and a rehearsal gives back what it takes. The runtime counts for the whole process, so that this
+//! What is planned is what is taken, and a warm-up gives back what it takes. The runtime counts for the whole process, so that this
 //! test has one of its own.
 
 use m4_core::{Camera, Capture, CaptureFrame, Intrinsics, Plane, Se3, SplatLayout};
@@ -6,7 +6,7 @@ use m4_kernels::adam::cpu::AdamState;
 use m4_kernels::bench::{BenchScene, SceneConfig, SceneKind};
 use m4_kernels::gpu::{Gpu, Plan};
 use m4_train::backend::gpu::{GpuBackend, GpuTrainer};
-use m4_train::{RefineConfig, TrainConfig, rehearse};
+use m4_train::{RefineConfig, TrainConfig, warm_up};
 
 const SIZE: (usize, usize) = (96, 72);
 
@@ -28,7 +28,7 @@ fn wall() -> Capture {
 }
 
 #[test]
-fn a_trainer_takes_what_was_planned_and_a_rehearsal_gives_all_back() {
+fn a_trainer_takes_what_was_planned_and_a_warm_up_gives_all_back() {
     let gpu = match Gpu::for_tests() {
         Ok(gpu) => gpu,
         Err(error) => {
@@ -59,9 +59,9 @@ fn a_trainer_takes_what_was_planned_and_a_rehearsal_gives_all_back() {
     for (isotropic, config) in [(false, everything), (true, TrainConfig::faithful())] {
         let layout = SplatLayout { isotropic, sh_degree: 0, time_degree: 0 };
         let backend = Box::new(GpuBackend::new(gpu.clone(), None, config.batch));
-        rehearse(&wall(), layout, &config, backend).unwrap();
+        warm_up(&wall(), layout, &config, backend).unwrap();
     }
     gpu.give_back().unwrap();
     let after = gpu.memory().in_use;
-    assert!(after <= before, "{after} bytes after rehearsals, {before} before");
+    assert!(after <= before, "{after} bytes after warm-ups, {before} before");
 }

@@ -199,9 +199,9 @@ mod gpu {
             Box::new(GpuBackend::new(self.gpu.clone(), max_vram_mb, batch))
         }
 
-        /// Compiles the kernels of a training by `config` of splats of `layout`, as [`m4_train::rehearse`] does, and gives the memory
+        /// Compiles the kernels of a training by `config` of splats of `layout`, as [`m4_train::warm_up`] does, and gives the memory
         /// for it back. What fails here fails again in the training, which then says so.
-        pub(crate) fn rehearse(
+        pub(crate) fn warm_up(
             &self,
             capture: &Capture,
             layout: SplatLayout,
@@ -209,7 +209,7 @@ mod gpu {
             max_vram_mb: Option<usize>,
         ) {
             let backend = self.training(max_vram_mb, config.batch);
-            let done = m4_train::rehearse(capture, layout, config, backend);
+            let done = m4_train::warm_up(capture, layout, config, backend);
             drop(done.map(|()| self.gpu.give_back()));
         }
     }
@@ -274,7 +274,7 @@ mod gpu {
             match *self {}
         }
 
-        pub(crate) fn rehearse(&self, _: &Capture, _: SplatLayout, _: &TrainConfig, _: Option<usize>) {
+        pub(crate) fn warm_up(&self, _: &Capture, _: SplatLayout, _: &TrainConfig, _: Option<usize>) {
             match *self {}
         }
     }

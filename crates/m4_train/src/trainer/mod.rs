@@ -61,7 +61,7 @@ pub struct Trainer<'a> {
     /// What the last steps found.
     last: StepReport,
     /// Frames whose cameras or exposures have gradients that the backend still holds.
-    unsettled: HashSet<usize>,
+    pending: HashSet<usize>,
     /// Frames, one per frame of the capture.
     times: Vec<f64>,
     time_frames: usize,
@@ -159,7 +159,7 @@ impl<'a> Trainer<'a> {
             counts: (splats.n_static(), splats.n_dynamic()),
             saved: Instant::now(),
             last: StepReport::NONE,
-            unsettled: HashSet::new(),
+            pending: HashSet::new(),
             times: capture.frames.iter().map(|f| f.t).collect(),
             time_frames: capture.time_frames,
             duration_s: capture.duration_s,

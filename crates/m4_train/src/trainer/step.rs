@@ -33,7 +33,7 @@ impl Trainer<'_> {
     pub(crate) fn step(&mut self) -> Result<(), TrainError> {
         let (i, n, batch) = (self.iteration, self.config.iterations, self.config.batch);
         let frames: Vec<usize> = (0..batch).map(|k| self.picker.pick(i * batch + k)).collect();
-        if frames.iter().any(|frame| self.unsettled.contains(frame)) {
+        if frames.iter().any(|frame| self.pending.contains(frame)) {
             self.settle()?;
         }
         self.prepare()?;
@@ -57,7 +57,7 @@ impl Trainer<'_> {
         self.ask(|backend| backend.step(&views, &settings))?;
         self.is_current = false;
         if camera || exposure {
-            self.unsettled.extend(&frames);
+            self.pending.extend(&frames);
         }
         // all frames share the focal length
         if (camera && self.config.refine.focal) || self.backend.is_synchronous() {
@@ -77,7 +77,7 @@ impl Trainer<'_> {
     /// Waits for the backend, adds its statistics to the totals, corrects cameras and exposures, and returns loss and PSNR.
     pub(crate) fn report(&mut self) -> Result<StepReport, TrainError> {
         let stats = self.ask(|backend| backend.stats())?;
-        self.unsettled.clear();
+        self.pending.clear();
         if stats.steps == 0 {
             return Ok(self.last);
         }
@@ -110,7 +110,7 @@ impl Trainer<'_> {
 
     /// Corrects the cameras and exposures of all frames drawn so far: before one of them is drawn again, or saved.
     pub(super) fn settle(&mut self) -> Result<(), TrainError> {
-        if !self.unsettled.is_empty() {
+        if !self.pending.is_empty() {
             self.report()?;
         }
         Ok(())
@@ -222,6 +222,6 @@ impl Trainer<'_> {
         (self.is_uploaded, self.is_current) = (false, true);
         self.counts = (self.splats.n_static(), self.splats.n_dynamic());
         self.last = StepReport::NONE;
-        self.unsettled.clear();
+        self.pending.clear();
     }
 }

@@ -211,11 +211,11 @@ fn first_splats(
     let layout = SplatLayout { isotropic: init.isotropic, sh_degree: 0, time_degree: 0 };
     let max_vram_mb = run.job.device.max_vram_mb;
     std::thread::scope(|scope| {
-        let rehearsal =
-            run.gpu.as_ref().map(|gpu| scope.spawn(move || gpu.rehearse(capture, layout, &config, max_vram_mb)));
+        let warm_up =
+            run.gpu.as_ref().map(|gpu| scope.spawn(move || gpu.warm_up(capture, layout, &config, max_vram_mb)));
         let first = m4_train::init::initialise(capture, &init, keeper);
         // nor does a driver that panics there end the run here
-        drop(rehearsal.map(ScopedJoinHandle::join));
+        drop(warm_up.map(ScopedJoinHandle::join));
         first
     })
 }

@@ -19,8 +19,8 @@ const SIZE: f32 = 1e-4;
 /// Trains a few thousand tiny splats of `layout` on the first frames of `capture` by these settings for a few steps on `backend`,
 /// with everything that a training does somewhere on its way. A GPU compiles a kernel when it is first launched; a training that follows
 /// finds them compiled. Meant for a thread of its own while the CPU makes the first splats. Nothing else remains of it.
-/// Fails as [`Trainer::run`].
-pub fn rehearse<'a>(
+/// Fails as [`Trainer::new`], [`Trainer::use_backend`] and [`Trainer::run`].
+pub fn warm_up<'a>(
     capture: &Capture,
     layout: SplatLayout,
     config: &TrainConfig,
