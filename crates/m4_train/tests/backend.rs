@@ -154,12 +154,19 @@ fn a_backend_that_fails_leaves_the_last_good_splats() {
     let mut broken = watched(&calls);
     broken.breaks_at = 41;
     let (end, kept, at) = run_with(broken, config(), 100);
-    let Err(TrainError::Diverged { what, iteration, good_iteration }) = end else {
+    // which the CPU does not find when it repeats the steps, so the machine is at fault
+    let Err(TrainError::Device { why, iteration, good_iteration }) = end else {
         panic!("{end:?}");
     };
-    assert_eq!((what, iteration, good_iteration, at), ("a parameter of a splat", 50, 25, 25));
-    let (_, there, _) = run(0, 25);
-    assert!(kept == there);
+    assert!(why.contains("a parameter of a splat") && why.contains("which the CPU does not"), "{why}");
+    assert_eq!((iteration, good_iteration, at), (50, 50, 50));
+    assert!(kept.splats.is_finite());
+    // nor is the machine charged with a run that diverges everywhere
+    let mut hot = config();
+    hot.lr.colour = 1e38;
+    let (end, kept, _) = run_with(watched(&Arc::default()), hot, 100);
+    assert!(matches!(end, Err(TrainError::Diverged { .. })), "{end:?}");
+    assert!(kept.splats.is_finite());
 }
 
 /// The bits of static splats, in no order.

@@ -48,6 +48,9 @@ pub struct Trainer<'a> {
     capture: &'a Capture,
     /// Where splats live while they are trained.
     backend: Box<dyn Backend + 'a>,
+    /// Whether that is another device than the CPU, whose kernels are compiled for `level`.
+    is_device: bool,
+    level: SimdLevel,
     /// The frames that the backend lacks.
     frames_wanted: Option<&'a Capture>,
     /// The backend has splats and state; `adam` has nothing then.
@@ -153,6 +156,8 @@ impl<'a> Trainer<'a> {
         Self {
             capture,
             backend: cpu(capture, &config, level),
+            is_device: false,
+            level,
             frames_wanted: None,
             is_uploaded: false,
             is_current: true,
@@ -195,7 +200,37 @@ impl<'a> Trainer<'a> {
     /// between. `metrics` gets an event every [`TrainConfig::metrics_every`] steps and at the end.
     /// Fails with [`TrainError::Diverged`] when the loss or a parameter is no longer finite; the trainer then has the last
     /// splats that were, and an optimiser that starts from nothing. [`TrainError::Device`] when a device failed, likewise.
+    ///
+    /// Where another device than the CPU diverges, the CPU repeats the steps since the last good splats. If it does not diverge, the device
+    /// is at fault: [`TrainError::Device`], and the trainer has the splats of the CPU.
     pub fn run_until(
+        &mut self,
+        iteration: usize,
+        progress: &dyn Progress,
+        metrics: &mut dyn FnMut(&MetricsEvent),
+    ) -> Result<Outcome, TrainError> {
+        let outcome = self.steps_until(iteration, progress, metrics);
+        let Err(TrainError::Diverged { what, iteration: at, good_iteration }) = outcome else { return outcome };
+        if !self.is_device {
+            return outcome;
+        }
+        progress.warn(&format!(
+            "{what} is NaN or infinite on the GPU at iteration {at}; the CPU repeats the steps since iteration {good_iteration}"
+        ));
+        self.use_cpu(self.level)?;
+        match self.steps_until(at.max(good_iteration + 1), progress, metrics)? {
+            Outcome::Finished => Err(TrainError::Device {
+                why: format!(
+                    "the GPU computed {what} as NaN or infinite, which the CPU does not: the device or its driver is at fault"
+                ),
+                iteration: at,
+                good_iteration: self.iteration,
+            }),
+            stopped => Ok(stopped),
+        }
+    }
+
+    fn steps_until(
         &mut self,
         iteration: usize,
         progress: &dyn Progress,
@@ -262,6 +297,7 @@ impl<'a> Trainer<'a> {
         }
         self.synchronize()?;
         self.backend = backend;
+        self.is_device = true;
         self.frames_wanted = Some(self.capture);
         Ok(())
     }
@@ -271,6 +307,7 @@ impl<'a> Trainer<'a> {
     pub fn use_cpu(&mut self, level: SimdLevel) -> Result<(), TrainError> {
         self.synchronize()?;
         self.backend = cpu(self.capture, &self.config, level);
+        self.is_device = false;
         self.frames_wanted = None;
         Ok(())
     }
