@@ -36,14 +36,7 @@ pub fn run(input: &Path, out: &Path, job: &Job<'_>) -> Result<RunRecord, Error> 
     Workspace::open(out, source, job, clock)?.finish(|run| {
         let folder = run.path(CAPTURE_FOLDER);
         let recorder = RecordingObserver::new(job.observer).until(clock.end());
-        let stage_job = Job {
-            settings: job.settings.clone(),
-            // geometry runs on the CPU
-            device: DeviceRequest::default(),
-            existing: Existing::Resume,
-            observer: &recorder,
-        };
-        let made = geometry::make(input, &folder, &stage_job)
+        let made = geometry::make(input, &folder, &job.of_geometry(&recorder))
             .map_err(|error| clock.blame(error, geometry::STAGE, job.observer.cancelled()))?;
         let stage = StageRecord {
             key: made.key,
@@ -78,6 +71,11 @@ pub struct Job<'a> {
 }
 
 impl Job<'_> {
+    /// The job of the geometry stage of a run: the same settings and device, which its networks use too.
+    fn of_geometry<'a>(&self, observer: &'a dyn Observer) -> Job<'a> {
+        Job { settings: self.settings.clone(), device: self.device, existing: Existing::Resume, observer }
+    }
+
     /// Refuses settings that no stage can use, before any of them starts.
     pub(crate) fn check(&self) -> Result<SimdLevel, Error> {
         self.settings.check()?;
@@ -153,8 +151,17 @@ impl Clock {
 
 #[cfg(test)]
 mod tests {
-    use super::Clock;
-    use crate::{Category, Error, Settings};
+    use super::{Clock, Job};
+    use crate::device::DeviceChoice;
+    use crate::{Category, Error, Existing, Settings, Silent};
+
+    #[test]
+    fn networks_of_a_run_use_the_device_that_was_asked_for() {
+        let device = DeviceChoice::Gpu(Some(1)).into();
+        let job = Job { settings: Settings::fast(), device, existing: Existing::Refuse, observer: &Silent };
+        let of_geometry = job.of_geometry(&Silent);
+        assert_eq!((of_geometry.device, of_geometry.existing), (device, Existing::Resume));
+    }
 
     fn clock(time_s: f64) -> Clock {
         let mut settings = Settings::fast();
