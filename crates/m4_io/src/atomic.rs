@@ -18,14 +18,13 @@ pub struct AtomicFile {
 }
 
 impl AtomicFile {
-    /// Starts to write `target`; makes its folder if that is missing.
-    /// Errors: the failure of the file system; also when `target` names no file (`/`, `..`) or is a folder.
+    /// Starts to write `target`; makes its folder if that is missing. A link is followed: the file that it names is replaced.
+    /// Errors: the failure of the file system; also those of [`check`].
     pub fn create(target: &Path) -> io::Result<Self> {
-        let name =
-            target.file_name().ok_or_else(|| io::Error::new(io::ErrorKind::InvalidInput, "the path names no file"))?;
-        if target.is_dir() {
-            return Err(io::Error::new(io::ErrorKind::IsADirectory, "the path is a folder that exists"));
-        }
+        check(target)?;
+        let is_link = fs::symlink_metadata(target).is_ok_and(|kind| kind.is_symlink());
+        let target = &if is_link { target.canonicalize()? } else { target.to_path_buf() };
+        let name = target.file_name().ok_or_else(no_file)?;
         let folder = match target.parent() {
             Some(folder) if !folder.as_os_str().is_empty() => folder.to_path_buf(),
             _ => PathBuf::from("."),
@@ -95,6 +94,38 @@ impl Drop for AtomicFile {
     }
 }
 
+/// Refuses what cannot be replaced by a file. Errors: `target` names no file (`/`, `..`), is a link to nothing, or is a folder, a device, a
+/// socket or a pipe.
+pub fn check(target: &Path) -> io::Result<()> {
+    target.file_name().ok_or_else(no_file)?;
+    let is_link = fs::symlink_metadata(target).is_ok_and(|kind| kind.is_symlink());
+    match fs::metadata(target) {
+        Ok(kind) if kind.is_file() => Ok(()),
+        Ok(kind) if kind.is_dir() => {
+            Err(io::Error::new(io::ErrorKind::IsADirectory, "the path is a folder that exists"))
+        }
+        Ok(_) => {
+            Err(io::Error::new(io::ErrorKind::InvalidInput, "the path is a device, a socket or a pipe, and no file"))
+        }
+        Err(error) if is_link => {
+            Err(io::Error::new(io::ErrorKind::InvalidInput, format!("the path is a link that leads nowhere ({error})")))
+        }
+        // Missing, or in a folder that cannot be read: the attempt to write says why.
+        Err(_) => Ok(()),
+    }
+}
+
+fn no_file() -> io::Error {
+    io::Error::new(io::ErrorKind::InvalidInput, "the path names no file")
+}
+
+/// Whether a file of this name is what a process that was killed left of any file.
+#[must_use]
+pub fn is_temporary(name: &str) -> bool {
+    name.rsplit_once(".tmp-")
+        .is_some_and(|(start, _)| start.strip_prefix('.').is_some_and(|of| !of.is_empty() && is_temporary_of(name, of)))
+}
+
 /// Whether a file of this name is what a process that was killed left of one to be called `of`.
 #[must_use]
 pub fn is_temporary_of(name: &str, of: &str) -> bool {
@@ -103,7 +134,7 @@ pub fn is_temporary_of(name: &str, of: &str) -> bool {
 }
 
 /// Makes the rename durable, where the system lets a folder be opened; the file's own bytes are safe by now.
-fn sync_folder(target: &Path) {
+pub(crate) fn sync_folder(target: &Path) {
     let folder = target.parent().filter(|p| !p.as_os_str().is_empty());
     if let Ok(folder) = File::open(folder.unwrap_or(Path::new("."))) {
         let _ = folder.sync_all();

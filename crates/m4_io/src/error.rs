@@ -22,6 +22,8 @@ pub enum ErrorKind {
     Unavailable,
     /// An output cannot be made: permissions, a full disk, a path that is in the way (73).
     CannotWrite,
+    /// Another process uses an output (75).
+    Busy,
     /// The machine failed while reading (74).
     Io,
     /// The caller asked to stop.
@@ -233,6 +235,18 @@ pub enum WriteFault {
     /// The encoder failed, or made something else than it was given.
     #[error("encoding failed: {0}; this is a bug, please report it")]
     Encode(String),
+    /// A file has the name of a folder to create.
+    #[error("a file with that name exists; choose another name")]
+    InTheWay,
+    /// A file has the name of a result, and no list of results names it.
+    #[error("it is not a result of minute4d and would be replaced; move it, or choose another folder")]
+    Foreign,
+    /// The results would take the place of what they are made from.
+    #[error("it is an input of this command and would be replaced; choose another place for the result")]
+    Input,
+    /// Another process uses the folder.
+    #[error("another minute4d is using it; wait for it, or choose another folder")]
+    Busy,
     /// The caller asked to stop.
     #[error("stopped; what was written is incomplete and is not taken for a whole")]
     Cancelled,
@@ -279,7 +293,13 @@ impl WriteError {
     #[must_use]
     pub fn kind(&self) -> ErrorKind {
         match &self.fault {
-            WriteFault::Io(_) | WriteFault::Verify(_) | WriteFault::Encode(_) => ErrorKind::CannotWrite,
+            WriteFault::Io(_)
+            | WriteFault::Verify(_)
+            | WriteFault::Encode(_)
+            | WriteFault::InTheWay
+            | WriteFault::Foreign
+            | WriteFault::Input => ErrorKind::CannotWrite,
+            WriteFault::Busy => ErrorKind::Busy,
             WriteFault::Bad(_) => ErrorKind::BadData,
             WriteFault::Unsupported(_) => ErrorKind::Unsupported,
             WriteFault::Cancelled => ErrorKind::Cancelled,

@@ -12,6 +12,7 @@ pub mod dataset;
 pub mod image;
 pub mod npy;
 pub mod reach;
+pub mod results;
 pub mod scene;
 pub mod tracks;
 pub mod trajectory;

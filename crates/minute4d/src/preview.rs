@@ -1,7 +1,7 @@
 //! `preview.mp4`: source, re-render and frozen time with a swinging camera, side by side; and `poster.jpg`: a frame and its re-render, for
 //! overviews of many clips.
 
-use crate::folder::{CAPTURE_FOLDER, PREVIEW_FILE, SCENE_FILE};
+use crate::folder::{self, CAPTURE_FOLDER, PREVIEW_FILE, SCENE_FILE};
 use crate::record::{FileRecord, RUN_FILE, RunRecord};
 use crate::render::{SWING_FRAMES, SceneRenderer, source_fps, swing};
 use crate::settings::{Settings, part_to_toml};
@@ -10,6 +10,7 @@ use crate::workspace::{Task, Workspace};
 use crate::{Error, StageEvent, hash, train};
 use m4_core::{Camera, Capture, Exposure, Plane, Progress, ResizeFilter, RgbImage, Scene, Silent, resize_rgb};
 use m4_io::image::write_rgb;
+use m4_io::results::Kind;
 use m4_io::scene::safetensors;
 use m4_io::video::Mp4Writer;
 use m4_kernels::SimdLevel;
@@ -142,6 +143,7 @@ pub fn poster(run: &Path, input: &Path, settings: &Settings) -> Result<PathBuf, 
         }
         row[width..].copy_from_slice(again.row(y));
     }
+    folder::claim(run, Kind::Run, &[POSTER_FILE])?;
     let path = run.join(POSTER_FILE);
     write_rgb(&path, &both)?;
     record.files.insert(POSTER_FILE.to_owned(), FileRecord::of(&path)?);

@@ -1,13 +1,13 @@
 //! Finished steps of a stage, kept on disk until the stage is done, so that an interrupted stage continues after the last one.
 //!
-//! A step is a file `.steps/NAME` next to the result: magic, a hash, the warnings, and
+//! A step is a file `.minute4d-steps/NAME` next to the result: magic, a hash, the warnings, and
 //! the value. The hash covers the stage's key, the name and the bytes, so a damaged file, one of another input and one of
 //! other settings all count as missing. Values are restored bit by bit, so the result of an interrupted run equals
 //! that of an uninterrupted one. Steps only save time: a failure to write one is reported once, and the work
 //! continues.
 
+use crate::Observer;
 use crate::stage::RecordingObserver;
-use crate::{Observer, folder};
 use serde::{Serialize, de::DeserializeOwned};
 use std::fs;
 use std::io::Write;
@@ -15,9 +15,11 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 
 /// The hidden folder.
-const FOLDER: &str = ".steps";
+const FOLDER: &str = ".minute4d-steps";
 /// The file with the key of the stage that the steps belong to.
 const KEY_FILE: &str = "key";
+/// The end of the name of a step that is being written.
+const PART: &str = ".part";
 /// The magic bytes of a step: the format and its version.
 const MAGIC: &[u8; 8] = b"m4step01";
 /// Length of the hash.
@@ -38,7 +40,7 @@ impl<'a> Steps<'a> {
         let steps = Self { folder: folder.join(FOLDER), key: key.to_owned(), observer, usable: AtomicBool::new(true) };
         let of_key = fs::read(steps.folder.join(KEY_FILE)).is_ok_and(|found| found == key.as_bytes());
         if !of_key {
-            steps.remove();
+            Self::remove_from(folder);
             let made = fs::create_dir_all(&steps.folder).and_then(|()| steps.write(KEY_FILE, &[key.as_bytes()]));
             if let Err(error) = made {
                 steps.give_up(&error);
@@ -84,9 +86,19 @@ impl<'a> Steps<'a> {
         self.observer
     }
 
-    /// Removes all steps, when the stage is done or its key has changed.
-    pub fn remove(&self) {
-        remove(self.folder.parent().unwrap_or(&self.folder));
+    /// Returns whether finished steps are kept beside the result in `folder`.
+    pub fn exist(folder: &Path) -> bool {
+        let names = fs::read_dir(folder.join(FOLDER)).into_iter().flatten().flatten().map(|entry| entry.file_name());
+        names.filter_map(|name| name.into_string().ok()).any(|name| name != KEY_FILE && !name.ends_with(PART))
+    }
+
+    /// Removes the steps beside the result in `folder`, when the stage is done or its key has changed; only those, which have a key. What
+    /// cannot be removed is part of no result, and is removed or used by the next attempt.
+    pub fn remove_from(folder: &Path) {
+        let steps = folder.join(FOLDER);
+        if steps.join(KEY_FILE).is_file() {
+            let _ = fs::remove_dir_all(&steps);
+        }
     }
 
     fn hash(&self, name: &str, bytes: &[u8]) -> blake3::Hash {
@@ -104,7 +116,7 @@ impl<'a> Steps<'a> {
 
     /// Writes without waiting for the disk: a torn file is recognised by its hash.
     fn write(&self, name: &str, parts: &[&[u8]]) -> std::io::Result<()> {
-        let temporary = self.path(&format!("{name}.part"));
+        let temporary = self.path(&format!("{name}{PART}"));
         let written = (|| {
             let mut file = fs::File::create(&temporary)?;
             for part in parts {
@@ -145,12 +157,6 @@ impl<'a> Steps<'a> {
             self.give_up(&error);
         }
     }
-}
-
-/// Removes the steps of any stage in `folder`.
-pub(crate) fn remove(folder: &Path) {
-    // Remaining files are not part of any result, and are removed or reused by the next attempt.
-    let _ = folder::remove_folder(&folder.join(FOLDER));
 }
 
 #[cfg(test)]
@@ -200,7 +206,8 @@ mod tests {
         assert_eq!(*heard.0.lock().unwrap(), ["blurred", "blurred"]);
         assert_eq!(step(&Steps::open(dir.path(), "other", &heard), 2.0), 2.0, "another key");
         let last = Steps::open(dir.path(), "other", &heard);
-        last.remove();
+        drop(last);
+        Steps::remove_from(dir.path());
         assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 0);
     }
 
@@ -210,7 +217,7 @@ mod tests {
         let heard = Heard::default();
         let steps = Steps::open(dir.path(), "k", &heard);
         steps.put("flow", &[7; 100]);
-        let path = dir.path().join(".steps/flow");
+        let path = dir.path().join(".minute4d-steps/flow");
         let whole = fs::read(&path).unwrap();
         for length in 0..whole.len() {
             fs::write(&path, &whole[..length]).unwrap();
@@ -223,7 +230,7 @@ mod tests {
             assert_eq!(steps.get("flow"), None, "byte {place}");
         }
         // of another name
-        fs::write(dir.path().join(".steps/fl0w"), &whole).unwrap();
+        fs::write(dir.path().join(".minute4d-steps/fl0w"), &whole).unwrap();
         assert_eq!(steps.get("fl0w"), None);
         fs::write(&path, &whole).unwrap();
         assert_eq!(steps.get("flow"), Some(vec![7; 100]));
@@ -233,7 +240,7 @@ mod tests {
     fn a_cache_write_failure_is_reported_once() {
         let dir = tempfile::tempdir().unwrap();
         let heard = Heard::default();
-        fs::write(dir.path().join(".steps"), "in the way").unwrap();
+        fs::write(dir.path().join(".minute4d-steps"), "in the way").unwrap();
         let steps = Steps::open(dir.path(), "k", &heard);
         assert_eq!(step(&steps, 3.0), 3.0);
         steps.put("more", b"1");

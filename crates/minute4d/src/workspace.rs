@@ -1,7 +1,7 @@
 //! A run in progress: its folder, its record, and its observer.
 
 use crate::device::{DeviceChoice, OpenGpu};
-use crate::folder::{self, Lock};
+use crate::folder::RunFolder;
 use crate::pipeline::Clock;
 use crate::record::{Device, FileRecord, Input, RunRecord, StageRecord, Status, peak_memory_bytes};
 use crate::stage::{self, Ended, RecordingObserver, StageFolder};
@@ -13,7 +13,9 @@ use std::time::Instant;
 
 /// A run in progress.
 pub(crate) struct Workspace<'a> {
+    /// Where the run works, which is not the place of its results where it replaces older ones.
     pub folder: PathBuf,
+    results: RunFolder,
     pub job: &'a Job<'a>,
     pub level: SimdLevel,
     /// The GPU to train on; `None` for the CPU.
@@ -26,7 +28,6 @@ pub(crate) struct Workspace<'a> {
     /// The time from which an optional stage is asked to stop.
     until: Option<Instant>,
     room: Option<Room>,
-    _lock: Lock,
 }
 
 /// Reserved disk space, so that the record can be written when the disk is full; free when this is dropped.
@@ -38,7 +39,7 @@ const ROOM: usize = 1 << 18;
 impl Room {
     /// Reserves the space if possible; otherwise the error appears at the next write.
     fn reserve(folder: &Path) -> Self {
-        let path = folder.join(".room");
+        let path = folder.join(".minute4d-room");
         if fs::write(&path, vec![0xa5; ROOM]).is_err() {
             let _ = fs::remove_file(&path);
         }
@@ -69,17 +70,20 @@ impl<'a> Workspace<'a> {
             DeviceChoice::Auto if !job.settings.train.density.loss_guided => None,
             choice => choice.open(|why| job.observer.warn(why))?,
         };
-        let (lock, earlier) = folder::open(path, job.existing, Path::new(&input.path))?;
         let mut record = RunRecord::begin(input, &job.settings, Device::here(level, gpu.as_ref().map(OpenGpu::name)))?;
+        let files = job.settings.geometry.files();
+        let inputs: Vec<&Path> = [Path::new(&record.input.path)].into_iter().chain(files).collect();
+        let (results, earlier) = RunFolder::open(path, job.existing, &record, &inputs)?;
+        let folder = results.path().to_path_buf();
         if let Some(earlier) = &earlier {
             record.stages = earlier.stages.clone();
             record.files = earlier.files.clone();
             record.splats = earlier.splats;
             record.iterations = earlier.iterations;
         }
-        record.write(path)?;
-        let room = Some(Room::reserve(path));
-        Ok(Self { folder: path.to_path_buf(), job, level, gpu, record, earlier, clock, until: None, room, _lock: lock })
+        record.write(&folder)?;
+        let room = Some(Room::reserve(&folder));
+        Ok(Self { folder, results, job, level, gpu, record, earlier, clock, until: None, room })
     }
 
     /// Runs the work and records its end.
@@ -96,6 +100,7 @@ impl<'a> Workspace<'a> {
         let written = self.record.write(&self.folder);
         outcome?;
         written?;
+        self.results.commit()?;
         Ok(self.record)
     }
 
@@ -117,6 +122,11 @@ impl<'a> Workspace<'a> {
             }
             other => other,
         }
+    }
+
+    /// Where the results are when the run is complete.
+    pub fn place(&self) -> &Path {
+        self.results.place()
     }
 
     /// A file of the run.

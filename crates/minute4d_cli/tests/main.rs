@@ -12,6 +12,7 @@ mod geometry;
 mod import;
 mod interchange;
 mod networks;
+mod outputs;
 mod pipeline;
 mod render;
 mod reproduce;

@@ -331,7 +331,7 @@ fn static_camera_gives_a_scene() {
     dir.succeed("train out/capture -o out --force --iterations 10");
     assert!(dir.path("out/capture/transforms_train.json").is_file());
     for line in ["run out/capture/train -o out --force", "geometry out/capture/train -o out/capture --force"] {
-        dir.refused(line, 73, &["out/capture/train", "choose another folder"]);
+        dir.refused(line, 73, &["out/capture/train", "choose another place"]);
     }
     assert!(dir.path("out/capture/transforms_train.json").is_file() && dir.path("out/capture/train").is_dir());
 }

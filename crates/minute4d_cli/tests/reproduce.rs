@@ -77,7 +77,7 @@ fn eval_by_protocol_reports_every_choice() {
         ("eval run --data part --protocol holdout --refine-poses", 2, &["does not refine"]),
         ("eval run --data views --protocol davis", 65, &["no split.json"]),
         ("split views --protocol nvidia -o x", 2, &["nothing to split"]),
-        ("split views --protocol rodygs -o views", 2, &["into itself"]),
+        ("split views --protocol rodygs -o views", 73, &["is an input of this command"]),
     ] {
         dir.refused(line, code, words);
     }

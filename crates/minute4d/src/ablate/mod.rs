@@ -23,11 +23,13 @@ use m4_geometry::resample::resize_bilinear;
 use m4_io::atomic;
 use m4_io::capture::Split;
 use m4_io::reach::Reach;
+use m4_io::results::{Kind, ResultFolder};
 use serde::Serialize;
-use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
+/// Name of the image of what tracking changes.
+const TRACKING_FILE: &str = "tracking.png";
 /// Name of the report.
 pub const ABLATION_FILE: &str = "ablation.json";
 /// Name of the table.
@@ -146,9 +148,11 @@ pub fn ablate(input: &Path, out: &Path, options: &AblateOptions, job: &Job<'_>) 
     if !data.join(Split::Test.file_name()).is_file() {
         return Err(evaluate::no_test_list(&data).into());
     }
-    fs::create_dir_all(out).map_err(|source| Error::Write { path: out.to_path_buf(), source })?;
     let wanted = |row: &Row| *row == Row::Full || options.rows.contains(row);
     let rows: Vec<Row> = Row::ALL.into_iter().filter(wanted).collect();
+    let configs: Vec<String> = rows.iter().map(|row| format!("{}.toml", row.name())).collect();
+    let files = [ABLATION_FILE, TABLE_FILE, TRACKING_FILE].into_iter().chain(configs.iter().map(String::as_str));
+    crate::folder::claim(out, Kind::Report, &files.collect::<Vec<_>>())?;
     let mut made = Vec::new();
     let mut settings = job.settings.clone();
     for (i, &row) in rows.iter().enumerate() {
@@ -165,7 +169,7 @@ pub fn ablate(input: &Path, out: &Path, options: &AblateOptions, job: &Job<'_>) 
     let there = |row| made.iter().any(|r: &RowReport| r.row == row && r.skipped.is_none());
     let image = if there(Row::NoTrack) {
         let folders = [Row::NoTrack, Row::Full].map(|row| out.join(row.name()));
-        tracking_effect::write(&folders, &data, &out.join("tracking.png"), job)?
+        tracking_effect::write(&folders, &data, &out.join(TRACKING_FILE), job)?
     } else {
         None
     };
@@ -268,7 +272,10 @@ impl Bench<'_> {
             let share = resize_bilinear(&share, w, h);
             frame.mask = Some(CompactMask::from_fn(w, h, |x, y| share[(x, y)] > tau));
         }
-        m4_io::capture::write(&folder, &capture, Split::Train, self.job.observer)?;
+        let mut results = ResultFolder::open(&folder, Kind::Capture)?;
+        results.check_free(crate::folder::capture_names())?;
+        m4_io::capture::write(&results.begin()?, &capture, Split::Train, self.job.observer)?;
+        results.commit(None)?;
         Ok(Ok(folder))
     }
 

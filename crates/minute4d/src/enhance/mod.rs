@@ -106,11 +106,14 @@ pub fn make(input: &Path, out: &Path, job: &Job<'_>) -> Result<EnhanceReport, Er
     record.seconds = start.elapsed().as_secs_f64();
     record.warnings = recorder.warnings();
     let before = moving_share(&capture);
-    let mut folder = CaptureFolder::open(out, job.existing, record, job.observer)?;
+    let list = if input.is_dir() { input } else { input.parent().unwrap_or(input) };
+    let images: Vec<PathBuf> = capture.frames.iter().map(|frame| list.join(&frame.name)).collect();
+    let inputs: Vec<&Path> = [input].into_iter().chain(images.iter().map(PathBuf::as_path)).collect();
+    let mut folder = CaptureFolder::open(out, job.existing, record, &inputs, job.observer)?;
     let (capture, found) = folder.stage(STAGE, |folder, steps| {
         let device = if plan.has_network() { job.device.choice.for_networks()? } else { NetworkDevice::processor() };
         let (capture, found) = apply(capture, &plan, settings, &device, steps)?;
-        write(&folder.path, &capture, found.as_ref(), steps.observer())?;
+        write(&folder.next(), &capture, found.as_ref(), steps.observer())?;
         Ok((capture, found))
     })?;
     let seconds = folder.record.seconds;

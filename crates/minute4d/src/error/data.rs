@@ -78,6 +78,7 @@ impl From<ErrorKind> for Category {
             ErrorKind::BadOption => Self::BadSettings,
             ErrorKind::Unavailable => Self::NoDevice,
             ErrorKind::CannotWrite => Self::CannotWrite,
+            ErrorKind::Busy => Self::TryAgain,
             ErrorKind::Io => Self::Io,
             ErrorKind::Cancelled => Self::Stopped,
             _ => Self::Internal,
@@ -89,12 +90,6 @@ impl From<ErrorKind> for Category {
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum OutputError {
-    /// A file has the name of a folder to create.
-    #[error("cannot create the folder {}: a file with that name exists; choose another name", path.display())]
-    InTheWay {
-        /// The file.
-        path: PathBuf,
-    },
     /// A folder with other files in it.
     #[error("the folder {} is not empty and not made by minute4d (it has no usable {missing}); choose another folder, or --force to write into it anyway", path.display())]
     NotOurs {
@@ -109,19 +104,7 @@ pub enum OutputError {
         /// The folder.
         path: PathBuf,
         /// What is in it.
-        what: &'static str,
-    },
-    /// A folder that another process uses.
-    #[error("another minute4d is using {}; wait for it, or choose another folder", path.display())]
-    Busy {
-        /// The folder.
-        path: PathBuf,
-    },
-    /// An input that would be removed to make place for the result.
-    #[error("the input {} belongs to the capture that would be replaced; choose another folder for the result", path.display())]
-    HoldsInput {
-        /// The input.
-        path: PathBuf,
+        what: String,
     },
     /// A file that would be replaced.
     #[error("{} already exists; --force replaces it", path.display())]
@@ -142,10 +125,7 @@ pub enum OutputError {
 impl OutputError {
     /// Returns the category of the failure.
     pub fn category(&self) -> Category {
-        match self {
-            Self::Busy { .. } => Category::TryAgain,
-            _ => Category::CannotWrite,
-        }
+        Category::CannotWrite
     }
 }
 

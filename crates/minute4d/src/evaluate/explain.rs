@@ -10,6 +10,7 @@ use m4_eval::geometry::{Substitutes, Substitution};
 use m4_eval::image::MeanScore;
 use m4_eval::warp::Warp;
 use m4_io::capture::{self, CaptureOptions, Split};
+use m4_io::results::{Kind, ResultFolder};
 use serde::Serialize;
 use std::path::Path;
 
@@ -79,7 +80,10 @@ fn trained(
     options: &CaptureOptions,
 ) -> Result<Vec<super::SetScore>, Error> {
     let (data, out) = (folder.join(crate::folder::CAPTURE_FOLDER), folder.join("scene"));
-    capture::write(&data, replaced, Split::Train, job.observer)?;
+    let mut results = ResultFolder::open(&data, Kind::Capture)?;
+    results.check_free(crate::folder::capture_names())?;
+    capture::write(&results.begin()?, replaced, Split::Train, job.observer)?;
+    results.commit(None)?;
     crate::train::make(&data, &out, job)?;
     let options = EvalOptions { reach: options.reach, ..EvalOptions::default() };
     Ok(views(&out, truth, &options, job.observer)?.sets)

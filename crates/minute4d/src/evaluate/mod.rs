@@ -31,7 +31,7 @@ pub use sets::SetScore;
 pub use split::{SPLIT_FILE, SplitRecord, split};
 
 use crate::device::DeviceChoice;
-use crate::folder::{CAPTURE_FOLDER, EVAL_FILE, SCENE_FILE};
+use crate::folder::{self, CAPTURE_FOLDER, EVAL_FILE, SCENE_FILE};
 use crate::record::write_json;
 use crate::render::SceneRenderer;
 use crate::settings::Settings;
@@ -43,6 +43,7 @@ use m4_eval::geometry::{GeometryReport, evaluate};
 use m4_eval::image::{ImageReport, MeanScore, PlanarImage};
 use m4_io::capture::{CaptureOptions, Split};
 use m4_io::reach::Reach;
+use m4_io::results::Kind;
 use m4_io::scene::safetensors;
 use m4_kernels::SimdLevel;
 use perceptual::Perceptual;
@@ -228,6 +229,7 @@ pub fn views(out: &Path, data: &Path, options: &EvalOptions, observer: &dyn Obse
         alignment: held.alignment,
         seconds: start.elapsed().as_secs_f64(),
     };
+    folder::claim(out, Kind::Run, &[EVAL_FILE])?;
     write_json(&out.join(EVAL_FILE), &report)?;
     Ok(report)
 }
@@ -355,6 +357,7 @@ impl HeldOut {
     /// The scene of the run `out` and the held-out views of the capture `data`, which may name files within `reach`.
     /// Refused without held-out views.
     pub fn read(out: &Path, data: &Path, reach: Reach, observer: &dyn Observer) -> Result<Self, Error> {
+        folder::settle(out)?;
         let path = out.join(SCENE_FILE);
         let scene = safetensors::read(&path)?.scene;
         let options = CaptureOptions { reach, ..Settings::fast().capture };

@@ -2,12 +2,13 @@
 
 use super::{FrameRule, Protocol};
 use crate::error::OutputError;
-use crate::folder::{self, Existing, Lock};
+use crate::folder::{Existing, capture_names};
 use crate::record::write_json;
 use crate::{Error, Observer, Refusal, Settings, hash};
 use m4_core::{Capture, CaptureFrame};
-use m4_io::capture::{Split, TRACKS_FILE};
+use m4_io::capture::Split;
 use m4_io::reach::Reach;
+use m4_io::results::{Kind, ResultFolder};
 use serde::{Deserialize, Serialize};
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -122,13 +123,6 @@ pub fn split(
     if !data.exists() {
         return Err(Error::Missing { what: "capture", path: data.to_path_buf() });
     }
-    let folder = if data.is_dir() { data } else { data.parent().unwrap_or(data) };
-    if let (Ok(from), Ok(to)) = (fs::canonicalize(folder), fs::canonicalize(out))
-        && from == to
-    {
-        let what = "would be split into itself and lose frames; name another folder";
-        return Err(Refusal::usage(format!("{} {what}", out.display())).into());
-    }
     let mut settings = Settings::fast();
     settings.capture.reach = reach;
     let capture = crate::train::read(data, &settings, observer)?;
@@ -149,36 +143,30 @@ pub fn split(
         held_out: parts.held_out.clone(),
         geometry_saw_held_out: true,
     };
-    let filled = folder::make(out)?;
-    let _lock = Lock::take(out)?;
-    if filled {
+    let mut results = ResultFolder::open(out, Kind::Capture)?;
+    let list = if data.is_dir() { data } else { data.parent().unwrap_or(data) };
+    results.check_not_itself(&[list])?;
+    let names = || capture_names().chain([SPLIT_FILE]);
+    results.check_inputs(names(), &[data])?;
+    if !results.is_empty() {
         match (SplitRecord::read(out)?, existing) {
             (Some(earlier), Existing::Resume) if earlier == record => return Ok(record),
-            (Some(_), Existing::Resume | Existing::Force) => clear(out)?,
-            (None, Existing::Force) => {}
+            (Some(_), Existing::Resume | Existing::Force) | (None, Existing::Force) => {}
             (Some(_), Existing::Refuse) => {
-                return Err(OutputError::Exists { path: out.to_path_buf(), what: "a split capture" }.into());
+                return Err(OutputError::Exists { path: out.to_path_buf(), what: "a split capture".to_owned() }.into());
             }
             (None, _) => {
                 return Err(OutputError::NotOurs { path: out.to_path_buf(), missing: SPLIT_FILE }.into());
             }
         }
     }
-    m4_io::capture::write(out, &parts.test, Split::Test, observer)?;
-    m4_io::capture::write(out, &parts.train, Split::Train, observer)?;
-    // last: a folder that was left half-way is not taken for a split
-    write_json(&out.join(SPLIT_FILE), &record)?;
+    results.check_free(names())?;
+    let next = results.begin()?;
+    m4_io::capture::write(&next, &parts.test, Split::Test, observer)?;
+    m4_io::capture::write(&next, &parts.train, Split::Train, observer)?;
+    write_json(&next.join(SPLIT_FILE), &record)?;
+    results.commit(None)?;
     Ok(record)
-}
-
-/// Removes what [`split`] writes, and nothing else.
-fn clear(out: &Path) -> Result<(), Error> {
-    folder::remove_file(&out.join(SPLIT_FILE))?;
-    folder::remove_file(&out.join(TRACKS_FILE))?;
-    for split in [Split::Train, Split::Test] {
-        folder::clear_split(out, split)?;
-    }
-    Ok(())
 }
 
 #[cfg(test)]

@@ -10,10 +10,11 @@ mod write;
 pub use report::{ExportReport, Losses};
 
 use crate::error::OutputError;
-use crate::folder::SCENE_FILE;
+use crate::folder::{self, SCENE_FILE};
 use crate::render::{Moment, Span};
 use crate::{Error, Observer, Refusal, is_capture};
 use m4_core::Scene;
+use m4_io::results;
 use m4_io::scene::safetensors;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
@@ -67,19 +68,23 @@ pub fn make(input: &Path, job: &ExportJob, observer: &dyn Observer) -> Result<Ex
         ))
         .into());
     }
-    let (folder, file) = if input.is_dir() {
+    let (home, file) = if input.is_dir() {
         (input.to_path_buf(), input.join(SCENE_FILE))
     } else {
-        let folder = input.parent().unwrap_or(Path::new("")).to_path_buf();
-        (folder, input.to_path_buf())
+        let home = input.parent().unwrap_or(Path::new("")).to_path_buf();
+        (home, input.to_path_buf())
     };
     let out = match &job.out {
         Some(out) => out.clone(),
-        None => folder.join(job.format.file_name()),
+        None => home.join(job.format.file_name()),
     };
     if !job.replace && occupied(&out) {
         return Err(OutputError::WouldReplace { path: out }.into());
     }
+    if job.format.time() != Time::Sequence {
+        results::check_target(&out, &[&file])?;
+    }
+    folder::settle(&home)?;
     let scene = safetensors::read(&file)?.scene;
     let moments = job.moments(&scene)?;
     let start = Instant::now();

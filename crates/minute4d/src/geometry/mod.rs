@@ -112,7 +112,8 @@ pub fn make(input: &Path, capture: &Path, job: &Job<'_>) -> Result<GeometryRecor
     let source = Input { path: input.display().to_string(), blake3: hash::of_path(input)? };
     let key = hash::of_parts(&[STAGE, env!("CARGO_PKG_VERSION"), &source.blake3, &part_to_toml(&part)?]);
     let record = GeometryRecord::begin(source, key, plain_json(&part)?);
-    let mut folder = CaptureFolder::open(capture, job.existing, record, job.observer)?;
+    let inputs: Vec<&Path> = [input].into_iter().chain(job.settings.geometry.files()).collect();
+    let mut folder = CaptureFolder::open(capture, job.existing, record, &inputs, job.observer)?;
     if let Some(earlier) = folder.reused(STAGE) {
         return Ok(earlier);
     }
@@ -121,7 +122,7 @@ pub fn make(input: &Path, capture: &Path, job: &Job<'_>) -> Result<GeometryRecor
             steps.observer().warn(note);
         }
         let context = Context { settings: &settings, methods: &methods, steps };
-        folder.record.found = Some(compute(input, &folder.path, &context)?);
+        folder.record.found = Some(compute(input, &folder.next(), &context)?);
         Ok(())
     })?;
     Ok(folder.record)
@@ -224,6 +225,13 @@ pub struct GeometryOptions {
 }
 
 impl GeometryOptions {
+    /// The files and folders of the user among them.
+    pub(crate) fn files(&self) -> impl Iterator<Item = &Path> {
+        let intrinsics = self.intrinsics.as_deref().map(Path::new);
+        let given = [self.poses.as_deref(), self.masks.as_deref(), self.depth.as_deref()];
+        given.into_iter().flatten().chain(intrinsics.filter(|path| path.is_file()))
+    }
+
     /// True when the user gave anything that replaces what would be computed.
     pub fn any_given(&self) -> bool {
         self.intrinsics.is_some() || self.poses.is_some() || self.masks.is_some() || self.depth.is_some()

@@ -1,11 +1,11 @@
 //! Imports a clip with poses as a capture.
 
 use super::{ImportJob, ImportOptions, STAGE};
-use crate::evaluate::{COVISIBLE_FOLDER, adopt_covisible};
+use crate::evaluate::adopt_covisible;
 use crate::folder::CaptureFolder;
-use crate::record::{GeometryRecord, Input, Status, plain_json};
+use crate::record::{GeometryRecord, Input, plain_json};
 use crate::stage::RecordingObserver;
-use crate::{Error, Observer, Refusal, Settings, StageEvent, folder, hash};
+use crate::{Error, Observer, Refusal, Settings, hash};
 use m4_core::{Capture, CompactMask};
 use m4_io::capture::{self, Split};
 use m4_io::dataset::dycheck;
@@ -58,7 +58,6 @@ pub(super) fn make(
     let keeper = RecordingObserver::new(observer);
     let options = ImportOptions { max_memory_bytes: Settings::fast().capture.max_memory_bytes, ..job.options.clone() };
     // Read before the folder is made, so that a wrong file leaves nothing behind.
-    observer.stage(STAGE, StageEvent::Started { because: None });
     if format == SourceFormat::Megasam {
         check_megasam(&options)?;
     }
@@ -66,27 +65,17 @@ pub(super) fn make(
     let settings = plain_json(&Part { import: &options, format })?;
     let input = Input { path: file.display().to_string(), blake3: hash::of_path(file)? };
     let key = hash::of_parts(&[STAGE, env!("CARGO_PKG_VERSION"), &input.blake3, &settings.to_string()]);
-    let mut capture = CaptureFolder::open(out, job.existing, GeometryRecord::begin(input, key, settings), observer)?;
-    let ours = GeometryRecord::read(out)?.is_some_and(|record| record.settings.get("import").is_some());
-    folder::clear_capture(out)?;
-    if ours {
-        folder::clear_split(out, Split::Test)?;
-        folder::remove_folder(&out.join(COVISIBLE_FOLDER))?;
-    }
-    let record = &mut capture.record;
-    record.write(out)?;
-    let written = write(out, &imported, (file, format), options.factor, &keeper);
+    let mut record = GeometryRecord::begin(input, key, settings);
     record.seconds = start.elapsed().as_secs_f64();
     record.warnings = keeper.warnings();
-    record.status = match &written {
-        Ok(()) => Status::Finished,
-        Err(_) => Status::Failed,
-    };
-    record.write(out)?;
-    written?;
-    observer.stage(STAGE, StageEvent::Finished { seconds: record.seconds });
+    let beside = [options.images.as_deref(), options.depth.as_deref(), options.masks.as_deref()];
+    let inputs: Vec<&Path> = [file].into_iter().chain(beside.into_iter().flatten()).collect();
+    let mut folder = CaptureFolder::open(out, job.existing, record, &inputs, observer)?;
+    folder.stage(STAGE, |folder, steps| {
+        write(&folder.next(), &imported, (file, format), options.factor, steps.observer())
+    })?;
     let held_out = imported.test.as_ref().map_or(0, |test| test.frames.len());
-    Ok(report(format, out, &imported.train, held_out, record.seconds))
+    Ok(report(format, out, &imported.train, held_out, folder.record.seconds))
 }
 
 /// Writes the held-out views with the masks of co-visibility that their data set publishes, then the frames.

@@ -3,13 +3,12 @@
 use super::Stop;
 use crate::device::OpenGpu;
 use crate::error::OutputError;
-use crate::folder::{self, remove_file};
 use crate::{Error, Observer, Refusal};
 use m4_core::{Camera, Exposure, Plane, RgbImage, Scene};
 use m4_io::image;
+use m4_io::results::{self, Kind, ResultFolder};
 use m4_io::video::Mp4Writer;
 use m4_kernels::{Frame, Renderer, SimdLevel, View};
-use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Draws images of one scene, one after the other.
@@ -178,7 +177,7 @@ const IMAGE_EXTENSIONS: [&str; 3] = ["png", "jpg", "jpeg"];
 /// The destination of images.
 pub(super) enum Sink {
     /// `00000.png` and so on.
-    Folder { path: PathBuf, next: usize },
+    Folder { results: ResultFolder, path: PathBuf, next: usize },
     /// One image.
     Image(PathBuf),
     /// A clip.
@@ -187,7 +186,7 @@ pub(super) enum Sink {
 
 impl Sink {
     /// Refuses names that cannot work, before anything is computed.
-    pub fn check(out: &Path, replace: bool) -> Result<(), Error> {
+    pub fn check(out: &Path, replace: bool, inputs: &[&Path]) -> Result<(), Error> {
         let extension = extension(out);
         if OTHER_VIDEOS.contains(&extension.as_str()) {
             let path = out.display();
@@ -196,7 +195,11 @@ impl Sink {
             ))
             .into());
         }
-        if is_file(&extension) && out.exists() && !replace {
+        if !is_file(&extension) {
+            return Ok(());
+        }
+        results::check_target(out, inputs)?;
+        if out.exists() && !replace {
             return Err(OutputError::WouldReplace { path: out.to_path_buf() }.into());
         }
         Ok(())
@@ -204,7 +207,6 @@ impl Sink {
 
     /// Makes the place for the images of `stops`.
     pub fn open(out: &Path, stops: &[Stop], fps: f64, replace: bool) -> Result<Self, Error> {
-        Self::check(out, replace)?;
         let path = out.to_path_buf();
         let extension = extension(out);
         if IMAGE_EXTENSIONS.contains(&extension.as_str()) {
@@ -219,10 +221,14 @@ impl Sink {
             return Ok(Self::Image(path));
         }
         if !is_file(&extension) {
-            if folder::make(out)? && !replace {
+            let results = ResultFolder::open(out, Kind::Render)?;
+            if !results.is_empty() && !replace {
                 return Err(OutputError::WouldReplace { path }.into());
             }
-            return Ok(Self::Folder { path, next: 0 });
+            let names: Vec<String> = (0..stops.len()).map(numbered).collect();
+            results.check_free(names.iter().map(String::as_str))?;
+            let path = results.begin()?;
+            return Ok(Self::Folder { results, path, next: 0 });
         }
         let size = stops.first().map_or((0, 0), |s| (s.camera.intrinsics.width, s.camera.intrinsics.height));
         Ok(Self::Video(Box::new(Mp4Writer::create(out, size.0, size.1, fps)?)))
@@ -231,8 +237,8 @@ impl Sink {
     /// The next image.
     pub fn push(&mut self, rgb: &RgbImage) -> Result<(), Error> {
         match self {
-            Self::Folder { path, next } => {
-                image::write_rgb(&numbered(path, *next), rgb)?;
+            Self::Folder { path, next, .. } => {
+                image::write_rgb(&path.join(numbered(*next)), rgb)?;
                 *next += 1;
             }
             Self::Image(path) => image::write_rgb(path, rgb)?,
@@ -241,10 +247,13 @@ impl Sink {
         Ok(())
     }
 
-    /// Completes the file, or removes what an earlier and longer render left in the folder.
+    /// Completes the file, or puts the images into the place of those of an earlier render.
     pub fn finish(self) -> Result<(), Error> {
         match self {
-            Self::Folder { path, next } => remove_from(&path, next),
+            Self::Folder { mut results, .. } => {
+                results.commit(None)?;
+                Ok(())
+            }
             Self::Image(_) => Ok(()),
             Self::Video(writer) => Ok(writer.finish()?),
         }
@@ -259,22 +268,8 @@ fn is_file(extension: &str) -> bool {
     extension == "mp4" || IMAGE_EXTENSIONS.contains(&extension)
 }
 
-fn numbered(folder: &Path, i: usize) -> PathBuf {
-    folder.join(format!("{i:05}.png"))
-}
-
-/// Removes the images from number `next` on, so that the folder holds one render.
-fn remove_from(folder: &Path, next: usize) -> Result<(), Error> {
-    let read = |source| Error::Read { path: folder.to_path_buf(), source };
-    for entry in fs::read_dir(folder).map_err(read)? {
-        let name = entry.map_err(read)?.file_name();
-        let number = name.to_str().and_then(|n| n.strip_suffix(".png"));
-        let number = number.filter(|n| n.len() == 5).and_then(|n| n.parse::<usize>().ok());
-        if let Some(i) = number.filter(|i| *i >= next) {
-            remove_file(&numbered(folder, i))?;
-        }
-    }
-    Ok(())
+fn numbered(i: usize) -> String {
+    format!("{i:05}.png")
 }
 
 #[cfg(test)]

@@ -107,8 +107,9 @@ pub struct Rendered {
 /// work, or the images cannot be written.
 pub fn make(scene: &Path, out: &Path, job: &RenderJob, observer: &dyn Observer) -> Result<Rendered, Error> {
     let start = Instant::now();
-    Sink::check(out, job.replace)?;
+    Sink::check(out, job.replace, &[scene])?;
     let level = SimdLevel::detect()?;
+    crate::folder::settle(scene)?;
     let file = if scene.is_dir() { scene.join(SCENE_FILE) } else { scene.to_path_buf() };
     let scene = safetensors::read(&file)?.scene;
     let gpu = job.device.open(|why| observer.warn(why))?;

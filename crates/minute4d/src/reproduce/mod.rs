@@ -26,8 +26,8 @@ use crate::evaluate::Protocol;
 use crate::record::write_json;
 use crate::{Category, Error, Job, Refusal};
 use m4_io::atomic;
+use m4_io::results::Kind;
 use serde::Serialize;
-use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Name of the report in numbers.
@@ -95,7 +95,6 @@ pub fn reproduce(
     for scene in &missing {
         job.observer.warn(&format!("{}: {}; {}", scene.scene, scene.why, suite.facts().source));
     }
-    fs::create_dir_all(out).map_err(|source| Error::Write { path: out.to_path_buf(), source })?;
     let total = found.len() * protocols.len();
     let mut done = 0;
     let mut tables: Vec<TableReport> = Vec::new();
@@ -133,6 +132,9 @@ pub fn reproduce(
         tables,
         missing,
     };
+    let plots: Vec<String> = report.tables.iter().map(TableReport::plot_file).collect();
+    let files = [REPORT_FILE, TABLE_FILE].into_iter().chain(plots.iter().map(String::as_str));
+    crate::folder::claim(out, Kind::Report, &files.collect::<Vec<_>>())?;
     for table in &report.tables {
         plot::write_plot(&out.join(table.plot_file()), table)?;
     }

@@ -19,6 +19,7 @@ use crate::record::{RunRecord, write_json};
 use crate::{Error, Job, Refusal, geometry, hash, import};
 use m4_io::capture::{self, Split};
 use m4_io::dataset::{ImportOptions, SourceFormat};
+use m4_io::results::{Kind, ResultFolder};
 use serde::{Deserialize, Serialize};
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -96,6 +97,7 @@ pub(super) fn make(
     {
         return Ok(made(kept.row));
     }
+    folder::claim(&folder, Kind::Report, &[ROW_FILE])?;
     folder::remove_file(&file)?;
     let mut geometry_s = whole_capture(suite, scene, &source, &whole, options, &job)?;
     if own {
@@ -172,16 +174,11 @@ fn whole_capture(
     if read::<Imported>(&file).is_some_and(|kept| kept.key == key) {
         return Ok(None);
     }
-    if folder::make(whole)? {
-        if !file.is_file() {
-            return Err(OutputError::NotOurs { path: whole.to_path_buf(), missing: KEY_FILE }.into());
-        }
-        // what an earlier import of other data left must not stay beside the new
-        folder::remove_folder(whole)?;
-        folder::make(whole)?;
+    let mut results = ResultFolder::open(whole, Kind::Capture)?;
+    if !results.is_empty() && !file.is_file() {
+        return Err(OutputError::NotOurs { path: whole.to_path_buf(), missing: KEY_FILE }.into());
     }
-    // an import that is cut off has no key
-    write_json(&file, &Imported { key: String::new() })?;
+    results.check_free(folder::capture_names().chain([KEY_FILE]))?;
     let import = ImportOptions {
         factor: options.factor,
         max_memory_bytes: job.settings.capture.max_memory_bytes,
@@ -190,8 +187,10 @@ fn whole_capture(
     };
     let read = m4_io::dataset::read(&scene.path, format, &import, job.observer)?;
     let source = (scene.path.as_path(), format);
-    import::write_capture(whole, &read, source, options.factor, job.observer)?;
-    write_json(&file, &Imported { key })?;
+    let next = results.begin()?;
+    import::write_capture(&next, &read, source, options.factor, job.observer)?;
+    write_json(&next.join(KEY_FILE), &Imported { key })?;
+    results.commit(None)?;
     Ok(None)
 }
 

@@ -74,7 +74,7 @@ pub(crate) fn stage(run: &mut Workspace<'_>, capture: &Capture, scene: &Scene) -
         return Ok(());
     }
     let scene_hash = run.record.files.get(SCENE_FILE).map_or("", |f| f.blake3.as_str());
-    let title = title(&run.folder, &run.record.input.path);
+    let title = title(run.place(), &run.record.input.path);
     let key = hash::of_parts(&[
         STAGE,
         env!("CARGO_PKG_VERSION"),

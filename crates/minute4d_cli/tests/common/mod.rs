@@ -153,8 +153,10 @@ impl Scratch {
         std::fs::read(self.path(name)).unwrap()
     }
 
+    /// The files and folders in a folder, without hidden ones.
     pub fn count(&self, name: &str) -> usize {
-        std::fs::read_dir(self.path(name)).unwrap().count()
+        let names = std::fs::read_dir(self.path(name)).unwrap().map(|entry| entry.unwrap().file_name());
+        names.filter(|name| !name.to_string_lossy().starts_with('.')).count()
     }
 
     /// Makes the program `bin/NAME` of a script. By another process: one that is forked here meanwhile would hold it open for

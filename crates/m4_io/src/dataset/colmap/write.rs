@@ -6,40 +6,39 @@
 //! sparse/0/*.bin         PINHOLE cameras, poses (world to camera, OpenCV axes), points of static regions (error -1, no track)
 //! ```
 //!
-//! All of it is written to a folder beside its place, read back, and then gets its name.
+//! All of it is written to a folder beside its place, read back, and then gets its place ([`crate::results`]).
 //!
 //! The dynamic part is 0 in the masks and left out of the points: readers rebuild the static part.
 
 use super::tables::write_model;
 use super::{ColmapPoint, ColmapTables};
 use crate::files::in_parallel;
+use crate::results::{Kind, ResultFolder};
 use crate::scene::{Loss, Written, plural, usable};
 use crate::{ReadError, WriteError, image};
 use m4_core::{Capture, CaptureFrame, Exposure, Plane, Progress, SourceFrame};
-use std::fs;
-use std::io::ErrorKind;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// Most points: the order of what COLMAP itself makes of a few hundred images.
 const MAX_POINTS: usize = 100_000;
 
-/// Writes the training frames `capture` into the folder `out`, where `images`, `masks` and `sparse` are replaced.
-/// On failure nothing is changed, unless the last renames fail.
+/// Writes the training frames `capture` into the folder `out`, where `images`, `masks` and `sparse` are replaced
+/// if they are of an earlier export; on failure nothing is changed.
 pub fn write(out: &Path, capture: &Capture, progress: &dyn Progress) -> Result<Written, WriteError> {
     check(out, capture)?;
-    let staging = Staging::new(out)?;
+    let mut results = ResultFolder::open(out, Kind::Colmap)?;
+    results.check_free(["images", "masks", "sparse"])?;
+    let next = results.begin()?;
     let name = |i: usize| format!("{i:05}.png");
     let stopped = || WriteError::cancelled(out);
-    in_parallel("write frames", &capture.frames, progress, stopped, |i, frame| {
-        write_frame(staging.path(), &name(i), frame)
-    })?;
+    in_parallel("write frames", &capture.frames, progress, stopped, |i, frame| write_frame(&next, &name(i), frame))?;
     let points = static_points(capture);
     let cameras: Vec<_> = capture.frames.iter().map(|f| f.camera).collect();
     let tables = ColmapTables::new(&cameras, (0..cameras.len()).map(name));
-    write_model(&staging.path().join("sparse/0"), &tables, &points)?;
+    write_model(&next.join("sparse/0"), &tables, &points)?;
     Ok(Written {
         path: out.to_path_buf(),
-        bytes: staging.commit("sparse")?,
+        bytes: results.commit(None)?,
         splats: 0,
         losses: losses(capture, points.len()),
     })
@@ -119,65 +118,6 @@ fn static_points(capture: &Capture) -> Vec<ColmapPoint> {
     points
 }
 
-/// A folder beside the one that is to be made; dropped, it is removed.
-struct Staging {
-    folder: tempfile::TempDir,
-    out: PathBuf,
-}
-
-impl Staging {
-    pub fn new(out: &Path) -> Result<Self, WriteError> {
-        let parent = out.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-        fs::create_dir_all(parent).map_err(|e| WriteError::io(parent, e))?;
-        let folder =
-            tempfile::Builder::new().prefix(".minute4d-").tempdir_in(parent).map_err(|e| WriteError::io(parent, e))?;
-        Ok(Self { folder, out: out.to_path_buf() })
-    }
-
-    pub fn path(&self) -> &Path {
-        self.folder.path()
-    }
-
-    /// Gives what was written its place, what is called `list` last; an older `list` goes first, so that a folder that was
-    /// left half-way is none. Files of other names stay. The size of all files, bytes.
-    pub fn commit(self, list: &str) -> Result<u64, WriteError> {
-        let bytes = size(self.folder.path())?;
-        remove(&self.out.join(list))?;
-        fs::create_dir_all(&self.out).map_err(|e| WriteError::io(&self.out, e))?;
-        let failed = |e| WriteError::io(&self.out, e);
-        let mut names = Vec::new();
-        for entry in fs::read_dir(self.folder.path()).map_err(failed)? {
-            names.push(entry.map_err(failed)?.file_name());
-        }
-        names.sort_by_key(|name| name.as_os_str() == list);
-        for name in names {
-            let to = self.out.join(&name);
-            remove(&to)?;
-            fs::rename(self.folder.path().join(&name), &to).map_err(|e| WriteError::io(&to, e))?;
-        }
-        Ok(bytes)
-    }
-}
-
-fn remove(path: &Path) -> Result<(), WriteError> {
-    let done = if path.is_dir() { fs::remove_dir_all(path) } else { fs::remove_file(path) };
-    match done {
-        Err(e) if e.kind() != ErrorKind::NotFound => Err(WriteError::io(path, e)),
-        _ => Ok(()),
-    }
-}
-
-fn size(folder: &Path) -> Result<u64, WriteError> {
-    let failed = |e| WriteError::io(folder, e);
-    let mut bytes = 0;
-    for entry in fs::read_dir(folder).map_err(failed)? {
-        let entry = entry.map_err(failed)?;
-        let meta = entry.metadata().map_err(failed)?;
-        bytes += if meta.is_dir() { size(&entry.path())? } else { meta.len() };
-    }
-    Ok(bytes)
-}
-
 fn write_frame(folder: &Path, name: &str, frame: &CaptureFrame) -> Result<(), WriteError> {
     fn same<T>(path: &Path, back: Result<T, ReadError>, same: impl Fn(&T) -> bool) -> Result<(), WriteError> {
         match back {
@@ -207,33 +147,4 @@ fn losses(capture: &Capture, points: usize) -> Vec<Loss> {
         losses.push(Loss::Dropped("tracks".to_owned()));
     }
     losses
-}
-
-#[cfg(test)]
-mod tests {
-    use super::Staging;
-    use std::fs;
-
-    #[test]
-    fn staging_replaces_files_only_on_commit() {
-        let dir = tempfile::tempdir().unwrap();
-        let out = dir.path().join("out");
-        fs::create_dir_all(out.join("a")).unwrap();
-        fs::write(out.join("a/old"), "old").unwrap();
-        fs::write(out.join("mine"), "kept").unwrap();
-        let dropped = Staging::new(&out).unwrap();
-        fs::write(dropped.path().join("list"), "x").unwrap();
-        drop(dropped);
-        assert!(!out.join("list").exists() && out.join("a/old").exists());
-
-        let staging = Staging::new(&out).unwrap();
-        fs::create_dir(staging.path().join("a")).unwrap();
-        fs::write(staging.path().join("a/new"), "new").unwrap();
-        fs::write(staging.path().join("list"), "l").unwrap();
-        assert_eq!(staging.commit("list").unwrap(), 4);
-        assert!(!out.join("a/old").exists() && out.join("mine").exists());
-        assert_eq!(fs::read(out.join("a/new")).unwrap(), b"new");
-        // nothing is left beside it
-        assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 1);
-    }
 }

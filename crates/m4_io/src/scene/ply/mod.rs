@@ -18,9 +18,9 @@ pub use read::{parse, read};
 use super::splats::Row;
 use super::{Loss, Written, check_finite, instant, plural, publish};
 use crate::WriteError;
+use crate::results::{Kind, ResultFolder};
 use m4_core::{Column, Scene, Splats};
 use std::fmt::Write as _;
-use std::fs;
 use std::path::Path;
 
 /// Writes the splats that time `t` (frames) sees, atomically; all values must be finite.
@@ -102,9 +102,9 @@ pub fn frame_name(i: usize) -> String {
     format!("frame_{i:05}.ply")
 }
 
-/// Writes a file for each of `times` (frames) into `folder`, each atomically. Files of a longer sequence that was there
-/// before are removed. `each` is called after every file, and may stop the work by returning false; the files written until
-/// then stay. Fails when the scene has values that are not finite, or the file system refuses.
+/// Writes a file for each of `times` (frames) into `folder`, in the place of those of an earlier sequence once all are complete.
+/// `each` is called after every file, and may stop the work by returning false; nothing is replaced then. Fails when the scene has
+/// values that are NaN or infinite, where other files have those names, or the file system refuses.
 pub fn write_sequence(
     folder: &Path,
     scene: &Scene,
@@ -112,27 +112,24 @@ pub fn write_sequence(
     mut each: impl FnMut(usize) -> bool,
 ) -> Result<Written, WriteError> {
     check_finite(folder, scene)?;
-    let io = WriteError::io;
-    fs::create_dir_all(folder).map_err(|e| io(folder, e))?;
+    let mut results = ResultFolder::open(folder, Kind::PlySequence)?;
+    let names: Vec<String> = (0..times.len()).map(frame_name).collect();
+    results.check_free(names.iter().map(String::as_str))?;
+    let next = results.begin()?;
     let mut written = Written { path: folder.to_path_buf(), bytes: 0, splats: 0, losses: Vec::new() };
     for (i, &t) in times.iter().enumerate() {
-        let path = folder.join(frame_name(i));
+        let path = next.join(&names[i]);
         let splats = seen(scene, t);
         let bytes = encode(&splats, t);
         publish(&path, &bytes)?;
         written.bytes += bytes.len() as u64;
         written.splats += splats.n();
         if !each(i + 1) {
+            results.discard()?;
             return Ok(written);
         }
     }
-    for i in times.len().. {
-        let path = folder.join(frame_name(i));
-        if !path.is_file() {
-            break;
-        }
-        fs::remove_file(&path).map_err(|e| io(&path, e))?;
-    }
+    results.commit(None)?;
     if scene.splats.n_dynamic() > 0 {
         written.losses.push(Loss::Baked(format!("time, at {} instants", times.len())));
     }
