@@ -5,10 +5,21 @@ use anyhow::{Context, Result, bail};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
-/// What must have a row of the table.
-pub const ITEMS: [&str; 13] = [
-    "Eq. 1", "Eq. 2", "Eq. 3", "Eq. 4", "Eq. 5", "Eq. 6", "Eq. 7", "Eq. 8", "Eq. 9", "Eq. 10", "sec. 3.1", "sec. 3.2",
-    "sec. 3.3",
+/// What must have a row of the table, and for equations the caption that the row must begin with: what each is in the paper.
+pub const ITEMS: [(&str, &str); 13] = [
+    ("Eq. 1", "Gaussian"),
+    ("Eq. 2", "4DSH"),
+    ("Eq. 3", "front end"),
+    ("Eq. 4", "back-projection"),
+    ("Eq. 5", "point tracking"),
+    ("Eq. 6", "per-pixel error"),
+    ("Eq. 7", "error mask"),
+    ("Eq. 8", "refined error"),
+    ("Eq. 9", "densify score"),
+    ("Eq. 10", "prune score"),
+    ("sec. 3.1", ""),
+    ("sec. 3.2", ""),
+    ("sec. 3.3", ""),
 ];
 
 /// Prefix of an equation or a section of the paper in a marker.
@@ -16,8 +27,16 @@ const PAPER: &str = "Minute4D ";
 /// Prefix of the name of a specification in a citation.
 const SPECIFICATIONS: &str = "docs/spec/";
 
-/// For each row of the table: equation or section, and the files that it links to, relative to the root.
-pub type Rows = Vec<(String, Vec<String>)>;
+/// A row of the table.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Row {
+    /// Equation or section.
+    pub item: String,
+    /// Its caption: the second column up to a colon.
+    pub caption: String,
+    /// The files that it links to, relative to the root.
+    pub files: Vec<String>,
+}
 
 /// The text of each source file, by its path relative to the root with forward slashes.
 pub type Sources = BTreeMap<String, String>;
@@ -44,18 +63,23 @@ pub fn markers(source: &str) -> BTreeSet<String> {
 }
 
 /// The rows of the table whose header starts with `paper`.
-pub fn rows(markdown: &str) -> Rows {
-    let mut rows = Rows::new();
+pub fn rows(markdown: &str) -> Vec<Row> {
+    let mut rows = Vec::new();
     let mut in_table = false;
     for line in markdown.lines() {
         let Some(inside) = line.trim().strip_prefix('|') else {
             in_table = false;
             continue;
         };
-        let first = inside.split('|').next().unwrap_or("").trim();
+        let mut columns = inside.split('|').map(str::trim);
+        let (first, second) = (columns.next().unwrap_or(""), columns.next().unwrap_or(""));
         if in_table && !first.starts_with("--") {
             let links = inside.split("](").skip(1).filter_map(|part| part.split(')').next());
-            rows.push((first.to_owned(), links.map(str::to_owned).collect()));
+            rows.push(Row {
+                item: first.to_owned(),
+                caption: second.split(':').next().unwrap_or("").to_owned(),
+                files: links.map(str::to_owned).collect(),
+            });
         }
         in_table |= first == "paper";
     }
@@ -63,15 +87,18 @@ pub fn rows(markdown: &str) -> Rows {
 }
 
 /// Compares table and sources; one line per mistake, empty when all is well.
-pub fn violations(rows: &[(String, Vec<String>)], sources: &Sources) -> Vec<String> {
+pub fn violations(rows: &[Row], sources: &Sources) -> Vec<String> {
     let mut found = Vec::new();
-    for item in ITEMS {
-        match rows.iter().filter(|(name, _)| name == item).count() {
-            1 => {}
-            n => found.push(format!("the table has {n} rows for {item} in place of one")),
+    for (item, caption) in ITEMS {
+        match &rows.iter().filter(|row| row.item == item).collect::<Vec<_>>()[..] {
+            [row] if caption.is_empty() || row.caption == caption => {}
+            [row] => {
+                found.push(format!("the row for {item} has the caption `{}` in place of `{caption}`", row.caption))
+            }
+            several => found.push(format!("the table has {} rows for {item} in place of one", several.len())),
         }
     }
-    for (item, files) in rows {
+    for Row { item, files, .. } in rows {
         if files.is_empty() {
             found.push(format!("the row for {item} names no file"));
         }
@@ -87,7 +114,7 @@ pub fn violations(rows: &[(String, Vec<String>)], sources: &Sources) -> Vec<Stri
     }
     for (file, text) in sources {
         for marker in markers(text) {
-            let named = rows.iter().any(|(item, files)| *item == marker && files.contains(file));
+            let named = rows.iter().any(|row| row.item == marker && row.files.contains(file));
             if !named {
                 found.push(format!("{file} has the marker `{PAPER}{marker}`, and no row for it names the file"));
             }

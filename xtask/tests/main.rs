@@ -6,7 +6,7 @@ use m4_testkit::{Need, find_chromium, skip};
 use std::collections::{BTreeMap, BTreeSet};
 use xtask::arrows::{Actual, Arrows, allowed, violations};
 use xtask::page::{Outcome, compare};
-use xtask::paper::{self, ITEMS, Rows, Sources, dangling, headings, markers, rows};
+use xtask::paper::{self, ITEMS, Row, Sources, dangling, headings, markers, rows};
 use xtask::tests::{Tests, lacking, parse, summary};
 
 const LINES: &str = "ffmpeg\tinstall ffmpeg\tvideo::plays\tcrates/m4_io/tests/video.rs:7\tit is not on the PATH\n\
@@ -142,17 +142,21 @@ const EQUATIONS: &str = "
 
 | paper | what it is | computed in |
 |---|---|---|
-| Eq. 1 | A Gaussian. | [reference](crates/a/src/one.rs), [gpu](crates/b/src/one.rs) |
-| Eq. 10 | A score. | [ten.rs](crates/a/src/ten.rs) |
+| Eq. 1 | Gaussian: of four dimensions | [reference](crates/a/src/one.rs), [gpu](crates/b/src/one.rs) |
+| Eq. 10 | prune score | [ten.rs](crates/a/src/ten.rs) |
 
 Text with a [link](docs/spec/optimiser.md).
 ";
 
+fn row(item: &str, caption: &str, files: &[&str]) -> Row {
+    Row { item: item.to_owned(), caption: caption.to_owned(), files: files.iter().map(|&n| n.to_owned()).collect() }
+}
+
 /// A table with every row, each of a file of its own that carries its marker.
-fn complete() -> (Rows, Sources) {
+fn complete() -> (Vec<Row>, Sources) {
     let file = |item: &str| format!("crates/a/src/{}.rs", item.replace([' ', '.'], "_"));
-    let rows = ITEMS.map(|item| (item.to_owned(), vec![file(item)])).to_vec();
-    let sources = ITEMS.map(|item| (file(item), format!("/// A sum (Minute4D {item}).\nfn f() {{}}\n")));
+    let rows = ITEMS.map(|(item, caption)| row(item, caption, &[&file(item)])).to_vec();
+    let sources = ITEMS.map(|(item, _)| (file(item), format!("/// A sum (Minute4D {item}).\nfn f() {{}}\n")));
     (rows, BTreeMap::from(sources))
 }
 
@@ -163,10 +167,9 @@ fn table_and_citations_of_this_workspace_are_true() {
 
 #[test]
 fn rows_and_markers_are_read() {
-    let files = |names: &[&str]| names.iter().map(|&n| n.to_owned()).collect::<Vec<_>>();
-    let want = vec![
-        ("Eq. 1".to_owned(), files(&["crates/a/src/one.rs", "crates/b/src/one.rs"])),
-        ("Eq. 10".to_owned(), files(&["crates/a/src/ten.rs"])),
+    let want = [
+        row("Eq. 1", "Gaussian", &["crates/a/src/one.rs", "crates/b/src/one.rs"]),
+        row("Eq. 10", "prune score", &["crates/a/src/ten.rs"]),
     ];
     assert_eq!(rows(EQUATIONS), want);
     let found = markers(
@@ -180,7 +183,7 @@ fn rows_and_markers_are_read() {
 fn each_kind_of_mistake_in_the_table_is_found() {
     let (rows, sources) = complete();
     assert_eq!(paper::violations(&rows, &sources), Vec::<String>::new());
-    let one = |rows: &[(String, Vec<String>)], sources: &Sources, what: &str| {
+    let one = |rows: &[Row], sources: &Sources, what: &str| {
         let found = paper::violations(rows, sources);
         assert_eq!(found.len(), 1, "{found:?}");
         assert!(found[0].contains(what), "{found:?}");
@@ -190,19 +193,24 @@ fn each_kind_of_mistake_in_the_table_is_found() {
     twice.push(rows[3].clone());
     one(&twice, &sources, "2 rows for Eq. 4");
 
+    // what others call an equation is not what the paper has under the number
+    let mut renamed = rows.clone();
+    renamed[2].caption = "compositing".to_owned();
+    one(&renamed, &sources, "the row for Eq. 3 has the caption `compositing` in place of `front end`");
+
     let mut missing = sources.clone();
-    missing.remove(&rows[0].1[0]);
+    missing.remove(&rows[0].files[0]);
     one(&rows, &missing, "which is no source file");
 
     let mut bare = rows.clone();
-    bare[11].1.clear();
+    bare[11].files.clear();
     let mut unmarked = sources.clone();
-    unmarked.remove(&rows[11].1[0]);
+    unmarked.remove(&rows[11].files[0]);
     one(&bare, &unmarked, "the row for sec. 3.2 names no file");
 
     // Eq. 10 is no marker of Eq. 1
     let mut other = sources.clone();
-    other.insert(rows[0].1[0].clone(), "Minute4D Eq. 10".to_owned());
+    other.insert(rows[0].files[0].clone(), "Minute4D Eq. 10".to_owned());
     let found = paper::violations(&rows, &other);
     assert_eq!(found.len(), 2, "{found:?}");
     assert!(found[0].contains("lacks the marker `Minute4D Eq. 1`"), "{found:?}");

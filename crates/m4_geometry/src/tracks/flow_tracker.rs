@@ -14,7 +14,7 @@ const MOST_PLACES: usize = 8_000_000;
 /// Time over which the depth of a track is smoothed, standard deviation in frames.
 const SMOOTH_FRAMES: f32 = 2.0;
 
-/// Follows the dynamic points of a clip: chains along optical flow, lifted with depth (docs/spec/front-end.md 7.1, item 8), and carried on where
+/// Follows the dynamic points of a clip (Minute4D Eq. 5, without a network): chains along optical flow, lifted with depth (docs/spec/front-end.md 7.1, item 8), and carried on where
 /// they are hidden with the local rigid motion of their neighbours (docs/spec/front-end.md 3, "cheaper substitute"). No point starts
 /// where a chain passes, and a chain that jumps becomes several tracks.
 ///

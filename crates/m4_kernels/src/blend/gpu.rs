@@ -1,4 +1,4 @@
-//! Blends tile lists into an image (Minute4D Eq. 3): one cube per tile of 8x8 pixels, one unit per pixel.
+//! Blends tile lists into an image: one cube per tile of 8x8 pixels, one unit per pixel.
 
 use crate::{gpu::vector::BACKGROUND, project::gpu::RECORD};
 use cubecl::prelude::*;

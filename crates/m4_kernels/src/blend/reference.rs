@@ -178,7 +178,7 @@ fn behind_all<T: Real>(background: &[T; 3]) -> [T; CHANNELS] {
     [background[0], background[1], background[2], T::zero(), T::zero()]
 }
 
-/// The image of `splats`, which are in order of depth (Minute4D Eq. 3).
+/// The image of `splats`, which are in order of depth.
 pub fn blend<T: Real, C: Cutoff>(splats: &[Ellipse<T>], width: usize, height: usize, background: &[T; 3]) -> Image<T> {
     let mut image = Image {
         width,

@@ -78,7 +78,7 @@ fn scaled_axes<T: Real>(log_scale: &Vector3<T>, quat: &Vector4<T>) -> Matrix3<T>
     quat::rotation(quat) * Matrix3::from_diagonal(&log_scale.map(|s| s.exp()))
 }
 
-/// The 3D splat at time `t`, frames.
+/// The 3D splat at time `t`, frames: mean, covariance and marginal with peak 1 (Minute4D Eq. 1).
 pub fn slice<T: Real>(splat: &Gaussian<T>, t: T) -> Sliced<T> {
     let covariance = match &splat.shape {
         Shape::Isotropic { log_scale } => Matrix3::from_diagonal_element((T::of(2.0) * *log_scale).exp()),
@@ -140,7 +140,7 @@ fn blocks<T: Real>(m: &Matrix4<T>) -> (Matrix3<T>, Vector3<T>, T) {
     (m.fixed_view::<3, 3>(0, 0).into_owned(), m.fixed_view::<3, 1>(0, 3).into_owned(), m[(3, 3)])
 }
 
-/// The 3D splat at time `t`, frames: mean, covariance and marginal with peak 1 (Minute4D Eq. 1).
+/// The same of the rotor-pair form.
 pub fn slice_rotor<T: Real>(splat: &RotorGaussian<T>, t: T) -> Sliced<T> {
     let (space, cross, variance) = blocks(&rotor_covariance(splat).0);
     let dt = t - splat.time_mean;

@@ -123,7 +123,7 @@ impl Tapip3d {
         (longer(self.config.size.0), longer(self.config.size.1))
     }
 
-    /// Follows `queries` through all frames of `clip`.
+    /// Follows `queries` through all frames of `clip` (Minute4D Eq. 5).
     ///
     /// # Errors
     ///

@@ -44,7 +44,7 @@ pub enum VelocityInit {
     },
 }
 
-/// Points of tracks that the capture brings, added to those of the frames (paper Eq. 5: the completed cloud; docs/spec/optimiser.md 2.6). Without
+/// Points of tracks that the capture brings, added to those of the frames (the completed cloud; docs/spec/optimiser.md 2.6). Without
 /// tracks nothing is added. The default is [`InitConfig::fast`]'s.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct TrackedInit {

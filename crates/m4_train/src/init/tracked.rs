@@ -1,4 +1,4 @@
-//! Adds tracked points to those of the frames: the completed cloud (Minute4D Eq. 5; docs/spec/optimiser.md 2.6).
+//! Adds tracked points to those of the frames: the completed cloud (Minute4D sec. 3.2; docs/spec/optimiser.md 2.6).
 //!
 //! A track knows where its point is in frames that cannot see it. There is one point a track and keyframe, of the time of that
 //! keyframe; it is left out where it is not to be trusted, floats in front of what the frame sees, no camera of the clip looks there, or the

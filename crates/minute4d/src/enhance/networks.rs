@@ -149,7 +149,7 @@ impl tapip3d::PosedClip for Frames<'_> {
     }
 }
 
-/// Points that TAPIP3D follows through a clip.
+/// Points that TAPIP3D follows through a clip (Minute4D Eq. 5).
 pub(super) fn tapip3d(
     net: &Tapip3d,
     options: &Tapip3dOptions,

@@ -1,4 +1,5 @@
-//! Cameras from tracked corners, depth and masks along the flow, and both once more without the tracks of dynamic regions.
+//! The front end without weights (Minute4D Eq. 3): cameras from tracked corners, depth and masks along the flow, and both once more
+//! without the tracks of dynamic regions.
 
 use super::Context;
 use super::clip::{Clip, FrameGeometry};

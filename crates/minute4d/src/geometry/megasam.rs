@@ -1,4 +1,4 @@
-//! Computes a capture with MegaSaM's networks (Minute4D sec. 3.1).
+//! Computes a capture with MegaSaM's networks (Minute4D Eq. 3, Minute4D sec. 3.1).
 
 use super::Context;
 use super::clip::{Clip, FrameGeometry};

@@ -176,7 +176,7 @@ impl<'a> Context<'a> {
     }
 }
 
-/// Reads the clip, finds its geometry, refines masks and tracks points as planned, and writes the capture into `folder`.
+/// Reads the clip, finds its geometry (Minute4D Eq. 3), refines masks and tracks points as planned, and writes the capture into `folder`.
 fn compute(input: &Path, folder: &Path, context: &Context<'_>) -> Result<GeometrySummary, Error> {
     let observer = context.observer();
     let between = Between::of(context.settings, &context.methods.frontend);

@@ -1,4 +1,4 @@
-//! The passes from near to far: splats to pixels (Minute4D Eq. 3), and sums of a map of weights over the pixels that each
+//! The passes from near to far: splats to pixels, and sums of a map of weights over the pixels that each
 //! splat is blended on (Minute4D Eq. 9).
 
 use crate::{
