@@ -16,6 +16,12 @@ const SCORES: [&str; 2] = [
      | {/splats 0} | {/seconds 0}",
 ];
 
+const AGAINST: [&str; 2] = [
+    "scene | trained on | far: whole | far: dynamic | near: whole | near: dynamic | between: whole | between: dynamic",
+    "{/scene} | {/what} | {/far/psnr_db} | {/far/masked_psnr_db} | {/near/psnr_db} | {/near/masked_psnr_db} \
+     | {/between/psnr_db} | {/between/masked_psnr_db}",
+];
+
 const DETAILS: [&str; 2] = [
     "scene | trained on | far to 8 degrees | 8 to 20 degrees | over 20 degrees \
      | far: shift / swim, px | near: shift / swim, px | between: shift / swim, px | far: LPIPS",
@@ -76,22 +82,48 @@ fn row(scene: &str, what: &str, run: &Value, eval: &Value) -> Value {
     row
 }
 
+/// What begins the names of baselines that know the true depth.
+const KNOWS_DEPTH: &str = "given depth";
+
+/// For each set of views and score, dB, of a trained scene: the difference to the best of the baselines, which baseline that is and its
+/// score. Scores are rounded as in the table first, so that the difference is that of the printed ones.
+fn against(trained: &Value, baselines: &[Value]) -> Value {
+    let mut row = json!({"scene": trained["scene"], "what": trained["what"]});
+    for set in ["far", "near", "between"] {
+        for key in ["psnr_db", "masked_psnr_db"] {
+            let rounded = |row: &Value| row[set][key].as_f64().map(|db| (100.0 * db).round() / 100.0);
+            let known = baselines.iter().filter_map(|baseline| Some((rounded(baseline)?, &baseline["what"])));
+            let best = known.max_by(|a, b| a.0.total_cmp(&b.0));
+            if let (Some(ours), Some((db, name))) = (rounded(trained), best) {
+                let name = name.as_str().unwrap_or_default().split(" (").next().unwrap_or_default();
+                row[set][key] = format!("{:+.2} ({name} {db:.2})", ours - db).into();
+            }
+        }
+    }
+    row
+}
+
 /// The scene at the default preset on its true geometry.
 fn given(runs: &mut Runs, scene: &Input) -> Result<Value> {
     trained(runs, scene, "geometry given", &scene.path, "given", &[])
 }
 
-/// Scores by set, with the baselines; and far views by angle, with objects after their best shift.
+/// Scores by set, with the baselines; differences to the best of these; and far views by angle, with objects after their best shift.
 pub(super) fn tables(runs: &mut Runs, scenes: &[Input]) -> Result<String> {
-    let (mut scores, mut details) = (Vec::new(), Vec::new());
+    let (mut scores, mut differences, mut details) = (Vec::new(), Vec::new(), Vec::new());
     for scene in scenes {
         geometry::measured(runs, scene)?;
         let capture = geometry::capture(scene);
         let rows = [given(runs, scene)?, trained(runs, scene, "from the images", &capture, "from-images", &[])?];
-        scores.extend(rows.iter().chain(list(&rows[1]["baselines"])).cloned());
-        details.extend(rows.iter().cloned());
+        let baselines: Vec<Value> = list(&rows[1]["baselines"]).cloned().collect();
+        scores.extend(rows.iter().chain(&baselines).cloned());
+        let knows = |baseline: &Value| baseline["what"].as_str().is_some_and(|name| name.starts_with(KNOWS_DEPTH));
+        let own: Vec<Value> = baselines.iter().filter(|baseline| !knows(baseline)).cloned().collect();
+        differences.extend([against(&rows[0], &baselines), against(&rows[1], &own)]);
+        details.extend(rows);
     }
-    Ok(format!("{}\n{}", table(SCORES[0], SCORES[1], &scores), table(DETAILS[0], DETAILS[1], &details)))
+    let tables = [(SCORES, scores), (AGAINST, differences), (DETAILS, details)];
+    Ok(tables.map(|([headings, templates], rows)| table(headings, templates, &rows)).join("\n"))
 }
 
 /// Both profiles with and without density control, geometry given.
@@ -110,6 +142,17 @@ pub(super) fn ablation(runs: &mut Runs, scenes: &[Input]) -> Result<String> {
         }
     }
     Ok(table(ABLATION[0], ABLATION[1], &rows))
+}
+
+#[test]
+fn the_best_baseline_is_named_with_the_difference_to_it() {
+    let row = |what: &str, psnr_db: f64, masked_psnr_db: f64| json!({"scene": "a", "what": what, "far": {"psnr_db": psnr_db, "masked_psnr_db": masked_psnr_db}, "near": {"psnr_db": psnr_db}});
+    let baselines = [row("flat (a bound)", 21.0, 18.424), row("one colour", 20.0, 19.446), json!({"what": "none"})];
+    let rows = [against(&row("trained", 26.5, 16.906), &baselines), against(&row("alone", 26.5, 16.9), &[])];
+    let lines = "| a | trained | +5.50 (flat 21.00) | -2.54 (one colour 19.45) | +5.50 (flat 21.00) | - | - | - |\n\
+                 | a | alone | - | - | - | - | - | - |\n";
+    let text = table(AGAINST[0], AGAINST[1], &rows);
+    assert!(text.ends_with(lines), "{text}");
 }
 
 #[test]
