@@ -8,17 +8,16 @@
 //! [`absolute_error`] and [`relative_error`] are the figures of the program `evo`, which papers on SLAM print.
 
 mod depth;
+mod evo;
 mod matching;
 mod objects;
 mod report;
 mod substitute;
 mod trajectory;
 
+pub use evo::{AbsoluteError, ErrorStatistics, PathAlignment, RelativeError, absolute_error, relative_error};
 pub use matching::Matching;
 pub use objects::ObjectError;
 pub use report::{DepthError, GeometryError, GeometryReport, MaskScore, evaluate};
 pub use substitute::{Substitutes, Substitution};
-pub use trajectory::{
-    AbsoluteError, ErrorStatistics, PathAlignment, RelativeError, absolute_error, placement, relative_error,
-};
-pub use trajectory::{RotationError, TrajectoryError};
+pub use trajectory::{RotationError, TrajectoryError, placement};

@@ -2,7 +2,10 @@
 
 use crate::{
     SimdLevel,
-    loss::segment::{self, Buffers, Segment},
+    loss::{
+        buffers::Buffers,
+        segment::{self, Segment},
+    },
     simd::{LANES, all, dispatch, each},
 };
 use fearless_simd::{Simd, f32x16, prelude::*};

@@ -4,6 +4,7 @@
 //! [`WINDOW_SD`] pixels, applied along rows and columns, *zero padded* (images may be smaller than the window), each
 //! channel alone, dynamic range 1. The gradient of `|d|` at `d = 0` is 0.
 
+mod buffers;
 pub mod cpu;
 #[cfg(feature = "gpu")]
 pub mod gpu;

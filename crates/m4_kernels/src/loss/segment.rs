@@ -12,27 +12,21 @@
 //!
 //! The windowed means of `x^2` and `y^2` occur as a sum alone, hence seven blurs, not eight.
 
+use super::buffers::{BLOCK, Buffers, Line, RING, SPAN, Turned};
 use super::{SSIM_C1, SSIM_C2, WINDOW, cpu::Target, window};
 use crate::simd::{LANES, all, each, load, store, turn};
 use fearless_simd::{Simd, f32x16, mask32x16, prelude::*};
 use fearless_simd_macros::simd;
 use std::ops::Range;
 
-/// Rows and columns per block.
-const BLOCK: usize = LANES;
 /// Taps to either side.
 const REACH: usize = WINDOW / 2;
 /// Vectors that a blur gives at a time: those that it reads fit into the registers.
 const HALF: usize = BLOCK / 2;
 /// Vectors that it reads.
 const WIDE: usize = HALF + 2 * REACH;
-/// Rows that are kept: from the gradient's first to the last that the moments need.
-const RING: usize = 2 * BLOCK;
 /// Blocks by which the gradient lags behind: its rows need [`REACH`] more on both sides.
 const LAG: usize = 1;
-/// Columns that are kept of what is blurred along the rows: three blocks, and one for a power of two. So
-/// they stay in the first-level cache.
-const SPAN: usize = 4 * BLOCK;
 
 /// Rows of one channel.
 #[derive(Debug)]
@@ -44,75 +38,6 @@ pub(super) struct Segment<'a> {
     pub(super) rows: Range<usize>,
     /// Of the means over all pixels and channels: what `|x - y|` counts, and SSIM.
     pub(super) factors: [f32; 2],
-}
-
-/// Sixteen columns of a row, or sixteen rows of a column: a cache line.
-#[derive(Debug, Clone, Copy, Default)]
-#[repr(align(64))]
-struct Line([f32; LANES]);
-
-impl Line {
-    #[inline(always)]
-    fn get<S: Simd>(&self, s: S) -> f32x16<S> {
-        f32x16::from_slice(s, &self.0)
-    }
-
-    #[inline(always)]
-    fn set<S: Simd>(&mut self, value: f32x16<S>) {
-        value.store_slice(&mut self.0);
-    }
-}
-
-/// Some columns of a block of rows of `N` quantities, turned.
-type Turned<const N: usize, const COLUMNS: usize> = [[Line; COLUMNS]; N];
-
-/// Memory of a segment, kept from frame to frame. The space past the ends of the rows is never written and stays 0.
-#[derive(Debug, Clone)]
-pub(super) struct Buffers {
-    width: usize,
-    /// A row of the target.
-    row: Vec<f32>,
-    /// Image and target, `[2][RING][stride]`.
-    images: Vec<Line>,
-    /// Blurred down the columns.
-    moments: Turned<4, SPAN>,
-    /// Of one block: blurred along the rows too.
-    blurred: Turned<4, BLOCK>,
-    /// Derivatives with respect to mean, square (twice that) and product.
-    slopes: Turned<3, SPAN>,
-    /// The same blurred along the rows, `[3][RING][stride]`.
-    pulls: Vec<Line>,
-}
-
-impl Default for Buffers {
-    fn default() -> Self {
-        let zero = Line::default();
-        Self {
-            width: 0,
-            row: Vec::new(),
-            images: Vec::new(),
-            moments: [[zero; SPAN]; 4],
-            blurred: [[zero; BLOCK]; 4],
-            slopes: [[zero; SPAN]; 3],
-            pulls: Vec::new(),
-        }
-    }
-}
-
-impl Buffers {
-    /// Makes room for rows of another length.
-    fn fit(&mut self, width: usize, blocks: usize, stride: usize) {
-        if self.width == width && !self.images.is_empty() {
-            return;
-        }
-        self.width = width;
-        self.row.clear();
-        self.row.resize(blocks * BLOCK, 0.0);
-        for (buffer, rows) in [(&mut self.images, 2 * RING), (&mut self.pulls, 3 * RING)] {
-            buffer.clear();
-            buffer.resize(rows * stride, Line::default());
-        }
-    }
 }
 
 /// Makes a block of columns one outside the image.
