@@ -166,6 +166,14 @@ fn table_and_citations_of_this_workspace_are_true() {
 }
 
 #[test]
+fn no_file_has_more_than_400_lines() {
+    let sources = paper::sources(&xtask::root()).unwrap();
+    let long: Vec<&String> =
+        sources.iter().filter(|(_, text)| text.lines().count() > 400).map(|(file, _)| file).collect();
+    assert!(long.is_empty(), "split these (CODE_STYLE.md): {long:?}");
+}
+
+#[test]
 fn rows_and_markers_are_read() {
     let want = [
         row("Eq. 1", "Gaussian", &["crates/a/src/one.rs", "crates/b/src/one.rs"]),
