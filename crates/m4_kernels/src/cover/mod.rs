@@ -4,6 +4,8 @@
 //! L = -weight * sum of opacity_i (log sd_i1 + log sd_i2 + log sd_i3)      over the dynamic splats that a frame touched
 //! ```
 //!
+//! Splats of one scale for all directions count it once.
+//!
 //! Opacities are held fixed, and splats fainter than [`LEAST_OPACITY`] are left alone: they are shadows and reflections.
 
 pub mod cpu;

@@ -284,6 +284,21 @@ mod tests {
         assert_eq!(plan.pruned, 2);
     }
 
+    /// Both scores lie between the two thresholds of the paper, 0.001 and 0.009: high enough to clone, too low to prune.
+    #[test]
+    fn each_score_has_its_own_threshold() {
+        for config in [DensityConfig::fast(), DensityConfig::faithful()] {
+            let config = DensityConfig { budget: 1.0, min_opacity: 0.0, ..config };
+            // as low as score pruning of `fast` wants it
+            let view = SplatView { n_static: 4, opacity: &[0.004; 4], large: &[false; 4] };
+            let plan = decide(&config, DUE, view, &scores(&[0.005, 0.0005, 0.0, 0.0], &[0.0; 4]));
+            assert_eq!((plan.cloned, plan.pruned, &plan.rows[..]), (1, 0, &[0, 1, 2, 3, 0][..]), "{config:?}");
+            // normalised by the largest: 0.005, 0.02 and 1 of it
+            let plan = decide(&config, DUE, view, &scores(&[0.0; 4], &[1e-6, 0.5, 2.0, 100.0]));
+            assert_eq!((plan.cloned, plan.pruned, &plan.rows[..]), (0, 2, &[0, 1][..]), "{config:?}");
+        }
+    }
+
     #[test]
     fn zero_scores_keep_every_splat() {
         let view = SplatView { n_static: 1, opacity: &[0.5; 3], large: &[true; 3] };

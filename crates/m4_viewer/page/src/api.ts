@@ -7,6 +7,8 @@ import { theme } from "./ui/theme";
 export interface PageState {
   /** Of the image that is shown, frames. */
   time: number;
+  /** Where playback is, frames: ahead of the image by the time that drawing takes. */
+  clock: number;
   playing: boolean;
   frozen: boolean;
   speed: number;
@@ -103,6 +105,7 @@ export function pageApi(ready: Promise<App>): PageApi {
       const { canvas } = a.stage;
       return {
         time: a.time,
+        clock: a.clock.time,
         playing: a.clock.playing,
         frozen: a.frozen,
         speed: a.clock.speed,
