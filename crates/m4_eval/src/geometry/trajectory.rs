@@ -2,7 +2,7 @@
 
 use super::report::median_of_sorted;
 use m4_core::nalgebra::{Matrix3, Vector3};
-use m4_core::{Camera, Se3, Sim3, log_so3};
+use m4_core::{Camera, Sim3, log_so3};
 use serde::{Deserialize, Serialize};
 
 /// Distances between camera centres after the best similarity.
