@@ -6,7 +6,8 @@ use crate::common::clips::{self, FOCAL_PX, SIZE, camera, frame_image, see, walk}
 use crate::common::text;
 use crate::common::{Ended, Scratch, read_capture};
 use minute4d::Silent;
-use minute4d::core::{Camera, Capture, CaptureFrame, CounterRng, DepthMap, Mask, Plane, RgbImage};
+use minute4d::core::{Camera, Capture, CaptureFrame, CounterRng, DepthMap, Mask, Plane, RgbImage, log_so3};
+use minute4d::eval::geometry::placement;
 use minute4d::io::capture::{self, Split};
 use minute4d::io::image::{read_depth, read_mask, write_depth, write_mask};
 use serde_json::{Value, json};
@@ -122,10 +123,10 @@ fn given_intrinsics_are_used_with_their_principal_point() {
     // Where the middle is taken for it, the way is bent: poses of the true lens are nearer to the truth.
     let turn = |made: &Capture| {
         let (a, b) = (made.frames[0].camera.c2w, made.frames[FRAMES - 1].camera.c2w);
-        minute4d::core::log_so3(&a.rotation.tr_mul(&b.rotation))
+        log_so3(&a.rotation.tr_mul(&b.rotation))
     };
     let cameras = walk(FRAMES);
-    let truth = minute4d::core::log_so3(&cameras[0].c2w.rotation.tr_mul(&cameras[FRAMES - 1].c2w.rotation));
+    let truth = log_so3(&cameras[0].c2w.rotation.tr_mul(&cameras[FRAMES - 1].c2w.rotation));
     assert!((turn(&made) - truth).norm() < 0.01, "{} {}", turn(&made), truth);
     for (lens, code, words) in [
         ("150,150,300,60", 65, "outside the frames"),
@@ -243,11 +244,42 @@ fn noisy(image: &RgbImage, frame: u64) -> RgbImage {
     image.map(|rgb| rgb.map(|v| (f64::from(v) + 2.0 * rng.normal()).clamp(0.0, 255.0) as u8))
 }
 
+/// Largest errors of the cameras of a capture after the similarity that places them best: of the centre, per cent of the length of the
+/// path; of the axes, degrees; of the focal length, per cent.
+fn camera_errors(made: &Capture, truth: &[Camera]) -> [f64; 3] {
+    let cameras: Vec<Camera> = made.frames.iter().map(|frame| frame.camera).collect();
+    assert_eq!(cameras.len(), truth.len());
+    let sim = placement(&cameras, truth).unwrap();
+    let length: f64 = truth.windows(2).map(|pair| (pair[1].centre() - pair[0].centre()).norm()).sum();
+    let errors = cameras.iter().zip(truth).map(|(ours, truth)| {
+        let turn = (sim.rotation * ours.c2w.rotation).transpose() * truth.c2w.rotation;
+        [
+            100.0 * (sim.transform(&ours.centre()) - truth.centre()).norm() / length,
+            log_so3(&turn).norm().to_degrees(),
+            100.0 * (ours.intrinsics.fx / truth.intrinsics.fx - 1.0).abs(),
+        ]
+    });
+    errors.fold([0.0; 3], |largest, errors| std::array::from_fn(|k| f64::max(largest[k], errors[k])))
+}
+
 #[test]
 fn translating_camera_is_reconstructed() {
-    let cameras = walk(24);
-    let (found, warnings) = found(cameras.iter().map(frame_image).collect());
-    assert_eq!(found["camera_motion"], "parallax", "{found} {warnings}");
+    let (cameras, dir) = (walk(24), Scratch::new());
+    let record = record_of(&dir, cameras.iter().map(frame_image).collect()).result()["record"].clone();
+    let found = &record["found"];
+    assert_eq!(found["camera_motion"], "parallax", "{record}");
+    let made = read_capture(&dir.path("out"), Split::Train);
+    // measured: 0.06 %, 0.07 degrees and 1.9 %
+    let errors = camera_errors(&made, &cameras);
+    assert!(errors[0] < 0.3 && errors[1] < 0.3 && errors[2] < 4.0, "{errors:?}");
+    // the same walk without its bobbing is another path
+    let mut level = cameras.clone();
+    for camera in &mut level {
+        let shift = camera.c2w.translation.x;
+        camera.c2w = clips::camera(shift, -0.125 * shift, FOCAL_PX).c2w;
+    }
+    let errors = camera_errors(&made, &level);
+    assert!(errors[0] > 0.6 && errors[1] > 0.3, "{errors:?}");
     let confidence = &found["confidence"];
     assert!(confidence["parallax_deg"].as_f64().unwrap() > 2.0, "{confidence}");
     assert!(confidence["residual_px"].as_f64().unwrap() < 0.5, "{confidence}");

@@ -4,6 +4,7 @@
 mod bad_inputs;
 mod batch;
 mod common;
+mod density;
 mod enhance;
 mod faults;
 mod features;

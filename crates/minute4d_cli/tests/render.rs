@@ -79,9 +79,39 @@ fn agreement(shot: &Shot, all: &mut Painter<'_>, still: &mut Painter<'_>) -> (f6
     (db(0), db(1))
 }
 
+/// Slow enough that images are never a whole repetition of the clip behind its clock, which would count as nothing.
+const SLOWLY: f64 = 0.1;
+
+/// How far the shown images are behind the clock of playback, and what the page says that an image costs, seconds: medians.
+fn lag(page: &mut Chromium) -> [f64; 2] {
+    page.eval(&format!(
+        "(() => {{ const speed = document.querySelector('[data-control=speed]'); speed.value = '{SLOWLY}'; \
+         speed.dispatchEvent(new Event('input')); document.querySelector('[data-control=play]').click(); }})()"
+    ));
+    page.wait_for("minute4d.state().playing && minute4d.state().instant.per_second > 0");
+    let (mut behind, mut cost) = (Vec::new(), 0.0);
+    for _ in 0..25 {
+        page.eval("new Promise((done) => setTimeout(done, 200))");
+        let state = page.eval("minute4d.state()");
+        let number = |value: &Value| value.as_f64().unwrap();
+        assert_eq!(number(&state["speed"]), SLOWLY);
+        let frames = (number(&state["clock"]) - number(&state["time"])).rem_euclid((FRAMES - 1) as f64);
+        behind.push(frames / (FPS * SLOWLY));
+        // a median of the last images: the first one takes longer
+        let parts = ["slice_ms", "readback_ms", "sort_ms", "draw_ms"];
+        cost = parts.iter().map(|part| number(&state["instant"][part]) / 1000.0).sum();
+    }
+    behind.sort_by(f64::total_cmp);
+    [behind[behind.len() / 2], cost]
+}
+
 /// How the page is driven while images of it are taken.
 const SCRIPTS: [(&str, &str); 3] = [
-    ("playing at 1x", "minute4d.state().playing || document.querySelector('[data-control=play]').click()"),
+    (
+        "playing at 1x",
+        "(() => { const speed = document.querySelector('[data-control=speed]'); speed.value = '1'; speed.dispatchEvent(new Event('input')); \
+         minute4d.state().playing || document.querySelector('[data-control=play]').click(); })()",
+    ),
     (
         "playing at 2x",
         "(() => { const speed = document.querySelector('[data-control=speed]'); speed.value = '2'; speed.dispatchEvent(new Event('input')); })()",
@@ -112,6 +142,10 @@ fn playback_images_match_their_time() {
     page.eval("minute4d.ready");
     page.resize(PAGE_SIZE.0, PAGE_SIZE.1);
     page.wait_for(&format!("minute4d.state().width === {}", PAGE_SIZE.0));
+    // The image that is shown, the one that is drawn, and the one that waits for it.
+    let [behind, cost] = lag(&mut page);
+    eprintln!("images are {behind:.2} s behind the clock; one costs {cost:.2} s");
+    assert!(behind <= 3.0 * cost + 0.3, "images are {behind} s behind the clock, and one costs {cost} s");
     let mut worst = (f64::INFINITY, f64::INFINITY);
     for (what, script) in SCRIPTS {
         page.eval(script);
