@@ -1,4 +1,4 @@
-//! Reads whole files within a limit, lists the files of a folder, and works on frames in parallel.
+//! Opens regular files, reads whole files within a limit, lists the files of a folder, and works on frames in parallel.
 
 use crate::error::AtPath;
 use crate::{Fault, ReadError};
@@ -6,34 +6,106 @@ use m4_core::Progress;
 use rayon::prelude::*;
 use serde::de::DeserializeOwned;
 use std::cmp::Ordering;
-use std::fs::File;
-use std::io::{self, Read};
+use std::fs::{self, File, FileType, Metadata};
+use std::io::{self, ErrorKind, Read};
 use std::path::{Component, Path, PathBuf};
 use std::sync::atomic::{self, AtomicUsize};
 
 /// Longest list of frames that is read, bytes: a frame takes some kilobytes, and a hundred thousand frames are no clip.
 const MAX_TEXT_BYTES: u64 = 256 << 20;
 
-/// The bytes of a regular file of at most `limit_bytes`: devices and pipes, which may never end, are refused.
-pub(crate) fn bytes(path: &Path, limit_bytes: u64) -> Result<Vec<u8>, Fault> {
+/// Opens a regular file to read.
+///
+/// The type is asked for before the file is opened, since opening a pipe waits for its writer, and of the handle again. Every file that
+/// a user or another file names is opened here.
+///
+/// # Errors
+///
+/// The error of the system; `InvalidData` with the type for a pipe, a socket or a device, which may never end.
+pub fn open(path: &Path) -> io::Result<File> {
+    check(path)?;
     let file = File::open(path)?;
-    let facts = file.metadata()?;
-    if !facts.is_file() {
-        return Err(io::Error::new(io::ErrorKind::InvalidData, "it is not a regular file").into());
-    }
-    if facts.len() > limit_bytes {
-        let (found, limit) = (facts.len() >> 20, limit_bytes >> 20);
-        let what = format!("it has {found} MiB, above the limit of {limit} MiB");
-        return Err(Fault::bad(what, "check that this is the right file"));
+    regular(&file.metadata()?)?;
+    Ok(file)
+}
+
+/// Checks that a path leads to a regular file, without opening it.
+///
+/// # Errors
+///
+/// As [`open`].
+pub fn check(path: &Path) -> io::Result<()> {
+    regular(&fs::metadata(path)?)
+}
+
+/// Reads a regular file of at most `limit_bytes`.
+///
+/// # Errors
+///
+/// As [`open`]; `InvalidData` for a larger file.
+pub fn read(path: &Path, limit_bytes: u64) -> io::Result<Vec<u8>> {
+    let file = open(path)?;
+    let size_bytes = file.metadata()?.len();
+    if size_bytes > limit_bytes {
+        let (size, limit) = (size_bytes.div_ceil(1 << 20), limit_bytes >> 20);
+        return Err(invalid(format!(
+            "it has {size} MiB, above the limit of {limit} MiB; check that this is the right file"
+        )));
     }
     let mut bytes = Vec::new();
-    file.take(facts.len()).read_to_end(&mut bytes)?;
+    // A file that grows meanwhile is read to the size that was checked.
+    file.take(size_bytes).read_to_end(&mut bytes)?;
     Ok(bytes)
+}
+
+/// Reads a regular file of UTF-8 text of at most `limit_bytes`.
+///
+/// # Errors
+///
+/// As [`read`]; `InvalidData` for bytes that are not UTF-8.
+pub fn read_text(path: &Path, limit_bytes: u64) -> io::Result<String> {
+    String::from_utf8(read(path, limit_bytes)?)
+        .map_err(|e| invalid(format!("it is not text (UTF-8) at byte {}", e.utf8_error().valid_up_to())))
+}
+
+/// Refuses what has no end, or none that is known before.
+fn regular(facts: &Metadata) -> io::Result<()> {
+    if facts.is_file() {
+        return Ok(());
+    }
+    if facts.is_dir() {
+        return Err(ErrorKind::IsADirectory.into());
+    }
+    Err(invalid(format!(
+        "it is {}, not a regular file; write its contents to a file and give that",
+        kind(facts.file_type())
+    )))
+}
+
+#[cfg(unix)]
+fn kind(kind: FileType) -> &'static str {
+    use std::os::unix::fs::FileTypeExt;
+    if kind.is_fifo() {
+        "a pipe"
+    } else if kind.is_socket() {
+        "a socket"
+    } else {
+        "a device"
+    }
+}
+
+#[cfg(not(unix))]
+fn kind(_: FileType) -> &'static str {
+    "a pipe or a device"
+}
+
+fn invalid(what: String) -> io::Error {
+    io::Error::new(ErrorKind::InvalidData, what)
 }
 
 /// A text file.
 pub(crate) fn text(path: &Path) -> Result<String, ReadError> {
-    String::from_utf8(bytes(path, MAX_TEXT_BYTES).at(path)?).map_err(|e| {
+    String::from_utf8(read(path, MAX_TEXT_BYTES).at(path)?).map_err(|e| {
         let place = format!("byte {}", e.utf8_error().valid_up_to());
         Fault::bad("it is not text (UTF-8)", "give the text file that the tool wrote").within(path, place)
     })
@@ -62,7 +134,7 @@ pub(crate) fn parse_json<T: DeserializeOwned>(text: &str) -> Result<T, Fault> {
 /// Hidden files are passed over; an empty list is no error.
 pub(crate) fn listed(folder: &Path, extensions: &[&str]) -> Result<Vec<PathBuf>, ReadError> {
     let mut files = Vec::new();
-    for entry in std::fs::read_dir(folder).at(folder)? {
+    for entry in fs::read_dir(folder).at(folder)? {
         let file = entry.at(folder)?.path();
         let hidden = file.file_name().is_none_or(|n| n.to_string_lossy().starts_with('.'));
         let extension = file.extension().map(|e| e.to_string_lossy().to_ascii_lowercase());
@@ -92,7 +164,7 @@ pub(crate) fn below(folder: &Path, name: &str) -> Result<PathBuf, Fault> {
 /// The first `N` bytes of a file; fewer if it is shorter, none if it cannot be read.
 pub(crate) fn first_bytes<const N: usize>(path: &Path) -> Vec<u8> {
     let mut start = Vec::new();
-    if let Ok(file) = File::open(path) {
+    if let Ok(file) = open(path) {
         // what cannot be read is of no format
         let _ = file.take(N as u64).read_to_end(&mut start);
     }

@@ -9,6 +9,7 @@
 pub mod atomic;
 pub mod capture;
 pub mod dataset;
+pub mod files;
 pub mod image;
 pub mod npy;
 pub mod reach;
@@ -19,7 +20,6 @@ pub mod trajectory;
 pub mod video;
 
 mod error;
-mod files;
 mod pose;
 
 pub use error::{ErrorKind, Fault, ReadError, WriteError, WriteFault, shortened};

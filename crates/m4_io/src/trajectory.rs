@@ -48,7 +48,7 @@ type BadPath = (Option<usize>, String);
 /// Reads a camera path; moments that the file gives as a share of the scene (0..1) become frames
 /// 0..=`time_frames - 1`. A list without any times runs evenly through the whole scene.
 pub fn load(path: &Path, time_frames: usize) -> Result<Trajectory, ReadError> {
-    let bytes = files::bytes(path, MAX_BYTES).at(path)?;
+    let bytes = files::read(path, MAX_BYTES).at(path)?;
     of_bytes(&bytes, time_frames).map_err(|(camera, what)| match camera {
         Some(camera) => Fault::bad(what, "correct it").within(path, format!("camera {camera}")),
         None => Fault::bad(format!("it is not a camera path: {what}"), HINT).at(path),

@@ -2,7 +2,8 @@
 
 use crate::Error;
 use m4_core::{Capture, CompactDepth, CompactMask, Plane};
-use std::fs::{self, File};
+use m4_io::files;
+use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Returns the BLAKE3 hash of a file's bytes, or of the names and bytes of everything in a folder; hexadecimal.
@@ -80,7 +81,7 @@ fn size_into((width, height): (usize, usize), hasher: &mut blake3::Hasher) {
 
 fn read_into(path: &Path, hasher: &mut blake3::Hasher) -> Result<(), Error> {
     let failed = |source| Error::Read { path: path.to_path_buf(), source };
-    let file = File::open(path).map_err(failed)?;
+    let file = files::open(path).map_err(failed)?;
     hasher.update_reader(file).map_err(failed)?;
     Ok(())
 }

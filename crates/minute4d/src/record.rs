@@ -5,7 +5,7 @@
 
 use crate::geometry::{Confidence, UsedNetwork};
 use crate::{Error, Settings, hash};
-use m4_io::atomic;
+use m4_io::{atomic, files};
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 use serde_json::Value;
 use std::collections::BTreeMap;
@@ -21,6 +21,8 @@ pub const GEOMETRY_FILE: &str = "geometry.json";
 pub const RUN_FORMAT: &str = "minute4d-run";
 /// `format` of a capture's record.
 pub const GEOMETRY_FORMAT: &str = "minute4d-geometry";
+/// Largest record that is read, bytes: those of long runs have some hundred kilobytes.
+pub(crate) const MAX_RECORD_BYTES: u64 = 64 << 20;
 /// Version of both; a record with another one is not used.
 pub const VERSION: u32 = 1;
 
@@ -358,7 +360,7 @@ pub(crate) fn write_json(path: &Path, value: &impl Serialize) -> Result<(), Erro
 
 /// Reads JSON; `None` if there is no file or it has other contents.
 pub(crate) fn read_json<T: DeserializeOwned>(path: &Path) -> Result<Option<T>, Error> {
-    match fs::read(path) {
+    match files::read(path, MAX_RECORD_BYTES) {
         Ok(bytes) => Ok(serde_json::from_slice(&bytes).ok()),
         Err(error) if matches!(error.kind(), ErrorKind::NotFound | ErrorKind::NotADirectory) => Ok(None),
         Err(source) => Err(Error::read(path)(source)),

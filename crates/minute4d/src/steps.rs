@@ -7,7 +7,9 @@
 //! continues.
 
 use crate::Observer;
+use crate::record::MAX_RECORD_BYTES;
 use crate::stage::RecordingObserver;
+use m4_io::files;
 use serde::{Serialize, de::DeserializeOwned};
 use std::fs;
 use std::io::Write;
@@ -38,7 +40,8 @@ impl<'a> Steps<'a> {
     /// Opens the steps of the stage with this key whose result goes to `folder`; steps of another key are removed.
     pub fn open(folder: &Path, key: &str, observer: &'a dyn Observer) -> Self {
         let steps = Self { folder: folder.join(FOLDER), key: key.to_owned(), observer, usable: AtomicBool::new(true) };
-        let of_key = fs::read(steps.folder.join(KEY_FILE)).is_ok_and(|found| found == key.as_bytes());
+        let of_key =
+            files::read(&steps.folder.join(KEY_FILE), MAX_RECORD_BYTES).is_ok_and(|found| found == key.as_bytes());
         if !of_key {
             Self::remove_from(folder);
             let made = fs::create_dir_all(&steps.folder).and_then(|()| steps.write(KEY_FILE, &[key.as_bytes()]));
@@ -142,7 +145,7 @@ impl<'a> Steps<'a> {
 
     /// Returns stored bytes; `None` if there are none or they are damaged.
     pub fn get(&self, name: &str) -> Option<Vec<u8>> {
-        let mut file = fs::read(self.path(name)).ok()?;
+        let mut file = files::read(&self.path(name), u64::MAX).ok()?;
         let bytes = file.get(MAGIC.len() + HASH..)?;
         let whole = file.starts_with(MAGIC) && file[MAGIC.len()..][..HASH] == *self.hash(name, bytes).as_bytes();
         whole.then(|| file.split_off(MAGIC.len() + HASH))

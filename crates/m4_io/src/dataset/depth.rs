@@ -4,7 +4,7 @@
 //! [`crate::image`], npy of [`crate::npy`].
 
 use crate::dataset::FrameSource;
-use crate::files::{bytes, first_bytes};
+use crate::files::{self, first_bytes};
 use crate::npy::Numbers;
 use crate::{Fault, image};
 use exr::meta::MetaData;
@@ -41,7 +41,7 @@ fn read_in(path: &Path, unit: f64, float_unit: f64) -> Result<CompactDepth, Faul
         return Ok(image::read_depth(path, unit)?);
     }
     if start.starts_with(&[0x76, 0x2f, 0x31, 0x01]) {
-        return Ok(in_unit(decode_exr(&bytes(path, MAX_FILE_BYTES)?)?, float_unit));
+        return Ok(in_unit(decode_exr(&files::read(path, MAX_FILE_BYTES)?)?, float_unit));
     }
     if start.starts_with(b"\x93NUMPY") {
         let array = Numbers::read(path, MAX_MAP_BYTES)?;
@@ -51,7 +51,7 @@ fn read_in(path: &Path, unit: f64, float_unit: f64) -> Result<CompactDepth, Faul
     }
     if start.is_empty() {
         // says what the system says, or that there is nothing in it
-        std::fs::File::open(path)?;
+        files::open(path)?;
         return Err(Fault::bad("the file is empty", "export it again"));
     }
     Err(Fault::unsupported("its format is not supported for depth maps", "give PNG of 16 bits, EXR or npy"))

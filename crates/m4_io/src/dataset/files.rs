@@ -7,7 +7,7 @@ use super::{FrameSource, ImportOptions};
 use crate::error::AtPath;
 use crate::reach::Bounds;
 use crate::video::{self, VideoOptions};
-use crate::{Fault, ReadError, image};
+use crate::{Fault, ReadError, files, image};
 use m4_core::{Intrinsics, Progress, RgbImage};
 use std::fs::File;
 use std::io::{BufReader, Read};
@@ -63,7 +63,7 @@ impl Members {
             let root = path.to_path_buf();
             return Ok(Self::Folder { root, inside });
         }
-        let archive = ZipArchive::new(BufReader::new(File::open(path)?));
+        let archive = ZipArchive::new(BufReader::new(files::open(path)?));
         let archive = archive
             .map_err(|e| Fault::bad(format!("it is not a zip archive, or a damaged one ({e})"), "copy it again"))?;
         Ok(Self::Zip(Mutex::new(archive)))
@@ -110,7 +110,7 @@ impl Members {
                 if !path.is_file() {
                     return Ok(None);
                 }
-                File::open(path)?.take(limit_bytes + 1).read_to_end(&mut out)?;
+                files::open(&path)?.take(limit_bytes + 1).read_to_end(&mut out)?;
             }
             Self::Zip(archive) => {
                 let mut archive = archive.lock().map_err(|_| poisoned())?;

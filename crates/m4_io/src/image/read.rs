@@ -1,11 +1,10 @@
 //! Reads PNG and JPEG files into planes.
 
 use crate::error::AtPath;
-use crate::{Fault, ReadError};
+use crate::{Fault, ReadError, files};
 use exif::{In, Tag};
 use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader};
 use m4_core::{CompactDepth, CompactIds, CompactMask, Plane, RgbImage};
-use std::fs::File;
 use std::io::{self, BufRead, BufReader, Cursor, Seek};
 use std::path::Path;
 
@@ -20,12 +19,9 @@ const FREE_PIXELS: u64 = 1 << 20;
 
 /// Opens an image and checks its format and size, from the header alone.
 fn open(path: &Path) -> Result<impl ImageDecoder, Fault> {
-    let file = File::open(path)?;
-    let facts = file.metadata()?;
-    if facts.is_dir() {
-        return Err(io::Error::from(io::ErrorKind::IsADirectory).into());
-    }
-    checked(BufReader::new(file), facts.len(), u64::MAX)
+    let file = files::open(path)?;
+    let file_bytes = file.metadata()?.len();
+    checked(BufReader::new(file), file_bytes, u64::MAX)
 }
 
 /// The decoder of an image of `file_bytes`, at most `most_pixels`, whose format and size are in order.
@@ -167,7 +163,7 @@ pub fn read_depth(path: &Path, unit: f64) -> Result<CompactDepth, ReadError> {
 
 /// Reads object ids per pixel: a greyscale PNG of 8 or 16 bits (JPEG changes numbers).
 pub fn read_ids(path: &Path) -> Result<CompactIds, ReadError> {
-    let is_png = crate::files::first_bytes::<4>(path) == b"\x89PNG";
+    let is_png = files::first_bytes::<4>(path) == b"\x89PNG";
     decode(path).and_then(|image| ids(image, is_png)).at(path)
 }
 

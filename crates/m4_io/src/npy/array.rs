@@ -1,8 +1,7 @@
 //! Reads the numbers of an array from front to back.
 
 use super::{Header, Number};
-use crate::Fault;
-use std::fs::File;
+use crate::{Fault, files};
 use std::io::{BufReader, Cursor, Read};
 use std::path::Path;
 
@@ -78,7 +77,7 @@ impl Numbers {
 impl Array<'static> {
     /// That of a `.npy` file, its header read; it may take `limit_bytes`.
     pub(crate) fn of_file(name: &str, path: &Path, limit_bytes: u64) -> Result<Self, Fault> {
-        let file = File::open(path)?;
+        let file = files::open(path)?;
         let file_bytes = file.metadata()?.len();
         Self::open(name, BufReader::new(file), file_bytes, limit_bytes)
     }

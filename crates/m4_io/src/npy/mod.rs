@@ -15,7 +15,7 @@ mod array;
 pub use array::Array;
 pub(crate) use array::Numbers;
 
-use crate::Fault;
+use crate::{Fault, files};
 use half::f16;
 use std::fs::File;
 use std::io::{BufReader, Read};
@@ -183,7 +183,7 @@ pub struct Npz {
 impl Npz {
     /// Opens the file and reads its directory. Errors: what the system says, or why it is no archive.
     pub fn open(path: &Path) -> Result<Self, Fault> {
-        let file = File::open(path)?;
+        let file = files::open(path)?;
         let file_bytes = file.metadata()?.len();
         let zip = ZipArchive::new(BufReader::new(file)).map_err(|reason| {
             let what = format!("it is not an npz archive of arrays, or a damaged one ({reason})");

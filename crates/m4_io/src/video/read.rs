@@ -5,8 +5,8 @@ use super::mp4::{self, Movie, Mp4Error};
 use super::plan::{self, Collector};
 use super::{VideoOptions, ffmpeg, h264};
 use crate::error::AtPath;
-use crate::files::in_parallel;
-use crate::{ErrorKind, Fault, ReadError, files, image};
+use crate::files::{self, in_parallel};
+use crate::{ErrorKind, Fault, ReadError, image};
 use m4_core::{Progress, ResizeFilter, Video, resize_rgb};
 use std::fs::File;
 use std::io::{self, Read};
@@ -50,18 +50,15 @@ fn clip(request: Request<'_>) -> Result<Video, Fault> {
     if request.path.is_dir() {
         return folder(request);
     }
-    let mut file = File::open(request.path)?;
-    let meta = file.metadata()?;
-    if !meta.is_file() {
-        return Err(not_video("it is a device or a pipe; give a file or a folder of images"));
-    }
-    if meta.len() == 0 {
+    let mut file = files::open(request.path)?;
+    let size_bytes = file.metadata()?.len();
+    if size_bytes == 0 {
         return Err(Fault::bad("it is empty (0 bytes)", "copy it again from the camera"));
     }
     let mut start = Vec::new();
     (&mut file).take(START_BYTES).read_to_end(&mut start)?;
     if mp4::looks_like_mp4(&start) {
-        return mp4(request, &mut file, meta.len());
+        return mp4(request, &mut file, size_bytes);
     }
     match (ffmpeg::read(request, "a file of another kind than MP4 and MOV"), no_clip(&start)) {
         // Without ffmpeg what is known of its first bytes must do.

@@ -9,10 +9,10 @@ use crate::batch::layout::{JobRecord, Layout, Outcome};
 use crate::batch::manifest::{Job, Manifest, VERSION};
 use crate::batch::not_ours;
 use crate::batch::publish::{Present, Published, present, publish, recover, remove};
-use crate::record::{RUN_FILE, write_json};
+use crate::record::{MAX_RECORD_BYTES, RUN_FILE, write_json};
 use crate::{Category, Error, Refusal, hash};
 use m4_core::Progress;
-use m4_io::atomic;
+use m4_io::{atomic, files};
 use serde_json::Value;
 use std::fs::{self, File, OpenOptions, TryLockError};
 use std::io::{self, ErrorKind};
@@ -279,7 +279,7 @@ fn free(work: &Path, watch: &dyn Progress) -> io::Result<bool> {
         return Ok(false);
     }
     let is_record = |text: Vec<u8>| serde_json::from_slice::<Value>(&text).is_ok_and(|v| v["format"].is_string());
-    if !fs::read(work.join(RUN_FILE)).is_ok_and(is_record) {
+    if !files::read(&work.join(RUN_FILE), MAX_RECORD_BYTES).is_ok_and(is_record) {
         fs::remove_dir_all(work)?;
     }
     Ok(true)

@@ -2,7 +2,7 @@
 
 use crate::batch::layout;
 use crate::{Category, Error, Refusal, hash};
-use m4_io::atomic;
+use m4_io::{atomic, files};
 use serde::{Deserialize, Serialize};
 use std::collections::HashSet;
 use std::fs;
@@ -12,6 +12,8 @@ use std::path::Path;
 pub const FORMAT: &str = "minute4d-batch";
 /// Version of the manifest and of every record of a batch.
 pub const VERSION: u32 = 1;
+/// Largest manifest that is read, bytes: over a million jobs.
+const MAX_BYTES: u64 = 1 << 30;
 
 /// What every run of a batch is started with. It is kept as text, so that nothing that is edited later changes a
 /// job.
@@ -111,7 +113,7 @@ impl Manifest {
     ///
     /// [`Error::Read`]; [`Error::Refused`] for a file that is no manifest, or a damaged one, with the line.
     pub fn read(path: &Path) -> Result<Self, Error> {
-        let text = fs::read(path).map_err(Error::read(path))?;
+        let text = files::read(path, MAX_BYTES).map_err(Error::read(path))?;
         Self::parse(&text).map_err(|reason| {
             let path = path.display();
             Refusal::bad_input(format!("{path}: {reason}; create the manifest again with `minute4d batch plan`")).into()

@@ -5,6 +5,7 @@ use crate::batch::manifest::{Arguments, Job, Manifest};
 use crate::batch::not_ours;
 use crate::batch::publish::{Present, present};
 use crate::{Category, Error, Refusal, hash};
+use m4_io::files;
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::{fs, io};
@@ -94,6 +95,7 @@ fn add(path: &Path, recursive: bool, found: &mut BTreeSet<PathBuf>) -> Result<()
         _ => Error::read(path)(e),
     })?;
     if !path.is_dir() {
+        files::check(&path).map_err(Error::read(&path))?;
         found.insert(path);
         return Ok(());
     }
@@ -121,6 +123,7 @@ fn clips_of(folder: &Path, recursive: bool) -> Result<Vec<PathBuf>, Error> {
         if path.is_dir() {
             folders.push(path);
         } else if extension.as_deref().is_some_and(|e| VIDEOS.contains(&e)) {
+            files::check(&path).map_err(Error::read(&path))?;
             videos.push(fs::canonicalize(&path).map_err(Error::read(&path))?);
         } else {
             images |= extension.as_deref().is_some_and(|e| IMAGE_EXTENSIONS.contains(&e));

@@ -3,10 +3,11 @@
 use super::{FrameRule, Protocol};
 use crate::error::OutputError;
 use crate::folder::{Existing, capture_names};
-use crate::record::write_json;
+use crate::record::{MAX_RECORD_BYTES, write_json};
 use crate::{Error, Observer, Refusal, Settings, hash};
 use m4_core::{Capture, CaptureFrame};
 use m4_io::capture::Split;
+use m4_io::files;
 use m4_io::reach::Reach;
 use m4_io::results::{Kind, ResultFolder};
 use serde::{Deserialize, Serialize};
@@ -51,7 +52,7 @@ impl SplitRecord {
     /// [`Error::Read`] if there is one that cannot be read.
     pub fn read(capture: &Path) -> Result<Option<Self>, Error> {
         let path = capture.join(SPLIT_FILE);
-        match fs::read(&path) {
+        match files::read(&path, MAX_RECORD_BYTES) {
             Ok(bytes) => serde_json::from_slice(&bytes).map(Some).map_err(|e| Error::Read { path, source: e.into() }),
             Err(_) if !path.exists() => Ok(None),
             Err(source) => Err(Error::Read { path, source }),

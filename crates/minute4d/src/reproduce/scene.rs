@@ -15,10 +15,11 @@ use super::{GeometrySource, ReproduceOptions};
 use crate::error::OutputError;
 use crate::evaluate::{self, EvalOptions, EvalReport, FrameRule, PoseTreatment, Protocol};
 use crate::folder::{self, EVAL_FILE, Existing};
-use crate::record::{RunRecord, write_json};
+use crate::record::{MAX_RECORD_BYTES, RunRecord, write_json};
 use crate::{Error, Job, Refusal, geometry, hash, import};
 use m4_io::capture::{self, Split};
 use m4_io::dataset::{ImportOptions, SourceFormat};
+use m4_io::files;
 use m4_io::results::{Kind, ResultFolder};
 use serde::{Deserialize, Serialize};
 use std::fs;
@@ -241,7 +242,7 @@ fn row(
 }
 
 fn read<T: for<'a> Deserialize<'a>>(path: &Path) -> Option<T> {
-    serde_json::from_slice(&fs::read(path).ok()?).ok()
+    serde_json::from_slice(&files::read(path, MAX_RECORD_BYTES).ok()?).ok()
 }
 
 /// Names, sizes and times of all files below a folder: reading them all would take longer than training does.

@@ -1,13 +1,13 @@
 //! Writes checkpoints and `metrics.jsonl` during training, and resumes from them.
 
+use crate::record::MAX_RECORD_BYTES;
 use crate::{Error, Observer, folder};
 use m4_core::{Capture, Progress};
-use m4_io::atomic;
 use m4_io::scene::safetensors::{self, SceneFile};
+use m4_io::{atomic, files};
 use m4_kernels::SimdLevel;
 use m4_train::{MetricsEvent, TrainConfig, Trainer};
 use std::collections::BTreeMap;
-use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
@@ -150,7 +150,7 @@ impl MetricsLog {
 
     /// The log of an interrupted run, up to the iteration that was saved.
     pub fn up_to(path: &Path, iteration: usize) -> Self {
-        let text = fs::read_to_string(path).unwrap_or_default();
+        let text = files::read_text(path, MAX_RECORD_BYTES).unwrap_or_default();
         let kept = |line: &&str| serde_json::from_str::<MetricsEvent>(line).is_ok_and(|e| e.iteration <= iteration);
         Self { path: path.to_path_buf(), lines: text.lines().filter(kept).map(str::to_owned).collect() }
     }

@@ -2,10 +2,11 @@
 
 use super::{frames, median_depth, pack, title};
 use crate::folder::{self, CAPTURE_FOLDER, METRICS_FILE, SCENE_FILE, VIEWER_FILE};
-use crate::record::{RunRecord, Status};
+use crate::record::{MAX_RECORD_BYTES, RunRecord, Status};
 use crate::{Error, Observer, is_capture};
 use m4_core::{Progress, Scene};
 use m4_io::capture::{CaptureOptions, Split};
+use m4_io::files;
 use m4_io::scene::safetensors;
 use m4_kernels::SimdLevel;
 use m4_train::MetricsEvent;
@@ -206,7 +207,7 @@ impl Source {
 
     /// Returns the metrics so far.
     pub fn metrics(&self) -> Vec<Metrics> {
-        let text = fs::read_to_string(self.path.join(METRICS_FILE)).unwrap_or_default();
+        let text = files::read_text(&self.path.join(METRICS_FILE), MAX_RECORD_BYTES).unwrap_or_default();
         let events: Vec<MetricsEvent> = text.lines().filter_map(|l| serde_json::from_str(l).ok()).collect();
         let done = events.last().map_or(0, |e| e.iteration);
         let record = self.record();
@@ -230,7 +231,7 @@ impl Source {
         if !self.path.is_dir() {
             return None;
         }
-        let html = fs::read_to_string(self.path.join(VIEWER_FILE)).ok();
+        let html = files::read_text(&self.path.join(VIEWER_FILE), u64::MAX).ok();
         let kept = html.and_then(|html| page::read_frames(&html).ok().flatten());
         if let Some(kept) = kept.filter(|f| f.index.offsets.len() == scene.source.len() + 1) {
             return Some(kept);

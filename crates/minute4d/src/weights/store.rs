@@ -2,11 +2,12 @@
 
 use super::{Entry, Origin, WeightsError};
 use crate::{Category, Refusal};
+use m4_io::files;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use std::env;
 use std::fmt::Write as _;
-use std::fs::{self, File};
+use std::fs;
 use std::io::{self, Read, Write};
 use std::path::{Path, PathBuf};
 use tempfile::{NamedTempFile, TempDir};
@@ -104,7 +105,7 @@ impl Store {
 
     /// The record of `entry`; `None` if missing or unreadable.
     pub fn record(&self, entry: &Entry) -> Option<Record> {
-        let text = fs::read(self.root.join(entry.name).join(RECORD)).ok()?;
+        let text = files::read(&self.root.join(entry.name).join(RECORD), crate::record::MAX_RECORD_BYTES).ok()?;
         serde_json::from_slice(&text).ok()
     }
 
@@ -114,7 +115,7 @@ impl Store {
             return Ok(Condition::Absent);
         };
         let failed = |source| WeightsError::Read { path: path.clone(), source };
-        let file = File::open(&path).map_err(failed)?;
+        let file = files::open(&path).map_err(failed)?;
         let sum = copy(file, io::sink(), None).map_err(|(_, error)| failed(error))?;
         if let Err(error) = compare(entry, &path.display().to_string(), &sum) {
             return Ok(Condition::Damaged { reason: error.to_string() });

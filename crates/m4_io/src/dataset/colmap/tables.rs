@@ -2,7 +2,7 @@
 
 use super::parse;
 use crate::error::AtPath;
-use crate::files::bytes;
+use crate::files;
 use crate::{Fault, ReadError, WriteError};
 use m4_core::nalgebra::{Quaternion, Rotation3, UnitQuaternion, Vector3};
 use m4_core::{Camera, Intrinsics, Se3};
@@ -147,7 +147,7 @@ fn utf8<T>(parse: impl Fn(&str) -> Result<T, PlacedError>) -> impl Fn(&[u8]) -> 
 }
 
 fn parse<T>(path: &Path, parse: impl Fn(&[u8]) -> Result<T, PlacedError>) -> Result<T, ReadError> {
-    let bytes = bytes(path, u64::MAX).at(path)?;
+    let bytes = files::read(path, u64::MAX).at(path)?;
     parse(&bytes).map_err(|(place, cause)| cause.within(path, place))
 }
 

@@ -4,7 +4,7 @@ use super::cameras;
 use super::cameras::{MAX_FRAMES, Notes};
 use super::convert::{Clip, from_set};
 use crate::error::AtPath;
-use crate::files::bytes;
+use crate::files;
 use crate::scene::{DEFAULT_FPS, Imported, Loss};
 use crate::{Fault, ReadError};
 use ::fourdgs::error::RefusalKind;
@@ -20,7 +20,7 @@ const NEAR: f32 = 0.01;
 
 /// Reads a file of any writer. Fails if the file is missing, damaged, or of a kind that is not known here.
 pub fn read(path: &Path) -> Result<Imported, ReadError> {
-    parse(path, &bytes(path, u64::MAX).at(path)?)
+    parse(path, &files::read(path, u64::MAX).at(path)?)
 }
 
 /// The scene in the bytes of a file; allocates at most 48 MiB and 96 bytes per byte. `path` is for messages alone.

@@ -1,7 +1,7 @@
 //! Reads a PLY file of splats as a scene.
 
 use crate::error::AtPath;
-use crate::files::bytes;
+use crate::files;
 use crate::scene::splats::{Row, collect, unit};
 use crate::scene::{Imported, Loss};
 use crate::{Fault, ReadError};
@@ -17,7 +17,7 @@ const MAX_HEADER: usize = 64 << 10;
 
 /// Reads a file of any writer. Fails if the file is missing, damaged, or holds no splats.
 pub fn read(path: &Path) -> Result<Imported, ReadError> {
-    parse(path, &bytes(path, u64::MAX).at(path)?)
+    parse(path, &files::read(path, u64::MAX).at(path)?)
 }
 
 /// The scene in the bytes of a file; `path` is for messages alone. It has one frame and no cameras.

@@ -4,11 +4,10 @@ use super::tensor::{
     self, Arrays, Header, KEY, Source, VERSION, Version, arrays_to_source, arrays_to_splats, checksum,
 };
 use crate::error::AtPath;
-use crate::{Fault, ReadError, shortened};
+use crate::{Fault, ReadError, files, shortened};
 use m4_core::{Scene, SourceFrame, TrainState, nalgebra::Matrix3};
 use safetensors::tensor::Metadata;
 use std::collections::BTreeMap;
-use std::fs::File;
 use std::io::{BufReader, Read};
 use std::path::Path;
 
@@ -60,7 +59,7 @@ fn not_scene(reason: String) -> Fault {
 
 /// The arrays of a file and the JSON under [`KEY`]; sizes are compared with the bytes that are there before any is read.
 fn load(path: &Path) -> Result<(Option<String>, Arrays), Fault> {
-    let file = File::open(path)?;
+    let file = files::open(path)?;
     let len = file.metadata()?.len();
     let mut file = BufReader::new(file);
     // The head first: a large file of another kind is not read whole.

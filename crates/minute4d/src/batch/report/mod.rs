@@ -5,13 +5,13 @@ use crate::batch::layout::{JobRecord, Layout, Outcome};
 use crate::batch::manifest::{Job, Manifest};
 use crate::batch::publish::{Present, present};
 use crate::preview::POSTER_FILE;
-use crate::record::{RUN_FILE, read_json};
+use crate::record::{MAX_RECORD_BYTES, RUN_FILE, read_json};
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
+use m4_io::files;
 use serde::Serialize;
 use serde_json::Value;
 use std::collections::BTreeMap;
-use std::fs;
 use std::path::Path;
 
 /// The state of a clip.
@@ -129,7 +129,7 @@ impl Report {
                 or_dash(clip.splats.map(|n| n.to_string())),
                 or_dash(clip.psnr_db.map(|p| format!("{p:.2}"))),
                 or_dash(clip.peak_memory_bytes.map(|b| (b / 1_000_000).to_string())),
-                [&clip.host, &clip.reason].map(|text| text.as_deref().unwrap_or("-")).join("  "),
+                [&clip.host, &clip.reason].map(|text| text.as_deref().unwrap_or("-").replace('\n', " ")).join("  "),
             );
         }
         text += &format!("\n{}\n", self.sums());
@@ -189,7 +189,7 @@ fn clip(layout: &Layout, job: &Job, key: &str) -> Result<ClipReport, Error> {
 }
 
 fn last_psnr(path: &Path) -> Option<f64> {
-    let text = fs::read_to_string(path).ok()?;
+    let text = files::read_text(path, MAX_RECORD_BYTES).ok()?;
     let last = text.lines().rfind(|l| !l.trim().is_empty())?;
     serde_json::from_str::<Value>(last).ok()?["psnr"].as_f64()
 }
@@ -243,8 +243,8 @@ fn card(clip: &ClipReport) -> String {
 
 fn poster(clip: &ClipReport) -> Option<String> {
     let path = Path::new(&clip.output).join(POSTER_FILE);
-    let small = clip.state == ClipState::Done && fs::metadata(&path).is_ok_and(|m| m.len() <= LARGEST);
-    let bytes = small.then(|| fs::read(&path).ok()).flatten()?;
+    let done = clip.state == ClipState::Done;
+    let bytes = done.then(|| files::read(&path, LARGEST).ok()).flatten()?;
     let alt = escape(&format!("a frame of {} and its re-render", clip.id));
     Some(format!("<img alt=\"{alt}\" src=\"data:image/jpeg;base64,{}\">", STANDARD.encode(bytes)))
 }

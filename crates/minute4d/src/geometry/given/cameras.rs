@@ -3,10 +3,12 @@
 use super::{Clip, other_shape, same_shape};
 use crate::{Error, Refusal};
 use m4_core::{Camera, Intrinsics};
-use m4_io::trajectory;
+use m4_io::{files, trajectory};
 use serde::Deserialize;
-use std::fs;
 use std::path::Path;
+
+/// Largest file with intrinsics that is read, bytes: `transforms.json` lists every frame besides.
+const MAX_LENS_BYTES: u64 = 256 << 20;
 
 /// The keys of `transforms.json` that are read.
 #[derive(Deserialize)]
@@ -44,7 +46,7 @@ pub fn lens(given: &str, size: (usize, usize)) -> Result<Intrinsics, Error> {
             _ => return Err(bad(format!("{} numbers where 4 were expected", numbers.len())).into()),
         },
         None => {
-            let bytes = fs::read(given).map_err(|source| Error::Read { path: given.into(), source })?;
+            let bytes = files::read(Path::new(given), MAX_LENS_BYTES).map_err(Error::read(Path::new(given)))?;
             let file: File = serde_json::from_slice(&bytes).map_err(|e| bad(format!("it is not such JSON ({e})")))?;
             of_file(&file, size).map_err(bad)?
         }
