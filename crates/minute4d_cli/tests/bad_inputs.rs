@@ -49,6 +49,9 @@ fn unknown_and_invalid_settings_are_rejected() {
         ("train..seed=5", &["key=value"]),
         ("profile=best", &["profile", "best", "faithful"]),
         ("init.opacity=0.5", &["init.opacity", "max_static"]),
+        ("train.iterations=5000000000", &["train.iterations = 5000000000", "1 to 10000000"]),
+        ("train.batch=100000", &["train.batch = 100000", "1 to 64"]),
+        ("limit.time_s=nan", &["limit.time_s = NaN"]),
     ] {
         dir.refused(&format!("train --print-config --set {given}"), 78, words);
     }
@@ -65,9 +68,9 @@ fn unknown_and_invalid_settings_are_rejected() {
 
     write_capture(&dir.path("capture"), false);
     for (given, words) in [
-        ("train.loss.lambda_ssim=3", ["lambda_ssim", "between 0 and 1"]),
-        ("init.keyframe_gaps=0", ["keyframe_gaps", "above 0"]),
-        ("train.density.every=0", ["density.every", "at least 1"]),
+        ("train.loss.lambda_ssim=3", ["train.loss.lambda_ssim = 3", "0 to 1"]),
+        ("init.keyframe_gaps=0", ["init.keyframe_gaps = 0", "0.001 to"]),
+        ("train.density.every=0", ["train.density.every = 0", "1 to"]),
     ] {
         dir.refused(&format!("train capture -o never --set {given}"), 78, &words);
     }

@@ -158,6 +158,9 @@ impl TrainConfig {
                 return Err(bad(field, value, "at least 1"));
             }
         }
+        if u32::try_from(self.iterations).is_err() {
+            return Err(bad("iterations", self.iterations, "at most 4294967295, which a checkpoint can hold"));
+        }
         Ok(())
     }
 }
@@ -283,5 +286,7 @@ mod tests {
         let mut broken = TrainConfig::fast();
         broken.density.every = 0;
         assert!(broken.check().is_err());
+        let endless = TrainConfig { iterations: 5_000_000_000, ..TrainConfig::fast() };
+        assert!(endless.check().unwrap_err().to_string().contains("`iterations` is 5000000000"));
     }
 }

@@ -3,11 +3,15 @@
 //! A layer is checked when it is laid: its error names the layer, the key and, where a key is not
 //! known, the nearest one that is.
 
+use super::ranges::out_of_range;
 use super::{Profile, Settings};
 use crate::Category;
-use m4_io::{ErrorKind, shortened};
+use m4_io::{ErrorKind, files, shortened};
 use std::path::{Path, PathBuf};
 use toml::{Table, Value};
+
+/// Largest file of settings that is read, bytes: one with every key and comments has some kilobytes.
+const MAX_FILE_BYTES: u64 = 1 << 20;
 
 /// What files and `--set` say, later ones over earlier ones; [`Self::over`] lays it over built-in settings.
 #[derive(Debug, Clone, Default)]
@@ -22,8 +26,8 @@ impl Layers {
     ///
     /// [`SettingsError`] naming the file and the key at fault.
     pub fn file(self, path: &Path) -> Result<Self, SettingsError> {
-        let text =
-            std::fs::read_to_string(path).map_err(|source| SettingsError::Read { path: path.to_path_buf(), source })?;
+        let text = files::read_text(path, MAX_FILE_BYTES)
+            .map_err(|source| SettingsError::Read { path: path.to_path_buf(), source })?;
         let layer: Table = text.parse().map_err(|e: toml::de::Error| {
             let reason = shortened(e.to_string().trim_end());
             SettingsError::Invalid(format!("{} is not valid TOML: {reason}", path.display()))
@@ -105,7 +109,7 @@ impl Layers {
     }
 
     fn table_over(&self, base: &Settings) -> Result<Table, SettingsError> {
-        let mut table = Table::try_from(base).map_err(|e| SettingsError::Internal { reason: e.to_string() })?;
+        let mut table = table(base)?;
         merge(&mut table, self.named.clone());
         Ok(table)
     }
@@ -115,8 +119,22 @@ impl Layers {
 fn read(table: &Table, layer: &str) -> Result<Settings, SettingsError> {
     let mut settings: Settings = serde_path_to_error::deserialize(table.clone())
         .map_err(|e| explain(&e.path().to_string(), e.inner().message(), table, layer))?;
+    in_range(table, layer)?;
     settings.set_seed(settings.train.seed);
     Ok(settings)
+}
+
+/// The settings as a table.
+pub(super) fn table(settings: &Settings) -> Result<Table, SettingsError> {
+    Table::try_from(settings).map_err(|e| SettingsError::Internal { reason: e.to_string() })
+}
+
+/// Refuses numbers out of their range; `layer` says where they come from.
+pub(super) fn in_range(settings: &Table, layer: &str) -> Result<(), SettingsError> {
+    let Some((key, value, range)) = out_of_range(settings) else {
+        return Ok(());
+    };
+    Err(SettingsError::Invalid(format!("{layer}: {key} = {value} is out of range: it must be {range}")))
 }
 
 /// Tables are merged key by key; everything else is replaced.

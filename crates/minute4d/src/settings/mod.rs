@@ -3,6 +3,7 @@
 mod layers;
 #[cfg(test)]
 mod page;
+mod ranges;
 mod train;
 
 pub use layers::{Layers, SettingsError};
@@ -205,8 +206,8 @@ impl Settings {
 
     /// Refuses values that no run can use.
     pub(crate) fn check(&self) -> Result<(), Error> {
+        layers::in_range(&layers::table(self)?, "the settings")?;
         self.init_config().check()?;
-        self.train.check()?;
         Ok(self.train_config().check()?)
     }
 
@@ -293,7 +294,7 @@ mod tests {
         Settings::faithful().check().unwrap();
         let mut endless = Settings::fast();
         endless.train.budget_s = f64::NAN;
-        assert!(endless.check().unwrap_err().to_string().contains("`budget_s` is NaN"));
+        assert!(endless.check().unwrap_err().to_string().contains("train.budget_s = NaN"));
     }
 
     /// Every key of `table`, and a value that is another one.

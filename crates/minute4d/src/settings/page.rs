@@ -1,6 +1,7 @@
-//! `docs/settings.md` has a row for every key: its words are written by hand, its defaults by `cargo xtask settings`. The tests here fail
-//! where a key has no row, a row no key, or a default is not that of the code.
+//! `docs/settings.md` has a row for every key: its words are written by hand, its ranges and defaults by `cargo xtask settings`. The tests here fail
+//! where a key has no row, a row no key, or a range or a default is not that of the code.
 
+use super::ranges::{get, range_of};
 use super::{Layers, Settings, SettingsError};
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -20,18 +21,12 @@ fn toml(settings: &Settings) -> Table {
     settings.to_toml().unwrap().parse().unwrap()
 }
 
-fn get(table: &Table, key: &str) -> Option<Value> {
-    let mut parts = key.split('.');
-    let first = table.get(parts.next()?)?;
-    parts.try_fold(first, |at, part| at.get(part)).cloned()
-}
-
 /// The key of a row such as "| `video.size` | px | `640` | What it does. |".
 fn key(line: &str) -> Option<&str> {
     line.strip_prefix("| `")?.split_once("` |").map(|(key, _)| key)
 }
 
-/// The page with the defaults of the code.
+/// The page with the ranges and defaults of the code.
 fn page(written: &str) -> String {
     let (fast, faithful) = (toml(&Settings::fast()), toml(&Settings::faithful()));
     let shown = |table: &Table, key: &str| get(table, key).map_or("not set".to_owned(), |v| format!("`{v}`"));
@@ -40,15 +35,16 @@ fn page(written: &str) -> String {
             return format!("{line}\n");
         };
         let cells: Vec<&str> = line.split(" | ").collect();
-        let [first, unit, _, about] = cells[..] else {
-            panic!("not four cells: {line}");
+        let [first, unit, _, _, about] = cells[..] else {
+            panic!("not five cells: {line}");
         };
+        let range = range_of(key).unwrap_or_else(|| "-".to_owned());
         let (default, other) = (shown(&fast, key), shown(&faithful, key));
         let default = match default == other {
             true => default,
             false => format!("{default}; {other}"),
         };
-        format!("{first} | {unit} | {default} | {about}\n")
+        format!("{first} | {unit} | {range} | {default} | {about}\n")
     };
     written.lines().map(line).collect()
 }
@@ -95,5 +91,5 @@ fn the_page_has_the_defaults_of_the_code() {
         std::fs::write(path(), page).unwrap();
         return;
     }
-    assert!(written == page, "docs/settings.md has other defaults than the code; run `cargo xtask settings`");
+    assert!(written == page, "docs/settings.md has other ranges or defaults than the code; run `cargo xtask settings`");
 }

@@ -2,7 +2,7 @@
 
 use super::Profile;
 use m4_train::init::{InitConfig, TimeSpread, VelocityInit};
-use m4_train::{DensityConfig, RefineConfig, TrainConfig, TrainError};
+use m4_train::{DensityConfig, RefineConfig, TrainConfig};
 use serde::{Deserialize, Serialize};
 
 /// What users change of the training; the rest is the profile's.
@@ -153,18 +153,6 @@ impl TrainSettings {
             refine: RefineConfig { poses: refine.poses, focal: refine.focal, exposure: refine.exposure, ..base.refine },
             ..base
         }
-    }
-
-    /// Refuses seconds that are no time.
-    pub(super) fn check(&self) -> Result<(), TrainError> {
-        if self.budget_s.is_finite() && self.budget_s >= 0.0 {
-            return Ok(());
-        }
-        Err(TrainError::BadSetting {
-            field: "budget_s",
-            value: self.budget_s.to_string(),
-            expected: "a number of at least 0",
-        })
     }
 }
 

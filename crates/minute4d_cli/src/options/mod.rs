@@ -166,7 +166,7 @@ pub struct SettingsArgs {
     #[arg(long, value_name = "KEY=VALUE")]
     pub set: Vec<String>,
     /// Seed of the random number generator
-    #[arg(long, value_name = "S")]
+    #[arg(long, value_name = "S", value_parser = clap::value_parser!(u64).range(..=i64::MAX as u64))]
     pub seed: Option<u64>,
     /// Print the effective settings as TOML and exit
     #[arg(long)]
@@ -186,7 +186,7 @@ pub struct LengthArgs {
     #[arg(long, value_parser = presets())]
     pub preset: Option<Preset>,
     /// Number of training iterations (overrides the time budget)
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=10_000_000))]
     pub iterations: Option<u32>,
 }
 
