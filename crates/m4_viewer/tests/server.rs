@@ -5,7 +5,7 @@ use m4_viewer::Manifest;
 use m4_viewer::page;
 use m4_viewer::payload::{decode, encode};
 use m4_viewer::server::{Hub, Metrics, ServeError, Server};
-use std::io::{BufRead, BufReader, Read, Write};
+use std::io::{BufRead, BufReader, ErrorKind, Read, Write};
 use std::net::{Ipv4Addr, TcpListener, TcpStream};
 use std::sync::Arc;
 use std::time::Duration;
@@ -193,4 +193,20 @@ fn nothing_listens_beyond_this_machine() {
     let (_hub, _server, place) = serve();
     // another address of the loopback network reaches a listener on all addresses, not this one
     assert!(TcpStream::connect(("127.0.0.2", place.port)).is_err());
+}
+
+#[test]
+fn idle_connections_take_a_limited_number_of_files() {
+    let (_hub, _server, place) = serve();
+    let idle: Vec<TcpStream> =
+        (0..100).map(|_| TcpStream::connect((Ipv4Addr::LOCALHOST, place.port)).unwrap()).collect();
+    let mut late = place.send("GET", &place.with_token("/"), &place.host());
+    late.set_read_timeout(Some(Duration::from_millis(700))).unwrap();
+    let mut start = [0; 15];
+    let waiting = late.read(&mut start).unwrap_err();
+    assert!(matches!(waiting.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut), "{waiting}");
+    drop(idle);
+    late.set_read_timeout(Some(Duration::from_secs(20))).unwrap();
+    late.read_exact(&mut start).unwrap();
+    assert_eq!(&start, b"HTTP/1.1 200 OK");
 }

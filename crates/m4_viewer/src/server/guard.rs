@@ -2,7 +2,9 @@
 
 use super::{ServeError, Shared};
 use axum::extract::{Request, State};
-use axum::http::header::{CACHE_CONTROL, CONTENT_SECURITY_POLICY, HOST, REFERRER_POLICY, X_CONTENT_TYPE_OPTIONS};
+use axum::http::header::{
+    CACHE_CONTROL, CONNECTION, CONTENT_SECURITY_POLICY, HOST, REFERRER_POLICY, X_CONTENT_TYPE_OPTIONS,
+};
 use axum::http::{HeaderName, HeaderValue, StatusCode};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
@@ -74,7 +76,8 @@ pub(super) async fn check(State(shared): State<Shared>, request: Request, next: 
         None
     };
     let mut response = match refused {
-        Some(why) => (StatusCode::FORBIDDEN, why).into_response(),
+        // Kept alive, refused requests could hold all connections.
+        Some(why) => (StatusCode::FORBIDDEN, [(CONNECTION, "close")], why).into_response(),
         None => next.run(request).await,
     };
     let fixed: [(HeaderName, &'static str); 6] = [

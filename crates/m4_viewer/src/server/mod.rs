@@ -3,7 +3,8 @@
 //! It listens on 127.0.0.1 alone and answers three addresses: `/` (the page with the newest scene and
 //! the frames in it), `/scene` (the newest scene) and `/events` (server-sent events). Nothing that it answers comes from a path in a request, so there is no way into the file
 //! system. Every request must name this machine as its host (a page of elsewhere whose name was made to
-//! point here does not) and carry the token that the address of the page ends in; all others get 403.
+//! point here does not) and carry the token that the address of the page ends in; all others get 403 and are closed. Connections are
+//! few at a time, and closed when they do nothing.
 //!
 //! An event is a JSON object:
 //!
@@ -20,6 +21,7 @@
 
 mod guard;
 mod hub;
+mod limits;
 
 pub use hub::{Hub, Metrics};
 
@@ -31,6 +33,7 @@ use axum::http::{StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use axum::routing::get;
 use guard::Guard;
+use limits::Limited;
 use std::io;
 use std::net::{Ipv4Addr, TcpListener};
 use std::sync::Arc;
@@ -98,7 +101,7 @@ impl Server {
                     let Ok(listener) = tokio::net::TcpListener::from_std(listener) else {
                         return;
                     };
-                    let serve = std::pin::pin!(axum::serve(listener, app).into_future());
+                    let serve = std::pin::pin!(axum::serve(Limited::new(listener), app).into_future());
                     futures_util::future::select(serve, stopped).await;
                 });
                 // pages that are open would keep a graceful end waiting
