@@ -45,6 +45,7 @@ pub mod viewer;
 #[cfg(feature = "nets")]
 pub mod weights;
 
+mod environment;
 mod error;
 mod hash;
 mod pipeline;

@@ -132,6 +132,37 @@ fn corrupt_clip_fails_permanently_and_others_finish() {
     assert_eq!(dir.json("results/clip1/run.json")["iterations"], 21);
 }
 
+/// The environment of a child of the process `parent`.
+#[cfg(target_os = "linux")]
+fn environment_of_child(parent: u32) -> String {
+    let processes = fs::read_dir("/proc").unwrap().filter_map(|entry| Some(entry.ok()?.path()));
+    let child = processes.into_iter().find(|folder| {
+        let status = fs::read_to_string(folder.join("status")).unwrap_or_default();
+        status.lines().any(|line| line == format!("PPid:\t{parent}"))
+    });
+    fs::read_to_string(child.unwrap().join("environ")).unwrap()
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn run_of_a_job_sees_no_keys_of_who_started_it() {
+    let dir = Scratch::new();
+    write_clips(&dir, 1);
+    plan(&dir, "--iterations 100000 --set checkpoint.every_s=0.02");
+    let mut command = job(&dir, "--index 0");
+    command.env("AWS_SECRET_ACCESS_KEY", "abc").env("HF_TOKEN", "def").env("LC_ALL", "C").env("RAYON_NUM_THREADS", "2");
+    let running = start_until_saved(command, &dir.path("results/.work/clip1"), 1);
+    let environment = environment_of_child(running.0.id());
+    let names: Vec<&str> =
+        environment.split_terminator('\0').filter_map(|pair| Some(pair.split_once('=')?.0)).collect();
+    for name in ["PATH", "LC_ALL", "RAYON_NUM_THREADS", "MINUTE4D_WEIGHTS"] {
+        assert!(names.contains(&name), "{name} is needed: {names:?}");
+    }
+    for name in ["AWS_SECRET_ACCESS_KEY", "HF_TOKEN"] {
+        assert!(!names.contains(&name), "{name} is passed on: {names:?}");
+    }
+}
+
 #[cfg(unix)]
 #[test]
 fn killed_job_resumes_to_identical_bits() {

@@ -17,7 +17,7 @@ use crate::evaluate::{self, EvalOptions};
 use crate::folder::CAPTURE_FOLDER;
 use crate::record::{GeometryRecord, RunRecord, Status, write_json};
 use crate::stage::check_stop;
-use crate::{Error, Job, Settings, is_capture};
+use crate::{Error, Job, Settings, environment, is_capture};
 use m4_core::{Capture, CompactMask};
 use m4_geometry::resample::resize_bilinear;
 use m4_io::atomic;
@@ -291,6 +291,7 @@ impl Bench<'_> {
         if self.job.settings.capture.reach == Reach::Anywhere {
             command.arg("--allow-outside");
         }
+        environment::pass_on(&mut command, &[]);
         let ended = command.stdin(Stdio::null()).stdout(Stdio::null()).output();
         let ended = ended.map_err(|source| Error::Read { path: self.options.program.clone(), source })?;
         check_stop(self.job.observer, "ablate", true)?;

@@ -3,6 +3,7 @@
 //! The parent holds the other end of the child's standard input. The child saves and stops when that ends, whether the parent let
 //! go of it or died: a killed process leaves no child behind that keeps writing.
 
+use crate::environment;
 use m4_core::Progress;
 use serde_json::Value;
 use std::fs::File;
@@ -27,9 +28,10 @@ pub(crate) struct Ended {
     pub asked: bool,
 }
 
-/// Runs a child to its end. What it says on standard error goes to `log`, and which stages it went through.
+/// Runs a child to its end, with what it needs of the environment. What it says on standard error goes to `log`, and which stages it went through.
 pub(crate) fn run(mut command: Command, log: File, watch: &dyn Progress) -> io::Result<Ended> {
     let stages = log.try_clone()?;
+    environment::pass_on(&mut command, &[]);
     command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(log);
     // Ctrl-C at a terminal goes to the whole group; only the parent forwards it to the child, once.
     #[cfg(unix)]
