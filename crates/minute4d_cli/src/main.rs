@@ -10,9 +10,11 @@ mod output;
 use clap::Parser;
 use cli::Cli;
 use failure::Failure;
+use minute4d::Category;
 use minute4d::io::video::{DecoderProgram, serve_decoder, set_decoder_program};
 use output::{Output, StopSignal};
 use std::ffi::OsString;
+use std::io::Write;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -40,8 +42,7 @@ fn main() -> ExitCode {
         Ok(Err(Failure { code, reason })) => (code, reason),
         Err(_) => (1, failure::last_report()),
     };
-    output.end(code, &reason);
-    ExitCode::from(code)
+    ExitCode::from(output.end(code, &reason))
 }
 
 /// Returns the error without the usage that follows it.
@@ -53,11 +54,14 @@ fn first_paragraph(text: &str) -> String {
 
 /// Prints what clap has to say: wrong arguments, `--help` or `--version`.
 fn refuse(error: &clap::Error, args: &[OsString]) -> ExitCode {
-    // If the terminal is gone, the message is lost.
-    let _ = error.print();
     if !error.use_stderr() {
-        return ExitCode::SUCCESS;
+        output::delivered(error.print().and_then(|()| std::io::stdout().flush()));
+        return output::lost().map_or(ExitCode::SUCCESS, |lost| {
+            output::to_stderr(&format!("minute4d: {lost}"));
+            ExitCode::from(Category::CannotWrite.exit_code())
+        });
     }
+    output::to_stderr(error.to_string().trim_end());
     let json = args.iter().take_while(|arg| *arg != "--").any(|arg| arg == "--json");
     if json {
         output::end_of_json(2, &first_paragraph(&error.to_string()));

@@ -2,14 +2,16 @@
 
 mod progress;
 mod stop;
+mod text;
 
 pub use stop::{StopSignal, stop_at_eof, watch_signals};
+pub use text::{delivered, lost, to_stderr};
 
-use minute4d::{Observer, Progress, StageEvent};
+use minute4d::{Category, Observer, Progress, StageEvent};
 pub use progress::end_of_json;
 use progress::{Bars, Events, Lines};
 use serde_json::Value;
-use std::io::{ErrorKind, IsTerminal, Write};
+use std::io::IsTerminal;
 use std::sync::{Arc, Mutex, PoisonError};
 
 enum Mode {
@@ -86,16 +88,20 @@ impl Output {
         }
     }
 
-    /// Writes the last event of `--json`, and the reason of a failure on stderr.
-    pub fn end(&self, code: u8, reason: &str) {
+    /// Writes the last event of `--json`, and the reason of a failure on stderr; returns the exit code, which is another one where the
+    /// result or this event was not delivered.
+    pub fn end(&self, code: u8, reason: &str) -> u8 {
+        let (code, reason) = delivery(code, reason);
         match &self.mode {
             Mode::Json(events) => events.end(code, reason),
             Mode::Bars(bars) => bars.clear(),
             Mode::Lines(_) | Mode::NoWarnings => {}
         }
+        let (code, reason) = delivery(code, reason);
         if code != 0 {
             self.say(&format!("minute4d: {reason}"));
         }
+        code
     }
 
     fn say(&self, message: &str) {
@@ -160,6 +166,14 @@ impl Observer for Output {
     }
 }
 
+/// Turns success into the failure to deliver the result, if that is so.
+fn delivery(code: u8, reason: &str) -> (u8, &str) {
+    match lost() {
+        Some(lost) if code == 0 => (Category::CannotWrite.exit_code(), lost),
+        _ => (code, reason),
+    }
+}
+
 /// Formats seconds: `8.3 s`, `2m05s`, `1h02m`.
 pub fn duration(seconds: f64) -> String {
     let whole = seconds.max(0.0).round() as u64;
@@ -170,23 +184,9 @@ pub fn duration(seconds: f64) -> String {
     }
 }
 
-/// Prints to stdout. A closed pipe counts as success.
+/// Prints a result to stdout, with a line feed at its end.
 fn print_result(text: &str) {
-    let mut stdout = std::io::stdout().lock();
-    let written = stdout
-        .write_all(text.as_bytes())
-        .and_then(|()| if text.ends_with('\n') { Ok(()) } else { stdout.write_all(b"\n") })
-        .and_then(|()| stdout.flush());
-    if let Err(error) = written
-        && error.kind() != ErrorKind::BrokenPipe
-    {
-        to_stderr(&format!("minute4d: cannot write to stdout: {error}"));
-    }
-}
-
-/// Writes a line to stderr; a failure to do so is ignored.
-pub fn to_stderr(line: &str) {
-    let _ = writeln!(std::io::stderr().lock(), "{line}");
+    text::to_stdout(&format!("{}\n", text::visible(text.strip_suffix('\n').unwrap_or(text))));
 }
 
 #[cfg(test)]

@@ -2,11 +2,11 @@
 //! terminal, or one line every ten seconds.
 
 use super::duration;
+use super::text::{to_stdout, visible_json, visible_line};
 use indicatif::{ProgressBar, ProgressStyle};
 use minute4d::StageEvent;
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
-use std::io::Write;
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -133,9 +133,8 @@ fn write_end(code: u8, reason: &str) {
 fn write_line(event: &str, fields: &[(&str, Value)]) {
     let fields = fields.iter().map(|(name, value)| format!(",{}:{value}", Value::from(*name)));
     let line = format!("{{\"event\":{}{}}}\n", Value::from(event), fields.collect::<String>());
-    let mut stdout = std::io::stdout().lock();
     // If the reader has closed the pipe, the work continues without events.
-    let _ = stdout.write_all(line.as_bytes()).and_then(|()| stdout.flush());
+    to_stdout(&visible_json(&line));
 }
 
 #[derive(Default)]
@@ -148,7 +147,7 @@ impl Bars {
             if let Some((_, old)) = current.take() {
                 old.finish_and_clear();
             }
-            let bar = ProgressBar::new(total as u64).with_style(style()).with_prefix(phase.to_owned());
+            let bar = ProgressBar::new(total as u64).with_style(style()).with_prefix(visible_line(phase).into_owned());
             bar.set_position(done as u64);
             bar.reset_eta();
             bar.enable_steady_tick(Duration::from_millis(200));
@@ -157,7 +156,7 @@ impl Bars {
         if let Some((_, bar)) = current.as_ref() {
             bar.set_length(total as u64);
             bar.set_position(done as u64);
-            bar.set_message(note.to_owned());
+            bar.set_message(visible_line(note).into_owned());
         }
     }
 
@@ -210,7 +209,7 @@ impl Lines {
         }
         if !note.is_empty() {
             line += ", ";
-            line += note;
+            line += &visible_line(note);
         }
         Some(line)
     }
