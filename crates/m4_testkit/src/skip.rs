@@ -24,6 +24,8 @@ pub enum Need {
     HalfPrecision,
     /// npm, and the packages that it fetches.
     Npm,
+    /// Python with pip.
+    Pip,
     /// The benchmark scenes and clips beside the repository.
     Shared,
     /// Published weights of a network.
@@ -43,6 +45,7 @@ impl Need {
             Self::Vulkan => ("vulkan", "install a Vulkan driver (apt-get install mesa-vulkan-drivers libvulkan1)"),
             Self::HalfPrecision => ("half-precision", "run the tests on a GPU that computes with 16 bits"),
             Self::Npm => ("npm", "install Node.js with npm, and let it reach its registry"),
+            Self::Pip => ("pip", "install Python with pip (apt-get install python3-pip)"),
             Self::Shared => ("shared", "put the folder `shared` with the benchmark scenes beside the repository"),
             Self::Weights => ("weights", "get the weights (docs/models.md)"),
             Self::Instructions => ("instructions", "run the tests on a processor that has them"),

