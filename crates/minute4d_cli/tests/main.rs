@@ -10,6 +10,8 @@ mod faults;
 mod features;
 mod floor;
 mod geometry;
+#[cfg(unix)]
+mod hostile;
 mod import;
 mod interchange;
 mod networks;

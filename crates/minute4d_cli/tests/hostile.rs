@@ -1,0 +1,205 @@
+//! A table of hostile inputs: how each is made, the command line, the exit code, and words of the message. Each case must end in time, and
+//! none in a panic.
+
+use crate::common::{Ended, Scratch, finished_run, write_capture};
+use std::fs;
+use std::io::Read;
+use std::process::{Command, Stdio};
+use std::thread;
+use std::time::{Duration, Instant};
+
+/// Longest time that a case may take, in a debug build on a loaded machine.
+const LONGEST: Duration = Duration::from_secs(20);
+
+struct Case {
+    /// What it is, for the report.
+    name: &'static str,
+    /// Makes its files.
+    make: fn(&Scratch),
+    /// The command line; `RUN` stands for the folder of a finished run.
+    line: &'static str,
+    code: i32,
+    /// Words that the message holds.
+    words: &'static [&'static str],
+}
+
+const fn case(
+    name: &'static str,
+    make: fn(&Scratch),
+    line: &'static str,
+    code: i32,
+    words: &'static [&'static str],
+) -> Case {
+    Case { name, make, line, code, words }
+}
+
+const fn nothing(_: &Scratch) {}
+
+fn pipe(dir: &Scratch, name: &str) {
+    assert!(Command::new("mkfifo").arg(dir.path(name)).status().unwrap().success());
+}
+
+fn pipe_clip(dir: &Scratch) {
+    pipe(dir, "clip.mp4");
+}
+
+fn folder_with_pipe(dir: &Scratch) {
+    fs::create_dir(dir.path("clips")).unwrap();
+    pipe(dir, "clips/clip.mp4");
+}
+
+fn capture(dir: &Scratch) {
+    write_capture(&dir.path("capture"), false);
+}
+
+fn capture_and_pipe(dir: &Scratch) {
+    capture(dir);
+    pipe(dir, "pipe.json");
+}
+
+/// A capture whose list, or a file of whose frames, is a pipe.
+fn capture_of_pipe(dir: &Scratch, name: &str) {
+    capture(dir);
+    fs::remove_file(dir.path("capture").join(name)).unwrap();
+    pipe(dir, &format!("capture/{name}"));
+}
+
+fn list_is_pipe(dir: &Scratch) {
+    capture_of_pipe(dir, "transforms_train.json");
+}
+
+fn record_is_pipe(dir: &Scratch) {
+    capture(dir);
+    fs::create_dir(dir.path("out")).unwrap();
+    pipe(dir, "out/run.json");
+}
+
+fn scene_is_pipe(dir: &Scratch) {
+    pipe(dir, "scene.safetensors");
+    pipe(dir, "splats.ply");
+}
+
+fn huge_config(dir: &Scratch) {
+    dir.write("huge.toml", "# nothing\n".repeat(200_000));
+}
+
+fn acting_names(dir: &Scratch) {
+    fs::write(dir.path("a\x1b[2J\u{202e}.mp4"), "x").unwrap();
+}
+
+/// What is not a regular file. Nothing of it is read.
+const FILES: [Case; 16] = [
+    case("pipe as a clip", pipe_clip, "run clip.mp4 -o out", 65, &["clip.mp4", "a pipe"]),
+    case("pipe as a clip of geometry", pipe_clip, "geometry clip.mp4 -o out", 65, &["clip.mp4", "a pipe"]),
+    case("device as a clip", nothing, "run /dev/zero -o out", 65, &["/dev/zero", "a device"]),
+    case("standard input as a clip", nothing, "run /dev/stdin -o out", 65, &["/dev/stdin", "not a regular file"]),
+    case("pipe in a folder of clips", folder_with_pipe, "batch plan clips -o j --out r", 65, &["clip.mp4", "a pipe"]),
+    case("pipe as a planned clip", pipe_clip, "batch plan clip.mp4 -o j --out r", 65, &["clip.mp4", "a pipe"]),
+    case("pipe as a manifest", pipe_clip, "batch status --manifest clip.mp4", 65, &["clip.mp4", "a pipe"]),
+    case("device as settings", nothing, "train --print-config --config /dev/zero", 65, &["/dev/zero", "a device"]),
+    case("huge settings", huge_config, "train --print-config --config huge.toml", 65, &["huge.toml", "limit of 1 MiB"]),
+    case("pipe as a list of frames", list_is_pipe, "train capture -o out", 65, &["transforms_train.json", "a pipe"]),
+    case("pipe as a record", record_is_pipe, "train capture -o out --resume", 65, &["run.json", "a pipe"]),
+    case("pipe as a scene", scene_is_pipe, "render scene.safetensors -o x.png", 65, &["scene.safetensors", "a pipe"]),
+    case("pipe as splats", scene_is_pipe, "import splats.ply -o out", 65, &["splats.ply", "a pipe"]),
+    case("pipe to view", scene_is_pipe, "view scene.safetensors --no-open", 65, &["scene.safetensors", "a pipe"]),
+    case("pipe as a path", capture_and_pipe, "render RUN --path pipe.json -o x", 65, &["pipe.json", "a pipe"]),
+    case("pipe as truth", capture_and_pipe, "eval-geometry capture --truth pipe.json", 65, &["pipe.json", "a pipe"]),
+];
+
+/// Numbers that no run can use.
+const NUMBERS: [Case; 4] = [
+    case("endless training", capture, "train capture -o o --set train.iterations=5000000000", 78, &["1 to 10000000"]),
+    case("steps that hear no stop", capture, "train capture -o o --set train.batch=100000", 78, &["1 to 64"]),
+    case("time that is no number", capture, "train capture -o o --set limit.time_s=nan", 78, &["limit.time_s = NaN"]),
+    case("seed beyond the format", capture, "train capture -o o --seed 18446744073709551615", 2, &["--seed"]),
+];
+
+/// Names that act on a terminal.
+const NAMES: [Case; 3] = [
+    case("name that clears", acting_names, "run 'a\x1b[2J\u{202e}.mp4' -o out", 65, &["a\\u{1b}[2J\\u{202e}.mp4"]),
+    case("missing name", nothing, "run '\x1b[31mno.mp4' -o out", 66, &["\\u{1b}[31mno.mp4"]),
+    case("unknown argument", nothing, "run a -o b '--\x1b[31m'", 2, &["\\u{1b}[31m"]),
+];
+
+/// Runs a command to its end, which must come in time.
+fn ended(mut command: Command, name: &str) -> Ended {
+    let mut child = command.stdin(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    let mut stderr = child.stderr.take().unwrap();
+    let reader = thread::spawn(move || {
+        let mut text = String::new();
+        stderr.read_to_string(&mut text).map(|_| text)
+    });
+    let start = Instant::now();
+    let status = loop {
+        if let Some(status) = child.try_wait().unwrap() {
+            break status;
+        }
+        if start.elapsed() > LONGEST {
+            child.kill().unwrap();
+            panic!("{name}: it did not end within {LONGEST:?}");
+        }
+        thread::sleep(Duration::from_millis(20));
+    };
+    let stderr = reader.join().unwrap().unwrap();
+    Ended { code: status.code().unwrap_or(-1), stdout: String::new(), stderr }
+}
+
+fn check(cases: &[Case]) {
+    for case in cases {
+        let dir = Scratch::new();
+        (case.make)(&dir);
+        let run = match case.line.contains("RUN") {
+            true => finished_run(),
+            false => "",
+        };
+        let mut command = dir.command(&case.line.replace("RUN", &format!("'{run}'")));
+        command.stdout(Stdio::null());
+        let ended = ended(command, case.name);
+        let (name, stderr) = (case.name, &ended.stderr);
+        assert_eq!(ended.code, case.code, "{name}: {stderr}");
+        for word in case.words {
+            assert!(stderr.contains(word), "{name}: {word:?} is not in {stderr:?}");
+        }
+        let acting = stderr.chars().find(|c| (c.is_control() && *c != '\n') || matches!(c, '\u{202a}'..='\u{202e}'));
+        assert_eq!(acting, None, "{name}: {stderr:?}");
+        assert!(!stderr.contains("internal error"), "{name}: {stderr}");
+    }
+}
+
+#[test]
+fn files_that_are_not_regular_are_refused_before_a_byte_is_read() {
+    check(&FILES);
+}
+
+#[test]
+fn numbers_out_of_range_are_refused() {
+    check(&NUMBERS);
+}
+
+#[test]
+fn names_that_act_on_a_terminal_are_shown() {
+    check(&NAMES);
+}
+
+/// Commands whose result goes to a device that is full.
+#[cfg(target_os = "linux")]
+#[test]
+fn a_result_that_does_not_arrive_is_a_failure_and_a_closed_pipe_is_none() {
+    let dir = Scratch::new();
+    for line in ["doctor", "doctor --json", "train --print-config", "--help", "--version", "run --help"] {
+        let full = || fs::File::options().write(true).open("/dev/full").unwrap();
+        let mut command = dir.command(line);
+        command.stdout(full());
+        let refused = ended(command, line);
+        assert_eq!(refused.code, 73, "{line}: {}", refused.stderr);
+        assert!(refused.stderr.contains("standard output"), "{line}: {}", refused.stderr);
+
+        let mut command = dir.command(line);
+        let (reader, writer) = std::io::pipe().unwrap();
+        drop(reader);
+        command.stdout(writer);
+        let closed = ended(command, line);
+        assert_eq!((closed.code, closed.stderr.as_str()), (0, ""), "{line}");
+    }
+}
