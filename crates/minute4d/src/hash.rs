@@ -1,9 +1,11 @@
 //! Hashes of inputs and settings: the cache keys of finished stages.
 
 use crate::Error;
-use m4_core::{Capture, CompactDepth, CompactMask, Plane};
+use crate::stage::check_stop;
+use m4_core::{Capture, CompactDepth, CompactMask, Plane, Progress, Silent};
 use m4_io::files;
-use std::fs;
+use std::fs::{self, File};
+use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 
 /// Returns the BLAKE3 hash of a file's bytes, or of the names and bytes of everything in a folder; hexadecimal.
@@ -14,6 +16,15 @@ use std::path::{Path, PathBuf};
 ///
 /// [`Error::Read`] naming the file that could not be read.
 pub fn of_path(path: &Path) -> Result<String, Error> {
+    of_input(path, &Silent)
+}
+
+/// The same of an input, which may be large: ends where the caller asks to stop.
+///
+/// # Errors
+///
+/// As [`of_path`], and [`Error::Stopped`].
+pub fn of_input(path: &Path, watch: &dyn Progress) -> Result<String, Error> {
     let mut hasher = blake3::Hasher::new();
     if path.is_dir() {
         let mut files = Vec::new();
@@ -22,13 +33,13 @@ pub fn of_path(path: &Path) -> Result<String, Error> {
         for relative in files {
             let name = relative.to_string_lossy().replace('\\', "/");
             let mut inner = blake3::Hasher::new();
-            read_into(&path.join(&relative), &mut inner)?;
+            read_into(&path.join(&relative), &mut inner, watch)?;
             hasher.update(&(name.len() as u64).to_le_bytes());
             hasher.update(name.as_bytes());
             hasher.update(inner.finalize().as_bytes());
         }
     } else {
-        read_into(path, &mut hasher)?;
+        read_into(path, &mut hasher, watch)?;
     }
     Ok(hasher.finalize().to_hex().to_string())
 }
@@ -79,11 +90,27 @@ fn size_into((width, height): (usize, usize), hasher: &mut blake3::Hasher) {
     hasher.update(&(height as u64).to_le_bytes());
 }
 
-fn read_into(path: &Path, hasher: &mut blake3::Hasher) -> Result<(), Error> {
-    let failed = |source| Error::Read { path: path.to_path_buf(), source };
-    let file = files::open(path).map_err(failed)?;
-    hasher.update_reader(file).map_err(failed)?;
+fn read_into(path: &Path, hasher: &mut blake3::Hasher, watch: &dyn Progress) -> Result<(), Error> {
+    let file = files::open(path).map_err(Error::read(path))?;
+    let read = hasher.update_reader(Watched { file, watch });
+    check_stop(watch, "the reading of the input", false)?;
+    read.map_err(Error::read(path))?;
     Ok(())
+}
+
+/// A file that cannot be read any more after a stop.
+struct Watched<'a> {
+    file: File,
+    watch: &'a dyn Progress,
+}
+
+impl Read for Watched<'_> {
+    fn read(&mut self, bytes: &mut [u8]) -> io::Result<usize> {
+        match self.watch.cancelled() {
+            true => Err(io::Error::other("stopped")),
+            false => self.file.read(bytes),
+        }
+    }
 }
 
 fn list(root: &Path, folder: &Path, files: &mut Vec<PathBuf>) -> Result<(), Error> {
@@ -111,8 +138,19 @@ fn list(root: &Path, folder: &Path, files: &mut Vec<PathBuf>) -> Result<(), Erro
 
 #[cfg(test)]
 mod tests {
-    use super::{of_parts, of_path};
+    use super::{of_input, of_parts, of_path};
+    use m4_testkit::StopAtPoll;
     use std::fs;
+
+    #[test]
+    fn a_stop_ends_the_reading_of_a_large_input() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("clip.mp4");
+        fs::write(&path, vec![7; 4 << 20]).unwrap();
+        let stop = StopAtPoll::after(3);
+        assert!(of_input(&path, &stop).unwrap_err().is_stop());
+        assert_eq!(of_input(&path, &m4_core::Silent).unwrap(), of_path(&path).unwrap());
+    }
 
     #[test]
     fn folder_hash_covers_names_and_bytes() {

@@ -32,7 +32,7 @@ pub fn run(input: &Path, out: &Path, job: &Job<'_>) -> Result<RunRecord, Error> 
     }
     job.check()?;
     let clock = Clock::start(&job.settings);
-    let source = Input { path: input.display().to_string(), blake3: hash::of_path(input)? };
+    let source = Input { path: input.display().to_string(), blake3: hash::of_input(input, job.observer)? };
     Workspace::open(out, source, job, clock)?.finish(|run| {
         let folder = run.path(CAPTURE_FOLDER);
         let recorder = RecordingObserver::new(job.observer).until(clock.end());

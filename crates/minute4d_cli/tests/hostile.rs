@@ -5,7 +5,7 @@ use crate::common::{Ended, Scratch, finished_run, write_capture};
 use std::fs;
 use std::io::Read;
 use std::process::{Command, Stdio};
-use std::thread;
+use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
 /// Longest time that a case may take, in a debug build on a loaded machine.
@@ -84,7 +84,11 @@ fn huge_config(dir: &Scratch) {
 }
 
 fn acting_names(dir: &Scratch) {
-    fs::write(dir.path("a\x1b[2J\u{202e}.mp4"), "x").unwrap();
+    fs::write(dir.path("a\x1b[2J\u{202e}.mp4"), "").unwrap();
+}
+
+fn planned(dir: &Scratch) {
+    write_capture(&dir.path("clips"), false);
 }
 
 /// What is not a regular file. Nothing of it is read.
@@ -102,7 +106,7 @@ const FILES: [Case; 16] = [
     case("pipe as a record", record_is_pipe, "train capture -o out --resume", 65, &["run.json", "a pipe"]),
     case("pipe as a scene", scene_is_pipe, "render scene.safetensors -o x.png", 65, &["scene.safetensors", "a pipe"]),
     case("pipe as splats", scene_is_pipe, "import splats.ply -o out", 65, &["splats.ply", "a pipe"]),
-    case("pipe to view", scene_is_pipe, "view scene.safetensors --no-open", 65, &["scene.safetensors", "a pipe"]),
+    case("pipe to view", scene_is_pipe, "view scene.safetensors --no-open", 66, &["no scene or run"]),
     case("pipe as a path", capture_and_pipe, "render RUN --path pipe.json -o x", 65, &["pipe.json", "a pipe"]),
     case("pipe as truth", capture_and_pipe, "eval-geometry capture --truth pipe.json", 65, &["pipe.json", "a pipe"]),
 ];
@@ -116,20 +120,27 @@ const NUMBERS: [Case; 4] = [
 ];
 
 /// Names that act on a terminal.
-const NAMES: [Case; 3] = [
+const NAMES: [Case; 4] = [
     case("name that clears", acting_names, "run 'a\x1b[2J\u{202e}.mp4' -o out", 65, &["a\\u{1b}[2J\\u{202e}.mp4"]),
     case("missing name", nothing, "run '\x1b[31mno.mp4' -o out", 66, &["\\u{1b}[31mno.mp4"]),
-    case("unknown argument", nothing, "run a -o b '--\x1b[31m'", 2, &["\\u{1b}[31m"]),
+    case("unknown preset", nothing, "run a -o b --preset 'a\u{202e}b'", 2, &["a\\u{202e}b"]),
+    case("name in a result", planned, "batch plan clips -o 'j\x1b[2J' --out results", 0, &[]),
 ];
+
+fn read_all(from: Option<impl Read + Send + 'static>) -> JoinHandle<String> {
+    thread::spawn(move || {
+        let mut text = String::new();
+        if let Some(mut from) = from {
+            from.read_to_string(&mut text).unwrap();
+        }
+        text
+    })
+}
 
 /// Runs a command to its end, which must come in time.
 fn ended(mut command: Command, name: &str) -> Ended {
     let mut child = command.stdin(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
-    let mut stderr = child.stderr.take().unwrap();
-    let reader = thread::spawn(move || {
-        let mut text = String::new();
-        stderr.read_to_string(&mut text).map(|_| text)
-    });
+    let (stdout, stderr) = (read_all(child.stdout.take()), read_all(child.stderr.take()));
     let start = Instant::now();
     let status = loop {
         if let Some(status) = child.try_wait().unwrap() {
@@ -141,8 +152,12 @@ fn ended(mut command: Command, name: &str) -> Ended {
         }
         thread::sleep(Duration::from_millis(20));
     };
-    let stderr = reader.join().unwrap().unwrap();
-    Ended { code: status.code().unwrap_or(-1), stdout: String::new(), stderr }
+    Ended { code: status.code().unwrap_or(-1), stdout: stdout.join().unwrap(), stderr: stderr.join().unwrap() }
+}
+
+/// A character that acts on a terminal.
+fn acting(text: &str) -> Option<char> {
+    text.chars().find(|c| (c.is_control() && *c != '\n') || matches!(c, '\u{202a}'..='\u{202e}'))
 }
 
 fn check(cases: &[Case]) {
@@ -154,15 +169,14 @@ fn check(cases: &[Case]) {
             false => "",
         };
         let mut command = dir.command(&case.line.replace("RUN", &format!("'{run}'")));
-        command.stdout(Stdio::null());
+        command.stdout(Stdio::piped());
         let ended = ended(command, case.name);
         let (name, stderr) = (case.name, &ended.stderr);
         assert_eq!(ended.code, case.code, "{name}: {stderr}");
         for word in case.words {
             assert!(stderr.contains(word), "{name}: {word:?} is not in {stderr:?}");
         }
-        let acting = stderr.chars().find(|c| (c.is_control() && *c != '\n') || matches!(c, '\u{202a}'..='\u{202e}'));
-        assert_eq!(acting, None, "{name}: {stderr:?}");
+        assert_eq!((acting(stderr), acting(&ended.stdout)), (None, None), "{name}: {ended:?}");
         assert!(!stderr.contains("internal error"), "{name}: {stderr}");
     }
 }

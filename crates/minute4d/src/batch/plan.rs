@@ -5,6 +5,7 @@ use crate::batch::manifest::{Arguments, Job, Manifest};
 use crate::batch::not_ours;
 use crate::batch::publish::{Present, present};
 use crate::{Category, Error, Refusal, hash};
+use m4_core::Progress;
 use m4_io::files;
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -23,7 +24,11 @@ pub struct Plan<'a> {
 }
 
 /// Lists the clips with their hashes, in the order of their ids, and makes the folder of results.
-pub fn plan(plan: &Plan<'_>) -> Result<Manifest, Error> {
+///
+/// # Errors
+///
+/// [`Error::Read`], [`Error::Write`]; [`Error::Refused`] for what is no clip; [`Error::Stopped`].
+pub fn plan(plan: &Plan<'_>, watch: &dyn Progress) -> Result<Manifest, Error> {
     let paths = inputs(plan.given, plan.recursive)?;
     let mut named = Vec::with_capacity(paths.len());
     for path in &paths {
@@ -39,7 +44,7 @@ pub fn plan(plan: &Plan<'_>) -> Result<Manifest, Error> {
     }
     let mut jobs = Vec::with_capacity(named.len());
     for (((_, input), id), path) in named.into_iter().zip(ids).zip(paths) {
-        jobs.push(Job { output: text(&layout.result(&id))?, id, input, blake3: hash::of_path(&path)? });
+        jobs.push(Job { output: text(&layout.result(&id))?, id, input, blake3: hash::of_input(&path, watch)? });
     }
     jobs.sort_by(|a, b| a.id.cmp(&b.id));
     let states = layout.states();

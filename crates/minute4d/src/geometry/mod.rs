@@ -109,7 +109,7 @@ pub fn make(input: &Path, capture: &Path, job: &Job<'_>) -> Result<GeometryRecor
         enhance: (!enhance.nothing()).then_some((&settings.enhance, enhance.used.as_slice())),
         given: Sources::of(&settings.geometry)?,
     };
-    let source = Input { path: input.display().to_string(), blake3: hash::of_path(input)? };
+    let source = Input { path: input.display().to_string(), blake3: hash::of_input(input, job.observer)? };
     let key = hash::of_parts(&[STAGE, env!("CARGO_PKG_VERSION"), &source.blake3, &part_to_toml(&part)?]);
     let record = GeometryRecord::begin(source, key, plain_json(&part)?);
     let inputs: Vec<&Path> = [input].into_iter().chain(job.settings.geometry.files()).collect();

@@ -167,12 +167,8 @@ fn run_plan(args: &BatchPlan, output: &Output) -> Result<(), Failure> {
     make_paths_absolute(&mut settings)?;
     args.training.device.request()?;
     let results = absolute(results)?;
-    let planned = plan(&Plan {
-        given: &args.given,
-        recursive: args.recursive,
-        results: &results,
-        run: arguments(args, &settings)?,
-    })?;
+    let run = arguments(args, &settings)?;
+    let planned = plan(&Plan { given: &args.given, recursive: args.recursive, results: &results, run }, output)?;
     planned.write(manifest, args.force)?;
     let training = settings.train.budget_s.max(0.0) * planned.jobs.len() as f64;
     let spent = match training > 0.0 {
