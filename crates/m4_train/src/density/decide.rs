@@ -290,12 +290,12 @@ mod tests {
         for config in [DensityConfig::fast(), DensityConfig::faithful()] {
             let config = DensityConfig { budget: 1.0, min_opacity: 0.0, ..config };
             // as low as score pruning of `fast` wants it
-            let view = SplatView { n_static: 4, opacity: &[0.004; 4], large: &[false; 4] };
-            let plan = decide(&config, DUE, view, &scores(&[0.005, 0.0005, 0.0, 0.0], &[0.0; 4]));
-            assert_eq!((plan.cloned, plan.pruned, &plan.rows[..]), (1, 0, &[0, 1, 2, 3, 0][..]), "{config:?}");
-            // normalised by the largest: 0.005, 0.02 and 1 of it
-            let plan = decide(&config, DUE, view, &scores(&[0.0; 4], &[1e-6, 0.5, 2.0, 100.0]));
-            assert_eq!((plan.cloned, plan.pruned, &plan.rows[..]), (0, 2, &[0, 1][..]), "{config:?}");
+            let view = SplatView { n_static: 5, opacity: &[0.004; 5], large: &[false; 5] };
+            let plan = decide(&config, DUE, view, &scores(&[0.005, 0.0005, 0.0, 0.0, 0.0], &[0.0; 5]));
+            assert_eq!((plan.cloned, plan.pruned, &plan.rows[..]), (1, 0, &[0, 1, 2, 3, 4, 0][..]), "{config:?}");
+            // normalised by the largest, which two have for the quantile of `fast`: 0.005, 0.02 and 1
+            let plan = decide(&config, DUE, view, &scores(&[0.0; 5], &[1e-6, 0.5, 2.0, 100.0, 100.0]));
+            assert_eq!((plan.cloned, plan.pruned, &plan.rows[..]), (0, 3, &[0, 1][..]), "{config:?}");
         }
     }
 
