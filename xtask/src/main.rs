@@ -16,7 +16,7 @@ const USAGE: &str = "usage: cargo xtask <test [--full] [--require NEED,...] [-- 
   lock    no git sources in Cargo.lock
   deny    cargo-deny: licences, sources, duplicate versions, and advisories where their database can be fetched
   page    build the viewer's page from crates/m4_viewer/page (needs npm)
-  settings  write the defaults in docs/settings.md from the code; --check: fail where it is not up to date
+  settings  write the ranges and defaults in docs/settings.md from the code; --check: fail where it is not up to date
   results  measure the tables of docs/results.md on SCENEs of tools/bench and clips, and write them there: geometry, views, ablation,
           explain, clips, kernels, or those of --only. Takes hours; the same command continues (in --work, else target/results)";
 

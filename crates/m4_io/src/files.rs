@@ -226,8 +226,34 @@ fn split(s: &str) -> (&str, &str, &str) {
 
 #[cfg(test)]
 mod tests {
-    use super::natural;
+    use super::{natural, read, read_text};
     use std::cmp::Ordering;
+    use std::io::ErrorKind;
+
+    #[test]
+    fn regular_files_within_the_limit_alone_are_read() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("a");
+        std::fs::write(&path, "four").unwrap();
+        assert_eq!(read(&path, 4).unwrap(), b"four");
+        assert!(read(&path, 3).unwrap_err().to_string().contains("above the limit"));
+        assert_eq!(read(dir.path(), 4).unwrap_err().kind(), ErrorKind::IsADirectory);
+        assert_eq!(read(&dir.path().join("none"), 4).unwrap_err().kind(), ErrorKind::NotFound);
+        std::fs::write(&path, [b'a', 0xff]).unwrap();
+        assert!(read_text(&path, 4).unwrap_err().to_string().contains("byte 1"));
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn pipes_and_devices_are_refused_without_being_opened() {
+        let dir = tempfile::tempdir().unwrap();
+        let pipe = dir.path().join("pipe");
+        assert!(std::process::Command::new("mkfifo").arg(&pipe).status().unwrap().success());
+        for (path, word) in [(pipe.as_path(), "a pipe"), (std::path::Path::new("/dev/zero"), "a device")] {
+            let error = read(path, u64::MAX).unwrap_err();
+            assert!(error.kind() == ErrorKind::InvalidData && error.to_string().contains(word), "{error}");
+        }
+    }
 
     #[test]
     fn natural_order_compares_numbers() {

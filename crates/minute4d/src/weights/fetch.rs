@@ -163,7 +163,7 @@ impl Pip {
         self.0.join(OsStr::new(" ")).to_string_lossy().into_owned()
     }
 
-    fn answers(&self) -> bool {
+    pub(super) fn answers(&self) -> bool {
         let status = self.command(&["--version".as_ref()]).stdout(Stdio::null()).stderr(Stdio::null()).status();
         status.is_ok_and(|status| status.success())
     }

@@ -166,7 +166,7 @@ pub struct SettingsArgs {
     #[arg(long, value_name = "KEY=VALUE")]
     pub set: Vec<String>,
     /// Seed of the random number generator
-    #[arg(long, value_name = "S", value_parser = clap::value_parser!(u64).range(..=i64::MAX as u64))]
+    #[arg(long, value_name = "S", value_parser = clap::value_parser!(u64).range(..=9_000_000_000_000_000_000))]
     pub seed: Option<u64>,
     /// Print the effective settings as TOML and exit
     #[arg(long)]
