@@ -16,19 +16,21 @@ use std::path::{Path, PathBuf};
 ///
 /// [`Error::Read`] naming the file that could not be read.
 pub fn of_path(path: &Path) -> Result<String, Error> {
-    of_input(path, &Silent)
+    of_input(path, None, &Silent)
 }
 
-/// The same of an input, which may be large: ends where the caller asks to stop.
+/// The same of an input, which may be large: ends where the caller asks to stop. Results may be in the folder that they are made from:
+/// the folder `out` in it is left out.
 ///
 /// # Errors
 ///
 /// As [`of_path`], and [`Error::Stopped`].
-pub fn of_input(path: &Path, watch: &dyn Progress) -> Result<String, Error> {
+pub fn of_input(path: &Path, out: Option<&Path>, watch: &dyn Progress) -> Result<String, Error> {
     let mut hasher = blake3::Hasher::new();
     if path.is_dir() {
         let mut files = Vec::new();
-        list(path, Path::new(""), &mut files)?;
+        let out = out.and_then(|out| out.canonicalize().ok());
+        list(path, Path::new(""), out.as_deref(), &mut files)?;
         files.sort();
         for relative in files {
             let name = relative.to_string_lossy().replace('\\', "/");
@@ -113,7 +115,7 @@ impl Read for Watched<'_> {
     }
 }
 
-fn list(root: &Path, folder: &Path, files: &mut Vec<PathBuf>) -> Result<(), Error> {
+fn list(root: &Path, folder: &Path, out: Option<&Path>, files: &mut Vec<PathBuf>) -> Result<(), Error> {
     let full = root.join(folder);
     let failed = |source| Error::Read { path: full.clone(), source };
     for entry in fs::read_dir(&full).map_err(failed)? {
@@ -128,7 +130,9 @@ fn list(root: &Path, folder: &Path, files: &mut Vec<PathBuf>) -> Result<(), Erro
         // `metadata` follows links, so that a folder of links counts by what it shows.
         let kind = fs::metadata(entry.path()).map_err(failed)?;
         if kind.is_dir() {
-            list(root, &relative, files)?;
+            if out.is_none_or(|out| entry.path().canonicalize().ok().as_deref() != Some(out)) {
+                list(root, &relative, out, files)?;
+            }
         } else if kind.is_file() {
             files.push(relative);
         }
@@ -148,8 +152,8 @@ mod tests {
         let path = dir.path().join("clip.mp4");
         fs::write(&path, vec![7; 4 << 20]).unwrap();
         let stop = StopAtPoll::after(3);
-        assert!(of_input(&path, &stop).unwrap_err().is_stop());
-        assert_eq!(of_input(&path, &m4_core::Silent).unwrap(), of_path(&path).unwrap());
+        assert!(of_input(&path, None, &stop).unwrap_err().is_stop());
+        assert_eq!(of_input(&path, None, &m4_core::Silent).unwrap(), of_path(&path).unwrap());
     }
 
     #[test]
@@ -165,6 +169,10 @@ mod tests {
         assert_eq!(of_path(dir.path()).unwrap(), first, "records and hidden files do not count");
         write("in/b", "22");
         let changed = of_path(dir.path()).unwrap();
+        write("in/c", "result");
+        let without = |out: &str| of_input(dir.path(), Some(&dir.path().join(out)), &m4_core::Silent).unwrap();
+        assert!(without("in") == without("./in") && without("in") != changed && without("elsewhere") != changed);
+        fs::remove_file(dir.path().join("in/c")).unwrap();
         assert_ne!(changed, first);
         fs::rename(dir.path().join("a"), dir.path().join("c")).unwrap();
         assert_ne!(of_path(dir.path()).unwrap(), changed);

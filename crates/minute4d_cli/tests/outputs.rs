@@ -207,6 +207,23 @@ fn captures_of_the_run_itself_can_be_trained_again() {
 }
 
 #[test]
+fn results_may_be_in_the_folder_that_they_are_made_from() {
+    let dir = Scratch::new();
+    write(&dir.path("walk"), walk(8).iter().map(frame_image));
+    let line = "run walk --set dense.working_side_px=160 --set preview.panel_px=64 --iterations 20 -o walk/out";
+    dir.succeed(line);
+    let made = state(&dir.path("walk"));
+    let again = dir.succeed(&format!("{line} --resume --json"));
+    let reused = again.events().iter().filter(|e| e.to_string().contains("reused")).count();
+    assert!(reused >= 2, "{}", again.stdout);
+    assert!(state(&dir.path("walk"))[Path::new("out/scene.safetensors")] == made[Path::new("out/scene.safetensors")]);
+    // The folder itself has no room for them.
+    for line in ["run walk -o walk --force", "geometry walk -o walk --force"] {
+        dir.refused(line, 73, &["is an input of this command"]);
+    }
+}
+
+#[test]
 fn a_run_that_left_nothing_does_not_block_the_next() {
     let dir = Scratch::new();
     dir.write("bad.mp4", [0; 5000]);

@@ -231,7 +231,7 @@ impl Attempt<'_> {
     /// machine: its disks may not be mounted.
     fn check_input(&self) -> Result<(), String> {
         let input = &self.job.input;
-        match hash::of_input(Path::new(input), self.watch) {
+        match hash::of_input(Path::new(input), None, self.watch) {
             Err(error) => Err(error.to_string()),
             Ok(found) if found != self.job.blake3 => {
                 Err(format!("{input} is not what was planned; if it changed, plan again"))

@@ -44,7 +44,7 @@ pub fn plan(plan: &Plan<'_>, watch: &dyn Progress) -> Result<Manifest, Error> {
     }
     let mut jobs = Vec::with_capacity(named.len());
     for (((_, input), id), path) in named.into_iter().zip(ids).zip(paths) {
-        jobs.push(Job { output: text(&layout.result(&id))?, id, input, blake3: hash::of_input(&path, watch)? });
+        jobs.push(Job { output: text(&layout.result(&id))?, id, input, blake3: hash::of_input(&path, None, watch)? });
     }
     jobs.sort_by(|a, b| a.id.cmp(&b.id));
     let states = layout.states();

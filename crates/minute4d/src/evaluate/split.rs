@@ -11,7 +11,6 @@ use m4_io::files;
 use m4_io::reach::Reach;
 use m4_io::results::{Kind, ResultFolder};
 use serde::{Deserialize, Serialize};
-use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Says how a capture was split.

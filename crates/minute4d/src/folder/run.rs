@@ -46,6 +46,9 @@ impl RunFolder {
         let is_input = results.check_inputs([CAPTURE_FOLDER], inputs).is_err() && crate::is_capture(inputs[0]);
         let names = || FILES.into_iter().chain([CHECKPOINTS]).chain((!is_input).then_some(CAPTURE));
         results.check_inputs(names(), inputs)?;
+        if !crate::is_capture(inputs[0]) {
+            results.check_not_itself(inputs)?;
+        }
         let found = RunRecord::read(path)?;
         let replaces = found.as_ref().is_some_and(|found| found.files.contains_key(SCENE_FILE));
         let nothing = found.as_ref().is_some_and(|found| found.status == Status::Failed) && contents(path).is_empty();

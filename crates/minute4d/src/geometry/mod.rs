@@ -88,6 +88,17 @@ pub fn make(input: &Path, capture: &Path, job: &Job<'_>) -> Result<GeometryRecor
     if !input.exists() {
         return Err(Error::Missing { what: "video or folder of images", path: input.to_path_buf() });
     }
+    let blake3 = hash::of_input(input, Some(capture), job.observer)?;
+    of_source(input, Input { path: input.display().to_string(), blake3 }, capture, job)
+}
+
+/// The same of an `input` whose hash is in `source`.
+pub(crate) fn of_source(
+    input: &Path,
+    source: Input,
+    capture: &Path,
+    job: &Job<'_>,
+) -> Result<GeometryRecord, Error> {
     let mut settings = job.settings.clone();
     // flow tracks are computed with the depth, unless another method tracks points afterwards
     settings.dense.tracks &= !matches!(settings.geometry.tracker, Tracker::None | Tracker::Tapip3d);
@@ -109,7 +120,6 @@ pub fn make(input: &Path, capture: &Path, job: &Job<'_>) -> Result<GeometryRecor
         enhance: (!enhance.nothing()).then_some((&settings.enhance, enhance.used.as_slice())),
         given: Sources::of(&settings.geometry)?,
     };
-    let source = Input { path: input.display().to_string(), blake3: hash::of_input(input, job.observer)? };
     let key = hash::of_parts(&[STAGE, env!("CARGO_PKG_VERSION"), &source.blake3, &part_to_toml(&part)?]);
     let record = GeometryRecord::begin(source, key, plain_json(&part)?);
     let inputs: Vec<&Path> = [input].into_iter().chain(job.settings.geometry.files()).collect();

@@ -63,7 +63,7 @@ pub(super) fn make(
     }
     let imported = m4_io::dataset::read(file, format, &options, &keeper).map_err(source_stopped)?;
     let settings = plain_json(&Part { import: &options, format })?;
-    let input = Input { path: file.display().to_string(), blake3: hash::of_input(file, observer)? };
+    let input = Input { path: file.display().to_string(), blake3: hash::of_input(file, None, observer)? };
     let key = hash::of_parts(&[STAGE, env!("CARGO_PKG_VERSION"), &input.blake3, &settings.to_string()]);
     let mut record = GeometryRecord::begin(input, key, settings);
     record.seconds = start.elapsed().as_secs_f64();

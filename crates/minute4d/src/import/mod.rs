@@ -105,7 +105,7 @@ fn scene(
     if cameras == 0 {
         default_cameras(&mut scene, up);
     }
-    let input = Input { path: file.display().to_string(), blake3: hash::of_input(file, observer)? };
+    let input = Input { path: file.display().to_string(), blake3: hash::of_input(file, None, observer)? };
     let key = hash::of_parts(&[STAGE, env!("CARGO_PKG_VERSION"), &input.blake3, format.name()]);
     let record: RunRecord = Workspace::open(out, input, &job, Clock::start(&job.settings))?.finish(|run| {
         run.record.profile = STAGE.to_owned();
