@@ -11,6 +11,7 @@ use minute4d::batch::{
     Arguments, JobEnd, Manifest, Outcome, Plan, Report, Tools, index_of_environment, page, plan, run_job,
 };
 use minute4d::io::atomic;
+use minute4d::io::results::{Kind, ResultFolder};
 use minute4d::{Category, Error, Settings};
 use serde_json::json;
 use std::path::{Path, PathBuf};
@@ -93,6 +94,7 @@ fn submit_jobs(args: &BatchSubmit, output: &Output) -> Result<(), Failure> {
     };
     // Slurm silently drops logs for a folder that does not exist.
     std::fs::create_dir_all(&logs).map_err(failed(&logs))?;
+    claim(&file)?;
     atomic::write(&file, text.as_bytes()).map_err(failed(&file))?;
     output.note(&format!("{} jobs in {} array(s); logs in {}", manifest.jobs.len(), arrays.len(), logs.display()));
     let mut ids = Vec::new();
@@ -114,11 +116,20 @@ fn submit_jobs(args: &BatchSubmit, output: &Output) -> Result<(), Failure> {
     Ok(())
 }
 
+/// Refuses a file that exists and is not a result of an earlier call.
+fn claim(path: &Path) -> Result<(), Failure> {
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let mut results = ResultFolder::open(folder, Kind::Report).map_err(Error::from)?;
+    Ok(results.claim([&*name]).map_err(Error::from)?)
+}
+
 fn status(args: &BatchStatus, output: &Output) -> Result<(), Failure> {
     let manifest = Manifest::read(&args.manifest)?;
     let mut report = Report::read(&manifest)?;
     if let Some(path) = &args.html {
         let title = args.manifest.file_stem().map_or_else(String::new, |n| n.to_string_lossy().into_owned());
+        claim(path)?;
         atomic::write(path, page(&report, &title).as_bytes())
             .map_err(|source| Error::Write { path: path.clone(), source })?;
         output.note(&format!("overview of all clips written to {}", path.display()));
