@@ -29,6 +29,7 @@ const MOST: usize = 5000;
 /// The number of iterations that take `seconds()`, asked after the trial steps, on rayon's current pool, or on a `backend`: trial steps on a copy of `splats` with what density control may add,
 /// and on one that is split into segments of arcs besides, which the second half of a run has. A multiple of 10, at least 50 and at most 5,000. Unlike everything else in this crate it depends on the machine: with the number that it returns,
 /// training is a function of its inputs again.
+/// Once `stopped()` no more steps are taken, and the number means nothing.
 /// Fails as [`Trainer::new`] and [`Trainer::run`].
 pub fn affordable_iterations(
     capture: &Capture,
@@ -37,18 +38,19 @@ pub fn affordable_iterations(
     level: SimdLevel,
     backend: Option<BackendMaker<'_>>,
     seconds: impl Fn() -> f64,
+    stopped: &dyn Fn() -> bool,
 ) -> Result<usize, TrainError> {
     if capture.frames.is_empty() {
         return Err(TrainError::NoFrames);
     }
     let mut trial_splats = grown(splats, &apparent_sizes(capture, splats), config)?;
-    let mut step_s = trial(capture, &trial_splats, config, level, backend)?;
+    let mut step_s = trial(capture, &trial_splats, config, level, backend, stopped)?;
     let rotating = if config.arcs { arcs::rotating(&trial_splats) } else { Vec::new() };
     if !rotating.is_empty() {
         let mut state = AdamState::new(&trial_splats);
         arcs::split(&mut trial_splats, &mut state, &rotating)?;
         drop(state);
-        let after_s = trial(capture, &trial_splats, config, level, backend)?;
+        let after_s = trial(capture, &trial_splats, config, level, backend, stopped)?;
         step_s += (1.0 - ARCS_AT) * (after_s - step_s).max(0.0);
     }
     let fits = frames_drawn(config.colour_fit_rounds, capture.frames.len()) / config.batch as f64;
@@ -104,6 +106,7 @@ fn trial(
     config: &TrainConfig,
     level: SimdLevel,
     backend: Option<BackendMaker<'_>>,
+    stopped: &dyn Fn() -> bool,
 ) -> Result<f64, TrainError> {
     let config = TrainConfig {
         // never the last: that one does more
@@ -129,6 +132,9 @@ fn trial(
     let mut steps = |count: usize| -> Result<f64, TrainError> {
         let start = Instant::now();
         for _ in 0..count {
+            if stopped() {
+                break;
+            }
             trainer.step()?;
         }
         trainer.report()?;

@@ -50,7 +50,7 @@ fn unknown_and_invalid_settings_are_rejected() {
         ("profile=best", &["profile", "best", "faithful"]),
         ("init.opacity=0.5", &["init.opacity", "max_static"]),
         ("train.iterations=5000000000", &["train.iterations = 5000000000", "1 to 10000000"]),
-        ("train.batch=100000", &["train.batch = 100000", "1 to 64"]),
+        ("train.batch=100000", &["train.batch = 100000", "1 to 32"]),
         ("limit.time_s=nan", &["limit.time_s = NaN"]),
     ] {
         dir.refused(&format!("train --print-config --set {given}"), 78, words);

@@ -51,7 +51,7 @@ pub(super) const RANGES: [Range; 50] = [
     ("init.keyframe_gaps", 1e-3, MOST_COUNT),
     ("train.iterations", 1.0, 1e7),
     // A stop is heard between steps.
-    ("train.batch", 1.0, 64.0),
+    ("train.batch", 1.0, 32.0),
     ("train.budget_s", 0.0, MOST_S),
     // TOML has numbers of 63 bits.
     ("train.seed", 0.0, 9e18),

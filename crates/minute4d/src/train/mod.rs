@@ -8,7 +8,7 @@ use crate::folder::{self, METRICS_FILE, SCENE_FILE, VIEWER_FILE};
 use crate::pipeline::Clock;
 use crate::record::{Device, Input, RunRecord, SplatCount};
 use crate::settings::{InitSettings, Profile, TrainSettings, part_to_toml};
-use crate::stage::RecordingObserver;
+use crate::stage::{RecordingObserver, check_stop};
 use crate::workspace::{Task, Workspace};
 use crate::{Error, Job, Observer, Settings, StageEvent, hash, preview, viewer};
 use checkpoint::{CheckpointTimer, Checkpoints, MetricsLog};
@@ -126,8 +126,12 @@ fn train(
             if budget_s > 0.0 || end.is_some() {
                 let seconds = || affordable(budget_s, started, end);
                 let level = run.level;
-                let fitting =
-                    |trial| m4_train::affordable_iterations(capture, &first.splats, &config, level, trial, seconds);
+                let observer = run.job.observer;
+                let stopped = || observer.cancelled();
+                let fitting = |trial| {
+                    let splats = &first.splats;
+                    m4_train::affordable_iterations(capture, splats, &config, level, trial, seconds, &stopped)
+                };
                 let n = match fitting(run.gpu.as_ref().map(|_| &make as BackendMaker<'_>)) {
                     Err(error) if may_leave_gpu(run, &error) => {
                         leave_gpu(run, keeper, &error);
@@ -135,6 +139,7 @@ fn train(
                     }
                     other => other,
                 }?;
+                check_stop(observer, STAGE, true)?;
                 if budget_s > 0.0 || n < config.iterations {
                     config.iterations = n;
                     let note =
