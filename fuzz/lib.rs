@@ -45,7 +45,7 @@ pub fn read(family: &str, input: &[u8]) {
         let stage = &stages[usize::from(which) % stages.len()];
         READER.set(stage.reader().name);
         let outcome = stage.read(bytes).expect("a temporary file");
-        if let Some(fault) = Stage::fault(&outcome) {
+        if let Some(fault) = stage.fault(&outcome, false) {
             panic!("{fault}");
         }
     });

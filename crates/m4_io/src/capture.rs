@@ -122,7 +122,9 @@ pub fn read(
 ) -> Result<Capture, ReadError> {
     let file = list_of_frames(path, split);
     if !file.exists() {
-        let what = "it does not exist; a capture is a folder with transforms_train.json, or such a file";
+        let is_link = file.symlink_metadata().is_ok_and(|facts| facts.is_symlink());
+        let what = if is_link { "it is a link that leads nowhere, or in a circle" } else { "it does not exist" };
+        let what = format!("{what}; a capture is a folder with transforms_train.json, or such a file");
         return Err(Fault::Io(io::Error::new(io::ErrorKind::NotFound, what)).at(&file));
     }
     let options =

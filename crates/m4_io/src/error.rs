@@ -247,6 +247,9 @@ pub enum WriteFault {
     /// Another process uses the folder.
     #[error("another minute4d is using it; wait for it, or choose another folder")]
     Busy,
+    /// The encoder got too little memory.
+    #[error("the encoder got too little memory for {0}; end other programs, or choose smaller images")]
+    Memory(String),
     /// The caller asked to stop.
     #[error("stopped; what was written is incomplete and is not taken for a whole")]
     Cancelled,
@@ -278,6 +281,10 @@ impl WriteError {
         Self::new(path, WriteFault::Encode(reason.to_string()))
     }
 
+    pub(crate) fn memory(path: &Path, of: impl ToString) -> Self {
+        Self::new(path, WriteFault::Memory(of.to_string()))
+    }
+
     pub(crate) fn cancelled(path: &Path) -> Self {
         Self::new(path, WriteFault::Cancelled)
     }
@@ -302,6 +309,7 @@ impl WriteError {
             WriteFault::Busy => ErrorKind::Busy,
             WriteFault::Bad(_) => ErrorKind::BadData,
             WriteFault::Unsupported(_) => ErrorKind::Unsupported,
+            WriteFault::Memory(_) => ErrorKind::Unavailable,
             WriteFault::Cancelled => ErrorKind::Cancelled,
         }
     }

@@ -14,6 +14,37 @@ use std::sync::atomic::{self, AtomicUsize};
 /// Longest list of frames that is read, bytes: a frame takes some kilobytes, and a hundred thousand frames are no clip.
 const MAX_TEXT_BYTES: u64 = 256 << 20;
 
+/// Memory that reading may take beside [`PER_BYTE`], bytes.
+pub(crate) const FREE_BYTES: u64 = 64 << 20;
+/// Bytes of memory per byte of the file.
+const PER_BYTE: u64 = 64;
+
+/// Memory that reading a file may take, bytes; what it takes in the end is limited by those who keep it (`max_memory_bytes`).
+pub(crate) fn memory_for(file_bytes: u64) -> u64 {
+    file_bytes.saturating_mul(PER_BYTE).saturating_add(FREE_BYTES)
+}
+
+/// How much of [`FREE_BYTES`] a file takes that needs so much memory.
+pub(crate) fn beyond(needed_bytes: u64, file_bytes: u64) -> u64 {
+    needed_bytes.saturating_sub(file_bytes.saturating_mul(PER_BYTE))
+}
+
+/// Fails where `what` of a file of `file_bytes` would take more memory than [`memory_for`] allows.
+pub(crate) fn within_memory(what: &str, needed_bytes: u64, file_bytes: u64) -> Result<(), Fault> {
+    let limit_bytes = memory_for(file_bytes);
+    if needed_bytes <= limit_bytes {
+        return Ok(());
+    }
+    let (needed, limit) = (needed_bytes >> 20, limit_bytes >> 20);
+    let what = format!(
+        "{what} in {file_bytes} bytes would take {needed} MiB of memory, above the limit of {limit} MiB (64 MiB and 64 times the file)"
+    );
+    Err(Fault::unsupported(
+        what,
+        "check that this is the right file; if it is, make it smaller or store it with less compression",
+    ))
+}
+
 /// Opens a regular file to read.
 ///
 /// The type is asked for before the file is opened, since opening a pipe waits for its writer, and of the handle again. Every file that
@@ -64,8 +95,8 @@ pub fn read(path: &Path, limit_bytes: u64) -> io::Result<Vec<u8>> {
 ///
 /// As [`read`]; `InvalidData` for bytes that are not UTF-8.
 pub fn read_text(path: &Path, limit_bytes: u64) -> io::Result<String> {
-    String::from_utf8(read(path, limit_bytes)?)
-        .map_err(|e| invalid(format!("it is not text (UTF-8) at byte {}", e.utf8_error().valid_up_to())))
+    let bytes = read(path, limit_bytes)?;
+    utf8(&bytes).map(str::to_owned).map_err(|(at, fault)| invalid(format!("byte {at}: {fault}")))
 }
 
 /// Refuses what has no end, or none that is known before.
@@ -103,11 +134,25 @@ fn invalid(what: String) -> io::Error {
     io::Error::new(ErrorKind::InvalidData, what)
 }
 
+/// A text without the byte order mark of UTF-8 that editors on Windows put before it.
+#[must_use]
+pub fn without_mark(bytes: &[u8]) -> &[u8] {
+    bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes)
+}
+
 /// A text file.
 pub(crate) fn text(path: &Path) -> Result<String, ReadError> {
-    String::from_utf8(read(path, MAX_TEXT_BYTES).at(path)?).map_err(|e| {
-        let place = format!("byte {}", e.utf8_error().valid_up_to());
-        Fault::bad("it is not text (UTF-8)", "give the text file that the tool wrote").within(path, place)
+    let bytes = read(path, MAX_TEXT_BYTES).at(path)?;
+    utf8(&bytes).map(str::to_owned).map_err(|(at, fault)| fault.within(path, format!("byte {at}")))
+}
+
+/// The text in the bytes of a file, or the first byte that is none.
+pub(crate) fn utf8(bytes: &[u8]) -> Result<&str, (usize, Fault)> {
+    std::str::from_utf8(without_mark(bytes)).map_err(|e| {
+        let wide = bytes.starts_with(&[0xff, 0xfe]) || bytes.starts_with(&[0xfe, 0xff]);
+        let what = if wide { "it is UTF-16 text, as its byte order mark says" } else { "it is not text (UTF-8)" };
+        let hint = if wide { "save it as UTF-8" } else { "give the text file that the tool wrote" };
+        (e.valid_up_to(), Fault::bad(what, hint))
     })
 }
 

@@ -1,6 +1,6 @@
 //! Converts matrices and quaternions of files to camera-to-world poses, and their axes to OpenCV's.
 
-use crate::Fault;
+use crate::{Fault, range};
 use m4_core::{
     Se3,
     nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3},
@@ -59,6 +59,10 @@ pub(crate) fn of_rows<R: AsRef<[f64]>>(name: &str, rows: &[R]) -> Result<Se3<f64
             return bad(format!("ends with the row {last:?} where [0, 0, 0, 1] was expected (is it transposed?)"));
         }
     }
+    let translation = Vector3::new(at(0, 3), at(1, 3), at(2, 3));
+    if let Some(what) = range::of_place("translation", &translation) {
+        return Err(Fault::bad(format!("{name}: its {what}"), HINT));
+    }
     let rotation = Matrix3::from_fn(at);
     let off = (rotation.transpose() * rotation - Matrix3::identity()).amax();
     let determinant = rotation.determinant();
@@ -68,10 +72,7 @@ pub(crate) fn of_rows<R: AsRef<[f64]>>(name: &str, rows: &[R]) -> Result<Se3<f64
              columns differ from orthonormal by {off:.2e}"
         ));
     }
-    Ok(Se3 {
-        rotation: if off > EXACT_WITHIN { nearest_rotation(&rotation) } else { rotation },
-        translation: Vector3::new(at(0, 3), at(1, 3), at(2, 3)),
-    })
+    Ok(Se3 { rotation: if off > EXACT_WITHIN { nearest_rotation(&rotation) } else { rotation }, translation })
 }
 
 /// Newton's iteration for the orthogonal polar factor: three steps take an error of 2e-3 under rounding (quadratic).
@@ -96,8 +97,9 @@ pub(crate) fn of_rotation(rotation: [[f64; 3]; 3], translation: [f64; 3]) -> Res
 
 /// The rigid motion of a place and a quaternion `w x y z`.
 pub(crate) fn of_quaternion(place: [f64; 3], [w, x, y, z]: [f64; 4]) -> Result<Se3<f64>, Fault> {
-    if let Some(value) = place.iter().find(|v| !v.is_finite()) {
-        return Err(Fault::bad(format!("the place of the camera holds {value}"), HINT));
+    let translation = Vector3::from(place);
+    if let Some(what) = range::of_place("the translation of the camera", &translation) {
+        return Err(Fault::bad(what, HINT));
     }
     let q = Quaternion::new(w, x, y, z);
     let length = q.norm();
@@ -106,10 +108,7 @@ pub(crate) fn of_quaternion(place: [f64; 3], [w, x, y, z]: [f64; 4]) -> Result<S
     if !is_unit {
         return Err(Fault::bad(format!("the quaternion of the camera has length {length:.4}; 1 was expected"), HINT));
     }
-    Ok(Se3 {
-        rotation: UnitQuaternion::new_normalize(q).to_rotation_matrix().into_inner(),
-        translation: Vector3::from(place),
-    })
+    Ok(Se3 { rotation: UnitQuaternion::new_normalize(q).to_rotation_matrix().into_inner(), translation })
 }
 
 #[cfg(test)]

@@ -12,6 +12,7 @@
 
 use crate::error::AtPath;
 use crate::npy::{Array, Header, Npz, Number};
+use crate::range::{self, COORDINATE};
 use crate::{Fault, ReadError, atomic};
 use m4_core::Tracks;
 use std::io::{self, Cursor, Write};
@@ -38,9 +39,11 @@ fn inner(path: &Path, frames: usize, limit_bytes: u64) -> Result<Tracks, Fault> 
     }
     let xyz = coords.numbers()?.values;
     let xyz: Vec<[f32; 3]> = xyz.as_chunks::<3>().0.iter().map(|p| p.map(|v| v as f32)).collect();
-    if let Some(at) = xyz.iter().position(|p| p.iter().any(|v| v.is_infinite())) {
+    let strays = |v: &f32| !v.is_nan() && !COORDINATE.contains(&f64::from(*v));
+    if let Some((at, v)) = xyz.iter().enumerate().find_map(|(at, p)| Some((at, *p.iter().find(|v| strays(v))?))) {
         let (frame, track) = (at / tracks.max(1), at % tracks.max(1));
-        let what = format!("track {track} has an infinite position in frame {frame}");
+        let expected = range::words(&COORDINATE, "scene units");
+        let what = format!("the position of track {track} in frame {frame} holds {v:e}; {expected} was expected");
         return Err(Fault::bad(what, "unknown positions must be NaN"));
     }
     let a_frame = format!("({frames} frames, {tracks} tracks)");

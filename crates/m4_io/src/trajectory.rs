@@ -8,6 +8,7 @@ use crate::dataset::Distortion;
 use crate::dataset::nerfstudio::{Frame, LensKeys, Transforms, lens_of};
 use crate::error::AtPath;
 use crate::pose::{self, Axes};
+use crate::range::{self, Range};
 use crate::{Fault, ReadError, files};
 use m4_core::nalgebra::Vector3;
 use m4_core::{Camera, Intrinsics, Se3};
@@ -49,7 +50,7 @@ type BadPath = (Option<usize>, String);
 /// 0..=`time_frames - 1`. A list without any times runs evenly through the whole scene.
 pub fn load(path: &Path, time_frames: usize) -> Result<Trajectory, ReadError> {
     let bytes = files::read(path, MAX_BYTES).at(path)?;
-    of_bytes(&bytes, time_frames).map_err(|(camera, what)| match camera {
+    of_bytes(files::without_mark(&bytes), time_frames).map_err(|(camera, what)| match camera {
         Some(camera) => Fault::bad(what, "correct it").within(path, format!("camera {camera}")),
         None => Fault::bad(format!("it is not a camera path: {what}"), HINT).at(path),
     })
@@ -139,12 +140,16 @@ fn side(key: &str, value: f64) -> Result<usize, String> {
 const FORMAT: &str = "minute4d-path";
 /// Newest version of the layout.
 const VERSION: u32 = 1;
-/// Longest path, seconds: a day.
-const MAX_SECONDS: f64 = 86_400.0;
-/// Greatest speed of time.
-const MAX_SPEED: f64 = 1000.0;
-/// Largest coordinate that is taken, world units: beyond, single precision has no places left.
-const MAX_COORDINATE: f64 = 1e9;
+/// Moments of a path, seconds: a day.
+const SECONDS: Range = 0.0..=86_400.0;
+/// Seconds from a keyframe to the next.
+const STEP_S: Range = 1e-3..=86_400.0;
+/// Speed of time.
+const SPEED: Range = -1000.0..=1000.0;
+/// Vertical fields of view, degrees.
+const FOV_DEG: Range = 0.1..=179.0;
+/// Frames per second.
+const FPS: Range = 0.1..=240.0;
 
 /// A camera path as keyframes.
 #[derive(Debug, Clone, PartialEq)]
@@ -241,19 +246,20 @@ fn keyed(file: &KeyFile) -> Result<Keyed, BadPath> {
     if file.keyframes.is_empty() {
         return Err((None, "it has no keyframes".to_owned()));
     }
-    if let Some(fps) = file.fps.filter(|fps| !(0.1..=240.0).contains(fps)) {
-        return Err((None, format!("fps = {fps}; 0.1 to 240 were expected")));
-    }
-    if let Some(back_s) = file.back_s.filter(|s| !(*s > 0.0 && *s <= MAX_SECONDS)) {
-        return Err((None, format!("back_s = {back_s}; a time above 0 was expected")));
+    for (field, value, range, unit) in [("fps", file.fps, FPS, ""), ("back_s", file.back_s, STEP_S, "seconds")] {
+        if let Some(what) = value.and_then(|v| range::of_number(field, v, &range, unit)) {
+            return Err((None, what));
+        }
     }
     let all = file.keyframes.iter().enumerate();
     let keyframes = all.map(|(i, key)| key.keyframe(file.axes).map_err(|what| (Some(i), what)));
     let keyframes: Vec<Keyframe> = keyframes.collect::<Result<_, BadPath>>()?;
     for (i, pair) in keyframes.windows(2).enumerate() {
         let [earlier, later] = [pair[0].time_s, pair[1].time_s];
-        if later <= earlier {
-            let what = format!("its time, {later} s, is not behind that of the one before, {earlier} s");
+        if later - earlier < *STEP_S.start() {
+            let least = STEP_S.start();
+            let what =
+                format!("its time, {later} s, is not behind that of the one before, {earlier} s, by {least} s or more");
             return Err((Some(i + 1), what));
         }
         if pair[0].speed.is_some() && pair[1].scene.is_some() {
@@ -271,14 +277,18 @@ fn keyed(file: &KeyFile) -> Result<Keyed, BadPath> {
 
 impl Key {
     fn keyframe(&self, axes: Axes) -> Result<Keyframe, String> {
-        if !(0.0..=MAX_SECONDS).contains(&self.time_s) {
-            return Err(format!("time_s = {}; 0 to {MAX_SECONDS} was expected", self.time_s));
-        }
-        if let Some(speed) = self.speed.filter(|v| !(-MAX_SPEED..=MAX_SPEED).contains(v)) {
-            return Err(format!("speed = {speed}; at most {MAX_SPEED} was expected"));
-        }
-        if let Some(fov) = self.fov_y_deg.filter(|v| !(*v > 0.0 && *v < 180.0)) {
-            return Err(format!("fov_y_deg = {fov}; 0 to 180 degrees were expected"));
+        let frames = *range::FRAMES.end() as f64;
+        let numbers = [
+            ("time_s", Some(self.time_s), SECONDS, "seconds"),
+            ("speed", self.speed, SPEED, ""),
+            ("fov_y_deg", self.fov_y_deg, FOV_DEG, "degrees"),
+            ("scene_s", self.scene_s, range::SECONDS, "seconds"),
+            ("scene_frame", self.scene_frame, -frames..=frames, "frames"),
+        ];
+        for (field, value, range, unit) in numbers {
+            if let Some(what) = value.and_then(|v| range::of_number(field, v, &range, unit)) {
+                return Err(what);
+            }
         }
         Ok(Keyframe {
             time_s: self.time_s,
@@ -318,12 +328,11 @@ impl Key {
     }
 }
 
-/// Three finite numbers.
+/// Three coordinates.
 fn vector(key: &str, values: &[f64]) -> Result<Vector3<f64>, String> {
     let &[x, y, z] = values else {
         return Err(format!("{key} has {} numbers where x, y and z were expected", values.len()));
     };
-    let fits = [x, y, z].iter().all(|v| v.is_finite() && v.abs() <= MAX_COORDINATE);
-    fits.then(|| Vector3::new(x, y, z))
-        .ok_or_else(|| format!("{key} = [{x}, {y}, {z}]; numbers up to {MAX_COORDINATE:e} were expected"))
+    let vector = Vector3::new(x, y, z);
+    range::of_place(key, &vector).map_or(Ok(vector), Err)
 }

@@ -144,8 +144,51 @@ fn folders_without_images_or_of_several_sizes_are_refused() {
         write_rgb(&folder.join(format!("{i}.png")), &Plane::filled(w, h, [9; 3])).unwrap();
     }
     refused(&folder, &options(), ErrorKind::BadData, &["2.png", "10 x 20", "20 x 10"]);
-    std::fs::write(folder.join("2.png"), b"\x89PNG\r\n\x1a\nbroken").unwrap();
-    refused(&folder, &options(), ErrorKind::BadData, &["2.png", "damaged"]);
+}
+
+#[test]
+fn damaged_images_of_a_folder_are_left_out_as_damaged_frames_of_a_video() {
+    let dir = tempfile::tempdir().unwrap();
+    let clip = |i: usize| dir.path().join(format!("{i}.jpg"));
+    let image = Plane::from_fn(64, 48, |x, y| [(x * 3) as u8, (y * 5) as u8, (x * y) as u8]);
+    (0..5).for_each(|i| write_rgb(&clip(i), &image).unwrap());
+    let whole = std::fs::read(clip(1)).unwrap();
+    // a third of the bytes; a hole; no header; nothing
+    let mut hole = whole.clone();
+    let middle = whole.len() / 2;
+    hole[middle..middle + 600].fill(0);
+    for broken in [&whole[..whole.len() / 3], &hole, b"\xff\xd8\xff\xe0", b""] {
+        std::fs::write(clip(1), broken).unwrap();
+        let got = video::read(dir.path(), &options(), &Silent).unwrap();
+        let times: Vec<f64> = got.frames.iter().map(|f| (f.time_s * 30.0).round()).collect();
+        assert_eq!(times, [0.0, 2.0, 3.0, 4.0]);
+        let [warning] = &got.warnings[..] else { panic!("{:?}", got.warnings) };
+        assert!(warning.starts_with("1 of 5 frames are damaged") && warning.contains("1.jpg"), "{warning}");
+        let strict = VideoOptions { strict: true, ..options() };
+        refused(dir.path(), &strict, ErrorKind::BadData, &["1 of 5 frames", "1.jpg", "--strict-video"]);
+        assert!(read_rgb(&clip(1)).is_err());
+    }
+    (0..5).for_each(|i| std::fs::write(clip(i), &whole[..whole.len() / 2]).unwrap());
+    refused(dir.path(), &options(), ErrorKind::BadData, &["no frame that can be decoded", "0.jpg"]);
+}
+
+#[test]
+fn every_damaged_png_is_refused() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("d.png");
+    write_depth(&path, &Plane::from_fn(20, 15, |x, y| (x * y) as f32), 0.001).unwrap();
+    let whole = std::fs::read(&path).unwrap();
+    let data = whole.windows(4).position(|w| w == b"IDAT").unwrap();
+    for at in data..whole.len() - 12 {
+        let mut broken = whole.clone();
+        broken[at] ^= 0x10;
+        std::fs::write(&path, &broken).unwrap();
+        assert!(read_depth(&path, 0.001).is_err(), "byte {at}");
+    }
+    for cut in 8..whole.len() {
+        std::fs::write(&path, &whole[..cut]).unwrap();
+        assert!(read_depth(&path, 0.001).is_err(), "{cut}");
+    }
 }
 
 #[test]

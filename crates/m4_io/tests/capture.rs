@@ -132,12 +132,42 @@ fn good() -> (TempDir, Value) {
     (dir, json!({"fl_x": 30.0, "w": 20, "h": 10, "frames": [frame(0), frame(1)]}))
 }
 
+#[test]
+fn one_moment_and_repeated_images_are_reported() {
+    let said = |spoil: &dyn Fn(&mut Value)| {
+        let (dir, mut json) = good();
+        spoil(&mut json);
+        fs::write(dir.path().join("transforms_train.json"), json.to_string()).unwrap();
+        let heard = Heard::default();
+        read(dir.path(), Split::Train, &CaptureOptions::default(), &heard).unwrap();
+        heard.all()
+    };
+    assert_eq!(said(&|_| {}), "");
+    let moment = said(&|json| json["frames"][1]["time"] = json!(0));
+    assert!(moment.contains("all 2 frames of") && moment.contains("the time 0"), "{moment}");
+    let twice = said(&|json| json["frames"][1]["file_path"] = json!("0.png"));
+    assert!(twice.contains("lists the image 0.png 2 times, 1 images for 2 frames"), "{twice}");
+}
+
+#[test]
+fn byte_order_marks_are_read_or_named() {
+    let (dir, json) = good();
+    let list = dir.path().join("transforms_train.json");
+    let text = json.to_string();
+    let read = || read(dir.path(), Split::Train, &CaptureOptions::default(), &Silent);
+    fs::write(&list, format!("\u{feff}{text}")).unwrap();
+    assert_eq!(read().unwrap().frames.len(), 2);
+    let wide: Vec<u8> = [0xfeff].into_iter().chain(text.encode_utf16()).flat_map(u16::to_le_bytes).collect();
+    fs::write(&list, wide).unwrap();
+    says(&read().unwrap_err(), &["transforms_train.json", "UTF-16", "byte order mark", "UTF-8"]);
+}
+
 type Spoil = fn(&mut Value);
 
 #[test]
 fn faults_of_frames_and_keys_are_named() {
     use ErrorKind::{BadData, NotFound, Unsupported};
-    let cases: [(Spoil, ErrorKind, &[&str]); 20] = [
+    let cases: [(Spoil, ErrorKind, &[&str]); 26] = [
         (
             |j| drop(j["frames"][1].as_object_mut().unwrap().remove("transform_matrix")),
             BadData,
@@ -156,9 +186,19 @@ fn faults_of_frames_and_keys_are_named() {
             BadData,
             &["frame 1", "[4.0, 5.0, 6.0, 1.0]", "transposed"],
         ),
-        (|j| j["fl_x"] = json!(-5.0), BadData, &["frame 0", "-5", "above 0"]),
+        (|j| j["fl_x"] = json!(-5.0), BadData, &["frame 0", "fl_x is -5; 0.2 to 20000 pixels"]),
+        (|j| j["fl_x"] = json!(1e-30), BadData, &["frame 0", "fl_x is 1e-30"]),
+        (
+            |j| j["frames"][1]["transform_matrix"][0][3] = json!(1e39),
+            BadData,
+            &["frame 1", "transform_matrix: its translation holds 1e39; -1e7 to 1e7 scene units"],
+        ),
+        (|j| j["depth_unit_scale_factor"] = json!(1e30), BadData, &["depth_unit_scale_factor", "1e30; 1e-9 to 152"]),
+        (|j| j["applied_scale"] = json!(1e-39), BadData, &["applied_scale", "1e-39; 1e-9 to 1e9"]),
+        (|j| j["duration_s"] = json!(1e30), BadData, &["duration_s", "1e30; 0 to 1e9 seconds"]),
+        (|j| j["duration_s"] = json!(1e-30), BadData, &["frame rate", "1e-6 to 1000000 frames per second"]),
         (|j| drop(j.as_object_mut().unwrap().remove("fl_x")), BadData, &["frame 0", "fl_x", "missing"]),
-        (|j| j["cx"] = json!(900.0), BadData, &["(900, 5)", "20 x 10"]),
+        (|j| j["cx"] = json!(900.0), BadData, &["the principal point cx is 900; -20 to 40 pixels"]),
         (|j| j["camera_model"] = json!("FOV"), Unsupported, &["FOV"]),
         (|j| j["depth_unit_scale_factor"] = json!(0), BadData, &["depth_unit_scale_factor", "it is 0"]),
         (|j| j["duration_s"] = json!(-1), BadData, &["duration_s", "it is -1"]),

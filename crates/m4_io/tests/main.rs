@@ -15,6 +15,8 @@ mod exports;
 #[cfg(test)]
 mod isolation;
 #[cfg(test)]
+mod memory;
+#[cfg(test)]
 mod mp4_writer;
 #[cfg(test)]
 mod resize;

@@ -25,7 +25,7 @@ fn scene(layout: SplatLayout, n_static: usize, n_dynamic: usize) -> Scene {
                 width: 480,
                 height: 360,
                 fx: 374.714_591_263 + i as f64,
-                fy: 1.0 / 3.0,
+                fy: 1000.0 / 3.0,
                 cx: 240.1,
                 cy: 180.0,
             },

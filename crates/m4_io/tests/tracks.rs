@@ -106,7 +106,7 @@ fn damaged_files_are_refused_with_a_reason() {
         (coords_as("<f4", huge, &[0; 24]), "more than the file can hold"),
         (coords_as("<f4", "(2, 100000, 3)", &[0; 2_400_000]), "above the limit"),
         (coords_as("<f4", "(2, x, 3)", &[0; 24]), "not understood"),
-        (coords_as("<f4", "(2, 1, 3)", &infinite), "infinite position in frame 0"),
+        (coords_as("<f4", "(2, 1, 3)", &infinite), "the position of track 0 in frame 0 holds inf; -1e7 to 1e7"),
         (archive(&[coords(), ("visibs.npy", npy("|b1", "(2, 2)", &[1; 4]))]), "(2 frames, 1 tracks)"),
         (archive(&[coords(), visibs(), ("colors.npy", npy("|u1", "(2, 3)", &[1; 6]))]), "(1 tracks, 3)"),
     ];

@@ -106,11 +106,11 @@ fn faults_in_keyframes_are_named() {
         (keyframe(r#""time_s": 0, "look_at": [0,0,0]"#), &["either c2w"]),
         (format!("{{{IDENTITY}}}"), &["time_s"]),
         (keyframe(r#""time_s": 0, "fov": 40"#), &["unknown field `fov`"]),
-        (keyframe(r#""time_s": -1"#), &["time_s = -1"]),
+        (keyframe(r#""time_s": -1"#), &["time_s is -1"]),
         (keyframe(r#""time_s": NaN"#), &["expected value"]),
         (keyframe(r#""time_s": 1e999"#), &["out of range"]),
-        (keyframe(r#""time_s": 0, "fov_y_deg": 180"#), &["fov_y_deg = 180"]),
-        (keyframe(r#""time_s": 0, "speed": 1e9"#), &["speed = 1000000000"]),
+        (keyframe(r#""time_s": 0, "fov_y_deg": 180"#), &["fov_y_deg is 180"]),
+        (keyframe(r#""time_s": 0, "speed": 1e9"#), &["speed is 1e9; -1000 to 1000"]),
         ([keyframe(r#""time_s": 1"#), keyframe(r#""time_s": 1"#)].join(","), &["camera 1", "not behind"]),
         (
             [keyframe(r#""time_s": 0, "speed": 1"#), keyframe(r#""time_s": 1, "scene_s": 1"#)].join(","),
@@ -125,7 +125,7 @@ fn faults_in_keyframes_are_named() {
         (r#"{"time_s": 0, "position": [1,1,1], "look_at": [1,1,1]}"#.into(), &["same point"]),
         (r#"{"time_s": 0, "position": [0,0,0], "look_at": [0,3,0], "up": [0,-1,0]}"#.into(), &["up points"]),
         (r#"{"time_s": 0, "position": [0,0], "look_at": [0,3,0]}"#.into(), &["position has 2"]),
-        (r#"{"time_s": 0, "position": [0,0,1e12], "look_at": [0,3,0]}"#.into(), &["position ="]),
+        (r#"{"time_s": 0, "position": [0,0,1e12], "look_at": [0,3,0]}"#.into(), &["position holds 1e12"]),
         (format!("{}{{}}", "{},".repeat(100_000)), &["100001 cameras"]),
         ("[".into(), &["is not a camera path"]),
     ];
@@ -153,7 +153,7 @@ fn faults_in_lists_are_named() {
         (list(r#""time": 0"#), &["transform_matrix is missing"]),
         (list(&format!(r#""time": 2, {pose}"#)), &["time = 2"]),
         (list(&format!(r#""k1": 0.1, {pose}"#)), &["distortion"]),
-        (list(&format!(r#""fl_x": -1, {pose}"#)), &["above 0"]),
+        (list(&format!(r#""fl_x": -1, {pose}"#)), &["fl_x is -1"]),
         ("[1, 2".to_owned(), &["is not a camera path"]),
     ] {
         refused(&text, words);

@@ -128,7 +128,7 @@ fn list(root: &Path, folder: &Path, out: Option<&Path>, files: &mut Vec<PathBuf>
         }
         let relative = folder.join(&name);
         // `metadata` follows links, so that a folder of links counts by what it shows.
-        let kind = fs::metadata(entry.path()).map_err(failed)?;
+        let kind = fs::metadata(entry.path()).map_err(|source| Error::Read { path: entry.path(), source })?;
         if kind.is_dir() {
             if out.is_none_or(|out| entry.path().canonicalize().ok().as_deref() != Some(out)) {
                 list(root, &relative, out, files)?;
@@ -145,6 +145,24 @@ mod tests {
     use super::{of_input, of_parts, of_path};
     use m4_testkit::StopAtPoll;
     use std::fs;
+
+    #[cfg(unix)]
+    #[test]
+    fn links_that_lead_in_a_circle_are_named() {
+        let dir = tempfile::tempdir().unwrap();
+        let (a, b) = (dir.path().join("a.png"), dir.path().join("b.png"));
+        std::os::unix::fs::symlink(&a, &b).unwrap();
+        std::os::unix::fs::symlink(&b, &a).unwrap();
+        let said = of_path(dir.path()).unwrap_err().to_string();
+        assert!(said.contains("a.png") || said.contains("b.png"), "{said}");
+        let missing = crate::Error::Missing { what: "capture", path: a };
+        assert!(
+            missing.to_string().ends_with("a.png, which is a link that leads nowhere, or in a circle"),
+            "{missing}"
+        );
+        let missing = crate::Error::Missing { what: "capture", path: dir.path().join("c") };
+        assert!(missing.to_string().ends_with("/c"), "{missing}");
+    }
 
     #[test]
     fn a_stop_ends_the_reading_of_a_large_input() {

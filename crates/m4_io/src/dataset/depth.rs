@@ -4,8 +4,9 @@
 //! [`crate::image`], npy of [`crate::npy`].
 
 use crate::dataset::FrameSource;
-use crate::files::{self, first_bytes};
+use crate::files::{self, first_bytes, within_memory};
 use crate::npy::Numbers;
+use crate::range::DEPTH;
 use crate::{Fault, image};
 use exr::meta::MetaData;
 use exr::meta::header::Header;
@@ -24,7 +25,7 @@ const MAX_FILE_BYTES: u64 = 1 << 30;
 const MAX_MAP_BYTES: u64 = 1 << 30;
 
 /// One map of z-depth by its first bytes: EXR, npy, or PNG of 16 bits. `unit` is that of a step of whole numbers; floats are taken as
-/// they are. NaN, infinite and other values not above 0 are unknown.
+/// they are. NaN and all other values that are not in [`DEPTH`] are unknown.
 /// Errors: it cannot be read, is damaged, or holds no depth.
 pub fn read_depth(path: &Path, unit: f64) -> Result<CompactDepth, Fault> {
     read_in(path, unit, 1.0)
@@ -65,35 +66,33 @@ fn in_unit(map: DepthMap, unit: f64) -> CompactDepth {
     map.map(|&z| known((f64::from(z) * unit) as f32)).into()
 }
 
-/// Depth, 0 where it is not known.
+/// Depth, 0 where it is out of range: not known.
 pub(crate) fn known(z: f32) -> f32 {
-    if z.is_finite() && z > 0.0 { z } else { 0.0 }
+    if DEPTH.contains(&f64::from(z)) { z } else { 0.0 }
 }
 
 /// Channels that hold depth, the likeliest first; by their last part, so that `ViewLayer.Depth.Z` of Blender is one.
 const CHANNELS: &[&str] = &["Z", "depth", "Y", "R"];
 /// Channels that a message names.
 const MAX_NAMED: usize = 12;
-/// What a byte of a packed image becomes at most, and what is always read.
-const MAX_RATIO: u64 = 1032;
-const FREE_BYTES: u64 = 8 << 20;
+/// Lines of the largest block (DWAB).
+const BLOCK_LINES: u64 = 256;
 
-/// A map of depth; 0 where it is NaN, infinite or not above 0. Fails for more pixels than the file can hold.
+/// A map of depth; 0 where it is not in [`DEPTH`]. Fails for more pixels than the file can hold.
 pub fn decode_exr(bytes: &[u8]) -> Result<DepthMap, Fault> {
     let damaged = |e: exr::error::Error| Fault::bad(format!("the EXR file cannot be read ({e})"), "export it again");
     let meta = MetaData::read_from_buffered(Cursor::new(bytes), false).map_err(damaged)?;
+    // the map twice, and a block of lines of all channels
     let needed: u64 = meta
         .headers
         .iter()
         .map(|h| {
-            let pixels = (h.layer_size.width() as u64).saturating_mul(h.layer_size.height() as u64);
-            pixels.saturating_mul(h.channels.bytes_per_pixel as u64)
+            let (w, h_px) = (h.layer_size.width() as u64, h.layer_size.height() as u64);
+            let lines = w.saturating_mul(h.channels.bytes_per_pixel as u64).saturating_mul(BLOCK_LINES.min(h_px));
+            w.saturating_mul(h_px).saturating_mul(8).saturating_add(2 * lines)
         })
         .fold(0, u64::saturating_add);
-    if needed > (bytes.len() as u64).saturating_mul(MAX_RATIO).saturating_add(FREE_BYTES) {
-        let what = format!("{needed} bytes of pixels are claimed by a file of {}", bytes.len());
-        return Err(Fault::bad(what, "the file is damaged; export it again"));
-    }
+    within_memory("the pixels", needed, bytes.len() as u64)?;
     let (wanted, header) = depth_channel(&meta)?;
     let (seen, whole) = (header.layer_size, header.shared_attributes.display_window.size);
     if seen != whole {

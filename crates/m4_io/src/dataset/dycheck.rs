@@ -19,7 +19,7 @@
 //! `far`.
 
 use crate::dataset::depth::{self, read_depth};
-use crate::dataset::files::{DEFAULT_FPS, Inside, StoredImage, given_fps, resized, stored_image};
+use crate::dataset::files::{DEFAULT_FPS, Inside, StoredImage, fps_of, given_fps, resized, stored_image};
 use crate::dataset::{Distortion, ImportOptions, Lens, ListedFrame, Listing};
 use crate::error::AtPath;
 use crate::files::json;
@@ -100,10 +100,7 @@ fn fps(path: &Path, options: &ImportOptions, progress: &dyn Progress) -> Result<
         progress.warn(&format!("{} does not state its frame rate; 30 frames per second are assumed", path.display()));
     }
     let fps = own.or(given).unwrap_or(DEFAULT_FPS);
-    if fps.is_finite() && fps > 0.0 {
-        return Ok(fps);
-    }
-    Err(Fault::bad(format!("fps is {fps}; frames per second, above 0, were expected"), "correct it").at(&file))
+    fps_of("fps", fps).at(&file)
 }
 
 struct Reader<'a> {

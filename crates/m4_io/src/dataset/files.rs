@@ -5,9 +5,10 @@
 
 use super::{FrameSource, ImportOptions};
 use crate::error::AtPath;
+use crate::files::within_memory;
 use crate::reach::Bounds;
 use crate::video::{self, VideoOptions};
-use crate::{Fault, ReadError, files, image};
+use crate::{Fault, ReadError, files, image, range};
 use m4_core::{Intrinsics, Progress, RgbImage};
 use std::fs::File;
 use std::io::{BufReader, Read};
@@ -52,8 +53,12 @@ impl Inside {
 /// An archive, or the folder that it was unpacked to. Reading takes one member at a time from an archive.
 #[derive(Debug)]
 pub(crate) enum Members {
-    Folder { root: PathBuf, inside: Inside },
-    Zip(Mutex<ZipArchive<BufReader<File>>>),
+    Folder {
+        root: PathBuf,
+        inside: Inside,
+    },
+    /// With its bytes.
+    Zip(Mutex<ZipArchive<BufReader<File>>>, u64),
 }
 
 impl Members {
@@ -63,10 +68,12 @@ impl Members {
             let root = path.to_path_buf();
             return Ok(Self::Folder { root, inside });
         }
-        let archive = ZipArchive::new(BufReader::new(files::open(path)?));
+        let file = files::open(path)?;
+        let bytes = file.metadata()?.len();
+        let archive = ZipArchive::new(BufReader::new(file));
         let archive = archive
             .map_err(|e| Fault::bad(format!("it is not a zip archive, or a damaged one ({e})"), "copy it again"))?;
-        Ok(Self::Zip(Mutex::new(archive)))
+        Ok(Self::Zip(Mutex::new(archive), bytes))
     }
 
     /// Names of the files in `folder` (one level), without it.
@@ -80,7 +87,7 @@ impl Members {
                 let names = std::fs::read_dir(inner)?.map(|e| Ok(e?.file_name().to_string_lossy().into_owned()));
                 names.collect()
             }
-            Self::Zip(archive) => {
+            Self::Zip(archive, _) => {
                 let archive = archive.lock().map_err(|_| poisoned())?;
                 let start = format!("{folder}/");
                 let inside = archive.file_names().flatten().filter_map(|n| {
@@ -96,7 +103,7 @@ impl Members {
     pub(crate) fn has(&self, name: &str) -> Result<bool, Fault> {
         match self {
             Self::Folder { root, .. } => Ok(root.join(name).is_file()),
-            Self::Zip(archive) => Ok(archive.lock().map_err(|_| poisoned())?.index_for_name(name).is_some()),
+            Self::Zip(archive, _) => Ok(archive.lock().map_err(|_| poisoned())?.index_for_name(name).is_some()),
         }
     }
 
@@ -112,7 +119,7 @@ impl Members {
                 }
                 files::open(&path)?.take(limit_bytes + 1).read_to_end(&mut out)?;
             }
-            Self::Zip(archive) => {
+            Self::Zip(archive, bytes) => {
                 let mut archive = archive.lock().map_err(|_| poisoned())?;
                 let unpacked =
                     |e: String| Fault::bad(format!("{name} cannot be unpacked ({e})"), "copy the archive again");
@@ -124,6 +131,7 @@ impl Members {
                 if member.size() > limit_bytes {
                     return Err(too_large(member.size()));
                 }
+                within_memory(name, member.size(), *bytes)?;
                 (&mut member).take(limit_bytes + 1).read_to_end(&mut out).map_err(|e| unpacked(e.to_string()))?;
             }
         }
@@ -218,12 +226,15 @@ pub(crate) const DEFAULT_FPS: f64 = 30.0;
 /// Frames per second of the options, checked.
 pub(crate) fn given_fps(options: &ImportOptions) -> Result<Option<f64>, Fault> {
     match options.fps {
-        Some(fps) if !(fps.is_finite() && fps > 0.0) => {
-            let what = format!("the option fps is {fps}; frames per second, above 0, were expected");
-            Err(Fault::bad(what, "give another"))
-        }
-        fps => Ok(fps),
+        Some(fps) => fps_of("the option fps", fps).map(Some),
+        None => Ok(None),
     }
+}
+
+/// Frames per second as a file or an option gives them, checked.
+pub(crate) fn fps_of(field: &str, fps: f64) -> Result<f64, Fault> {
+    range::check(field, fps, &range::FPS, "frames per second", "give another")?;
+    Ok(fps)
 }
 
 /// Seconds from the first of `frames` frames to the last, at the frames per second of the options, else 30 with a warning.

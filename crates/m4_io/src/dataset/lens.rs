@@ -1,6 +1,6 @@
 //! Camera models with distortion, and its removal from images, depth maps and masks.
 
-use crate::Fault;
+use crate::{Fault, range};
 use m4_core::{Intrinsics, Plane, RgbImage};
 
 /// How a lens bends rays, from normalised pinhole coordinates `(x, y) = (X / Z, Y / Z)` to those that the pixels have.
@@ -87,19 +87,14 @@ impl Lens {
         Self { intrinsics, distortion: Distortion::None }
     }
 
-    /// Refuses sizes, focal lengths and numbers that cannot be.
+    /// Refuses sizes, focal lengths and principal points out of range, and coefficients that are no numbers.
     pub(crate) fn check(&self) -> Result<(), Fault> {
-        let k = &self.intrinsics;
-        let bad = |what: String| Err(Fault::bad(what, "correct the camera in the source"));
-        let side = |n: usize| (1..=1 << 16).contains(&n);
-        if !(side(k.width) && side(k.height)) {
-            return bad(format!("images of {} x {} pixels", k.width, k.height));
+        let hint = "correct the camera in the source";
+        if let Some(what) = range::of_lens(&self.intrinsics) {
+            return Err(Fault::bad(what, hint));
         }
-        if !(k.fx.is_finite() && k.fx > 0.0 && k.fy.is_finite() && k.fy > 0.0) {
-            return bad(format!("focal lengths {} and {}, above 0 was expected", k.fx, k.fy));
-        }
-        if !(k.cx.is_finite() && k.cy.is_finite() && self.distortion.is_finite()) {
-            return bad(format!("intrinsics with a NaN or infinite value: {self:?}"));
+        if !self.distortion.is_finite() {
+            return Err(Fault::bad(format!("a NaN or infinite coefficient: {:?}", self.distortion), hint));
         }
         Ok(())
     }

@@ -6,11 +6,12 @@ use super::lens::Undistort;
 use crate::error::AtPath;
 use crate::files::in_parallel;
 use crate::reach::Reach;
-use crate::{Fault, ReadError};
+use crate::{Fault, ReadError, range, shortened};
 use m4_core::{
     Camera, Capture, CaptureFrame, CompactDepth, CompactIds, CompactMask, Plane, Progress, RgbImage, Se3, Tracks,
 };
 use serde::{Deserialize, Serialize};
+use std::collections::HashMap;
 use std::fmt;
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
@@ -168,6 +169,8 @@ pub(crate) fn load(
         let what = format!("tracks of {} frames where {} were expected", tracks.frames(), train.len());
         return Err(Fault::bad(what, "give tracks of the same clip").at(path));
     }
+    check_rate(time_frames, duration_s).at(path)?;
+    warn_of_repetitions(path, &train, progress);
     check_memory(&train, &test, bytes_per_8_pixels, options).at(path)?;
     let capture = |frames: Vec<ListedFrame>, phase, tracks: Option<Tracks>| -> Result<Capture, ReadError> {
         Ok(Capture {
@@ -188,6 +191,34 @@ pub(crate) fn load(
         train: capture(train, "read frames", tracks)?,
         test: if test.is_empty() { None } else { Some(capture(test, "read held-out views", None)?) },
     })
+}
+
+/// Names the image that is listed most often, where one is more than once.
+fn warn_of_repetitions(path: &Path, train: &[ListedFrame], progress: &dyn Progress) {
+    let mut times = HashMap::new();
+    train.iter().for_each(|frame| *times.entry(frame.name.as_str()).or_insert(0) += 1);
+    let most = train.iter().map(|frame| (times[frame.name.as_str()], &frame.name)).max_by_key(|(n, _)| *n);
+    if let Some((n, name)) = most.filter(|(n, _)| *n > 1) {
+        progress.warn(&format!(
+            "{} lists the image {} {n} times, {} images for {} frames; each frame should have its own",
+            path.display(),
+            shortened(name),
+            times.len(),
+            train.len()
+        ));
+    }
+}
+
+/// Refuses a duration that would make frames per second that cannot be.
+fn check_rate(time_frames: usize, duration_s: Option<f64>) -> Result<(), Fault> {
+    let steps = time_frames.saturating_sub(1) as f64;
+    match duration_s.filter(|s| *s != 0.0 && steps > 0.0) {
+        Some(s) => {
+            let field = format!("the frame rate, {steps} steps in {} s,", range::short(s));
+            range::check(&field, steps / s, &range::FPS, "frames per second", "correct the times in the source")
+        }
+        None => Ok(()),
+    }
 }
 
 fn check_memory(
@@ -213,8 +244,9 @@ fn one(frame: &ListedFrame, time_frames: usize) -> Result<CaptureFrame, Fault> {
         let what = format!("its time is {}; 0 to {last} frames were expected", frame.t);
         return Err(Fault::bad(what, "correct the times in the source"));
     }
-    if !frame.c2w.matrix().iter().all(|v| v.is_finite()) {
-        return Err(Fault::bad("its pose holds a NaN or infinite value", "correct the pose in the source"));
+    // once more: it may have been scaled and moved since it was read
+    if let Some(what) = range::of_place("the translation of its pose", &frame.c2w.translation) {
+        return Err(Fault::bad(what, "correct the pose in the source"));
     }
     let undistort = Undistort::new(&frame.lens)?;
     let rgb = frame.rgb.get()?;

@@ -24,7 +24,7 @@ use super::{FrameSource, ImportOptions, Lens, ListedFrame, Listing};
 use crate::error::AtPath;
 use crate::files::{listed, stem};
 use crate::npy::Numbers;
-use crate::{Fault, ReadError, pose};
+use crate::{Fault, ReadError, pose, range};
 use m4_core::{Camera, CompactDepth, DepthMap, Intrinsics, Plane, Progress};
 use std::path::{Path, PathBuf};
 
@@ -116,14 +116,16 @@ fn pose_of(row: &[f64; WIDTH]) -> Result<Pose, Fault> {
     let (Some(w), Some(h)) = (side(width), side(height)) else {
         return Err(Fault::bad(format!("images of {width} x {height} pixels"), HINT));
     };
-    if !(focal.is_finite() && focal > 0.0) {
-        return Err(Fault::bad(format!("the focal length {focal}; pixels, above 0, were expected"), HINT));
-    }
+    let intrinsics = Intrinsics::centred(w, h, focal);
+    Lens::pinhole(intrinsics).check()?;
     let (near, far) = (row[15], row[16]);
-    if !(near > 0.0 && far > near && far.is_finite()) {
-        return Err(Fault::bad(format!("depth from {near} to {far}; 0 < near < far was expected"), HINT));
+    for (field, depth) in [("the nearest depth", near), ("the farthest depth", far)] {
+        range::check(field, depth, &range::DEPTH, "scene units", HINT)?;
     }
-    Ok(Pose { camera: Camera { intrinsics: Intrinsics::centred(w, h, focal), c2w }, near, far })
+    if far <= near {
+        return Err(Fault::bad(format!("depth from {near} to {far}; near < far was expected"), HINT));
+    }
+    Ok(Pose { camera: Camera { intrinsics, c2w }, near, far })
 }
 
 /// The folder of images.

@@ -16,12 +16,12 @@
 //! nerfstudio.
 
 use super::depth::known;
-use super::files::{Inside, Members, given_fps, in_frames, pinhole, resized};
+use super::files::{Inside, Members, fps_of, given_fps, in_frames, pinhole, resized};
 use super::{FrameSource, ImportOptions, Lens, ListedFrame, Listing};
 use crate::error::AtPath;
-use crate::files::{first_bytes, parse_json};
+use crate::files::{first_bytes, parse_json, utf8};
 use crate::pose::{self, Axes};
-use crate::{Fault, ReadError, image};
+use crate::{Fault, ReadError, image, range};
 use lzfse_rust::LzfseRingDecoder;
 use m4_core::{CompactDepth, Intrinsics, Plane, Progress, RgbImage, Se3};
 use serde::Deserialize;
@@ -133,7 +133,7 @@ impl Metadata {
         let bytes = members.read("metadata", MAX_METADATA_BYTES).at(path)?;
         let bytes = bytes.ok_or_else(|| Fault::missing("metadata", HINT).at(path))?;
         let bad = |what: String| Fault::bad(what, HINT).within(path, "metadata");
-        let text = std::str::from_utf8(&bytes).map_err(|e| bad(format!("it is not text ({e})")))?;
+        let text = utf8(&bytes).map_err(|(at, fault)| fault.within(path, format!("metadata, byte {at}")))?;
         let metadata: Self = parse_json(text).at(&path.join("metadata"))?;
         let n = metadata.poses.len();
         for (key, count) in [
@@ -194,17 +194,17 @@ impl Metadata {
     fn clock(&self, frames: &[usize], fps: Option<f64>, path: &Path) -> Result<(Vec<f64>, Option<f64>), ReadError> {
         let bad = |what: String| Err(Fault::bad(what, HINT).within(path, "metadata"));
         let steps = (frames.len() - 1) as f64;
-        if let Some(fps) = fps.filter(|v| !(v.is_finite() && *v > 0.0)) {
-            return bad(format!("fps is {fps}; frames per second, above 0, were expected"));
+        if let Some(fps) = fps {
+            fps_of("fps", fps).map_err(|e| e.within(path, "metadata"))?;
         }
         let stamps = self.timestamps.as_ref().filter(|s| !s.is_empty());
         let Some(stamps) = stamps else {
             return Ok(((0..frames.len()).map(|i| i as f64).collect(), fps.map(|fps| steps / fps)));
         };
         let times: Vec<f64> = frames.iter().filter_map(|&n| stamps.get(n)).copied().collect();
-        let apart = times.windows(2).all(|p| p[1] > p[0]) && times.iter().all(|t| t.is_finite());
+        let apart = times.windows(2).all(|p| p[1] > p[0]) && times.iter().all(|t| range::SECONDS.contains(t));
         if times.len() != frames.len() || !apart {
-            return bad("frameTimestamps do not grow from frame to frame".into());
+            return bad("frameTimestamps do not grow from frame to frame, or are no seconds".into());
         }
         let (t, span_s) = in_frames(&times);
         Ok((t, Some(span_s)))

@@ -1,9 +1,11 @@
 //! Images, depth maps and masks, one file each.
 //!
-//! Reading takes 8- and 16-bit PNG and JPEG. Transparent pixels are laid over black. Writing is
+//! Reading takes 8- and 16-bit PNG and JPEG; an incomplete or damaged file is an error. Transparent pixels are laid over black. Writing is
 //! atomic; the format follows the file name's extension.
 
+mod jpeg;
 mod read;
+mod share;
 
 pub use read::{
     Photo, decode_rgb, ids_of_bytes, read_depth, read_grey, read_ids, read_mask, read_photo, read_rgb, size,

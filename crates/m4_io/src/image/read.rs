@@ -1,5 +1,7 @@
 //! Reads PNG and JPEG files into planes.
 
+use super::jpeg;
+use super::share::Share;
 use crate::error::AtPath;
 use crate::{Fault, ReadError, files};
 use exif::{In, Tag};
@@ -10,27 +12,27 @@ use std::path::Path;
 
 /// Longest side that is read, pixels: 16 times 1080p, and far under what overflows an index.
 const MAX_SIDE_PX: u32 = 32_768;
-/// What deflate makes of a byte at most.
-const MAX_RATIO: u64 = 1032;
-/// Pixels that a byte of JPEG stands for at most: a block of 64 takes a bit or more.
-const JPEG_PIXELS_A_BYTE: u64 = 512;
-/// Pixels that a file of any length may claim.
-const FREE_PIXELS: u64 = 1 << 20;
-
-/// Opens an image and checks its format and size, from the header alone.
+/// Longest file, bytes.
+const MAX_FILE_BYTES: u64 = 1 << 30;
+/// Bytes per pixel beside what the decoder gives out: a copy in another type.
+const CONVERTED: u64 = 4;
+/// Bytes per pixel of the coefficients of a JPEG whose scans must all be read before there is a pixel.
+const COEFFICIENTS: u64 = 6;
+/// The last chunk of a PNG file with its checksum; the decoder checks all others that hold pixels.
+const PNG_END: &[u8] = b"\0\0\0\0IEND\xae\x42\x60\x82";
+const JPEG: &[u8] = &[0xff, 0xd8, 0xff];
+/// Opens an image and checks its format and size, from the header alone: for those that are not decoded.
 fn open(path: &Path) -> Result<impl ImageDecoder, Fault> {
-    let file = files::open(path)?;
-    let file_bytes = file.metadata()?.len();
-    checked(BufReader::new(file), file_bytes, u64::MAX)
+    checked(BufReader::new(files::open(path)?), u64::MAX)
 }
 
-/// The decoder of an image of `file_bytes`, at most `most_pixels`, whose format and size are in order.
-fn checked<'a, R: BufRead + Seek + 'a>(
-    mut from: R,
-    file_bytes: u64,
-    most_pixels: u64,
-) -> Result<impl ImageDecoder + 'a, Fault> {
-    let bits = bits_a_pixel(from.fill_buf()?);
+/// The decoder of an image, at most `most_pixels`, whose format and size are in order.
+fn checked<'a, R: BufRead + Seek + 'a>(mut from: R, most_pixels: u64) -> Result<impl ImageDecoder + 'a, Fault> {
+    let start = from.fill_buf()?;
+    // as after a copy that was interrupted
+    if start.iter().all(|byte| *byte == 0) {
+        return Err(bad("it is empty or starts with zeros".to_owned()));
+    }
     let reader = ImageReader::new(from).with_guessed_format()?;
     if !matches!(reader.format(), Some(ImageFormat::Png | ImageFormat::Jpeg)) {
         return Err(Fault::unsupported("it is not a PNG or JPEG image", "convert it to one of these"));
@@ -43,36 +45,41 @@ fn checked<'a, R: BufRead + Seek + 'a>(
         let what = format!("it is {width} x {height} pixels, above the limit of {limit} pixels per side");
         return Err(Fault::bad(what, "resize it"));
     }
-    // before there is memory for more pixels than the file can hold
-    let most = match bits {
-        Some(bits) => file_bytes.saturating_mul(8 * MAX_RATIO) / bits,
-        None => file_bytes.saturating_mul(JPEG_PIXELS_A_BYTE),
-    };
-    if pixels > most.max(FREE_PIXELS) {
-        return Err(bad(format!("{file_bytes} bytes cannot hold {width} x {height} pixels")));
-    }
     Ok(decoder)
 }
 
-/// Bits that a pixel of a PNG takes before it is packed, by the start of the file (PNG specification, 11.2.2); `None` for JPEG.
-fn bits_a_pixel(start: &[u8]) -> Option<u64> {
-    let channels = match start.get(25) {
-        _ if !start.starts_with(b"\x89PNG") => return None,
-        Some(2) => 3,
-        Some(4) => 2,
-        Some(6) => 4,
-        _ => 1,
-    };
-    Some(channels * u64::from(start.get(24).copied().unwrap_or(1).max(1)))
+/// The decoder of an image in memory that is whole, at most `most_pixels`, and the share of the memory for decoding that it takes.
+fn whole(bytes: &[u8], most_pixels: u64) -> Result<(impl ImageDecoder + '_, Share), Fault> {
+    let decoder = checked(Cursor::new(bytes), most_pixels)?;
+    let is_jpeg = bytes.starts_with(JPEG);
+    let (width, height) = decoder.dimensions();
+    let held = if is_jpeg && jpeg::keeps_coefficients(bytes) { COEFFICIENTS } else { 0 };
+    let a_pixel = u64::from(decoder.color_type().bytes_per_pixel()) + CONVERTED + held;
+    let (needed, file_bytes) = (a_pixel * u64::from(width) * u64::from(height), bytes.len() as u64);
+    files::within_memory(&format!("{width} x {height} pixels"), needed, file_bytes)?;
+    if is_jpeg {
+        jpeg::check(bytes).map_err(bad)?;
+    } else if !bytes.windows(PNG_END.len()).rev().any(|end| end == PNG_END) {
+        return Err(bad("it ends before its last chunk".to_owned()));
+    }
+    Ok((decoder, Share::take(files::beyond(needed, file_bytes))))
 }
 
-fn decode(path: &Path) -> Result<DynamicImage, Fault> {
-    DynamicImage::from_decoder(open(path)?).map_err(damaged)
+/// What `convert` makes of the image in a file.
+fn decode<T>(path: &Path, convert: impl FnOnce(DynamicImage) -> Result<T, Fault>) -> Result<T, ReadError> {
+    files::read(path, MAX_FILE_BYTES)
+        .map_err(Fault::from)
+        .and_then(|bytes| decode_bytes(&bytes, u64::MAX, convert))
+        .at(path)
 }
 
-fn decode_bytes(bytes: &[u8], most_pixels: u64) -> Result<DynamicImage, Fault> {
-    let decoder = checked(Cursor::new(bytes), bytes.len() as u64, most_pixels)?;
-    DynamicImage::from_decoder(decoder).map_err(damaged)
+fn decode_bytes<T>(
+    bytes: &[u8],
+    most_pixels: u64,
+    convert: impl FnOnce(DynamicImage) -> Result<T, Fault>,
+) -> Result<T, Fault> {
+    let (decoder, _share) = whole(bytes, most_pixels)?;
+    convert(DynamicImage::from_decoder(decoder).map_err(damaged)?)
 }
 
 fn bad(reason: String) -> Fault {
@@ -101,12 +108,12 @@ pub fn size(path: &Path) -> Result<(usize, usize), ReadError> {
 
 /// Decodes a colour image of an archive, at most `most_pixels`, as [`read_rgb`]; `name` is for messages.
 pub fn decode_rgb(bytes: &[u8], name: &Path, most_pixels: u64) -> Result<RgbImage, ReadError> {
-    decode_bytes(bytes, most_pixels).and_then(rgb).at(name)
+    decode_bytes(bytes, most_pixels, rgb).at(name)
 }
 
 /// Reads a colour image; grey becomes colour, 16 bits become 8, transparency becomes black.
 pub fn read_rgb(path: &Path) -> Result<RgbImage, ReadError> {
-    decode(path).and_then(rgb).at(path)
+    decode(path, rgb)
 }
 
 /// An image as a camera took it.
@@ -120,7 +127,8 @@ pub struct Photo {
 
 /// Reads a colour image with what its EXIF block says about the camera.
 pub fn read_photo(path: &Path) -> Result<Photo, ReadError> {
-    let mut decoder = open(path).at(path)?;
+    let bytes = files::read(path, MAX_FILE_BYTES).at(path)?;
+    let (mut decoder, _share) = whole(&bytes, u64::MAX).at(path)?;
     let (width, height) = decoder.dimensions();
     // A damaged EXIF block is none.
     let exif = decoder.exif_metadata().ok().flatten();
@@ -149,28 +157,28 @@ fn rgb(image: DynamicImage) -> Result<RgbImage, Fault> {
 
 /// Reads a depth map: a greyscale PNG of 16 bits, times `unit` (scene units per step); 0 stays 0 = unknown.
 pub fn read_depth(path: &Path, unit: f64) -> Result<CompactDepth, ReadError> {
-    match decode(path).at(path)? {
+    decode(path, |image| match image {
         DynamicImage::ImageLuma16(grey) => {
-            let steps = plane(grey.dimensions(), grey.into_raw()).at(path)?;
+            let steps = plane(grey.dimensions(), grey.into_raw())?;
             Ok(CompactDepth::from_steps(steps, unit))
         }
         other => {
             let what = format!("the depth map is an image of type {:?}", other.color());
-            Err(Fault::bad(what, "it must be a greyscale PNG with 16 bits per pixel").at(path))
+            Err(Fault::bad(what, "it must be a greyscale PNG with 16 bits per pixel"))
         }
-    }
+    })
 }
 
 /// Reads object ids per pixel: a greyscale PNG of 8 or 16 bits (JPEG changes numbers).
 pub fn read_ids(path: &Path) -> Result<CompactIds, ReadError> {
     let is_png = files::first_bytes::<4>(path) == b"\x89PNG";
-    decode(path).and_then(|image| ids(image, is_png)).at(path)
+    decode(path, |image| ids(image, is_png))
 }
 
 /// As [`read_ids`], of a file in memory; `path` is for messages. Fails if it is not a greyscale PNG.
 pub fn ids_of_bytes(path: &Path, bytes: &[u8]) -> Result<CompactIds, ReadError> {
     let is_png = bytes.starts_with(b"\x89PNG");
-    decode_bytes(bytes, u64::MAX).and_then(|image| ids(image, is_png)).at(path)
+    decode_bytes(bytes, u64::MAX, |image| ids(image, is_png)).at(path)
 }
 
 fn ids(image: DynamicImage, is_png: bool) -> Result<CompactIds, Fault> {
@@ -195,8 +203,10 @@ pub fn read_mask(path: &Path) -> Result<CompactMask, ReadError> {
 
 /// Reads the brightness of an image, 0 to 255.
 pub fn read_grey(path: &Path) -> Result<Plane<u8>, ReadError> {
-    let grey = decode(path).at(path)?.into_luma8();
-    plane(grey.dimensions(), grey.into_raw()).at(path)
+    decode(path, |image| {
+        let grey = image.into_luma8();
+        plane(grey.dimensions(), grey.into_raw())
+    })
 }
 
 /// Diagonal of a frame of 35 mm film, millimetres: what "35 mm equivalent" focal lengths refer to (CIPA DCG-001).

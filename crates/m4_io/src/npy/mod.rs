@@ -15,7 +15,8 @@ mod array;
 pub use array::Array;
 pub(crate) use array::Numbers;
 
-use crate::{Fault, files};
+use crate::Fault;
+use crate::files::{self, memory_for};
 use half::f16;
 use std::fs::File;
 use std::io::{BufReader, Read};
@@ -224,6 +225,8 @@ impl Npz {
             _ => packed.saturating_mul(MAX_RATIO),
         };
         let most_bytes = most_bytes.min(member.size());
+        // in memory its numbers take up to four times as much
+        let limit_bytes = limit_bytes.min(memory_for(self.file_bytes) / 4);
         Array::open(&called, member, most_bytes, limit_bytes).map(Some)
     }
 

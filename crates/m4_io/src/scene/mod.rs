@@ -12,6 +12,7 @@ pub mod safetensors;
 mod splats;
 pub mod splatv;
 pub mod spz;
+mod valid;
 
 pub use splats::{at_peak, instant};
 

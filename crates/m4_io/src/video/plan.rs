@@ -143,6 +143,15 @@ pub fn thinned(kept: usize, of: usize) -> Option<String> {
     (kept < of).then(|| format!("read {kept} of {of} frames, evenly spaced"))
 }
 
+/// The warning of a clip of which `n` of `of` frames are damaged and were left out; its fault with [`VideoOptions::strict`].
+pub fn damaged(n: usize, of: usize, first: &str, options: &VideoOptions) -> Result<String, Fault> {
+    if options.strict {
+        let what = format!("{n} of {of} frames are damaged (the first {first})");
+        return Err(Fault::bad(what, "without --strict-video they are left out"));
+    }
+    Ok(format!("{n} of {of} frames are damaged or missing and were left out, the first {first}"))
+}
+
 /// Settings of [`super::read()`].
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]

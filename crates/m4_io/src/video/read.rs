@@ -136,51 +136,87 @@ fn mp4(request: Request<'_>, file: &mut File, len: u64) -> Result<Video, Fault> 
     ffmpeg::read(request, &what)
 }
 
-/// Reads the images of a folder in natural order (`2.png` before `10.png`), evenly spaced in time.
+/// Reads the images of a folder in natural order (`2.png` before `10.png`), evenly spaced in time. Damaged ones are left out as the damaged
+/// frames of a video are.
 fn folder(Request { path, options, progress, .. }: Request<'_>) -> Result<Video, Fault> {
     let files = image_files(path)?;
     let times: Vec<f64> = (0..files.len()).map(|i| i as f64 / options.folder_fps).collect();
     let kept = plan::select(&times, options)?;
-    let expected = image::size(&files[0])?;
-    for file in &files {
-        let found = image::size(file)?;
-        if found != expected {
-            return Err(other_size(file, found, expected));
-        }
-    }
+    let expected = one_size(&files)?;
     let longest = expected.0.max(expected.1) as f64;
     let size = plan::target_size(expected.0 as f64, expected.1 as f64, options);
     plan::check_memory(kept.len(), size, options)?;
 
-    let frames = in_parallel(
+    let photo = |i: usize| {
+        let mut photo = image::read_photo(&files[i])?;
+        let (w, h) = photo.rgb.size();
+        let (width, height) = plan::target_size(w as f64, h as f64, options);
+        if let Some(small) = resize_rgb(&photo.rgb, width, height, ResizeFilter::Triangle) {
+            photo.rgb = small;
+        }
+        Ok(photo)
+    };
+    let read = in_parallel(
         "read images",
         &kept,
         progress,
         || Fault::Cancelled,
-        |_, &i| {
-            let mut photo = image::read_photo(&files[i])?;
-            let (w, h) = photo.rgb.size();
-            let (width, height) = plan::target_size(w as f64, h as f64, options);
-            if let Some(small) = resize_rgb(&photo.rgb, width, height, ResizeFilter::Triangle) {
-                photo.rgb = small;
-            }
-            Ok(photo)
+        |_, &i| match photo(i) {
+            Err(e) if is_damaged(&e) => Ok(Err(e)),
+            other => Ok(Ok(other?)),
         },
     )?;
+    let (mut frames, mut damaged) = (Vec::with_capacity(read.len()), Vec::new());
+    for (photo, &i) in read.into_iter().zip(&kept) {
+        match photo {
+            Ok(photo) => frames.push((i, photo)),
+            Err(e) => damaged.push(e),
+        }
+    }
     // Images turned by their EXIF blocks may differ although the files agree.
-    let upright = frames.first().map_or(size, |f| f.rgb.size());
-    if let Some(i) = frames.iter().position(|f| f.rgb.size() != upright) {
-        return Err(other_size(&files[kept[i]], frames[i].rgb.size(), upright));
+    let upright = frames.first().map_or(size, |(_, f)| f.rgb.size());
+    if let Some((i, photo)) = frames.iter().find(|(_, f)| f.rgb.size() != upright) {
+        return Err(other_size(&files[*i], photo.rgb.size(), upright));
     }
     let scale = upright.0.max(upright.1) as f64 / longest;
-    let focal_px = frames.first().and_then(|f| f.focal_px).map(|f| f * scale);
+    let focal_px = frames.first().and_then(|(_, f)| f.focal_px).map(|f| f * scale);
     let mut collector = Collector::new(upright);
-    for (photo, &i) in frames.into_iter().zip(&kept) {
+    for (i, photo) in frames {
         collector.push(photo.rgb, times[i]);
+    }
+    if let Some(first) = damaged.first() {
+        if collector.len() == 0 {
+            return Err(no_frames(&first.to_string()));
+        }
+        collector.warnings.push(plan::damaged(damaged.len(), kept.len(), &format!("of them: {first}"), options)?);
     }
     let inside = times.iter().filter(|&&t| plan::in_range(t, options)).count();
     collector.warnings.extend(plan::thinned(kept.len(), inside));
     collector.finish(focal_px).ok_or_else(no_images)
+}
+
+/// Whether the file is at fault, not the machine.
+fn is_damaged(error: &ReadError) -> bool {
+    error.kind() == ErrorKind::BadData
+}
+
+/// The size of the images, by the headers that are intact.
+fn one_size(files: &[PathBuf]) -> Result<(usize, usize), Fault> {
+    let (mut expected, mut damaged) = (None, None);
+    for file in files {
+        let found = match image::size(file) {
+            Err(e) if is_damaged(&e) => {
+                damaged.get_or_insert(e);
+                continue;
+            }
+            found => found?,
+        };
+        let size = *expected.get_or_insert(found);
+        if found != size {
+            return Err(other_size(file, found, size));
+        }
+    }
+    expected.ok_or_else(|| no_frames(&damaged.map(|e| e.to_string()).unwrap_or_default()))
 }
 
 fn no_images() -> Fault {

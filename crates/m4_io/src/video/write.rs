@@ -78,8 +78,8 @@ impl Mp4Writer {
             .skip_frames(false)
             .background_detection(false)
             .num_threads(1);
-        let encoder =
-            Encoder::with_api_config(OpenH264API::from_source(), config).map_err(|e| encode(e.to_string()))?;
+        let encoder = Encoder::with_api_config(OpenH264API::from_source(), config)
+            .map_err(|e| refused(path, (width, height), &e))?;
         let matrix = YuvMatrix::from_code(1, height, Range::Limited);
         let matrix = matrix.ok_or_else(|| encode("BT.709 is not known".into()))?;
         let file = AtomicFile::create(path).map_err(|e| WriteError::io(path, e))?;
@@ -103,7 +103,7 @@ impl Mp4Writer {
         let [cb, cr] = &planes.chroma;
         let half = planes.width / 2;
         let source = YUVSlices::new((&planes.luma, cb, cr), (planes.width, planes.height), (planes.width, half, half));
-        let coded = self.encoder.encode(&source).map_err(|e| encode(e.to_string()))?;
+        let coded = self.encoder.encode(&source).map_err(|e| refused(&self.path, self.size, &e))?;
         let key = matches!(coded.frame_type(), FrameType::IDR | FrameType::I);
         let bytes = coded.to_vec();
         if bytes.is_empty() {
@@ -131,6 +131,15 @@ impl Mp4Writer {
         file.sync().map_err(io)?;
         verify(file.temporary_path(), size, frames).map_err(|reason| WriteError::verify(&path, reason))?;
         file.commit().map_err(io)
+    }
+}
+
+/// The error of an encoder that failed. It says that it could not be set up (1), or got no memory (3), where memory ran out: sizes and
+/// rates were checked before.
+fn refused(path: &Path, (width, height): (usize, usize), error: &openh264::Error) -> WriteError {
+    match error.native_code() {
+        1 | 3 => WriteError::memory(path, format!("frames of {width} x {height} pixels")),
+        _ => WriteError::encode(path, error),
     }
 }
 

@@ -87,7 +87,7 @@ fn malformed_nvidia_is_rejected_with_file_and_reason() {
     let focal = bytes.len() - (5 * 17 - 14) * 8;
     bytes[focal..focal + 8].copy_from_slice(&(-50f64).to_le_bytes());
     std::fs::write(path.join("poses_bounds.npy"), &bytes).unwrap();
-    refuses(&path, SourceFormat::Nvidia, &["poses_bounds.npy, camera 0", "focal length -50"]);
+    refuses(&path, SourceFormat::Nvidia, &["poses_bounds.npy, camera 0", "focal length fx is -50"]);
     std::fs::write(path.join("poses_bounds.npy"), &bytes[..bytes.len() - 8]).unwrap();
     refuses(&path, SourceFormat::Nvidia, &["poses_bounds.npy", "damaged or cut off"]);
 }
@@ -187,7 +187,7 @@ fn malformed_dycheck_is_rejected_with_file_and_reason() {
         refuses(&path, SourceFormat::Dycheck, says);
     };
     broken("camera/0_00001.json", "[[", "[[9", &["0_00001.json", "orientation", "not a rotation"]);
-    broken("camera/0_00001.json", r#""focal_length": 100.0"#, r#""focal_length": -1"#, &["focal lengths -1"]);
+    broken("camera/0_00001.json", r#""focal_length": 100.0"#, r#""focal_length": -1"#, &["focal length fx is -1"]);
     broken("camera/0_00001.json", "[96, 72]", "[72, 96]", &["0_00001.png", "rotated"]);
     let (_dir, path) = copied("import/dycheck");
     std::fs::remove_file(path.join("splits/train.json")).unwrap();

@@ -50,7 +50,7 @@ pub enum Error {
         source: io::Error,
     },
     /// An input that does not exist.
-    #[error("there is no {what} at {}", path.display())]
+    #[error("there is no {what} at {}{}", path.display(), of_link(path))]
     Missing {
         /// What was expected there.
         what: &'static str,
@@ -171,6 +171,12 @@ macro_rules! from_parts_of {
 from_parts_of! {
     DataError: ReadError, WriteError;
     ReconstructionError: SparseError, DenseError, MegasamError;
+}
+
+/// What a path is that exists without leading anywhere.
+fn of_link(path: &Path) -> &'static str {
+    let is_link = path.symlink_metadata().is_ok_and(|facts| facts.is_symlink());
+    if is_link { ", which is a link that leads nowhere, or in a circle" } else { "" }
 }
 
 impl Error {

@@ -93,12 +93,7 @@ pub fn make(input: &Path, capture: &Path, job: &Job<'_>) -> Result<GeometryRecor
 }
 
 /// The same of an `input` whose hash is in `source`.
-pub(crate) fn of_source(
-    input: &Path,
-    source: Input,
-    capture: &Path,
-    job: &Job<'_>,
-) -> Result<GeometryRecord, Error> {
+pub(crate) fn of_source(input: &Path, source: Input, capture: &Path, job: &Job<'_>) -> Result<GeometryRecord, Error> {
     let mut settings = job.settings.clone();
     // flow tracks are computed with the depth, unless another method tracks points afterwards
     settings.dense.tracks &= !matches!(settings.geometry.tracker, Tracker::None | Tracker::Tapip3d);

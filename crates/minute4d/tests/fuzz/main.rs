@@ -5,6 +5,7 @@
 //! table     all readers of m4_io and of the program itself: a name, a file among others, valid contents, the call
 //! reader    one of them: its folder, the bytes put where they belong, the outcome; whether what was read is valid, and if not, the fault
 //! files     fixtures, earlier findings, and what bytes are wrapped in so that mutations get past checksums
+//! numbers   valid files with an extreme number in each field
 //! malformed valid files with extremes in each field of the header, truncated, or mutated at random
 //! process   the process that reads within a limit of memory, and the one that watches it
 //! ```
@@ -15,6 +16,7 @@
 
 mod files;
 mod malformed;
+mod numbers;
 mod process;
 mod reader;
 mod table;
@@ -39,7 +41,7 @@ const FOLDER: &str = "MINUTE4D_FUZZ_FOLDER";
 const MALFORMED: usize = 300;
 const MUTATED: usize = 100;
 
-/// Earlier findings, valid files, and malformed ones made of them.
+/// Earlier findings, valid files, and those with extreme numbers and malformed ones made of them.
 fn inputs(stage: &Stage<'_>) -> Box<dyn Iterator<Item = (String, Vec<u8>)>> {
     let found = corpus(stage.reader().name).unwrap();
     let found = found.into_iter().map(|(name, bytes)| (format!("corpus/{name}"), bytes));
@@ -49,6 +51,7 @@ fn inputs(stage: &Stage<'_>) -> Box<dyn Iterator<Item = (String, Vec<u8>)>> {
     Box::new(
         found
             .chain(valid)
+            .chain(seeds.clone().into_iter().flat_map(|seed| numbers::extremes(&seed)))
             .chain(seeds.clone().into_iter().flat_map(move |seed| malformed(seed, most)))
             .chain(seeds.into_iter().flat_map(move |seed| mutated(seed, mutations))),
     )

@@ -8,6 +8,7 @@
 //! done             all inputs are through
 //! ```
 
+use crate::numbers::is_number;
 use crate::reader::{Outcome, Reader, Stage};
 use std::io::{self, Write as _};
 use std::panic::{AssertUnwindSafe, catch_unwind, set_hook};
@@ -85,7 +86,7 @@ pub fn work(
             Ok(outcome) => {
                 let outcome = outcome?;
                 writeln!(out, "{}", if matches!(outcome, Outcome::Refused(_)) { "refused" } else { "read" })?;
-                Stage::fault(&outcome)
+                stage.fault(&outcome, is_number(&name))
             }
         };
         let much = taken > FREE + TIMES * bytes.len();

@@ -1,7 +1,8 @@
 //! One reader, its folder, and the outcome of a read; checks that the data returned by readers are valid.
 
 use crate::files::{Wrap, copy, fixture};
-use m4_core::{Camera, Capture, CaptureFrame, CompactDepth, DepthMap, Scene, Splats, Tracks, Video};
+use m4_core::{Camera, Capture, CaptureFrame, CompactDepth, DepthMap, Scene, Tracks, Video};
+use m4_io::range;
 use m4_io::trajectory::{KeyPose, Trajectory};
 use std::path::{Path, PathBuf};
 use std::{fs, io};
@@ -9,6 +10,18 @@ use tempfile::TempDir;
 
 /// Longest message of a refusal, characters: one that is longer quotes the file without end.
 pub const MAX_REASON: usize = 1000;
+
+/// Readers of bytes, and those that take what is damaged for missing: they name no file.
+const NAMELESS: [&str; 8] = [
+    "io-npy",
+    "io-npy-bytes",
+    "io-npz",
+    "side-exr",
+    "side-depth",
+    "program-run-record",
+    "program-geometry-record",
+    "batch-record",
+];
 
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Outcome {
@@ -121,70 +134,63 @@ impl Stage<'_> {
         })
     }
 
-    /// What is wrong with what came of some bytes: not valid, or a message that quotes the file.
-    pub fn fault(outcome: &Outcome) -> Option<String> {
+    /// What is wrong with what came of some bytes: not valid, or a message that quotes the file, or does not name it where it must.
+    pub fn fault(&self, outcome: &Outcome, named: bool) -> Option<String> {
         match outcome {
             Outcome::Read => None,
             Outcome::Invalid(what) => Some(format!("invalid: {what}")),
             Outcome::Refused(reason) => {
                 let n = reason.chars().count();
                 let start: String = reason.chars().take(160).collect();
+                if named && !reason.contains("STAGE") && !NAMELESS.contains(&self.reader.name) {
+                    return Some(format!("a message that does not name the file: {start}"));
+                }
                 (n > MAX_REASON).then(|| format!("a message of {n} characters: {start}"))
             }
         }
     }
 }
 
-/// More frames than any clip has: what goes through them would not end.
-const MAX_FRAMES: usize = 1_000_000;
-
-pub fn splats(splats: &Splats) -> Option<String> {
-    (!splats.is_finite()).then(|| "a splat is not finite".into())
-}
-
 pub fn scene(scene: &Scene) -> Option<String> {
-    if let Some(fault) = splats(&scene.splats) {
+    if let Some(fault) = range::of_splats(&scene.splats) {
         return Some(fault);
     }
+    let within = |range: &range::Range, v: f32| range.contains(&f64::from(v));
     let faults = [
-        (scene.near.is_finite(), "near"),
-        (scene.background.iter().all(|v| v.is_finite()), "the background"),
-        ((1..=MAX_FRAMES).contains(&scene.time_frames), "the number of frames"),
-        (scene.duration_s.is_none_or(f64::is_finite), "the duration"),
-        (scene.source.iter().all(|f| f.t.is_finite()), "a time"),
+        (within(&range::NEAR, scene.near), "near"),
+        (scene.background.iter().all(|v| within(&range::COLOUR, *v)), "the background"),
+        ((1..=*range::FRAMES.end()).contains(&scene.time_frames), "the number of frames"),
+        (scene.duration_s.is_none_or(|s| range::SECONDS.contains(&s)), "the duration"),
     ];
     if let Some((_, what)) = faults.into_iter().find(|(valid, _)| !valid) {
         return Some(what.into());
     }
-    let exposures = scene.source.iter().map(|f| f.exposure);
-    let numbers = exposures.flat_map(|e| e.matrix.into_iter().flatten().chain(e.offset).collect::<Vec<_>>());
-    if !numbers.into_iter().all(f32::is_finite) {
-        return Some("an exposure".into());
-    }
-    scene.source.iter().find_map(|f| camera(&f.camera))
+    scene.source.iter().find_map(|f| range::of_source(f).or_else(|| camera(&f.camera)))
 }
 
 pub fn camera(camera: &Camera) -> Option<String> {
-    let k = &camera.intrinsics;
     let c2w = camera.c2w.matrix();
-    let lens = k.fx > 0.0 && k.fy > 0.0 && [k.fx, k.fy, k.cx, k.cy].iter().all(|v| v.is_finite());
+    let place = camera.c2w.translation.iter().all(|v| range::COORDINATE.contains(v));
     let rigid = c2w.iter().all(|v| v.is_finite()) && (c2w.determinant() - 1.0).abs() < 1e-2;
-    [(lens, "a lens"), (rigid, "a pose")]
-        .into_iter()
-        .find_map(|(valid, what)| (!valid).then(|| format!("{what}: {camera:?}")))
+    range::of_lens(&camera.intrinsics).or_else(|| (!(rigid && place)).then(|| format!("a pose: {camera:?}")))
 }
 
 pub fn tracks(tracks: &Tracks) -> Option<String> {
-    let valid = tracks.xyz().as_flattened().iter().all(|v| !v.is_infinite());
+    let valid = tracks.xyz().as_flattened().iter().all(|v| v.is_nan() || range::COORDINATE.contains(&f64::from(*v)));
     (!valid).then(|| "tracks".into())
 }
 
+/// Whether depth is in its range, or unknown.
+fn is_depth(z: f32) -> bool {
+    z == 0.0 || range::DEPTH.contains(&f64::from(z))
+}
+
 pub fn depth(depth: &CompactDepth) -> Option<String> {
-    (!depth.every(1).all(|z| z.is_finite() && z >= 0.0)).then(|| "depth".into())
+    (!depth.every(1).all(is_depth)).then(|| "depth".into())
 }
 
 pub fn map(map: &DepthMap) -> Option<String> {
-    (!map.data().iter().all(|z| z.is_finite() && *z >= 0.0)).then(|| "depth".into())
+    (!map.data().iter().all(|z| is_depth(*z))).then(|| "depth".into())
 }
 
 fn frame(frame: &CaptureFrame, last: f64) -> Option<String> {
@@ -199,8 +205,10 @@ fn frame(frame: &CaptureFrame, last: f64) -> Option<String> {
 }
 
 pub fn capture(capture: &Capture) -> Option<String> {
-    if capture.frames.is_empty() || !capture.duration_s.is_none_or(f64::is_finite) {
-        return Some("no frames, or their duration".into());
+    let steps = capture.time_frames.saturating_sub(1) as f64;
+    let lasts = |s: f64| s == 0.0 || steps == 0.0 || range::FPS.contains(&(steps / s));
+    if capture.frames.is_empty() || !capture.duration_s.is_none_or(lasts) {
+        return Some(format!("no frames, or their duration: {:?}", capture.duration_s));
     }
     let of_tracks = capture.tracks.as_ref().and_then(|t| {
         let fits = t.frames() == capture.frames.len();
@@ -211,7 +219,7 @@ pub fn capture(capture: &Capture) -> Option<String> {
 }
 
 pub fn video(video: &Video) -> Option<String> {
-    if !video.frames.iter().all(|f| f.time_s.is_finite()) {
+    if !video.frames.iter().all(|f| range::SECONDS.contains(&f.time_s)) {
         return Some("a time".into());
     }
     let size = video.frames.first().map(|f| f.rgb.size());
@@ -229,14 +237,14 @@ pub fn trajectory(path: &Trajectory) -> Option<String> {
         }
         Trajectory::Keyed(keyed) => {
             let times = keyed.keyframes.iter().map(|k| k.time_s).chain(keyed.back_s).chain(keyed.fps);
-            if keyed.keyframes.is_empty() || !times.into_iter().all(f64::is_finite) {
+            if keyed.keyframes.is_empty() || !times.into_iter().all(|t| range::SECONDS.contains(&t)) {
                 return Some("a time, or no keyframes".into());
             }
             let valid = keyed.keyframes.iter().all(|k| match &k.pose {
-                KeyPose::C2w(c2w) => c2w.matrix().iter().all(|v| v.is_finite()),
+                KeyPose::C2w(c2w) => c2w.translation.iter().all(|v| range::COORDINATE.contains(v)),
                 KeyPose::LookAt { position, look_at, up } => {
                     let up = up.unwrap_or_default();
-                    position.iter().chain(look_at.iter()).chain(up.iter()).all(|v| v.is_finite())
+                    position.iter().chain(look_at.iter()).chain(up.iter()).all(|v| range::COORDINATE.contains(v))
                 }
             });
             (!valid).then(|| "a pose".into())

@@ -140,10 +140,7 @@ pub fn read_points(folder: &Path) -> Result<Vec<ColmapPoint>, ReadError> {
 }
 
 fn utf8<T>(parse: impl Fn(&str) -> Result<T, PlacedError>) -> impl Fn(&[u8]) -> Result<T, PlacedError> {
-    move |bytes| {
-        let text = std::str::from_utf8(bytes);
-        parse(text.map_err(|e| damaged(format!("byte {}", e.valid_up_to()), "it is not UTF-8".into()))?)
-    }
+    move |bytes| parse(files::utf8(bytes).map_err(|(at, fault)| (format!("byte {at}"), fault))?)
 }
 
 fn parse<T>(path: &Path, parse: impl Fn(&[u8]) -> Result<T, PlacedError>) -> Result<T, ReadError> {

@@ -37,6 +37,7 @@ pub(super) use read::list;
 
 use crate::Fault;
 use crate::npy::Npz;
+use crate::range::DEPTH;
 use m4_core::{CompactMask, Progress};
 use std::path::{Path, PathBuf};
 
@@ -162,7 +163,7 @@ fn depth_of(stored: Stored, value: f64) -> f32 {
         Stored::Disparity => (1.0 / value - DISPARITY_EPSILON, LEAST_DEPTH),
     };
     // `z < least` would let NaN pass; the inverse of a tiny disparity is finite, but not as 32 bits
-    let known = z >= least && (z as f32).is_finite();
+    let known = z >= least && DEPTH.contains(&z);
     if known { z as f32 } else { 0.0 }
 }
 

@@ -5,7 +5,7 @@ use crate::dataset::files::{self, duration_s, given_fps};
 use crate::dataset::{FrameSource, ImportOptions, Lens, ListedFrame, Listing, step};
 use crate::error::AtPath;
 use crate::npy::{Array, Npz, Number};
-use crate::{Fault, ReadError, pose};
+use crate::{Fault, ReadError, pose, range};
 use m4_core::{CompactMask, DepthMap, Intrinsics, Plane, Progress, RgbImage, Se3};
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
@@ -146,7 +146,7 @@ impl Input {
         frames
             .map(|(i, (k, &[x, y, z, qx, qy, qz, qw]))| {
                 let w2c = pose::of_quaternion([x, y, z], [qw, qx, qy, qz]);
-                let w2c = w2c?;
+                let w2c = w2c.map_err(|e| Fault::bad(format!("the array `poses`, frame {i}: {e}"), HINT))?;
                 Ok((pinhole(*k, clip, "intrinsics", i)?, w2c.inverse()))
             })
             .collect()
@@ -301,16 +301,11 @@ fn check_floats(name: &str, array: &Array<'_>) -> Result<(), Fault> {
 
 /// The pinhole of `fx fy cx cy`, pixels; principal points are measured from the image's corner (see [the module](super)).
 fn pinhole(numbers: [f64; 4], clip: Clip, array: &str, frame: usize) -> Result<Intrinsics, Fault> {
-    let [fx, fy, cx, cy] = numbers;
-    let (w, h) = (clip.size.0 as f64, clip.size.1 as f64);
-    let inside = |c: f64, side: f64| c >= -side && c <= 2.0 * side;
-    let positive = |f: f64| f.is_finite() && f > 0.0;
-    if !(positive(fx) && positive(fy) && inside(cx, w) && inside(cy, h)) {
-        let what =
-            format!("the array `{array}`, frame {frame}: fx fy cx cy are {numbers:?} for images of {w} x {h} pixels");
-        return Err(Fault::bad(what, HINT));
+    let lens = files::pinhole(numbers, clip.size);
+    match range::of_lens(&lens) {
+        Some(what) => Err(Fault::bad(format!("the array `{array}`, frame {frame}: {what}"), HINT)),
+        None => Ok(lens),
     }
-    Ok(files::pinhole(numbers, clip.size))
 }
 
 fn plane<T>(w: usize, h: usize, data: Vec<T>) -> Result<Plane<T>, Fault> {

@@ -7,7 +7,7 @@ use crate::dataset::{FrameSource, ImportOptions, ListedFrame, Listing};
 use crate::error::AtPath;
 use crate::files::{json, natural};
 use crate::pose::{self, Axes};
-use crate::{Fault, ReadError, capture, image, tracks};
+use crate::{Fault, ReadError, capture, image, range, tracks};
 use m4_core::{CompactMask, Progress, Se3, Tracks};
 use std::io;
 use std::path::{Path, PathBuf};
@@ -48,6 +48,7 @@ pub fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress) -> Re
     if time_frames == 0 {
         return Err(no_frames(&train_file));
     }
+    warn_of_one_moment(&train, progress);
     let frames = train.frames(&train.entries, time_frames, false, options)?;
     let mut test = train.frames(&test, time_frames, true, options)?;
     if let Some(file) = test_file {
@@ -88,6 +89,9 @@ pub fn list_capture(
         return Err(Fault::missing("time of the held-out views", "add their times, 0 to 1").within(file, "frames"));
     }
     let time_frames = if held_out { list.time_frames()? } else { list.entries.len() };
+    if !held_out {
+        warn_of_one_moment(&list, progress);
+    }
     if !list.timed {
         progress.warn(&format!(
             "the {time_frames} frames of {} have no time; they are taken as evenly spaced in the order of their names",
@@ -106,6 +110,21 @@ pub fn list_capture(
 
 fn no_frames(file: &Path) -> ReadError {
     Fault::bad("it lists no frames", "give a file with frames").at(file)
+}
+
+/// Says so where all times are one: as of a clip whose times were lost.
+fn warn_of_one_moment(list: &List, progress: &dyn Progress) {
+    let mut times = list.entries.iter().filter_map(|(_, entry)| entry.time);
+    let first = times.next();
+    if list.entries.len() > 1 && list.timed && times.all(|time| Some(time) == first) {
+        progress.warn(&format!(
+            "all {} frames of {} have the time {}: they are taken as one moment, in which nothing moves; if they are a clip, correct the \
+             times, or leave them out",
+            list.entries.len(),
+            list.path.display(),
+            first.unwrap_or_default()
+        ));
+    }
 }
 
 /// Whose conventions a file has where it does not say.
@@ -148,10 +167,10 @@ impl List {
         }
         let depth_unit = file.depth_unit_scale_factor.unwrap_or(depth::DEFAULT_UNIT);
         let scale = file.applied_scale.unwrap_or(1.0);
-        for (key, value) in [("depth_unit_scale_factor", depth_unit), ("applied_scale", scale)] {
-            if !(value.is_finite() && value > 0.0) {
-                return Err(bad(key, format!("it is {value}"), "a number above 0 was expected"));
-            }
+        for (key, value, range) in
+            [("depth_unit_scale_factor", depth_unit, range::DEPTH_UNIT), ("applied_scale", scale, range::SCALE)]
+        {
+            range::check("it", value, &range, "", "correct it").map_err(|e| e.within(path, key))?;
         }
         let undo = match &file.applied_transform {
             Some(rows) => {
@@ -216,6 +235,10 @@ impl List {
                 return Ok(json::<Transforms>(&training)?.frames.len());
             }
         }
+        if let Some(n) = self.file.time_frames.filter(|n| !range::FRAMES.contains(n)) {
+            let what = format!("it is {n}; 1 to {} was expected", range::FRAMES.end());
+            return Err(Fault::bad(what, "write the number of training frames").within(&self.path, "time_frames"));
+        }
         self.file.time_frames.filter(|&n| n > 0).ok_or_else(|| {
             let hint = "put transforms_train.json beside the file, or add time_frames";
             Fault::missing("the number of training frames, which the times 0 to 1 span,", hint).at(&self.path)
@@ -223,13 +246,11 @@ impl List {
     }
 
     fn duration_s(&self) -> Result<Option<f64>, ReadError> {
-        match self.file.duration_s {
-            Some(s) if !(s.is_finite() && s >= 0.0) => {
-                let cause = Fault::bad(format!("it is {s}"), "write seconds, not below 0");
-                Err(cause.within(&self.path, "duration_s"))
-            }
-            known => Ok(known),
+        if let Some(s) = self.file.duration_s {
+            let range = 0.0..=*range::SECONDS.end();
+            range::check("it", s, &range, "seconds", "correct it").map_err(|e| e.within(&self.path, "duration_s"))?;
         }
+        Ok(self.file.duration_s)
     }
 
     fn frames(

@@ -38,8 +38,8 @@ pub(crate) use list::list_capture;
 pub(super) use list::{detect, list};
 
 use super::{Distortion, Lens};
-use crate::Fault;
 use crate::pose::Axes;
+use crate::{Fault, range};
 use m4_core::{Intrinsics, Se3};
 use serde::de::IgnoredAny;
 use serde::{Deserialize, Serialize};
@@ -219,8 +219,8 @@ pub(crate) fn lens_of(keys: &LensKeys, (width, height): (usize, usize)) -> Resul
         _ => fx,
     };
     for (key, focal) in [("fl_x", fx), ("fl_y", fy)] {
-        if !(focal.is_finite() && focal > 0.0) {
-            return Err(Fault::bad(format!("{key} = {focal}; a focal length above 0 pixels was expected"), HINT));
+        if let Some(what) = range::of_pixels(key, focal, &range::FOCAL, width.max(height)) {
+            return Err(Fault::bad(what, HINT));
         }
     }
     let lens = Lens {
@@ -234,11 +234,6 @@ pub(crate) fn lens_of(keys: &LensKeys, (width, height): (usize, usize)) -> Resul
         },
         distortion: distortion(keys)?,
     };
-    let inside = |c: f64, side: f64| c >= -side && c <= 2.0 * side;
-    let (cx, cy) = (lens.intrinsics.cx, lens.intrinsics.cy);
-    if !(inside(cx, w) && inside(cy, h)) {
-        return Err(Fault::bad(format!("the principal point is ({cx}, {cy}) in an image of {w} x {h} pixels"), HINT));
-    }
     lens.check()?;
     Ok(lens)
 }

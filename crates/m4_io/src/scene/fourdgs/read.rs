@@ -5,6 +5,7 @@ use super::cameras::{MAX_FRAMES, Notes};
 use super::convert::{Clip, from_set};
 use crate::error::AtPath;
 use crate::files;
+use crate::scene::valid::fault;
 use crate::scene::{DEFAULT_FPS, Imported, Loss};
 use crate::{Fault, ReadError};
 use ::fourdgs::error::RefusalKind;
@@ -58,19 +59,19 @@ fn scene_of(bytes: &[u8]) -> Result<Imported, Fault> {
         Some(_) => facts.duration_s,
         None => Some(steps * clip.step_s),
     };
-    Ok(Imported {
-        scene: Scene {
-            splats,
-            background: facts.background.unwrap_or([0.0; 3]),
-            time_frames: clip.frames,
-            duration_s,
-            mip: facts.mip.unwrap_or(false),
-            near: facts.near.unwrap_or(NEAR),
-            source,
-        },
-        up,
-        losses,
-    })
+    let scene = Scene {
+        splats,
+        background: facts.background.unwrap_or([0.0; 3]),
+        time_frames: clip.frames,
+        duration_s,
+        mip: facts.mip.unwrap_or(false),
+        near: facts.near.unwrap_or(NEAR),
+        source,
+    };
+    match fault(&scene) {
+        Some(reason) => Err(Fault::damaged(reason)),
+        None => Ok(Imported { scene, up, losses }),
+    }
 }
 
 /// Frames and their length: those of our own writer, else 30 per second.

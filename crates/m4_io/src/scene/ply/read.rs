@@ -2,10 +2,11 @@
 
 use crate::error::AtPath;
 use crate::files;
+use crate::range::{self, Range};
 use crate::scene::splats::{Row, collect, unit};
 use crate::scene::{Imported, Loss};
 use crate::{Fault, ReadError};
-use m4_core::Scene;
+use m4_core::{Column, Scene};
 use std::path::Path;
 
 /// Near plane of a file, which says nothing of it, world units.
@@ -51,23 +52,32 @@ fn scene_of(bytes: &[u8]) -> Result<Imported, Fault> {
     };
     let mut rows = Vec::with_capacity(table.rows);
     for i in 0..table.rows {
-        let finite = |at: usize| match table.number(i, at) {
-            value if value.is_finite() => Ok(value),
-            value => Err(table.bad(i, at, value)),
+        let number = |column: Column, at: usize| {
+            let value = table.number(i, at);
+            let range = range::of_column(column);
+            if range.contains(&f64::from(value)) { Ok(value) } else { Err(table.bad(i, at, value, &range)) }
         };
-        let bounded = |at: usize| match table.number(i, at) {
+        let bounded = |column: Column, at: usize| match table.number(i, at) {
             value if value.is_infinite() => Ok(BEYOND.copysign(value)),
-            _ => finite(at),
+            _ => number(column, at),
         };
         for &at in &colour {
-            finite(at)?;
+            number(Column::Colour, at)?;
         }
-        let row = Row {
-            mean: [finite(mean[0])?, finite(mean[1])?, finite(mean[2])?],
-            log_scale: [bounded(scale[0])?, bounded(scale[1])?, bounded(scale[2])?],
-            quat: unit([finite(quat[0])?, finite(quat[1])?, finite(quat[2])?, finite(quat[3])?]),
-            opacity: bounded(opacity)?,
+        let [x, y, z] = mean.map(|at| number(Column::Mean, at));
+        let mut row = Row {
+            mean: [x?, y?, z?],
+            log_scale: [0.0; 3],
+            quat: [0.0; 4],
+            opacity: bounded(Column::Opacity, opacity)?,
         };
+        for (to, &at) in row.log_scale.iter_mut().zip(&scale) {
+            *to = bounded(Column::LogScale, at)?;
+        }
+        for (to, &at) in row.quat.iter_mut().zip(&quat) {
+            *to = number(Column::Quat, at)?;
+        }
+        row.quat = unit(row.quat);
         rows.push((row, None));
     }
     let terms = colour.len() / 3;
@@ -220,8 +230,9 @@ impl<'a> Table<'a> {
         f32::from_le_bytes(std::array::from_fn(|k| self.numbers[at + k]))
     }
 
-    fn bad(&self, row: usize, place: usize, value: f32) -> Fault {
+    fn bad(&self, row: usize, place: usize, value: f32, range: &Range) -> Fault {
         let name = self.properties.iter().find(|p| p.offset == place).map_or("a property", |p| p.name);
-        Fault::damaged(format!("{name} of splat {row} is {value}"))
+        let expected = range::words(range, "");
+        Fault::damaged(format!("{name} of splat {row} is {value:e}; {expected} was expected"))
     }
 }

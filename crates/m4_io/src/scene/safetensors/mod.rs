@@ -27,9 +27,9 @@ mod tensor;
 pub use read::{SceneFile, read};
 
 use super::VerifiedFile;
+use super::valid::fault;
 use crate::WriteError;
 use m4_core::{Scene, TrainState};
-use read::fault;
 use safetensors::tensor::{Metadata, TensorInfo};
 use std::collections::{BTreeMap, HashMap};
 use std::io::Write;

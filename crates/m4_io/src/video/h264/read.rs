@@ -69,14 +69,8 @@ pub fn read(request: Request<'_>, file: &mut File, track: &Track) -> Result<Vide
     }
     if !damaged.is_empty() {
         let first_s = damaged.iter().fold(f64::INFINITY, |a, &b| a.min(b));
-        let (n, of) = (damaged.len(), shown.len());
-        if options.strict {
-            let what = format!("{n} of {of} frames are damaged (the first at {first_s:.2} s)");
-            return Err(Fault::bad(what, "without --strict-video they are dropped").into());
-        }
-        let message =
-            format!("{n} of {of} frames are damaged or missing and were left out, the first at {first_s:.2} s");
-        collector.warnings.push(message);
+        let first = format!("at {first_s:.2} s");
+        collector.warnings.push(plan::damaged(damaged.len(), shown.len(), &first, options)?);
     }
     if orientation.is_none() {
         let message = "the display matrix is not a turn by a right angle; frames are as stored";

@@ -154,7 +154,7 @@ fn fitted(
     near.par_iter()
         .zip(motion)
         .map(|(near, before)| {
-            let pairs = near[..pieces.clamp(1, near.len())].iter().map(|&i| {
+            let pairs = near[..pieces.min(near.len())].iter().map(|&i| {
                 let (q, w) = wanted[i as usize];
                 (Vector3::from(nodes.xyz[i as usize]), q, w)
             });
@@ -235,8 +235,9 @@ impl TrackShifts {
 
 #[cfg(test)]
 mod tests {
-    use super::KeyframeTracks;
+    use super::{Centroids, KeyframeTracks, NEIGHBOURS, Rigid, fitted};
     use m4_core::Tracks;
+    use m4_core::nalgebra::Vector3;
 
     /// A row of tracks 0.1 apart that move by 1 along x in every frame, but for the third, which is wrong.
     fn row() -> Tracks {
@@ -246,6 +247,13 @@ mod tests {
         };
         let xyz = (0..2).flat_map(|t| (0..8).map(move |k| place(t, k))).collect();
         Tracks::new(2, 8, xyz, vec![true; 16]).unwrap()
+    }
+
+    #[test]
+    fn a_node_without_neighbours_keeps_its_motion() {
+        let nodes = Centroids { xyz: vec![[1.0, 2.0, 3.0]], ..Centroids::default() };
+        let motion = [Rigid::shift([1.0, 2.0, 3.0], [4.0, 5.0, 6.0])];
+        assert_eq!(fitted(&nodes, &motion, &[Vec::new()], &[(Vector3::zeros(), 1.0)], NEIGHBOURS), motion);
     }
 
     #[test]

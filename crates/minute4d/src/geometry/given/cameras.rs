@@ -3,7 +3,7 @@
 use super::{Clip, other_shape, same_shape};
 use crate::{Error, Refusal};
 use m4_core::{Camera, Intrinsics};
-use m4_io::{files, trajectory};
+use m4_io::{files, range, trajectory};
 use serde::Deserialize;
 use std::path::Path;
 
@@ -47,13 +47,13 @@ pub fn lens(given: &str, size: (usize, usize)) -> Result<Intrinsics, Error> {
         },
         None => {
             let bytes = files::read(Path::new(given), MAX_LENS_BYTES).map_err(Error::read(Path::new(given)))?;
-            let file: File = serde_json::from_slice(&bytes).map_err(|e| bad(format!("it is not such JSON ({e})")))?;
+            let file: File = serde_json::from_slice(files::without_mark(&bytes))
+                .map_err(|e| bad(format!("it is not such JSON ({e})")))?;
             of_file(&file, size).map_err(bad)?
         }
     };
-    let positive = |f: f64| f.is_finite() && f > 0.0;
-    if !positive(lens.fx) || !positive(lens.fy) {
-        return Err(bad(format!("focal lengths of {} and {} pixels", lens.fx, lens.fy)).into());
+    if let Some(what) = range::of_lens(&lens) {
+        return Err(bad(what).into());
     }
     let inside = |c: f64, side: usize| c > 0.0 && c < side as f64;
     if !inside(lens.cx, size.0) || !inside(lens.cy, size.1) {
