@@ -12,7 +12,7 @@ use tempfile::TempDir;
 pub const MAX_REASON: usize = 1000;
 
 /// Readers of bytes, and those that take what is damaged for missing: they name no file.
-const NAMELESS: [&str; 8] = [
+const NAMELESS: [&str; 9] = [
     "io-npy",
     "io-npy-bytes",
     "io-npz",
@@ -21,6 +21,7 @@ const NAMELESS: [&str; 8] = [
     "program-run-record",
     "program-geometry-record",
     "batch-record",
+    "batch-result-mark",
 ];
 
 #[derive(Debug, Clone, PartialEq, Eq)]
