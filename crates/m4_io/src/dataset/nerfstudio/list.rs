@@ -329,9 +329,11 @@ impl List {
         let with = |e: &str| PathBuf::from(format!("{}.{e}", exact.display()));
         let named = ["png", "jpg", "jpeg", "PNG", "JPG"].map(with);
         let found = named.into_iter().find(|file| file.is_file()).ok_or_else(|| {
+            let is_link = exact.symlink_metadata().is_ok_and(|facts| facts.is_symlink());
             let what = format!(
-                "the image {} is missing; put it there, or give the folder that file_path starts from (images)",
-                exact.display()
+                "the image {} is {}; put it there, or give the folder that file_path starts from (images)",
+                exact.display(),
+                if is_link { "a link that leads nowhere, or in a circle" } else { "missing" }
             );
             Fault::Io(io::Error::new(io::ErrorKind::NotFound, what))
         });

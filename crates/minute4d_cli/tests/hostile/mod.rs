@@ -1,9 +1,13 @@
 //! A table of hostile inputs: how each is made, the command line, the exit code, and words of the message. Each case must end in time, and
 //! none in a panic.
 
-use crate::common::{Ended, Scratch, finished_run, write_capture};
+mod inputs;
+
+use crate::common::{Ended, Running, Scratch, finished_run};
+use inputs::*;
 use std::fs;
 use std::io::Read;
+use std::net::TcpListener;
 use std::process::{Command, Stdio};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
@@ -33,64 +37,6 @@ const fn case(
     Case { name, make, line, code, words }
 }
 
-const fn nothing(_: &Scratch) {}
-
-fn pipe(dir: &Scratch, name: &str) {
-    assert!(Command::new("mkfifo").arg(dir.path(name)).status().unwrap().success());
-}
-
-fn pipe_clip(dir: &Scratch) {
-    pipe(dir, "clip.mp4");
-}
-
-fn folder_with_pipe(dir: &Scratch) {
-    fs::create_dir(dir.path("clips")).unwrap();
-    pipe(dir, "clips/clip.mp4");
-}
-
-fn capture(dir: &Scratch) {
-    write_capture(&dir.path("capture"), false);
-}
-
-fn capture_and_pipe(dir: &Scratch) {
-    capture(dir);
-    pipe(dir, "pipe.json");
-}
-
-/// A capture whose list, or a file of whose frames, is a pipe.
-fn capture_of_pipe(dir: &Scratch, name: &str) {
-    capture(dir);
-    fs::remove_file(dir.path("capture").join(name)).unwrap();
-    pipe(dir, &format!("capture/{name}"));
-}
-
-fn list_is_pipe(dir: &Scratch) {
-    capture_of_pipe(dir, "transforms_train.json");
-}
-
-fn record_is_pipe(dir: &Scratch) {
-    capture(dir);
-    fs::create_dir(dir.path("out")).unwrap();
-    pipe(dir, "out/run.json");
-}
-
-fn scene_is_pipe(dir: &Scratch) {
-    pipe(dir, "scene.safetensors");
-    pipe(dir, "splats.ply");
-}
-
-fn huge_config(dir: &Scratch) {
-    dir.write("huge.toml", "# nothing\n".repeat(200_000));
-}
-
-fn acting_names(dir: &Scratch) {
-    fs::write(dir.path("a\x1b[2J\u{202e}.mp4"), "").unwrap();
-}
-
-fn planned(dir: &Scratch) {
-    write_capture(&dir.path("clips"), false);
-}
-
 /// What is not a regular file. Nothing of it is read.
 const FILES: [Case; 16] = [
     case("pipe as a clip", pipe_clip, "run clip.mp4 -o out", 65, &["clip.mp4", "a pipe"]),
@@ -118,6 +64,55 @@ const NUMBERS: [Case; 4] = [
     case("time that is no number", capture, "train capture -o o --set limit.time_s=nan", 78, &["limit.time_s = NaN"]),
     case("seed beyond the format", capture, "train capture -o o --seed 18446744073709551615", 2, &["--seed"]),
 ];
+
+/// Files with numbers, texts and images that cannot be used. Where a case ends well, it warns.
+const CONTENTS: [Case; 16] = [
+    case("camera beyond f32", far_camera, TRAIN, 65, &["transforms_train.json", "frame 2", "1e39", "-1e7 to 1e7"]),
+    case("camera beyond use", distant_camera, TRAIN, 65, &["transforms_train.json", "frame 2", "1e30", "-1e7 to 1e7"]),
+    case("focal length of nothing", no_focal_length, TRAIN, 65, &["frame 0", "fl_x", "1e-30", "pixels"]),
+    case("endless depth", endless_depth, TRAIN, 65, &["depth_unit_scale_factor", "1e30"]),
+    case("one moment", one_moment, TRAIN, 0, &["time"]),
+    case("one image", one_image, TRAIN, 0, &["train/00000.png"]),
+    case("third of an image", third_of_an_image, TRAIN, 65, &["train/00002.png", "damaged"]),
+    case("third of a depth map", third_of_a_depth_map, TRAIN, 65, &["depth/00002.png", "damaged"]),
+    case("empty image", empty_image, TRAIN, 65, &["train/00002.png", "empty"]),
+    case("text of 16 bits", wide_text, TRAIN, 65, &["transforms_train.json", "UTF-16"]),
+    case("half a list", half_a_list, TRAIN, 65, &["transforms_train.json", "JSON"]),
+    case("nested list", nested_list, TRAIN, 65, &["transforms_train.json", "JSON"]),
+    #[cfg(unix)]
+    case("link in a circle", link_in_a_circle, TRAIN, 66, &["train/00002.png", "in a circle"]),
+    #[cfg(not(unix))]
+    case("no capture", nothing, TRAIN, 66, &["no capture"]),
+    case("private file", private_file, TRAIN, 65, &["private.png", "outside of"]),
+    case("bombs as a clip", bombs, "geometry bombs -o out", 65, &["16000", "above the limit"]),
+    case("list as a scene", capture, "render capture/transforms_train.json -o x.png", 65, &["transforms_train.json"]),
+];
+const TRAIN: &str = "train capture -o out --iterations 2 --set preview.panel_px=32";
+
+/// Places where no result can be.
+const PLACES: [Case; 9] = [
+    case(
+        "input as output",
+        capture,
+        "enhance capture -o capture --tracker flow --segmenter none --force",
+        73,
+        &["an input"],
+    ),
+    case("part of the input as output", capture, "geometry capture/train -o capture --force", 73, &["an input"]),
+    case("foreign capture as output", capture, "geometry capture/train -o capture/../capture", 73, &["capture"]),
+    case("device as output", nothing, "export RUN --format ply -o /dev/full --force", 73, &["/dev/full", "a device"]),
+    case("pipe as output", pipe_clip, "render RUN -o clip.mp4 --force", 73, &["clip.mp4", "a pipe"]),
+    case("folder as a file", capture, "export RUN --format spz -o capture --force", 73, &["capture", "folder"]),
+    case("below a file", capture, "train capture -o capture/transforms_train.json/out", 73, &["transforms_train.json"]),
+    case("above all", nothing, "export RUN --format ply -o /.. --force", 73, &["names no file"]),
+    case("name of 300 letters", capture, LONG, 73, &["cannot write"]),
+];
+const LONG: &str = concat!(
+    "train capture -o ",
+    "llllllllllllllllllllllllllllllllllllllllllllllllllllllllllllllllllllllllllllllllllllllllllllllllllll",
+    "llllllllllllllllllllllllllllllllllllllllllllllllllllllllllllllllllllllllllllllllllllllllllllllllllll",
+    "llllllllllllllllllllllllllllllllllllllllllllllllllllllllllllllllllllllllllllllllllllllllllllllllllll",
+);
 
 /// Names that act on a terminal.
 const NAMES: [Case; 4] = [
@@ -189,6 +184,53 @@ fn files_that_are_not_regular_are_refused_before_a_byte_is_read() {
 #[test]
 fn numbers_out_of_range_are_refused() {
     check(&NUMBERS);
+}
+
+#[test]
+fn contents_that_cannot_be_used_are_named() {
+    check(&CONTENTS);
+}
+
+#[test]
+fn places_where_no_result_can_be_are_refused() {
+    check(&PLACES);
+}
+
+/// Signals during training, with the exit code of each.
+#[cfg(unix)]
+#[test]
+fn signals_end_a_run_in_time() {
+    let dir = Scratch::new();
+    capture(&dir);
+    for (signal, code) in [("-TERM", 143), ("-INT", 130)] {
+        let out = format!("out{signal}");
+        let mut command = dir.command(&format!("train capture -o {out} --iterations 1000000"));
+        let mut run = Running(command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap());
+        while !dir.path(&format!("{out}/checkpoints")).exists() {
+            assert!(run.0.try_wait().unwrap().is_none(), "{signal}: it ended before it was asked to");
+            thread::sleep(Duration::from_millis(5));
+        }
+        run.signal(signal);
+        let start = Instant::now();
+        while run.0.try_wait().unwrap().is_none() {
+            assert!(start.elapsed() < LONGEST, "{signal}: it did not end");
+            thread::sleep(Duration::from_millis(5));
+        }
+        assert_eq!(run.0.wait().unwrap().code(), Some(code), "{signal}");
+        assert_eq!(dir.json(&format!("{out}/run.json"))["status"], "stopped");
+    }
+}
+
+#[test]
+fn a_port_that_is_taken_is_named() {
+    let dir = Scratch::new();
+    let taken = TcpListener::bind("127.0.0.1:0").unwrap();
+    let port = taken.local_addr().unwrap().port();
+    let mut command = dir.command(&format!("view '{}' --no-open --port {port}", finished_run()));
+    command.stdout(Stdio::piped());
+    let refused = ended(command, "port");
+    assert_eq!(refused.code, 75, "{}", refused.stderr);
+    assert!(refused.stderr.contains(&port.to_string()), "{}", refused.stderr);
 }
 
 #[test]
