@@ -2,9 +2,10 @@
 #![expect(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
 
 use crate::common::{FRAMES, disturbed, video};
-use m4_core::{Capture, Column, CounterRng, Silent, Splats, StateTensor, TrainState};
+use m4_core::{Capture, Column, CounterRng, Progress, Silent, Splats, StateTensor, TrainState};
 use m4_kernels::SimdLevel;
-use m4_train::{DensityConfig, MetricsEvent, RateConfig, TrainConfig, Trainer};
+use m4_train::{DensityConfig, MetricsEvent, Outcome, RateConfig, TrainConfig, Trainer};
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// Nothing moves and nothing changes over the run.
 fn frozen(iterations: usize) -> TrainConfig {
@@ -164,4 +165,39 @@ fn a_new_splat_moves_by_its_rate_at_first() {
     assert!(steps.len() > 10, "{} new splats", steps.len());
     let middle = steps[steps.len() / 2];
     assert!((middle - 0.01).abs() < 1e-4, "{middle}");
+}
+
+/// Asks to stop from the given question on.
+struct StopAt(AtomicUsize, usize);
+
+impl Progress for StopAt {
+    fn update(&self, _: &str, _: usize, _: usize, _: &str) {}
+
+    fn warn(&self, _: &str) {}
+
+    fn cancelled(&self) -> bool {
+        self.0.fetch_add(1, Ordering::Relaxed) >= self.1
+    }
+}
+
+#[test]
+fn a_stop_is_heard_between_the_frames_of_the_fit_which_then_starts_anew() {
+    let (scene, capture) = video();
+    let mut config = frozen(1);
+    config.colour_fit_rounds = 2;
+    let begin = || start(&capture, scene.splats.clone(), config.clone());
+    let mut calm = begin();
+    calm.run(&Silent, &mut |_| {}).unwrap();
+    // one question before the step, then one per frame and round
+    for question in [1, 4, FRAMES + 3] {
+        let mut stopped = begin();
+        let outcome = stopped.run(&StopAt(AtomicUsize::new(0), question), &mut |_| {}).unwrap();
+        assert_eq!(outcome, Outcome::Stopped { iteration: 1 }, "question {question}");
+        let (splats, state) = (stopped.splats().clone(), stopped.state());
+        let mut again = Trainer::resume(&capture, splats, &state, config.clone(), SimdLevel::best()).unwrap();
+        again.run(&Silent, &mut |_| {}).unwrap();
+        assert!(again.scene() == calm.scene(), "question {question}, resumed");
+        stopped.run(&Silent, &mut |_| {}).unwrap();
+        assert!(stopped.scene() == calm.scene(), "question {question}, continued");
+    }
 }

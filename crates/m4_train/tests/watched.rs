@@ -101,7 +101,12 @@ impl Backend for Watched<'_> {
         self.inner.densify(round)
     }
 
-    fn colour_sums(&mut self, views: &[(usize, View)], with_weight: bool) -> Result<ColourSums, BackendError> {
-        self.inner.colour_sums(views, with_weight)
+    fn colour_sums(
+        &mut self,
+        views: &[(usize, View)],
+        with_weight: bool,
+        stop: &dyn Fn() -> bool,
+    ) -> Result<ColourSums, BackendError> {
+        self.inner.colour_sums(views, with_weight, stop)
     }
 }

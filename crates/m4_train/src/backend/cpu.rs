@@ -281,13 +281,21 @@ impl Backend for CpuBackend<'_> {
         Ok(stats)
     }
 
-    fn colour_sums(&mut self, views: &[(usize, View)], with_weight: bool) -> Result<ColourSums, BackendError> {
+    fn colour_sums(
+        &mut self,
+        views: &[(usize, View)],
+        with_weight: bool,
+        stop: &dyn Fn() -> bool,
+    ) -> Result<ColourSums, BackendError> {
         let n = self.splats.n();
         let mut sums = ColourSums {
             residual: std::array::from_fn(|_| vec![0.0; n]),
             weight: std::array::from_fn(|_| vec![0.0; if with_weight { n } else { 0 }]),
         };
         for (frame, view) in views {
+            if stop() {
+                break;
+            }
             self.residual(*frame, view);
             self.add_colours(&mut sums.residual);
             if with_weight {

@@ -178,7 +178,13 @@ pub trait Backend: std::fmt::Debug {
     /// [fixed](m4_kernels::adam::FIXED) splats are 0. Where nothing would be left, nothing changes. Fails with [`BackendError`].
     fn densify(&mut self, round: &DensityRound<'_>) -> Result<DensityStats, BackendError>;
 
-    /// Sums for the fit of colours over some frames; nothing for [fixed](m4_kernels::adam::FIXED) splats.
+    /// Sums for the fit of colours over some frames; nothing for [fixed](m4_kernels::adam::FIXED) splats. Ends where `stop`, which is asked
+    /// before each frame, says so: the sums are then of no use.
     /// Fails with [`BackendError`].
-    fn colour_sums(&mut self, views: &[(usize, View)], with_weight: bool) -> Result<ColourSums, BackendError>;
+    fn colour_sums(
+        &mut self,
+        views: &[(usize, View)],
+        with_weight: bool,
+        stop: &dyn Fn() -> bool,
+    ) -> Result<ColourSums, BackendError>;
 }

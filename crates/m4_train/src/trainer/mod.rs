@@ -79,6 +79,8 @@ pub struct Trainer<'a> {
     fit: Refinement,
     picker: Picker,
     iteration: usize,
+    /// Whether the fit of colours after the last step is done.
+    is_fitted: bool,
     background: [f32; 3],
     first_splats: usize,
     basis: RateBasis,
@@ -173,6 +175,7 @@ impl<'a> Trainer<'a> {
             fit: Refinement::new(capture.frames.iter().map(|f| f.camera)),
             picker: Picker::new(config.seed, capture.frames.len()),
             iteration: 0,
+            is_fitted: config.colour_fit_rounds == 0,
             good: 0,
             totals: Totals::default(),
             seconds: 0.0,

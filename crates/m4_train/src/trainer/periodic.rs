@@ -8,8 +8,9 @@ use crate::{
     schedule::purpose,
     trainer::Trainer,
 };
-use m4_core::CounterRng;
+use m4_core::{CounterRng, Progress};
 use m4_kernels::View;
+use std::cell::Cell;
 
 impl Trainer<'_> {
     /// Adds and removes splats if this iteration is due.
@@ -72,15 +73,25 @@ impl Trainer<'_> {
 }
 
 impl Trainer<'_> {
-    /// Solves for the colours; weights are measured once.
-    pub(super) fn fit_colours(&mut self) -> Result<(), TrainError> {
+    /// Solves for the colours after the last step; weights are measured once. False where the caller asked to stop: nothing is changed then.
+    pub(super) fn fit_colours(&mut self, progress: &dyn Progress) -> Result<bool, TrainError> {
         self.settle()?;
         let views: Vec<(usize, View)> = (0..self.times.len()).map(|frame| (frame, self.view(frame))).collect();
         self.prepare()?;
         self.download()?;
-        let mut weight = Default::default();
+        let (mut weight, first) = (Default::default(), self.splats.clone());
         for round in 0..self.config.colour_fit_rounds {
-            let sums = self.ask(|backend| backend.colour_sums(&views, round == 0))?;
+            let stopped = Cell::new(false);
+            let stop = || {
+                stopped.set(stopped.get() || progress.cancelled());
+                stopped.get()
+            };
+            let sums = self.ask(|backend| backend.colour_sums(&views, round == 0, &stop))?;
+            if stopped.get() {
+                self.ask(|backend| backend.set_splats(&first))?;
+                self.splats = first;
+                return Ok(false);
+            }
             if round == 0 {
                 weight = sums.weight;
             }
@@ -91,7 +102,9 @@ impl Trainer<'_> {
             self.splats = splats;
         }
         self.is_current = false;
-        self.download()
+        self.is_fitted = true;
+        self.download()?;
+        Ok(true)
     }
 }
 

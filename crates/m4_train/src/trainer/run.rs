@@ -7,7 +7,7 @@ use m4_core::Progress;
 use std::time::Instant;
 
 impl Trainer<'_> {
-    /// Trains to the last iteration of the settings, see [`run_until`](Self::run_until).
+    /// Trains to the last iteration of the settings and fits the colours, see [`run_until`](Self::run_until).
     /// Fails as [`run_until`](Self::run_until).
     pub fn run(
         &mut self,
@@ -83,6 +83,10 @@ impl Trainer<'_> {
                 };
                 progress.update("train", done, self.config.iterations, &note);
             }
+        }
+        if self.iteration == self.config.iterations && !self.is_fitted && !self.fit_colours(progress)? {
+            self.synchronize()?;
+            return Ok(Outcome::Stopped { iteration: self.iteration });
         }
         self.synchronize()?;
         Ok(Outcome::Finished)

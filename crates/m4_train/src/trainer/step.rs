@@ -68,9 +68,6 @@ impl Trainer<'_> {
         self.guard()?;
         self.density_round()?;
         self.arc_round()?;
-        if self.config.colour_fit_rounds > 0 && self.iteration == self.config.iterations {
-            self.fit_colours()?;
-        }
         Ok(())
     }
 

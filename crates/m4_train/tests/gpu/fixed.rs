@@ -46,7 +46,7 @@ fn fixed_splats_are_neither_stepped_nor_scored_nor_recoloured() {
         let views = [(0, view), (1, view)];
         let score = ScoreSettings { lambda_ssim: LAMBDA, threshold: 0.1, range: ErrorRange::MinMax };
         let scores = trainer.score(&views, &score).unwrap();
-        let sums = trainer.colour_sums(&views, true).unwrap();
+        let sums = trainer.colour_sums(&views, true, &|| false).unwrap();
         let values = [&scores.densify, &scores.prune].into_iter().chain(&sums.residual).chain(&sums.weight);
         for values in values {
             assert!(values[FIXED_ROWS].iter().all(|&v| v == 0.0));

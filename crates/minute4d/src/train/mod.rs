@@ -137,6 +137,8 @@ fn train(
                         leave_gpu(run, keeper, &error);
                         fitting(None)
                     }
+                    // The training finds out whose fault that is.
+                    Err(TrainError::Diverged { .. }) if run.gpu.is_some() => fitting(None),
                     other => other,
                 }?;
                 check_stop(observer, STAGE, true)?;
@@ -166,7 +168,10 @@ fn train(
             log.push(event);
             observer.metrics(event, total);
         };
-        let outcome = match trainer.run(&timer, &mut note) {
+        // After the last step comes the fit of colours, which starts anew when it is interrupted: only the user stops it.
+        let steps_are_done = trainer.iteration() == total;
+        let progress: &dyn Progress = if steps_are_done { keeper } else { &timer };
+        let outcome = match trainer.run(progress, &mut note) {
             Ok(outcome) => outcome,
             Err(error) if may_leave_gpu(run, &error) => {
                 leave_gpu(run, keeper, &error);

@@ -140,13 +140,21 @@ fn pull_back(
 
 impl GpuTrainer {
     /// Renders each view of a frame, by its number, and adds up the sums for the fit of colours; on the device,
-    /// read back at the end.
+    /// read back at the end. Ends where `stop` says so before a frame: the sums are then of no use.
     /// Fails with [`GpuError`] if there is no such frame, if there is no room for the tile entries, or if the device failed.
-    pub fn colour_sums(&mut self, views: &[(usize, View)], with_weight: bool) -> Result<ColourSums, GpuError> {
+    pub fn colour_sums(
+        &mut self,
+        views: &[(usize, View)],
+        with_weight: bool,
+        stop: &dyn Fn() -> bool,
+    ) -> Result<ColourSums, GpuError> {
         let (n, gpu) = (self.splats.n, self.gpu.clone());
         let kinds = if with_weight { 2 } else { 1 };
         let sums = Buffer::zeros(&gpu.client, 3 * kinds * n);
         for (frame, view) in views {
+            if stop() {
+                break;
+            }
             self.draw(view)?;
             let target = self.frames.get(&gpu, *frame)?;
             let (shown, exposure) = self.corrected(*frame);

@@ -132,7 +132,12 @@ impl Backend for GpuBackend {
         self.trainer()?.densify(round).map_err(failed)
     }
 
-    fn colour_sums(&mut self, views: &[(usize, View)], with_weight: bool) -> Result<ColourSums, BackendError> {
-        self.trainer()?.colour_sums(views, with_weight).map_err(failed)
+    fn colour_sums(
+        &mut self,
+        views: &[(usize, View)],
+        with_weight: bool,
+        stop: &dyn Fn() -> bool,
+    ) -> Result<ColourSums, BackendError> {
+        self.trainer()?.colour_sums(views, with_weight, stop).map_err(failed)
     }
 }
