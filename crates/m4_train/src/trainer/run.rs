@@ -18,7 +18,7 @@ impl Trainer<'_> {
     }
 
     /// Trains until `iteration` steps are taken in all (at most those of the settings): for saving in
-    /// between. `metrics` gets an event every [`TrainConfig::metrics_every`] steps and at the end.
+    /// between. `metrics` gets an event every [`crate::TrainConfig::metrics_every`] steps and at the end.
     /// Fails with [`TrainError::Diverged`] when the loss or a parameter is no longer finite; the trainer then has the last
     /// splats that were, and an optimiser that starts from nothing. [`TrainError::Device`] when a device failed, likewise.
     ///

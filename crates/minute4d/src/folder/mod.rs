@@ -1,7 +1,7 @@
 //! The folders of a run and of a capture: the names of their files, which of them may be replaced, and the stage that writes a capture.
 //!
 //! [`m4_io::results`] says which files are ours. New results are made beside finished ones, which are whole until the new ones are:
-//! [`run`] for runs, [`capture`] for captures.
+//! `run` for runs, `capture` for captures.
 
 mod capture;
 mod run;
