@@ -33,7 +33,7 @@ use crate::dataset::nerfstudio::{Frame, LensKeys, Transforms, list_capture, rows
 use crate::dataset::{ImportOptions, load};
 use crate::files::in_parallel;
 use crate::reach::Reach;
-use crate::{Fault, ReadError, WriteError, atomic, image, tracks};
+use crate::{Fault, ReadError, WriteError, atomic, image, results, tracks};
 use m4_core::{Capture, CaptureFrame, Progress};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -120,6 +120,11 @@ pub fn read(
     options: &CaptureOptions,
     progress: &dyn Progress,
 ) -> Result<Capture, ReadError> {
+    let folder = if path.is_dir() { Some(path) } else { path.parent() };
+    if let Some(Err(error)) = folder.map(results::settle) {
+        let hint = "the capture was being replaced, which must end before it is read";
+        return Err(Fault::unavailable(error.to_string(), hint).at(path));
+    }
     let file = list_of_frames(path, split);
     if !file.exists() {
         let is_link = file.symlink_metadata().is_ok_and(|facts| facts.is_symlink());

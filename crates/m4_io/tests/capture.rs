@@ -73,6 +73,16 @@ fn captures_round_trip() {
 }
 
 #[test]
+fn a_capture_whose_replacement_was_interrupted_is_read() {
+    let dir = tempfile::tempdir().unwrap();
+    let next = dir.path().join(".minute4d-capture-done");
+    write(&next, &made(5), Split::Train, &Silent).unwrap();
+    let got = read(dir.path(), Split::Train, &CaptureOptions::default(), &Silent).unwrap();
+    assert_eq!(got.frames.len(), 5);
+    assert!(!next.exists() && dir.path().join("transforms_train.json").is_file());
+}
+
+#[test]
 fn test_views_are_timed_by_the_training_split() {
     let dir = tempfile::tempdir().unwrap();
     write(dir.path(), &made(5), Split::Train, &Silent).unwrap();

@@ -60,7 +60,6 @@ pub(crate) fn all(run: &mut Workspace<'_>, capture: &Capture) -> Result<(), Erro
 
 /// Reads the training frames of a capture.
 pub(crate) fn read(capture: &Path, settings: &Settings, observer: &dyn Observer) -> Result<Capture, Error> {
-    folder::settle(capture)?;
     Ok(m4_io::capture::read(capture, Split::Train, &settings.capture, observer)?)
 }
 
