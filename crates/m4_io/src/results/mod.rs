@@ -3,7 +3,7 @@
 //! ```text
 //! .minute4d-files.json     for each kind of results the files that were written here, and the names that a command at work may use
 //! .minute4d-KIND-next/     new results while they are made; a killed process leaves it, and what was there before is whole
-//! .minute4d-KIND-done/     complete new results that take their places: whoever opens the folder next ends that
+//! .minute4d-KIND-done/     complete new results that take their places: the next command that opens the folder ends that
 //! ```
 //!
 //! Only files that the list names for the same kind are ever removed or replaced. A folder without a list has none of ours.

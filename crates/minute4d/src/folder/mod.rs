@@ -73,15 +73,15 @@ fn hidden(folder: &Path) -> Result<Vec<(String, PathBuf)>, Error> {
         Err(error) if error.kind() == ErrorKind::NotFound => return Ok(Vec::new()),
         entries => entries.map_err(failed)?,
     };
-    let mut found = Vec::new();
+    let mut files = Vec::new();
     for entry in entries {
         let entry = entry.map_err(failed)?;
         let name = entry.file_name().to_string_lossy().into_owned();
         if name.starts_with('.') && entry.file_type().map_err(failed)?.is_file() {
-            found.push((name, entry.path()));
+            files.push((name, entry.path()));
         }
     }
-    Ok(found)
+    Ok(files)
 }
 
 /// The record of an earlier run or capture to resume; `None` to replace it. One with `nothing` worth keeping is replaced. What the folder

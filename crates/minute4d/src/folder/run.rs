@@ -49,25 +49,24 @@ impl RunFolder {
         if !crate::is_capture(inputs[0]) {
             results.check_not_itself(inputs)?;
         }
-        let found = RunRecord::read(path)?;
-        let replaces = found.as_ref().is_some_and(|found| found.files.contains_key(SCENE_FILE));
-        let nothing = found.as_ref().is_some_and(|found| found.status == Status::Failed) && contents(path).is_empty();
-        let what = || match &found {
-            Some(found) if found.status == Status::Finished => "a finished run".to_owned(),
+        let old = RunRecord::read(path)?;
+        let replaces = old.as_ref().is_some_and(|old| old.files.contains_key(SCENE_FILE));
+        let nothing = old.as_ref().is_some_and(|old| old.status == Status::Failed) && contents(path).is_empty();
+        let what = || match &old {
+            Some(old) if old.status == Status::Finished => "a finished run".to_owned(),
             _ => format!("an unfinished run ({})", contents(path).join(", ")),
         };
-        let mut earlier = take_over(&results, existing, found.clone(), nothing, what, RUN_FILE)?;
+        let mut earlier = take_over(&results, existing, old.clone(), nothing, what, RUN_FILE)?;
         results.check_free(names())?;
         let work = if replaces { results.next() } else { path.to_path_buf() };
         if replaces {
             // What a killed process left of those before the scene.
             remove_checkpoints(path)?;
             let begun = RunRecord::read(&work)?;
-            let same =
-                |found: &RunRecord| found.settings == record.settings && found.input.blake3 == record.input.blake3;
+            let same = |old: &RunRecord| old.settings == record.settings && old.input.blake3 == record.input.blake3;
             if earlier.is_none() {
                 results.begin()?;
-            } else if begun.is_none() || found.as_ref().is_some_and(same) {
+            } else if begun.is_none() || old.as_ref().is_some_and(same) {
                 results.begin_with_old()?;
             } else {
                 earlier = begun;
