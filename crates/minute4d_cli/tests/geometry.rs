@@ -129,7 +129,8 @@ fn given_intrinsics_are_used_with_their_principal_point() {
     let truth = log_so3(&cameras[0].c2w.rotation.tr_mul(&cameras[FRAMES - 1].c2w.rotation));
     assert!((turn(&made) - truth).norm() < 0.01, "{} {}", turn(&made), truth);
     for (lens, code, words) in [
-        ("150,150,300,60", 65, "outside the frames"),
+        ("150,150,200,60", 65, "outside the frames"),
+        ("150,150,300,60", 65, "the principal point cx is 300"),
         ("150,150", 65, "2 numbers"),
         ("nothing.json", 66, "nothing.json"),
     ] {

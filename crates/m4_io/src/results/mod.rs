@@ -30,7 +30,24 @@ pub struct ResultFolder {
     kind: Kind,
     files: Files,
     is_empty: bool,
+    /// The folder was created here.
+    is_new: bool,
+    /// New results are being made that no other call goes on with.
+    has_begun: bool,
     _lock: Option<File>,
+}
+
+impl Drop for ResultFolder {
+    /// Leaves nothing of results that were not completed.
+    fn drop(&mut self) {
+        if self.has_begun {
+            let _ = self.discard();
+        }
+        if self.is_new {
+            // Only one that is empty can be removed.
+            let _ = fs::remove_dir(&self.path);
+        }
+    }
 }
 
 impl ResultFolder {
@@ -41,11 +58,13 @@ impl ResultFolder {
     /// [`WriteError`]: a file has that name, another process uses the folder, or the file system refuses.
     pub fn open(path: &Path, kind: Kind) -> Result<Self, WriteError> {
         let failed = |e| WriteError::io(path, e);
+        let mut is_new = false;
         match fs::metadata(path) {
             Ok(kind) if !kind.is_dir() => return Err(fault(path, WriteFault::InTheWay)),
             Ok(_) => {}
             Err(e) if matches!(e.kind(), ErrorKind::NotFound | ErrorKind::NotADirectory) => {
                 fs::create_dir_all(path).map_err(failed)?;
+                is_new = true;
             }
             Err(e) => return Err(failed(e)),
         }
@@ -56,7 +75,8 @@ impl ResultFolder {
             let name = entry.map_err(failed)?.file_name();
             is_empty &= name.to_str().is_some_and(|name| name.starts_with(HIDDEN) || atomic::is_temporary(name));
         }
-        Ok(Self { path: path.to_path_buf(), kind, files: files_of(path, kind), is_empty, _lock: lock })
+        let (path, files) = (path.to_path_buf(), files_of(path, kind));
+        Ok(Self { path, kind, files, is_empty, is_new, has_begun: false, _lock: lock })
     }
 
     /// The folder.
@@ -191,16 +211,23 @@ impl ResultFolder {
         self.kind.next(&self.path)
     }
 
-    /// Makes the folder for new results, and removes those that were not completed.
+    /// Makes the folder for new results, and removes those that were not completed. Without [`commit`](Self::commit) or
+    /// [`keep`](Self::keep) they are removed in the end.
     ///
     /// # Errors
     ///
     /// The failure of the file system.
-    pub fn begin(&self) -> Result<PathBuf, WriteError> {
+    pub fn begin(&mut self) -> Result<PathBuf, WriteError> {
         self.discard()?;
         let next = self.next();
         fs::create_dir(&next).map_err(|e| WriteError::io(&next, e))?;
+        self.has_begun = true;
         Ok(next)
+    }
+
+    /// Keeps new results that are not completed, so that another call goes on with them.
+    pub fn keep(&mut self) {
+        self.has_begun = false;
     }
 
     /// The same, with all files that are ours, which share their bytes with the old ones where the file system can: a file may be
@@ -209,7 +236,7 @@ impl ResultFolder {
     /// # Errors
     ///
     /// The failure of the file system.
-    pub fn begin_with_old(&self) -> Result<PathBuf, WriteError> {
+    pub fn begin_with_old(&mut self) -> Result<PathBuf, WriteError> {
         let next = self.begin()?;
         for name in self.existing() {
             let (from, to) = (self.path.join(&name), next.join(&name));
@@ -259,7 +286,7 @@ impl ResultFolder {
         fs::rename(&next, &done).map_err(|e| WriteError::io(&self.path, e))?;
         settle_locked(&self.path)?;
         self.files = files_of(&self.path, self.kind);
-        self.is_empty = false;
+        (self.is_empty, self.has_begun) = (false, false);
         Ok(bytes)
     }
 }

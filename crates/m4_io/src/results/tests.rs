@@ -99,9 +99,11 @@ fn replacements_that_were_interrupted_anywhere_are_completed() {
         for listed in [false, true] {
             let folder = dir.path().join(format!("{moved}-{listed}"));
             commit(&folder, &OLD);
-            let results = ResultFolder::open(&folder, Kind::Capture).unwrap();
+            let mut results = ResultFolder::open(&folder, Kind::Capture).unwrap();
             let next = results.begin().unwrap();
             NEW.iter().for_each(|(name, text)| write(&next, name, text));
+            // as a killed process leaves them
+            results.keep();
             drop(results);
             // Until here the old results are whole, and opening the folder changes nothing.
             settle(&folder).unwrap();
@@ -124,6 +126,22 @@ fn replacements_that_were_interrupted_anywhere_are_completed() {
             assert!(!done.exists() && !folder.join("depth").exists());
         }
     }
+}
+
+#[test]
+fn results_that_are_not_completed_leave_nothing() {
+    let dir = tempfile::tempdir().unwrap();
+    let folder = dir.path().join("out");
+    let mut results = ResultFolder::open(&folder, Kind::Render).unwrap();
+    write(&results.begin().unwrap(), "0.png", "image");
+    drop(results);
+    assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 0);
+    commit(&folder, &OLD);
+    let mut results = ResultFolder::open(&folder, Kind::Capture).unwrap();
+    let next = results.begin().unwrap();
+    write(&next, "list", "new");
+    drop(results);
+    assert!(!next.exists() && state(&folder) == owned(&OLD));
 }
 
 #[test]

@@ -240,6 +240,6 @@ mod tests {
         assert_eq!(capture::read(&out, Split::Test, &CaptureOptions::default(), &Silent).unwrap().frames.len(), 3);
         assert_eq!(std::fs::read_dir(out.join("test")).unwrap().count(), 3, "nothing of the first split is left");
         let foreign = split(&full, Protocol::Holdout, &full, Existing::Force, Reach::Inside, &Silent);
-        assert_eq!(foreign.unwrap_err().category(), Category::Usage);
+        assert_eq!(foreign.unwrap_err().category(), Category::CannotWrite);
     }
 }

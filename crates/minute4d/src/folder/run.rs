@@ -71,6 +71,7 @@ impl RunFolder {
             } else {
                 earlier = begun;
             }
+            results.keep();
         } else {
             if earlier.is_none() {
                 if results.names(CHECKPOINTS) {

@@ -221,7 +221,7 @@ impl Sink {
             return Ok(Self::Image(path));
         }
         if !is_file(&extension) {
-            let results = ResultFolder::open(out, Kind::Render)?;
+            let mut results = ResultFolder::open(out, Kind::Render)?;
             if !results.is_empty() && !replace {
                 return Err(OutputError::WouldReplace { path }.into());
             }
