@@ -239,7 +239,7 @@ pub enum WriteFault {
     #[error("a file with that name exists; choose another name")]
     InTheWay,
     /// A file has the name of a result, and no list of results names it.
-    #[error("it is not a result of minute4d and would be replaced; move it, or choose another folder")]
+    #[error("no list names it as a result of minute4d, and it would be replaced; move it, or choose another folder")]
     Foreign,
     /// The results would take the place of what they are made from.
     #[error("it is an input of this command and would be replaced; choose another place for the result")]

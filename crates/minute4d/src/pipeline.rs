@@ -33,7 +33,7 @@ pub fn run(input: &Path, out: &Path, job: &Job<'_>) -> Result<RunRecord, Error> 
     job.check()?;
     let clock = Clock::start(&job.settings);
     let source = Input { path: input.display().to_string(), blake3: hash::of_input(input, Some(out), job.observer)? };
-    Workspace::open(out, source.clone(), job, clock)?.finish(|run| {
+    Workspace::open(out, input, source.clone(), job, clock)?.finish(|run| {
         let folder = run.path(CAPTURE_FOLDER);
         let recorder = RecordingObserver::new(job.observer).until(clock.end());
         let made = geometry::of_source(input, source, &folder, &job.of_geometry(&recorder))

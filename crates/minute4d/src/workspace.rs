@@ -62,8 +62,8 @@ pub(crate) enum Task {
 }
 
 impl<'a> Workspace<'a> {
-    /// Creates or reuses a folder and records the start of the run.
-    pub fn open(path: &Path, input: Input, job: &'a Job<'a>, clock: Clock) -> Result<Self, Error> {
+    /// Creates or reuses a folder and records the start of the run with the input `file`.
+    pub fn open(path: &Path, file: &Path, input: Input, job: &'a Job<'a>, clock: Clock) -> Result<Self, Error> {
         let level = job.check()?;
         let gpu = match job.device.choice {
             // its gradients in the image stay on the CPU
@@ -72,7 +72,7 @@ impl<'a> Workspace<'a> {
         };
         let mut record = RunRecord::begin(input, &job.settings, Device::here(level, gpu.as_ref().map(OpenGpu::name)))?;
         let files = job.settings.geometry.files();
-        let inputs: Vec<&Path> = [Path::new(&record.input.path)].into_iter().chain(files).collect();
+        let inputs: Vec<&Path> = [file].into_iter().chain(files).collect();
         let (results, earlier) = RunFolder::open(path, job.existing, &record, &inputs)?;
         let folder = results.path().to_path_buf();
         if let Some(earlier) = &earlier {

@@ -92,7 +92,11 @@ fn corrupt_clip_fails_permanently_and_others_finish() {
 
     let report = status(&dir, "--html sheet.html");
     dir.write("mine.html", "mine");
-    dir.refused("batch status --manifest jobs.jsonl --html mine.html", 73, &["mine.html", "not a result of minute4d"]);
+    dir.refused(
+        "batch status --manifest jobs.jsonl --html mine.html",
+        73,
+        &["mine.html", "no list names it as a result of minute4d"],
+    );
     assert_eq!(dir.read("mine.html"), b"mine");
     let counts = report["counts"].as_object().unwrap();
     assert_eq!((&counts["done"], &counts["failed"]), (&2.into(), &1.into()));

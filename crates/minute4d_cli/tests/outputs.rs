@@ -1,7 +1,7 @@
 //! Nothing of the user's is removed or replaced: inputs, files that are not ours, and results until the new ones are complete.
 
 use crate::common::clips::{frame_image, walk, write};
-use crate::common::{Scratch, write_capture, write_video};
+use crate::common::{Ended, Scratch, device, write_capture, write_video};
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -74,6 +74,24 @@ fn no_command_replaces_its_input() {
     }
 }
 
+/// File names are bytes on this system: a path that is no text is an input all the same.
+#[cfg(target_os = "linux")]
+#[test]
+fn no_command_replaces_an_input_whose_path_is_no_text() {
+    use std::os::unix::ffi::OsStrExt;
+    let dir = with_capture();
+    dir.succeed(&format!("{TRAIN} -o run"));
+    let run = dir.path("").join(std::ffi::OsStr::from_bytes(b"caf\xe9"));
+    fs::rename(dir.path("run"), &run).unwrap();
+    let before = state(&run);
+    let mut command = dir.command("run --force");
+    command.arg(run.join("preview.mp4")).arg("-o").arg(&run);
+    let ended = Ended::of(command.output().unwrap());
+    assert_eq!(ended.code, 73, "{}", ended.stderr);
+    assert!(ended.stderr.contains("is an input of this command"), "{}", ended.stderr);
+    assert!(state(&run) == before);
+}
+
 #[test]
 fn files_that_are_not_ours_are_named_and_left() {
     let dir = with_capture();
@@ -89,7 +107,7 @@ fn files_that_are_not_ours_are_named_and_left() {
     dir.write("mine/ply/frame_00002.ply", "mine");
     let before = state(&dir.path("mine"));
     for (line, names) in [
-        ("geometry clip.mp4 -o mine", &["mine/train/thesis.txt", "not a result of minute4d"][..]),
+        ("geometry clip.mp4 -o mine", &["mine/train/thesis.txt", "no list names it as a result of minute4d"][..]),
         ("enhance capture -o mine --segmenter none --tracker flow", &["thesis.txt"]),
         ("train capture -o mine --iterations 5", &["0000001.safetensors"]),
         ("run clip.mp4 -o mine", &["0000001.safetensors"]),
@@ -119,10 +137,11 @@ fn devices_pipes_and_dangling_links_are_no_outputs() {
     let dir = with_capture();
     dir.succeed(&format!("{TRAIN} -o run"));
     assert!(std::process::Command::new("mkfifo").arg(dir.path("pipe.ply")).status().unwrap().success());
-    std::os::unix::fs::symlink("/dev/full", dir.path("device.png")).unwrap();
+    device(&dir, "full");
+    std::os::unix::fs::symlink("full", dir.path("device.png")).unwrap();
     std::os::unix::fs::symlink("nowhere/at/all", dir.path("link.mp4")).unwrap();
     for line in [
-        "export run --format ply -o /dev/full",
+        "export run --format ply -o full",
         "export run --format spz -o pipe.ply",
         "render run --path source --at 1 -o device.png",
         "render run -o link.mp4",
@@ -131,7 +150,7 @@ fn devices_pipes_and_dangling_links_are_no_outputs() {
         dir.refused(&format!("{line} --force"), 73, &["cannot write"]);
     }
     use std::os::unix::fs::FileTypeExt;
-    assert!(fs::metadata("/dev/full").unwrap().file_type().is_char_device());
+    assert!(fs::metadata(dir.path("full")).unwrap().file_type().is_char_device());
     assert!(fs::metadata(dir.path("pipe.ply")).unwrap().file_type().is_fifo());
 }
 

@@ -221,4 +221,11 @@ fn view_accepts_a_bare_scene_file_and_a_checkpoint() {
     let (_running, mut stdout) = start(&dir, "view out --no-open --json");
     let event = event_of(&mut stdout, "result");
     assert_eq!(Place::of(event["result"]["url"].as_str().unwrap()).page().payload, page.payload);
+
+    // a folder in which a replacement was interrupted after it was complete
+    fs::create_dir(dir.path("replaced")).unwrap();
+    fs::rename(dir.path("out"), dir.path("replaced/.minute4d-run-done")).unwrap();
+    let (_running, mut stdout) = start(&dir, "view replaced --no-open --json");
+    let event = event_of(&mut stdout, "result");
+    assert_eq!(Place::of(event["result"]["url"].as_str().unwrap()).page().payload, page.payload);
 }

@@ -107,7 +107,7 @@ fn scene(
     }
     let input = Input { path: file.display().to_string(), blake3: hash::of_input(file, None, observer)? };
     let key = hash::of_parts(&[STAGE, env!("CARGO_PKG_VERSION"), &input.blake3, format.name()]);
-    let record: RunRecord = Workspace::open(out, input, &job, Clock::start(&job.settings))?.finish(|run| {
+    let record: RunRecord = Workspace::open(out, file, input, &job, Clock::start(&job.settings))?.finish(|run| {
         run.record.profile = STAGE.to_owned();
         run.record.splats = Some(SplatCount { r#static: scene.splats.n_static(), dynamic: scene.splats.n_dynamic() });
         run.stage(STAGE, key, (None, 0.0), &[SCENE_FILE], |run, keeper| {

@@ -48,7 +48,7 @@ pub fn make(capture: &Path, out: &Path, job: &Job<'_>) -> Result<RunRecord, Erro
     // Read before the folder is made, so that a wrong path leaves nothing behind.
     let data = read(capture, &job.settings, job.observer)?;
     let input = Input { path: capture.display().to_string(), blake3: hash::of_capture(&data) };
-    Workspace::open(out, input, job, clock)?.finish(|run| all(run, &data))
+    Workspace::open(out, capture, input, job, clock)?.finish(|run| all(run, &data))
 }
 
 /// Trains, and shows what came of it as far as there is time.

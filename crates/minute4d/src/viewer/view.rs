@@ -159,6 +159,7 @@ pub(super) struct Source {
 impl Source {
     /// Takes a path with a scene, or one where a run is at work or was stopped.
     pub fn new(path: &Path) -> Result<Self, Error> {
+        folder::settle(path)?;
         let source = Self { path: path.to_path_buf() };
         if source.newest().is_some() || (path.is_dir() && RunRecord::read(path)?.is_some()) {
             return Ok(source);

@@ -174,6 +174,15 @@ impl Scratch {
     }
 }
 
+/// Makes a device that is always full; a link to that of the system for users who may make none, nor replace that one.
+#[cfg(unix)]
+pub fn device(dir: &Scratch, name: &str) {
+    let made = Command::new("mknod").arg(dir.path(name)).args(["c", "1", "7"]).output();
+    if !made.is_ok_and(|made| made.status.success()) {
+        std::os::unix::fs::symlink("/dev/full", dir.path(name)).unwrap();
+    }
+}
+
 /// What a camera sees of a textured wall at depth 4 and a square before it at depth 2.5 that moves to
 /// the right; image, depth and mask.
 fn see(camera: &Camera, share: f64) -> (RgbImage, Plane<f32>, Plane<u8>) {

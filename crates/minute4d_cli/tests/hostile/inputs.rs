@@ -1,6 +1,6 @@
 //! Makes hostile inputs in the folder of a test.
 
-use crate::common::{Scratch, edit_transforms, write_capture};
+use crate::common::{Scratch, device, edit_transforms, write_capture};
 use flate2::write::ZlibEncoder;
 use flate2::{Compression, Crc};
 use serde_json::{Value, json};
@@ -12,6 +12,10 @@ pub const fn nothing(_: &Scratch) {}
 
 pub fn pipe(dir: &Scratch, name: &str) {
     assert!(Command::new("mkfifo").arg(dir.path(name)).status().unwrap().success());
+}
+
+pub fn full_device(dir: &Scratch) {
+    device(dir, "full");
 }
 
 pub fn pipe_clip(dir: &Scratch) {

@@ -100,7 +100,7 @@ const PLACES: [Case; 9] = [
     ),
     case("part of the input as output", capture, "geometry capture/train -o capture --force", 73, &["an input"]),
     case("foreign capture as output", capture, "geometry capture/train -o capture/../capture", 73, &["capture"]),
-    case("device as output", nothing, "export RUN --format ply -o /dev/full --force", 73, &["/dev/full", "a device"]),
+    case("device as output", full_device, "export RUN --format ply -o full --force", 73, &["full", "a device"]),
     case("pipe as output", pipe_clip, "render RUN -o clip.mp4 --force", 73, &["clip.mp4", "a pipe"]),
     case("folder as a file", capture, "export RUN --format spz -o capture --force", 73, &["capture", "folder"]),
     case("below a file", capture, "train capture -o capture/transforms_train.json/out", 73, &["transforms_train.json"]),
