@@ -42,10 +42,12 @@ fn a_trainer_takes_what_was_planned_and_a_warm_up_gives_all_back() {
     let frames = [&scene.target; 3];
     let entries = Plan::first_entries(n);
     let plan = Plan::training(n_static, n - n_static, scene.splats.layout(), SIZE, frames.len(), entries);
+    let plan = plan.with_image_gradients();
     let passing: u64 = plan.parts().iter().filter(|p| p.what == "density control").map(|p| p.bytes).sum();
     let before = gpu.memory().in_use;
-    let trainer =
+    let mut trainer =
         GpuTrainer::new(gpu.clone(), &scene.splats, &AdamState::new(&scene.splats), frames, usize::MAX).unwrap();
+    trainer.collect_image_gradients();
     let taken = gpu.memory().in_use - before;
     let want = plan.total() - passing;
     let off = (taken as f64 / want as f64 - 1.0).abs();

@@ -96,6 +96,10 @@ impl Backend for Watched<'_> {
         Ok(StepStats { splats_are_finite, ..self.inner.stats()? })
     }
 
+    fn collect_image_gradients(&mut self) {
+        self.inner.collect_image_gradients();
+    }
+
     fn densify(&mut self, round: &DensityRound<'_>) -> Result<DensityStats, BackendError> {
         self.calls.rounds.fetch_add(1, Ordering::Relaxed);
         self.inner.densify(round)

@@ -1,6 +1,6 @@
 //! A run in progress: its folder, its record, and its observer.
 
-use crate::device::{DeviceChoice, OpenGpu};
+use crate::device::OpenGpu;
 use crate::folder::RunFolder;
 use crate::pipeline::Clock;
 use crate::record::{Device, FileRecord, Input, RunRecord, StageRecord, Status, peak_memory_bytes};
@@ -65,11 +65,7 @@ impl<'a> Workspace<'a> {
     /// Creates or reuses a folder and records the start of the run with the input `file`.
     pub fn open(path: &Path, file: &Path, input: Input, job: &'a Job<'a>, clock: Clock) -> Result<Self, Error> {
         let level = job.check()?;
-        let gpu = match job.device.choice {
-            // its gradients in the image stay on the CPU
-            DeviceChoice::Auto if !job.settings.train.density.loss_guided => None,
-            choice => choice.open(|why| job.observer.warn(why))?,
-        };
+        let gpu = job.device.choice.open(|why| job.observer.warn(why))?;
         let mut record = RunRecord::begin(input, &job.settings, Device::here(level, gpu.as_ref().map(OpenGpu::name)))?;
         let files = job.settings.geometry.files();
         let inputs: Vec<&Path> = [file].into_iter().chain(files).collect();

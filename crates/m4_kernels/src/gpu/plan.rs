@@ -37,6 +37,8 @@ pub struct Plan {
     frames: usize,
     /// Memory of a second set of gradients.
     batch: Part,
+    /// Memory for gradients in the image.
+    centres: Part,
 }
 
 /// The buffers of a part, counted in numbers of four bytes.
@@ -84,6 +86,7 @@ impl Plan {
             frame_bytes: frame.bytes,
             frames,
             batch: part("gradients of a batch", &[&columns[..], &[n]].concat()),
+            centres: part("gradients in the image", &[2 * n, n, n]),
         }
     }
 
@@ -99,13 +102,21 @@ impl Plan {
         let size = Size { n: n_static + n_dynamic, width, height, entries, training: false };
         let mut parts = vec![part("splats", &columns(n_static, n_dynamic, layout))];
         parts.extend(work(&size));
-        Self { doing: "drawing", parts, frame_bytes: 0, frames: 0, batch: part("gradients of a batch", &[]) }
+        let [batch, centres] = ["gradients of a batch", "gradients in the image"].map(|what| part(what, &[]));
+        Self { doing: "drawing", parts, frame_bytes: 0, frames: 0, batch, centres }
     }
 
     /// With the second set of gradients that steps of several frames add theirs up in.
     #[must_use]
     pub fn with_batches(mut self) -> Self {
         self.parts.push(self.batch);
+        self
+    }
+
+    /// With the gradients of the centres of splats in the image, and their sums over frames.
+    #[must_use]
+    pub fn with_image_gradients(mut self) -> Self {
+        self.parts.push(self.centres);
         self
     }
 
@@ -239,6 +250,7 @@ mod tests {
         assert_eq!(of("frames"), 10 * 3 * 480 * 360);
         assert_eq!(plan.total(), plan.without_frames() + 10 * plan.frame_bytes());
         assert_eq!(plan.clone().with_batches().total(), plan.total() + splats + 4 * 100_000);
+        assert_eq!(plan.clone().with_image_gradients().total(), plan.total() + 4 * 4 * 100_000);
     }
 
     #[test]

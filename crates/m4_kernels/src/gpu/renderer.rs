@@ -50,7 +50,7 @@ impl Renderer {
         let result = self.splats.like(&self.gpu);
         let work = self.work.as_mut().ok_or_else(nothing_drawn)?;
         work.gradient = Buffer::floats(&self.gpu.client, &planes);
-        work.backward(&self.gpu, &self.splats, &result, view.mip, None);
+        work.backward(&self.gpu, &self.splats, &result, view.mip, None, None);
         let touched = work.touched.read_words(&self.gpu.client, doing)?;
         let columns = result.download(&self.gpu, doing)?;
         debug_assert_eq!(parts(self.splats.layout)[2].end, columns.columns().len());

@@ -297,7 +297,7 @@ impl Work {
 
     /// The gradient with respect to `splats`, into `out` and [`touched`](Self::touched), from
     /// [`gradient`](Self::gradient); of the frame drawn last. Into `camera` that with respect to the camera, ten sums for
-    /// each cube of 256 splats.
+    /// each cube of 256 splats; into `centres` those with respect to the projected centres, pixels to a side: `[2][n]`.
     pub fn backward(
         &mut self,
         gpu: &Gpu,
@@ -305,6 +305,7 @@ impl Work {
         out: &DeviceSplats,
         mip: bool,
         camera: Option<&Buffer>,
+        centres: Option<&Buffer>,
     ) {
         let client = &gpu.client;
         let (size, n) = (self.size, self.size.n);
@@ -360,10 +361,13 @@ impl Work {
             out.time.arg(),
             self.touched.arg(),
             camera.unwrap_or(&self.peak).arg(),
+            // any other memory where nothing is written
+            centres.unwrap_or(&self.image).arg(),
             n as u32,
             splats.n_static as u32,
             splats.spec(mip),
             camera.is_some(),
+            centres.is_some(),
         );
         self.stopwatch.lap(gpu, Kernel::ProjectBackward);
     }

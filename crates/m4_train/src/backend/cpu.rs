@@ -260,9 +260,8 @@ impl Backend for CpuBackend<'_> {
         Ok(stats)
     }
 
-    fn collect_image_gradients(&mut self) -> bool {
+    fn collect_image_gradients(&mut self) {
         self.image_gradients.get_or_insert_default();
-        true
     }
 
     fn densify(&mut self, round: &DensityRound<'_>) -> Result<DensityStats, BackendError> {

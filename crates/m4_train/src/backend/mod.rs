@@ -169,10 +169,8 @@ pub trait Backend: std::fmt::Debug {
     fn stats(&mut self) -> Result<StepStats, BackendError>;
 
     /// Collects the gradients with respect to the centres of splats in the image from here on, which take the place of the scores where
-    /// [`crate::DensityConfig::loss_guided`] is off. False from a backend that has none.
-    fn collect_image_gradients(&mut self) -> bool {
-        false
-    }
+    /// [`crate::DensityConfig::loss_guided`] is off.
+    fn collect_image_gradients(&mut self);
 
     /// A whole round of density control, as [`crate::density::apply`] of the round's plan does it; scores of
     /// [fixed](m4_kernels::adam::FIXED) splats are 0. Where nothing would be left, nothing changes. Fails with [`BackendError`].

@@ -69,7 +69,7 @@ pub enum CloneOpacity {
 pub struct DensityConfig {
     /// Off: the number of splats stays as initialised.
     pub enabled: bool,
-    /// Errors of frames decide. Off: gradients, as in 3DGS, for comparison; on the CPU alone. See [`Self::by_gradient`].
+    /// Errors of frames decide. Off: gradients, as in 3DGS, for comparison. See [`Self::by_gradient`].
     pub loss_guided: bool,
     /// Frames scored at each round. Paper: K = 10.
     pub frames: usize,

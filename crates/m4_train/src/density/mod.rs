@@ -19,6 +19,8 @@ mod new_splats;
 mod score;
 
 pub use decide::{Decision, Origin, Plan, Rules, SplatView, decide};
+#[cfg(feature = "gpu")]
+pub(crate) use gpu::ImageGradients;
 pub(crate) use gradient::GradientSums;
 pub use new_splats::apply;
 pub(crate) use new_splats::rearrange;

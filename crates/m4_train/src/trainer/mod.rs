@@ -203,15 +203,10 @@ impl<'a> Trainer<'a> {
     /// the same bits, another one last digits of its own.
     /// Corrections of poses or exposures wait for the device where a frame is drawn again, a few times for all frames; that of
     /// the focal length waits in every step.
-    /// Fails with [`TrainError::Device`] if the backend that was used before fails to give its splats back, and with
-    /// [`TrainError::BadSetting`] if it has no gradients in the image and density control needs them.
+    /// Fails with [`TrainError::Device`] if the backend that was used before fails to give its splats back.
     pub fn use_backend(&mut self, mut backend: Box<dyn Backend + 'a>) -> Result<(), TrainError> {
-        if self.config.density.needs_image_gradients() && !backend.collect_image_gradients() {
-            return Err(TrainError::BadSetting {
-                field: "density.loss_guided",
-                value: "false".to_owned(),
-                expected: "possible on a GPU, which keeps no gradients in the image; train on the CPU (--device cpu)",
-            });
+        if self.config.density.needs_image_gradients() {
+            backend.collect_image_gradients();
         }
         self.synchronize()?;
         self.backend = backend;

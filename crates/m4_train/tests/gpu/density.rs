@@ -54,7 +54,7 @@ fn scale(splats: &Splats, row: usize) -> [f32; 3] {
 const DUE: Decision = Decision { densify: true, prune_by_score: true, max_splats: usize::MAX };
 
 /// A round by these rules.
-fn round<'a>(
+pub fn round<'a>(
     views: &'a [(usize, View)],
     config: &'a DensityConfig,
     scale: &'a SceneScale,
@@ -70,9 +70,12 @@ fn round<'a>(
 }
 
 /// Does a round, compares it with that of the CPU, and returns its statistics.
-fn check(what: &str, trainer: &mut GpuTrainer, round: &DensityRound<'_>) -> DensityStats {
+pub fn check(what: &str, trainer: &mut GpuTrainer, round: &DensityRound<'_>) -> DensityStats {
     let (mut want, mut state) = trainer.download().unwrap();
-    let scores = trainer.score(round.views, &round.scores).unwrap();
+    let scores = match round.rules.config.loss_guided {
+        true => trainer.score(round.views, &round.scores).unwrap(),
+        false => trainer.image_gradients().unwrap(),
+    };
     let plan = round.rules.plan(&want, &scores);
     apply(round.rules.config, &plan, &mut want, &mut state, round.seed, round.iteration).unwrap();
     let stats = trainer.densify(round).unwrap();

@@ -8,6 +8,7 @@ mod batch;
 mod common;
 mod density;
 mod fixed;
+mod gradient;
 mod room;
 mod score;
 mod step;

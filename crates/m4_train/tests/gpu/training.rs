@@ -39,6 +39,12 @@ fn config(iterations: usize) -> TrainConfig {
     config
 }
 
+/// Density control as 3DGS does it.
+fn by_gradient(iterations: usize) -> TrainConfig {
+    let density = DensityConfig { from: 20, every: 20, until: 0.7, ..DensityConfig::by_gradient() };
+    TrainConfig { density, arcs: false, ..config(iterations) }
+}
+
 fn train<'a>(scene: &MovingScene, capture: &'a Capture, config: TrainConfig, gpu: Option<&Gpu>) -> Trainer<'a> {
     let mut trainer = Trainer::new(capture, start(scene), config, SimdLevel::best()).unwrap();
     if let Some(gpu) = gpu {
@@ -80,7 +86,8 @@ fn a_gpu_learns_what_the_cpu_learns() {
     everything.batch = 2;
     let refine = &mut everything.refine;
     (refine.poses, refine.focal, refine.exposure, refine.from) = (true, true, true, 10);
-    for (config, gain) in [(config(120), 2.0), (faithful, 1.0), (drawn, 1.0), (everything, 1.0)] {
+    for (config, gain) in [(config(120), 2.0), (faithful, 1.0), (drawn, 1.0), (everything, 1.0), (by_gradient(80), 0.3)]
+    {
         let here = train(&scene, &capture, config.clone(), None);
         let there = train(&scene, &capture, config, Some(&gpu));
         let [a, b] = [&here, &there].map(|t| psnr(t.splats(), &scene, &capture));
@@ -97,9 +104,13 @@ fn the_same_gpu_gives_the_same_bits_and_a_saved_run_goes_on() {
         return;
     };
     let (scene, capture) = video();
-    let whole = train(&scene, &capture, config(60), Some(&gpu));
-    let again = train(&scene, &capture, config(60), Some(&gpu));
-    assert!(whole.splats() == again.splats(), "twice the same");
+    let twice = |config: fn(usize) -> TrainConfig| {
+        let [whole, again] = [(); 2].map(|()| train(&scene, &capture, config(60), Some(&gpu)));
+        assert!(whole.splats() == again.splats(), "twice the same");
+        whole
+    };
+    assert!(twice(by_gradient).splats().n() > start(&scene).n());
+    let whole = twice(config);
 
     let mut half = Trainer::new(&capture, start(&scene), config(60), SimdLevel::best()).unwrap();
     half.use_backend(backend(&gpu, None)).unwrap();

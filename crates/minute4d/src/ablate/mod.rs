@@ -12,7 +12,6 @@ mod tracking_effect;
 pub use row::Row;
 
 use crate::bench::{aligned, number, today};
-use crate::device::DeviceChoice;
 use crate::evaluate::{self, EvalOptions};
 use crate::folder::CAPTURE_FOLDER;
 use crate::record::{GeometryRecord, RunRecord, Status, write_json};
@@ -205,9 +204,6 @@ impl Bench<'_> {
         let from_frames = !is_capture(self.input);
         if let Some(why) = row.not_applicable(!from_frames, settings)? {
             return Ok(skip(why));
-        }
-        if row == Row::NoLossGuided && matches!(self.job.device.choice, DeviceChoice::Gpu(_)) {
-            return Ok(skip("a GPU keeps no gradients in the image; use --device cpu"));
         }
         let input = match row {
             Row::NoSeg if !from_frames => match self.coarse()? {

@@ -92,7 +92,7 @@ pub struct Ablate {
     /// The capture whose transforms_test.json lists the held-out views [default: the input]
     #[arg(long, value_name = "CAPTURE")]
     pub data: Option<PathBuf>,
-    /// Rows in addition to the full method: no-seg, no-track, no-loss-guided (densification by gradients, as 3DGS; CPU only), no-density [default: all]
+    /// Rows in addition to the full method: no-seg, no-track, no-loss-guided (densification by gradients, as 3DGS), no-density [default: all]
     #[arg(long, value_name = "ROW,ROW", value_delimiter = ',')]
     pub rows: Vec<Row>,
     /// Dilate the masks of dynamic regions by this many pixels before scoring

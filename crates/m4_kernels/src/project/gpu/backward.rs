@@ -15,7 +15,7 @@ const SMALLEST: f32 = f32::MIN_POSITIVE;
 
 /// Adds up each splat's sums in the order of its slots and turns them into gradients of its parameters; rows of splats
 /// that are not in the frame keep what they hold, `touched` says which are. Into `camera` the sums of each cube of 256
-/// splats for the camera's own gradient, where it is wanted.
+/// splats for the camera's own gradient, and into `centres` the gradients of the projected centres, `[2][n]`, where they are wanted.
 #[cube(launch)]
 pub(crate) fn project_backward(
     geometry: &[f32],
@@ -30,10 +30,12 @@ pub(crate) fn project_backward(
     d_time: &mut [f32],
     touched: &mut [u32],
     camera: &mut [f32],
+    centres: &mut [f32],
     n: u32,
     n_static: u32,
     #[comptime] spec: Spec,
     #[comptime] with_camera: bool,
+    #[comptime] with_centres: bool,
 ) {
     let mut share = Array::<f32>::new(10usize);
     if comptime!(with_camera) {
@@ -68,6 +70,10 @@ pub(crate) fn project_backward(
             let (a, b, c) = (e.v11 * inverse, -e.v01 * inverse, e.v00 * inverse);
             let cu = -(a * mx + b * my);
             let cv = -(b * mx + c * my);
+            if comptime!(with_centres) {
+                centres[at] = cu;
+                centres[rows + at] = cv;
+            }
             // conic times moments times conic, halved
             let (p00, p01) = (a * xx + b * xy, a * xy + b * yy);
             let (p10, p11) = (b * xx + c * xy, b * xy + c * yy);

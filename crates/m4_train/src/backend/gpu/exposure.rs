@@ -191,7 +191,7 @@ impl GpuTrainer {
     /// Adds the gradient of the constant coefficients to three planes of `sums`.
     fn add_colours(&mut self, view: &View, sums: &Buffer, first: usize) {
         let n = self.splats.n;
-        self.work.backward(&self.gpu, &self.splats, &self.gradients, view.mip, None);
+        self.work.backward(&self.gpu, &self.splats, &self.gradients, view.mip, None, None);
         add_touched::launch(
             &self.gpu.client,
             cubes(n, 256),

@@ -27,6 +27,8 @@ pub struct GpuBackend {
     limit_bytes: Option<u64>,
     /// Steps have several frames.
     batches: bool,
+    /// Density control goes by gradients in the image.
+    image_gradients: bool,
     /// Frames that wait for the first splats.
     waiting: Vec<Target>,
     trainer: Option<GpuTrainer>,
@@ -39,6 +41,7 @@ impl GpuBackend {
             gpu,
             limit_bytes: max_vram_mb.map(|mb| mb as u64 * 1_000_000),
             batches: batch > 1,
+            image_gradients: false,
             waiting: Vec::new(),
             trainer: None,
         }
@@ -53,7 +56,8 @@ impl GpuBackend {
         let size = frames.first().map_or((0, 0), |f| (f.width(), f.height()));
         let plan = |frames, entries| {
             let plan = Plan::training(splats.n_static(), splats.n_dynamic(), splats.layout(), size, frames, entries);
-            if self.batches { plan.with_batches() } else { plan }
+            let plan = if self.batches { plan.with_batches() } else { plan };
+            if self.image_gradients { plan.with_image_gradients() } else { plan }
         };
         let entries = Plan::first_entries(splats.n());
         let least = plan(1, entries);
@@ -99,6 +103,9 @@ impl Backend for GpuBackend {
         let budget = self.budget(splats, &frames).map_err(failed)?;
         let mut trainer = GpuTrainer::new(self.gpu.clone(), splats, &adam, &frames, budget).map_err(failed)?;
         trainer.set_limit(self.limit_bytes);
+        if self.image_gradients {
+            trainer.collect_image_gradients();
+        }
         self.trainer = Some(trainer);
         Ok(())
     }
@@ -126,6 +133,13 @@ impl Backend for GpuBackend {
 
     fn stats(&mut self) -> Result<StepStats, BackendError> {
         self.trainer()?.stats().map_err(failed)
+    }
+
+    fn collect_image_gradients(&mut self) {
+        self.image_gradients = true;
+        if let Some(trainer) = &mut self.trainer {
+            trainer.collect_image_gradients();
+        }
     }
 
     fn densify(&mut self, round: &DensityRound<'_>) -> Result<DensityStats, BackendError> {

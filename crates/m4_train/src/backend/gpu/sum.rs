@@ -147,11 +147,15 @@ impl GpuTrainer {
         if let Some(exposure) = exposure {
             self.pull_back(step.frame, &exposure, step.exposure);
         }
-        let gpu = &self.gpu;
-        let camera = step.camera.then(|| self.cameras.next(gpu, step.frame, self.splats.n));
-        self.work.backward(gpu, &self.splats, &self.gradients, step.view.mip, camera.as_ref());
+        let (gpu, n) = (&self.gpu, self.splats.n);
+        let camera = step.camera.then(|| self.cameras.next(gpu, step.frame, n));
+        let centres = self.image_gradients.as_mut().map(|sums| sums.centres(gpu, n));
+        self.work.backward(gpu, &self.splats, &self.gradients, step.view.mip, camera.as_ref(), centres);
         if step.camera {
             self.cameras.add_up(gpu);
+        }
+        if let Some(sums) = &self.image_gradients {
+            sums.add(gpu, &self.work, &self.adam);
         }
         Ok(())
     }

@@ -2,6 +2,7 @@
 
 use super::exposure;
 use super::sum::Batch;
+use crate::density::ImageGradients;
 use m4_core::{Exposure, ShapeError, Splats};
 use m4_kernels::gpu::buffer::Buffer;
 use m4_kernels::gpu::frames::Frames;
@@ -34,6 +35,8 @@ pub struct GpuTrainer {
     pub(crate) tally: Tally,
     /// Where a step has several frames.
     pub(crate) batch: Option<Batch>,
+    /// Where density control goes by them.
+    pub(crate) image_gradients: Option<ImageGradients>,
     pub(crate) cameras: Log<10>,
     pub(crate) exposure_log: Log<{ exposure::NUMBERS }>,
     /// By frame; those beyond are not corrected.
@@ -76,6 +79,7 @@ impl GpuTrainer {
             loss: Loss::new(&gpu, size),
             tally,
             batch: None,
+            image_gradients: None,
             cameras: Log::default(),
             exposure_log: Log::default(),
             exposures: Vec::new(),
@@ -133,6 +137,10 @@ impl GpuTrainer {
         let plan = Plan::training(n_static, size.n - n_static, layout, image, frames, size.entries);
         let plan = match self.batch {
             Some(_) => plan.with_batches(),
+            None => plan,
+        };
+        let plan = match self.image_gradients {
+            Some(_) => plan.with_image_gradients(),
             None => plan,
         };
         plan.check(limit)
@@ -196,6 +204,9 @@ impl GpuTrainer {
         if n > 0 {
             let order = morton_order(&self.gpu, &self.splats);
             self.gather_adam(&order, (n, n_static));
+            if let Some(sums) = &mut self.image_gradients {
+                sums.rearrange(&self.gpu, &order, n);
+            }
             self.splats = gathered(&self.gpu, &self.splats, &order, (n, n_static));
         }
     }

@@ -3,6 +3,7 @@
 //! | file | what it does |
 //! |---|---|
 //! | `error_mask` | the pixels whose error counts |
+//! | `gradient` | the statistic of 3DGS in place of the scores, for comparison |
 //! | `rank` | scores to the best that may grow, and the range that prune scores are measured in |
 //! | `outcomes` | the rows that each splat keeps and adds, and their number |
 //! | `new_splats` | the next rows, and the parameters of clones and halves |
@@ -23,7 +24,7 @@ use m4_kernels::{
     View,
     adam::FIXED,
     gpu::{
-        GpuError,
+        Gpu, GpuError,
         buffer::{Buffer, cubes, units},
         splats::gathered,
         tally::{LOSSES, Tally},
@@ -33,9 +34,12 @@ use m4_kernels::{
 };
 
 mod error_mask;
+mod gradient;
 mod new_splats;
 mod outcomes;
 mod rank;
+
+pub(crate) use gradient::ImageGradients;
 
 impl GpuTrainer {
     /// Clones, splits and prunes splats by the rules of `round`. Survivors keep the optimiser's state, new splats start from
@@ -73,10 +77,11 @@ impl GpuTrainer {
     fn outcomes(&mut self, client: &Client, round: &DensityRound<'_>) -> Result<outcomes::Outcomes, GpuError> {
         let (n, rules) = (self.splats.n, &round.rules);
         let (config, due) = (rules.config, rules.due);
-        let scores = match due.densify || due.prune_by_score {
-            true => self.scores(round.views, &round.scores)?,
+        let scores = match &mut self.image_gradients {
+            Some(sums) => sums.take(&self.gpu, n),
+            None if due.densify || due.prune_by_score => self.scores(round.views, &round.scores)?,
             // of no consequence
-            false => Buffer::empty(client, 2 * n),
+            None => Buffer::empty(client, 2 * n),
         };
         let rank = rank::Rank::new(client, n);
         let budget = if due.densify { due.budget(config, n) } else { 0 };
@@ -96,10 +101,7 @@ impl GpuTrainer {
     pub fn score(&mut self, views: &[(usize, View)], settings: &ScoreSettings) -> Result<Scores, GpuError> {
         let n = self.splats.n;
         let scores = self.scores(views, settings)?;
-        let mut both = scores.read_floats(&self.gpu.client, TRAINING)?;
-        both.truncate(2 * n);
-        let prune = both.split_off(n);
-        Ok(Scores { densify: both, prune })
+        read(&self.gpu, &scores, n)
     }
 
     /// [`score`](Self::score), left on the device: `[2][n]`.
@@ -123,6 +125,14 @@ impl GpuTrainer {
         forget_fixed::launch(&gpu.client, cubes(n, 256), units(), self.adam.steps.arg(), scores.arg(), n as u32);
         Ok(scores)
     }
+}
+
+/// Waits, and copies the scores of `n` splats back. Fails with [`GpuError`] if the device failed.
+fn read(gpu: &Gpu, scores: &Buffer, n: usize) -> Result<Scores, GpuError> {
+    let mut both = scores.read_floats(&gpu.client, TRAINING)?;
+    both.truncate(2 * n);
+    let prune = both.split_off(n);
+    Ok(Scores { densify: both, prune })
 }
 
 /// Sets both scores of fixed splats to 0.
