@@ -236,6 +236,28 @@ impl Splats {
         }
     }
 
+    /// Has at least these degrees of the harmonics of the colour from here on; coefficients that are added are 0, so that nothing looks
+    /// different.
+    pub fn raise_degrees(&mut self, sh_degree: usize, time_degree: usize) {
+        let (old, n) = (self.layout, self.n());
+        let new = SplatLayout {
+            sh_degree: sh_degree.max(old.sh_degree),
+            time_degree: time_degree.max(old.time_degree),
+            ..old
+        };
+        let mut rest = std::mem::take(&mut self.columns).into_iter();
+        let mut columns: Vec<Vec<f32>> = rest.by_ref().take(new.column(Column::Colour)).collect();
+        for term in 0..new.colour_terms() {
+            let (temporal, spatial) = (term / new.sh_terms(), term % new.sh_terms());
+            let exists = temporal <= old.time_degree && spatial < old.sh_terms();
+            for _ in 0..3 {
+                columns.extend(if exists { rest.next() } else { Some(vec![0.0; n]) });
+            }
+        }
+        columns.extend(rest);
+        (self.layout, self.columns) = (new, columns);
+    }
+
     /// True when every parameter is a finite number.
     pub fn is_finite(&self) -> bool {
         self.columns.iter().flatten().all(|v| v.is_finite())
@@ -271,6 +293,37 @@ mod tests {
                 }
             }
         }
+    }
+
+    #[test]
+    fn raised_degrees_keep_every_coefficient() {
+        let start = SplatLayout { isotropic: true, sh_degree: 1, time_degree: 0 };
+        let mut splats = Splats::zeros(start, 1, 1);
+        for (value, column) in splats.columns_mut().enumerate() {
+            column.fill(1.0 + value as f32);
+        }
+        let before = splats.clone();
+        splats.raise_degrees(0, 0);
+        assert_eq!(splats, before);
+        splats.raise_degrees(2, 1);
+        let layout = SplatLayout { sh_degree: 2, time_degree: 1, ..start };
+        assert_eq!(splats.layout(), layout);
+        let columns = splats.columns().to_vec();
+        assert_eq!(Splats::from_columns(layout, 1, 1, columns), Ok(splats.clone()), "columns have their lengths");
+        for c in 0..3 * 4 {
+            assert_eq!(splats.column(Column::Colour, c), before.column(Column::Colour, c));
+        }
+        for c in 3 * 4..3 * 18 {
+            assert_eq!(splats.column(Column::Colour, c), [0.0, 0.0]);
+        }
+        for column in [Column::Mean, Column::Opacity, Column::TimeMean, Column::Velocity] {
+            assert_eq!(splats.column(column, 0), before.column(column, 0));
+        }
+        // the index of time is major: terms of direction that are added now lie between the others
+        let second = splats.layout().column(Column::Colour) + 3 * 9;
+        splats.columns[second].fill(7.0);
+        splats.raise_degrees(3, 1);
+        assert_eq!(splats.column(Column::Colour, 3 * 16), [7.0, 7.0]);
     }
 
     #[test]

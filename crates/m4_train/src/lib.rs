@@ -19,6 +19,7 @@ pub mod config;
 pub mod density;
 pub mod init;
 
+mod colour_degree;
 mod colour_fit;
 mod error;
 mod metrics;
@@ -31,6 +32,7 @@ mod trainer;
 mod warm_up;
 
 pub use backend::{Backend, BackendError, BackendMaker};
+pub use colour_degree::ColourDegree;
 pub use config::{AdamConfig, DensityConfig, RateConfig, RefineConfig, TrainConfig};
 pub use error::TrainError;
 pub use metrics::MetricsEvent;

@@ -15,6 +15,11 @@ pub(crate) fn progress(i: usize, n: usize) -> f32 {
     (i as f64 / n.max(1) as f64).min(1.0) as f32
 }
 
+/// Period of the first harmonic of time, frames: the length of the video (docs/spec/optimiser.md 1.8).
+pub(crate) fn period(time_frames: usize) -> f32 {
+    (time_frames.max(2) - 1) as f32
+}
+
 /// Purposes of random numbers in this crate: streams never overlap.
 pub(crate) mod purpose {
     pub const SHUFFLE: u64 = 0x5455_0001;
@@ -82,7 +87,7 @@ pub(crate) fn rates(
     set(Column::LogScale, config.scale * other);
     set(Column::Quat, config.rotation * other);
     set(Column::Opacity, config.opacity * other);
-    set(Column::Colour, config.colour / 20.0 * other);
+    set(Column::Colour, config.colour_harmonics * other);
     set(Column::TimeMean, time_mean);
     set(Column::LogTimeSd, config.time_sd * other);
     set(Column::Velocity, velocity * unit / basis.time_sd.max(1e-3));

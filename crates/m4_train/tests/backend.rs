@@ -5,7 +5,9 @@ use crate::watched::{Calls, Watched};
 use m4_core::{Silent, Splats};
 use m4_kernels::SimdLevel;
 use m4_train::backend::CpuBackend;
-use m4_train::{DensityConfig, TrainConfig, TrainError, Trainer, config::SplitPlacement, init::FirstSplats};
+use m4_train::{
+    ColourDegree, DensityConfig, TrainConfig, TrainError, Trainer, config::SplitPlacement, init::FirstSplats,
+};
 use std::collections::HashSet;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
@@ -45,7 +47,7 @@ fn asynchronous_steps_give_the_same_bits() {
         // all frames are drawn before one of them is drawn twice
         (paths.clone(), 4, 20 + 3 * 80 / FRAMES),
         (TrainConfig { batch: 3, ..paths }, 4, 80),
-        (TrainConfig { batch: 3, ..config() }, 4, 20),
+        (TrainConfig { batch: 3, colour_degree: ColourDegree { space: 1, time: 2 }, ..config() }, 4, 20),
         (faithful, 0, 20),
         (TrainConfig { density: drawn, ..config() }, 4, 20),
         (TrainConfig { density: literal, keep_every_s: 1e9, ..config() }, 6, 20),

@@ -5,7 +5,7 @@ use crate::common::{disturbed, video};
 use crate::on_threads;
 use m4_core::{Capture, Silent, Splats, StateTensor};
 use m4_kernels::SimdLevel;
-use m4_train::{DensityConfig, TrainConfig, TrainError, Trainer};
+use m4_train::{ColourDegree, DensityConfig, TrainConfig, TrainError, Trainer};
 
 /// Every number of `splats` as bits.
 fn bits(splats: &Splats) -> Vec<u32> {
@@ -25,7 +25,7 @@ fn config(iterations: usize) -> TrainConfig {
     config
 }
 
-/// Two frames per step and a fit of colours besides.
+/// Two frames per step, harmonics of colours and a fit of colours besides.
 fn batched(iterations: usize) -> TrainConfig {
     let mut config = TrainConfig::fast();
     config.iterations = iterations;
@@ -35,6 +35,7 @@ fn batched(iterations: usize) -> TrainConfig {
     config.refine.poses = true;
     config.refine.exposure = true;
     config.refine.from = 5;
+    config.colour_degree = ColourDegree { space: 2, time: 1 };
     config
 }
 
@@ -62,7 +63,7 @@ fn threads_do_not_change_a_bit() {
 #[test]
 fn a_resumed_run_ends_with_the_bits_of_an_uninterrupted_one() {
     let (scene, capture) = video();
-    for (config, stops) in [(config(200), &[100][..]), (batched(60), &[30, 37])] {
+    for (config, stops) in [(config(200), &[100][..]), (batched(60), &[11, 12, 30, 37])] {
         let mut whole = start(&capture, disturbed(&scene, 3), config.clone());
         finish(&mut whole);
         for &stop in stops {

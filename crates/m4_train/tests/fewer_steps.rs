@@ -1,7 +1,7 @@
 //! What makes more of an iteration: several frames per step, colours by least squares, own counts of steps.
 #![expect(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
 
-use crate::common::{FRAMES, disturbed, video};
+use crate::common::{FRAMES, add_harmonics, disturbed, filmed, video};
 use m4_core::{Capture, Column, CounterRng, Progress, Silent, Splats, StateTensor, TrainState};
 use m4_kernels::SimdLevel;
 use m4_train::{DensityConfig, MetricsEvent, Outcome, RateConfig, TrainConfig, Trainer};
@@ -17,6 +17,7 @@ fn frozen(iterations: usize) -> TrainConfig {
         position: 0.0,
         position_end: 0.0,
         colour: 0.0,
+        colour_harmonics: 0.0,
         opacity: 0.0,
         scale: 0.0,
         rotation: 0.0,
@@ -96,8 +97,16 @@ fn a_batch_looks_at_the_frames_that_as_many_steps_would() {
 #[test]
 fn fitted_colours_are_nearer_to_the_video_and_touch_nothing_else() {
     let (scene, capture) = video();
-    // nothing but the colours is wrong
-    let mut splats = scene.splats.clone();
+    fit_of(&scene.splats, &capture);
+    let mut coloured = scene.splats.clone();
+    add_harmonics(&mut coloured, (1, 1));
+    fit_of(&coloured, &filmed(&coloured, &scene.cameras));
+}
+
+/// Fits the constant colours of `truth`, which `capture` shows.
+fn fit_of(truth: &Splats, capture: &Capture) {
+    // nothing but the constant colours is wrong
+    let mut splats = truth.clone();
     let mut rng = CounterRng::new(8, 0, 0);
     for k in 0..3 {
         let column = splats.column_mut(Column::Colour, k);
@@ -106,14 +115,14 @@ fn fitted_colours_are_nearer_to_the_video_and_touch_nothing_else() {
     let run = |rounds: usize| {
         let mut config = frozen(1);
         config.colour_fit_rounds = rounds;
-        let mut trainer = start(&capture, splats.clone(), config);
+        let mut trainer = start(capture, splats.clone(), config);
         trainer.run(&Silent, &mut |_| {}).unwrap();
         let fitted = trainer.into_scene().splats;
         // an epoch in which nothing moves: the mean over all frames
         let mut config = frozen(FRAMES);
         config.metrics_every = FRAMES;
         let mut last = None;
-        let mut trainer = start(&capture, fitted.clone(), config);
+        let mut trainer = start(capture, fitted.clone(), config);
         trainer.run(&Silent, &mut |e| last = Some(*e)).unwrap();
         (last.unwrap().l1, fitted)
     };
@@ -122,8 +131,8 @@ fn fitted_colours_are_nearer_to_the_video_and_touch_nothing_else() {
     let (eight, _) = run(8);
     assert!(one < 0.6 * before, "l1 {before} to {one}");
     assert!(eight < 0.3 * one, "l1 {one} to {eight}");
-    let layout = splats.layout();
-    let colour = layout.range(Column::Colour);
+    let first = splats.layout().column(Column::Colour);
+    let colour = first..first + 3;
     for (c, (a, b)) in start.columns().iter().zip(fitted.columns()).enumerate() {
         assert_eq!(a == b, !colour.contains(&c), "column {c}");
     }

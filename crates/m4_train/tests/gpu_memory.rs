@@ -60,7 +60,7 @@ fn a_trainer_takes_what_was_planned_and_a_warm_up_gives_all_back() {
     let everything = TrainConfig { batch: 2, refine, ..TrainConfig::fast() };
     for (isotropic, config) in [(false, everything), (true, TrainConfig::faithful())] {
         let layout = SplatLayout { isotropic, sh_degree: 0, time_degree: 0 };
-        let backend = Box::new(GpuBackend::new(gpu.clone(), None, config.batch));
+        let backend = Box::new(GpuBackend::new(gpu.clone(), None, &config));
         warm_up(&wall(), layout, &config, backend).unwrap();
     }
     gpu.give_back().unwrap();

@@ -2,6 +2,7 @@
 
 mod arcs;
 mod backend;
+mod colour_degree;
 mod common;
 mod determinism;
 mod fewer_steps;

@@ -194,9 +194,9 @@ mod gpu {
             Ok(GpuPainter { renderer: Renderer::new(self.gpu.clone(), splats)? })
         }
 
-        /// Takes training steps of `batch` frames on it, within `max_vram_mb`.
-        pub fn training(&self, max_vram_mb: Option<usize>, batch: usize) -> Box<dyn Backend> {
-            Box::new(GpuBackend::new(self.gpu.clone(), max_vram_mb, batch))
+        /// Takes the steps of a training by `config` on it, within `max_vram_mb`.
+        pub fn training(&self, max_vram_mb: Option<usize>, config: &TrainConfig) -> Box<dyn Backend> {
+            Box::new(GpuBackend::new(self.gpu.clone(), max_vram_mb, config))
         }
 
         /// Compiles the kernels of a training by `config` of splats of `layout`, as [`m4_train::warm_up`] does, and gives the memory
@@ -208,7 +208,7 @@ mod gpu {
             config: &TrainConfig,
             max_vram_mb: Option<usize>,
         ) {
-            let backend = self.training(max_vram_mb, config.batch);
+            let backend = self.training(max_vram_mb, config);
             let done = m4_train::warm_up(capture, layout, config, backend);
             drop(done.map(|()| self.gpu.give_back()));
         }
@@ -270,7 +270,7 @@ mod gpu {
         }
 
         /// Takes training steps on it.
-        pub fn training(&self, _: Option<usize>, _: usize) -> Box<dyn Backend> {
+        pub fn training(&self, _: Option<usize>, _: &TrainConfig) -> Box<dyn Backend> {
             match *self {}
         }
 

@@ -7,7 +7,7 @@
 
 mod segments;
 
-use crate::density::rearrange;
+use crate::{colour_degree::move_phase, density::rearrange};
 use m4_core::{Column, ShapeError, Splats, nalgebra::Vector3};
 use m4_kernels::adam::cpu::AdamState;
 use rayon::prelude::*;
@@ -21,12 +21,17 @@ const MIN_OPACITY: f32 = 0.1;
 /// Most splats that are split, those with the largest deviation in units of their size first: bounds the memory, some 300 bytes per new splat.
 const MAX_SPLIT: usize = 300_000;
 
-/// Replaces each of the `rotating` splats by three segments of its arc.
+/// Replaces each of the `rotating` splats by three segments of its arc; `period` is that of the first harmonic of time, frames.
 ///
 /// The middle segment keeps the state of the optimiser; the other two start from nothing. The other splats are unchanged, to
 /// the bit, and stay in their order.
 /// Fails with [`ShapeError`] if `adam` does not belong to `splats`; nothing is changed then.
-pub(crate) fn split(splats: &mut Splats, adam: &mut AdamState, rotating: &[RotatingSplat]) -> Result<(), ShapeError> {
+pub(crate) fn split(
+    splats: &mut Splats,
+    adam: &mut AdamState,
+    rotating: &[RotatingSplat],
+    period: f32,
+) -> Result<(), ShapeError> {
     ShapeError::check("optimiser state", splats.n(), adam.step.len())?;
     let n_static = splats.n_static();
     let mut rows: Vec<u32> = Vec::with_capacity(splats.n() + 2 * rotating.len());
@@ -48,7 +53,11 @@ pub(crate) fn split(splats: &mut Splats, adam: &mut AdamState, rotating: &[Rotat
     for three in segments.chunks(OFFSETS.len()) {
         let shares = Shares::of(opacity(splats, three[0].0));
         for &(row, angular_velocity, segment) in three {
+            let i = row - n_static;
+            let middle = splats.column(Column::TimeMean, 0)[i];
             become_segment(splats, row, &angular_velocity, segment, &shares);
+            let dt = splats.column(Column::TimeMean, 0)[i] - middle;
+            move_phase(splats, i, dt, period);
             if OFFSETS[segment] != 0.0 {
                 adam.forget(row);
             }
@@ -123,6 +132,7 @@ mod tests {
     use m4_kernels::adam::cpu::AdamState;
 
     const RADIUS: f32 = 1.0;
+    const PERIOD: f32 = 9.0;
 
     /// Two static splats, and a disc of radius 1 at each of two instants that moves by `velocity(place)`.
     fn discs(mut velocity: impl FnMut(Vector3<f32>) -> Vector3<f32>) -> (Splats, AdamState) {
@@ -154,7 +164,7 @@ mod tests {
     /// Splits the rotating splats and counts them.
     fn split(splats: &mut Splats, adam: &mut AdamState) -> usize {
         let rotating = rotating(splats);
-        super::split(splats, adam, &rotating).unwrap();
+        super::split(splats, adam, &rotating, PERIOD).unwrap();
         rotating.len()
     }
 
@@ -164,6 +174,12 @@ mod tests {
         let centre = Vector3::new(0.0, 0.0, 5.0);
         let (before, _) = discs(|p| turn.cross(&(p - centre)));
         let (mut splats, mut adam) = discs(|p| turn.cross(&(p - centre)));
+        for columns in [&mut splats, &mut adam.m, &mut adam.v] {
+            columns.raise_degrees(1, 1);
+        }
+        let harmonic = 3 * 4 + 7;
+        splats.column_mut(Column::Colour, harmonic).fill(0.5);
+        splats.column_mut(Column::Colour, 5).fill(0.25);
         let count = split(&mut splats, &mut adam);
         // the deviation is r 0.3^2 / 2, which is half the size from r = 0.22 on
         assert!((5300..5900).contains(&count), "{count}");
@@ -177,6 +193,12 @@ mod tests {
             worst = worst.max((v - turn.cross(&p)).norm());
         }
         assert!(worst < 0.01, "{worst}");
+        // colours of direction are copied; those of time have the phase of the segment: discs are at 0 and 1, segments 1.2 frames off
+        assert!(splats.column(Column::Colour, 5).iter().all(|&k| k == 0.25));
+        let phases: Vec<f32> = splats.column(Column::Colour, harmonic)[2..].iter().map(|k| k / 0.5).collect();
+        let side = (std::f32::consts::TAU * 1.2 / PERIOD).cos();
+        assert_eq!(phases.iter().filter(|&&p| (p - side).abs() < 1e-5).count(), 2 * count);
+        assert!(phases.iter().all(|p| (p - side).abs() < 1e-5 || *p == 1.0));
     }
 
     #[test]

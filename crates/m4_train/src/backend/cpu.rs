@@ -5,6 +5,7 @@ use crate::{
         Backend, BackendError, ColourSums, DensityRound, DensityStats, FrameStore, ScoreSettings, StepSettings,
         StepView, pixels,
     },
+    colour_degree::move_phases,
     colour_fit::add_seen,
     density::{GradientSums, ScoreInput, Scores, apply, rearrange, score},
     metrics::psnr,
@@ -273,7 +274,9 @@ impl Backend for CpuBackend<'_> {
         let mut stats = DensityStats::default();
         if !plan.rows.is_empty() && !plan.changes_nothing() {
             let (config, splats, adam) = (round.rules.config, &mut self.splats, &mut self.adam);
+            let (n_static, middles) = (splats.n_static(), splats.column(Column::TimeMean, 0).to_vec());
             apply(config, &plan, splats, adam, round.seed, round.iteration).map_err(failed)?;
+            move_phases(splats, &middles, n_static, &plan.rows, round.period);
             (stats.cloned, stats.split, stats.pruned) = (plan.cloned, plan.split, plan.pruned);
         }
         (stats.n_static, stats.n_dynamic) = (self.splats.n_static(), self.splats.n_dynamic());

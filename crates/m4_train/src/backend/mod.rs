@@ -98,6 +98,8 @@ pub struct DensityRound<'a> {
     pub scores: ScoreSettings,
     /// The plan follows from these: [`Rules::plan`] says how.
     pub rules: Rules<'a>,
+    /// Period of the first harmonic of time, frames.
+    pub period: f32,
     /// Random positions of halves follow from this
     pub seed: u64,
     /// and from the steps taken.

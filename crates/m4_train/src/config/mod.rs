@@ -1,6 +1,6 @@
 //! What differs between trainings, each with its source; constants stand beside the code that uses them.
 
-use crate::TrainError;
+use crate::{ColourDegree, TrainError};
 pub use density::{CloneOpacity, DensityConfig, ErrorRange, PruneRule, SplitPlacement, SplitSize};
 pub use m4_kernels::adam::cpu::AdamConfig;
 
@@ -17,6 +17,8 @@ pub struct TrainConfig {
     pub batch: usize,
     /// Key of every random draw.
     pub seed: u64,
+    /// Highest degrees of the harmonics of colours, which rise during the run.
+    pub colour_degree: ColourDegree,
     /// Rounds of the least-squares fit of colours after the last step; 0 for no fit. 1: more of them fit what is half
     /// hidden too closely (`docs/decisions/0005`). A frame of a round costs about as much as a step, in the first round
     /// half as much again.
@@ -71,6 +73,7 @@ impl TrainConfig {
             iterations: 2000,
             batch: 1,
             seed: 0,
+            colour_degree: ColourDegree::default(),
             colour_fit_rounds: 1,
             lambda_ssim: 0.4,
             cover: 0.015,
@@ -126,6 +129,7 @@ impl TrainConfig {
             ("lr.position", lr.position),
             ("lr.position_end", lr.position_end),
             ("lr.colour", lr.colour),
+            ("lr.colour_harmonics", lr.colour_harmonics),
             ("lr.opacity", lr.opacity),
             ("lr.scale", lr.scale),
             ("lr.rotation", lr.rotation),
@@ -158,6 +162,12 @@ impl TrainConfig {
                 return Err(bad(field, value, "at least 1"));
             }
         }
+        let degree = self.colour_degree;
+        for (field, value, most) in [("colour_degree.space", degree.space, 3), ("colour_degree.time", degree.time, 2)] {
+            if value > most {
+                return Err(bad(field, value, if most == 3 { "0 to 3" } else { "0 to 2" }));
+            }
+        }
         if u32::try_from(self.iterations).is_err() {
             return Err(bad("iterations", self.iterations, "at most 4294967295, which a checkpoint can hold"));
         }
@@ -176,10 +186,12 @@ pub struct RateConfig {
     pub position: f32,
     /// Of means at the end; between them rates fall log-linearly. 1.6e-6 (3DGS); 8e-6 here, as for colours.
     pub position_end: f32,
-    /// Of constant colours; that of the other colour coefficients is a twentieth (3DGS). 2.5e-3 (3DGS); 0.02 here: a dynamic
+    /// Of constant colours. 2.5e-3 (3DGS); 0.02 here: a dynamic
     /// splat is seen in a few dozen steps (measured on held-out views: +1 to +2 dB after 500 steps, with the other rates
     /// alike; faster than this costs moving parts 0.1 to 0.2 dB in longer runs).
     pub colour: f32,
+    /// Of the other colour coefficients. 1.25e-4, a twentieth of that of constant colours (3DGS); the same share here.
+    pub colour_harmonics: f32,
     /// Of opacities (logit). 0.05 (3DGS): faster ones make dynamic objects translucent from every view but
     /// the training camera's (measured on held-out views: -0.15 dB inside the moving parts at 0.3).
     pub opacity: f32,
@@ -207,6 +219,7 @@ impl Default for RateConfig {
             position: 3e-4,
             position_end: 8e-6,
             colour: 0.02,
+            colour_harmonics: 1e-3,
             opacity: 0.05,
             scale: 0.03,
             rotation: 0.006,
@@ -225,6 +238,7 @@ impl RateConfig {
             position: 1.6e-4,
             position_end: 1.6e-6,
             colour: 2.5e-3,
+            colour_harmonics: 1.25e-4,
             opacity: 0.05,
             scale: 0.005,
             rotation: 0.0,

@@ -14,7 +14,7 @@ use crate::{
     refine::Refinement,
     scale::SceneScale,
     schedule::Picker,
-    schedule::RateBasis,
+    schedule::{RateBasis, period},
     state::{Reader, read_adam, read_refinement},
 };
 use m4_core::{Capture, Column, Splats, TrainState, median};
@@ -252,7 +252,7 @@ impl<'a> Trainer<'a> {
             background: self.background,
             near: self.near(),
             mip: self.config.mip,
-            period: (self.time_frames.max(2) - 1) as f32,
+            period: period(self.time_frames),
             with_depth: false,
         }
     }

@@ -1,11 +1,12 @@
-//! What is due after some steps: density control, the split of rotating splats into arcs, the fit of colours.
+//! What is due before or after some steps: degrees of colours, density control, the split of rotating splats into arcs, the fit of colours.
 
 use crate::{
     TrainError, arcs,
     backend::{DensityRound, ScoreSettings},
+    colour_degree::add_coefficients,
     colour_fit::correct,
     density::{Decision, Rules},
-    schedule::purpose,
+    schedule::{period, progress, purpose},
     trainer::Trainer,
 };
 use m4_core::{CounterRng, Progress};
@@ -53,6 +54,7 @@ impl Trainer<'_> {
                 range: config.error_range,
             },
             rules: Rules { config: &config, due, min_opacity, scale: &scale },
+            period: period(self.time_frames),
             seed: self.config.seed,
             iteration: self.iteration,
         };
@@ -108,6 +110,20 @@ impl Trainer<'_> {
     }
 }
 
+impl Trainer<'_> {
+    /// Adds the colour coefficients that are due before this step, if any are. What is due follows from the step and the splats alone, so
+    /// that a run that is resumed here adds them as well.
+    pub(super) fn degree_round(&mut self) -> Result<(), TrainError> {
+        let degree = self.config.colour_degree.at(progress(self.iteration, self.config.iterations));
+        let layout = degree.raise(self.splats.layout());
+        if layout != self.splats.layout() {
+            self.synchronize()?;
+            add_coefficients(&mut self.splats, &mut self.adam, layout);
+        }
+        Ok(())
+    }
+}
+
 /// Share of the run after which rotating splats are split: velocities are trained by then, and the segments are trained from then on.
 /// Earlier gains no more and makes more steps slower (docs/decisions/0007).
 pub(crate) const ARCS_AT: f64 = 0.5;
@@ -125,7 +141,7 @@ impl Trainer<'_> {
         }
         self.synchronize()?;
         let before = self.splats.n();
-        arcs::split(&mut self.splats, &mut self.adam, &rotating)?;
+        arcs::split(&mut self.splats, &mut self.adam, &rotating, period(self.time_frames))?;
         // density control may add as many as before
         self.first_splats += self.splats.n() - before;
         self.prepare()?;

@@ -36,6 +36,7 @@ impl Trainer<'_> {
         if frames.iter().any(|frame| self.pending.contains(frame)) {
             self.settle()?;
         }
+        self.degree_round()?;
         self.prepare()?;
         let views: Vec<View> = frames.iter().map(|&f| self.view(f)).collect();
         let x = schedule::progress(i, n);

@@ -64,6 +64,7 @@ pub fn round<'a>(
         views,
         scores: SCORES,
         rules: Rules { config, due, min_opacity: config.min_opacity, scale },
+        period: 9.0,
         seed: 11,
         iteration: 700,
     }

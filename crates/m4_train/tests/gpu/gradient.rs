@@ -152,7 +152,7 @@ fn a_round_by_gradients_makes_the_splats_that_the_cpu_makes() {
             (stats, backend.take().unwrap().0)
         };
         let (stats, want) = run(Box::new(CpuBackend::new(&capture, 0, SimdLevel::best())));
-        let (same, got) = run(Box::new(GpuBackend::new(gpu.clone(), None, 2)));
+        let (same, got) = run(Box::new(GpuBackend::new(gpu.clone(), None, &batches)));
         assert_eq!(stats, same);
         assert!(stats.cloned > 20 && stats.split > 20 && stats.pruned > 20, "{stats:?}");
         assert!(stats.cloned + stats.split <= above, "{stats:?}");

@@ -1,14 +1,14 @@
 //! Training on a GPU learns what training on the CPU learns.
 
-use crate::common::{FRAMES, disturbed, video};
+use crate::common::{FRAMES, add_harmonics, disturbed, filmed, halves_have_the_colour_of_their_time, video};
 use crate::gpu;
-use m4_core::{Capture, Silent, Splats};
+use m4_core::{Capture, Column, Silent, Splats};
 use m4_kernels::gpu::Gpu;
 use m4_kernels::{Renderer, SimdLevel, View};
 use m4_testkit::MovingScene;
 use m4_train::backend::gpu::GpuBackend;
 use m4_train::config::SplitPlacement;
-use m4_train::{Backend, DensityConfig, TrainConfig, Trainer};
+use m4_train::{Backend, ColourDegree, DensityConfig, TrainConfig, Trainer};
 
 fn view(scene: &MovingScene, frame: usize) -> View {
     View {
@@ -27,7 +27,7 @@ fn start(scene: &MovingScene) -> Splats {
 }
 
 fn backend(gpu: &Gpu, limit_mb: Option<usize>) -> Box<dyn Backend> {
-    Box::new(GpuBackend::new(gpu.clone(), limit_mb, 1))
+    Box::new(GpuBackend::new(gpu.clone(), limit_mb, &TrainConfig::fast()))
 }
 
 /// Density control and a fit of colours within this many steps.
@@ -145,4 +145,34 @@ fn memory_that_was_not_allowed_is_refused_with_numbers_and_frames_are_streamed()
     let enough = (2..200).find(|&mb| run(Some(mb)).0.is_ok()).unwrap();
     let (unlimited, limited) = (run(None).1, run(Some(enough)).1);
     assert!(unlimited == limited, "{enough} MB");
+}
+
+#[test]
+fn halves_drawn_on_the_device_have_the_colour_of_their_time() {
+    let Some(gpu) = gpu("phases of harmonics of time") else { return };
+    halves_have_the_colour_of_their_time(Some(backend(&gpu, None)));
+}
+
+/// Degrees rise on the way, in steps of two frames.
+#[test]
+fn harmonics_of_colours_are_trained_on_the_device_as_on_the_cpu() {
+    let Some(gpu) = gpu("harmonics of colours") else { return };
+    let (scene, _) = video();
+    let mut truth = scene.splats.clone();
+    add_harmonics(&mut truth, (1, 1));
+    let capture = filmed(&truth, &scene.cameras);
+    let mut config = TrainConfig { batch: 2, colour_degree: ColourDegree { space: 1, time: 1 }, ..config(60) };
+    config.density.enabled = false;
+    let [here, there] = [None, Some(&gpu)].map(|gpu| train(&scene, &capture, config.clone(), gpu).into_scene().splats);
+    assert_eq!((there.layout().sh_degree, there.layout().time_degree), (1, 1));
+    let columns = here.layout().range(Column::Colour);
+    let (mut near, mut far) = (0, 0);
+    for (a, b) in here.columns()[columns.clone()].iter().zip(&there.columns()[columns]).skip(3) {
+        assert!(a.iter().any(|&v| v != 0.0));
+        for (a, b) in a.iter().zip(b) {
+            let count = if (a - b).abs() < 1e-3 { &mut near } else { &mut far };
+            *count += 1;
+        }
+    }
+    assert!(100 * far < near, "{far} of {} coefficients differ", near + far);
 }

@@ -18,7 +18,7 @@ const MOST_COUNT: f64 = 1e6;
 const MOST_SPLATS: f64 = 1e8;
 
 /// Every numeric setting; `docs/settings.md` shows the ranges.
-pub(super) const RANGES: [Range; 50] = [
+pub(super) const RANGES: [Range; 52] = [
     ("video.max_frames", 1.0, MOST_COUNT),
     ("video.size", 16.0, 16_384.0),
     ("video.start_s", 0.0, MOST_S),
@@ -58,6 +58,8 @@ pub(super) const RANGES: [Range; 50] = [
     ("train.background", 0.0, 1.0),
     ("train.metrics_every", 1.0, 1e7),
     ("train.target_cache_mb", 0.0, MOST_MB),
+    ("train.colour_degree.space", 0.0, 3.0),
+    ("train.colour_degree.time", 0.0, 2.0),
     ("train.colour_fit.rounds", 0.0, 100.0),
     ("train.loss.lambda_ssim", 0.0, 1.0),
     // So is it between rounds of density control.

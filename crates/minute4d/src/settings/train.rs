@@ -2,7 +2,7 @@
 
 use super::Profile;
 use m4_train::init::{InitConfig, TimeSpread, VelocityInit};
-use m4_train::{DensityConfig, RefineConfig, TrainConfig};
+use m4_train::{ColourDegree, DensityConfig, RefineConfig, TrainConfig};
 use serde::{Deserialize, Serialize};
 
 /// What users change of the training; the rest is the profile's.
@@ -24,6 +24,8 @@ pub struct TrainSettings {
     pub metrics_every: usize,
     /// As [`TrainConfig::target_cache_mb`].
     pub target_cache_mb: usize,
+    /// Harmonics of colours.
+    pub colour_degree: ColourDegreeSettings,
     /// Colours by least squares.
     pub colour_fit: ColourFitSettings,
     /// What is minimised.
@@ -32,6 +34,16 @@ pub struct TrainSettings {
     pub density: DensitySettings,
     /// Poses, focal length and exposure.
     pub refine: RefinementSettings,
+}
+
+/// Highest degrees of the harmonics of colours; fields are those of [`ColourDegree`].
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ColourDegreeSettings {
+    /// Of the harmonics of direction.
+    pub space: usize,
+    /// Of the harmonics of time.
+    pub time: usize,
 }
 
 /// Colours by least squares after the last step.
@@ -100,6 +112,7 @@ impl TrainSettings {
             background: config.background,
             metrics_every: config.metrics_every,
             target_cache_mb: config.target_cache_mb,
+            colour_degree: ColourDegreeSettings { space: config.colour_degree.space, time: config.colour_degree.time },
             colour_fit: ColourFitSettings { rounds: config.colour_fit_rounds },
             loss: LossSettings { lambda_ssim: config.lambda_ssim },
             density: DensitySettings {
@@ -129,6 +142,7 @@ impl TrainSettings {
             background: self.background,
             metrics_every: self.metrics_every,
             target_cache_mb: self.target_cache_mb,
+            colour_degree: ColourDegree { space: self.colour_degree.space, time: self.colour_degree.time },
             colour_fit_rounds: self.colour_fit.rounds,
             lambda_ssim: self.loss.lambda_ssim,
             density: match density.loss_guided {

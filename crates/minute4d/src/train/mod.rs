@@ -99,7 +99,7 @@ fn train(
     let settings = &run.job.settings;
     let gpu = run.gpu.clone();
     let make = || match &gpu {
-        Some(gpu) => Ok(gpu.training(run.job.device.max_vram_mb, settings.train.batch)),
+        Some(gpu) => Ok(gpu.training(run.job.device.max_vram_mb, &settings.train_config())),
         None => Err(BackendError("no GPU was started".to_owned())),
     };
     folder::remove_file(&run.path(SCENE_FILE))?;
@@ -156,7 +156,7 @@ fn train(
         }
     };
     if let Some(gpu) = &run.gpu {
-        trainer.use_backend(gpu.training(run.job.device.max_vram_mb, settings.train.batch))?;
+        trainer.use_backend(gpu.training(run.job.device.max_vram_mb, &settings.train_config()))?;
     }
     let observer = run.job.observer;
     let total = trainer.iterations();

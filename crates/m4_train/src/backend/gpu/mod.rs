@@ -2,14 +2,17 @@
 
 mod bench;
 mod exposure;
+mod phase;
 mod sum;
 mod trainer;
 
 pub use bench::{Bench, Drawing};
+pub(crate) use phase::move_phases;
 pub use trainer::GpuTrainer;
 pub(crate) use trainer::TRAINING;
 
 use super::{Backend, BackendError, ColourSums, DensityRound, DensityStats, StepSettings, StepView};
+use crate::{ColourDegree, TrainConfig};
 use m4_core::{Exposure, Splats};
 use m4_kernels::adam::cpu::AdamState;
 use m4_kernels::gpu::{Gpu, GpuError, Plan};
@@ -29,19 +32,22 @@ pub struct GpuBackend {
     batches: bool,
     /// Density control goes by gradients in the image.
     image_gradients: bool,
+    /// Those that memory is planned for.
+    degree: ColourDegree,
     /// Frames that wait for the first splats.
     waiting: Vec<Target>,
     trainer: Option<GpuTrainer>,
 }
 
 impl GpuBackend {
-    /// Steps of `batch` frames on `gpu`, within `max_vram_mb`.
-    pub fn new(gpu: Gpu, max_vram_mb: Option<usize>, batch: usize) -> Self {
+    /// Training by `config` on `gpu`, within `max_vram_mb`.
+    pub fn new(gpu: Gpu, max_vram_mb: Option<usize>, config: &TrainConfig) -> Self {
         Self {
             gpu,
             limit_bytes: max_vram_mb.map(|mb| mb as u64 * 1_000_000),
-            batches: batch > 1,
+            batches: config.batch > 1,
             image_gradients: false,
+            degree: config.colour_degree,
             waiting: Vec::new(),
             trainer: None,
         }
@@ -54,8 +60,9 @@ impl GpuBackend {
     /// Bytes for frames on the device, those that fit beside everything else. The others are sent when they are used.
     fn budget(&self, splats: &Splats, frames: &[Target]) -> Result<usize, GpuError> {
         let size = frames.first().map_or((0, 0), |f| (f.width(), f.height()));
+        let layout = self.degree.raise(splats.layout());
         let plan = |frames, entries| {
-            let plan = Plan::training(splats.n_static(), splats.n_dynamic(), splats.layout(), size, frames, entries);
+            let plan = Plan::training(splats.n_static(), splats.n_dynamic(), layout, size, frames, entries);
             let plan = if self.batches { plan.with_batches() } else { plan };
             if self.image_gradients { plan.with_image_gradients() } else { plan }
         };

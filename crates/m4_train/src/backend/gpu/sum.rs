@@ -30,8 +30,8 @@ impl Batch {
 impl GpuTrainer {
     /// What the first frame left becomes the sum.
     pub(crate) fn start_sum(&mut self) {
-        let (n, n_static) = (self.splats.n, self.splats.n_static);
-        if !self.batch.as_ref().is_some_and(|b| b.gradients.n == n && b.gradients.n_static == n_static) {
+        let shape = |splats: &DeviceSplats| (splats.n, splats.n_static, splats.layout);
+        if !self.batch.as_ref().is_some_and(|b| shape(&b.gradients) == shape(&self.splats)) {
             self.batch = Some(Batch::new(&self.gpu, &self.splats));
         }
         self.swap_sum();

@@ -14,7 +14,7 @@
 use crate::{
     backend::{
         DensityRound, DensityStats, ScoreSettings,
-        gpu::{GpuTrainer, TRAINING},
+        gpu::{GpuTrainer, TRAINING, move_phases},
     },
     density::Scores,
 };
@@ -68,6 +68,7 @@ impl GpuTrainer {
         self.gather_adam(&rows.states, shape);
         let splats = gathered(&self.gpu, &self.splats, &rows.sources, shape);
         rows.shape(&client, &self.splats, &splats, round);
+        move_phases(&client, &self.splats, &splats, &rows.sources, round.period);
         self.splats = splats;
         self.gradients = self.splats.like(&self.gpu);
         self.make(Size { n: next, ..self.work.size })?;
