@@ -112,7 +112,7 @@ mod tests {
         let sum = |row: usize| -> f32 { (0..3).map(|n| splats.column(Column::Colour, 3 * (4 * n + 3) + 2)[row]).sum() };
         let there: f32 = coefficients.iter().enumerate().map(|(n, k)| k * waves(n, 3.0)).sum();
         assert!((sum(2) - there).abs() < 1e-6, "{} for {there}", sum(2));
-        assert_eq!([sum(0), sum(1)], [coefficients.iter().sum(); 2], "the others stay");
+        assert_eq!([sum(0), sum(1)], [coefficients.iter().sum::<f32>(); 2], "the others stay");
     }
 
     #[test]

@@ -139,8 +139,10 @@ mod tests {
         assert!((at(&fast, 0.5, Column::Opacity) - half).abs() < 1e-6);
         let colour = rates(&fast, layout, &scale, basis, 0.0);
         let first = layout.column(Column::Colour);
-        assert!((colour[first + 2] - 0.02).abs() < 1e-8 && (colour[first + 3] - 1e-3).abs() < 1e-9);
+        assert!(colour[first..].iter().take(12).all(|rate| (rate - 0.02).abs() < 1e-8));
         let faithful = RateConfig::faithful();
+        let colour = rates(&faithful, layout, &scale, basis, 1.0);
+        assert!((colour[first + 2] - 2.5e-3).abs() < 1e-9 && (colour[first + 3] - 1.25e-4).abs() < 1e-10);
         assert_eq!(at(&faithful, 0.5, Column::Velocity), 0.0);
         assert!((at(&faithful, 0.9, Column::TimeMean) - 1.6e-4 * 2.0 * 10.0).abs() < 1e-8);
     }
