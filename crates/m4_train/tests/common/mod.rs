@@ -1,4 +1,5 @@
 //! A synthetic video whose splats, cameras and motion are known.
+#![expect(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
 
 use m4_core::{
     Camera, Capture, CaptureFrame, Column, CompactMask, CounterRng, Intrinsics, Plane, Silent, SplatLayout, Splats,
