@@ -34,10 +34,10 @@ pub fn warm_up<'a>(
         metrics_every: 1,
         refine: RefineConfig { from: 0, ..config.refine.clone() },
         density: DensityConfig {
-            from: 1,
+            from: 0.0,
             until: 1.0,
-            every: 1,
-            prune_every: 1,
+            every: 0.0,
+            prune_every: 0.0,
             // some grow whatever their errors
             densify_threshold: -1.0,
             budget: 0.1,

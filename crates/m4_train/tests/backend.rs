@@ -17,7 +17,7 @@ fn config() -> TrainConfig {
     let mut config = TrainConfig::fast();
     config.iterations = 100;
     config.seed = 5;
-    config.density = DensityConfig { from: 20, every: 20, prune_every: 40, ..DensityConfig::fast() };
+    config.density = DensityConfig { from: 0.2, every: 0.2, prune_every: 0.4, ..DensityConfig::fast() };
     config.guard_every = 25;
     config.keep_every_s = 0.0;
     config
@@ -31,15 +31,16 @@ fn asynchronous_steps_give_the_same_bits() {
     (refine.poses, refine.focal, refine.exposure, refine.from) = (true, true, true, 20);
     let mut paths = cameras.clone();
     paths.refine.focal = false;
-    let faithful = TrainConfig { iterations: 60, keep_every_s: 1e9, ..TrainConfig::faithful() };
+    let density = DensityConfig { enabled: false, ..DensityConfig::faithful() };
+    let faithful = TrainConfig { iterations: 60, keep_every_s: 1e9, density, ..TrainConfig::faithful() };
     let drawn = DensityConfig { split_placement: SplitPlacement::Sample, ..config().density };
     let literal = DensityConfig {
-        split_placement: SplitPlacement::LongestAxis,
+        split_placement: SplitPlacement::Halves,
         final_opacity: 0.1,
-        from: 20,
-        every: 20,
-        prune_every: 20,
-        ..DensityConfig::faithful()
+        from: 0.2,
+        every: 0.2,
+        prune_every: 0.2,
+        ..DensityConfig::literal()
     };
     for (config, rounds, most_waits) in [
         (config(), 4, 20),
@@ -89,7 +90,7 @@ fn asynchronous_steps_give_the_same_bits() {
 #[test]
 fn densification_by_gradients_adds_splats_on_every_backend() {
     let (scene, capture) = video();
-    let density = DensityConfig { from: 20, every: 20, ..DensityConfig::by_gradient() };
+    let density = DensityConfig { from: 0.2, every: 0.2, ..DensityConfig::by_gradient() };
     let config = TrainConfig { density, arcs: false, ..config() };
     let run = |stops: &[usize], calls: Option<&Arc<Calls>>| {
         let mut trainer = Trainer::new(&capture, disturbed(&scene, 2), config.clone(), SimdLevel::best()).unwrap();
@@ -104,7 +105,7 @@ fn densification_by_gradients_adds_splats_on_every_backend() {
     };
     let here = run(&[100], None);
     let (first, last) = (disturbed(&scene, 2).n(), here.splats.n());
-    assert!(last > first && last <= 3 * first, "{first} splats became {last}");
+    assert!(last > first && last <= 5 * first, "{first} splats became {last}");
     assert!(here.splats.is_finite() && run(&[37, 100], None) == here, "stopped in between");
     assert!(run(&[100], Some(&Arc::default())) == here, "on another backend");
 }

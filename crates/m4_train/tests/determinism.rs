@@ -17,7 +17,7 @@ fn config(iterations: usize) -> TrainConfig {
     let mut config = TrainConfig::fast();
     config.iterations = iterations;
     config.seed = 11;
-    config.density = DensityConfig { from: 20, every: 20, prune_every: 40, ..DensityConfig::fast() };
+    config.density = DensityConfig { from: 0.2, every: 0.2, prune_every: 0.4, ..DensityConfig::fast() };
     config.refine.poses = true;
     config.refine.focal = true;
     config.refine.exposure = true;
@@ -31,7 +31,7 @@ fn batched(iterations: usize) -> TrainConfig {
     config.iterations = iterations;
     config.batch = 2;
     config.colour_fit_rounds = 2;
-    config.density = DensityConfig { from: 10, every: 10, prune_every: 20, ..DensityConfig::fast() };
+    config.density = DensityConfig { from: 0.2, every: 0.2, prune_every: 0.4, ..DensityConfig::fast() };
     config.refine.poses = true;
     config.refine.exposure = true;
     config.refine.from = 5;

@@ -148,10 +148,10 @@ fn a_new_splat_moves_by_its_rate_at_first() {
     config.lr.opacity = 0.01;
     config.lr.other_end = 1.0;
     config.density = DensityConfig {
-        from: 20,
-        every: 20,
+        from: 0.5,
+        every: 0.5,
         until: 0.5,
-        prune_every: 1000,
+        prune_every: 1.0,
         min_opacity: 0.0,
         final_opacity: 0.0,
         ..DensityConfig::fast()

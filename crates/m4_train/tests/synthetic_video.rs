@@ -68,7 +68,8 @@ fn training_from_depth_exceeds_30_db() {
     let splats = initialise(&capture, &init, &Silent).unwrap().splats;
     assert!(splats.n_static() > 1000 && splats.n_dynamic() > 300);
     let mut config = config(240);
-    config.density = DensityConfig { from: 60, every: 40, prune_every: 80, ..DensityConfig::fast() };
+    config.density =
+        DensityConfig { from: 0.25, every: 40.0 / 240.0, prune_every: 80.0 / 240.0, ..DensityConfig::fast() };
     let first = splats.n();
     let mut trainer = Trainer::new(&capture, splats, config, SimdLevel::best()).unwrap();
     let mut last = None;
@@ -118,7 +119,7 @@ fn density_control_improves_frames_that_were_not_trained_on() {
     });
     let scores = [false, true].map(|enabled| {
         let mut config = config(400);
-        let density = DensityConfig { from: 60, every: 40, prune_every: 80, ..DensityConfig::fast() };
+        let density = DensityConfig { from: 0.15, every: 0.1, prune_every: 0.2, ..DensityConfig::fast() };
         config.density = DensityConfig { enabled, budget: 0.05, max_growth: 1.5, ..density };
         let mut trainer = Trainer::new(&train, start.clone(), config, SimdLevel::best()).unwrap();
         trainer.run(&Silent, &mut |_| {}).unwrap();

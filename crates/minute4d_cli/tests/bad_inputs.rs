@@ -70,7 +70,7 @@ fn unknown_and_invalid_settings_are_rejected() {
     for (given, words) in [
         ("train.loss.lambda_ssim=3", ["train.loss.lambda_ssim = 3", "0 to 1"]),
         ("init.keyframe_gaps=0", ["init.keyframe_gaps = 0", "0.001 to"]),
-        ("train.density.every=0", ["train.density.every = 0", "1 to"]),
+        ("train.density.every=2", ["train.density.every = 2", "0 to 1"]),
     ] {
         dir.refused(&format!("train capture -o never --set {given}"), 78, &words);
     }

@@ -138,10 +138,7 @@ fn held_out_views_are_aligned_to_an_own_world() {
 fn scene_is_independent_of_the_number_of_threads() {
     let dir = with_capture(false);
     let scene = |threads: usize| {
-        dir.succeed(&format!(
-            "train capture -o out{threads} --iterations 80 --threads {threads} --set train.density.from=20 \
-             --set train.density.every=20"
-        ));
+        dir.succeed(&format!("train capture -o out{threads} --iterations 80 --threads {threads}"));
         dir.read(&format!("out{threads}/scene.safetensors"))
     };
     let (one, two, three) = (scene(1), scene(2), scene(3));

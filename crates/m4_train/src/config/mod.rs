@@ -2,6 +2,7 @@
 
 use crate::{ColourDegree, TrainError};
 pub use density::{CloneOpacity, DensityConfig, ErrorRange, PruneRule, SplitPlacement, SplitSize};
+pub(crate) use density::{LARGE_EXTENT, LARGE_FROM, LARGE_PX};
 pub use m4_kernels::adam::cpu::AdamConfig;
 
 mod density;
@@ -104,7 +105,6 @@ impl TrainConfig {
             density: DensityConfig::faithful(),
             arcs: false,
             mip: false,
-            background: Some([0.0; 3]),
             ..Self::fast()
         }
     }
@@ -115,7 +115,10 @@ impl TrainConfig {
         let shares = [
             ("loss.lambda_ssim", self.lambda_ssim),
             ("cover", self.cover),
+            ("density.from", density.from),
             ("density.until", density.until),
+            ("density.every", density.every),
+            ("density.prune_every", density.prune_every),
             ("density.error_threshold", density.error_threshold),
             ("density.budget", density.budget),
             ("density.final_opacity", density.final_opacity),
@@ -151,8 +154,6 @@ impl TrainConfig {
         let counts = [
             ("guard_every", self.guard_every),
             ("metrics_every", self.metrics_every),
-            ("density.every", density.every),
-            ("density.prune_every", density.prune_every),
             ("density.frames", density.frames),
             ("iterations", self.iterations),
             ("batch", self.batch),
@@ -299,7 +300,7 @@ mod tests {
         broken.lr.opacity = f32::NAN;
         assert!(broken.check().unwrap_err().to_string().contains("`lr.opacity` is NaN"));
         let mut broken = TrainConfig::fast();
-        broken.density.every = 0;
+        broken.density.every = -1.0;
         assert!(broken.check().is_err());
         let endless = TrainConfig { iterations: 5_000_000_000, ..TrainConfig::fast() };
         assert!(endless.check().unwrap_err().to_string().contains("`iterations` is 5000000000"));

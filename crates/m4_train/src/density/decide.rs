@@ -3,7 +3,7 @@
 
 use crate::{
     SceneScale,
-    config::{DensityConfig, PruneRule, SplitSize},
+    config::{DensityConfig, LARGE_EXTENT, LARGE_PX, PruneRule, SplitSize},
     density::{Scores, score::quantile},
 };
 use m4_core::{Column, Splats};
@@ -17,6 +17,8 @@ pub struct SplatView<'a> {
     pub opacity: &'a [f32],
     /// True where the splat is large enough to be split rather than cloned.
     pub large: &'a [bool],
+    /// True where it is too large to stay.
+    pub oversized: &'a [bool],
 }
 
 /// Which rounds are due.
@@ -26,6 +28,8 @@ pub struct Decision {
     pub densify: bool,
     /// Prune by score; the rule of opacity applies in every round.
     pub prune_by_score: bool,
+    /// Prune what is too large.
+    pub prune_large: bool,
     /// Most splats that the next set may have.
     pub max_splats: usize,
 }
@@ -40,7 +44,7 @@ impl Decision {
 /// The splats to clone, split and prune.
 ///
 /// A splat is densified when its score is above the threshold and among the best `budget`; ties go to
-/// the lower row. Pruned are splats of low opacity and, when due, those that the score rule names; in the literal rule a splat may be cloned and pruned in one round, then its clone
+/// the lower row. Pruned are splats of low opacity and, when due, those that are too large and those that the score rule names; in the literal rule a splat may be cloned and pruned in one round, then its clone
 /// takes its place.
 pub fn decide(config: &DensityConfig, due: Decision, splats: SplatView<'_>, scores: &Scores) -> Plan {
     let n = splats.opacity.len();
@@ -53,7 +57,7 @@ pub fn decide(config: &DensityConfig, due: Decision, splats: SplatView<'_>, scor
     for rows in [0..splats.n_static, splats.n_static..n] {
         let mut new_splats: Vec<(u32, Origin)> = Vec::new();
         for row in rows {
-            let hopeless = splats.opacity[row] < config.min_opacity;
+            let hopeless = splats.opacity[row] < config.min_opacity || (due.prune_large && splats.oversized[row]);
             let mut add = |origin| {
                 plan.rows.push(row as u32);
                 plan.origins.push(origin);
@@ -152,8 +156,13 @@ impl Rules<'_> {
             SplitSize::Pixels { pixels } => pixels * self.scale.nearest_camera(mean(i)) / self.scale.focal_px,
         };
         let large: Vec<bool> = (0..n).map(|i| largest[i] > limit(i)).collect();
+        let too_large = |i: usize| {
+            let pixel = self.scale.nearest_camera(mean(i)) / self.scale.focal_px;
+            largest[i] > LARGE_EXTENT * self.scale.extent || largest[i] > LARGE_PX / 3.0 * pixel
+        };
+        let oversized: Vec<bool> = (0..n).map(|i| self.due.prune_large && too_large(i)).collect();
         let opacity: Vec<f32> = splats.column(Column::Opacity, 0).iter().map(|&l| 1.0 / (1.0 + (-l).exp())).collect();
-        let view = SplatView { n_static: splats.n_static(), opacity: &opacity, large: &large };
+        let view = SplatView { n_static: splats.n_static(), opacity: &opacity, large: &large, oversized: &oversized };
         decide(&config, self.due, view, scores)
     }
 }
@@ -214,7 +223,9 @@ mod tests {
         density::{Origin, Scores},
     };
 
-    const DUE: Decision = Decision { densify: true, prune_by_score: true, max_splats: 1000 };
+    const DUE: Decision = Decision { densify: true, prune_by_score: true, prune_large: true, max_splats: 1000 };
+
+    const NONE: [bool; 100] = [false; 100];
 
     fn scores(densify: &[f32], prune: &[f32]) -> Scores {
         Scores { densify: densify.to_vec(), prune: prune.to_vec() }
@@ -223,7 +234,7 @@ mod tests {
     #[test]
     fn small_splats_are_cloned_and_large_ones_split() {
         let config = DensityConfig { budget: 1.0, ..DensityConfig::fast() };
-        let view = SplatView { n_static: 2, opacity: &[0.5; 4], large: &[false, true, false, true] };
+        let view = SplatView { n_static: 2, opacity: &[0.5; 4], large: &[false, true, false, true], oversized: &NONE };
         let due = Decision { prune_by_score: false, ..DUE };
         let plan = decide(&config, due, view, &scores(&[1.0, 0.0, 0.0005, 2.0], &[0.0; 4]));
         assert_eq!(plan.rows, [0, 1, 0, 2, 3, 3]);
@@ -238,7 +249,7 @@ mod tests {
         let config = DensityConfig { budget: 0.5, ..DensityConfig::fast() };
         let n = 10;
         let densify: Vec<f32> = (0..n).map(|i| 1.0 + ((i * 7) % n) as f32).collect();
-        let view = SplatView { n_static: n, opacity: &vec![0.5; n], large: &vec![false; n] };
+        let view = SplatView { n_static: n, opacity: &vec![0.5; n], large: &vec![false; n], oversized: &NONE };
         let count = |max_splats| {
             let plan = decide(&config, Decision { max_splats, ..DUE }, view, &scores(&densify, &vec![0.0; n]));
             let worst = plan.origins.iter().zip(&plan.rows).filter(|(o, _)| **o == Origin::Clone);
@@ -265,7 +276,7 @@ mod tests {
         let prune: Vec<f32> = (0..100).map(|i| if i == 10 { 0.0 } else { i as f32 * 0.1 }).collect();
         let mut densify = vec![0.0; 100];
         densify[98] = 1.0; // among the highest prune scores, but a parent
-        let view = SplatView { n_static: 40, opacity: &opacity, large: &[false; 100] };
+        let view = SplatView { n_static: 40, opacity: &opacity, large: &[false; 100], oversized: &NONE };
         let plan = decide(&config, DUE, view, &scores(&densify, &prune));
         let gone: Vec<u32> = (0..100).filter(|r| !plan.rows.contains(r)).collect();
         assert_eq!(gone, [60, 99]);
@@ -275,8 +286,8 @@ mod tests {
 
     #[test]
     fn the_literal_rule_cuts_the_tail() {
-        let config = DensityConfig::faithful();
-        let view = SplatView { n_static: 0, opacity: &[0.5; 4], large: &[false; 4] };
+        let config = DensityConfig::literal();
+        let view = SplatView { n_static: 0, opacity: &[0.5; 4], large: &[false; 4], oversized: &NONE };
         let plan = decide(&config, DUE, view, &scores(&[0.0, 0.0, 0.5, 0.0], &[0.0, 0.5, 100.0, 50.0]));
         // row 1: 0.5 / 100 stays; row 2: pruned, its clone takes its place; row 3: pruned
         assert_eq!(plan.rows, [0, 1, 2]);
@@ -290,7 +301,7 @@ mod tests {
         for config in [DensityConfig::fast(), DensityConfig::faithful()] {
             let config = DensityConfig { budget: 1.0, min_opacity: 0.0, ..config };
             // as low as score pruning of `fast` wants it
-            let view = SplatView { n_static: 5, opacity: &[0.004; 5], large: &[false; 5] };
+            let view = SplatView { n_static: 5, opacity: &[0.004; 5], large: &[false; 5], oversized: &NONE };
             let plan = decide(&config, DUE, view, &scores(&[0.005, 0.0005, 0.0, 0.0, 0.0], &[0.0; 5]));
             assert_eq!((plan.cloned, plan.pruned, &plan.rows[..]), (1, 0, &[0, 1, 2, 3, 4, 0][..]), "{config:?}");
             // normalised by the largest, which two have for the quantile of `fast`: 0.005, 0.02 and 1
@@ -300,8 +311,24 @@ mod tests {
     }
 
     #[test]
+    fn what_is_too_large_goes_unless_it_is_split() {
+        let view = SplatView {
+            n_static: 4,
+            opacity: &[0.5; 4],
+            large: &[false, true, true, false],
+            oversized: &[false, true, true, false],
+        };
+        let config = DensityConfig { budget: 1.0, ..DensityConfig::by_gradient() };
+        let due = Decision { prune_by_score: false, ..DUE };
+        let plan = decide(&config, due, view, &scores(&[0.0, 0.0, 1.0, 0.0], &[0.0; 4]));
+        assert_eq!((&plan.rows[..], plan.split, plan.pruned), (&[0, 3, 2, 2][..], 1, 1));
+        let due = Decision { prune_large: false, ..due };
+        assert_eq!(decide(&config, due, view, &scores(&[0.0; 4], &[0.0; 4])).pruned, 0);
+    }
+
+    #[test]
     fn zero_scores_keep_every_splat() {
-        let view = SplatView { n_static: 1, opacity: &[0.5; 3], large: &[true; 3] };
+        let view = SplatView { n_static: 1, opacity: &[0.5; 3], large: &[true; 3], oversized: &NONE };
         let plan = decide(&DensityConfig::fast(), DUE, view, &scores(&[0.0; 3], &[0.0; 3]));
         assert!(plan.changes_nothing());
         assert_eq!(plan.rows, [0, 1, 2]);

@@ -68,8 +68,13 @@ mod tests {
     fn splats_above_the_threshold_of_3dgs_are_cloned_or_split_and_transparent_ones_pruned() {
         let mut sums = GradientSums::default();
         sums.add(&[3e-4, 1e-4, 3e-4, 1e-4], &[1; 4]);
-        let view = SplatView { n_static: 4, opacity: &[0.5, 0.5, 0.5, 0.004], large: &[false, true, true, false] };
-        let due = Decision { densify: true, prune_by_score: false, max_splats: 100 };
+        let view = SplatView {
+            n_static: 4,
+            opacity: &[0.5, 0.5, 0.5, 0.004],
+            large: &[false, true, true, false],
+            oversized: &[false; 4],
+        };
+        let due = Decision { densify: true, prune_by_score: false, prune_large: false, max_splats: 100 };
         let plan = decide(&DensityConfig::by_gradient(), due, view, &sums.take(4));
         assert_eq!(plan.rows, [0, 1, 0, 2, 2]);
         use Origin::{Child, Clone, Cloned, Kept};

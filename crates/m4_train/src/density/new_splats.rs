@@ -12,7 +12,7 @@ use m4_core::{
 };
 use m4_kernels::adam::cpu::AdamState;
 
-/// Scales of drawn children are those of the parent over this (3DGS).
+/// Scales of drawn children, and of those of spheres, are those of the parent over this (3DGS).
 const SPLIT_FACTOR: f32 = 1.6;
 
 /// Carries a plan out: splats and optimiser state become the next ones, in place.
@@ -58,8 +58,9 @@ fn apply_to_splats(
                     share_opacity(out, row);
                 }
             }
-            Origin::Child(k) if config.split_placement == SplitPlacement::LongestAxis => {
-                halve(out, row, if k == 0 { 1.0 } else { -1.0 });
+            Origin::Child(k) if config.split_placement == SplitPlacement::Halves => {
+                let rng = CounterRng::new(seed, child_purpose(iteration, 0), u64::from(plan.rows[row]));
+                halve(out, row, if k == 0 { 1.0 } else { -1.0 }, rng);
                 if config.clone_opacity == CloneOpacity::Share {
                     share_opacity(out, row);
                 }
@@ -97,18 +98,22 @@ fn share_opacity(splats: &mut Splats, row: usize) {
     *logit = (o / (1.0 - o)).ln();
 }
 
-/// One half of a splat: 0.6 standard deviations along the longest axis, to the side of `sign`, 0.8 as
-/// long there. `0.6^2 + 0.8^2 = 1`, so that both halves together have the parent's covariance.
-fn halve(splats: &mut Splats, row: usize, sign: f32) {
+/// One half of a splat: 0.6 standard deviations along the longest axis, to the side of `sign`, 0.8 as long there. `0.6^2 + 0.8^2 = 1`,
+/// so that both halves together have the parent's covariance. A sphere has no longest axis: a direction is drawn, the same for both,
+/// and the scale is over 1.6.
+fn halve(splats: &mut Splats, row: usize, sign: f32, mut rng: CounterRng) {
     let isotropic = splats.layout().isotropic;
     let scale = |k: usize| splats.column(Column::LogScale, if isotropic { 0 } else { k })[row].exp();
     let axis = (1..3).fold(0, |best, k| if scale(k) > scale(best) { k } else { best });
-    let local = Vector3::from_fn(|k, _| if k == axis { sign * 0.6 * scale(k) } else { 0.0 });
-    let shift = if isotropic { local } else { turned(splats, row, local) };
+    let shift = match isotropic {
+        true => Vector3::from_fn(|_, _| rng.normal() as f32).normalize() * (sign * 0.6 * scale(0)),
+        false => turned(splats, row, Vector3::from_fn(|k, _| if k == axis { sign * 0.6 * scale(k) } else { 0.0 })),
+    };
     for k in 0..3 {
         splats.column_mut(Column::Mean, k)[row] += shift[k];
     }
-    splats.column_mut(Column::LogScale, if isotropic { 0 } else { axis })[row] += 0.8f32.ln();
+    let (axis, factor) = if isotropic { (0, 1.0 / SPLIT_FACTOR) } else { (axis, 0.8) };
+    splats.column_mut(Column::LogScale, axis)[row] += factor.ln();
 }
 
 /// A vector of the splat's own axes, in the world.
@@ -233,6 +238,22 @@ mod tests {
         let o = next.column(Column::Opacity, 0);
         assert!((pass(o[4]) * pass(o[5]) - pass(1.0)).abs() < 1e-6);
         assert_eq!(state.step[4..], [0, 0]);
+    }
+
+    #[test]
+    fn halves_of_a_sphere_lie_on_both_sides_and_live_as_long() {
+        let layout = SplatLayout { isotropic: true, sh_degree: 0, time_degree: 0 };
+        let splats = Splats::zeros(layout, 2, 2);
+        let world = (splats.clone(), AdamState::new(&splats));
+        let (next, _) = applied(&DensityConfig::faithful(), &world, 1, 700);
+        let mean = |row: usize| [0, 1, 2].map(|k| next.column(Column::Mean, k)[row]);
+        let (a, b) = (mean(4), mean(5));
+        assert_eq!(a, b.map(|x| -x));
+        assert!((a.iter().map(|x| x * x).sum::<f32>() - 0.36).abs() < 1e-5, "{a:?}");
+        assert!((next.column(Column::LogScale, 0)[4] + 1.6f32.ln()).abs() < 1e-6);
+        assert_eq!((next.column(Column::TimeMean, 0)[1], next.column(Column::LogTimeSd, 0)[1]), (0.0, 0.0));
+        let other = applied(&DensityConfig::faithful(), &world, 2, 700).0;
+        assert_ne!(other.column(Column::Mean, 0)[4], a[0], "another seed, another direction");
     }
 
     #[test]

@@ -1,7 +1,7 @@
 //! Turns point clouds into splats.
 
 use crate::init::{
-    InitConfig, InitError, TimeSpread, VelocityInit,
+    CellSize, InitConfig, InitError, TimeSpread, VelocityInit,
     carry::{CARRY_MARGIN, CARRY_REACH_PIXELS, Carry, MOST_CARRIED, Moving, hidden, is_seen},
     change::changes,
     cloud::{Clouds, Pixels, clouds},
@@ -11,15 +11,17 @@ use crate::init::{
     surface::{Surface, surface},
     tracked::{self, Known},
     voxel::{Centroids, Grid, pixels_for},
-    write::{BRIGHT, DARK, Writer},
+    write::{BRIGHT, DARK, Writer, spacing},
 };
-use m4_core::{Capture, Progress, SplatLayout, Splats};
+use m4_core::{Capture, Column, Progress, SplatLayout, Splats};
 use rayon::prelude::*;
 use std::ops::Range;
 
 /// Voxels are never smaller than this, pixels at the median depth: splats finer than the pixels leave cracks in views from the
 /// side (measured: -0.4 dB inside moving parts at 0.5; docs/decisions/0004).
 const MIN_PIXELS: f32 = 1.25;
+/// Edge of voxels, pixels, that merge no two pixels of a frame.
+const UNMERGED_PIXELS: f32 = 0.1;
 /// Spacing of the splats that tint changed patches, pixels at the median depth (our rule).
 const TINT_PIXELS: f32 = 5.0;
 /// Radius of the shell, in units of the depth below which 99 of 100 pixels lie (our rule).
@@ -58,17 +60,24 @@ pub fn initialise(capture: &Capture, config: &InitConfig, progress: &dyn Progres
         .map(|c| [c.x as f32, c.y as f32, c.z as f32])
         .collect();
     let origin = centres[0];
-    let grid = |pixels| Grid::new(config.cells, pixels, focal_px, median_depth, &centres, origin);
+    let grid = |pixels| {
+        let depth = match config.cells {
+            CellSize::Constant => clouds.first_depth,
+            CellSize::DepthProportional => median_depth,
+        };
+        Grid::new(config.cells, pixels, focal_px, depth, &centres, origin)
+    };
     let points = |pixels: &Pixels| pixels.cloud(capture);
 
+    let least = config.voxel_px.unwrap_or(MIN_PIXELS);
     let (static_grid, static_points) = if config.merge_surfaces {
         let Surface { cloud, count } = surface(capture, &clouds.static_points, progress)?;
-        let grid = grid(pixels_for(config.max_static, MIN_PIXELS, |p| grid(p).occupied(&cloud)));
+        let grid = grid(pixels_for(config.max_static, least, |p| grid(p).occupied(&cloud)));
         let points = grid.merge_weighted(&cloud, &count);
         (grid, points)
     } else {
         let parts = &clouds.static_points;
-        let grid = grid(pixels_for(config.max_static, MIN_PIXELS, |p| grid(p).occupied_by(parts, points)));
+        let grid = grid(pixels_for(config.max_static, least, |p| grid(p).occupied_by(parts, points)));
         let merged = grid.merge_all(parts, points);
         (grid, merged)
     };
@@ -79,7 +88,8 @@ pub fn initialise(capture: &Capture, config: &InitConfig, progress: &dyn Progres
         let grid = grid(p);
         clouds.moving.par_iter().map(|k| grid.occupied(&points(k))).sum()
     };
-    let moving_grid = grid(pixels_for(config.max_dynamic, MIN_PIXELS, count));
+    let least = if config.voxel_px.is_some() { UNMERGED_PIXELS } else { MIN_PIXELS };
+    let moving_grid = grid(pixels_for(config.max_dynamic, least, count));
     let moving: Vec<(f64, Centroids)> =
         clouds.moving.par_iter().map(|k| (capture.frames[k.frame].t, moving_grid.merge(&points(k)))).collect();
     stopped(progress)?;
@@ -231,7 +241,21 @@ fn assemble(capture: &Capture, config: &InitConfig, parts: &Parts) -> FirstSplat
             writer.shorten(first, &parts.paths[i].bend);
         }
     }
+    if config.isotropic {
+        space_all(&mut splats, config);
+    }
     FirstSplats { splats, fixed }
+}
+
+/// Sizes splats by their neighbours among all of them, of whatever time (Instant4D; docs/spec/optimiser.md 2.5).
+fn space_all(splats: &mut Splats, config: &InitConfig) {
+    let means: Vec<[f32; 3]> =
+        (0..splats.n()).map(|row| [0, 1, 2].map(|k| splats.column(Column::Mean, k)[row])).collect();
+    let own: Vec<f32> = splats.column(Column::LogScale, 0).iter().map(|log| log.exp() / config.scale_factor).collect();
+    let spacing = spacing(&means, &own);
+    for (log, size) in splats.column_mut(Column::LogScale, 0).iter_mut().zip(spacing) {
+        *log = (config.scale_factor * size).ln();
+    }
 }
 
 /// Middle and logarithm of the standard deviation in time, frames, of static points that fade.

@@ -62,6 +62,8 @@ pub(crate) struct Clouds {
     pub moving: Vec<Pixels>,
     /// Median z-depth of the sampled pixels, world units.
     pub median_depth: f64,
+    /// Mean z-depth of the first frame with depth, world units.
+    pub first_depth: f64,
     /// Depth above which 99 of 100 pixels lie, world units.
     pub near_depth: f64,
     /// Depth below which 99 of 100 pixels lie, world units.
@@ -91,6 +93,7 @@ pub(crate) fn clouds(capture: &Capture, config: &InitConfig, progress: &dyn Prog
         static_points: Vec::new(),
         moving: Vec::new(),
         median_depth: 0.0,
+        first_depth: 0.0,
         near_depth: 0.0,
         far_depth: 0.0,
         focal_px: 0.0,
@@ -109,6 +112,10 @@ pub(crate) fn clouds(capture: &Capture, config: &InitConfig, progress: &dyn Prog
             })
             .collect();
         for (i, part) in parts.into_iter().enumerate() {
+            if depths.is_empty() && !part.depths.is_empty() {
+                let sum: f64 = part.depths.iter().map(|&z| f64::from(z)).sum();
+                out.first_depth = sum / part.depths.len() as f64;
+            }
             depths.extend_from_slice(&part.depths);
             out.focal_px += part.focal_px / with_depth.len() as f64;
             let frame = batch[i];

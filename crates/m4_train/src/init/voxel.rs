@@ -42,17 +42,17 @@ pub(crate) struct Grid {
 }
 
 impl Grid {
-    /// `pixels` at the median depth, or (depth-proportional) at the distance to the nearest camera.
+    /// `pixels` at `depth`, or (depth-proportional) at the distance to the nearest camera.
     pub fn new(
         cells: CellSize,
         pixels: f32,
         focal_px: f64,
-        median_depth: f64,
+        depth: f64,
         centres: &[[f32; 3]],
         origin: [f32; 3],
     ) -> Self {
         let (unit, centres) = match cells {
-            CellSize::Constant => (f64::from(pixels) * median_depth / focal_px, Vec::new()),
+            CellSize::Constant => (f64::from(pixels) * depth / focal_px, Vec::new()),
             CellSize::DepthProportional => (f64::from(pixels) / focal_px, centres.to_vec()),
         };
         Self { origin, unit: unit as f32, centres }

@@ -5,6 +5,7 @@ use crate::{
     backend::{DensityRound, ScoreSettings},
     colour_degree::add_coefficients,
     colour_fit::correct,
+    config::LARGE_FROM,
     density::{Decision, Rules},
     schedule::{period, progress, purpose},
     trainer::Trainer,
@@ -18,10 +19,10 @@ impl Trainer<'_> {
     pub(super) fn density_round(&mut self) -> Result<(), TrainError> {
         let c = &self.config.density;
         let (i, n) = (self.iteration, self.config.iterations);
-        let within = c.enabled && i >= c.from && i as f64 <= f64::from(c.until) * n as f64;
         let due = Decision {
-            densify: within && i.is_multiple_of(c.every),
-            prune_by_score: within && c.loss_guided && i.is_multiple_of(c.prune_every),
+            densify: c.is_due(c.every, i, n),
+            prune_by_score: c.loss_guided && c.is_due(c.prune_every, i, n),
+            prune_large: c.prune_large && i as f64 > f64::from(LARGE_FROM) * n as f64 && c.is_due(c.every, i, n),
             max_splats: (f64::from(c.max_growth) * self.first_splats as f64) as usize,
         };
         let last = c.enabled && i == n && c.final_opacity > 0.0;
@@ -30,7 +31,7 @@ impl Trainer<'_> {
             self.round(due, min_opacity)?;
         }
         if last {
-            let nothing = Decision { densify: false, prune_by_score: false, max_splats: 0 };
+            let nothing = Decision { densify: false, prune_by_score: false, prune_large: false, max_splats: 0 };
             self.round(nothing, final_opacity)?;
         }
         Ok(())

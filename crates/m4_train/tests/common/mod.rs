@@ -126,8 +126,8 @@ pub fn halves_have_the_colour_of_their_time(backend: Option<Box<dyn Backend>>) {
     let mut config =
         TrainConfig { iterations: 20, arcs: false, colour_fit_rounds: 0, lr: STILL, ..TrainConfig::fast() };
     config.density = DensityConfig {
-        from: 10,
-        every: 10,
+        from: 0.5,
+        every: 0.5,
         until: 0.5,
         budget: 1.0,
         max_growth: 2.0,

@@ -13,12 +13,12 @@ use m4_train::backend::gpu::{GpuBackend, GpuTrainer};
 use m4_train::backend::{Backend, CpuBackend, StepView};
 use m4_train::config::SplitSize;
 use m4_train::density::Decision;
-use m4_train::{DensityConfig, SceneScale};
+use m4_train::{DensityConfig, SceneScale, TrainConfig};
 use std::slice::from_ref;
 
 const FIXED_ROWS: std::ops::Range<usize> = 0..20;
 /// Nothing grows or is pruned, but for its opacity.
-const NOTHING: Decision = Decision { densify: false, prune_by_score: false, max_splats: 0 };
+const NOTHING: Decision = Decision { densify: false, prune_by_score: false, prune_large: false, max_splats: 0 };
 
 /// Frames, and the views of steps: the first step has two of them.
 fn clip() -> ([Target; 2], [(usize, View); 3]) {
@@ -136,8 +136,9 @@ fn a_round_by_gradients_makes_the_splats_that_the_cpu_makes() {
         min_opacity: 0.2,
         ..DensityConfig::by_gradient()
     };
-    let free = Decision { densify: true, prune_by_score: false, max_splats: usize::MAX };
+    let free = Decision { densify: true, prune_by_score: false, prune_large: false, max_splats: usize::MAX };
     let capped = Decision { max_splats: splats.n() + above, ..free };
+    let batches = TrainConfig { batch: 2, ..TrainConfig::fast() };
     for (config, due) in [(of(middle), free), (of(0.0), capped)] {
         let scale = lengths(usual_size(&splats));
         let round = round(&[], &config, &scale, due);

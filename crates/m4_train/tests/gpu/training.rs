@@ -35,13 +35,13 @@ fn config(iterations: usize) -> TrainConfig {
     let mut config = TrainConfig::fast();
     config.iterations = iterations;
     config.seed = 5;
-    config.density = DensityConfig { from: 20, every: 20, prune_every: 40, ..DensityConfig::fast() };
+    config.density = DensityConfig { from: 0.2, every: 0.2, prune_every: 0.4, ..DensityConfig::fast() };
     config
 }
 
 /// Density control as 3DGS does it.
 fn by_gradient(iterations: usize) -> TrainConfig {
-    let density = DensityConfig { from: 20, every: 20, until: 0.7, ..DensityConfig::by_gradient() };
+    let density = DensityConfig { from: 0.25, every: 0.25, until: 0.7, ..DensityConfig::by_gradient() };
     TrainConfig { density, arcs: false, ..config(iterations) }
 }
 
@@ -166,13 +166,15 @@ fn harmonics_of_colours_are_trained_on_the_device_as_on_the_cpu() {
     let [here, there] = [None, Some(&gpu)].map(|gpu| train(&scene, &capture, config.clone(), gpu).into_scene().splats);
     assert_eq!((there.layout().sh_degree, there.layout().time_degree), (1, 1));
     let columns = here.layout().range(Column::Colour);
-    let (mut near, mut far) = (0, 0);
+    // Adam turns the last digits of small gradients into whole steps: single coefficients differ, all together do not.
+    let (mut size, mut difference) = (0.0, 0.0);
     for (a, b) in here.columns()[columns.clone()].iter().zip(&there.columns()[columns]).skip(3) {
         assert!(a.iter().any(|&v| v != 0.0));
         for (a, b) in a.iter().zip(b) {
-            let count = if (a - b).abs() < 1e-3 { &mut near } else { &mut far };
-            *count += 1;
+            size += f64::from(a * a);
+            difference += f64::from((a - b) * (a - b));
         }
     }
-    assert!(100 * far < near, "{far} of {} coefficients differ", near + far);
+    let share = (difference / size).sqrt();
+    assert!(share < 0.1, "the coefficients differ by {share:.4} of their size");
 }

@@ -45,6 +45,8 @@ struct Paper {
     iterations: usize,
     instance_interval: usize,
     track_stride: usize,
+    /// Of Instant4D, whose setup the paper follows (docs/spec/optimiser.md 2.2).
+    voxel_px: f32,
 }
 
 /// Probability of motion above which a pixel is dynamic, in all data sets of the paper (tau, docs/spec/front-end.md 2.4).
@@ -57,7 +59,7 @@ const DYCHECK: Facts = Facts {
     below: &["", "iphone", "dycheck", "dycheck/iphone"],
     protocols: &[Protocol::Instant4d, Protocol::Dycheck],
     more_protocols: &[Protocol::Rodygs, Protocol::Holdout],
-    paper: Paper { iterations: 5000, instance_interval: 50, track_stride: 10 },
+    paper: Paper { iterations: 5000, instance_interval: 50, track_stride: 10, voxel_px: 6.0 },
     source: "The scenes are on the project page of DyCheck (Gao et al., NeurIPS 2022: the README of KAIR-BAIR/dycheck, docs/DATASETS.md), a \
              zip file each; unpack them side by side",
 };
@@ -68,7 +70,7 @@ const NVIDIA: Facts = Facts {
     below: &["", "nvidia", "Nvidia", "NVIDIA"],
     protocols: &[Protocol::Nvidia],
     more_protocols: &[],
-    paper: Paper { iterations: 1500, instance_interval: 2, track_stride: 1 },
+    paper: Paper { iterations: 1500, instance_interval: 2, track_stride: 1, voxel_px: 4.0 },
     source: "The scenes with poses and masks, and the images that results are compared with (gt/v000_tTTT.png), are bundles that the \
              README of facebookresearch/robust-dynrf links; unpack them side by side",
 };
@@ -84,7 +86,7 @@ const DAVIS: Facts = Facts {
     ],
     protocols: &[Protocol::Davis],
     more_protocols: &[Protocol::Holdout],
-    paper: Paper { iterations: 5000, instance_interval: 10, track_stride: 10 },
+    paper: Paper { iterations: 5000, instance_interval: 10, track_stride: 10, voxel_px: 2.0 },
     source: "DAVIS 2017 (TrainVal, 480p) is on davischallenge.org, a zip file; give the folder that holds JPEGImages, and other clips of it with \
              --scenes",
 };
@@ -121,6 +123,7 @@ impl Suite {
             settings.enhance.masks.every_frames = paper.instance_interval;
             settings.enhance.masks.tau = MOTION_THRESHOLD;
             settings.enhance.tapip3d.every = paper.track_stride;
+            settings.init.voxel_px = Some(paper.voxel_px);
         }
         settings
     }
@@ -216,11 +219,17 @@ mod tests {
     fn the_faithful_settings_are_those_of_the_paper_for_the_data_set() {
         let of = |suite: Suite| {
             let s = suite.settings(Profile::Faithful);
-            (s.enhance.masks.every_frames, s.enhance.tapip3d.every, s.train.iterations, s.enhance.masks.tau)
+            (
+                s.enhance.masks.every_frames,
+                s.enhance.tapip3d.every,
+                s.train.iterations,
+                s.init.voxel_px,
+                s.enhance.masks.tau,
+            )
         };
         assert_eq!(
             Suite::ALL.map(of),
-            [(50, 10, 5000, 0.7), (2, 1, 1500, 0.7), (10, 10, 5000, 0.7)],
+            [(50, 10, 5000, Some(6.0), 0.7), (2, 1, 1500, Some(4.0), 0.7), (10, 10, 5000, Some(2.0), 0.7)],
             "DyCheck, NVIDIA, DAVIS"
         );
         assert!(Suite::ALL.iter().all(|suite| suite.settings(Profile::Fast) == Settings::fast()));

@@ -268,15 +268,15 @@ mod tests {
     #[test]
     fn later_layers_win_and_leave_the_rest() {
         let file = std::env::temp_dir().join(format!("minute4d-layers-{}", std::process::id()));
-        std::fs::write(&file, "train.seed = 3\n[train.density]\nevery = 50\nerror_threshold = 1").unwrap();
+        std::fs::write(&file, "train.seed = 3\n[train.density]\nevery = 0.5\nerror_threshold = 1").unwrap();
         let layers = Layers::default()
             .file(&file)
-            .and_then(|layers| layers.set("train.density.every=7"))
+            .and_then(|layers| layers.set("train.density.every=0.25"))
             .and_then(|layers| layers.set("video.ffmpeg=a b"));
         std::fs::remove_file(&file).unwrap();
         let mut want = Settings::fast();
         want.set_seed(3);
-        want.train.density.every = 7;
+        want.train.density.every = 0.25;
         want.train.density.error_threshold = 1.0;
         want.video.ffmpeg = PathBuf::from("a b");
         let layers = layers.unwrap();

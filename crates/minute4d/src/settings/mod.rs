@@ -7,7 +7,9 @@ mod ranges;
 mod train;
 
 pub use layers::{Layers, SettingsError};
-pub use train::{ColourFitSettings, DensitySettings, InitSettings, LossSettings, RefinementSettings, TrainSettings};
+pub use train::{
+    ColourFitSettings, DensityRule, DensitySettings, InitSettings, LossSettings, RefinementSettings, TrainSettings,
+};
 
 use crate::Error;
 use crate::enhance::{EnhanceConfig, Tracker};
@@ -227,7 +229,7 @@ impl Settings {
                 self.init.tracks = false;
             }
             Enhancement::Density => self.train.density.enabled = false,
-            Enhancement::LossGuided => self.train.density.loss_guided = false,
+            Enhancement::LossGuided => self.train.density.rule = DensityRule::Gradient,
         }
     }
 
@@ -307,6 +309,7 @@ mod tests {
                 Value::Float(x) => vec![(key, Value::Float(0.5 * x + 0.001))],
                 Value::Boolean(b) => vec![(key, Value::Boolean(!b))],
                 Value::Array(values) => vec![(key, Value::Array(vec![Value::Float(0.5); values.len()]))],
+                Value::String(_) => vec![(key, Value::String("literal".to_owned()))],
                 other => panic!("{key} = {other} has no other value here"),
             }
         };

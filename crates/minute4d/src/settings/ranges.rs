@@ -18,7 +18,7 @@ const MOST_COUNT: f64 = 1e6;
 const MOST_SPLATS: f64 = 1e8;
 
 /// Every numeric setting; `docs/settings.md` shows the ranges.
-pub(super) const RANGES: [Range; 52] = [
+pub(super) const RANGES: [Range; 53] = [
     ("video.max_frames", 1.0, MOST_COUNT),
     ("video.size", 16.0, 16_384.0),
     ("video.start_s", 0.0, MOST_S),
@@ -48,6 +48,7 @@ pub(super) const RANGES: [Range; 52] = [
     ("enhance.tapip3d.memory_mb", 0.0, MOST_MB),
     ("init.max_static", 1.0, MOST_SPLATS),
     ("init.max_dynamic", 1.0, MOST_SPLATS),
+    ("init.voxel_px", 0.1, 1000.0),
     ("init.keyframe_gaps", 1e-3, MOST_COUNT),
     ("train.iterations", 1.0, 1e7),
     // A stop is heard between steps.
@@ -67,9 +68,9 @@ pub(super) const RANGES: [Range; 52] = [
     ("train.density.error_threshold", 0.0, 1.0),
     ("train.density.densify_threshold", 0.0, 1e6),
     ("train.density.prune_threshold", 0.0, 1e6),
-    ("train.density.from", 0.0, 1e7),
-    ("train.density.every", 1.0, 1e7),
-    ("train.density.prune_every", 1.0, 1e7),
+    ("train.density.from", 0.0, 1.0),
+    ("train.density.every", 0.0, 1.0),
+    ("train.density.prune_every", 0.0, 1.0),
     ("limit.time_s", 0.0, MOST_S),
     ("checkpoint.every_s", 0.0, MOST_S),
     ("checkpoint.keep", 1.0, 1000.0),

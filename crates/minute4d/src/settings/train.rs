@@ -62,14 +62,26 @@ pub struct LossSettings {
     pub lambda_ssim: f32,
 }
 
-/// Loss-guided density control; fields are those of [`DensityConfig`].
+/// What decides which splats are cloned, split and pruned.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum DensityRule {
+    /// The errors of frames, as the profile reads the paper (`docs/decisions/0003-density-control.md`).
+    LossGuided,
+    /// The errors of frames, by the paper's letter ([`DensityConfig::literal`]), which ends in fewer and worse splats; for comparison.
+    Literal,
+    /// Gradients in the image, as in 3DGS ([`DensityConfig::by_gradient`]); for comparison.
+    Gradient,
+}
+
+/// Density control; fields are those of [`DensityConfig`].
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct DensitySettings {
     /// Off: the number of splats stays as initialised.
     pub enabled: bool,
-    /// Off: densification by gradients ([`DensityConfig::by_gradient`]), which of the keys here has those of `from` and `every` alone.
-    pub loss_guided: bool,
+    /// What decides.
+    pub rule: DensityRule,
     /// Frames scored at each round.
     pub frames: usize,
     /// Normalised error above which a pixel counts, 0..1.
@@ -78,12 +90,12 @@ pub struct DensitySettings {
     pub densify_threshold: f32,
     /// Normalised score above which a splat is pruned.
     pub prune_threshold: f32,
-    /// First iteration.
-    pub from: usize,
-    /// Iterations between two rounds of densification.
-    pub every: usize,
-    /// Iterations between two rounds of pruning by score.
-    pub prune_every: usize,
+    /// Share of the run before the first round, 0..1.
+    pub from: f32,
+    /// Share of the run between two rounds of densification, 0..1.
+    pub every: f32,
+    /// Share of the run between two rounds of pruning by score, 0..1.
+    pub prune_every: f32,
 }
 
 /// What is corrected beside the splats; fields are those of [`RefineConfig`].
@@ -117,7 +129,7 @@ impl TrainSettings {
             loss: LossSettings { lambda_ssim: config.lambda_ssim },
             density: DensitySettings {
                 enabled: density.enabled,
-                loss_guided: density.loss_guided,
+                rule: DensityRule::LossGuided,
                 frames: density.frames,
                 error_threshold: density.error_threshold,
                 densify_threshold: density.densify_threshold,
@@ -145,28 +157,29 @@ impl TrainSettings {
             colour_degree: ColourDegree { space: self.colour_degree.space, time: self.colour_degree.time },
             colour_fit_rounds: self.colour_fit.rounds,
             lambda_ssim: self.loss.lambda_ssim,
-            density: match density.loss_guided {
-                true => DensityConfig {
-                    enabled: density.enabled,
-                    frames: density.frames,
-                    error_threshold: density.error_threshold,
-                    densify_threshold: density.densify_threshold,
-                    prune_threshold: density.prune_threshold,
-                    from: density.from,
-                    every: density.every,
-                    prune_every: density.prune_every,
-                    ..base.density
-                },
-                false => DensityConfig {
-                    enabled: density.enabled,
-                    from: density.from,
-                    every: density.every,
-                    ..DensityConfig::by_gradient()
-                },
-            },
+            density: density.config(base.density),
             refine: RefineConfig { poses: refine.poses, focal: refine.focal, exposure: refine.exposure, ..base.refine },
             ..base
         }
+    }
+}
+
+impl DensitySettings {
+    /// What the trainer is given: of the rules for comparison, settings that they do not know stay as they have them.
+    fn config(&self, of_profile: DensityConfig) -> DensityConfig {
+        let scored = |base| DensityConfig {
+            frames: self.frames,
+            error_threshold: self.error_threshold,
+            densify_threshold: self.densify_threshold,
+            prune_threshold: self.prune_threshold,
+            ..base
+        };
+        let (rule, prune_every) = match self.rule {
+            DensityRule::LossGuided => (scored(of_profile), self.prune_every),
+            DensityRule::Literal => (scored(DensityConfig::literal()), self.every),
+            DensityRule::Gradient => (DensityConfig::by_gradient(), self.every),
+        };
+        DensityConfig { enabled: self.enabled, from: self.from, every: self.every, prune_every, ..rule }
     }
 }
 
@@ -178,6 +191,8 @@ pub struct InitSettings {
     pub max_static: usize,
     /// As [`InitConfig::max_dynamic`].
     pub max_dynamic: usize,
+    /// As [`InitConfig::voxel_px`].
+    pub voxel_px: Option<f32>,
     /// Standard deviation in time of dynamic splats, gaps between keyframes ([`TimeSpread::KeyframeGaps`]); `None`: that of the
     /// reference.
     pub keyframe_gaps: Option<f32>,
@@ -194,6 +209,7 @@ impl InitSettings {
         Self {
             max_static: config.max_static,
             max_dynamic: config.max_dynamic,
+            voxel_px: config.voxel_px,
             keyframe_gaps: match config.time_spread {
                 TimeSpread::KeyframeGaps { factor } => Some(factor),
                 TimeSpread::Reference { .. } => None,
@@ -205,7 +221,8 @@ impl InitSettings {
     /// What the stage is given.
     #[must_use]
     pub fn config(&self, profile: Profile) -> InitConfig {
-        let mut config = InitConfig { max_static: self.max_static, max_dynamic: self.max_dynamic, ..profile.init() };
+        let (max_static, max_dynamic, voxel_px) = (self.max_static, self.max_dynamic, self.voxel_px);
+        let mut config = InitConfig { max_static, max_dynamic, voxel_px, ..profile.init() };
         if let Some(factor) = self.keyframe_gaps {
             config.time_spread = TimeSpread::KeyframeGaps { factor };
         }

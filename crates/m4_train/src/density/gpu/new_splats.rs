@@ -20,7 +20,7 @@ const SHARES: u32 = 1;
 const HALF: u32 = 2;
 const OTHER_HALF: u32 = 3;
 
-/// Of drawn children, whose scales are those of the parent over 1.6.
+/// Of drawn children and those of spheres, whose scales are those of the parent over 1.6.
 const LN_SPLIT_FACTOR: f32 = 0.470_003_63;
 
 /// Of each row of the next splats:
@@ -152,7 +152,8 @@ fn shape_new_splats(
                 if mark == OTHER_HALF {
                     sign = f32::new(-1.0);
                 }
-                halve(parents, row, old, to, i, n, sign, isotropic);
+                let key = key(&wide(first_high, first_low), row);
+                halve(parents, row, old, to, i, n, sign, &key, isotropic);
             }
         }
         if comptime!(share_opacity) {
@@ -222,15 +223,31 @@ fn turned(s: &Shape, local: &V3, #[comptime] isotropic: bool) -> V3 {
     v3(x, y, z)
 }
 
-/// 0.6 standard deviations along the longest axis, 0.8 as long there: `0.6^2 + 0.8^2 = 1`.
+/// 0.6 standard deviations along the longest axis, 0.8 as long there: `0.6^2 + 0.8^2 = 1`. A sphere is halved along a direction that is drawn, with its scale over 1.6.
 #[cube]
-fn halve(parents: &[f32], row: u32, old: u32, to: &mut [f32], i: u32, n: u32, sign: f32, #[comptime] isotropic: bool) {
+fn halve(
+    parents: &[f32],
+    row: u32,
+    old: u32,
+    to: &mut [f32],
+    i: u32,
+    n: u32,
+    sign: f32,
+    key: &Wide,
+    #[comptime] isotropic: bool,
+) {
     let s = shape(parents, row, old, isotropic);
     let mut axis = 0u32;
     let mut x = sign * 0.6f32 * s.scale.x;
     let mut y = 0.0f32;
     let mut z = 0.0f32;
-    if comptime!(!isotropic) {
+    if comptime!(isotropic) {
+        let drawn = v3(normal(key, 0u32), normal(key, 1u32), normal(key, 2u32));
+        let length = x / dot(&drawn, &drawn).sqrt();
+        x = length * drawn.x;
+        y = length * drawn.y;
+        z = length * drawn.z;
+    } else {
         if s.scale.y > s.scale.x {
             axis = 1u32;
             x = 0.0f32;
@@ -248,8 +265,11 @@ fn halve(parents: &[f32], row: u32, old: u32, to: &mut [f32], i: u32, n: u32, si
     to[(n + i) as usize] = parents[(old + row) as usize] + shift.y;
     to[(2u32 * n + i) as usize] = parents[(2u32 * old + row) as usize] + shift.z;
     let column = 3u32 + axis;
-    // ln 0.8
-    to[(column * n + i) as usize] = parents[(column * old + row) as usize] - 0.223_143_55f32;
+    let mut shrink = 0.223_143_55f32; // -ln 0.8
+    if comptime!(isotropic) {
+        shrink = LN_SPLIT_FACTOR;
+    }
+    to[(column * n + i) as usize] = parents[(column * old + row) as usize] - shrink;
 }
 
 /// The logit of `1 - sqrt(1 - o)`, given that of `o`.

@@ -2,7 +2,7 @@
 #![expect(clippy::collapsible_if, reason = "kernels are expanded: conditions at compile time stand alone")]
 
 use crate::backend::DensityStats;
-use crate::config::{PruneRule, SplitSize};
+use crate::config::{LARGE_EXTENT, LARGE_PX, PruneRule, SplitSize};
 use crate::density::Rules;
 use cubecl::prelude::*;
 use m4_kernels::gpu::GpuError;
@@ -36,11 +36,12 @@ impl Outcomes {
             PruneRule::Literal => (rules.due.prune_by_score, 0.0),
             PruneRule::WithOpacity { opacity, .. } => (false, opacity),
         };
-        let (size, centres): (f32, &[[f32; 3]]) = match config.split_size {
-            SplitSize::Extent { share } => (share * scale.extent, &[]),
-            SplitSize::Pixels { pixels } => (pixels, &scale.centres),
+        let (size, everywhere) = match config.split_size {
+            SplitSize::Extent { share } => (share * scale.extent, true),
+            SplitSize::Pixels { pixels } => (pixels, false),
         };
-        let everywhere = matches!(config.split_size, SplitSize::Extent { .. });
+        let prune_large = rules.due.prune_large;
+        let centres: &[[f32; 3]] = if everywhere && !prune_large { &[] } else { &scale.centres };
         let blocks = n.div_ceil(256);
         let (sizes, places) = (Buffer::empty(client, 2 * n), Buffer::empty(client, 2 * n));
         let (parts, counts) = (Buffer::empty(client, blocks), Buffer::empty(client, 5));
@@ -63,9 +64,12 @@ impl Outcomes {
             scale.focal_px,
             config.prune_threshold,
             opacity,
+            LARGE_EXTENT * scale.extent,
+            LARGE_PX / 3.0,
             splats.layout.isotropic,
             literal,
             everywhere,
+            prune_large,
         );
         Scan::new(client, 2 * n).run(client, &sizes, &places);
         count_up::launch(
@@ -154,9 +158,12 @@ fn decide(
     focal_px: f32,
     threshold: f32,
     low_opacity: f32,
+    large: f32,
+    large_px: f32,
     #[comptime] isotropic: bool,
     #[comptime] literal: bool,
     #[comptime] everywhere: bool,
+    #[comptime] prune_large: bool,
 ) {
     let mut shared = Shared::<[u32]>::new_slice(256usize);
     let i = ABSOLUTE_POS as u32;
@@ -165,14 +172,21 @@ fn decide(
     if i < n {
         let scale = largest(geometry, i, n, isotropic);
         let mut limit = size;
-        if comptime!(!everywhere) {
-            limit = size * nearest(geometry, centres, centre_count, i, n) / focal_px;
+        let mut too_large = false;
+        if comptime!(!everywhere || prune_large) {
+            let pixel = nearest(geometry, centres, centre_count, i, n) / focal_px;
+            if comptime!(!everywhere) {
+                limit = size * pixel;
+            }
+            if comptime!(prune_large) {
+                too_large = scale > large || scale > large_px * pixel;
+            }
         }
         let column = comptime!(if isotropic { 4u32 } else { 10u32 });
         // beyond that it is 0 in any case, and no exponential is infinite
         let logit = geometry[(column * n + i) as usize].max(-80.0f32);
         let opacity = 1.0f32 / (1.0f32 + (-logit).exp());
-        let hopeless = opacity < min_opacity;
+        let hopeless = opacity < min_opacity || too_large;
         let mut by_score = false;
         let (low, high) = (range[0usize], range[1usize]);
         if high > low {
