@@ -4,6 +4,7 @@
 //! `eval.json`) or prints (`eval-geometry`, `bench`).
 
 mod clips;
+mod density;
 mod geometry;
 mod kernels;
 mod machine;
@@ -33,7 +34,7 @@ type Section = (&'static str, Over, fn(&mut Runs, &[Input]) -> Result<String>);
 const SECTIONS: [Section; 6] = [
     ("geometry", Over::Scenes, geometry::table),
     ("views", Over::Views(usize::MAX), views::tables),
-    ("ablation", Over::Views(2), views::ablation),
+    ("ablation", Over::Views(usize::MAX), density::ablation),
     ("explain", Over::Views(4), geometry::explained),
     ("clips", Over::Clips, clips::table),
     ("kernels", Over::Machine, kernels::table),

@@ -32,11 +32,6 @@ const DETAILS: [&str; 2] = [
      | {/shift_px/between 1} / {/swim_px/between 1} | {/lpips 3}",
 ];
 
-const ABLATION: [&str; 2] = [
-    "scene | profile | splats | seconds | far: whole / dynamic | far: SSIM",
-    "{/scene} | {/what} | {/splats 0} | {/seconds 0} | {/far/psnr_db 2} / {/far/masked_psnr_db 2} | {/far/ssim 3}",
-];
-
 /// Trains `input` into `folder` of the scene and scores the held-out views.
 fn trained(runs: &mut Runs, scene: &Input, what: &str, input: &Path, folder: &str, options: &[&str]) -> Result<Value> {
     runs.of(scene, &format!("training, {what}"), folder, |program| {
@@ -104,7 +99,7 @@ fn against(trained: &Value, baselines: &[Value]) -> Value {
 }
 
 /// The scene at the default preset on its true geometry.
-fn given(runs: &mut Runs, scene: &Input) -> Result<Value> {
+pub(super) fn given(runs: &mut Runs, scene: &Input) -> Result<Value> {
     trained(runs, scene, "geometry given", &scene.path, "given", &[])
 }
 
@@ -124,24 +119,6 @@ pub(super) fn tables(runs: &mut Runs, scenes: &[Input]) -> Result<String> {
     }
     let tables = [(SCORES, scores), (AGAINST, differences), (DETAILS, details)];
     Ok(tables.map(|([headings, templates], rows)| table(headings, templates, &rows)).join("\n"))
-}
-
-/// Both profiles with and without density control, geometry given.
-pub(super) fn ablation(runs: &mut Runs, scenes: &[Input]) -> Result<String> {
-    let options = ["--profile", "faithful", "--set", "train.density.enabled=false"];
-    let mut rows = Vec::new();
-    for scene in scenes {
-        let fast = given(runs, scene)?;
-        rows.push(json!({"scene": scene.name, "what": "fast", "splats": fast["splats"], "seconds": fast["seconds"], "far": fast["far"]}));
-        for (what, folder, options) in [
-            ("fast, no density control", "no-density", &options[2..]),
-            ("faithful", "faithful", &options[..2]),
-            ("faithful, no density control", "faithful-no-density", &options[..]),
-        ] {
-            rows.push(trained(runs, scene, what, &scene.path, folder, options)?);
-        }
-    }
-    Ok(table(ABLATION[0], ABLATION[1], &rows))
 }
 
 #[test]
