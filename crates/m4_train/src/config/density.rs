@@ -116,7 +116,8 @@ pub struct DensityConfig {
     pub clone_opacity: CloneOpacity,
     /// Splats below this opacity are removed at every round. 0.005 (3DGS); 0.003 here, for moving shadows.
     pub min_opacity: f32,
-    /// After [`LARGE_FROM`] of the run, rounds of densification prune splats that have grown too large ([`crate::density::Rules`]).
+    /// After 0.6 of the run, rounds of densification prune splats of a radius above 20 pixels or a standard deviation above a tenth of the extent (3DGS,
+    /// Instant4D).
     pub prune_large: bool,
     /// Splats below this opacity are removed at the end. docs/spec/optimiser.md 4.4: 0.02; 0 for none. 0.005 here: a moving shadow is
     /// made of splats of opacity 0.01 to 0.1 (measured: 0.4 dB on whole held-out views).
