@@ -54,8 +54,8 @@ pub fn affordable_iterations(
         last_s = after_s;
         Ok(())
     };
-    let rotating = if config.arcs { arcs::rotating(&trial_splats) } else { Vec::new() };
-    if !rotating.is_empty() {
+    let rotating = if config.arcs && !stopped() { arcs::rotating(&trial_splats) } else { Vec::new() };
+    if !rotating.is_empty() && !stopped() {
         let mut state = AdamState::new(&trial_splats);
         arcs::split(&mut trial_splats, &mut state, &rotating, period(capture.time_frames))?;
         drop(state);
@@ -63,7 +63,7 @@ pub fn affordable_iterations(
     }
     let layout = trial_splats.layout();
     let raised = config.colour_degree.raise(layout);
-    if raised != layout {
+    if raised != layout && !stopped() {
         trial_splats.raise_degrees(raised.sh_degree, raised.time_degree);
         add(&trial_splats, config.colour_degree.mean_share(layout))?;
     }
@@ -113,7 +113,7 @@ fn apparent_sizes(capture: &Capture, splats: &Splats) -> Vec<f32> {
     (0..splats.n_static()).into_par_iter().map(one).collect()
 }
 
-/// Median seconds of a step; where steps return before they are done, the mean.
+/// Median seconds of a step; where steps return before they are done, the mean. 0 once `stopped()`.
 fn trial(
     capture: &Capture,
     splats: &Splats,
@@ -133,6 +133,9 @@ fn trial(
         refine: RefineConfig { from: 0, ..config.refine.clone() },
         ..config.clone()
     };
+    if stopped() {
+        return Ok(0.0);
+    }
     let mut trainer = Trainer::new(capture, splats.clone(), config, level)?;
     if let Some(make) = backend {
         let backend =
