@@ -40,20 +40,21 @@ fn literal_rounds_add_by_one_score_and_prune_by_the_other() {
     assert!(pruned < none && none < both && both < grown, "{pruned} < {none} < {both} < {grown}");
 }
 
-/// A rendered scene from a start as sparse as the paper's: frames of the training camera that were held out. Measured: SSIM 0.39 without density
-/// control, 0.38 where it takes the splats of the lowest scores, and 0.73; PSNR 22.3, 22.2 and 22.7 dB.
+/// A rendered scene from a start as sparse as the paper's: frames of the training camera that were held out. Measured: SSIM 0.44 and 0.83, PSNR
+/// 22.5 and 25.7 dB without and with density control. Where it takes the splats of the lowest scores, it gains nothing (after 400 iterations SSIM
+/// -0.006, PSNR -0.07 dB).
 #[test]
 fn density_control_pays_from_a_sparse_start() {
     let dir = Scratch::new();
     dir.succeed(&format!("split '{FLOOR}' -o scene --protocol instant4d"));
     let [none, ours] = ["false", "true"].map(|enabled| {
-        let options = format!("--profile faithful --iterations 400 --no-viewer --set train.density.enabled={enabled}");
+        let options = format!("--profile faithful --iterations 800 --no-viewer --set train.density.enabled={enabled}");
         dir.succeed(&format!("train scene -o {enabled} {options}"));
         dir.succeed(&format!("eval {enabled} --data scene --json")).result()
     });
     let score = |report: &Value, key: &str| report["mean"][key].as_f64().unwrap();
     let [ssim, psnr_db] = ["ssim", "psnr_db"].map(|key| score(&ours, key) - score(&none, key));
-    assert!(ssim > 0.2 && psnr_db > 0.0, "SSIM {ssim:+.3}, PSNR {psnr_db:+.2} dB\n{none}\n{ours}");
+    assert!(ssim > 0.2 && psnr_db > 1.5, "SSIM {ssim:+.3}, PSNR {psnr_db:+.2} dB\n{none}\n{ours}");
     let splats = |report: &Value| report["splats"].as_f64().unwrap();
     assert!(splats(&ours) > splats(&none) && splats(&ours) <= 1.5 * splats(&none));
 }
