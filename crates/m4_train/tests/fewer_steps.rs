@@ -1,10 +1,10 @@
 //! What makes more of an iteration: several frames per step, colours by least squares, own counts of steps.
 #![expect(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
 
-use crate::common::{FRAMES, add_harmonics, disturbed, filmed, video};
+use crate::common::{FRAMES, STILL, add_harmonics, disturbed, filmed, video};
 use m4_core::{Capture, Column, CounterRng, Progress, Silent, Splats, StateTensor, TrainState};
 use m4_kernels::SimdLevel;
-use m4_train::{DensityConfig, MetricsEvent, Outcome, RateConfig, TrainConfig, Trainer};
+use m4_train::{DensityConfig, MetricsEvent, Outcome, TrainConfig, Trainer};
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// Nothing moves and nothing changes over the run.
@@ -13,18 +13,7 @@ fn frozen(iterations: usize) -> TrainConfig {
     config.iterations = iterations;
     config.density.enabled = false;
     config.colour_fit_rounds = 0;
-    config.lr = RateConfig {
-        position: 0.0,
-        position_end: 0.0,
-        colour: 0.0,
-        colour_harmonics: 0.0,
-        opacity: 0.0,
-        scale: 0.0,
-        rotation: 0.0,
-        time_sd: 0.0,
-        velocity: 0.0,
-        ..RateConfig::default()
-    };
+    config.lr = STILL;
     config
 }
 
