@@ -183,7 +183,7 @@ mod tests {
         splats.column_mut(Column::Mean, 0)[..100].copy_from_slice(&size);
         let grown = |splats: &Splats, config: &TrainConfig| grown(splats, &size, config).unwrap();
         let mut config = TrainConfig::fast();
-        config.density.max_growth = 1.1;
+        (config.density.enabled, config.density.max_growth) = (true, 1.1);
         let more = grown(&splats, &config);
         assert_eq!((more.n_static(), more.n_dynamic()), (150, 400));
         let sum: f32 = more.column(Column::Mean, 0)[..150].iter().sum();

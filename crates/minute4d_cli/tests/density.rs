@@ -20,13 +20,13 @@ fn counts(options: &str) -> [u64; 2] {
     [splats(lines.next()), splats(lines.next_back())]
 }
 
-/// With settings as they are: eleven rounds. Measured: 4842 splats and 4938.
+/// Dense first splats stay as many, unless asked for: eleven rounds. Measured: 4842 splats and 4938.
 #[test]
-fn default_settings_add_a_fiftieth_of_the_splats_at_most() {
+fn default_settings_keep_the_number_of_splats() {
     let [first, last] = counts("--iterations 300");
+    assert_eq!(first, last);
+    let [first, last] = counts("--iterations 300 --set train.density.enabled=true");
     assert!(last > first && last as f64 <= 1.02 * first as f64, "{last} splats from {first}");
-    let [first, last] = counts("--iterations 300 --set train.density.enabled=false");
-    assert_eq!(first, last, "without density control");
 }
 
 /// The paper's letter, and each of its thresholds alone out of reach.

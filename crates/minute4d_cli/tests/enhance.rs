@@ -50,7 +50,7 @@ fn impossible_enhancements_are_rejected_with_a_reason() {
 fn ablate_writes_a_table_of_every_row() {
     let dir = Scratch::new();
     write_capture(&dir.path("capture"), true);
-    let line = "ablate capture -o table --iterations 40 --json";
+    let line = "ablate capture -o table --iterations 40 --set train.density.enabled=true --json";
     let report = dir.succeed(line).result();
     let rows = report["rows"].as_array().unwrap();
     let names: Vec<&str> = rows.iter().map(|row| row["row"].as_str().unwrap()).collect();

@@ -240,7 +240,7 @@ fn reproduce_runs_ablations_and_estimated_geometry() {
     let captures = [room(&clips::walk(24)), room(&views)];
     write_dycheck_of(&dir.path("data/spin"), captures, true);
     let with = |more: &str| {
-        let line = "reproduce dycheck --data data -o out --scenes spin --json --iterations 15";
+        let line = "reproduce dycheck --data data -o out --scenes spin --json --iterations 15 --set train.density.enabled=true";
         dir.succeed(&format!("{line} {more}")).result()
     };
     let report = with("--protocols instant4d --ablations");

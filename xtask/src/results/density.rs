@@ -52,8 +52,8 @@ pub(super) fn ablation(runs: &mut Runs, scenes: &[Input]) -> Result<String> {
         }
         let fewer = fewer_splats(&of_scene[1]);
         of_scene.push(row(runs, scene, "faithful", NINTH, &fewer)?);
-        for (what, setting) in [RULES[0], RULES[3]] {
-            of_scene.push(row(runs, scene, "fast", what, &[format!("train.density.{setting}")])?);
+        for (what, enabled) in [(RULES[0].0, false), (OURS, true)] {
+            of_scene.push(row(runs, scene, "fast", what, &[format!("train.density.enabled={enabled}")])?);
         }
         rows.extend(of_scene);
     }

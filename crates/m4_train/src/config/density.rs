@@ -143,7 +143,7 @@ impl DensityConfig {
         self.enabled && !self.loss_guided
     }
 
-    /// The recommended reading of docs/spec/optimiser.md 4.4.
+    /// The recommended reading of docs/spec/optimiser.md 4.4 for first splats that are dense already. The profile `fast` has it off.
     pub fn fast() -> Self {
         Self {
             enabled: true,

@@ -99,9 +99,12 @@ mod tests {
     #[test]
     fn rows_that_repeat_the_full_one_do_not_apply() {
         let mut settings = Settings::fast();
+        settings.train.density.enabled = true;
         let why = |row: Row, settings: &Settings| row.not_applicable(false, settings).unwrap().unwrap_or_default();
         assert_eq!(why(Row::Full, &settings), "");
-        assert_eq!(why(Row::NoTrack, &settings), "");
+        for row in [Row::NoTrack, Row::NoLossGuided, Row::NoDensity] {
+            assert_eq!(why(row, &settings), "");
+        }
         settings.geometry.masks = Some("masks".into());
         assert!(why(Row::NoSeg, &settings).contains("given"));
         settings.switch_off(Enhancement::Density);

@@ -351,18 +351,18 @@ mod tests {
     #[test]
     fn each_part_changes_settings_of_its_own() {
         let parts = [Enhancement::Segmentation, Enhancement::Tracking, Enhancement::Density, Enhancement::LossGuided];
+        let full = Settings::faithful();
         let without = |part| {
-            let mut settings = Settings::fast();
+            let mut settings = full.clone();
             settings.switch_off(part);
             settings
         };
         for part in parts {
-            assert_ne!(without(part), Settings::fast(), "{part:?}");
+            assert_ne!(without(part), full, "{part:?}");
         }
         let density = without(Enhancement::Density);
-        assert_eq!((density.geometry, density.init), (Settings::fast().geometry, Settings::fast().init));
+        assert_eq!((density.geometry, density.init), (full.geometry.clone(), full.init.clone()));
         let tracking = without(Enhancement::Tracking);
-        assert_eq!(tracking.train, Settings::fast().train);
-        assert_eq!(tracking.geometry.segmenter, Settings::fast().geometry.segmenter);
+        assert_eq!((tracking.train, tracking.geometry.segmenter), (full.train, full.geometry.segmenter));
     }
 }

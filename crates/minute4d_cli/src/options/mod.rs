@@ -206,7 +206,7 @@ pub struct WithoutArgs {
     /// Disable point tracking and the propagation of points between frames
     #[arg(long)]
     pub no_track: bool,
-    /// Disable density control: no splats are added or pruned during training
+    /// Disable density control: no splats are added or pruned during training, as in the profile fast
     #[arg(long)]
     pub no_density: bool,
 }
