@@ -93,7 +93,7 @@ impl TrainConfig {
     }
 
     /// The paper's letter, read as Instant4D (docs/spec/optimiser.md 3): photometric loss alone, frozen velocities,
-    /// dense Adam, full size, literal scores.
+    /// dense Adam, full size; density control by rank ([`DensityConfig::faithful`]).
     pub fn faithful() -> Self {
         Self {
             iterations: 5000,
