@@ -11,8 +11,8 @@
 //! Rows `0..n_static` are static, the dynamic rows follow. Every column is one `Vec<f32>`, so a
 //! kernel streams what it needs and a re-ordering is the same gather for each column.
 
-use crate::ShapeError;
-use std::ops::Range;
+use crate::{Binding, ShapeError, Window};
+use std::{ops::Range, sync::Arc};
 
 /// Which columns a set of splats has.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -43,7 +43,7 @@ impl SplatLayout {
 
     /// All columns, those of dynamic splats included.
     pub fn columns(&self) -> usize {
-        self.shared_columns() + 5
+        self.shared_columns() + 8
     }
 
     /// Index of the first (for vectors: the x or w) column of a parameter.
@@ -58,6 +58,7 @@ impl SplatLayout {
             Column::TimeMean => 4 + shape + 3 * self.colour_terms(),
             Column::LogTimeSd => 5 + shape + 3 * self.colour_terms(),
             Column::Velocity => 6 + shape + 3 * self.colour_terms(),
+            Column::Trend => 9 + shape + 3 * self.colour_terms(),
         }
     }
 
@@ -66,7 +67,7 @@ impl SplatLayout {
         let start = self.column(column);
         let (scales, quats) = if self.isotropic { (1, 0) } else { (3, 4) };
         let len = match column {
-            Column::Mean | Column::Velocity => 3,
+            Column::Mean | Column::Velocity | Column::Trend => 3,
             Column::LogScale => scales,
             Column::Quat => quats,
             Column::Colour => 3 * self.colour_terms(),
@@ -96,6 +97,8 @@ pub enum Column {
     LogTimeSd,
     /// 3 columns, dynamic: world units per frame.
     Velocity,
+    /// 3 columns, dynamic: change of the colour a frame.
+    Trend,
 }
 
 /// A set of splats: the static ones first.
@@ -105,11 +108,21 @@ pub struct Splats {
     n_static: usize,
     n_dynamic: usize,
     columns: Vec<Vec<f32>>,
+    /// Of the first dynamic rows.
+    bindings: Vec<Binding>,
+    windows: Arc<Vec<Window>>,
 }
 
 impl Clone for Splats {
     fn clone(&self) -> Self {
-        Self { layout: self.layout, n_static: self.n_static, n_dynamic: self.n_dynamic, columns: self.columns.clone() }
+        Self {
+            layout: self.layout,
+            n_static: self.n_static,
+            n_dynamic: self.n_dynamic,
+            columns: self.columns.clone(),
+            bindings: self.bindings.clone(),
+            windows: self.windows.clone(),
+        }
     }
 
     /// Uses the memory that is there.
@@ -117,6 +130,8 @@ impl Clone for Splats {
         self.layout = source.layout;
         (self.n_static, self.n_dynamic) = (source.n_static, source.n_dynamic);
         self.columns.clone_from(&source.columns);
+        self.bindings.clone_from(&source.bindings);
+        self.windows.clone_from(&source.windows);
     }
 }
 
@@ -127,7 +142,7 @@ impl Splats {
         let columns = (0..layout.columns())
             .map(|c| vec![0.0; if c < shared { n_static + n_dynamic } else { n_dynamic }])
             .collect();
-        Self { layout, n_static, n_dynamic, columns }
+        Self { layout, n_static, n_dynamic, columns, bindings: Vec::new(), windows: Arc::default() }
     }
 
     /// Takes columns in the order of [`SplatLayout::column`].
@@ -144,7 +159,43 @@ impl Splats {
             let expected = if c < shared { n_static + n_dynamic } else { n_dynamic };
             ShapeError::check("column", expected, column.len())?;
         }
-        Ok(Self { layout, n_static, n_dynamic, columns })
+        Ok(Self { layout, n_static, n_dynamic, columns, bindings: Vec::new(), windows: Arc::default() })
+    }
+
+    /// Binds the first dynamic rows, one per binding, to nodes of `windows`.
+    /// Fails with [`ShapeError`] if there are more bindings than dynamic rows, or a window or node does not exist.
+    pub fn bind(&mut self, windows: Arc<Vec<Window>>, bindings: Vec<Binding>) -> Result<(), ShapeError> {
+        if bindings.len() > self.n_dynamic {
+            return Err(ShapeError { what: "bindings", expected: self.n_dynamic, found: bindings.len() });
+        }
+        for binding in &bindings {
+            let nodes = windows.get(binding.window as usize).map_or(0, |w| w.anchors().len());
+            if let Some(&node) = binding.nodes.iter().find(|&&node| usize::from(node) >= nodes) {
+                return Err(ShapeError { what: "binding: node", expected: nodes, found: usize::from(node) });
+            }
+        }
+        (self.windows, self.bindings) = (windows, bindings);
+        Ok(())
+    }
+
+    /// The windows that bound splats move with.
+    pub fn windows(&self) -> &Arc<Vec<Window>> {
+        &self.windows
+    }
+
+    /// The windows that bound splats move with.
+    pub fn windows_mut(&mut self) -> &mut Vec<Window> {
+        Arc::make_mut(&mut self.windows)
+    }
+
+    /// Bindings of the bound splats: rows `n_static..n_static + bindings.len()`.
+    pub fn bindings(&self) -> &[Binding] {
+        &self.bindings
+    }
+
+    /// Rows of bound splats.
+    pub fn bound(&self) -> Range<usize> {
+        self.n_static..self.n_static + self.bindings.len()
     }
 
     /// Which columns there are.
@@ -197,7 +248,8 @@ impl Splats {
             self.gather_column(rows, n_static, c, column, &mut gathered);
             columns.push(gathered);
         }
-        Ok(Self { layout: self.layout, n_static, n_dynamic, columns })
+        let bindings = self.gather_bindings(rows);
+        Ok(Self { layout: self.layout, n_static, n_dynamic, columns, bindings, windows: self.windows.clone() })
     }
 
     /// Becomes [`gather`](Self::gather) of itself, one column after the other: with memory for one more column instead
@@ -211,13 +263,23 @@ impl Splats {
             std::mem::swap(column, &mut spare);
         }
         self.columns = columns;
+        self.bindings = self.gather_bindings(rows);
         (self.n_static, self.n_dynamic) = (n_static, n_dynamic);
         Ok(())
+    }
+
+    fn gather_bindings(&self, rows: &[u32]) -> Vec<Binding> {
+        let bound = |r: &u32| (*r as usize).checked_sub(self.n_static).and_then(|k| self.bindings.get(k));
+        rows.iter().filter_map(bound).copied().collect()
     }
 
     /// Number of static and of dynamic rows among those named.
     fn check_rows(&self, rows: &[u32]) -> Result<(usize, usize), ShapeError> {
         let n_static = rows.iter().take_while(|&&r| (r as usize) < self.n_static).count();
+        let free = rows[n_static..].iter().skip_while(|&&r| self.bound().contains(&(r as usize)));
+        if let Some(&r) = free.clone().find(|&&r| self.bound().contains(&(r as usize))) {
+            return Err(ShapeError { what: "gather: bound row", expected: self.n(), found: r as usize });
+        }
         for &r in &rows[n_static..] {
             if (r as usize) < self.n_static || r as usize >= self.n() {
                 return Err(ShapeError { what: "gather: row", expected: self.n(), found: r as usize });

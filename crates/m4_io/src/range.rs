@@ -46,7 +46,7 @@ pub fn of_column(column: Column) -> Range {
         Column::LogScale => -200.0..=20.8,
         Column::Quat => -1e6..=1e6,
         Column::Opacity => -1e4..=1e4,
-        Column::Colour => COLOUR,
+        Column::Trend | Column::Colour => COLOUR,
         Column::TimeMean => -2e6..=2e6,
         Column::LogTimeSd => -40.0..=40.0,
     }

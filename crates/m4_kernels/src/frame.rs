@@ -61,6 +61,19 @@ pub struct Gradients {
     pub camera: CameraGradient,
     /// With respect to the background colour.
     pub background: [f32; 3],
+    /// With respect to nodes, of each window that has a key at the instant.
+    pub nodes: Vec<NodeGradients>,
+}
+
+/// The gradient of a loss with respect to the nodes of a window at one of its keys.
+#[derive(Debug, Clone, Default)]
+pub struct NodeGradients {
+    /// Index of the window.
+    pub window: usize,
+    /// Index of its key.
+    pub key: usize,
+    /// Of each node: with respect to its position, and to a turn about it (left, world axes).
+    pub nodes: Vec<[f32; 6]>,
 }
 
 impl Gradients {

@@ -40,6 +40,7 @@ pub mod cover;
 #[cfg(feature = "gpu")]
 pub mod gpu;
 pub mod loss;
+pub mod pose;
 pub mod project;
 pub mod reference;
 pub mod score;
@@ -53,7 +54,7 @@ mod renderer;
 mod simd;
 mod stage;
 
-pub use frame::{CameraGradient, Frame, Gradients, StepStats, View};
+pub use frame::{CameraGradient, Frame, Gradients, NodeGradients, StepStats, View};
 pub use m4_core::{SIMD_ENV, SimdLevel, SimdLevelError};
 pub use order::morton_order;
 pub use renderer::{FrameStats, Renderer};

@@ -22,6 +22,13 @@ pub fn morton_order(splats: &Splats) -> Vec<u32> {
             Some(i) => 1 + u64::from(cell(times[i], first, last, 63)),
             None => 0,
         };
+        let slot = match row.checked_sub(splats.n_static()) {
+            Some(i) => match splats.bindings().get(i) {
+                Some(binding) => 1 + u64::from(binding.window),
+                None => slot + splats.windows().len() as u64,
+            },
+            None => slot,
+        };
         (slot << 32 | u64::from(place), row as u32)
     };
     let mut keys: Vec<(u64, u32)> = (0..splats.n()).into_par_iter().map(code).collect();

@@ -6,6 +6,7 @@ use crate::{
         cpu::{self as blend, Sums, Used},
         planes::{BandGradient, BandPlace, BandPlanes},
     },
+    pose::cpu::Posed,
     project::cpu::Eye,
     simd::dispatch,
     slice::cpu::Columns,
@@ -63,6 +64,7 @@ pub struct Renderer {
     stats: FrameStats,
     eye: Eye,
     background: [f32; 3],
+    posed: Posed,
     chunks: Vec<Chunk>,
     /// Projected splats, chunk after chunk.
     rows: Vec<Row>,
@@ -78,6 +80,7 @@ impl Renderer {
             stats: FrameStats::default(),
             eye: Eye::default(),
             background: [0.0; 3],
+            posed: Posed::default(),
             chunks: Vec::new(),
             rows: Vec::new(),
             bands: Vec::new(),
@@ -104,9 +107,11 @@ impl Renderer {
         frame.depth.resize(if view.with_depth { pixels } else { 0 }, 0.0);
         let bands = if width == 0 { 0 } else { height.div_ceil(BAND_ROWS) };
         self.bands.resize_with(bands, BandWork::default);
-        Chunk::plan(&mut self.chunks, splats.n_static(), splats.n_dynamic(), bands);
+        Chunk::plan(&mut self.chunks, splats, bands);
+        self.posed.pose(splats, view.t as f32);
 
         let (level, eye, columns) = (self.level.level(), &self.eye, Columns::new(splats));
+        let (posed, bound) = (Columns::posed(splats, &self.posed), splats.bound());
         self.rows.resize(self.chunks.iter().map(Chunk::room).sum(), Row::default());
         let mut rest = self.rows.as_mut_slice();
         let mut tasks: Vec<(&mut Chunk, &mut [Row])> = Vec::with_capacity(self.chunks.len());
@@ -117,7 +122,10 @@ impl Renderer {
         tasks
             .par_iter_mut()
             .with_max_len(1)
-            .for_each(|(chunk, rows)| dispatch!(level, s => chunk.forward(s, &columns, eye, rows)));
+            .for_each(|(chunk, rows)| {
+                let columns = if bound.contains(&chunk.rows.start) { &posed } else { &columns };
+                dispatch!(level, s => chunk.forward(s, columns, eye, rows));
+            });
         let projected = Instant::now();
         self.draw();
 
@@ -221,6 +229,7 @@ impl Renderer {
     /// Gradients of the columns, chunk by chunk; that of the camera added in the order of the chunks.
     fn project_backward(&self, splats: &Splats, with_camera: bool, out: &mut Gradients) {
         let (level, eye, columns) = (self.level.level(), &self.eye, Columns::new(splats));
+        let (posed, bound) = (Columns::posed(splats, &self.posed), splats.bound());
         let n_static = splats.n_static();
         let mut parts = split(&self.chunks, n_static, out);
         let camera: Vec<CameraSums> = self
@@ -232,10 +241,12 @@ impl Renderer {
             .map(|(index, (chunk, part))| {
                 let mut sums: Vec<&[Sums]> =
                     self.bands.iter().map(|work| &work.sums[work.band.chunk_start[index]..]).collect();
-                dispatch!(level, s => chunk.backward(s, &columns, eye, &mut sums, with_camera, part))
+                let columns = if bound.contains(&chunk.rows.start) { &posed } else { &columns };
+                dispatch!(level, s => chunk.backward(s, columns, eye, &mut sums, with_camera, part))
             })
             .collect();
         drop(parts);
+        self.posed.backward(splats, out);
         let mut total = CameraSums::default();
         for part in camera {
             for (sum, v) in total.iter_mut().zip(part) {

@@ -1,6 +1,7 @@
 //! The frame of an iteration, the learning rate per column, and the purposes of random numbers.
 
 use crate::{config::RateConfig, scale::SceneScale};
+use m4_kernels::adam::nodes::NodeRates;
 use m4_core::{Column, CounterRng, SplatLayout};
 
 /// `exp((1 - x) ln a + x ln b)`, log-linear from `a` to `b` with `x` in 0..1 (docs/spec/optimiser.md 3);
@@ -63,6 +64,22 @@ pub(crate) struct RateBasis {
     pub time_frames: usize,
 }
 
+/// Change of colour a frame, in units of the rate of constant colours (measured: docs/decisions/0022).
+const TREND: f32 = 0.2;
+/// Positions of nodes, in units of the rate of means: a step of a node is the mean of what many splats ask for (measured: docs/decisions/0022).
+const NODE_POSITION: f32 = 10.0;
+/// Turns of nodes, radians (measured: docs/decisions/0022).
+const NODE_TURN: f32 = 0.015;
+
+/// The rates of nodes at `x` of the run (0..1).
+pub(crate) fn node_rates(config: &RateConfig, scale: &SceneScale, x: f32) -> NodeRates {
+    let fall = log_linear(config.position, config.position_end, x);
+    NodeRates {
+        position: NODE_POSITION * fall * scale.extent,
+        turn: NODE_TURN * log_linear(1.0, config.other_end, x),
+    }
+}
+
 /// The rates at `x` of the run (0..1), in the order of [`m4_core::Splats::columns`].
 pub(crate) fn rates(
     config: &RateConfig,
@@ -89,6 +106,7 @@ pub(crate) fn rates(
     set(Column::Opacity, config.opacity * other);
     set(Column::Colour, config.colour_harmonics * other);
     set(Column::TimeMean, time_mean);
+    set(Column::Trend, TREND * config.colour * other);
     set(Column::LogTimeSd, config.time_sd * other);
     set(Column::Velocity, velocity * unit / basis.time_sd.max(1e-3));
     let constant = layout.column(Column::Colour);

@@ -10,6 +10,8 @@
 //! | `train/background` | f32 `[3]` | colour behind everything |
 //! | `adam/m/CC`, `adam/v/CC` | f32 `[column]` | moments of column CC |
 //! | `adam/step` | u32 `[n]` | steps of each splat |
+//! | `adam/nodes/m`, `adam/nodes/v` | f32 `[windows x keys x nodes x 6]` | moments of the nodes of windows, one window after the other; absent without windows |
+//! | `adam/nodes/step` | u32 `[windows x keys]` | steps of their keys |
 //! | `refine/c2w` | f64 `[frames, 12]` | rotation row by row, then translation |
 //! | `refine/exposure` | f32 `[frames, 12]` | matrix row by row, then offset |
 //! | `refine/pose`, `refine/colour` | f64 `[frames, 12 / 24]` | first, then second moments |
@@ -18,7 +20,7 @@
 
 use crate::{TrainError, refine::Refinement};
 use m4_core::{ShapeError, Splats, StateTensor, TrainState};
-use m4_kernels::adam::cpu::AdamState;
+use m4_kernels::adam::{cpu::AdamState, nodes::NodeMoments};
 
 /// Reads tensors of the expected type and length.
 pub(crate) struct Reader<'a>(pub &'a TrainState<'a>);
@@ -62,6 +64,13 @@ pub(crate) fn write_adam<'a>(state: &mut TrainState<'a>, adam: &'a AdamState) {
         }
     }
     state.insert("adam/step".to_owned(), StateTensor::u32(&adam.step));
+    if !adam.nodes.is_empty() {
+        let joined = |of: fn(&NodeMoments) -> &Vec<f32>| adam.nodes.iter().flat_map(of).copied().collect::<Vec<f32>>();
+        state.insert("adam/nodes/m".to_owned(), StateTensor::f32(joined(|nodes| &nodes.m)));
+        state.insert("adam/nodes/v".to_owned(), StateTensor::f32(joined(|nodes| &nodes.v)));
+        let steps: Vec<u32> = adam.nodes.iter().flat_map(|nodes| &nodes.step).copied().collect();
+        state.insert("adam/nodes/step".to_owned(), StateTensor::u32(steps));
+    }
 }
 
 pub(crate) fn read_adam(reader: &Reader<'_>, splats: &Splats) -> Result<AdamState, TrainError> {
@@ -74,7 +83,26 @@ pub(crate) fn read_adam(reader: &Reader<'_>, splats: &Splats) -> Result<AdamStat
             .collect();
         Ok(Splats::from_columns(splats.layout(), splats.n_static(), splats.n_dynamic(), columns?)?)
     };
-    Ok(AdamState { m: moments("m")?, v: moments("v")?, step: reader.u32("adam/step", splats.n())?.to_vec() })
+    let (m, v, step) = (moments("m")?, moments("v")?, reader.u32("adam/step", splats.n())?.to_vec());
+    Ok(AdamState { m, v, step, nodes: read_nodes(reader, splats)? })
+}
+
+fn read_nodes(reader: &Reader<'_>, splats: &Splats) -> Result<Vec<NodeMoments>, TrainError> {
+    let mut out: Vec<NodeMoments> = splats.windows().iter().map(NodeMoments::new).collect();
+    if out.is_empty() {
+        return Ok(out);
+    }
+    let len = out.iter().map(|nodes| nodes.m.len()).sum();
+    let mut m = reader.f32("adam/nodes/m", len)?;
+    let mut v = reader.f32("adam/nodes/v", len)?;
+    let mut step = reader.u32("adam/nodes/step", out.iter().map(|nodes| nodes.step.len()).sum())?;
+    for nodes in &mut out {
+        let (moments, keys) = (nodes.m.len(), nodes.step.len());
+        nodes.m.copy_from_slice(m.split_off(..moments).unwrap_or_default());
+        nodes.v.copy_from_slice(v.split_off(..moments).unwrap_or_default());
+        nodes.step.copy_from_slice(step.split_off(..keys).unwrap_or_default());
+    }
+    Ok(out)
 }
 
 pub(crate) fn write_refinement(state: &mut TrainState<'_>, fit: &Refinement) {

@@ -1,6 +1,6 @@
 //! The SIMD version of the optimiser step.
 
-use super::{AdamParams, FIXED};
+use super::{AdamParams, FIXED, nodes::NodeMoments};
 use crate::{
     Gradients, SimdLevel,
     simd::{LANES, all, dispatch, each, exp_m1},
@@ -43,13 +43,16 @@ pub struct AdamState {
     pub v: Splats,
     /// `[n]` steps taken, or [`FIXED`].
     pub step: Vec<u32>,
+    /// Of the nodes of each window.
+    pub nodes: Vec<NodeMoments>,
 }
 
 impl AdamState {
     /// Nothing seen yet.
     pub fn new(splats: &Splats) -> Self {
         let zero = Splats::zeros(splats.layout(), splats.n_static(), splats.n_dynamic());
-        Self { m: zero.clone(), v: zero, step: vec![0; splats.n()] }
+        let nodes = splats.windows().iter().map(NodeMoments::new).collect();
+        Self { m: zero.clone(), v: zero, step: vec![0; splats.n()], nodes }
     }
 
     /// Sets the moments and the count of one splat back to nothing.

@@ -13,6 +13,7 @@
 pub mod cpu;
 #[cfg(feature = "gpu")]
 pub mod gpu;
+pub mod nodes;
 pub mod reference;
 
 /// In place of a count of steps: the splat is drawn, but keeps its parameters.

@@ -1,6 +1,7 @@
 //! The SIMD version: sixteen splats at a time, straight from the columns.
 
 use super::MARGINAL_MIN;
+use crate::pose::cpu::Posed;
 use crate::simd::{all, each, exp, load, store, touch};
 use fearless_simd::{Simd, f32x16, mask32x16, prelude::*};
 use m4_core::{Column, SplatLayout, Splats};
@@ -24,6 +25,20 @@ pub(crate) struct Columns<'a> {
 }
 
 impl<'a> Columns<'a> {
+    /// Of bound splats, where they are carried to.
+    pub(crate) fn posed(splats: &'a Splats, posed: &'a Posed) -> Self {
+        let mut out = Self::new(splats);
+        out.mean = posed.mean.each_ref().map(Vec::as_slice);
+        if !out.layout.isotropic {
+            out.quat = posed.quat.each_ref().map(Vec::as_slice);
+        }
+        out.opacity = &posed.opacity;
+        if !posed.colour.is_empty() {
+            out.colour = &posed.colour;
+        }
+        out
+    }
+
     pub(crate) fn new(splats: &'a Splats) -> Self {
         let layout = splats.layout();
         let get = |column, k| splats.column(column, k);

@@ -18,6 +18,7 @@ use crate::{
     tile_binning::handover::{Handover, Row},
 };
 use fearless_simd::Simd;
+use m4_core::Splats;
 use std::ops::Range;
 
 /// Rows a chunk: enough to make the task worth it, few enough to share the work evenly.
@@ -70,11 +71,12 @@ pub(crate) type CameraSums = [f64; 10];
 
 impl Chunk {
     /// Cuts rows into chunks, keeping the memory of those that were there.
-    pub(crate) fn plan(chunks: &mut Vec<Self>, n_static: usize, n_dynamic: usize, bands: usize) {
+    pub(crate) fn plan(chunks: &mut Vec<Self>, splats: &Splats, bands: usize) {
+        let (bound, n) = (splats.bound(), splats.n());
         let cut = |rows: Range<usize>, dynamic: bool| {
             rows.clone().step_by(CHUNK_ROWS).map(move |start| (start..rows.end.min(start + CHUNK_ROWS), dynamic))
         };
-        let plan = cut(0..n_static, false).chain(cut(n_static..n_static + n_dynamic, true));
+        let plan = cut(0..bound.start, false).chain(cut(bound.clone(), false)).chain(cut(bound.end..n, true));
         let (mut count, mut place) = (0, 0);
         for (rows, dynamic) in plan {
             if chunks.len() == count {

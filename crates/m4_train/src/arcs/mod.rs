@@ -82,7 +82,7 @@ pub(crate) fn rotating(splats: &Splats) -> Vec<RotatingSplat> {
     let n_static = splats.n_static();
     let time = splats.column(Column::TimeMean, 0);
     let mut visible: Vec<usize> =
-        (0..splats.n_dynamic()).filter(|i| opacity(splats, n_static + i) >= MIN_OPACITY).collect();
+        (splats.bindings().len()..splats.n_dynamic()).filter(|i| opacity(splats, n_static + i) >= MIN_OPACITY).collect();
     visible.sort_by(|&a, &b| time[a].total_cmp(&time[b]).then(a.cmp(&b)));
     let mut found: Vec<RotatingSplat> = Vec::new();
     for keyframe in visible.chunk_by(|&a, &b| time[a] == time[b]) {

@@ -17,6 +17,7 @@ use m4_kernels::{
     adam::{
         FIXED,
         cpu::{AdamState, step as adam_step},
+        nodes::step as node_step,
     },
     cover,
     loss::cpu::{LossScratch, Target, loss},
@@ -245,6 +246,10 @@ impl Backend for CpuBackend<'_> {
             cover::cpu::add(&self.splats, gradients, settings.cover / pixels(views[0].view));
         }
         adam_step(self.level, &mut self.splats, gradients, &mut self.adam, &settings.adam, settings.rates);
+        if !gradients.nodes.is_empty() {
+            let windows = self.splats.windows_mut();
+            node_step(windows, &gradients.nodes, &mut self.adam.nodes, &settings.adam, settings.nodes);
+        }
         self.stats.steps += 1;
         self.stats.touched += gradients.touched.iter().filter(|&&v| v != 0).count() as f64;
         Ok(())

@@ -14,7 +14,10 @@ pub(crate) use frames::{FrameStore, targets};
 
 use crate::{config::ErrorRange, density::Rules};
 use m4_core::{Exposure, Splats};
-use m4_kernels::adam::cpu::{AdamConfig, AdamState};
+use m4_kernels::adam::{
+    cpu::{AdamConfig, AdamState},
+    nodes::NodeRates,
+};
 use m4_kernels::loss::cpu::Target;
 use m4_kernels::{StepStats, View};
 
@@ -62,6 +65,8 @@ pub struct StepSettings<'a> {
     pub cover: f32,
     /// One learning rate per column of the splats.
     pub rates: &'a [f32],
+    /// Of the nodes that carry bound splats.
+    pub nodes: NodeRates,
     /// The optimiser.
     pub adam: AdamConfig,
     /// [`StepStats::psnr`] will be read; a backend may measure it in any case.

@@ -5,7 +5,7 @@ use crate::{
     TrainError,
     backend::{Backend, BackendError, StepSettings, StepView, targets},
     schedule,
-    schedule::rates,
+    schedule::{node_rates, rates},
 };
 use m4_core::Exposure;
 use m4_kernels::{
@@ -43,6 +43,8 @@ impl Trainer<'_> {
         let mut lr = rates(&self.config.lr, self.splats.layout(), &self.scale, self.basis, x);
         let faster = (batch as f32).sqrt();
         lr.iter_mut().for_each(|rate| *rate *= faster);
+        let mut nodes = node_rates(&self.config.lr, &self.scale, x);
+        (nodes.position, nodes.turn) = (nodes.position * faster, nodes.turn * faster);
         let refine = &self.config.refine;
         let refining = i >= refine.from;
         let (camera, exposure) = (refining && (refine.poses || refine.focal), refining && refine.exposure);
@@ -52,6 +54,7 @@ impl Trainer<'_> {
             lambda_ssim: self.config.lambda_ssim,
             cover: if self.scale.one_centre { self.config.cover } else { 0.0 },
             rates: &lr,
+            nodes,
             adam: self.config.adam,
             psnr: (i + 1).is_multiple_of(self.config.metrics_every) || i + 1 == n,
         };
