@@ -1,9 +1,11 @@
 //! Small synthetic scenes with known results.
 
 use m4_core::{
-    Camera, Column, CounterRng, Exposure, Intrinsics, Scene, Se3, SourceFrame, SplatLayout, Splats,
+    Binding, Camera, Column, CounterRng, Exposure, Intrinsics, Pose, Scene, Se3, SourceFrame, SplatLayout, Splats,
+    Window,
     nalgebra::{Matrix3, Vector3, Vector6},
 };
+use std::sync::Arc;
 
 /// Parameters of a random scene.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -105,6 +107,56 @@ pub fn random_splats(seed: u64, camera: &Camera, spec: &SceneSpec) -> Splats {
         }
     }
     splats
+}
+
+/// Binds the first `n_bound` dynamic splats to nodes of two windows, with keys at frames 0 to 3 and 3 to 7: small motions, and lives of which some
+/// begin or end there. Their colours change.
+/// Panics if there are fewer dynamic splats.
+pub fn bind_at_random(seed: u64, splats: &mut Splats, n_bound: usize) {
+    const NODES: usize = 9;
+    let mut rng = CounterRng::new(seed, 0xb1d5, 0);
+    let mut between = |low: f32, high: f32| low + (high - low) * rng.uniform() as f32;
+    let first = splats.n_static();
+    let mut windows = Vec::new();
+    for keys in [vec![0.0, 1.0, 2.0, 3.0], vec![3.0, 4.0, 5.5, 7.0]] {
+        let anchors: Vec<[f32; 3]> = (0..NODES)
+            .map(|node| {
+                let near = first + node * n_bound / NODES;
+                [0, 1, 2].map(|k| splats.column(Column::Mean, k)[near] + between(-0.1, 0.1))
+            })
+            .collect();
+        let mut poses = Vec::new();
+        for _ in &keys {
+            for anchor in &anchors {
+                let q = [1.0, between(-0.2, 0.2), between(-0.2, 0.2), between(-0.2, 0.2)];
+                // some on the other side
+                let length =
+                    q.iter().map(|v| v * v).sum::<f32>().sqrt() * if between(0.0, 1.0) < 0.3 { -1.0 } else { 1.0 };
+                poses.push(Pose { position: anchor.map(|v| v + between(-0.2, 0.2)), rotation: q.map(|v| v / length) });
+            }
+        }
+        windows.extend(Window::new(keys, anchors, poses));
+    }
+    let bindings: Vec<Binding> = (0..n_bound)
+        .map(|i| {
+            let begin = if i % 5 == 0 { f32::NEG_INFINITY } else { between(-1.0, 4.0) };
+            let end = if i % 7 == 0 { f32::INFINITY } else { begin.max(0.0) + between(0.5, 4.0) };
+            Binding {
+                window: (i % 2) as u32,
+                nodes: [0, 2, 3, 5].map(|k| ((i + k) % NODES) as u16),
+                weights: [0.4, 0.3, 0.2, 0.1],
+                life: [begin, end],
+            }
+        })
+        .collect();
+    for (i, binding) in bindings.iter().enumerate() {
+        splats.column_mut(Column::TimeMean, 0)[i] = binding.life[0].max(0.0).round();
+        for k in 0..3 {
+            splats.column_mut(Column::Trend, k)[i] = between(-0.1, 0.1);
+        }
+    }
+    let bound = splats.bind(Arc::new(windows), bindings);
+    assert!(bound.is_ok(), "{bound:?}");
 }
 
 /// A scene of these splats with a black background and without cameras, duration or Mip filter.

@@ -5,6 +5,10 @@ use crate::gpu::buffer::{Buffer, cubes, units};
 use crate::gpu::splats::{DeviceSplats, parts};
 use crate::gpu::tally::{Tally, check_parameter, count_step};
 use cubecl::prelude::*;
+use m4_core::Column;
+pub use nodes::DeviceNodes;
+
+mod nodes;
 
 /// The optimiser's state on the device.
 #[derive(Debug)]
@@ -15,6 +19,8 @@ pub struct DeviceAdam {
     pub v: DeviceSplats,
     /// Steps of each splat, or [`FIXED`].
     pub steps: Buffer,
+    /// Of the nodes that carry splats.
+    pub nodes: DeviceNodes,
 }
 
 /// One step of the splats that `touched` names along `gradients`, one rate per column; `tally` counts it.
@@ -30,6 +36,7 @@ pub fn step(
 ) {
     let client = &gpu.client;
     let [geometry, colour, time] = parts(splats.layout).map(|columns| columns.len() as u32);
+    let trend = splats.layout.range(Column::Trend).len() as u32;
     let rates = Buffer::floats(client, rates);
     adam::launch(
         client,
@@ -53,9 +60,11 @@ pub fn step(
         tally.buffer.arg(),
         splats.n as u32,
         splats.n_static as u32,
+        splats.n_still() as u32,
         geometry,
         colour,
-        time,
+        time - trend,
+        trend,
         config.beta1 as f32,
         config.beta2 as f32,
         config.beta2_dynamic as f32,
@@ -99,9 +108,11 @@ fn adam(
     tally: &[Atomic<u32>],
     n: u32,
     n_static: u32,
+    n_still: u32,
     geometry_columns: u32,
     colour_columns: u32,
     time_columns: u32,
+    trend_columns: u32,
     beta1: f32,
     beta2_static: f32,
     beta2_dynamic: f32,
@@ -144,7 +155,12 @@ fn adam(
         first += colour_columns;
         if i >= n_static {
             let (row, rows) = (i - n_static, n - n_static);
-            move_columns(time, d_time, m_time, v_time, rates, tally, first, time_columns, row, rows, &step);
+            // free splats have no trend: it is the last of the columns
+            let mut columns = time_columns;
+            if i < n_still {
+                columns += trend_columns;
+            }
+            move_columns(time, d_time, m_time, v_time, rates, tally, first, columns, row, rows, &step);
         }
     }
 }

@@ -6,6 +6,7 @@ use crate::gpu::Gpu;
 use crate::gpu::buffer::{Buffer, cubes, units};
 use crate::gpu::sort::{Pairs, Sort};
 use crate::gpu::splats::{DeviceSplats, gathered_words, parts};
+use crate::pose::gpu::Bound;
 use cubecl::prelude::*;
 use m4_core::Column;
 
@@ -13,11 +14,16 @@ use m4_core::Column;
 const SMALLEST: f32 = f32::MIN_POSITIVE;
 /// Bits of a place along the curve: ten an axis.
 const PLACE_BITS: u32 = 32;
-/// Bits of a slot of time: 0 for static splats, 1..=64 for dynamic ones; a multiple of what a pass of the sort takes.
-const SLOT_BITS: u32 = 8;
+/// Slots: one of static splats and 64 of time, besides those of windows.
+const SLOTS: usize = 1 + 64;
 
-/// The rows of `splats` in the order of memory: static splats along a Morton curve, then dynamic ones by coarse time, along a
-/// Morton curve within each slot of time.
+/// Bits of a slot, a multiple of what a pass of the sort takes.
+fn slot_bits(windows: usize) -> u32 {
+    (usize::BITS - (SLOTS + windows - 1).leading_zeros()).next_multiple_of(4)
+}
+
+/// The rows of `splats` in the order of memory: static splats along a Morton curve, then bound ones by their window, then free ones by coarse time,
+/// along a Morton curve within each window and slot of time.
 pub fn morton_order(gpu: &Gpu, splats: &DeviceSplats) -> Buffer {
     let (n, n_static) = (splats.n, splats.n_static);
     let client = &gpu.client;
@@ -48,6 +54,7 @@ pub fn morton_order(gpu: &Gpu, splats: &DeviceSplats) -> Buffer {
             rows as u32,
         );
     }
+    let windows = splats.bound.as_ref().map_or(0, |bound| bound.windows().len());
     let (places, slots) = (Pairs::empty(client, n), Buffer::empty(client, n));
     codes::launch(
         client,
@@ -55,18 +62,21 @@ pub fn morton_order(gpu: &Gpu, splats: &DeviceSplats) -> Buffer {
         units(),
         splats.geometry.arg(),
         splats.time.arg(),
+        splats.bound.as_ref().map_or(&limits, Bound::bindings).arg(),
         limits.arg(),
         places.keys.arg(),
         places.values.arg(),
         slots.arg(),
         n as u32,
         n_static as u32,
+        splats.n_still() as u32,
+        windows as u32,
         (mean * n) as u32,
         (time * (n - n_static)) as u32,
     );
     let by_place = sort.run(client, &places, &all, PLACE_BITS);
     let by_slot = Pairs { keys: gathered_words(gpu, &slots, &by_place.values, n), values: by_place.values.clone() };
-    Sort::new(client, n).run(client, &by_slot, &all, SLOT_BITS).values.clone()
+    Sort::new(client, n).run(client, &by_slot, &all, slot_bits(windows)).values.clone()
 }
 
 /// Numbers that sort as the floats of a column do.
@@ -137,12 +147,15 @@ fn spread(v: u32) -> u32 {
 fn codes(
     geometry: &[f32],
     time: &[f32],
+    bindings: &[u32],
     limits: &[f32],
     places: &mut [u32],
     rows: &mut [u32],
     slots: &mut [u32],
     n: u32,
     n_static: u32,
+    n_still: u32,
+    windows: u32,
     mean: u32,
     time_mean: u32,
 ) {
@@ -156,7 +169,11 @@ fn codes(
         let mut slot = 0u32;
         if i >= n_static {
             let value = time[(time_mean + i - n_static) as usize];
-            slot = 1u32 + cell(value, limits, 3u32, 63.0f32);
+            slot = 1u32 + windows + cell(value, limits, 3u32, 63.0f32);
+            if i < n_still {
+                // the first column
+                slot = 1u32 + bindings[(i - n_static) as usize];
+            }
         }
         places[i as usize] = place;
         rows[i as usize] = i;

@@ -1,5 +1,6 @@
 //! Plans the device memory of training or rendering before it starts.
 
+use crate::adam::nodes::PARAMETERS;
 use crate::blend::gpu::backward::SUMS;
 use crate::gpu::scan::Scan;
 use crate::gpu::sort::Sort;
@@ -7,14 +8,17 @@ use crate::gpu::splats::parts;
 use crate::gpu::work::{CHECKPOINT, Size};
 use crate::gpu::{Gpu, GpuError, tally::LOSSES, vector::EYE};
 use crate::loss::gpu as loss;
+use crate::pose::gpu::Bound;
 use crate::project::gpu::RECORD;
 use crate::tile_binning::gpu::{ALLOCATED, REACH, TILE, TOTALS};
-use m4_core::SplatLayout;
+use m4_core::{SplatLayout, Window};
 
 /// Entries of tiles that memory is first made for: this many a splat, and at least as many as [`LEAST_ENTRIES`]. Of a video
 /// most splats are missing at an instant; the first frame says how many entries it takes, and is drawn again.
 const FIRST_ENTRIES: usize = 1;
 const LEAST_ENTRIES: usize = 1 << 16;
+
+const TRAINING: &str = "training";
 
 /// One part of a [`Plan`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -81,7 +85,7 @@ impl Plan {
             largest: if frames > 0 { frame.largest } else { 0 },
         });
         Self {
-            doing: "training",
+            doing: TRAINING,
             parts,
             frame_bytes: frame.bytes,
             frames,
@@ -104,6 +108,24 @@ impl Plan {
         parts.extend(work(&size));
         let [batch, centres] = ["gradients of a batch", "gradients in the image"].map(|what| part(what, &[]));
         Self { doing: "drawing", parts, frame_bytes: 0, frames: 0, batch, centres }
+    }
+
+    /// With `n_bound` splats bound to `windows`.
+    #[must_use]
+    pub fn with_bound(mut self, n_bound: usize, windows: &[Window]) -> Self {
+        let mut buffers = Bound::lengths(n_bound, windows);
+        if buffers.is_empty() {
+            return self;
+        }
+        if self.doing == TRAINING {
+            let numbers = PARAMETERS * windows.iter().map(|w| w.anchors().len() * w.keys().len()).sum::<usize>();
+            buffers.extend([numbers, numbers, windows.iter().map(|w| w.keys().len()).sum()]);
+            // the lists are made anew where rows change
+            buffers.extend([4 * n_bound, 4 * n_bound]);
+            buffers.extend(Sort::lengths(4 * n_bound));
+        }
+        self.parts.push(part("bound splats", &buffers));
+        self
     }
 
     /// With the second set of gradients that steps of several frames add theirs up in.

@@ -42,21 +42,31 @@ impl Renderer {
     /// camera and of the background are left 0. Fails as [`render`](Self::render). Panics if the planes of the gradient
     /// are not as long as the image.
     pub fn backward(&mut self, view: &View, gradient: &[Vec<f32>; 3], out: &mut Gradients) -> Result<(), GpuError> {
+        if let Some(work) = &mut self.work {
+            work.node_keys.clear();
+        }
         self.draw(view, true)?;
         let pixels = view.camera.intrinsics.width * view.camera.intrinsics.height;
         let planes = gradient.concat();
         assert_eq!(planes.len(), 3 * pixels, "backward: the gradient has the image's size");
         let doing = "computing a gradient";
-        let result = self.splats.like(&self.gpu);
+        let mut result = self.splats.like(&self.gpu);
+        // free splats have no trend
+        result.time = Buffer::zeros(&self.gpu.client, result.time.len());
         let work = self.work.as_mut().ok_or_else(nothing_drawn)?;
         work.gradient = Buffer::floats(&self.gpu.client, &planes);
         work.backward(&self.gpu, &self.splats, &result, view.mip, None, None);
         let touched = work.touched.read_words(&self.gpu.client, doing)?;
         let columns = result.download(&self.gpu, doing)?;
+        let nodes = match &self.splats.bound {
+            Some(bound) if bound.n > 0 => bound.node_gradients(&self.gpu, &work.node_keys, doing)?,
+            _ => Vec::new(),
+        };
         debug_assert_eq!(parts(self.splats.layout)[2].end, columns.columns().len());
         *out = Gradients {
             columns: columns.columns().to_vec(),
             touched: touched[..self.splats.n].iter().map(|&t| t as u8).collect(),
+            nodes,
             ..Gradients::default()
         };
         Ok(())

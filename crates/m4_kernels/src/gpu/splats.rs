@@ -5,6 +5,7 @@ use crate::{
         Gpu, GpuError,
         buffer::{Buffer, cubes, units},
     },
+    pose::gpu::Bound,
     project::gpu::Spec,
 };
 use cubecl::prelude::*;
@@ -27,6 +28,8 @@ pub struct DeviceSplats {
     pub n: usize,
     /// Static ones among them, the first rows.
     pub n_static: usize,
+    /// Windows, where there are some, and what binds the rows that follow to them.
+    pub bound: Option<Bound>,
 }
 
 /// The columns of each buffer.
@@ -55,13 +58,20 @@ impl DeviceSplats {
             layout: splats.layout(),
             n: splats.n(),
             n_static: splats.n_static(),
+            bound: Bound::upload(gpu, splats)?,
         })
     }
 
     /// Room for as many numbers as `self` has; they are anything.
     pub fn like(&self, gpu: &Gpu) -> Self {
         let empty = |buffer: &Buffer| Buffer::empty(&gpu.client, buffer.len());
-        Self { geometry: empty(&self.geometry), colour: empty(&self.colour), time: empty(&self.time), ..self.clone() }
+        Self {
+            geometry: empty(&self.geometry),
+            colour: empty(&self.colour),
+            time: empty(&self.time),
+            bound: None,
+            ..*self
+        }
     }
 
     /// Waits, and copies them back. Fails with [`GpuError`] if the device failed.
@@ -77,6 +87,10 @@ impl DeviceSplats {
                 rest = after;
             }
         }
+        drop(columns);
+        if let Some(bound) = &self.bound {
+            bound.download(gpu, &mut out, doing)?;
+        }
         Ok(out)
     }
 
@@ -87,7 +101,18 @@ impl DeviceSplats {
             sh_terms: self.layout.sh_terms() as u32,
             time_terms: self.layout.time_degree as u32 + 1,
             mip,
+            bound: self.n_still() > self.n_static,
         }
+    }
+
+    /// Splats that are drawn as static ones are: those and the bound ones, which follow.
+    pub fn n_still(&self) -> usize {
+        self.n_static + self.bound.as_ref().map_or(0, |bound| bound.n)
+    }
+
+    /// What is drawn of bound splats; any other memory where there are none.
+    pub(crate) fn posed<'a>(&'a self, other: &'a Buffer) -> &'a Buffer {
+        self.bound.as_ref().map_or(other, Bound::posed)
     }
 }
 
@@ -101,7 +126,8 @@ pub fn gathered_words(gpu: &Gpu, from: &Buffer, rows: &Buffer, n: usize) -> Buff
     to
 }
 
-/// The rows of `from` that `rows` names: `n` of them, the first `n_static` static; zeros for [`NOTHING`].
+/// The rows of `from` that `rows` names: `n` of them, the first `n_static` static; zeros for [`NOTHING`]. What is bound is left to
+/// [`Bound::gathered`].
 pub fn gathered(gpu: &Gpu, from: &DeviceSplats, rows: &Buffer, (n, n_static): (usize, usize)) -> DeviceSplats {
     let columns = parts(from.layout).map(|range| range.len());
     let old = [(from.n, 0), (from.n, 0), (from.n - from.n_static, from.n_static)];
@@ -127,7 +153,7 @@ pub fn gathered(gpu: &Gpu, from: &DeviceSplats, rows: &Buffer, (n, n_static): (u
         }
         to
     });
-    DeviceSplats { geometry, colour, time, layout: from.layout, n, n_static }
+    DeviceSplats { geometry, colour, time, layout: from.layout, n, n_static, bound: None }
 }
 
 /// `columns` columns of `old` rows, the first of which is splat `old_first`, become columns of `new` rows.
@@ -151,6 +177,53 @@ fn gather_columns(
                 value = from[(c * old + row - old_first) as usize];
             }
             to[(c * new + i) as usize] = value;
+        }
+    }
+}
+
+/// As [`gathered`], of one buffer of `columns` columns of words: `old` rows, the first of which is splat `old_first`, become `new` rows from
+/// splat `new_first` on.
+pub(crate) fn gathered_columns(
+    gpu: &Gpu,
+    from: &Buffer,
+    rows: &Buffer,
+    columns: usize,
+    (old, old_first): (usize, usize),
+    (new, new_first): (usize, usize),
+) -> Buffer {
+    let to = Buffer::empty(&gpu.client, columns * new);
+    gather_word_columns::launch(
+        &gpu.client,
+        cubes(new, 256),
+        units(),
+        from.arg(),
+        rows.arg(),
+        to.arg(),
+        columns as u32,
+        old as u32,
+        old_first as u32,
+        new as u32,
+        new_first as u32,
+    );
+    to
+}
+
+#[cube(launch)]
+fn gather_word_columns(
+    from: &[u32],
+    rows: &[u32],
+    to: &mut [u32],
+    columns: u32,
+    old: u32,
+    old_first: u32,
+    new: u32,
+    new_first: u32,
+) {
+    let i = ABSOLUTE_POS as u32;
+    if i < new {
+        let row = rows[(new_first + i) as usize];
+        for c in 0u32..columns {
+            to[(c * new + i) as usize] = from[(c * old + row - old_first) as usize];
         }
     }
 }

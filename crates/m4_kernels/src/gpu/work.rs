@@ -6,6 +6,7 @@ use crate::gpu::splats::DeviceSplats;
 use crate::gpu::timing::Stopwatch;
 use crate::gpu::vector::eye;
 use crate::gpu::{Gpu, GpuError};
+use crate::pose::gpu::Moment;
 use crate::project::gpu::{RECORD, project, project_backward, sum_large};
 use crate::tile_binning::gpu::{ALLOCATED, LARGE_CUBES, REACH, TILE, TOTALS, WANTED, entries, sort, starts};
 use crate::{View, bench::Kernel};
@@ -97,6 +98,10 @@ pub struct Work {
     pub gradient: Buffer,
     /// 1 for splats that reached a pixel.
     pub touched: Buffer,
+    /// The windows at the instant drawn last.
+    moment: Option<Moment>,
+    /// Window and key of the nodes whose gradients there are: sums over the frames since it was emptied.
+    pub node_keys: Vec<(usize, usize)>,
 }
 
 impl Work {
@@ -155,6 +160,8 @@ impl Work {
             image: empty(5 * pixels),
             gradient: empty(only_training(3 * pixels)),
             touched: empty(n),
+            moment: None,
+            node_keys: Vec::new(),
         })
     }
 
@@ -173,6 +180,8 @@ impl Work {
         let (size, n) = (self.size, self.size.n);
         let (tiles, width, height) = (size.tiles(), size.width as u32, size.height as u32);
         self.eye = Buffer::floats(client, &eye(view));
+        let bound = splats.bound.as_ref();
+        self.moment = bound.map(|bound| bound.pose(gpu, splats, &self.eye, view.t as f32, &self.node_keys));
         project::launch(
             client,
             cubes(n, 256),
@@ -180,6 +189,7 @@ impl Work {
             splats.geometry.arg(),
             splats.colour.arg(),
             splats.time.arg(),
+            splats.posed(&self.eye).arg(),
             self.eye.arg(),
             self.records.arg(),
             self.reaches.arg(),
@@ -191,6 +201,7 @@ impl Work {
             self.large.arg(),
             n as u32,
             splats.n_static as u32,
+            splats.n_still() as u32,
             size.across() as u32,
             splats.spec(view.mip),
         );
@@ -296,7 +307,7 @@ impl Work {
     }
 
     /// The gradient with respect to `splats`, into `out` and [`touched`](Self::touched), from
-    /// [`gradient`](Self::gradient); of the frame drawn last. Into `camera` that with respect to the camera, ten sums for
+    /// [`gradient`](Self::gradient); of the frame drawn last. That of nodes goes to [`node_keys`](Self::node_keys). Into `camera` that with respect to the camera, ten sums for
     /// each cube of 256 splats; into `centres` those with respect to the projected centres, pixels to a side: `[2][n]`.
     pub fn backward(
         &mut self,
@@ -352,6 +363,7 @@ impl Work {
             splats.geometry.arg(),
             splats.colour.arg(),
             splats.time.arg(),
+            splats.posed(&self.eye).arg(),
             self.eye.arg(),
             self.counts.arg(),
             self.offsets.arg(),
@@ -365,10 +377,19 @@ impl Work {
             centres.unwrap_or(&self.image).arg(),
             n as u32,
             splats.n_static as u32,
+            splats.n_still() as u32,
             splats.spec(mip),
             camera.is_some(),
             centres.is_some(),
         );
+        if let (Some(bound), Some(moment)) = (&splats.bound, &self.moment) {
+            bound.backward(gpu, splats, out, &self.touched, &self.eye, moment);
+            for &key in &moment.keys {
+                if !self.node_keys.contains(&key) {
+                    self.node_keys.push(key);
+                }
+            }
+        }
         self.stopwatch.lap(gpu, Kernel::ProjectBackward);
     }
 

@@ -11,6 +11,8 @@
 //! that ends where the other begins, are as opaque as one. What is carried is drawn as a static splat is; the marginal of dynamic splats is not used.
 
 pub(crate) mod cpu;
+#[cfg(feature = "gpu")]
+pub mod gpu;
 pub mod reference;
 
 /// Half the time in which a splat fades in or out, as a share of the mean time between keys (docs/decisions/0022).

@@ -7,7 +7,7 @@ use crate::{
         transposed, v3,
     },
     shade::gpu::raw_colour,
-    slice::gpu::{Shape, life, shape},
+    slice::gpu::{Carried, Shape, carried, drawn_shape, life, posed_number},
     tile_binning::gpu::{LARGE_SPLATS, MANY, REACH, Reach, SLOTS, count_slack, tile_rows, tile_span},
 };
 pub(crate) use backward::{project_backward, sum_large};
@@ -29,6 +29,8 @@ pub(crate) struct Spec {
     pub sh_terms: u32,
     pub time_terms: u32,
     pub mip: bool,
+    /// Some splats are bound.
+    pub bound: bool,
 }
 
 /// An ellipse and what its gradient needs again.
@@ -109,9 +111,22 @@ pub(super) fn ellipse(eye: &[f32], offset: &V3, s: &Shape, #[comptime] mip: bool
 }
 
 #[cube]
-pub(super) fn opacity_logit(geometry: &[f32], at: usize, rows: usize, #[comptime] isotropic: bool) -> f32 {
-    let k = comptime!(if isotropic { 4usize } else { 10usize });
-    geometry[k * rows + at]
+pub(super) fn opacity_logit(
+    geometry: &[f32],
+    posed: &[f32],
+    carried: &Carried,
+    at: usize,
+    rows: usize,
+    #[comptime] spec: Spec,
+) -> f32 {
+    let k = comptime!(if spec.isotropic { 4usize } else { 10usize });
+    let mut logit = geometry[k * rows + at];
+    if comptime!(spec.bound) {
+        if carried.on {
+            logit = posed_number(posed, carried, 7usize);
+        }
+    }
+    logit
 }
 
 /// Direction to the splat and one over its distance; zeros where colours do not depend on it.
@@ -137,6 +152,7 @@ pub(crate) fn project(
     geometry: &[f32],
     colour: &[f32],
     time: &[f32],
+    posed: &[f32],
     eye: &[f32],
     records: &mut [f32],
     reaches: &mut [f32],
@@ -148,6 +164,7 @@ pub(crate) fn project(
     large: &mut [u32],
     n: u32,
     n_static: u32,
+    n_still: u32,
     across: u32,
     #[comptime] spec: Spec,
 ) {
@@ -158,13 +175,14 @@ pub(crate) fn project(
     if i < n {
         let at = i as usize;
         let rows = n as usize;
-        let life = life(geometry, time, i, n, n_static, eye[TIME]);
+        let carried = carried(i, n_static, n_still);
+        let life = life(geometry, time, posed, &carried, i, n, n_static, n_still, eye[TIME], spec.bound);
         let offset = offset_of(eye, &life.mean);
         let z = dot(&row(eye, 2usize), &offset);
         if life.marginal > MARGINAL_MIN && z > eye[NEAR] {
-            let shape = shape(geometry, i, n, spec.isotropic);
+            let shape = drawn_shape(geometry, posed, &carried, i, n, spec.isotropic, spec.bound);
             let e = ellipse(eye, &offset, &shape, spec.mip);
-            let logit = opacity_logit(geometry, at, rows, spec.isotropic);
+            let logit = opacity_logit(geometry, posed, &carried, at, rows, spec);
             let opacity = life.marginal * e.compensation / (1.0f32 + (-logit).exp());
             let inverse = 1.0f32 / e.det;
             // v * 0 is 0 for finite v, and NaN otherwise
@@ -198,12 +216,15 @@ pub(crate) fn project(
                     let (direction, _) = sight(&offset, spec.sh_terms);
                     let rgb = raw_colour(
                         colour,
+                        posed,
+                        &carried,
                         at,
                         rows,
                         &direction,
                         life.dt * eye[INVERSE_PERIOD],
                         spec.sh_terms,
                         spec.time_terms,
+                        spec.bound,
                     );
                     let r = at * RECORD;
                     records[r] = e.u;

@@ -1,5 +1,5 @@
 //! The scores of one frame (Minute4D Eq. 9, Minute4D Eq. 10): sums of the errors over the pixels that each splat is blended on (a slot per tile
-//! and splat, as in the backward pass), times the temporal marginal of the splat at that instant.
+//! and splat, as in the backward pass), times the temporal marginal of the splat at that instant, which is 1 for static and bound splats.
 
 use crate::blend::gpu::LOG2_ALPHA_MIN;
 use crate::gpu::Gpu;
@@ -8,7 +8,7 @@ use crate::gpu::splats::DeviceSplats;
 use crate::gpu::vector::TIME;
 use crate::gpu::work::Work;
 use crate::project::gpu::RECORD;
-use crate::slice::gpu::life;
+use crate::slice::gpu::{carried, life};
 use crate::tile_binning::gpu::BUCKETS;
 use cubecl::prelude::*;
 
@@ -55,6 +55,7 @@ pub fn add(gpu: &Gpu, work: &Work, splats: &DeviceSplats, frame: &FrameScore<'_>
         units(),
         splats.geometry.arg(),
         splats.time.arg(),
+        splats.posed(&work.eye).arg(),
         work.eye.arg(),
         work.counts.arg(),
         work.offsets.arg(),
@@ -63,8 +64,10 @@ pub fn add(gpu: &Gpu, work: &Work, splats: &DeviceSplats, frame: &FrameScore<'_>
         scores.arg(),
         n as u32,
         splats.n_static as u32,
+        splats.n_still() as u32,
         frame.loss as u32,
         frame.share,
+        splats.n_still() > splats.n_static,
     );
 }
 
@@ -137,6 +140,7 @@ fn score_slots(
 fn score_splats(
     geometry: &[f32],
     time: &[f32],
+    posed: &[f32],
     eye: &[f32],
     counts: &[u32],
     offsets: &[u32],
@@ -145,8 +149,10 @@ fn score_splats(
     scores: &mut [f32],
     n: u32,
     n_static: u32,
+    n_still: u32,
     loss_at: u32,
     share: f32,
+    #[comptime] bound: bool,
 ) {
     let i = ABSOLUTE_POS as u32;
     if i < n {
@@ -156,7 +162,8 @@ fn score_splats(
             for k in 0u32..count {
                 sum += sums[(offsets[i as usize] + k) as usize];
             }
-            let life = life(geometry, time, i, n, n_static, eye[TIME]);
+            let carried = carried(i, n_static, n_still);
+            let life = life(geometry, time, posed, &carried, i, n, n_static, n_still, eye[TIME], bound);
             let score = sum * life.marginal;
             let loss = f32::reinterpret(tally[loss_at as usize]);
             scores[i as usize] += score * share;

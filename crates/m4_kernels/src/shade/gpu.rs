@@ -1,6 +1,7 @@
 //! Colours by 4D spherindrical harmonics, forward and backward.
 use super::{C0, C1, C2, C3};
 use crate::gpu::vector::{V3, add_scaled, dot, scaled, v3};
+use crate::slice::gpu::{Carried, posed_number};
 use cubecl::prelude::*;
 use std::f32::consts::TAU;
 
@@ -70,12 +71,15 @@ fn harmonic_slope(#[comptime] l: u32, d: &V3) -> V3 {
 #[cube]
 pub(crate) fn raw_colour(
     colour: &[f32],
+    posed: &[f32],
+    carried: &Carried,
     at: usize,
     rows: usize,
     direction: &V3,
     turns: f32,
     #[comptime] sh_terms: u32,
     #[comptime] time_terms: u32,
+    #[comptime] bound: bool,
 ) -> V3 {
     let mut red = 0.5f32;
     let mut green = 0.5f32;
@@ -90,9 +94,19 @@ pub(crate) fn raw_colour(
         for l in 0u32..sh_terms {
             let w = wave * harmonic(l, direction);
             let k = comptime!((3 * (term * sh_terms + l)) as usize);
-            red += w * colour[k * rows + at];
-            green += w * colour[(k + 1) * rows + at];
-            blue += w * colour[(k + 2) * rows + at];
+            let mut r = colour[k * rows + at];
+            let mut g = colour[(k + 1) * rows + at];
+            let mut b = colour[(k + 2) * rows + at];
+            if comptime!(bound && term == 0 && l == 0) {
+                if carried.on {
+                    r = posed_number(posed, carried, 8usize);
+                    g = posed_number(posed, carried, 9usize);
+                    b = posed_number(posed, carried, 10usize);
+                }
+            }
+            red += w * r;
+            green += w * g;
+            blue += w * b;
         }
     }
     v3(red, green, blue)
@@ -111,6 +125,8 @@ pub(crate) struct SightGradient {
 #[cube]
 pub(crate) fn shade_backward(
     colour: &[f32],
+    posed: &[f32],
+    carried: &Carried,
     at: usize,
     rows: usize,
     direction: &V3,
@@ -121,8 +137,9 @@ pub(crate) fn shade_backward(
     out: &mut [f32],
     #[comptime] sh_terms: u32,
     #[comptime] time_terms: u32,
+    #[comptime] bound: bool,
 ) -> SightGradient {
-    let value = raw_colour(colour, at, rows, direction, turns, sh_terms, time_terms);
+    let value = raw_colour(colour, posed, carried, at, rows, direction, turns, sh_terms, time_terms, bound);
     let mut lr = 0.0f32;
     let mut lg = 0.0f32;
     let mut lb = 0.0f32;

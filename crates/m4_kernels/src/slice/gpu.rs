@@ -34,9 +34,42 @@ pub struct Shape {
     pub k: f32,
 }
 
-/// Moves splat `i` to the instant `t` (Minute4D Eq. 1).
+/// Where what is drawn of a bound splat lies.
+#[derive(CubeType, Clone, Copy)]
+pub(crate) struct Carried {
+    /// Whether the splat is one.
+    pub on: bool,
+    pub at: usize,
+    /// Bound splats.
+    pub rows: usize,
+}
+
+/// Whether splat `i` is bound: rows from `n_static` to `n_still`.
 #[cube]
-pub(crate) fn life(geometry: &[f32], time: &[f32], i: u32, n: u32, n_static: u32, t: f32) -> Life {
+pub(crate) fn carried(i: u32, n_static: u32, n_still: u32) -> Carried {
+    Carried { on: i >= n_static && i < n_still, at: (i - n_static) as usize, rows: (n_still - n_static) as usize }
+}
+
+/// A column of what is drawn of a bound splat.
+#[cube]
+pub(crate) fn posed_number(posed: &[f32], carried: &Carried, #[comptime] column: usize) -> f32 {
+    posed[column * carried.rows + carried.at]
+}
+
+/// Moves splat `i` to the instant `t` (Minute4D Eq. 1); one that is bound is there already.
+#[cube]
+pub(crate) fn life(
+    geometry: &[f32],
+    time: &[f32],
+    posed: &[f32],
+    carried: &Carried,
+    i: u32,
+    n: u32,
+    n_static: u32,
+    n_still: u32,
+    t: f32,
+    #[comptime] bound: bool,
+) -> Life {
     let at = i as usize;
     let rows = n as usize;
     let mut x = geometry[at];
@@ -45,7 +78,14 @@ pub(crate) fn life(geometry: &[f32], time: &[f32], i: u32, n: u32, n_static: u32
     let mut marginal = 1.0f32;
     let mut dt = 0.0f32;
     let mut inverse_variance = 0.0f32;
-    if i >= n_static {
+    if comptime!(bound) {
+        if carried.on {
+            x = posed_number(posed, carried, 0usize);
+            y = posed_number(posed, carried, 1usize);
+            z = posed_number(posed, carried, 2usize);
+        }
+    }
+    if i >= n_still {
         let j = (i - n_static) as usize;
         let dynamic = (n - n_static) as usize;
         dt = t - time[j];
@@ -58,9 +98,23 @@ pub(crate) fn life(geometry: &[f32], time: &[f32], i: u32, n: u32, n_static: u32
     Life { mean: v3(x, y, z), dt, inverse_variance, marginal }
 }
 
-/// Scales and axes of splat `i`.
+/// Scales and axes of splat `i`, as it is stored.
 #[cube]
 pub fn shape(geometry: &[f32], i: u32, n: u32, #[comptime] isotropic: bool) -> Shape {
+    drawn_shape(geometry, geometry, &carried(i, 0u32, 0u32), i, n, isotropic, false)
+}
+
+/// Scales and axes of splat `i`, as it is drawn.
+#[cube]
+pub(crate) fn drawn_shape(
+    geometry: &[f32],
+    posed: &[f32],
+    carried: &Carried,
+    i: u32,
+    n: u32,
+    #[comptime] isotropic: bool,
+    #[comptime] bound: bool,
+) -> Shape {
     let at = i as usize;
     let rows = n as usize;
     if comptime!(isotropic) {
@@ -76,10 +130,18 @@ pub fn shape(geometry: &[f32], i: u32, n: u32, #[comptime] isotropic: bool) -> S
         }
     } else {
         let scale = v3(geometry[3 * rows + at].exp(), geometry[4 * rows + at].exp(), geometry[5 * rows + at].exp());
-        let w = geometry[6 * rows + at];
-        let x = geometry[7 * rows + at];
-        let y = geometry[8 * rows + at];
-        let z = geometry[9 * rows + at];
+        let mut w = geometry[6 * rows + at];
+        let mut x = geometry[7 * rows + at];
+        let mut y = geometry[8 * rows + at];
+        let mut z = geometry[9 * rows + at];
+        if comptime!(bound) {
+            if carried.on {
+                w = posed_number(posed, carried, 3usize);
+                x = posed_number(posed, carried, 4usize);
+                y = posed_number(posed, carried, 5usize);
+                z = posed_number(posed, carried, 6usize);
+            }
+        }
         let k = 2.0f32 / (w * w + x * x + y * y + z * z);
         Shape {
             scale,

@@ -3,6 +3,7 @@
 
 #![expect(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
 
+mod bound;
 mod twins;
 
 use m4_kernels::gpu::Gpu;

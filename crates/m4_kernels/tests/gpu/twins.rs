@@ -6,7 +6,7 @@ use m4_kernels::{Frame, Gradients, Renderer, SimdLevel, View, gpu::Renderer as G
 use m4_testkit::{Flips, SceneSpec, assert_gradient, assert_image, random_camera, random_splats};
 
 /// Splats, half of them dynamic, before a random camera.
-fn scene(seed: u64, size: (usize, usize), layout: SplatLayout, n: usize) -> (Splats, View) {
+pub fn scene(seed: u64, size: (usize, usize), layout: SplatLayout, n: usize) -> (Splats, View) {
     let camera = random_camera(seed, size.0, size.1);
     let spec = SceneSpec { layout, n_static: n / 2, n_dynamic: n - n / 2, ..SceneSpec::default() };
     let view =
@@ -14,12 +14,12 @@ fn scene(seed: u64, size: (usize, usize), layout: SplatLayout, n: usize) -> (Spl
     (random_splats(seed, &camera, &spec), view)
 }
 
-fn layout(isotropic: bool, sh_degree: usize, time_degree: usize) -> SplatLayout {
+pub fn layout(isotropic: bool, sh_degree: usize, time_degree: usize) -> SplatLayout {
     SplatLayout { isotropic, sh_degree, time_degree }
 }
 
 /// A contribution may be there in one and not in the other where alpha is at its threshold.
-const FLIPS: Flips = Flips { tolerance: 2e-5, step: 0.02, share: 0.01 };
+pub const FLIPS: Flips = Flips { tolerance: 2e-5, step: 0.02, share: 0.01 };
 
 /// Fails unless the splats touched and their gradients are those of the processor, `want`.
 pub fn assert_same_gradients(what: &str, got: &Gradients, want: &Gradients) {

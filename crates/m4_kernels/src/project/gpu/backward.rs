@@ -6,7 +6,7 @@ use crate::gpu::log::write_parts;
 use crate::gpu::vector::{FOCAL, INVERSE_PERIOD, TIME};
 use crate::gpu::vector::{add_scaled, dot, scaled, times, transposed, v3};
 use crate::shade::gpu::shade_backward;
-use crate::slice::gpu::{life, quat_backward, shape};
+use crate::slice::gpu::{carried, drawn_shape, life, quat_backward};
 use crate::tile_binning::gpu::{LARGE, MANY};
 use cubecl::prelude::*;
 
@@ -14,13 +14,14 @@ use cubecl::prelude::*;
 const SMALLEST: f32 = f32::MIN_POSITIVE;
 
 /// Adds up each splat's sums in the order of its slots and turns them into gradients of its parameters; rows of splats
-/// that are not in the frame keep what they hold, `touched` says which are. Into `camera` the sums of each cube of 256
+/// that are not in the frame keep what they hold, `touched` says which are. Of bound splats it is the gradient of what is drawn. Into `camera` the sums of each cube of 256
 /// splats for the camera's own gradient, and into `centres` the gradients of the projected centres, `[2][n]`, where they are wanted.
 #[cube(launch)]
 pub(crate) fn project_backward(
     geometry: &[f32],
     colour: &[f32],
     time: &[f32],
+    posed: &[f32],
     eye: &[f32],
     counts: &[u32],
     offsets: &[u32],
@@ -33,6 +34,7 @@ pub(crate) fn project_backward(
     centres: &mut [f32],
     n: u32,
     n_static: u32,
+    n_still: u32,
     #[comptime] spec: Spec,
     #[comptime] with_camera: bool,
     #[comptime] with_centres: bool,
@@ -62,9 +64,10 @@ pub(crate) fn project_backward(
             if size > 0.0f32 {
                 seen = 1u32;
             }
-            let life = life(geometry, time, i, n, n_static, eye[TIME]);
+            let carried = carried(i, n_static, n_still);
+            let life = life(geometry, time, posed, &carried, i, n, n_static, n_still, eye[TIME], spec.bound);
             let offset = offset_of(eye, &life.mean);
-            let shape = shape(geometry, i, n, spec.isotropic);
+            let shape = drawn_shape(geometry, posed, &carried, i, n, spec.isotropic, spec.bound);
             let e = ellipse(eye, &offset, &shape, spec.mip);
             let inverse = 1.0f32 / e.det;
             let (a, b, c) = (e.v11 * inverse, -e.v01 * inverse, e.v00 * inverse);
@@ -118,6 +121,8 @@ pub(crate) fn project_backward(
             let (direction, inverse_distance) = sight(&offset, spec.sh_terms);
             let seen_from = shade_backward(
                 colour,
+                posed,
+                &carried,
                 at,
                 rows,
                 &direction,
@@ -128,6 +133,7 @@ pub(crate) fn project_backward(
                 d_colour,
                 spec.sh_terms,
                 spec.time_terms,
+                spec.bound,
             );
             if comptime!(with_camera) {
                 let (jz0, jz1) = (-(jx * e.slope_x), -(jy * e.slope_y));
@@ -149,7 +155,7 @@ pub(crate) fn project_backward(
             d_geometry[at] = mean.x;
             d_geometry[rows + at] = mean.y;
             d_geometry[2 * rows + at] = mean.z;
-            let logit = opacity_logit(geometry, at, rows, spec.isotropic);
+            let logit = opacity_logit(geometry, posed, &carried, at, rows, spec);
             let d_logit = weight * (1.0f32 - 1.0f32 / (1.0f32 + (-logit).exp()));
             if comptime!(spec.isotropic) {
                 d_geometry[3 * rows + at] = log_scale.x + log_scale.y + log_scale.z;
@@ -164,7 +170,7 @@ pub(crate) fn project_backward(
                 let g2 = add_scaled(&scaled(&sf, e.a.z), e.b.z, &sg);
                 quat_backward(&shape, &g0, &g1, &g2, d_geometry, at, rows);
             }
-            if i >= n_static {
+            if i >= n_still {
                 let j = (i - n_static) as usize;
                 let dynamic = (n - n_static) as usize;
                 let velocity = v3(time[2 * dynamic + j], time[3 * dynamic + j], time[4 * dynamic + j]);

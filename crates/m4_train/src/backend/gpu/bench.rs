@@ -2,7 +2,10 @@
 
 use super::GpuTrainer;
 use crate::backend::{StepSettings, StepView};
-use m4_kernels::adam::cpu::{AdamConfig, AdamState};
+use m4_kernels::adam::{
+    cpu::{AdamConfig, AdamState},
+    nodes::NodeRates,
+};
 use m4_kernels::bench::{BenchScene, Kernel};
 use m4_kernels::gpu::splats::DeviceSplats;
 use m4_kernels::gpu::work::{Size, Work};
@@ -51,6 +54,7 @@ impl Bench {
             lambda_ssim: LAMBDA_SSIM,
             cover: 0.0,
             rates: &self.rates,
+            nodes: NodeRates { position: RATE, turn: RATE },
             adam: AdamConfig::default(),
             psnr: false,
         };

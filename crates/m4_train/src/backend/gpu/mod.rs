@@ -63,6 +63,7 @@ impl GpuBackend {
         let layout = self.degree.raise(splats.layout());
         let plan = |frames, entries| {
             let plan = Plan::training(splats.n_static(), splats.n_dynamic(), layout, size, frames, entries);
+            let plan = plan.with_bound(splats.bindings().len(), splats.windows());
             let plan = if self.batches { plan.with_batches() } else { plan };
             if self.image_gradients { plan.with_image_gradients() } else { plan }
         };

@@ -118,6 +118,7 @@ impl GpuTrainer {
     pub fn step(&mut self, views: &[StepView<'_>], settings: &StepSettings<'_>) -> Result<(), GpuError> {
         let columns = self.splats.layout.columns();
         ShapeError::check("learning rates", columns, settings.rates.len())?;
+        self.work.node_keys.clear();
         for (k, view) in views.iter().enumerate() {
             if k == 1 {
                 self.start_sum();
@@ -160,7 +161,7 @@ impl GpuTrainer {
         Ok(())
     }
 
-    /// Moves every splat that was seen; `weight` is that of [`cover`].
+    /// Moves every splat that was seen, and the nodes that carry them; `weight` is that of [`cover`].
     fn move_splats(&self, settings: &StepSettings<'_>, weight: f32) {
         if weight > 0.0 {
             let (splats, gradients) = (&self.splats, &self.gradients);
@@ -176,5 +177,9 @@ impl GpuTrainer {
             &settings.adam,
             settings.rates,
         );
+        if let Some(bound) = &self.splats.bound {
+            let (nodes, keys) = (&self.adam.nodes, &self.work.node_keys);
+            nodes.step(&self.gpu, bound, keys, &self.tally, &settings.adam, settings.nodes);
+        }
     }
 }

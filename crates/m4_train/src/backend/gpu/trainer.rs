@@ -3,7 +3,7 @@
 use super::exposure;
 use super::sum::Batch;
 use crate::density::ImageGradients;
-use m4_core::{Exposure, ShapeError, Splats};
+use m4_core::{Exposure, ShapeError, Splats, Window};
 use m4_kernels::gpu::buffer::Buffer;
 use m4_kernels::gpu::frames::Frames;
 use m4_kernels::gpu::log::Log;
@@ -14,8 +14,12 @@ use m4_kernels::gpu::tally::Tally;
 use m4_kernels::gpu::work::{Size, Work};
 use m4_kernels::gpu::{Gpu, GpuError, Plan};
 use m4_kernels::loss::gpu::Loss;
+use m4_kernels::pose::gpu::Bound;
 use m4_kernels::{
-    CameraGradient, Frame, StepStats, View, adam::cpu::AdamState, adam::gpu::DeviceAdam, loss::cpu::Target,
+    CameraGradient, Frame, StepStats, View,
+    adam::cpu::AdamState,
+    adam::gpu::{DeviceAdam, DeviceNodes},
+    loss::cpu::Target,
 };
 use std::borrow::Borrow;
 
@@ -139,6 +143,10 @@ impl GpuTrainer {
             Some(_) => plan.with_batches(),
             None => plan,
         };
+        let plan = match &self.splats.bound {
+            Some(bound) => plan.with_bound(bound.n.min(size.n - n_static), bound.windows()),
+            None => plan,
+        };
         let plan = match self.image_gradients {
             Some(_) => plan.with_image_gradients(),
             None => plan,
@@ -207,7 +215,10 @@ impl GpuTrainer {
             if let Some(sums) = &mut self.image_gradients {
                 sums.rearrange(&self.gpu, &order, n);
             }
-            self.splats = gathered(&self.gpu, &self.splats, &order, (n, n_static));
+            let bound = self.splats.bound.as_ref();
+            let bound = bound.map(|bound| bound.gathered(&self.gpu, &order, n_static, (n_static, bound.n)));
+            let splats = gathered(&self.gpu, &self.splats, &order, (n, n_static));
+            self.splats = DeviceSplats { bound, ..splats };
         }
     }
 
@@ -218,6 +229,7 @@ impl GpuTrainer {
             m: gathered(gpu, &adam.m, rows, shape),
             v: gathered(gpu, &adam.v, rows, shape),
             steps: gathered_words(gpu, &adam.steps, rows, shape.0),
+            nodes: adam.nodes.clone(),
         };
     }
 
@@ -234,6 +246,7 @@ impl GpuTrainer {
             m: self.adam.m.download(&self.gpu, TRAINING)?,
             v: self.adam.v.download(&self.gpu, TRAINING)?,
             step,
+            nodes: self.adam.nodes.download(&self.gpu, windows(&self.splats), TRAINING)?,
         })
     }
 
@@ -245,8 +258,10 @@ impl GpuTrainer {
         self.replace_splats(splats)
     }
 
-    /// Uploads `splats` and makes what depends on their number. Fails with [`GpuError`] if they do not fit.
+    /// Uploads `splats` and makes what depends on their number. Fails with [`GpuError`] if they do not fit, or the state of the optimiser is that of
+    /// other windows.
     pub fn replace_splats(&mut self, splats: &Splats) -> Result<(), GpuError> {
+        self.adam.nodes.fit(splats.windows())?;
         self.splats = DeviceSplats::upload(&self.gpu, splats)?;
         self.gradients = self.splats.like(&self.gpu);
         self.make(Size { n: splats.n(), ..self.work.size })
@@ -259,7 +274,13 @@ fn uploaded(gpu: &Gpu, adam: &AdamState) -> Result<DeviceAdam, GpuError> {
         m: DeviceSplats::upload(gpu, &adam.m)?,
         v: DeviceSplats::upload(gpu, &adam.v)?,
         steps: Buffer::words(&gpu.client, &adam.step),
+        nodes: DeviceNodes::upload(gpu, &adam.nodes)?,
     })
+}
+
+/// The windows of splats, none of which are bound without.
+fn windows(splats: &DeviceSplats) -> &[Window] {
+    splats.bound.as_ref().map_or(&[], Bound::windows)
 }
 
 /// A row of the log of cameras.
@@ -276,5 +297,6 @@ fn check(splats: &Splats, adam: &AdamState) -> Result<(), ShapeError> {
         ShapeError::check("static splats of the optimiser", splats.n_static(), of.n_static())?;
         ShapeError::check("columns of the optimiser", columns, of.layout().columns())?;
     }
+    DeviceNodes::check(&adam.nodes, splats.windows())?;
     ShapeError::check("counts of steps", splats.n(), adam.step.len())
 }

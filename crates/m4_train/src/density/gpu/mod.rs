@@ -26,7 +26,7 @@ use m4_kernels::{
     gpu::{
         Gpu, GpuError,
         buffer::{Buffer, cubes, units},
-        splats::gathered,
+        splats::{DeviceSplats, gathered},
         tally::{LOSSES, Tally},
         work::Size,
     },
@@ -59,17 +59,20 @@ impl GpuTrainer {
         }
         let client = self.gpu.client.clone();
         let outcomes = self.outcomes(&client, round)?;
-        let (grown, next) = outcomes.read(&client, TRAINING)?;
+        let (grown, next, n_bound) = outcomes.read(&client, TRAINING)?;
         if grown.changes_nothing() || next == 0 {
             return Ok(unchanged);
         }
-        let rows = new_splats::Rows::new(&client, &outcomes, (n, unchanged.n_static), next);
+        let rows = new_splats::Rows::new(&client, &outcomes, &self.splats, next);
         let shape = (next, grown.n_static);
         self.gather_adam(&rows.states, shape);
         let splats = gathered(&self.gpu, &self.splats, &rows.sources, shape);
         rows.shape(&client, &self.splats, &splats, round);
         move_phases(&client, &self.splats, &splats, &rows.sources, round.period);
-        self.splats = splats;
+        let bound = self.splats.bound.as_ref();
+        let n_static = unchanged.n_static;
+        let bound = bound.map(|bound| bound.gathered(&self.gpu, &rows.sources, n_static, (grown.n_static, n_bound)));
+        self.splats = DeviceSplats { bound, ..splats };
         self.gradients = self.splats.like(&self.gpu);
         self.make(Size { n: next, ..self.work.size })?;
         Ok(grown)

@@ -34,8 +34,9 @@ pub(super) struct Rows {
 }
 
 impl Rows {
-    /// Of `next` rows, from `n` splats of which `n_static` are static.
-    pub fn new(client: &Client, fates: &Outcomes, (n, n_static): (usize, usize), next: usize) -> Self {
+    /// Of `next` rows, from `splats`.
+    pub fn new(client: &Client, fates: &Outcomes, splats: &DeviceSplats, next: usize) -> Self {
+        let n = splats.n;
         let [sources, states, marks] = [(); 3].map(|()| Buffer::empty(client, next));
         place::launch(
             client,
@@ -47,7 +48,8 @@ impl Rows {
             states.arg(),
             marks.arg(),
             n as u32,
-            n_static as u32,
+            splats.n_static as u32,
+            splats.n_still() as u32,
         );
         Self { sources, states, marks }
     }
@@ -89,11 +91,12 @@ fn place(
     marks: &mut [u32],
     n: u32,
     n_static: u32,
+    n_still: u32,
 ) {
     let i = ABSOLUTE_POS as u32;
     if i < n {
-        let stay = stay_of(i, n_static) as usize;
-        let birth = birth_of(i, n, n_static) as usize;
+        let stay = stay_of(i, n_static, n_still) as usize;
+        let birth = birth_of(i, n, n_static, n_still) as usize;
         let births = sizes[birth];
         if sizes[stay] != 0u32 {
             let at = places[stay] as usize;

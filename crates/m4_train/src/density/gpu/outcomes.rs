@@ -10,13 +10,13 @@ use m4_kernels::gpu::buffer::{Buffer, cubes, units};
 use m4_kernels::gpu::scan::{Scan, scan_cube};
 use m4_kernels::gpu::splats::DeviceSplats;
 
-/// Rows of the next splats: static that stay, new static, dynamic that stay, new dynamic.
+/// Rows of the next splats: static that stay, new static, and the same of bound and of free ones.
 pub(super) struct Outcomes {
     /// How many rows each splat leaves (0 or 1) and adds (0 to 2), `[2 n]` in that order.
     pub sizes: Buffer,
     /// Their positions.
     pub places: Buffer,
-    /// Cloned, split, pruned, splats, static splats.
+    /// Cloned, split, pruned, splats, static splats, static and bound splats.
     counts: Buffer,
 }
 
@@ -44,7 +44,7 @@ impl Outcomes {
         let centres: &[[f32; 3]] = if everywhere && !prune_large { &[] } else { &scale.centres };
         let blocks = n.div_ceil(256);
         let (sizes, places) = (Buffer::empty(client, 2 * n), Buffer::empty(client, 2 * n));
-        let (parts, counts) = (Buffer::empty(client, blocks), Buffer::empty(client, 5));
+        let (parts, counts) = (Buffer::empty(client, blocks), Buffer::empty(client, 6));
         decide::launch(
             client,
             cubes(n, 256),
@@ -58,6 +58,7 @@ impl Outcomes {
             parts.arg(),
             n as u32,
             splats.n_static as u32,
+            splats.n_still() as u32,
             centres.len() as u32,
             rules.min_opacity,
             size,
@@ -83,33 +84,40 @@ impl Outcomes {
             blocks as u32,
             n as u32,
             splats.n_static as u32,
+            splats.n_still() as u32,
         );
         Self { sizes, places, counts }
     }
 
-    /// Waits, and says how many were cloned, split and pruned, and how many splats there are to be.
-    pub fn read(&self, client: &Client, doing: &'static str) -> Result<(DensityStats, usize), GpuError> {
+    /// Waits, and says how many were cloned, split and pruned, and how many splats and bound splats there are to be.
+    pub fn read(&self, client: &Client, doing: &'static str) -> Result<(DensityStats, usize, usize), GpuError> {
         let counts = self.counts.read_words(client, doing)?;
-        let [cloned, split, pruned, next, n_static] = [0, 1, 2, 3, 4].map(|k: usize| counts[k] as usize);
+        let [cloned, split, pruned, next, n_static, n_still] = [0, 1, 2, 3, 4, 5].map(|k: usize| counts[k] as usize);
         let grown = DensityStats { cloned, split, pruned, n_static, n_dynamic: next - n_static };
-        Ok((grown, next))
+        Ok((grown, next, n_still - n_static))
     }
 }
 
-/// Where row `i` is among the numbers of those that stay; of the new ones it is `n_static` or `n - n_static` farther.
+/// Where row `i` is among the numbers of those that stay; of the new ones it is as much farther as its kind has rows.
 #[cube]
-pub(super) fn stay_of(i: u32, n_static: u32) -> u32 {
+pub(super) fn stay_of(i: u32, n_static: u32, n_still: u32) -> u32 {
     let mut stay = i;
     if i >= n_static {
         stay = i + n_static;
+    }
+    if i >= n_still {
+        stay = i + n_still;
     }
     stay
 }
 
 #[cube]
-pub(super) fn birth_of(i: u32, n: u32, n_static: u32) -> u32 {
+pub(super) fn birth_of(i: u32, n: u32, n_static: u32, n_still: u32) -> u32 {
     let mut birth = i + n_static;
     if i >= n_static {
+        birth = i + n_still;
+    }
+    if i >= n_still {
         birth = i + n;
     }
     birth
@@ -152,6 +160,7 @@ fn decide(
     parts: &mut [u32],
     n: u32,
     n_static: u32,
+    n_still: u32,
     centre_count: u32,
     min_opacity: f32,
     size: f32,
@@ -226,8 +235,8 @@ fn decide(
                 }
             }
         }
-        sizes[stay_of(i, n_static) as usize] = stays;
-        sizes[birth_of(i, n, n_static) as usize] = births;
+        sizes[stay_of(i, n_static, n_still) as usize] = stays;
+        sizes[birth_of(i, n, n_static, n_still) as usize] = births;
     }
     let before = scan_cube(mine, &mut shared);
     if UNIT_POS == 255u32 && (CUBE_POS as u32) < parts.len() as u32 {
@@ -236,7 +245,16 @@ fn decide(
 }
 
 #[cube(launch)]
-fn count_up(parts: &[u32], sizes: &[u32], places: &[u32], counts: &mut [u32], blocks: u32, n: u32, n_static: u32) {
+fn count_up(
+    parts: &[u32],
+    sizes: &[u32],
+    places: &[u32],
+    counts: &mut [u32],
+    blocks: u32,
+    n: u32,
+    n_static: u32,
+    n_still: u32,
+) {
     let mut shared = Shared::<[u32]>::new_slice(256usize);
     for k in 0u32..3u32 {
         let mut mine = 0u32;
@@ -258,7 +276,12 @@ fn count_up(parts: &[u32], sizes: &[u32], places: &[u32], counts: &mut [u32], bl
         if n_static < n {
             fixed = places[(2u32 * n_static) as usize];
         }
+        let mut still = all;
+        if n_still < n {
+            still = places[(2u32 * n_still) as usize];
+        }
         counts[3usize] = all;
         counts[4usize] = fixed;
+        counts[5usize] = still;
     }
 }
