@@ -66,7 +66,7 @@ pub struct Gradients {
 }
 
 /// The gradient of a loss with respect to the nodes of a window at one of its keys.
-#[derive(Debug, Clone, Default)]
+#[derive(Debug, Clone, Default, PartialEq)]
 pub struct NodeGradients {
     /// Index of the window.
     pub window: usize,

@@ -318,7 +318,7 @@ impl Backend for CpuBackend<'_> {
 const CHUNK_ROWS: usize = 8192;
 
 /// Adds the rows that `other` touches to `sum`: gradients of the same splats, of two frames. What was touched by either
-/// is touched then; sums of camera and background stay those of `sum`.
+/// is touched then, nodes of either have gradients; sums of camera and background stay those of `sum`.
 /// `n_static` rows lack the columns of time.
 ///
 /// Each value is one addition, so the order of the calls alone decides the bits.
@@ -345,12 +345,21 @@ pub(crate) fn add_touched(sum: &mut Gradients, other: &Gradients, n_static: usiz
     for (a, &b) in sum.touched.iter_mut().zip(&other.touched) {
         *a |= b;
     }
+    for more in &other.nodes {
+        match sum.nodes.iter_mut().find(|of| (of.window, of.key) == (more.window, more.key)) {
+            Some(sum) => {
+                let numbers = sum.nodes.as_flattened_mut().iter_mut().zip(more.nodes.as_flattened());
+                numbers.for_each(|(a, b)| *a += b);
+            }
+            None => sum.nodes.push(more.clone()),
+        }
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::add_touched;
-    use m4_kernels::Gradients;
+    use m4_kernels::{Gradients, NodeGradients};
 
     #[test]
     fn batch_gradients_sum_over_touched_rows_only() {
@@ -370,5 +379,10 @@ mod tests {
         add_touched(&mut sum, &again, 2);
         assert_eq!(sum.columns[1], [3.75, 8.0]);
         assert_eq!(sum.touched, [1; 4]);
+        let of = |window: usize, key: usize, g: f32| NodeGradients { window, key, nodes: vec![[g; 6]; 2] };
+        sum.nodes = vec![of(0, 3, 1.0)];
+        let more = Gradients { nodes: vec![of(0, 3, 0.5), of(1, 0, 2.0)], ..again };
+        add_touched(&mut sum, &more, 2);
+        assert_eq!(sum.nodes, [of(0, 3, 1.5), of(1, 0, 2.0)]);
     }
 }

@@ -13,6 +13,8 @@ use m4_core::{Column, Splats};
 pub struct SplatView<'a> {
     /// How many rows are static.
     pub n_static: usize,
+    /// Bound ones, which follow.
+    pub n_bound: usize,
     /// Opacity, 0..1, without time.
     pub opacity: &'a [f32],
     /// True where the splat is large enough to be split rather than cloned.
@@ -54,7 +56,8 @@ pub fn decide(config: &DensityConfig, due: Decision, splats: SplatView<'_>, scor
     let literal = config.prune_rule == PruneRule::Literal;
 
     let mut plan = Plan::default();
-    for rows in [0..splats.n_static, splats.n_static..n] {
+    let n_still = splats.n_static + splats.n_bound;
+    for rows in [0..splats.n_static, splats.n_static..n_still, n_still..n] {
         let mut new_splats: Vec<(u32, Origin)> = Vec::new();
         for row in rows {
             let hopeless = splats.opacity[row] < config.min_opacity || (due.prune_large && splats.oversized[row]);
@@ -162,7 +165,13 @@ impl Rules<'_> {
         };
         let oversized: Vec<bool> = (0..n).map(|i| self.due.prune_large && too_large(i)).collect();
         let opacity: Vec<f32> = splats.column(Column::Opacity, 0).iter().map(|&l| 1.0 / (1.0 + (-l).exp())).collect();
-        let view = SplatView { n_static: splats.n_static(), opacity: &opacity, large: &large, oversized: &oversized };
+        let view = SplatView {
+            n_static: splats.n_static(),
+            n_bound: splats.bindings().len(),
+            opacity: &opacity,
+            large: &large,
+            oversized: &oversized,
+        };
         decide(&config, self.due, view, scores)
     }
 }
@@ -234,7 +243,13 @@ mod tests {
     #[test]
     fn small_splats_are_cloned_and_large_ones_split() {
         let config = DensityConfig { budget: 1.0, ..DensityConfig::fast() };
-        let view = SplatView { n_static: 2, opacity: &[0.5; 4], large: &[false, true, false, true], oversized: &NONE };
+        let view = SplatView {
+            n_static: 2,
+            n_bound: 0,
+            opacity: &[0.5; 4],
+            large: &[false, true, false, true],
+            oversized: &NONE,
+        };
         let due = Decision { prune_by_score: false, ..DUE };
         let plan = decide(&config, due, view, &scores(&[1.0, 0.0, 0.0005, 2.0], &[0.0; 4]));
         assert_eq!(plan.rows, [0, 1, 0, 2, 3, 3]);
@@ -249,7 +264,8 @@ mod tests {
         let config = DensityConfig { budget: 0.5, ..DensityConfig::fast() };
         let n = 10;
         let densify: Vec<f32> = (0..n).map(|i| 1.0 + ((i * 7) % n) as f32).collect();
-        let view = SplatView { n_static: n, opacity: &vec![0.5; n], large: &vec![false; n], oversized: &NONE };
+        let view =
+            SplatView { n_static: n, n_bound: 0, opacity: &vec![0.5; n], large: &vec![false; n], oversized: &NONE };
         let count = |max_splats| {
             let plan = decide(&config, Decision { max_splats, ..DUE }, view, &scores(&densify, &vec![0.0; n]));
             let worst = plan.origins.iter().zip(&plan.rows).filter(|(o, _)| **o == Origin::Clone);
@@ -276,7 +292,7 @@ mod tests {
         let prune: Vec<f32> = (0..100).map(|i| if i == 10 { 0.0 } else { i as f32 * 0.1 }).collect();
         let mut densify = vec![0.0; 100];
         densify[98] = 1.0; // among the highest prune scores, but a parent
-        let view = SplatView { n_static: 40, opacity: &opacity, large: &[false; 100], oversized: &NONE };
+        let view = SplatView { n_static: 40, n_bound: 0, opacity: &opacity, large: &[false; 100], oversized: &NONE };
         let plan = decide(&config, DUE, view, &scores(&densify, &prune));
         let gone: Vec<u32> = (0..100).filter(|r| !plan.rows.contains(r)).collect();
         assert_eq!(gone, [60, 99]);
@@ -287,7 +303,7 @@ mod tests {
     #[test]
     fn the_literal_rule_cuts_the_tail() {
         let config = DensityConfig::literal();
-        let view = SplatView { n_static: 0, opacity: &[0.5; 4], large: &[false; 4], oversized: &NONE };
+        let view = SplatView { n_static: 0, n_bound: 0, opacity: &[0.5; 4], large: &[false; 4], oversized: &NONE };
         let plan = decide(&config, DUE, view, &scores(&[0.0, 0.0, 0.5, 0.0], &[0.0, 0.5, 100.0, 50.0]));
         // row 1: 0.5 / 100 stays; row 2: pruned, its clone takes its place; row 3: pruned
         assert_eq!(plan.rows, [0, 1, 2]);
@@ -301,7 +317,8 @@ mod tests {
         for config in [DensityConfig::fast(), DensityConfig::faithful()] {
             let config = DensityConfig { budget: 1.0, min_opacity: 0.0, ..config };
             // as low as score pruning of `fast` wants it
-            let view = SplatView { n_static: 5, opacity: &[0.004; 5], large: &[false; 5], oversized: &NONE };
+            let view =
+                SplatView { n_static: 5, n_bound: 0, opacity: &[0.004; 5], large: &[false; 5], oversized: &NONE };
             let plan = decide(&config, DUE, view, &scores(&[0.005, 0.0005, 0.0, 0.0, 0.0], &[0.0; 5]));
             assert_eq!((plan.cloned, plan.pruned, &plan.rows[..]), (1, 0, &[0, 1, 2, 3, 4, 0][..]), "{config:?}");
             // normalised by the largest, which two have for the quantile of `fast`: 0.005, 0.02 and 1
@@ -314,6 +331,7 @@ mod tests {
     fn what_is_too_large_goes_unless_it_is_split() {
         let view = SplatView {
             n_static: 4,
+            n_bound: 0,
             opacity: &[0.5; 4],
             large: &[false, true, true, false],
             oversized: &[false, true, true, false],
@@ -328,7 +346,7 @@ mod tests {
 
     #[test]
     fn zero_scores_keep_every_splat() {
-        let view = SplatView { n_static: 1, opacity: &[0.5; 3], large: &[true; 3], oversized: &NONE };
+        let view = SplatView { n_static: 1, n_bound: 0, opacity: &[0.5; 3], large: &[true; 3], oversized: &NONE };
         let plan = decide(&DensityConfig::fast(), DUE, view, &scores(&[0.0; 3], &[0.0; 3]));
         assert!(plan.changes_nothing());
         assert_eq!(plan.rows, [0, 1, 2]);

@@ -51,7 +51,7 @@ fn scale(splats: &Splats, row: usize) -> [f32; 3] {
 }
 
 /// Everything is due, and splats may grow without limit.
-const DUE: Decision = Decision { densify: true, prune_by_score: true, prune_large: false, max_splats: usize::MAX };
+pub const DUE: Decision = Decision { densify: true, prune_by_score: true, prune_large: false, max_splats: usize::MAX };
 
 /// A round by these rules.
 pub fn round<'a>(

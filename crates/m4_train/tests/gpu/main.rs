@@ -4,6 +4,7 @@
 #![expect(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
 
 mod batch;
+mod bound;
 #[path = "../common/mod.rs"]
 mod common;
 mod density;

@@ -122,6 +122,7 @@ fn the_order_in_memory_is_that_of_the_cpu() {
         m: adam.m.gather(&order).unwrap(),
         v: adam.v.gather(&order).unwrap(),
         step: order.iter().map(|&r| adam.step[r as usize]).collect(),
+        nodes: Vec::new(),
     };
     trainer.reorder();
     let got = trainer.download().unwrap();

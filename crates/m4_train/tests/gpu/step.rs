@@ -4,7 +4,10 @@ use crate::gpu;
 use m4_core::{SplatLayout, Splats};
 use m4_kernels::{
     Gradients, Renderer, SimdLevel, View,
-    adam::cpu::{AdamConfig, AdamState, step},
+    adam::{
+        cpu::{AdamConfig, AdamState, step},
+        nodes::NodeRates,
+    },
     bench::{Bench as HostBench, Kernel, SceneConfig},
     cover,
     loss::cpu::{LossScratch, Target, loss},
@@ -19,7 +22,9 @@ pub const LAYOUT: SplatLayout = SplatLayout { isotropic: false, sh_degree: 1, ti
 pub const SIZE: (usize, usize) = (75, 50);
 pub const LAMBDA: f32 = 0.4;
 /// Large enough to change many steps.
-const COVER: f32 = 0.5;
+pub const COVER: f32 = 0.5;
+/// Of nodes, if there are any.
+pub const NODES: NodeRates = NodeRates { position: 2e-3, turn: 3e-3 };
 
 pub fn image(shift: usize) -> Target {
     let plane = |value: fn(usize, usize, usize) -> usize| -> Vec<u8> {
@@ -39,7 +44,7 @@ pub fn start() -> (Splats, View) {
 
 /// Steps of [`LAMBDA`] without cover.
 pub fn settings(rates: &[f32]) -> StepSettings<'_> {
-    StepSettings { lambda_ssim: LAMBDA, cover: 0.0, rates, adam: AdamConfig::default(), psnr: true }
+    StepSettings { lambda_ssim: LAMBDA, cover: 0.0, rates, nodes: NODES, adam: AdamConfig::default(), psnr: true }
 }
 
 struct Host {
@@ -96,7 +101,7 @@ fn steps_are_those_of_the_cpu() {
         let want = on_the_cpu(&frames, &config, &rates, steps);
         let (splats, view) = start();
         let mut trainer = GpuTrainer::new(gpu.clone(), &splats, &AdamState::new(&splats), &frames, 0).unwrap();
-        let settings = StepSettings { lambda_ssim: LAMBDA, cover: COVER, rates: &rates, adam: config, psnr: true };
+        let settings = StepSettings { cover: COVER, adam: config, ..settings(&rates) };
         for i in 0..steps {
             trainer.step(&[StepView::new(i % frames.len(), &view)], &settings).unwrap();
         }
