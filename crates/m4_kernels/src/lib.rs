@@ -3,11 +3,12 @@
 //! One frame flows through the folders in this order, and its gradient flows back:
 //!
 //! ```text
-//! slice -> project -> shade -> bin -> blend -> loss          adam, score
+//! pose -> slice -> project -> shade -> bin -> blend -> loss          adam, score
 //! ```
 //!
 //! | folder | what it does |
 //! |---|---|
+//! | `pose` | bound splats to where their nodes carry them |
 //! | `slice` | 4D splat to 3D splat at an instant |
 //! | `project` | 3D splat to an ellipse on the image |
 //! | `shade` | 4D spherindrical harmonics to colour |

@@ -2,12 +2,12 @@
 //! the folders beside this one, in CubeCL: one source for Vulkan, Metal, DX12 and CUDA.
 //!
 //! ```text
-//! project -> starts of the tile lists -> entries -> sort of each list -> blend -> loss
-//! adam <- project backward <- blend backward <- gradient of the loss
+//! pose -> project -> starts of the tile lists -> entries -> sort of each list -> blend -> loss
+//! adam <- pose backward <- project backward <- blend backward <- gradient of the loss
 //! ```
 //!
-//! Splats, moments, frames and everything between stay on the device while it trains; a step uploads a camera and reads
-//! nothing back. There are no floating-point atomics: every tile entry has a slot of its own for its sums, and each
+//! Splats, moments, frames and everything between stay on the device while it trains; a step uploads a camera, and what says
+//! where windows are in time, and reads nothing back. There are no floating-point atomics: every tile entry has a slot of its own for its sums, and each
 //! splat adds its slots up in order, so that the same seed gives the same bits on the same device. How many entries
 //! there are is known on the device alone: buffers are sized by capacity, and a peak that is read now and then says
 //! when they must grow.
@@ -27,6 +27,7 @@ mod plan;
 pub mod random;
 mod renderer;
 pub mod scan;
+mod size;
 pub mod sort;
 pub mod splats;
 pub mod tally;

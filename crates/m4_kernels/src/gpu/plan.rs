@@ -254,7 +254,7 @@ fn work(size: &Size) -> Vec<Part> {
 mod tests {
     use super::Plan;
     use crate::gpu::GpuError;
-    use m4_core::SplatLayout;
+    use m4_core::{Pose, SplatLayout, Window};
 
     const LAYOUT: SplatLayout = SplatLayout { isotropic: false, sh_degree: 0, time_degree: 0 };
 
@@ -273,6 +273,22 @@ mod tests {
         assert_eq!(plan.total(), plan.without_frames() + 10 * plan.frame_bytes());
         assert_eq!(plan.clone().with_batches().total(), plan.total() + splats + 4 * 100_000);
         assert_eq!(plan.clone().with_image_gradients().total(), plan.total() + 4 * 4 * 100_000);
+    }
+
+    #[test]
+    fn bound_splats_are_counted_where_there_are_windows() {
+        let pose = Pose { position: [0.0; 3], rotation: [1.0, 0.0, 0.0, 0.0] };
+        let window = Window::new(vec![0.0, 1.0, 2.0], vec![[0.0; 3]; 200], vec![pose; 600]).unwrap();
+        assert_eq!(plan(1).with_bound(0, &[]), plan(1));
+        let bound = |plan: Plan| plan.parts().iter().find(|p| p.what == "bound splats").unwrap().bytes;
+        let few = bound(plan(1).with_bound(1000, std::slice::from_ref(&window)));
+        let more = bound(plan(1).with_bound(11_000, std::slice::from_ref(&window)));
+        // bindings, what is drawn, and lists; twice keys, values and digits to sort lists
+        assert!((10_000 * 4 * 34..10_000 * 4 * 50).contains(&(more - few)), "{few} to {more} bytes");
+        let drawing = Plan::drawing(20_000, 80_000, LAYOUT, (480, 360), 1000).with_bound(1000, &[window]);
+        // poses are trained: two moments and the counts of their steps
+        let moments = 4 * (2 * 6 * 600 + 3);
+        assert!(few >= bound(drawing) + moments, "moments");
     }
 
     #[test]

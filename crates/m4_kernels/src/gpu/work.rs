@@ -2,6 +2,8 @@
 
 use crate::blend::gpu::{self as blend, backward as blend_backward, backward::SUMS};
 use crate::gpu::buffer::{Buffer, cubes, units};
+use crate::gpu::size::BUCKET;
+pub use crate::gpu::size::Size;
 use crate::gpu::splats::DeviceSplats;
 use crate::gpu::timing::Stopwatch;
 use crate::gpu::vector::eye;
@@ -12,46 +14,8 @@ use crate::tile_binning::gpu::{ALLOCATED, LARGE_CUBES, REACH, TILE, TOTALS, WANT
 use crate::{View, bench::Kernel};
 use cubecl::prelude::{CubeCount, CubeDim};
 
-/// Entries of a bucket, and units of its cube.
-const BUCKET: usize = 32;
 /// Numbers of a checkpoint: transmittance, colours.
 pub const CHECKPOINT: usize = 4;
-
-/// The sizes that memory is allocated for.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Size {
-    /// Splats.
-    pub n: usize,
-    /// Pixels.
-    pub width: usize,
-    /// Pixels.
-    pub height: usize,
-    /// Entries of tiles at most; an image that wants more shows the background.
-    pub entries: usize,
-    /// For the gradient too.
-    pub training: bool,
-}
-
-impl Size {
-    fn across(&self) -> usize {
-        self.width.div_ceil(TILE)
-    }
-
-    /// Tiles of the image.
-    pub fn tiles(&self) -> usize {
-        self.across() * self.height.div_ceil(TILE)
-    }
-
-    /// Pixels of the image.
-    pub fn pixels(&self) -> usize {
-        self.width * self.height
-    }
-
-    /// Buckets at most.
-    pub fn buckets(&self) -> usize {
-        self.entries / BUCKET + self.tiles()
-    }
-}
 
 /// Buffers for frames of one size.
 #[derive(Debug)]
@@ -307,8 +271,9 @@ impl Work {
     }
 
     /// The gradient with respect to `splats`, into `out` and [`touched`](Self::touched), from
-    /// [`gradient`](Self::gradient); of the frame drawn last. That of nodes goes to [`node_keys`](Self::node_keys). Into `camera` that with respect to the camera, ten sums for
-    /// each cube of 256 splats; into `centres` those with respect to the projected centres, pixels to a side: `[2][n]`.
+    /// [`gradient`](Self::gradient); of the frame drawn last. That of nodes stays where they are, [`node_keys`](Self::node_keys) says
+    /// of which. Into `camera` that with respect to the camera, ten sums for each cube of 256 splats; into `centres` those with
+    /// respect to the projected centres, pixels to a side: `[2][n]`.
     pub fn backward(
         &mut self,
         gpu: &Gpu,

@@ -70,6 +70,7 @@ mod tests {
         sums.add(&[3e-4, 1e-4, 3e-4, 1e-4], &[1; 4]);
         let view = SplatView {
             n_static: 4,
+            n_bound: 0,
             opacity: &[0.5, 0.5, 0.5, 0.004],
             large: &[false, true, true, false],
             oversized: &[false; 4],

@@ -159,7 +159,7 @@ fn step_nodes(
         let mut half = 128u32;
         while half > 0u32 {
             if UNIT_POS < half {
-                shared[UNIT_POS as usize] = shared[UNIT_POS as usize] | shared[(UNIT_POS + half) as usize];
+                shared[UNIT_POS as usize] |= shared[(UNIT_POS + half) as usize];
             }
             sync_cube();
             half /= 2u32;

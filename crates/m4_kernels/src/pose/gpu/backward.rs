@@ -123,7 +123,7 @@ pub(super) fn node_sums(
                     #[unroll]
                     for k in 0usize..6usize {
                         let at = k * UNITS + UNIT_POS as usize;
-                        shared[at] = shared[at] + shared[at + half as usize];
+                        shared[at] += shared[at + half as usize];
                     }
                 }
                 sync_cube();
@@ -191,7 +191,7 @@ pub(super) fn own_gradients(
             }
             let column = comptime!(if isotropic { 4usize } else { 10usize });
             let logit = geometry[column * rows + row];
-            d_geometry[column * rows + row] = d_geometry[column * rows + row] * faded_slope(logit, present);
+            d_geometry[column * rows + row] *= faded_slope(logit, present);
             d_time[j] = f32::new(0.0f32);
             d_time[dynamic + j] = f32::new(0.0f32);
         }

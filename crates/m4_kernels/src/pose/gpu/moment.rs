@@ -122,7 +122,7 @@ mod tests {
 
     #[test]
     fn weights_are_those_of_the_window() {
-        let keys = vec![0.0f32, 1.0, 3.0, 4.0, 6.5];
+        let keys = [0.0f32, 1.0, 3.0, 4.0, 6.5];
         let places = [0.3f32, -1.0, 2.0, 0.7, 5.0];
         let pose = |&x: &f32| Pose { position: [x, 1.0, -2.0 * x], rotation: [1.0, 0.0, 0.0, 0.0] };
         for count in 1..=keys.len() {
