@@ -266,7 +266,7 @@ mod tests {
     fn splat_memory_is_the_size_of_the_columns() {
         let plan = plan(10);
         let of = |what| plan.parts().iter().find(|p| p.what == what).unwrap().bytes;
-        let splats = 4 * (14 * 100_000 + 5 * 80_000);
+        let splats = 4 * (14 * 100_000 + 8 * 80_000);
         assert_eq!(of("splats"), splats);
         assert_eq!(of("moments"), 2 * splats + 4 * 100_000);
         assert_eq!(of("frames"), 10 * 3 * 480 * 360);
