@@ -49,6 +49,9 @@ pub struct SplatFacts {
     pub r#static: usize,
     /// Splats with time parameters.
     pub dynamic: usize,
+    /// Those of them that are bound to nodes.
+    #[serde(default, skip_serializing_if = "is_none")]
+    pub bound: usize,
     /// Degree of the spatial harmonics of the colour.
     pub sh_degree: usize,
     /// Highest temporal harmonic of the colour.
@@ -59,11 +62,18 @@ pub struct SplatFacts {
     pub bytes: usize,
 }
 
+/// Whether a number may be left out: pages before bound splats do not have it.
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde hands over a reference")]
+fn is_none(count: &usize) -> bool {
+    *count == 0
+}
+
 impl From<&Payload> for SplatFacts {
     fn from(payload: &Payload) -> Self {
         Self {
             r#static: payload.n_static,
             dynamic: payload.n_dynamic,
+            bound: payload.n_bound,
             sh_degree: payload.layout.sh_degree,
             time_degree: payload.layout.time_degree,
             isotropic: payload.layout.isotropic,

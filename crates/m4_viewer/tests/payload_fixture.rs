@@ -1,6 +1,8 @@
 //! The same bytes, read by Rust here and by the page's TypeScript in `page/tests/payload.test.ts`: both
 //! are compared with the splats that went in, which stand in the fixture in words.
 
+use crate::bound::carried;
+use crate::turning::{DISTANCE, turning};
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 use m4_core::{Column, Exposure, Intrinsics, Scene, SourceFrame, SplatLayout, Splats};
@@ -82,6 +84,52 @@ fn fixture(name: &str, layout: SplatLayout) -> Value {
     })
 }
 
+/// A scene with bound splats as bytes, with poses of its nodes and what they make of splats at some times, by the definition of the renderer.
+fn turning_fixture() -> Value {
+    let layout = SplatLayout { isotropic: false, sh_degree: 1, time_degree: 0 };
+    let payload = encode(&turning(layout, 60, 180, 40), DISTANCE);
+    let back = decode(&payload.bytes).unwrap();
+    let times = [0.0, 0.4, 3.0, 4.7, 6.5, 8.9];
+    let mut poses = Vec::new();
+    for (w, window) in back.windows().iter().enumerate() {
+        for (node, t) in (0..window.anchors().len()).zip(times.iter().cycle()) {
+            let pose = window.pose(node, *t as f32);
+            poses
+                .push(json!({"window": w, "node": node, "t": t, "position": pose.position, "rotation": pose.rotation}));
+        }
+    }
+    let sigmoid = |v: f64| 1.0 / (1.0 + (-v).exp());
+    let mut splats = Vec::new();
+    for (i, t) in (0..payload.n_bound).step_by(4).zip(times.iter().cycle()) {
+        splats.push(match carried(&back, i, *t) {
+            None => json!({"splat": i, "t": t}),
+            Some(c) => json!({
+                "splat": i,
+                "t": t,
+                "mean": c.mean.as_slice(),
+                "quat": c.quat.normalize().as_slice(),
+                "opacity": sigmoid(c.logit),
+                "colour": c.rgb.as_slice(),
+            }),
+        });
+    }
+    json!({
+        "name": "turning",
+        "splats": {
+            "static": payload.n_static,
+            "dynamic": payload.n_dynamic,
+            "bound": payload.n_bound,
+            "sh_degree": layout.sh_degree,
+            "time_degree": layout.time_degree,
+            "isotropic": layout.isotropic,
+            "bytes": payload.bytes.len(),
+        },
+        "poses": poses,
+        "carried": splats,
+        "payload": STANDARD.encode(&payload.bytes),
+    })
+}
+
 /// Writes the fixtures: `cargo test -p m4_viewer --test it payload_fixture -- --ignored`.
 #[test]
 #[ignore = "writes the fixtures that the other test and the page read"]
@@ -89,6 +137,27 @@ fn write_fixtures() {
     for (name, layout) in layouts() {
         let text = serde_json::to_string(&fixture(name, layout)).unwrap();
         std::fs::write(path(name), text + "\n").unwrap();
+    }
+    std::fs::write(path("turning"), serde_json::to_string(&turning_fixture()).unwrap() + "\n").unwrap();
+}
+
+#[test]
+fn the_fixture_of_bound_splats_matches_the_writer() {
+    let kept: Value = serde_json::from_slice(&std::fs::read(path("turning")).unwrap()).unwrap();
+    let written = turning_fixture();
+    for part in ["splats", "payload"] {
+        assert_eq!(kept[part], written[part], "write the fixtures again if the layout was changed");
+    }
+    let numbers = |list: &Value| -> Vec<f64> {
+        let fields = |entry: &Value| entry.as_object().unwrap().values().cloned().collect::<Vec<Value>>();
+        let flat = |v: Value| v.as_array().cloned().unwrap_or_else(|| vec![v]);
+        list.as_array().unwrap().iter().flat_map(fields).flat_map(flat).map(|v| v.as_f64().unwrap()).collect()
+    };
+    for part in ["poses", "carried"] {
+        let (a, b) = (numbers(&kept[part]), numbers(&written[part]));
+        assert!(a.len() == b.len() && a.len() > 100, "{part}");
+        // sines may differ in the last bit from machine to machine
+        assert!(a.iter().zip(&b).all(|(a, b)| (a - b).abs() < 1e-5), "{part}");
     }
 }
 

@@ -1,6 +1,7 @@
 //! Encodes splats as bytes.
 
-use super::{LIFE_SDS, MAGIC, MARGINAL_MIN, MIDDLE_16, VERSION, bytes_per_splat, push_planes};
+use super::bound::{self, Bound};
+use super::{LIFE_SDS, MAGIC, MARGINAL_MIN, MIDDLE_16, VERSION, VERSION_BOUND, bytes_per_splat, push_planes};
 use super::{Linear, Sinh, rotation_code};
 use m4_core::{Column, Scene, SplatLayout, Splats};
 
@@ -13,6 +14,8 @@ pub struct Payload {
     pub n_static: usize,
     /// Splats with them.
     pub n_dynamic: usize,
+    /// Those of them that are bound.
+    pub n_bound: usize,
     /// Which columns.
     pub layout: SplatLayout,
 }
@@ -25,7 +28,7 @@ const POSITION_STEPS_PER_PX: f64 = 32.0;
 /// Steps of a colour from black to white: that of the source video.
 const COLOUR_STEPS: f64 = 255.0;
 /// Steps of a small displacement in a splat's life to a pixel, and of a large one to its size over e.
-const VELOCITY_STEPS: f64 = 64.0;
+pub(super) const VELOCITY_STEPS: f64 = 64.0;
 /// Coarsest step of the logarithm of a scale: from the largest splat down to a millionth of it.
 const SCALE_STEP: f64 = 0.055;
 /// Positions are spaced evenly within this share of the median depth about the cameras.
@@ -38,15 +41,18 @@ const ALPHA_MIN: f64 = 1.0 / 255.0;
 /// source cameras see, world units: it sets the size of a pixel.
 pub fn encode(scene: &Scene, median_depth: f64) -> Payload {
     let splats = &scene.splats;
-    let rows = visible_rows(scene);
-    let n_static = rows.iter().take_while(|&&r| r < splats.n_static()).count();
+    let Shown { fixed, bound, free } = Shown::of(scene);
+    let rows = [fixed.as_slice(), &bound.rows, &free].concat();
+    let (n_static, n_bound) = (fixed.len(), bound.rows.len());
     let (layout, n, n_dynamic) = (splats.layout(), rows.len(), rows.len() - n_static);
-    let codes = Codes::of(scene, &rows, n_static, median_depth);
+    let codes = Codes::of(scene, &rows, &free, median_depth);
+    let of_bound = bound::Codes::of(&bound, scene, codes.px, codes.colour_step);
 
     let (a, b) = bytes_per_splat(layout);
     let mut bytes = Vec::with_capacity(super::HEADER_BYTES + n_static * a + n_dynamic * b);
     bytes.extend_from_slice(MAGIC);
-    for v in [VERSION, n_static as u32, n_dynamic as u32] {
+    let version = if bound.is_empty() { VERSION } else { VERSION_BOUND };
+    for v in [version, n_static as u32, n_dynamic as u32] {
         bytes.extend_from_slice(&v.to_le_bytes());
     }
     let kinds = [layout.sh_degree as u8, layout.time_degree as u8, u8::from(layout.isotropic)];
@@ -54,6 +60,9 @@ pub fn encode(scene: &Scene, median_depth: f64) -> Payload {
     bytes.extend_from_slice(&[0; 5]);
     for v in codes.numbers() {
         bytes.extend_from_slice(&v.to_le_bytes());
+    }
+    if !bound.is_empty() {
+        bound.push_header(&of_bound, &mut bytes);
     }
 
     let mut values = vec![0u32; n];
@@ -64,9 +73,17 @@ pub fn encode(scene: &Scene, median_depth: f64) -> Payload {
         }
         push_planes(&mut bytes, width, &values);
     };
+    // a bound splat is stored as it is at a key
+    let moved = |r: usize, from: f32, rate: Column, k: usize| match splats.bound().contains(&r) {
+        true => {
+            let rate = f64::from(splats.column(rate, k)[r - splats.n_static()]);
+            (f64::from(from) + rate * bound::reborn(splats, r)) as f32
+        }
+        false => from,
+    };
     for (k, sinh) in codes.mean.iter().enumerate() {
         let from = splats.column(Column::Mean, k);
-        column(3, &rows, &|r| sinh.code(from[r]));
+        column(3, &rows, &|r| sinh.code(moved(r, from[r], Column::Velocity, k)));
     }
     for k in 0..layout.range(Column::LogScale).len() {
         let from = splats.column(Column::LogScale, k);
@@ -80,9 +97,10 @@ pub fn encode(scene: &Scene, median_depth: f64) -> Payload {
     column(1, &rows, &|r| (sigmoid(logit[r]) * 255.0).round() as u32);
     for k in 0..layout.range(Column::Colour).len() {
         let from = splats.column(Column::Colour, k);
-        column(2, &rows, &|r| (f64::from(from[r]) / codes.colour_step + MIDDLE_16).round().clamp(0.0, 65535.0) as u32);
+        let value = |r: usize| if k < 3 { moved(r, from[r], Column::Trend, k) } else { from[r] };
+        column(2, &rows, &|r| (f64::from(value(r)) / codes.colour_step + MIDDLE_16).round().clamp(0.0, 65535.0) as u32);
     }
-    let late: Vec<usize> = rows[n_static..].iter().map(|r| r - splats.n_static()).collect();
+    let late: Vec<usize> = free.iter().map(|r| r - splats.n_static()).collect();
     let (time, sd) = (splats.column(Column::TimeMean, 0), splats.column(Column::LogTimeSd, 0));
     column(2, &late, &|r| codes.time.code(time[r]));
     column(1, &late, &|r| codes.sd.code(sd[r]));
@@ -90,10 +108,13 @@ pub fn encode(scene: &Scene, median_depth: f64) -> Payload {
         let from = splats.column(Column::Velocity, k);
         column(2, &late, &|r| codes.velocity.code(from[r]));
     }
-    Payload { bytes, n_static, n_dynamic, layout }
+    bound.push(scene, &of_bound, &codes.mean, &mut bytes);
+    Payload { bytes, n_static, n_dynamic, n_bound, layout }
 }
 
 struct Codes {
+    /// Size of a pixel at the median depth, world units.
+    px: f64,
     mean: [Sinh; 3],
     scale: Linear,
     colour_step: f64,
@@ -103,7 +124,7 @@ struct Codes {
 }
 
 impl Codes {
-    fn of(scene: &Scene, rows: &[usize], n_static: usize, median_depth: f64) -> Self {
+    fn of(scene: &Scene, rows: &[usize], free: &[usize], median_depth: f64) -> Self {
         let splats = &scene.splats;
         let depth = if median_depth.is_finite() && median_depth > 0.0 { median_depth } else { 1.0 };
         let middle = scene.source.get(scene.source.len() / 2).map(|s| s.camera);
@@ -112,13 +133,14 @@ impl Codes {
         let focal_px = middle.map_or(400.0, |c| c.intrinsics.fx).max(1.0);
         let step = 1.0 / (focal_px * POSITION_STEPS_PER_PX);
         let scales = splats.layout().range(Column::LogScale).len();
-        let late = || rows[n_static..].iter().map(|r| r - splats.n_static());
+        let late = || free.iter().map(|r| r - splats.n_static());
         let (time, sd) = (splats.column(Column::TimeMean, 0), splats.column(Column::LogTimeSd, 0));
         let mut lives: Vec<f64> =
             late().map(|r| (LIFE_SDS * f64::from(sd[r]).exp()).min(scene.time_frames.max(1) as f64)).collect();
         let half = lives.len() / 2;
         let life = if lives.is_empty() { 1.0 } else { *lives.select_nth_unstable_by(half, f64::total_cmp).1 };
         Self {
+            px: depth / focal_px,
             mean: std::array::from_fn(|k| Sinh::mean(centre[k], EVEN_SHARE * depth, step)),
             scale: Linear::over(
                 (0..scales).flat_map(|k| rows.iter().map(move |&r| splats.column(Column::LogScale, k)[r])),
@@ -157,22 +179,40 @@ fn sigmoid(logit: f32) -> f64 {
     1.0 / (1.0 + (-f64::from(logit)).exp())
 }
 
-/// The rows of the splats that a frame can show, in order.
-fn visible_rows(scene: &Scene) -> Vec<usize> {
-    let splats = &scene.splats;
-    let (n, n_static) = (splats.n(), splats.n_static());
-    let mut finite = vec![true; n];
-    let shared = splats.layout().shared_columns();
-    for (c, column) in splats.columns().iter().enumerate() {
-        let first = if c < shared { 0 } else { n_static };
-        for (ok, v) in finite[first..].iter_mut().zip(column) {
-            *ok &= v.is_finite();
+/// The rows of the splats that a frame can show, in the order of the payload.
+struct Shown<'a> {
+    fixed: Vec<usize>,
+    bound: Bound<'a>,
+    free: Vec<usize>,
+}
+
+impl<'a> Shown<'a> {
+    fn of(scene: &'a Scene) -> Self {
+        let splats = &scene.splats;
+        let (n, n_static, bound) = (splats.n(), splats.n_static(), splats.bound());
+        let mut finite = vec![true; n];
+        let shared = splats.layout().shared_columns();
+        for (c, column) in splats.columns().iter().enumerate() {
+            // bound splats have a life instead of a duration
+            let first = match c {
+                _ if c < shared => 0,
+                _ if c == splats.layout().column(Column::LogTimeSd) => bound.end,
+                _ => n_static,
+            };
+            for (ok, v) in finite[first..].iter_mut().zip(&column[column.len() - (n - first)..]) {
+                *ok &= v.is_finite();
+            }
+        }
+        let logit = splats.column(Column::Opacity, 0);
+        let last = scene.time_frames.saturating_sub(1) as f64;
+        let seen = |row: usize| finite[row] && sigmoid(logit[row]) * peak(splats, row, last) > ALPHA_MIN;
+        let seen_by = |row: usize, depth: f64| finite[row] && 1.0 - (1.0 - sigmoid(logit[row])).powf(depth) > ALPHA_MIN;
+        Self {
+            fixed: (0..n_static).filter(|&row| seen(row)).collect(),
+            bound: Bound::new(scene, seen_by),
+            free: (bound.end..n).filter(|&row| seen(row)).collect(),
         }
     }
-    let logit = splats.column(Column::Opacity, 0);
-    let last = scene.time_frames.saturating_sub(1) as f64;
-    let seen = |row: usize| finite[row] && sigmoid(logit[row]) * peak(splats, row, last) > ALPHA_MIN;
-    (0..n).filter(|&row| seen(row)).collect()
 }
 
 /// The largest temporal marginal of a splat from frame 0 to `last`; 0 where it is not drawn.

@@ -39,7 +39,7 @@
 //! | velocity | 3 | 2 | dynamic | `velocity_spread sinh(velocity_step (q - 2^15))`, world units per frame |
 //!
 //! `terms = (sh_degree + 1)^2 (time_degree + 1)`, temporal index major, as in [`m4_core::Column::Colour`].
-//! Nothing follows the last plane.
+//! Nothing follows the last plane. A scene with splats that are bound to nodes has more, see [`bound`].
 //!
 //! A rotation is a unit quaternion without its largest component, which is made positive: bits 30 and
 //! 31 say which of `(w, x, y, z)` that is; bits `10 k ..= 10 k + 9` hold the component `k + 1` places
@@ -53,11 +53,13 @@
 //! [`encode()`] and [`decode()`], is rendered from its source cameras and compared
 //! (`crates/minute4d/tests/main.rs`).
 
+pub mod bound;
 mod decode;
 mod encode;
 #[cfg(test)]
 mod tests;
 
+pub use bound::VERSION_BOUND;
 pub use decode::{PayloadError, decode};
 pub use encode::{Payload, encode};
 
@@ -65,7 +67,7 @@ use m4_core::SplatLayout;
 
 /// Bytes before the first plane.
 pub const HEADER_BYTES: usize = 136;
-/// Version of the layout described here.
+/// Version of the layout described here, of a scene without bound splats.
 pub const VERSION: u32 = 1;
 const MAGIC: &[u8; 4] = b"M4SP";
 /// Splats are not drawn where their temporal marginal is at most this (docs/spec/optimiser.md 1.3).
@@ -85,11 +87,17 @@ fn shared_parts(layout: SplatLayout) -> [(usize, usize); 5] {
 /// The same for what dynamic splats have beside: time mean, time sd, velocity.
 const TIME_PARTS: [(usize, usize); 3] = [(1, 2), (1, 1), (3, 2)];
 
-/// Bytes of a static and of a dynamic splat.
+/// Bytes of a static splat and of a dynamic one that is not bound.
 pub fn bytes_per_splat(layout: SplatLayout) -> (usize, usize) {
     let sum = |parts: &[(usize, usize)]| parts.iter().map(|&(components, bytes)| components * bytes).sum::<usize>();
     let shared = sum(&shared_parts(layout));
     (shared, shared + sum(&TIME_PARTS))
+}
+
+/// Bytes of a bound splat, without its window.
+pub fn bytes_per_bound_splat(layout: SplatLayout) -> usize {
+    let (shared, _) = bytes_per_splat(layout);
+    shared + bound::BOUND_PARTS.iter().map(|&(components, bytes)| components * bytes).sum::<usize>()
 }
 
 /// Appends the planes of one component, values of `width` bytes.

@@ -140,7 +140,7 @@ fn other_bytes_are_errors() {
         decode(&bytes).unwrap_err()
     };
     assert!(matches!(with(0, b'X'), PayloadError::Header(_)));
-    assert!(matches!(with(4, 2), PayloadError::Version(2)));
+    assert!(matches!(with(4, 3), PayloadError::Version(3)));
     assert!(matches!(with(16, 4), PayloadError::Degree { .. }));
     assert!(matches!(with(8, 200), PayloadError::Length { .. }));
     assert!(matches!(with(15, 255), PayloadError::Length { .. }), "no overflow, no allocation");
