@@ -1,6 +1,7 @@
 //! The page in a real browser: what it draws, from a file and from the server. What its controls do is
 //! tested beside its sources.
 
+use crate::turning::turning;
 use base64::Engine;
 use m4_core::{
     Camera, Exposure, Intrinsics, RgbImage, Scene, Se3, SourceFrame, SplatLayout,
@@ -134,6 +135,50 @@ const SAME_SPLATS_DB: f64 = 52.0;
 /// The same given the splats before they were quantised for the page (measured: 49.5).
 const QUANTISED_DB: f64 = 45.0;
 const TIMES: [f64; 3] = [0.0, 4.25, 9.0];
+
+#[test]
+fn page_carries_bound_splats_as_the_renderer_does() {
+    let Some(program) = find_chromium() else { return };
+    let scene = turning(SplatLayout { isotropic: false, sh_degree: 1, time_degree: 0 }, 500, 1500, 300);
+    let folder = tempfile::tempdir().unwrap();
+    let mut page = Chromium::open(program.clone(), &written(&scene, folder.path()));
+    page.eval("minute4d.ready");
+    assert_eq!(page.eval("minute4d.state().splats"), json!(2300));
+    let camera = camera_for(&mut page);
+    let given = Scene { splats: decode(&told(&scene).1).unwrap(), ..scene.clone() };
+    // without them: an image that would pass without bound splats says nothing
+    let rows: Vec<u32> = (0..2300).filter(|&r| !scene.splats.bound().contains(&(r as usize))).collect();
+    let without = Scene { splats: scene.splats.gather(&rows).unwrap(), ..scene.clone() };
+    // at keys, between them, and where one window takes over from the other
+    for t in [0.0, 2.5, 4.5, 6.8, 9.0] {
+        stand(&mut page, &camera, t);
+        let image = decoded(&capture(&mut page));
+        let same = psnr_db(&image, &drawn(&given, &camera, t));
+        let quantised = psnr_db(&image, &drawn(&scene, &camera, t));
+        let gone = psnr_db(&image, &drawn(&without, &camera, t));
+        eprintln!(
+            "t = {t}: {same:.2} dB from our renderer, {quantised:.2} dB with the quantisation, {gone:.2} without"
+        );
+        assert!(same > SAME_SPLATS_DB && quantised > QUANTISED_DB && gone < 25.0, "t = {t}: {same:.2}, {quantised:.2}");
+    }
+    let last = capture(&mut page);
+    drop(page);
+
+    // a live page whose first scene has none gets them with a newer scene
+    let hub = Hub::waiting("a run");
+    let show = |scene: &Scene| {
+        let (manifest, payload) = told(scene);
+        hub.show(manifest, payload);
+    };
+    show(&without);
+    let server = Server::start(Arc::clone(&hub), 0).unwrap();
+    let mut page = Chromium::open(program, server.url());
+    page.eval("minute4d.ready");
+    show(&scene);
+    page.wait_for("minute4d.state().splats === 2300");
+    stand(&mut page, &camera, 9.0);
+    assert!(last == capture(&mut page), "the server's page draws another image than the file");
+}
 
 #[test]
 fn page_matches_the_renderer_from_file_and_server() {

@@ -127,6 +127,7 @@ export function readManifest(value: unknown): Manifest {
     splats: {
       static: splats.count("static"),
       dynamic: splats.count("dynamic"),
+      bound: splats.get("bound") === undefined ? 0 : splats.count("bound", splats.count("dynamic")),
       sh_degree: splats.count("sh_degree", 3),
       time_degree: splats.count("time_degree", 2),
       isotropic: splats.flag("isotropic"),

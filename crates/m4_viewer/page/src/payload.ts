@@ -1,52 +1,17 @@
 // The splats of a scene from the bytes that the program wrote into the page: the other side of
 // crates/m4_viewer/src/payload/mod.rs, which describes them byte for byte.
 
-import { PageError } from "./errors";
-import type { Manifest, SceneData } from "./scene";
+import { readBound, readBoundHeader } from "./bound";
+import { Planes, damaged } from "./planes";
+import { type Manifest, NOTHING_BOUND, type SceneData } from "./scene";
 
 const HEADER_BYTES = 136;
-const VERSION = 1;
+/** Without and with bound splats. */
+const VERSIONS = [1, 2];
 const MAGIC = "M4SP";
+const OPAQUE = 1 - 1 / 2048;
 const MIDDLE_24 = 2 ** 23;
 const MIDDLE_16 = 2 ** 15;
-
-function damaged(what: string, cause?: unknown): PageError {
-  return new PageError(
-    "The scene in this page is damaged",
-    `The splats cannot be read: ${what}. Export the page again from its scene.`,
-    { cause },
-  );
-}
-
-/** Takes one component after the other; each has one plane a byte, the least significant first. */
-class Planes {
-  constructor(
-    private readonly bytes: Uint8Array,
-    private at: number,
-  ) {}
-
-  /** The next component: `rows` values of `width` bytes. */
-  next(width: number, rows: number): (row: number) => number {
-    const { bytes, at } = this;
-    this.at += width * rows;
-    const byte = (plane: number, row: number): number => bytes[at + plane * rows + row] as number;
-    switch (width) {
-      case 1:
-        return (row) => byte(0, row);
-      case 2:
-        return (row) => byte(0, row) | (byte(1, row) << 8);
-      case 3:
-        return (row) => byte(0, row) | (byte(1, row) << 8) | (byte(2, row) << 16);
-      default:
-        return (row) =>
-          (byte(0, row) | (byte(1, row) << 8) | (byte(2, row) << 16) | (byte(3, row) << 24)) >>> 0;
-    }
-  }
-
-  get end(): number {
-    return this.at;
-  }
-}
 
 /**
  * The splats in `bytes` (without gzip), which must be as many as `manifest` says.
@@ -59,9 +24,11 @@ export function decodePayload(bytes: Uint8Array, manifest: Pick<Manifest, "splat
     throw damaged(`these ${bytes.length} bytes do not begin with the header of a minute4d page`);
   }
   const version = view.getUint32(4, true);
-  if (version !== VERSION) {
-    throw damaged(`the splats are of version ${version}, this page reads version ${VERSION}`);
+  if (!VERSIONS.includes(version)) {
+    throw damaged(`the splats are of version ${version}, this page reads versions ${VERSIONS.join(" and ")}`);
   }
+  const header = version === 2 ? readBoundHeader(view) : null;
+  const nBound = header?.count ?? 0;
   const nStatic = view.getUint32(8, true);
   const nDynamic = view.getUint32(12, true);
   const shDegree = view.getUint8(16);
@@ -71,29 +38,32 @@ export function decodePayload(bytes: Uint8Array, manifest: Pick<Manifest, "splat
   if (
     told.static !== nStatic ||
     told.dynamic !== nDynamic ||
+    told.bound !== nBound ||
     told.sh_degree !== shDegree ||
     told.time_degree !== timeDegree ||
     told.isotropic !== isotropic
   ) {
     throw damaged("the splats are not those that the manifest describes");
   }
+  if (nBound > nDynamic) throw damaged(`${nBound} bound splats are named, and ${nDynamic} are dynamic`);
   const n = nStatic + nDynamic;
+  const nFree = nDynamic - nBound;
   const colours = 3 * (shDegree + 1) ** 2 * (timeDegree + 1);
   const shared = isotropic ? 3 * 3 + 1 + 1 + 2 * colours : 3 * 3 + 3 + 4 + 1 + 2 * colours;
-  const expected = HEADER_BYTES + n * shared + nDynamic * (2 + 1 + 3 * 2);
+  const expected = (header?.end ?? HEADER_BYTES) + n * shared + nFree * (2 + 1 + 3 * 2) + (header?.bytes ?? 0);
   if (bytes.length !== expected) {
     throw damaged(`${expected} bytes of splats were expected, and ${bytes.length} were found`);
   }
   const number = (index: number): number => view.getFloat64(24 + 8 * index, true);
-  const planes = new Planes(bytes, HEADER_BYTES);
+  const planes = new Planes(bytes, header?.end ?? HEADER_BYTES);
 
   const meanSpread = number(3);
   const meanStep = number(4);
+  const place = (k: number, q: number): number => number(k) + meanSpread * Math.sinh(meanStep * (q - MIDDLE_24));
   const mean = new Float32Array(3 * n);
   for (let k = 0; k < 3; k++) {
     const q = planes.next(3, n);
-    const centre = number(k);
-    for (let i = 0; i < n; i++) mean[3 * i + k] = centre + meanSpread * Math.sinh(meanStep * (q(i) - MIDDLE_24));
+    for (let i = 0; i < n; i++) mean[3 * i + k] = place(k, q(i));
   }
 
   // a byte has few values: exponentials are looked up
@@ -120,7 +90,11 @@ export function decodePayload(bytes: Uint8Array, manifest: Pick<Manifest, "splat
 
   const opacity = new Float32Array(n);
   const opacityCode = planes.next(1, n);
-  for (let i = 0; i < n; i++) opacity[i] = opacityCode(i) / 255;
+  for (let i = 0; i < n; i++) {
+    // what fades in optical depth is never quite opaque
+    const most = i >= nStatic && i < nStatic + nBound ? OPAQUE : 1;
+    opacity[i] = Math.min(opacityCode(i) / 255, most);
+  }
 
   const colourStep = number(7);
   const colour = new Float32Array(colours * n);
@@ -129,28 +103,29 @@ export function decodePayload(bytes: Uint8Array, manifest: Pick<Manifest, "splat
     for (let i = 0; i < n; i++) colour[colours * i + k] = colourStep * (q(i) - MIDDLE_16);
   }
 
-  const timeMean = new Float32Array(nDynamic);
+  const timeMean = new Float32Array(nFree);
   const timeLow = number(8);
   const timeStep = number(9);
-  const timeCode = planes.next(2, nDynamic);
-  for (let i = 0; i < nDynamic; i++) timeMean[i] = timeLow + timeStep * timeCode(i);
+  const timeCode = planes.next(2, nFree);
+  for (let i = 0; i < nFree; i++) timeMean[i] = timeLow + timeStep * timeCode(i);
 
-  const timeSd = new Float32Array(nDynamic);
+  const timeSd = new Float32Array(nFree);
   const lives = table(number(10), number(11));
-  const sdCode = planes.next(1, nDynamic);
-  for (let i = 0; i < nDynamic; i++) timeSd[i] = lives[sdCode(i)] as number;
+  const sdCode = planes.next(1, nFree);
+  for (let i = 0; i < nFree; i++) timeSd[i] = lives[sdCode(i)] as number;
 
-  const velocity = new Float32Array(3 * nDynamic);
+  const velocity = new Float32Array(3 * nFree);
   const velocitySpread = number(12);
   const velocityStep = number(13);
   for (let k = 0; k < 3; k++) {
-    const q = planes.next(2, nDynamic);
-    for (let i = 0; i < nDynamic; i++) {
+    const q = planes.next(2, nFree);
+    for (let i = 0; i < nFree; i++) {
       velocity[3 * i + k] = velocitySpread * Math.sinh(velocityStep * (q(i) - MIDDLE_16));
     }
   }
+  const bound = header ? readBound(planes, header, place) : NOTHING_BOUND;
   if (planes.end !== bytes.length) throw damaged("the splats end before their last column");
-  return { nStatic, nDynamic, mean, scale, quat, opacity, colour, timeMean, timeSd, velocity };
+  return { nStatic, nBound, nFree, mean, scale, quat, opacity, colour, bound, timeMean, timeSd, velocity };
 }
 
 /** Smallest three components of 10 bits each; the upper two bits name the one that was left out. */

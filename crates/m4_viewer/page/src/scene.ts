@@ -43,6 +43,8 @@ export interface Manifest {
   splats: {
     static: number;
     dynamic: number;
+    /** Of the dynamic ones. */
+    bound: number;
     /** Degree of the spatial harmonics, 0..=3. */
     sh_degree: number;
     /** Highest temporal harmonic, 0..=2. */
@@ -66,11 +68,55 @@ export interface Manifest {
   live: LiveSource | null;
 }
 
-/** Splats in columns, the static ones first. */
+/** Nodes and their motion over a span of time; which splats they carry. */
+export interface MotionWindow {
+  /** Bound splats `from..to`. */
+  from: number;
+  to: number;
+  /** Frames, rising; at least one. */
+  keys: Float32Array;
+  /** `3 nodes`: where nodes are when they have not moved. */
+  anchors: Float32Array;
+  /** `3 nodes` a key. */
+  positions: Float32Array;
+  /** `4 nodes` a key: unit quaternions `w, x, y, z`. */
+  rotations: Float32Array;
+}
+
+/** What bound splats have beside what all have, in the order of their windows. */
+export interface BoundData {
+  /** When a splat is as it is stored, frames. */
+  birth: Float32Array;
+  /** `3n`: world units a frame, of its own where the nodes have not moved. */
+  velocity: Float32Array;
+  /** `3n`: change of the first coefficients of the colour a frame. */
+  trend: Float32Array;
+  /** `2n`: begin and end, frames; infinite where no frame shows it. */
+  life: Float32Array;
+  /** `4n`: nodes of the window. */
+  nodes: Uint16Array;
+  /** `4n`: their shares in 255ths, which sum to 255. */
+  weights: Uint8Array;
+  windows: readonly MotionWindow[];
+}
+
+/** Of a scene without bound splats. */
+export const NOTHING_BOUND: BoundData = {
+  birth: new Float32Array(0),
+  velocity: new Float32Array(0),
+  trend: new Float32Array(0),
+  life: new Float32Array(0),
+  nodes: new Uint16Array(0),
+  weights: new Uint8Array(0),
+  windows: [],
+};
+
+/** Splats in columns: the static ones, those that are bound to nodes, and those that move by themselves. */
 export interface SceneData {
   nStatic: number;
-  nDynamic: number;
-  /** `3n`: x, y, z; of a dynamic splat at `timeMean`. */
+  nBound: number;
+  nFree: number;
+  /** `3n`: x, y, z; of a free splat at `timeMean`, of a bound one at its birth where nodes have not moved. */
   mean: Float32Array;
   /** `3n`: standard deviations. */
   scale: Float32Array;
@@ -80,11 +126,12 @@ export interface SceneData {
   opacity: Float32Array;
   /** `3 terms n`: index `splat * 3 * terms + 3 * term + channel`, temporal index of a term major. */
   colour: Float32Array;
-  /** `nDynamic`: middle of the life, frames. */
+  bound: BoundData;
+  /** `nFree`: middle of the life, frames. */
   timeMean: Float32Array;
-  /** `nDynamic`: standard deviation in time, frames. */
+  /** `nFree`: standard deviation in time, frames. */
   timeSd: Float32Array;
-  /** `3 nDynamic`: world units a frame. */
+  /** `3 nFree`: world units a frame. */
   velocity: Float32Array;
 }
 
@@ -100,5 +147,5 @@ export function colourTerms(manifest: Manifest): number {
 
 /** How many splats a scene has. */
 export function splatCount(data: SceneData): number {
-  return data.nStatic + data.nDynamic;
+  return data.nStatic + data.nBound + data.nFree;
 }

@@ -5,7 +5,7 @@ import { readManifest } from "../src/manifest";
 const good = {
   version: 1,
   title: "A scene",
-  splats: { static: 2, dynamic: 3, sh_degree: 1, time_degree: 0, isotropic: false, bytes: 99 },
+  splats: { static: 2, dynamic: 3, bound: 2, sh_degree: 1, time_degree: 0, isotropic: false, bytes: 99 },
   background: [0, 0.5, 1],
   time_frames: 30,
   duration_s: null,
@@ -27,10 +27,13 @@ test("a manifest is read as it is", () => {
 test("what may be missing", () => {
   const { frames: _f, live: _l, duration_s: _d, ...rest } = good;
   expect(readManifest(rest)).toMatchObject({ frames: null, live: null, duration_s: null });
+  const { bound: _b, ...splats } = good.splats;
+  expect(readManifest({ ...good, splats }).splats.bound).toBe(0);
 });
 
 test.each([
   [{ splats: { ...good.splats, static: -1 } }, "splats.static"],
+  [{ splats: { ...good.splats, bound: 4 } }, "splats.bound"],
   [{ splats: { ...good.splats, sh_degree: 4 } }, "splats.sh_degree"],
   [{ background: [0, 1] }, "background"],
   [{ fps: 0 }, "fps"],

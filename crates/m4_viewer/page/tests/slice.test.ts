@@ -4,7 +4,7 @@ import { describe, expect, test } from "vitest";
 import { NOTHING, type SliceView, Slicer } from "../src/render/slice";
 import { KeySort, keysOf } from "../src/render/sort";
 import { MARGINAL_MIN, REACH_SDS, marginal } from "../src/render/window";
-import type { SceneData } from "../src/scene";
+import { NOTHING_BOUND, type SceneData } from "../src/scene";
 
 /** Always the same numbers in 0..1. */
 function numbers(seed: number): () => number {
@@ -16,21 +16,23 @@ function numbers(seed: number): () => number {
 }
 
 /** Splats all about the camera, with lifetimes from a tenth of a frame to the whole clip. */
-function scene(nStatic: number, nDynamic: number): SceneData {
+function scene(nStatic: number, nFree: number): SceneData {
   const random = numbers(3);
-  const n = nStatic + nDynamic;
+  const n = nStatic + nFree;
   const column = (count: number, f: () => number): Float32Array => Float32Array.from({ length: count }, f);
   return {
     nStatic,
-    nDynamic,
+    nBound: 0,
+    nFree,
     mean: column(3 * n, () => 8 * random() - 4),
     scale: column(3 * n, () => 0.001 + 0.1 * random()),
     quat: column(4 * n, () => 0.5),
     opacity: column(n, random),
     colour: new Float32Array(3 * n),
-    timeMean: column(nDynamic, () => 110 * random() - 5),
-    timeSd: column(nDynamic, () => 0.1 * 1000 ** random()),
-    velocity: column(3 * nDynamic, () => 0.2 * random() - 0.1),
+    bound: NOTHING_BOUND,
+    timeMean: column(nFree, () => 110 * random() - 5),
+    timeSd: column(nFree, () => 0.1 * 1000 ** random()),
+    velocity: column(3 * nFree, () => 0.2 * random() - 0.1),
   };
 }
 
@@ -52,7 +54,7 @@ function seen(data: SceneData, t: number): { must: Set<number>; depth: Map<numbe
   const { w2c, fx, fy, cx, cy, width, height } = view(t);
   const must = new Set<number>();
   const depth = new Map<number, number>();
-  for (let row = 0; row < data.nStatic + data.nDynamic; row++) {
+  for (let row = 0; row < data.nStatic + data.nFree; row++) {
     const d = row - data.nStatic;
     const dt = d < 0 ? 0 : t - (data.timeMean[d] ?? 0);
     const left = d < 0 ? 1 : marginal(dt, data.timeSd[d] ?? 1);
@@ -89,7 +91,7 @@ describe("an instant", () => {
   test("only what can be active is considered", () => {
     const { considered } = slicer.slice(view(50));
     let active = 0;
-    for (let d = 0; d < data.nDynamic; d++) {
+    for (let d = 0; d < data.nFree; d++) {
       if (marginal(50 - (data.timeMean[d] ?? 0), data.timeSd[d] ?? 1) > MARGINAL_MIN) active += 1;
     }
     expect(active).toBeGreaterThan(300);

@@ -12,11 +12,16 @@ export interface Texels {
   readonly place: Float32Array<ArrayBuffer>;
   /** Two texels a splat: scale and the third velocity; quaternion `x, y, z, w`. */
   readonly shape: Float32Array<ArrayBuffer>;
-  /** A texel a dynamic splat: middle and standard deviation in time, first two velocities. */
+  /** A texel a dynamic splat: middle (of a bound one: birth), standard deviation in time (trend of red), first two velocities. */
   readonly life: Float32Array<ArrayBuffer>;
   /** `ceil(3 terms / 4)` texels a splat: the colour coefficients in their order. */
   readonly colour: Float32Array<ArrayBuffer>;
+  /** Two texels a bound splat: node in the texture of nodes + 65536 x weight in 255ths, four times; begin, end, trend of green, blue. */
+  readonly bound: Float32Array<ArrayBuffer>;
 }
+
+/** Frames that are always past or to come: shaders need not know infinity. */
+const FAR = 1e9;
 
 /** GLSL that fetches texel `i` of a texture of this module. */
 export const fetchTexel = (texture: string, i: string): string =>
@@ -36,10 +41,10 @@ function fill(texels: number, write: (out: Float32Array) => void): Float32Array<
   return out;
 }
 
-/** `terms` colour coefficients a channel. */
-export function texelsOf(data: SceneData, terms: number): Texels {
+/** `terms` colour coefficients a channel; `places` of the windows in the texture of nodes. */
+export function texelsOf(data: SceneData, terms: number, places: readonly { readonly first: number }[]): Texels {
   const n = splatCount(data);
-  const { mean, scale, quat, opacity, colour, timeMean, timeSd, velocity, nStatic, nDynamic } = data;
+  const { mean, scale, quat, opacity, colour, bound, timeMean, timeSd, velocity, nStatic, nBound, nFree } = data;
   const v = (column: Float32Array, i: number): number => column[i] ?? 0;
   const texels = Math.ceil((3 * terms) / 4);
   return {
@@ -56,16 +61,23 @@ export function texelsOf(data: SceneData, terms: number): Texels {
           out[8 * i + k] = v(scale, 3 * i + k);
           out[8 * i + 4 + k] = v(quat, 4 * i + 1 + k);
         }
-        out[8 * i + 3] = d >= 0 ? v(velocity, 3 * d + 2) : 0;
+        out[8 * i + 3] = d < 0 ? 0 : d < nBound ? v(bound.velocity, 3 * d + 2) : v(velocity, 3 * (d - nBound) + 2);
         out[8 * i + 7] = v(quat, 4 * i);
       }
     }),
-    life: fill(nDynamic, (out) => {
-      for (let d = 0; d < nDynamic; d++) {
-        out[4 * d] = v(timeMean, d);
-        out[4 * d + 1] = v(timeSd, d);
-        out[4 * d + 2] = v(velocity, 3 * d);
-        out[4 * d + 3] = v(velocity, 3 * d + 1);
+    life: fill(nBound + nFree, (out) => {
+      for (let i = 0; i < nBound; i++) {
+        out[4 * i] = v(bound.birth, i);
+        out[4 * i + 1] = v(bound.trend, 3 * i);
+        out[4 * i + 2] = v(bound.velocity, 3 * i);
+        out[4 * i + 3] = v(bound.velocity, 3 * i + 1);
+      }
+      for (let d = 0; d < nFree; d++) {
+        const at = 4 * (nBound + d);
+        out[at] = v(timeMean, d);
+        out[at + 1] = v(timeSd, d);
+        out[at + 2] = v(velocity, 3 * d);
+        out[at + 3] = v(velocity, 3 * d + 1);
       }
     }),
     colour: fill(texels * n, (out) => {
@@ -73,6 +85,20 @@ export function texelsOf(data: SceneData, terms: number): Texels {
       for (let i = 0; i < n; i++) {
         for (let k = 0; k < length; k++) out[4 * texels * i + k] = v(colour, length * i + k);
       }
+    }),
+    bound: fill(2 * nBound, (out) => {
+      bound.windows.forEach(({ from, to }, w) => {
+        const first = places[w]?.first ?? 0;
+        for (let i = from; i < to; i++) {
+          for (let k = 0; k < 4; k++) {
+            out[8 * i + k] = first + (bound.nodes[4 * i + k] as number) + 65536 * (bound.weights[4 * i + k] as number);
+          }
+          for (let k = 0; k < 2; k++) {
+            out[8 * i + 4 + k] = Math.min(Math.max(v(bound.life, 2 * i + k), -FAR), FAR);
+            out[8 * i + 6 + k] = v(bound.trend, 3 * i + 1 + k);
+          }
+        }
+      });
     }),
   };
 }

@@ -113,6 +113,29 @@ export class OrderTexture {
   }
 }
 
+/** The nodes of an instant as a texture. */
+export class NodeTexture {
+  readonly texture: WebGLTexture;
+
+  constructor(
+    private readonly gl: WebGL2RenderingContext,
+    /** Of whole rows. */
+    texels: number,
+  ) {
+    this.texture = texture(gl);
+    gl.texStorage2D(gl.TEXTURE_2D, 1, gl.RGBA32F, ROW, rowsOf(texels));
+  }
+
+  /** Takes whole rows. */
+  set(texels: Float32Array): void {
+    const { gl } = this;
+    const rows = texels.length / (4 * ROW);
+    if (rows === 0) return;
+    gl.bindTexture(gl.TEXTURE_2D, this.texture);
+    gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, ROW, rows, gl.RGBA, gl.FLOAT, texels);
+  }
+}
+
 /** Vertices of so many rectangles, as two triangles each. */
 export function rectangles(count: number): Uint16Array {
   const out = new Uint16Array(6 * count);

@@ -10,7 +10,8 @@ export type ToWorker =
 
 export type FromWorker =
   | { readonly kind: "progress"; readonly share: number; readonly doing: string }
-  | { readonly kind: "loaded"; readonly texels: Texels }
+  /** `nodes`: texels of the texture of nodes, 0 without bound splats. */
+  | { readonly kind: "loaded"; readonly texels: Texels; readonly nodes: number }
   /** `sentMs`: when it left the worker, on the clock of both (`performance.timeOrigin` added). */
   | { readonly kind: "sliced"; readonly slice: Slice; readonly sentMs: number }
   | { readonly kind: "failed"; readonly title: string; readonly advice: string };

@@ -35,12 +35,13 @@ const POLYNOMIALS: readonly (readonly [number, string])[] = [
 
 /**
  * Statements that leave the colour in `vec3 colour`. They read `int index`, `vec3 toSplat` (a unit
- * vector from the camera) and `float turns` (`(t - time_mean) / period`, 0 for static splats).
+ * vector from the camera), `float turns` (`(t - time_mean) / period`, 0 for static and bound splats) and `vec3 change` (of the
+ * first coefficients since they were stored).
  */
 export function shadeStatements(texture: string, shTerms: number, timeTerms: number): string[] {
   const terms = shTerms * timeTerms;
   const texels = Math.ceil((3 * terms) / 4);
-  const out = ["vec3 colour = vec3(0.5);", `int first = index * ${texels};`];
+  const out = [`vec3 colour = vec3(0.5) + ${C0.toPrecision(10)} * change;`, `int first = index * ${texels};`];
   for (let k = 0; k < texels; k++) out.push(`vec4 k${k} = ${fetchTexel(texture, `first + ${k}`)};`);
   if (shTerms > 1) out.push("float x = toSplat.x, y = toSplat.y, z = toSplat.z;");
   const component = (i: number): string => `k${i >> 2}.${"xyzw"[i & 3] ?? "x"}`;

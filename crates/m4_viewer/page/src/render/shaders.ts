@@ -6,6 +6,7 @@
 import { type Manifest, shTerms } from "../scene";
 import { fetchTexel } from "./columns";
 import { shadeStatements } from "./shade";
+import { LEAST_PRESENCE, NODE_TEXELS } from "./pose";
 import { JACOBIAN_MARGIN, NOTHING } from "./slice";
 import { MARGINAL_MIN, marginalGlsl } from "./window";
 
@@ -19,6 +20,69 @@ const NEAR_MIN = 1e-6;
 export const BATCH = 1024;
 
 const number = (v: number): string => v.toPrecision(10);
+
+/** Functions for bound splats: `m4_kernels::pose` in GLSL. */
+const CARRYING = /* glsl */ `
+uniform sampler2D bound;
+uniform sampler2D nodes;
+uniform int freeFrom;     // the first splat that is not bound
+
+vec3 turned(vec4 q, vec3 v) {
+  return v + 2.0 * cross(q.xyz, cross(q.xyz, v) + q.w * v);
+}
+
+vec4 product(vec4 a, vec4 b) {
+  return vec4(a.w * b.xyz + b.w * a.xyz + cross(a.xyz, b.xyz), a.w * b.w - dot(a.xyz, b.xyz));
+}
+
+float rise(float x) {
+  float s = clamp(0.5 + 0.5 * x, 0.0, 1.0);
+  return s * s * (3.0 - 2.0 * s);
+}
+
+/// Moves, turns, fades and colours a bound splat; false where it is not there.
+bool carry(int row, vec4 lived, float speed, inout vec3 mean, inout vec4 quat, inout float opacity, out vec3 change) {
+  ivec4 links = ivec4(${fetchTexel("bound", "2 * row")});
+  vec4 span = ${fetchTexel("bound", "2 * row + 1")};
+  float dt = time - lived.x;
+  vec3 own = mean + dt * vec3(lived.zw, speed);
+  vec4 first = ${fetchTexel("nodes", `${NODE_TEXELS} * (links.x & 65535)`)};
+  vec4 sum = vec4(0.0);
+  float halfFade = 1.0;
+  mean = vec3(0.0);
+  for (int k = 0; k < 4; k++) {
+    int at = ${NODE_TEXELS} * (links[k] & 65535);
+    float weight = float(links[k] >> 16) / 255.0;
+    vec4 q = ${fetchTexel("nodes", "at")};
+    vec4 shift = ${fetchTexel("nodes", "(at + 1)")};
+    mean += weight * (turned(q, own) + shift.xyz);
+    sum += (dot(first, q) < 0.0 ? -weight : weight) * q;
+    halfFade = shift.w;
+  }
+  quat = normalize(product(sum, quat));
+  change = dt * vec3(lived.y, span.zw);
+  float presence = rise((time - span.x) / halfFade) * rise((span.y - time) / halfFade);
+  if (!(presence >= ${number(LEAST_PRESENCE)})) return false;
+  if (presence < 1.0) opacity = 1.0 - pow(1.0 - opacity, presence);
+  return true;
+}
+`;
+
+/** Statements for splats that are not static. */
+const dynamicStatements = ({ splats, period_frames }: Manifest): string => {
+  const free = /* glsl */ `float dt = time - lived.x;
+    float marginal = ${marginalGlsl("dt", "lived.y")};
+    if (!(marginal > ${number(MARGINAL_MIN)})) return;
+    opacity *= marginal;
+    mean += dt * vec3(lived.zw, scaled.w);
+    turns = dt * ${number(1 / period_frames)};`;
+  if (splats.bound === 0) return free;
+  return /* glsl */ `if (index < freeFrom) {
+      if (!carry(index - dynamicFrom, lived, scaled.w, mean, quat, opacity, change)) return;
+    } else {
+      ${free}
+    }`;
+};
 
 /** Corners of a parallelogram that holds the ellipse down to an opacity of 1 / 255. */
 export const splatVertex = (manifest: Manifest): string => /* glsl */ `#version 300 es
@@ -57,6 +121,7 @@ mat3 axesOf(vec3 s, vec4 q) {
   );
 }
 
+${manifest.splats.bound > 0 ? CARRYING : ""}
 void main() {
   gl_Position = vec4(0.0, 0.0, 2.0, 1.0);
   vOffset = vec2(0.0);
@@ -69,15 +134,12 @@ void main() {
   vec4 scaled = ${fetchTexel("shape", "2 * index")};
   vec3 mean = placed.xyz;
   float opacity = placed.w;
+  vec4 quat = ${fetchTexel("shape", "2 * index + 1")};
   float turns = 0.0;
+  vec3 change = vec3(0.0);
   if (index >= dynamicFrom) {
     vec4 lived = ${fetchTexel("life", "(index - dynamicFrom)")};
-    float dt = time - lived.x;
-    float marginal = ${marginalGlsl("dt", "lived.y")};
-    if (!(marginal > ${number(MARGINAL_MIN)})) return;
-    opacity *= marginal;
-    mean += dt * vec3(lived.zw, scaled.w);
-    turns = dt * ${number(1 / manifest.period_frames)};
+    ${dynamicStatements(manifest)}
   }
   if (opacity < 1.0 / 255.0) return;
 
@@ -87,7 +149,7 @@ void main() {
   vec2 ray = p.xy / p.z;
 
   // covariance in the camera
-  mat3 m = turn * axesOf(scaled.xyz, ${fetchTexel("shape", "2 * index + 1")});
+  mat3 m = turn * axesOf(scaled.xyz, quat);
 
   // the Jacobian, within a margin of the image
   vec2 margin = ${number(JACOBIAN_MARGIN)} * size / (2.0 * lens.xy);

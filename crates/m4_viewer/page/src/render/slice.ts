@@ -1,13 +1,15 @@
 /**
  * Which splats an instant shows, and in which order: the farthest first.
  *
- * Dynamic splats lie in groups of like lifetimes (each at most twice the shortest of its group), each ordered
+ * Free splats lie in groups of like lifetimes (each at most twice the shortest of its group), each ordered
  * by time, so that what can be active at an instant is one range a group. The cost of an instant follows from
- * that range and from the static splats, not from the length of the clip.
+ * that range and from the static splats, not from the length of the clip. Bound splats lie in the order of their windows, of
+ * which those about the instant are looked at.
  */
 
-import type { SceneData } from "../scene";
+import type { BoundData, SceneData } from "../scene";
 import { ROW } from "./columns";
+import { LEAST_PRESENCE, Nodes, presence } from "./pose";
 import { KeySort, keysOf } from "./sort";
 import { REACH_SDS, marginal } from "./window";
 
@@ -35,7 +37,9 @@ export interface Slice {
   readonly ids: Uint32Array;
   /** How many there are. */
   readonly count: number;
-  /** Dynamic splats that were considered. */
+  /** The nodes that carry bound splats, for their texture. */
+  readonly nodes: Float32Array<ArrayBuffer>;
+  /** Bound and free splats that were considered. */
   readonly considered: number;
   readonly sliceMs: number;
   readonly sortMs: number;
@@ -50,7 +54,7 @@ const SLACK = 1e-3;
 /** The Jacobian is evaluated within this multiple of the half field of view (as in the shaders). */
 export const JACOBIAN_MARGIN = 0.3;
 
-/** Splats whose lifetimes are alike: rows `from..to` of the dynamic columns. */
+/** Splats whose lifetimes are alike: rows `from..to` of the columns of free splats. */
 interface Group {
   readonly from: number;
   readonly to: number;
@@ -61,9 +65,13 @@ interface Group {
 /** How far from its middle a splat of this opacity can be seen, standard deviations. */
 const extentSds = (opacity: number): number => (opacity > ALPHA_MIN ? Math.sqrt(2 * Math.log(255 * opacity)) : 0);
 
-/** Columns for slicing; static splats first, dynamic ones by group and time. */
+/** Columns for slicing; static splats first, bound ones by window, free ones by group and time. */
 export class Slicer {
   private readonly nStatic: number;
+  /** The first free splat. */
+  private readonly freeFrom: number;
+  private readonly bound: BoundData;
+  readonly nodes: Nodes;
   private readonly ids: Uint32Array;
   private readonly mean: Float32Array;
   private readonly opacity: Float32Array;
@@ -82,12 +90,16 @@ export class Slicer {
     private readonly near: number,
     private readonly now: () => number = () => performance.now(),
   ) {
-    const { nStatic, nDynamic } = data;
-    const n = nStatic + nDynamic;
+    const { nStatic, nBound, nFree } = data;
+    const freeFrom = nStatic + nBound;
+    const n = freeFrom + nFree;
     this.nStatic = nStatic;
+    this.freeFrom = freeFrom;
+    this.bound = data.bound;
+    this.nodes = new Nodes(data.bound);
     this.ids = new Uint32Array(n);
-    for (let i = 0; i < nStatic; i++) this.ids[i] = i;
-    this.ids.set(this.byGroupAndTime(data), nStatic);
+    for (let i = 0; i < freeFrom; i++) this.ids[i] = i;
+    this.ids.set(this.byGroupAndTime(data), freeFrom);
 
     const { ids } = this;
     const column = (from: Float32Array, width: number, first: number): Float32Array => {
@@ -100,9 +112,9 @@ export class Slicer {
     };
     this.mean = column(data.mean, 3, 0);
     this.opacity = column(data.opacity, 1, 0);
-    this.timeMean = column(data.timeMean, 1, nStatic);
-    this.timeSd = column(data.timeSd, 1, nStatic);
-    this.velocity = column(data.velocity, 3, nStatic);
+    this.timeMean = column(data.timeMean, 1, freeFrom);
+    this.timeSd = column(data.timeSd, 1, freeFrom);
+    this.velocity = column(data.velocity, 3, freeFrom);
     this.radius = new Float32Array(n);
     for (let i = 0; i < n; i++) {
       const row = 3 * (ids[i] as number);
@@ -113,23 +125,24 @@ export class Slicer {
     this.found = new Uint32Array(n);
   }
 
-  /** Rows of dynamic splats by group, then time; fills `groups`. */
-  private byGroupAndTime({ nStatic, nDynamic, timeMean, timeSd }: SceneData): Uint32Array {
-    const rows = new Uint32Array(nDynamic);
-    for (let d = 0; d < nDynamic; d++) rows[d] = nStatic + d;
-    this.sorter.sort(keysOf(timeMean), rows, nDynamic);
+  /** Rows of free splats by group, then time; fills `groups`. */
+  private byGroupAndTime({ nStatic, nBound, nFree, timeMean, timeSd }: SceneData): Uint32Array {
+    const freeFrom = nStatic + nBound;
+    const rows = new Uint32Array(nFree);
+    for (let d = 0; d < nFree; d++) rows[d] = freeFrom + d;
+    this.sorter.sort(keysOf(timeMean), rows, nFree);
     // the exponent of the lifetime; sorting is stable, so that the order by time remains
-    const exponents = new Uint32Array(nDynamic);
-    for (let i = 0; i < nDynamic; i++) {
-      const sd = timeSd[(rows[i] as number) - nStatic] as number;
+    const exponents = new Uint32Array(nFree);
+    for (let i = 0; i < nFree; i++) {
+      const sd = timeSd[(rows[i] as number) - freeFrom] as number;
       exponents[i] = sd > 0 && sd < Infinity ? 256 + Math.floor(Math.log2(sd)) : sd > 0 ? 1024 : 0;
     }
-    this.sorter.sort(exponents, rows, nDynamic);
-    for (let from = 0; from < nDynamic; ) {
+    this.sorter.sort(exponents, rows, nFree);
+    for (let from = 0; from < nFree; ) {
       let to = from;
       let longest = 0;
-      for (; to < nDynamic && exponents[to] === exponents[from]; to++) {
-        longest = Math.max(longest, timeSd[(rows[to] as number) - nStatic] as number);
+      for (; to < nFree && exponents[to] === exponents[from]; to++) {
+        longest = Math.max(longest, timeSd[(rows[to] as number) - freeFrom] as number);
       }
       this.groups.push({ from, to, reach: longest * REACH_SDS * (1 + SLACK) });
       from = to;
@@ -137,7 +150,7 @@ export class Slicer {
     return rows;
   }
 
-  /** The first dynamic row of a group at or after a time. */
+  /** The first free row of a group at or after a time. */
   private first({ from, to }: Group, t: number): number {
     let [low, high] = [from, to];
     while (low < high) {
@@ -148,9 +161,34 @@ export class Slicer {
     return low;
   }
 
+  /** Hands over the bound splats that are there at `t`, where nodes carry them; how many were looked at. */
+  private carried(t: number, take: (i: number, x: number, y: number, z: number) => void): number {
+    const { bound, nodes, mean, opacity, nStatic } = this;
+    const { birth, velocity, life } = bound;
+    const place = new Float64Array(3);
+    let looked = 0;
+    for (const { window, half, first } of nodes.at(t)) {
+      for (let b = window.from; b < window.to; b++) {
+        looked += 1;
+        const share = presence(t, life[2 * b] as number, life[2 * b + 1] as number, half);
+        if (share < LEAST_PRESENCE * (1 - SLACK)) continue;
+        const i = nStatic + b;
+        const own = opacity[i] as number;
+        if ((share < 1 ? 1 - (1 - own) ** share : own) < ALPHA_MIN * (1 - SLACK)) continue;
+        const dt = t - (birth[b] as number);
+        const x = (mean[3 * i] as number) + dt * (velocity[3 * b] as number);
+        const y = (mean[3 * i + 1] as number) + dt * (velocity[3 * b + 1] as number);
+        const z = (mean[3 * i + 2] as number) + dt * (velocity[3 * b + 2] as number);
+        nodes.carry(first, bound, b, x, y, z, place);
+        take(i, place[0] as number, place[1] as number, place[2] as number);
+      }
+    }
+    return looked;
+  }
+
   slice(view: SliceView): Slice {
     const started = this.now();
-    const { mean, opacity, radius, timeMean, timeSd, velocity, ids, keys, found, nStatic } = this;
+    const { mean, opacity, radius, timeMean, timeSd, velocity, ids, keys, found, nStatic, freeFrom } = this;
     const { t, fx, fy, cx, cy, width, height, part, lowPass } = view;
     const m = (i: number): number => view.w2c[i] ?? 0;
     const [a0, a1, a2, a3] = [m(0), m(1), m(2), m(3)];
@@ -189,7 +227,7 @@ export class Slicer {
     for (let i = 0; i < nStatic; i++) {
       consider(i, mean[3 * i] as number, mean[3 * i + 1] as number, mean[3 * i + 2] as number);
     }
-    let considered = 0;
+    let considered = this.carried(t, consider);
     for (const group of this.groups) {
       const to = this.first(group, t + group.reach);
       for (let d = this.first(group, t - group.reach); d < to; d++) {
@@ -197,7 +235,7 @@ export class Slicer {
         const dt = t - (timeMean[d] as number);
         const sd = timeSd[d] as number;
         if (!(Math.abs(dt) <= sd * REACH_SDS * (1 + SLACK))) continue;
-        const i = nStatic + d;
+        const i = freeFrom + d;
         if ((opacity[i] as number) * marginal(dt, sd) < ALPHA_MIN * (1 - SLACK)) continue;
         consider(
           i,
@@ -212,6 +250,6 @@ export class Slicer {
     const out = new Uint32Array(ROW * Math.ceil(count / ROW));
     out.set(found.subarray(0, count));
     out.fill(NOTHING, count);
-    return { ids: out, count, considered, sliceMs: sliced - started, sortMs: this.now() - sliced };
+    return { ids: out, count, nodes: this.nodes.texels.slice(), considered, sliceMs: sliced - started, sortMs: this.now() - sliced };
   }
 }

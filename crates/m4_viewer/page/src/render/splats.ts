@@ -85,11 +85,11 @@ export class Splats {
     });
   }
 
-  /** Unpacks the payload, which is gone afterwards; the texels for the shaders. */
-  load(manifest: Manifest, bytes: Uint8Array<ArrayBuffer>, progress: Progress): Promise<Texels> {
+  /** Unpacks the payload, which is gone afterwards; the texels for the shaders, and how many the nodes take. */
+  load(manifest: Manifest, bytes: Uint8Array<ArrayBuffer>, progress: Progress): Promise<{ texels: Texels; nodes: number }> {
     return this.ask({ kind: "load", manifest, bytes }, [bytes.buffer], (answer) => {
       if (answer.kind === "progress") progress(answer.share, answer.doing);
-      return answer.kind === "loaded" ? answer.texels : undefined;
+      return answer.kind === "loaded" ? { texels: answer.texels, nodes: answer.nodes } : undefined;
     });
   }
 

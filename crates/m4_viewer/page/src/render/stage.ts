@@ -10,7 +10,7 @@ import type { Progress } from "../embedded";
 import { PageError, toPageError } from "../errors";
 import { type Manifest, colourTerms } from "../scene";
 import { mostRows } from "./columns";
-import { OrderTexture, Program, Target, floatTexture, rectangles } from "./gl";
+import { NodeTexture, OrderTexture, Program, Target, floatTexture, rectangles } from "./gl";
 import { BATCH, PRESENT_FRAGMENT, PRESENT_VERTEX, SPLAT_FRAGMENT, splatVertex } from "./shaders";
 import { type Returned, Splats } from "./splats";
 import { type InstantCost, Timing } from "./timing";
@@ -19,15 +19,16 @@ import { type View, featherOf, lowPassOf, partOf, sameView, sliceViewOf, worldTo
 /** Beyond the frame of the source camera: the dark page, in either theme. */
 const OUTSIDE = [13 / 255, 14 / 255, 17 / 255] as const;
 const POLL_MS = 2;
-const COLUMNS = ["place", "shape", "life", "colour"] as const;
-/** The samplers of the shader: the order, then the columns. */
-const SAMPLERS = ["order", "place", "shape", "life", "colours"] as const;
+const COLUMNS = ["place", "shape", "life", "colour", "bound"] as const;
+/** The samplers of the shader: the order, the nodes, then the columns. */
+const SAMPLERS = ["order", "nodes", "place", "shape", "life", "colours", "bound"] as const;
 
 /** A scene on the graphics device, and its worker. */
 interface Loaded {
   readonly manifest: Manifest;
   readonly splats: Splats;
   readonly order: OrderTexture;
+  readonly nodes: NodeTexture;
   readonly textures: readonly WebGLTexture[];
   readonly program: Program;
 }
@@ -121,10 +122,10 @@ export class Stage {
     const splats = new Splats();
     const textures: WebGLTexture[] = [];
     try {
-      const texels = await splats.load(manifest, bytes, (share, doing) => progress(0.9 * share, doing));
+      const { texels, nodes: count } = await splats.load(manifest, bytes, (share, doing) => progress(0.9 * share, doing));
       const program = new Program(gl, splatVertex(manifest), SPLAT_FRAGMENT);
       for (const [i, name] of COLUMNS.entries()) {
-        progress(0.9 + 0.025 * i, "Preparing");
+        progress(0.9 + 0.02 * i, "Preparing");
         textures.push(await floatTexture(gl, texels[name], breath));
       }
       if (gl.getError() === gl.OUT_OF_MEMORY) {
@@ -134,8 +135,9 @@ export class Stage {
         );
       }
       const order = new OrderTexture(gl, manifest.splats.static + manifest.splats.dynamic);
+      const nodes = new NodeTexture(gl, count);
       this.unload();
-      this.loaded = { manifest, splats, order, textures, program };
+      this.loaded = { manifest, splats, order, nodes, textures, program };
     } catch (error) {
       splats.close();
       for (const t of textures) gl.deleteTexture(t);
@@ -147,7 +149,7 @@ export class Stage {
     if (!this.loaded) return;
     this.loaded.splats.close();
     this.loaded.program.dispose();
-    for (const t of [this.loaded.order.texture, ...this.loaded.textures]) this.gl.deleteTexture(t);
+    for (const t of [this.loaded.order.texture, this.loaded.nodes.texture, ...this.loaded.textures]) this.gl.deleteTexture(t);
     this.loaded = null;
     this.ready = null;
     this.asking = false;
@@ -203,6 +205,7 @@ export class Stage {
     const { lens } = view;
     const started = performance.now();
     loaded.order.set(slice.ids);
+    loaded.nodes.set(slice.nodes);
     const uploaded = performance.now();
 
     if (canvas.width !== lens.width) canvas.width = lens.width;
@@ -220,19 +223,20 @@ export class Stage {
     void this.finish(before, uploaded);
   }
 
-  private drawSplats(view: View, { manifest, order, textures, program }: Loaded, count: number): void {
+  private drawSplats(view: View, { manifest, order, nodes, textures, program }: Loaded, count: number): void {
     if (count === 0) return;
     const { gl } = this;
     const { lens, pose } = view;
     const [left, top, right, bottom] = partOf(view);
     const m = worldToCamera(pose);
     program.use();
-    [order.texture, ...textures].forEach((t, unit) => {
+    [order.texture, nodes.texture, ...textures].forEach((t, unit) => {
       gl.activeTexture(gl.TEXTURE0 + unit);
       gl.bindTexture(gl.TEXTURE_2D, t);
       gl.uniform1i(program.at(SAMPLERS[unit] ?? ""), unit);
     });
     gl.uniform1i(program.at("dynamicFrom"), manifest.splats.static);
+    gl.uniform1i(program.at("freeFrom"), manifest.splats.static + manifest.splats.bound);
     gl.uniform1f(program.at("time"), view.t);
     gl.uniform3f(program.at("eye"), ...pose.position);
     gl.uniformMatrix4fv(program.at("view"), true, [...m, 0, 0, 0, 1]);

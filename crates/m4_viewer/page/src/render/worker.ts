@@ -1,11 +1,12 @@
 /** Unpacks the splats, and slices and sorts them for an instant, beside the page. */
 
 import { gunzip, isGzip } from "../bytes";
-import { toPageError } from "../errors";
+import { PageError, toPageError } from "../errors";
 import { decodePayload } from "../payload";
 import { colourTerms } from "../scene";
 import { texelsOf } from "./columns";
 import { type FromWorker, type ToWorker, sharedNow } from "./messages";
+import { MOST_NODES } from "./pose";
 import { Slicer } from "./slice";
 
 let slicer: Slicer | null = null;
@@ -25,9 +26,16 @@ async function load({ manifest, bytes }: Extract<ToWorker, { kind: "load" }>): P
   progress(0.7, "Preparing");
   slicer = new Slicer(data, manifest.near);
   progress(0.85, "Preparing");
-  const texels = texelsOf(data, colourTerms(manifest));
+  const { nodes } = slicer;
+  if (nodes.count > MOST_NODES) {
+    throw new PageError(
+      "This scene is too large for this page",
+      `Its windows have ${nodes.count} nodes at one time and the page shows ${MOST_NODES}. Export the scene with fewer.`,
+    );
+  }
+  const texels = texelsOf(data, colourTerms(manifest), nodes.places);
   say(
-    { kind: "loaded", texels },
+    { kind: "loaded", texels, nodes: nodes.texels.length / 4 },
     Object.values(texels).map((t: Float32Array<ArrayBuffer>) => t.buffer),
   );
 }
@@ -39,7 +47,7 @@ async function answer(message: ToWorker): Promise<void> {
   }
   if (!slicer) throw new Error("the splats are not loaded yet");
   const slice = slicer.slice(message.view);
-  say({ kind: "sliced", slice, sentMs: sharedNow() }, [slice.ids.buffer as ArrayBuffer]);
+  say({ kind: "sliced", slice, sentMs: sharedNow() }, [slice.ids.buffer as ArrayBuffer, slice.nodes.buffer]);
 }
 
 self.addEventListener("message", (event: MessageEvent<ToWorker>) => {

@@ -90,7 +90,7 @@ export function fixture(): Fixture {
   const manifest: Manifest = {
     version: 1,
     title: "Test </script> scene",
-    splats: { static: STATIC, dynamic: DYNAMIC, sh_degree: 1, time_degree: 1, isotropic: false, bytes: bytes.length },
+    splats: { static: STATIC, dynamic: DYNAMIC, bound: 0, sh_degree: 1, time_degree: 1, isotropic: false, bytes: bytes.length },
     background: [0.1, 0.2, 0.3],
     time_frames: FRAMES,
     duration_s: (FRAMES - 1) / 12,
@@ -104,6 +104,18 @@ export function fixture(): Fixture {
     frames: { width: 16, height: 9, offsets },
     live: null,
   };
+  return { manifest, bytes, data: decodePayload(new Uint8Array(bytes), manifest) };
+}
+
+/** A scene with bound splats, as the program writes it (`crates/m4_viewer/tests/payload_fixture.rs`). */
+export function turningFixture(): Fixture {
+  const file = new URL("../../../tests/payload/turning.json", import.meta.url);
+  const { splats, payload } = JSON.parse(readFileSync(file, "utf8")) as { splats: Manifest["splats"]; payload: string };
+  const bytes = Buffer.from(payload, "base64");
+  const { manifest: other } = fixture();
+  const frames = 10;
+  const cameras = other.cameras.map((c, i) => ({ ...c, t: (i * (frames - 1)) / 2, fx: 190, fy: 190 }));
+  const manifest: Manifest = { ...other, title: "Turning", splats, time_frames: frames, period_frames: frames - 1, cameras };
   return { manifest, bytes, data: decodePayload(new Uint8Array(bytes), manifest) };
 }
 

@@ -1,5 +1,6 @@
 /** The definition of an image in plain double precision, one pixel after the other. */
 
+import { carried } from "./carried";
 import { type SceneData, shTerms, splatCount } from "../../src/scene";
 import type { Manifest } from "../../src/scene";
 
@@ -25,12 +26,12 @@ interface Ellipse {
   colour: number[];
 }
 
-function colourOf(data: SceneData, manifest: Manifest, i: number, d: number[], turns: number): number[] {
+function colourOf(data: SceneData, manifest: Manifest, i: number, d: number[], turns: number, change: number[]): number[] {
   const spatial = shTerms(manifest);
   const terms = spatial * (manifest.splats.time_degree + 1);
   const basis = [0.28209479177387814, -C1 * (d[1] ?? 0), C1 * (d[2] ?? 0), -C1 * (d[0] ?? 0)];
   return [0, 1, 2].map((channel) => {
-    let sum = 0.5;
+    let sum = 0.5 + (basis[0] ?? 0) * (change[channel] ?? 0);
     for (let term = 0; term < terms; term++) {
       const wave = Math.cos(2 * Math.PI * Math.floor(term / spatial) * turns);
       sum += wave * (basis[term % spatial] ?? 0) * (data.colour[i * 3 * terms + 3 * term + channel] ?? 0);
@@ -42,9 +43,17 @@ function colourOf(data: SceneData, manifest: Manifest, i: number, d: number[], t
 function ellipse(data: SceneData, manifest: Manifest, shot: Shot, i: number): Ellipse | null {
   const m = (row: number, column: number): number => shot.c2w[4 * row + column] ?? 0;
   const eye = [m(0, 3), m(1, 3), m(2, 3)];
-  const mean = [0, 1, 2].map((k) => data.mean[3 * i + k] ?? 0);
+  let mean = [0, 1, 2].map((k) => data.mean[3 * i + k] ?? 0);
+  let quat = [...data.quat.slice(4 * i, 4 * i + 4)];
+  let peak = data.opacity[i] ?? 0;
+  let change = [0, 0, 0];
   let [marginal, turns] = [1, 0];
-  const dynamic = i - data.nStatic;
+  const dynamic = i - data.nStatic - data.nBound;
+  if (i >= data.nStatic && dynamic < 0) {
+    const there = carried(data, i, shot.t);
+    if (!there) return null;
+    ({ mean, quat, opacity: peak, change } = there);
+  }
   if (dynamic >= 0) {
     const dt = shot.t - (data.timeMean[dynamic] ?? 0);
     for (let k = 0; k < 3; k++) mean[k] = (mean[k] ?? 0) + dt * (data.velocity[3 * dynamic + k] ?? 0);
@@ -57,7 +66,7 @@ function ellipse(data: SceneData, manifest: Manifest, shot: Shot, i: number): El
   const p = [0, 1, 2].map((k) => offset.reduce((s, v, j) => s + v * m(j, k), 0));
   const [x = 0, y = 0, z = 0] = p;
   if (!(z > Math.max(manifest.near, 1e-6))) return null;
-  const [qw = 0, qx = 0, qy = 0, qz = 0] = data.quat.slice(4 * i, 4 * i + 4);
+  const [qw = 0, qx = 0, qy = 0, qz = 0] = quat;
   const rotation = [
     [1 - 2 * (qy * qy + qz * qz), 2 * (qx * qy - qw * qz), 2 * (qx * qz + qw * qy)],
     [2 * (qx * qy + qw * qz), 1 - 2 * (qx * qx + qz * qz), 2 * (qy * qz - qw * qx)],
@@ -87,8 +96,8 @@ function ellipse(data: SceneData, manifest: Manifest, shot: Shot, i: number): El
     v: (shot.fy * y) / z + shot.cy - 0.5,
     depth: z,
     conic: [d / det, -xy / det, a / det],
-    opacity: (data.opacity[i] ?? 0) * marginal * kept,
-    colour: colourOf(data, manifest, i, offset.map((v) => v / far), turns),
+    opacity: peak * marginal * kept,
+    colour: colourOf(data, manifest, i, offset.map((v) => v / far), turns, change),
   };
 }
 
