@@ -10,6 +10,7 @@
 //! |---|---|
 //! | `pose` | bound splats to where their nodes carry them |
 //! | `slice` | 4D splat to 3D splat at an instant |
+//! | `pose` | splats that nodes carry to where they are at an instant; to splats of an instant or on straight lines for exports |
 //! | `project` | 3D splat to an ellipse on the image |
 //! | `shade` | 4D spherindrical harmonics to colour |
 //! | `tile_binning` | ellipses to depth-ordered tile lists |

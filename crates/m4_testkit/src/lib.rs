@@ -26,8 +26,8 @@ pub use formula::{FormulaWeights, formula, formula_input, write_formula_weights}
 pub use mutate::{StopAtPoll, mutate};
 pub use skip::{Need, SKIPPED_VARIABLE, on_every_level, repository, shared, skip};
 pub use synthetic::{
-    MovingScene, SceneSpec, bare_scene, bind_at_random, camera_looking_at, moving_scene, random_camera, random_scene,
-    random_splats,
+    MovingScene, SceneSpec, bare_scene, bind_at_random, bound_scene, camera_looking_at, moving_scene, random_camera,
+    random_scene, random_splats,
 };
 pub use tensors::{Fixture, assert_close, relative_error};
 pub use threads::same_on_any_threads;

@@ -183,6 +183,58 @@ pub fn random_scene(spec: &SceneSpec) -> Scene {
     }
 }
 
+/// Frames between the keys of the windows of [`bound_scene`].
+const GAP: f32 = 1.0;
+/// Nodes of each of its windows.
+const NODES: usize = 6;
+
+/// [`random_scene`] whose first half of the dynamic splats is bound to nodes that drift and turn: in two windows that
+/// share the clip, each splat for some frames around the middle of its life, some from before the clip until after it.
+pub fn bound_scene(spec: &SceneSpec) -> Scene {
+    let mut scene = random_scene(spec);
+    let last = spec.time_frames.saturating_sub(1) as f32;
+    let window = |start: f32, seed: u64| {
+        let mut rng = CounterRng::new(9, 0xb0_0d, seed);
+        let keys: Vec<f32> = (0..).map(|k| start + GAP * k as f32).take_while(|&t| t <= start + 0.5 * last).collect();
+        let mut between = |low: f64, high: f64| low + (high - low) * rng.uniform();
+        let anchors: Vec<[f32; 3]> = (0..NODES).map(|_| std::array::from_fn(|_| between(-1.0, 1.0) as f32)).collect();
+        let ways: Vec<[f32; 4]> = anchors.iter().map(|_| std::array::from_fn(|_| between(-0.1, 0.1) as f32)).collect();
+        let pose = |key: &f32, node: usize| {
+            let (dt, way) = (key - start, ways[node]);
+            let position = std::array::from_fn(|k| anchors[node][k] + way[k] * dt * (1.0 + 0.1 * dt));
+            let (sin, cos) = (0.5 * dt * way[3]).sin_cos();
+            Pose { position, rotation: [cos, 0.6 * sin, 0.0, 0.8 * sin] }
+        };
+        let poses = keys.iter().flat_map(|key| (0..NODES).map(move |node| (key, node)));
+        let poses: Vec<Pose> = poses.map(|(key, node)| pose(key, node)).collect();
+        Window::new(keys, anchors, poses).unwrap_or_else(|e| panic!("a window: {e}"))
+    };
+    let windows = vec![window(0.0, 0), window(0.5 * last, 1)];
+    let splats = &mut scene.splats;
+    let bindings: Vec<Binding> = (0..splats.n_dynamic() / 2)
+        .map(|i| {
+            let middle = splats.column(Column::TimeMean, 0)[i];
+            let whole = i % 5 == 0;
+            Binding {
+                window: u32::from(middle > 0.5 * last),
+                nodes: [0, 1, 2, 4].map(|k| ((i + k) % NODES) as u16),
+                weights: [0.5, 0.25, 0.125, 0.125],
+                life: [
+                    if whole { f32::NEG_INFINITY } else { middle - 2.0 },
+                    if whole { f32::INFINITY } else { middle + 1.5 },
+                ],
+            }
+        })
+        .collect();
+    for i in 0..bindings.len() {
+        for k in 0..3 {
+            splats.column_mut(Column::Trend, k)[i] = 0.01 * (k as f32 - 1.0) * (i % 7) as f32;
+        }
+    }
+    splats.bind(Arc::new(windows), bindings).unwrap_or_else(|e| panic!("bindings: {e}"));
+    scene
+}
+
 /// A wall, a ball that crosses in front of it, and a camera that drifts.
 #[derive(Debug, Clone)]
 pub struct MovingScene {

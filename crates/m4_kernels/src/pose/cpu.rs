@@ -44,6 +44,11 @@ pub(crate) struct Posed {
 }
 
 impl Posed {
+    /// True where bound splat `i` is drawn.
+    pub(super) fn is_drawn(&self, i: usize) -> bool {
+        self.carriers[i].fade != 0.0
+    }
+
     /// Carries the bound splats to `t`, frames.
     pub(crate) fn pose(&mut self, splats: &Splats, t: f32) {
         let (bound, windows, layout) = (splats.bound(), splats.windows(), splats.layout());
@@ -177,10 +182,16 @@ impl CloneFromSlice for Vec<f32> {
     }
 }
 
-/// None where no splat of the window lives: a life ends half a gap beyond the last key, and a fade after it.
-fn motions(window: &Window, t: f32) -> Vec<Motion> {
+/// When splats of a window are drawn, frames: a life ends half a gap beyond the last key, and a fade after it.
+pub(super) fn drawn(window: &Window) -> [f32; 2] {
     let (keys, reach) = (window.keys(), (0.5 + FADE) * 2.0 * window.gap());
-    if keys.len() > 1 && (t < keys[0] - reach || t > keys[keys.len() - 1] + reach) {
+    if keys.len() > 1 { [keys[0] - reach, keys[keys.len() - 1] + reach] } else { [f32::NEG_INFINITY, f32::INFINITY] }
+}
+
+/// None where no splat of the window is drawn.
+fn motions(window: &Window, t: f32) -> Vec<Motion> {
+    let [begin, end] = drawn(window);
+    if t < begin || t > end {
         return Vec::new();
     }
     let one = |node: usize| {

@@ -10,10 +10,15 @@
 //! `A`, `b` and `q` are the mean motion of the nodes, `h` is [`FADE`] times the time between keys. Fading in optical depth, two coincident layers, one
 //! that ends where the other begins, are as opaque as one. What is carried is drawn as a static splat is; the marginal of dynamic splats is not used.
 
+mod bake;
 pub(crate) mod cpu;
 #[cfg(feature = "gpu")]
 pub mod gpu;
+mod pieces;
 pub mod reference;
+
+pub use bake::{at, place, presence};
+pub use pieces::{Pieces, pieces};
 
 /// Half the time in which a splat fades in or out, as a share of the mean time between keys (docs/decisions/0022).
 pub const FADE: f32 = 0.6;
