@@ -36,8 +36,8 @@ class Scene:
         self.duration_s = facts["duration_s"]
         self.still = facts["splats_static"]
         self.degree = facts["sh_degree"]
-        if facts["isotropic"] or facts["time_degree"]:
-            raise SystemExit("scenes with isotropic splats or harmonics of time are not compared")
+        if facts["isotropic"] or facts["time_degree"] or facts.get("splats_bound"):
+            raise SystemExit("scenes with isotropic splats, harmonics of time or splats that nodes carry are not compared")
         self.mean = array("splats.mean")
         self.scale = np.exp(array("splats.log_scale"))
         quat = array("splats.quat")

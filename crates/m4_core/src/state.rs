@@ -25,6 +25,13 @@ pub enum StateTensor<'a> {
         /// The values.
         data: Cow<'a, [u32]>,
     },
+    /// 16-bit unsigned integers.
+    U16 {
+        /// Extent of each axis, outermost first.
+        shape: Vec<usize>,
+        /// The values.
+        data: Cow<'a, [u16]>,
+    },
     /// Bytes: flags, or UTF-8 text.
     U8 {
         /// Extent of each axis, outermost first.
@@ -75,6 +82,7 @@ impl<'a> StateTensor<'a> {
         match self {
             Self::F32 { data, .. } => StateTensor::F32 { shape, data: Cow::Borrowed(data) },
             Self::U32 { data, .. } => StateTensor::U32 { shape, data: Cow::Borrowed(data) },
+            Self::U16 { data, .. } => StateTensor::U16 { shape, data: Cow::Borrowed(data) },
             Self::U8 { data, .. } => StateTensor::U8 { shape, data: Cow::Borrowed(data) },
             Self::F64 { data, .. } => StateTensor::F64 { shape, data: Cow::Borrowed(data) },
         }
@@ -83,9 +91,11 @@ impl<'a> StateTensor<'a> {
     /// Extent of each axis, outermost first.
     pub fn shape(&self) -> &[usize] {
         match self {
-            Self::F32 { shape, .. } | Self::U32 { shape, .. } | Self::U8 { shape, .. } | Self::F64 { shape, .. } => {
-                shape
-            }
+            Self::F32 { shape, .. }
+            | Self::U32 { shape, .. }
+            | Self::U16 { shape, .. }
+            | Self::U8 { shape, .. }
+            | Self::F64 { shape, .. } => shape,
         }
     }
 
@@ -94,6 +104,7 @@ impl<'a> StateTensor<'a> {
         match self {
             Self::F32 { data, .. } => data.len(),
             Self::U32 { data, .. } => data.len(),
+            Self::U16 { data, .. } => data.len(),
             Self::U8 { data, .. } => data.len(),
             Self::F64 { data, .. } => data.len(),
         }

@@ -5,6 +5,7 @@
 //! number 3e38), and so may its inverse. Within these ranges nothing in the program becomes NaN or infinite.
 
 use crate::Fault;
+use crate::scene::bound::of_bindings;
 use m4_core::nalgebra::Vector3;
 use m4_core::{Column, Intrinsics, SourceFrame, Splats};
 use std::ops::RangeInclusive;
@@ -108,7 +109,7 @@ pub(crate) fn of_pixels(field: &str, value: f64, range: &Range, side: usize) -> 
     of_number(field, value, &range, &format!("pixels (its image has {side})"))
 }
 
-/// The first parameter of a splat that is out of its range.
+/// The first parameter of a splat, of what it is bound to or of a window that is out of its range.
 #[must_use]
 pub fn of_splats(splats: &Splats) -> Option<String> {
     use Column::{Colour, LogScale, LogTimeSd, Mean, Opacity, Quat, TimeMean, Velocity};
@@ -123,7 +124,7 @@ pub fn of_splats(splats: &Splats) -> Option<String> {
         (LogTimeSd, "log_time_sd"),
         (Velocity, "velocity"),
     ];
-    columns.into_iter().find_map(|(column, name)| {
+    let of_column = |(column, name)| {
         let range = of_column(column);
         (0..layout.range(column).len()).find_map(|k| {
             let values = splats.column(column, k);
@@ -132,7 +133,8 @@ pub fn of_splats(splats: &Splats) -> Option<String> {
             let value = short(values[at].into());
             Some(format!("{name} of splat {splat} is {value}; {} was expected", words(&range, "")))
         })
-    })
+    };
+    columns.into_iter().find_map(of_column).or_else(|| of_bindings(splats))
 }
 
 /// What is wrong with the time or the colour correction of a frame of a scene.

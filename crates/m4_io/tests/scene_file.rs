@@ -7,12 +7,15 @@ use m4_core::{
 };
 use m4_io::ErrorKind;
 use m4_io::scene::safetensors::{read, write};
+use m4_testkit::SceneSpec;
 use std::collections::BTreeMap;
+use std::path::Path;
 
 fn splats(layout: SplatLayout, n_static: usize, n_dynamic: usize) -> Splats {
     let mut rng = CounterRng::new(5, 1, (layout.sh_degree + 10 * layout.time_degree) as u64);
     let mut splats = Splats::zeros(layout, n_static, n_dynamic);
-    for column in splats.columns_mut() {
+    let trend = layout.column(Column::Trend);
+    for column in splats.columns_mut().take(trend) {
         column.fill_with(|| rng.normal() as f32);
     }
     splats
@@ -109,10 +112,108 @@ fn scene_arrays_match_documentation() {
 }
 
 #[test]
-fn damaged_scene_files_are_refused() {
+fn bindings_round_trip_exactly() {
     let (_dir, path) = temporary("scene.safetensors");
+    for layout in layouts() {
+        let mut scene = m4_testkit::bound_scene(&SceneSpec { layout, ..SceneSpec::default() });
+        let infinite = |s: &Scene| s.splats.bindings().iter().filter(|b| b.life[0] == f32::NEG_INFINITY).count();
+        assert!(infinite(&scene) > 2);
+        write(&path, &scene, Some(&state()), &BTreeMap::new()).unwrap();
+        let back = read(&path).unwrap();
+        assert_eq!(back.scene, scene, "{layout:?}");
+        assert_eq!(format!("{:?}", back.state.unwrap()), format!("{:?}", state()));
+        // windows without splats stay too: the state of the optimiser has them
+        let rows: Vec<u32> =
+            (0..scene.splats.n() as u32).filter(|&r| !scene.splats.bound().contains(&(r as usize))).collect();
+        scene.splats.rearrange(&rows).unwrap();
+        write(&path, &scene, None, &BTreeMap::new()).unwrap();
+        let back = read(&path).unwrap().scene;
+        assert_eq!((back.splats.windows().len(), back.splats.bindings().len()), (2, 0));
+        assert_eq!(back, scene);
+    }
+}
+
+#[test]
+fn rotations_of_nodes_get_length_1_and_other_lengths_are_refused() {
+    let (_dir, path) = temporary("scene.safetensors");
+    let mut scene = m4_testkit::bound_scene(&SceneSpec::default());
+    let scale = |scene: &mut Scene, by: f32| {
+        let pose = &mut scene.splats.windows_mut()[1].poses_mut(0)[2];
+        pose.rotation = [by, 0.0, 0.0, 0.0];
+    };
+    scale(&mut scene, 1.009);
+    write(&path, &scene, None, &BTreeMap::new()).unwrap();
+    let back = read(&path).unwrap().scene;
+    assert_eq!(back.splats.windows()[1].poses(0)[2].rotation, [1.0, 0.0, 0.0, 0.0]);
+    scale(&mut scene, 1.5);
+    let error = write(&path, &scene, None, &BTreeMap::new()).unwrap_err().to_string();
+    assert!(error.contains("window 1") && error.contains("node 2 at key 0"), "{error}");
+    scene.splats.column_mut(Column::Trend, 0)[1] = f32::NAN;
+    assert!(write(&path, &scene, None, &BTreeMap::new()).is_err());
+}
+
+/// The file of a scene with bindings, with `change` made to the bytes of one array and the checksum to match.
+fn changed(path: &Path, array: &str, change: impl FnOnce(&mut [u8])) -> String {
+    write(path, &m4_testkit::bound_scene(&SceneSpec::default()), None, &BTreeMap::new()).unwrap();
+    let mut bytes = std::fs::read(path).unwrap();
+    let file = safetensors::SafeTensors::deserialize(&bytes).unwrap();
+    let data = file.tensor(array).unwrap().data();
+    let (start, len) = (data.as_ptr() as usize - bytes.as_ptr() as usize, data.len());
+    change(&mut bytes[start..start + len]);
+    std::fs::write(path, &bytes).unwrap();
+    let error = read(path).unwrap_err().to_string();
+    // the reader says both checksums: the second is the one that fits
+    let word = |after: &str| error.split(after).nth(1).unwrap().split(' ').next().unwrap().to_owned();
+    let (found, written) = (word("its checksum is "), word(" where "));
+    let at = bytes.windows(written.len()).position(|w| w == written.as_bytes()).unwrap();
+    bytes[at..at + found.len()].copy_from_slice(found.as_bytes());
+    std::fs::write(path, &bytes).unwrap();
+    match read(path) {
+        Ok(_) => "read".to_owned(),
+        Err(error) => {
+            assert_eq!(error.kind(), ErrorKind::BadData);
+            error.to_string()
+        }
+    }
+}
+
+#[test]
+fn numbers_of_bindings_that_do_not_fit_are_refused_with_their_place() {
+    let (_dir, path) = temporary("scene.safetensors");
+    let f32_at = |i: usize, v: f32| move |bytes: &mut [u8]| bytes[4 * i..4 * i + 4].copy_from_slice(&v.to_le_bytes());
+    let u32_at = |i: usize, v: u32| move |bytes: &mut [u8]| bytes[4 * i..4 * i + 4].copy_from_slice(&v.to_le_bytes());
+    let cases: [(&str, Box<dyn FnOnce(&mut [u8])>, &str); 13] = [
+        ("windows.counts", Box::new(u32_at(0, 4)), "array \"windows.key\" is f32"),
+        ("windows.counts", Box::new(u32_at(1, u32::MAX)), "array \"windows.anchor\" is f32"),
+        ("windows.key", Box::new(f32_at(1, 0.0)), "keys 0 and 1 of window 0 are 0 and 0"),
+        ("windows.key", Box::new(f32_at(0, f32::NAN)), "keys 0 and 1 of window 0 are NaN and 1"),
+        ("windows.key", Box::new(f32_at(0, -1e30)), "window 0 has a key -1e30"),
+        ("windows.anchor", Box::new(f32_at(4, 1e30)), "window 0 has an anchor that holds 1e30"),
+        ("windows.position", Box::new(f32_at(0, f32::INFINITY)), "window 0 has a position that holds inf"),
+        ("windows.rotation", Box::new(f32_at(1, 7.0)), "window 0 has a rotation whose length is off 1"),
+        ("bound.window", Box::new(u32_at(3, 2)), "bound splat 3 is in window 2, and there are 2"),
+        ("bound.node", Box::new(|b: &mut [u8]| b[8] = 6), "bound splat 1 has node 6, and window"),
+        ("bound.weight", Box::new(f32_at(2, -1.0)), "bound splat 0 has a weight -1"),
+        ("bound.life", Box::new(f32_at(3, f32::NEG_INFINITY)), "bound splat 1 has a life from"),
+        ("bound.trend", Box::new(f32_at(5, f32::NAN)), "trend of bound splat 1 is NaN"),
+    ];
+    for (array, change, want) in cases {
+        let said = changed(&path, array, change);
+        assert!(said.contains(want) && said.contains("scene.safetensors"), "{array}: {said}");
+    }
+    assert_eq!(changed(&path, "bound.life", f32_at(2, f32::NEG_INFINITY)), "read");
+}
+
+#[test]
+fn damaged_scene_files_are_refused() {
     let layout = layouts().next().unwrap();
-    write(&path, &scene(layout, 20, 10), Some(&state()), &BTreeMap::new()).unwrap();
+    damage(&scene(layout, 20, 10));
+    damage(&m4_testkit::bound_scene(&SceneSpec::default()));
+}
+
+fn damage(scene: &Scene) {
+    let (_dir, path) = temporary("scene.safetensors");
+    write(&path, scene, Some(&state()), &BTreeMap::new()).unwrap();
     let original = std::fs::read(&path).unwrap();
     let mut rng = CounterRng::new(9, 9, 9);
     let (mut by_checksum, mut damaged) = (0, 0);
@@ -129,7 +230,7 @@ fn damaged_scene_files_are_refused() {
             Err(error) => error,
             // Spaces that pad the header mean nothing, nor does the order of keys.
             Ok(file) => {
-                assert!(original[at] == b' ' || file.scene == scene(layout, 20, 10), "byte {at} of {}", original.len());
+                assert!(original[at] == b' ' || file.scene == *scene, "byte {at} of {}", original.len());
                 continue;
             }
         };
@@ -152,6 +253,6 @@ fn newer_versions_are_refused() {
     std::fs::write(&path, bytes).unwrap();
     let error = read(&path).unwrap_err();
     let text = error.to_string();
-    assert!(text.contains("version 7") && text.contains("up to 1") && text.contains("update minute4d"), "{text}");
+    assert!(text.contains("version 7") && text.contains("up to 2") && text.contains("update minute4d"), "{text}");
     assert_eq!(error.kind(), ErrorKind::Unsupported);
 }

@@ -8,7 +8,7 @@
 //! | `train/first_splats` | u32 `[1]` | splats that training started from |
 //! | `train/time_sd` | f32 `[1]` | median of the first standard deviations in time, frames |
 //! | `train/background` | f32 `[3]` | colour behind everything |
-//! | `adam/m/CC`, `adam/v/CC` | f32 `[column]` | moments of column CC |
+//! | `adam/m/CC`, `adam/v/CC` | f32 `[column]` | moments of column CC; those of trends are absent without windows |
 //! | `adam/step` | u32 `[n]` | steps of each splat |
 //! | `adam/nodes/m`, `adam/nodes/v` | f32 `[windows x keys x nodes x 6]` | moments of the nodes of windows, one window after the other; absent without windows |
 //! | `adam/nodes/step` | u32 `[windows x keys]` | steps of their keys |
@@ -19,8 +19,11 @@
 //! | `refine/focal` | f64 `[3]`, `refine/focal_step` u32 `[1]` | log factor, moments, steps |
 
 use crate::{TrainError, refine::Refinement};
-use m4_core::{ShapeError, Splats, StateTensor, TrainState};
+use m4_core::{Column, ShapeError, Splats, StateTensor, TrainState};
 use m4_kernels::adam::{cpu::AdamState, nodes::NodeMoments};
+
+/// Columns of [`Column::Trend`], the last.
+const TRENDS: usize = 3;
 
 /// Reads tensors of the expected type and length.
 pub(crate) struct Reader<'a>(pub &'a TrainState<'a>);
@@ -59,7 +62,8 @@ fn wrong(name: &str, expected: usize, found: Option<&StateTensor<'_>>) -> TrainE
 
 pub(crate) fn write_adam<'a>(state: &mut TrainState<'a>, adam: &'a AdamState) {
     for (kind, columns) in [("m", adam.m.columns()), ("v", adam.v.columns())] {
-        for (c, column) in columns.iter().enumerate() {
+        let kept = if adam.nodes.is_empty() { columns.len() - TRENDS } else { columns.len() };
+        for (c, column) in columns.iter().enumerate().take(kept) {
             state.insert(format!("adam/{kind}/{c:02}"), StateTensor::f32(column));
         }
     }
@@ -79,7 +83,10 @@ pub(crate) fn read_adam(reader: &Reader<'_>, splats: &Splats) -> Result<AdamStat
             .columns()
             .iter()
             .enumerate()
-            .map(|(c, column)| Ok(reader.f32(&format!("adam/{kind}/{c:02}"), column.len())?.to_vec()))
+            .map(|(c, column)| match splats.windows().is_empty() && c >= splats.layout().column(Column::Trend) {
+                true => Ok(vec![0.0; column.len()]),
+                false => Ok(reader.f32(&format!("adam/{kind}/{c:02}"), column.len())?.to_vec()),
+            })
             .collect();
         Ok(Splats::from_columns(splats.layout(), splats.n_static(), splats.n_dynamic(), columns?)?)
     };

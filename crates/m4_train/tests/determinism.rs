@@ -1,11 +1,12 @@
 //! The same seed gives the same bits: for any number of threads, and across a saved state.
 #![expect(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
 
-use crate::common::{disturbed, video};
+use crate::common::{FRAMES, disturbed, video};
 use crate::on_threads;
-use m4_core::{Capture, Silent, Splats, StateTensor};
+use m4_core::{Binding, Capture, Column, Pose, Silent, Splats, StateTensor, Window};
 use m4_kernels::SimdLevel;
 use m4_train::{ColourDegree, DensityConfig, TrainConfig, TrainError, Trainer};
+use std::sync::Arc;
 
 /// Every number of `splats` as bits.
 fn bits(splats: &Splats) -> Vec<u32> {
@@ -77,6 +78,48 @@ fn a_resumed_run_ends_with_the_bits_of_an_uninterrupted_one() {
             assert_eq!(whole.state(), rest.state());
             assert_eq!(whole.scene(), rest.scene());
         }
+    }
+}
+
+/// Half of the dynamic splats bound to nodes of two windows that have not moved yet.
+fn bound(mut splats: Splats) -> Splats {
+    let anchors = vec![[-0.6, 0.0, 2.5], [0.0, 0.3, 2.5], [0.6, 0.0, 2.5], [0.0, -0.3, 2.6]];
+    let window = |keys: std::ops::Range<usize>| {
+        let pose = |position: &[f32; 3]| Pose { position: *position, rotation: [1.0, 0.0, 0.0, 0.0] };
+        let poses = keys.clone().flat_map(|_| anchors.iter().map(pose)).collect();
+        Window::new(keys.map(|k| k as f32).collect(), anchors.clone(), poses).unwrap()
+    };
+    let bindings = (0..splats.n_dynamic() / 2).map(|i| Binding {
+        window: (i % 2) as u32,
+        nodes: [0, 1, 2, 3],
+        weights: [0.4, 0.3, 0.2, 0.1],
+        life: if i % 2 == 0 { [f32::NEG_INFINITY, 3.5] } else { [3.5, f32::INFINITY] },
+    });
+    let bindings = bindings.collect();
+    splats.bind(Arc::new(vec![window(0..4), window(4..FRAMES)]), bindings).unwrap();
+    splats
+}
+
+#[test]
+fn a_resumed_run_with_bound_splats_ends_with_the_bits_of_an_uninterrupted_one() {
+    let (scene, capture) = video();
+    let config = config(60);
+    let first = || bound(disturbed(&scene, 3));
+    let mut whole = start(&capture, first(), config.clone());
+    finish(&mut whole);
+    let moved = whole.splats().windows().iter().flat_map(|w| w.poses(1)).filter(|p| p.rotation[0] != 1.0).count();
+    assert!(moved > 4 && !whole.splats().bindings().is_empty(), "nodes were trained: {moved}");
+    let trend = whole.splats().column(Column::Trend, 0);
+    assert!(trend[..whole.splats().bindings().len()].iter().any(|v| *v != 0.0));
+    for stop in [7, 25, 41] {
+        let mut half = start(&capture, first(), config.clone());
+        half.run_until(stop, &Silent, &mut |_| {}).unwrap();
+        let (saved, state) = (half.scene(), half.state());
+        let mut rest = Trainer::resume(&capture, saved.splats, &state, config.clone(), SimdLevel::best()).unwrap();
+        finish(&mut rest);
+        assert!(bits(whole.splats()) == bits(rest.splats()), "stopped at {stop}");
+        assert_eq!(whole.state(), rest.state());
+        assert_eq!(whole.scene(), rest.scene());
     }
 }
 

@@ -18,9 +18,25 @@
 //! state.NAME          any                   what training handed over, as it was
 //! ```
 //!
+//! With windows and bound splats ([`m4_core::Binding`]; the first of the dynamic ones), in files of version 2, also:
+//!
+//! ```text
+//! windows.counts      u32 [windows, 2]      keys and nodes of each; in the next four the windows follow each other
+//! windows.key         f32 [keys]            frames, rising within a window by 0.001 at least
+//! windows.anchor      f32 [nodes, 3]        where nodes are when they have not moved
+//! windows.position    f32 [keys x nodes, 3] in a window key by key, in a key node by node
+//! windows.rotation    f32 [keys x nodes, 4] (w, x, y, z), of length 1 within 1 %
+//! bound.window        u32 [bound]
+//! bound.node          u16 [bound, 4]        of the window
+//! bound.weight        f32 [bound, 4]        0 or more; the sum is 1 within 0.001
+//! bound.life          f32 [bound, 2]        frames; -inf and inf where it begins before or ends after the video
+//! bound.trend         f32 [bound, 3]        change of the colour a frame
+//! ```
+//!
 //! The metadata has one key, `minute4d_scene`: JSON with the version of the format, what is not an array (background, near,
 //! ...), the caller's own key-value pairs, and a BLAKE3 checksum over all of it, which is compared on every read.
 
+mod bound;
 mod read;
 mod tensor;
 
@@ -29,12 +45,15 @@ pub use read::{SceneFile, read};
 use super::VerifiedFile;
 use super::valid::fault;
 use crate::WriteError;
+use bound::{bound_to_arrays, is_bound};
 use m4_core::{Scene, TrainState};
 use safetensors::tensor::{Metadata, TensorInfo};
 use std::collections::{BTreeMap, HashMap};
 use std::io::Write;
 use std::path::Path;
-use tensor::{Facts, Header, KEY, Source, Sources, VERSION, checksum, source_to_arrays, splats_to_arrays};
+use tensor::{
+    Facts, Header, KEY, Source, Sources, UNBOUND_VERSION, VERSION, checksum, source_to_arrays, splats_to_arrays,
+};
 
 /// Writes a scene, the state of its training where there is one, and pairs of the caller's own.
 ///
@@ -49,6 +68,7 @@ pub fn write(
     check(path, scene, state)?;
     let mut arrays = Sources::new();
     splats_to_arrays(&scene.splats, &mut arrays);
+    bound_to_arrays(&scene.splats, &mut arrays);
     source_to_arrays(&scene.source, &mut arrays);
     for (name, array) in state.into_iter().flatten() {
         arrays.insert(format!("state.{name}"), Source::Array(array.view()));
@@ -66,10 +86,11 @@ pub fn write(
         mip: scene.mip,
         near: scene.near,
         has_state: state.is_some(),
+        splats_bound: is_bound(&scene.splats).then(|| scene.splats.bindings().len()),
     };
     let bad = |what: String| WriteError::bad(path, what);
     let header = Header {
-        version: VERSION,
+        version: if facts.splats_bound.is_some() { VERSION } else { UNBOUND_VERSION },
         blake3: checksum(&facts, metadata, &arrays).map_err(|e| bad(e.to_string()))?,
         scene: facts,
         metadata: metadata.clone(),

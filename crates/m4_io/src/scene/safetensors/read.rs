@@ -1,5 +1,6 @@
 //! Reads a scene file.
 
+use super::bound::arrays_to_bound;
 use super::tensor::{
     self, Arrays, Header, KEY, Source, VERSION, Version, arrays_to_source, arrays_to_splats, checksum,
 };
@@ -101,7 +102,10 @@ fn scene(header: Header, mut arrays: Arrays) -> Result<SceneFile, Fault> {
         let (space, time) = (facts.sh_degree, facts.time_degree);
         return Err(Fault::damaged(format!("it says degree {space} in space and {time} in time")));
     }
-    let splats = arrays_to_splats(&mut arrays, facts.layout(), facts.splats_static, facts.splats_dynamic)?;
+    let mut splats = arrays_to_splats(&mut arrays, facts.layout(), facts.splats_static, facts.splats_dynamic)?;
+    if let Some(bound) = facts.splats_bound {
+        arrays_to_bound(&mut arrays, &mut splats, bound)?;
+    }
     let source = arrays_to_source(&arrays)?;
     let state = facts.has_state.then(|| {
         let named: Vec<String> = arrays.keys().filter(|n| n.starts_with("state.")).cloned().collect();

@@ -25,6 +25,7 @@ impl Source<'_> {
         match self {
             Self::Array(StateTensor::F32 { .. }) | Self::Woven { .. } => Dtype::F32,
             Self::Array(StateTensor::U32 { .. }) => Dtype::U32,
+            Self::Array(StateTensor::U16 { .. }) => Dtype::U16,
             Self::Array(StateTensor::U8 { .. }) => Dtype::U8,
             Self::Array(StateTensor::F64 { .. }) => Dtype::F64,
         }
@@ -58,6 +59,7 @@ impl Source<'_> {
             Self::Array(StateTensor::F32 { data, .. }) => numbers(data, |v| v.to_le_bytes(), &mut buffer, &mut take),
             Self::Array(StateTensor::U32 { data, .. }) => numbers(data, |v| v.to_le_bytes(), &mut buffer, &mut take),
             Self::Array(StateTensor::F64 { data, .. }) => numbers(data, |v| v.to_le_bytes(), &mut buffer, &mut take),
+            Self::Array(StateTensor::U16 { data, .. }) => numbers(data, |v| v.to_le_bytes(), &mut buffer, &mut take),
             Self::Array(StateTensor::U8 { data, .. }) => take(data),
             Self::Woven { columns, .. } => {
                 let rows = columns.first().map_or(0, Vec::len);
@@ -95,6 +97,7 @@ pub fn load(dtype: Dtype, shape: &[usize], bytes: Vec<u8>) -> Option<StateTensor
     Some(match dtype {
         Dtype::F32 => StateTensor::F32 { shape, data: words(&bytes, f32::from_le_bytes) },
         Dtype::U32 => StateTensor::U32 { shape, data: words(&bytes, u32::from_le_bytes) },
+        Dtype::U16 => StateTensor::U16 { shape, data: words(&bytes, u16::from_le_bytes) },
         Dtype::U8 => StateTensor::U8 { shape, data: bytes.into() },
         Dtype::F64 => StateTensor::F64 { shape, data: words(&bytes, f64::from_le_bytes) },
         _ => return None,
@@ -110,6 +113,7 @@ pub fn describe(dtype: Dtype, shape: &[usize]) -> String {
     let name = match dtype {
         Dtype::F32 => "f32",
         Dtype::U32 => "u32",
+        Dtype::U16 => "u16",
         Dtype::U8 => "u8",
         Dtype::F64 => "f64",
         // not among those that are stored here
@@ -120,8 +124,10 @@ pub fn describe(dtype: Dtype, shape: &[usize]) -> String {
 
 /// Key of the metadata of the safetensors file.
 pub const KEY: &str = "minute4d_scene";
-/// Version that is written, and newest that is read.
-pub const VERSION: u32 = 1;
+/// Version of files without windows and bindings.
+pub const UNBOUND_VERSION: u32 = 1;
+/// Version of files with them, and newest that is read.
+pub const VERSION: u32 = 2;
 
 /// The JSON under [`KEY`].
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -156,6 +162,9 @@ pub struct Facts {
     pub near: f32,
     /// Arrays `state.NAME` are there, though perhaps none.
     pub has_state: bool,
+    /// Bound splats, where there are windows or bindings; the file is of [`VERSION`] then.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub splats_bound: Option<usize>,
 }
 
 impl Facts {
@@ -196,7 +205,7 @@ pub type Arrays = BTreeMap<String, StateTensor<'static>>;
 /// Named arrays to write.
 pub type Sources<'a> = BTreeMap<String, Source<'a>>;
 
-/// The columns of splats, with their names in files.
+/// The columns of splats, with their names in files; the last, [`Column::Trend`], is with the bindings.
 const COLUMNS: [(Column, &str); 8] = [
     (Column::Mean, "splats.mean"),
     (Column::LogScale, "splats.log_scale"),
@@ -255,6 +264,7 @@ pub fn arrays_to_splats(
         columns.extend((0..width).map(|c| data.iter().skip(c).step_by(width).copied().collect::<Vec<f32>>()));
         arrays.remove(name);
     }
+    columns.extend((0..layout.range(Column::Trend).len()).map(|_| vec![0.0; n_dynamic]));
     // Every length was compared above, so this cannot fail.
     Splats::from_columns(layout, n_static, n_dynamic, columns)
         .map_err(|e| Fault::damaged(format!("its splats are {e}")))
@@ -337,6 +347,22 @@ pub fn f32_array<'a>(arrays: &'a Arrays, name: &str, shape: &[usize]) -> Result<
     match arrays.get(name) {
         Some(StateTensor::F32 { shape: found, data }) if found == shape => Ok(data),
         Some(found) => Err(other(name, found, "f32", shape)),
+        None => Err(missing(name)),
+    }
+}
+
+pub fn u32_array<'a>(arrays: &'a Arrays, name: &str, shape: &[usize]) -> Result<&'a [u32], Fault> {
+    match arrays.get(name) {
+        Some(StateTensor::U32 { shape: found, data }) if found == shape => Ok(data),
+        Some(found) => Err(other(name, found, "u32", shape)),
+        None => Err(missing(name)),
+    }
+}
+
+pub fn u16_array<'a>(arrays: &'a Arrays, name: &str, shape: &[usize]) -> Result<&'a [u16], Fault> {
+    match arrays.get(name) {
+        Some(StateTensor::U16 { shape: found, data }) if found == shape => Ok(data),
+        Some(found) => Err(other(name, found, "u16", shape)),
         None => Err(missing(name)),
     }
 }

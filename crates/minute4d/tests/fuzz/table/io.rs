@@ -184,11 +184,11 @@ fn captures() -> Vec<Reader> {
 
 fn scenes() -> Vec<Reader> {
     let seeds = || {
-        let write = |degree| {
+        let write = |scene| {
             let pairs = BTreeMap::from([("a".to_owned(), "b".to_owned())]);
-            super::written("s", |p| safetensors::write(p, &super::scene(degree), None, &pairs))
+            super::written("s", |p| safetensors::write(p, &scene, None, &pairs))
         };
-        vec![write(0), write(2)]
+        vec![write(super::scene(0)), write(super::scene(2)), write(super::bound_scene())]
     };
     vec![alone("io-scene-file", "scene.safetensors", seeds, sealed_scene)]
 }

@@ -117,6 +117,11 @@ pub fn scene(sh_degree: usize) -> Scene {
     })
 }
 
+/// The same with bound splats.
+pub fn bound_scene() -> Scene {
+    m4_testkit::bound_scene(&SceneSpec { n_static: 2, n_dynamic: 6, time_frames: 5, ..SceneSpec::default() })
+}
+
 /// Two posed frames of 12 x 8 pixels with all that a capture can have.
 pub fn clip() -> Capture {
     let frame = |i: usize| CaptureFrame {
