@@ -106,9 +106,34 @@ fn scene_arrays_match_documentation() {
     assert_eq!(shape("splats.colour"), [8, 3, 16, 3]);
     assert_eq!(shape("splats.velocity"), [3, 3]);
     assert_eq!(shape("source.c2w"), [4, 3, 4]);
+    let of_splats = ["colour", "log_scale", "log_time_sd", "mean", "opacity", "quat", "time_mean", "velocity"];
+    let of_source = ["c2w", "exposure", "intrinsics", "t"];
+    let mut names = file.names();
+    names.sort_unstable();
+    let expected = of_source.map(|n| format!("source.{n}")).into_iter().chain(of_splats.map(|n| format!("splats.{n}")));
+    assert_eq!(names, expected.collect::<Vec<_>>(), "nothing of bindings where there are none");
+    let head = String::from_utf8_lossy(&bytes).into_owned();
+    assert!(head.contains(r#"{\"version\":1,"#) && !head.contains("splats_bound"));
     let mean = file.tensor("splats.mean").unwrap();
     let at = |row: usize, c: usize| f32::from_le_bytes(mean.data()[4 * (3 * row + c)..][..4].try_into().unwrap());
     assert_eq!(at(6, 1), scene.splats.column(Column::Mean, 1)[6]);
+
+    let bound = m4_testkit::bound_scene(&SceneSpec::default());
+    write(&path, &bound, None, &BTreeMap::new()).unwrap();
+    let bytes = std::fs::read(&path).unwrap();
+    let file = safetensors::SafeTensors::deserialize(&bytes).unwrap();
+    let shape = |name: &str| file.tensor(name).unwrap().shape().to_vec();
+    assert_eq!((shape("windows.counts"), shape("windows.key")), (vec![2, 2], vec![10]));
+    assert_eq!((shape("windows.anchor"), shape("windows.position")), (vec![12, 3], vec![60, 3]));
+    assert_eq!((shape("windows.rotation"), shape("bound.window")), (vec![60, 4], vec![20]));
+    assert_eq!((shape("bound.node"), shape("bound.weight")), (vec![20, 4], vec![20, 4]));
+    assert_eq!((shape("bound.life"), shape("bound.trend")), (vec![20, 2], vec![20, 3]));
+    let node = file.tensor("bound.node").unwrap();
+    assert_eq!(node.dtype(), safetensors::Dtype::U16);
+    let pose = bound.splats.windows()[1].poses(3)[2].position;
+    let position = file.tensor("windows.position").unwrap();
+    let row = 5 * 6 + 3 * 6 + 2;
+    assert_eq!(position.data()[12 * row..][..4], pose[0].to_le_bytes(), "window after window, key by key");
 }
 
 #[test]
