@@ -3,7 +3,7 @@
 use crate::common::{says, temporary};
 use m4_core::nalgebra::{Matrix3, Vector3, Vector4};
 use m4_core::{Camera, Column, Exposure, Intrinsics, Scene, Se3, SourceFrame, SplatLayout, Splats, quat};
-use m4_io::scene::{gltf, spz};
+use m4_io::scene::{fourdgs, gltf, splatv, spz};
 use m4_testkit::SceneSpec;
 use serde_json::Value;
 use std::io::Read;
@@ -114,7 +114,7 @@ fn the_numbers_of_two_splats() {
     assert_eq!(json["meshes"][0]["primitives"][0]["mode"], 0);
     assert_eq!(json["asset"]["extras"]["time_s"], 1.0, "frame 4 of 9 in 2 seconds");
     let status = json["asset"]["extras"]["extension_status"].as_str().unwrap();
-    assert!(status.contains("Release Candidate"), "{status}");
+    assert!(status.contains("ratified by Khronos"), "{status}");
     let of = |name: &str, width| attribute(&json, bin, &format!("KHR_gaussian_splatting:{name}"), width);
     // y up and z back; the second moved for two frames
     let position = attribute(&json, bin, "POSITION", 3);
@@ -276,6 +276,22 @@ fn spz_round_trips_within_half_a_quantisation_step() {
     let first = std::fs::read(&path).unwrap();
     spz::write(&path, &scene, 7.5).unwrap();
     assert_eq!(std::fs::read(&path).unwrap(), first);
+}
+
+#[test]
+fn bound_splats_are_refused() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("x");
+    let scene = m4_testkit::bound_scene(&SceneSpec::default());
+    for error in [
+        spz::write(&path, &scene, 1.0).unwrap_err(),
+        gltf::write(&path, &scene, 1.0).unwrap_err(),
+        splatv::write(&path, &scene).unwrap_err(),
+        fourdgs::write(&path, &scene).unwrap_err(),
+    ] {
+        says(&error, &["20 splats bound to nodes, which this format does not have", "pieces"]);
+    }
+    assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 0);
 }
 
 #[test]

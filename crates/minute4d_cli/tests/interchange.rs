@@ -43,6 +43,7 @@ fn every_format_is_written_once() {
     write_scene(&dir, false);
     for (format, file) in [
         ("4dgs", "scene.4dgs"),
+        ("ftgs", "scene.ftgs.ply"),
         ("splatv", "scene.splatv"),
         ("ply", "scene.ply"),
         ("ply-sequence", "ply"),
@@ -74,7 +75,7 @@ fn mip_filter_is_baked() {
         let report = dir.succeed(&format!("export out --force --json {more}")).result();
         ["baked", "dropped"].map(|sort| report["losses"][sort].to_string())
     };
-    for format in ["4dgs", "splatv", "ply", "ply-sequence", "spz", "gltf"] {
+    for format in ["4dgs", "ftgs", "splatv", "ply", "ply-sequence", "spz", "gltf"] {
         let [baked, dropped] = report(&format!("--format {format}"));
         assert!(baked.contains("Mip filter"), "{format}: {baked}");
         assert!(!dropped.contains("Mip") && !dropped.contains("opacity-compensated"), "{format}: {dropped}");

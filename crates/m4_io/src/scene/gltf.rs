@@ -12,22 +12,21 @@
 //!                                                      do not know the extension
 //! ```
 //!
-//! Status of the extension: Release Candidate in the specification's snapshot of July 2026
-//! (`EXTENSION_STATUS`, which is also in the file). An earlier draft had the logarithm of the scale;
-//! the readers of today (three r187 and fourdgs 0.6 were checked) take it as it is written here.
+//! The extension is complete and ratified by Khronos (`EXTENSION_STATUS`, which is also in the file). An earlier draft had the
+//! logarithm of the scale; the readers of today (three r187 and fourdgs 0.6 were checked) take it as it is written here.
 //!
 //! Source: `extensions/2.0/Khronos/KHR_gaussian_splatting` of `KhronosGroup/glTF`.
 
 use super::splats::{sigmoid, turn_splats, unit};
-use super::{C0, Clock, Loss, VerifiedFile, Written, instant};
+use super::{C0, Clock, Loss, VerifiedFile, Written, check_unbound, instant};
 use crate::WriteError;
 use m4_core::{Column, Scene, Splats};
 use serde_json::{Map, Value, json};
 use std::io::{self, Write};
 use std::path::Path;
 
-/// How far the extension is on its way to a standard, said in the file too.
-const EXTENSION_STATUS: &str = "KHR_gaussian_splatting, Release Candidate (specification of July 2026)";
+/// What the extension is, said in the file too.
+const EXTENSION_STATUS: &str = "KHR_gaussian_splatting, ratified by Khronos";
 /// Name of the extension.
 const EXTENSION: &str = "KHR_gaussian_splatting";
 /// "glTF", "JSON" and "BIN\0", little-endian.
@@ -46,6 +45,7 @@ pub fn write(path: &Path, scene: &Scene, t: f64) -> Result<Written, WriteError> 
     if !t.is_finite() {
         return bad(format!("t = {t}; a number of frames was expected"));
     }
+    check_unbound(path, &scene.splats)?;
     let mut splats = instant(&scene.splats, t, scene.time_frames as f64);
     turn_splats(&mut splats);
     let count = splats.n();

@@ -1,12 +1,14 @@
 //! Scene files: `scene.safetensors` and those of other viewers, one folder per format.
 //!
 //! A writer takes a [`m4_core::Scene`], writes the file atomically, and returns what it wrote and what the format could not
-//! hold ([`Written`]). A format with one instant, or one per frame, is given splats without time by [`instant()`]. A reader
+//! hold ([`Written`]). A format with one instant, or one per frame, is given splats without time by [`instant()`]. Splats that are
+//! bound to nodes are in `scene.safetensors` alone; other writers refuse them, `minute4d export` turns them into others before. A reader
 //! takes untrusted bytes: whatever they are, it returns a scene ([`Imported`]) or an error that names the field, and
 //! allocates no more than a small multiple of the file.
 
 pub(crate) mod bound;
 pub mod fourdgs;
+pub mod ftgs;
 pub mod gltf;
 pub mod ply;
 pub mod safetensors;
@@ -19,7 +21,7 @@ pub use splats::{at_peak, instant};
 
 use crate::WriteError;
 use crate::atomic::AtomicFile;
-use m4_core::{Scene, SourceFrame};
+use m4_core::{Scene, SourceFrame, Splats};
 use std::fs::File;
 use std::io::{self, Read, Write};
 use std::path::{Path, PathBuf};
@@ -140,6 +142,16 @@ pub(crate) fn check_finite(path: &Path, scene: &Scene) -> Result<(), WriteError>
         return Ok(());
     }
     Err(WriteError::bad(path, "a parameter of a splat is not a finite number"))
+}
+
+/// Refuses bound splats, for formats that have no nodes.
+pub(crate) fn check_unbound(path: &Path, splats: &Splats) -> Result<(), WriteError> {
+    let n = splats.bindings().len();
+    if n == 0 {
+        return Ok(());
+    }
+    let how = "turn them into splats of an instant or on straight lines first (m4_kernels::pose::at, pieces)";
+    Err(WriteError::bad(path, format!("{} bound to nodes, which this format does not have; {how}", plural(n, "splat"))))
 }
 
 /// Writes `bytes` to `path`, atomically, and reads them back first.

@@ -19,7 +19,7 @@
 //! 3DGS, with `cx`, `cy` and `time` besides; what else a scene knows is under the key `minute4d`.
 
 use super::splats::{Life, Row, sigmoid};
-use super::{C0, Loss, Written, at_peak, check_finite, plural, publish};
+use super::{C0, Loss, Written, at_peak, check_finite, check_unbound, plural, publish};
 use crate::WriteError;
 use half::f16;
 use m4_core::{Camera, Column, Scene, SourceFrame, Splats};
@@ -43,6 +43,7 @@ const LONGEST_LIFE: f64 = 60_000.0;
 /// when the scene has values that are not finite or too large for a half, or the file system refuses.
 pub fn write(path: &Path, scene: &Scene) -> Result<Written, WriteError> {
     check_finite(path, scene)?;
+    check_unbound(path, &scene.splats)?;
     let n = scene.splats.n();
     let last = scene.time_frames.saturating_sub(1).max(1) as f64;
     let splats = at_peak(&scene.splats);

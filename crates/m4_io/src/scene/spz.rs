@@ -20,7 +20,7 @@
 //! Source: the README of `nianticlabs/spz`.
 
 use super::splats::{sigmoid, turn_splats, unit};
-use super::{Loss, VerifiedFile, Written, instant};
+use super::{Loss, VerifiedFile, Written, check_unbound, instant};
 use crate::WriteError;
 use flate2::{Compression, GzBuilder};
 use m4_core::{Column, Scene, Splats};
@@ -35,6 +35,7 @@ pub fn write(path: &Path, scene: &Scene, t: f64) -> Result<Written, WriteError> 
     if !t.is_finite() {
         return Err(WriteError::bad(path, format!("t = {t}; a number of frames was expected")));
     }
+    check_unbound(path, &scene.splats)?;
     let io = |e| WriteError::io(path, e);
     let mut splats = instant(&scene.splats, t, scene.time_frames as f64);
     turn_splats(&mut splats);

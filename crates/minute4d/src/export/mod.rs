@@ -5,6 +5,7 @@
 
 mod bake;
 mod report;
+mod unbind;
 mod write;
 
 pub use report::{ExportReport, Losses};
@@ -89,9 +90,11 @@ pub fn make(input: &Path, job: &ExportJob, observer: &dyn Observer) -> Result<Ex
     let moments = job.moments(&scene)?;
     let start = Instant::now();
     let (plain, loss) = bake::bake(&scene).unzip();
-    let mut written = write::write(plain.as_ref().unwrap_or(&scene), &out, &moments, job, observer)?;
-    written.losses.splice(0..0, loss);
-    drop(plain);
+    let plain = plain.as_ref().unwrap_or(&scene);
+    let (free, of_motion) = unbind::unbind(plain, job.format, moments.first().copied().unwrap_or(0.0)).unzip();
+    let mut written = write::write(free.as_ref().unwrap_or(plain), &out, &moments, job, observer)?;
+    written.losses.splice(0..0, of_motion.into_iter().chain(loss));
+    drop(free);
     let encode_s = start.elapsed().as_secs_f64();
     Ok(ExportReport::new(&scene, job.format, &moments, written, encode_s))
 }
@@ -154,6 +157,8 @@ pub enum Format {
     Ply,
     /// A folder with one PLY file a frame.
     PlySequence,
+    /// `.ftgs.ply`: splats with time, of players of FreeTimeGS.
+    Ftgs,
     /// `.splatv`: splats with time, of the splaTV player.
     Splatv,
     /// SPZ, one instant.
@@ -184,6 +189,7 @@ const FORMATS: &[Entry] = &[
     (Format::Fourdgs, "4dgs", "scene.4dgs", Time::Clip),
     (Format::Ply, "ply", "scene.ply", Time::Instant),
     (Format::PlySequence, "ply-sequence", "ply", Time::Sequence),
+    (Format::Ftgs, "ftgs", "scene.ftgs.ply", Time::Clip),
     (Format::Splatv, "splatv", "scene.splatv", Time::Clip),
     (Format::Spz, "spz", "scene.spz", Time::Instant),
     (Format::Gltf, "gltf", "scene.glb", Time::Instant),
@@ -229,6 +235,10 @@ impl Format {
 
     /// The format that the ending of a file name stands for.
     pub fn of_path(path: &Path) -> Option<Self> {
+        let name = path.file_name()?.to_str()?.to_ascii_lowercase();
+        if name.ends_with(".ftgs.ply") {
+            return Some(Self::Ftgs);
+        }
         let ending = path.extension()?.to_str()?.to_ascii_lowercase();
         let same = |entry: &&Entry| Path::new(entry.2).extension().is_some_and(|e| e == ending.as_str());
         FORMATS.iter().find(same).map(|entry| entry.0)
@@ -268,6 +278,7 @@ mod tests {
     fn endings_name_formats() {
         assert_eq!(Format::of_path(Path::new("a/b.4DGS")), Some(Format::Fourdgs));
         assert_eq!(Format::of_path(Path::new("b.ply")), Some(Format::Ply));
+        assert_eq!(Format::of_path(Path::new("a/scene.FTGS.ply")), Some(Format::Ftgs));
         assert_eq!(Format::of_path(Path::new("ply")), None);
         assert_eq!(Format::of_path(Path::new("dog_droid.npz")), None);
     }

@@ -7,7 +7,8 @@ use m4_core::Scene;
 use m4_io::ErrorKind;
 use m4_io::capture::{self, CaptureOptions, Split};
 use m4_io::dataset::colmap;
-use m4_io::scene::{Written, fourdgs, gltf, ply, splatv, spz};
+use m4_io::scene::{Loss, Written, fourdgs, ftgs, gltf, ply, splatv, spz};
+use m4_kernels::pose;
 use std::path::Path;
 use std::time::Instant;
 
@@ -22,17 +23,24 @@ pub(super) fn write(
     let t = moments.first().copied().unwrap_or(0.0);
     let written = match job.format {
         Format::Fourdgs => fourdgs::write(out, scene)?,
+        Format::Ftgs => ftgs::write(out, scene)?,
         Format::Splatv => splatv::write(out, scene)?,
         Format::Ply => ply::write(out, scene, t)?,
         Format::PlySequence => {
             let mut stopped = false;
-            let written = ply::write_sequence(out, scene, moments, |done| {
+            let splats_at = |t: f64| pose::at(&scene.splats, t as f32);
+            let mut written = ply::write_sequence(out, scene, moments, splats_at, |done| {
                 observer.update("export", done, moments.len(), "");
                 stopped = observer.cancelled();
                 !stopped
             })?;
             if stopped {
                 return Err(STOPPED);
+            }
+            if !scene.splats.bindings().is_empty() {
+                let bound = scene.splats.bindings().len();
+                let what = format!("the motion of {bound} splats that nodes carry, at {} instants", moments.len());
+                written.losses.insert(0, Loss::Baked(what));
             }
             written
         }

@@ -2,6 +2,7 @@
 
 use super::{Painter, Stop};
 use m4_core::{Column, Scene, nalgebra::Vector3};
+use m4_kernels::pose;
 
 /// Share of the source cameras that counts as the reach of the source.
 const REACH_SHARE: f64 = 0.8;
@@ -49,15 +50,24 @@ fn moving_depth(scene: &Scene, stop: &Stop) -> Option<f64> {
     let size = &stop.camera.intrinsics;
     let (w, h) = (size.width as f64, size.height as f64);
     let w2c = stop.camera.w2c();
+    let bound = splats.bindings().len();
     let mut depths: Vec<f64> = (0..splats.n_dynamic())
         .filter_map(|d| {
             let row = n_static + d;
             let dt = stop.t - f64::from(life[d]);
-            let marginal = (-0.5 * (dt / f64::from(log_sd[d]).exp()).powi(2)).exp();
+            let marginal = if d < bound {
+                pose::presence(splats, d, stop.t)
+            } else {
+                (-0.5 * (dt / f64::from(log_sd[d]).exp()).powi(2)).exp()
+            };
             if marginal / (1.0 + (-f64::from(opacity[row])).exp()) < SEEN_OPACITY {
                 return None;
             }
-            let mean = Vector3::from_fn(|k, _| f64::from(means[k][row]) + f64::from(velocities[k][d]) * dt);
+            let mean = if d < bound {
+                pose::place(splats, d, stop.t).mean
+            } else {
+                Vector3::from_fn(|k, _| f64::from(means[k][row]) + f64::from(velocities[k][d]) * dt)
+            };
             let p = w2c.transform(&mean);
             let (x, y) = (size.fx * p.x / p.z + size.cx, size.fy * p.y / p.z + size.cy);
             (p.z > 0.0 && (0.0..w).contains(&x) && (0.0..h).contains(&y)).then_some(p.z)
@@ -81,7 +91,8 @@ fn reach(stop: &Stop, centres: &[Vector3<f64>]) -> f64 {
 mod tests {
     use super::moving_depth;
     use crate::render::Stop;
-    use m4_core::{Camera, Column, Exposure, Intrinsics, Se3, SplatLayout, Splats};
+    use m4_core::{Binding, Camera, Column, Exposure, Intrinsics, Pose, Se3, SplatLayout, Splats, Window};
+    use std::sync::Arc;
 
     #[test]
     fn depth_is_that_of_visible_dynamic_splats() {
@@ -108,6 +119,14 @@ mod tests {
         assert_eq!(moving_depth(&scene, &stop), Some(4.0));
         let later = Stop { t: 30.0, ..stop };
         assert_eq!(moving_depth(&scene, &later), Some(2.0));
+        // bound splats are where nodes carry them, while they live
+        let pose = Pose { position: [0.0, 0.0, 2.5], rotation: [1.0, 0.0, 0.0, 0.0] };
+        let window = Window::new(vec![10.0], vec![[0.0; 3]], vec![pose]).unwrap();
+        let binding = Binding { window: 0, nodes: [0; 4], weights: [0.25; 4], life: [9.0, 12.0] };
+        scene.splats.column_mut(Column::Velocity, 2).fill(0.0);
+        scene.splats.bind(Arc::new(vec![window]), vec![binding; 60]).unwrap();
+        assert_eq!(moving_depth(&scene, &stop), Some(5.5));
+        assert_eq!(moving_depth(&scene, &Stop { t: 15.0, ..stop }), None);
         scene.splats.column_mut(Column::Opacity, 0).fill(-6.0);
         assert_eq!(moving_depth(&scene, &stop), None, "nothing can be seen");
     }

@@ -111,7 +111,7 @@ fn of_capture(report: &CaptureReport) -> String {
 pub struct Export {
     /// The folder of a run or a scene file; for colmap a capture
     pub scene: PathBuf,
-    /// Output format [default: by the extension of --out, or 4dgs]. 4dgs, splatv: the whole clip; ply, spz, gltf: one
+    /// Output format [default: by the extension of --out, or 4dgs]. 4dgs, ftgs, splatv: the whole clip; ply, spz, gltf: one
     /// instant; ply-sequence: one file per frame; colmap: cameras, images, masks and points of a capture
     #[arg(long, value_name = "FORMAT")]
     pub format: Option<Format>,

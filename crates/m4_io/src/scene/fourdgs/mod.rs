@@ -23,7 +23,7 @@ mod tests;
 
 pub use read::{parse, read};
 
-use super::{Clock, DEFAULT_FPS, Loss, Written, at_peak, check_finite, plural, publish};
+use super::{Clock, DEFAULT_FPS, Loss, Written, at_peak, check_finite, check_unbound, plural, publish};
 use crate::WriteError;
 use ::fourdgs::quantization::{Bounds, Profile};
 use ::fourdgs::stream_reader::{ReadOptions, read_from};
@@ -47,6 +47,7 @@ pub fn write(path: &Path, scene: &Scene) -> Result<Written, WriteError> {
 /// The bytes of the file `path`, decoded and compared with the scene, and what they cannot hold.
 pub fn encode(path: &Path, scene: &Scene) -> Result<(Vec<u8>, Vec<Loss>), WriteError> {
     check_finite(path, scene)?;
+    check_unbound(path, &scene.splats)?;
     let clock = Clock::of(scene);
     let clip = Clip { step_s: clock.step_s, frames: scene.time_frames.max(1) };
     let splats = at_peak(&scene.splats);

@@ -10,24 +10,32 @@
 //! rot_0..3         quaternion (w, x, y, z)
 //! ```
 //!
+//! Where opacities want the Mip filter, a comment says so as Brush writes it and splat-transform and others read it:
+//! `SplatRenderMode: mip`.
+//!
 //! Read are also: other orders of the properties, missing normals, harmonics of degree 0 to 3, and further properties.
 
 mod read;
 pub use read::{parse, read};
 
 use super::splats::Row;
-use super::{Loss, Written, check_finite, instant, plural, publish};
+use super::{Loss, Written, check_finite, check_unbound, instant, plural, publish};
 use crate::WriteError;
 use crate::results::{Kind, ResultFolder};
 use m4_core::{Column, Scene, Splats};
+use std::borrow::Cow;
 use std::fmt::Write as _;
 use std::path::Path;
+
+/// Line of the header that says that opacities want the Mip filter.
+pub(super) const MIP_COMMENT: &str = "comment SplatRenderMode: mip\n";
 
 /// Writes the splats that time `t` (frames) sees, atomically; all values must be finite.
 pub fn write(path: &Path, scene: &Scene, t: f64) -> Result<Written, WriteError> {
     check_finite(path, scene)?;
-    let splats = seen(scene, t);
-    let bytes = encode(&splats, t);
+    check_unbound(path, &scene.splats)?;
+    let splats = seen(scene, &scene.splats, t);
+    let bytes = encode(&splats, t, scene.mip);
     publish(path, &bytes)?;
     let mut losses = Vec::new();
     if scene.splats.n_dynamic() > 0 {
@@ -42,13 +50,17 @@ pub fn write(path: &Path, scene: &Scene, t: f64) -> Result<Written, WriteError> 
 }
 
 /// The splats of an instant, frames.
-fn seen(scene: &Scene, t: f64) -> Splats {
-    instant(&scene.splats, t, (scene.time_frames.max(2) - 1) as f64)
+fn seen(scene: &Scene, splats: &Splats, t: f64) -> Splats {
+    instant(splats, t, (scene.time_frames.max(2) - 1) as f64)
 }
 
 /// Returns the properties of a scene that PLY cannot store.
-fn unheld(scene: &Scene) -> Vec<Loss> {
-    let mut losses = Vec::from_iter(Loss::of_mip(scene));
+pub(super) fn unheld(scene: &Scene) -> Vec<Loss> {
+    let mut losses = Vec::new();
+    if scene.mip {
+        losses
+            .push(Loss::Dropped("the Mip filter, for players that do not know the comment SplatRenderMode".to_owned()));
+    }
     if !scene.source.is_empty() {
         losses.push(Loss::Dropped("the cameras of the video".to_owned()));
     }
@@ -58,42 +70,43 @@ fn unheld(scene: &Scene) -> Vec<Loss> {
     losses
 }
 
-/// The bytes of a file with static splats.
-fn encode(splats: &Splats, t: f64) -> Vec<u8> {
-    let rest = 3 * (splats.layout().sh_terms() - 1);
+/// The bytes of a file with static splats; `mip` where their opacities want the Mip filter.
+fn encode(splats: &Splats, t: f64, mip: bool) -> Vec<u8> {
     let mut text = String::from("ply\nformat binary_little_endian 1.0\n");
     // Writing to a string cannot fail.
     let _ = writeln!(text, "comment minute4d {}, frame {t}", env!("CARGO_PKG_VERSION"));
+    if mip {
+        text.push_str(MIP_COMMENT);
+    }
     let _ = writeln!(text, "element vertex {}", splats.n());
-    let mut property = |name: &str| {
-        let _ = writeln!(text, "property float {name}");
-    };
-    ["x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2"].iter().for_each(|name| property(name));
-    (0..rest).for_each(|k| property(&format!("f_rest_{k}")));
-    ["opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"]
-        .iter()
-        .for_each(|name| property(name));
+    let names: Vec<String> = properties(splats.layout().sh_degree).collect();
+    names.iter().for_each(|name| drop(writeln!(text, "property float {name}")));
     text.push_str("end_header\n");
 
     let mut bytes = text.into_bytes();
-    bytes.reserve(splats.n() * 4 * (17 + rest));
-    let terms = rest / 3;
+    bytes.reserve(4 * splats.n() * names.len());
     for i in 0..splats.n() {
-        let row = Row::of(splats, i);
-        let colour = |k: usize| splats.column(Column::Colour, k)[i];
-        let harmonics = (0..rest).map(|k| colour(3 * (k % terms + 1) + k / terms));
-        let numbers = row
-            .mean
-            .into_iter()
-            .chain([0.0; 3])
-            .chain((0..3).map(colour))
-            .chain(harmonics)
-            .chain([row.opacity])
-            .chain(row.log_scale)
-            .chain(row.quat);
-        bytes.extend(numbers.flat_map(f32::to_le_bytes));
+        bytes.extend(numbers(splats, i).flat_map(f32::to_le_bytes));
     }
     bytes
+}
+
+/// The names of the properties of splats of a degree.
+pub(super) fn properties(sh_degree: usize) -> impl Iterator<Item = String> {
+    let start = ["x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2"];
+    let end = ["opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"];
+    let rest = (0..3 * ((sh_degree + 1) * (sh_degree + 1) - 1)).map(|k| format!("f_rest_{k}"));
+    start.into_iter().map(str::to_owned).chain(rest).chain(end.into_iter().map(str::to_owned))
+}
+
+/// The numbers of splat `i`, in the order of [`properties`].
+pub(super) fn numbers(splats: &Splats, i: usize) -> impl Iterator<Item = f32> {
+    let row = Row::of(splats, i);
+    let terms = splats.layout().sh_terms() - 1;
+    let colour = move |k: usize| splats.column(Column::Colour, k)[i];
+    let harmonics = (0..3 * terms).map(move |k| colour(3 * (k % terms + 1) + k / terms));
+    let start = row.mean.into_iter().chain([0.0; 3]).chain((0..3).map(colour));
+    start.chain(harmonics).chain([row.opacity]).chain(row.log_scale).chain(row.quat)
 }
 
 /// Name of file `i` of a sequence: `frame_00012.ply`.
@@ -103,12 +116,13 @@ pub fn frame_name(i: usize) -> String {
 }
 
 /// Writes a file for each of `times` (frames) into `folder`, in the place of those of an earlier sequence once all are complete.
-/// `each` is called after every file, and may stop the work by returning false; nothing is replaced then. Fails when the scene has
-/// values that are NaN or infinite, where other files have those names, or the file system refuses.
-pub fn write_sequence(
+/// `splats_at` gives the splats of the scene for a moment: the same, or with what is drawn of bound ones then. `each` is called after every file, and may stop the work by returning false; nothing is replaced then. Fails when the scene has
+/// values that are NaN or infinite, `splats_at` gives bound splats, where other files have those names, or the file system refuses.
+pub fn write_sequence<'a>(
     folder: &Path,
     scene: &Scene,
     times: &[f64],
+    mut splats_at: impl FnMut(f64) -> Cow<'a, Splats>,
     mut each: impl FnMut(usize) -> bool,
 ) -> Result<Written, WriteError> {
     check_finite(folder, scene)?;
@@ -119,8 +133,10 @@ pub fn write_sequence(
     let mut written = Written { path: folder.to_path_buf(), bytes: 0, splats: 0, losses: Vec::new() };
     for (i, &t) in times.iter().enumerate() {
         let path = next.join(&names[i]);
-        let splats = seen(scene, t);
-        let bytes = encode(&splats, t);
+        let all = splats_at(t);
+        check_unbound(&path, &all)?;
+        let splats = seen(scene, &all, t);
+        let bytes = encode(&splats, t, scene.mip);
         publish(&path, &bytes)?;
         written.bytes += bytes.len() as u64;
         written.splats += splats.n();
@@ -144,8 +160,9 @@ mod tests {
     use crate::scene::Loss;
     use crate::scene::splats::Row;
     use m4_core::{Column, Scene, SplatLayout};
-    use m4_testkit::{SceneSpec, random_scene};
+    use m4_testkit::{SceneSpec, bound_scene, random_scene};
     use serde::Deserialize;
+    use std::borrow::Cow;
     use std::collections::HashMap;
     use std::path::Path;
 
@@ -221,15 +238,42 @@ mod tests {
     fn sequences_write_one_file_per_frame_and_remove_old_ones() {
         let dir = tempfile::tempdir().unwrap();
         let scene = scene(0);
-        write_sequence(dir.path(), &scene, &[0.0, 5.0, 10.0], |_| true).unwrap();
-        let written = write_sequence(dir.path(), &scene, &[0.0, 10.0], |_| true).unwrap();
+        let same = |_| Cow::Borrowed(&scene.splats);
+        write_sequence(dir.path(), &scene, &[0.0, 5.0, 10.0], same, |_| true).unwrap();
+        let written = write_sequence(dir.path(), &scene, &[0.0, 10.0], same, |_| true).unwrap();
         assert!(!dir.path().join(frame_name(2)).exists());
         let counts: Vec<usize> =
             (0..2).map(|i| read(&dir.path().join(frame_name(i))).unwrap().scene.splats.n()).collect();
         assert_eq!(counts.iter().sum::<usize>(), written.splats);
         assert_eq!(counts[0], crate::scene::instant(&scene.splats, 0.0, 10.0).n());
-        let stopped = write_sequence(dir.path(), &scene, &[0.0, 5.0, 10.0], |done| done < 2).unwrap();
+        let stopped = write_sequence(dir.path(), &scene, &[0.0, 5.0, 10.0], same, |done| done < 2).unwrap();
         assert_eq!(stopped.splats, counts[0] + crate::scene::instant(&scene.splats, 5.0, 10.0).n());
+    }
+
+    #[test]
+    fn a_comment_says_that_opacities_want_the_mip_filter() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("a.ply");
+        for mip in [false, true] {
+            let scene = Scene { mip, ..scene(0) };
+            let written = write(&path, &scene, 4.0).unwrap();
+            let bytes = std::fs::read(&path).unwrap();
+            let text = String::from_utf8_lossy(&bytes[..400]).into_owned();
+            assert_eq!(text.contains("\ncomment SplatRenderMode: mip\nelement vertex"), mip, "{text}");
+            assert_eq!(written.losses.iter().any(|l| l.to_string().contains("Mip filter")), mip);
+            assert_eq!(read(&path).unwrap().scene.splats.n(), written.splats);
+        }
+    }
+
+    #[test]
+    fn bound_splats_are_refused() {
+        let dir = tempfile::tempdir().unwrap();
+        let (path, bound) = (dir.path().join("a.ply"), bound_scene(&SceneSpec::default()));
+        let error = write(&path, &bound, 4.0).unwrap_err().to_string();
+        assert!(error.contains("20 splats bound to nodes") && error.contains("pose::at"), "{error}");
+        let same = |_| Cow::Borrowed(&bound.splats);
+        assert!(write_sequence(dir.path(), &bound, &[0.0, 5.0], same, |_| true).is_err());
+        assert!(!path.exists() && !dir.path().join(frame_name(0)).exists());
     }
 
     #[test]
