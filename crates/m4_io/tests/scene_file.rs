@@ -177,6 +177,9 @@ fn rotations_of_nodes_get_length_1_and_other_lengths_are_refused() {
     assert!(write(&path, &scene, None, &BTreeMap::new()).is_err());
 }
 
+/// A change of the bytes of an array.
+type Change = Box<dyn FnOnce(&mut [u8])>;
+
 /// The file of a scene with bindings, with `change` made to the bytes of one array and the checksum to match.
 fn changed(path: &Path, array: &str, change: impl FnOnce(&mut [u8])) -> String {
     write(path, &m4_testkit::bound_scene(&SceneSpec::default()), None, &BTreeMap::new()).unwrap();
@@ -207,7 +210,7 @@ fn numbers_of_bindings_that_do_not_fit_are_refused_with_their_place() {
     let (_dir, path) = temporary("scene.safetensors");
     let f32_at = |i: usize, v: f32| move |bytes: &mut [u8]| bytes[4 * i..4 * i + 4].copy_from_slice(&v.to_le_bytes());
     let u32_at = |i: usize, v: u32| move |bytes: &mut [u8]| bytes[4 * i..4 * i + 4].copy_from_slice(&v.to_le_bytes());
-    let cases: [(&str, Box<dyn FnOnce(&mut [u8])>, &str); 13] = [
+    let cases: [(&str, Change, &str); 13] = [
         ("windows.counts", Box::new(u32_at(0, 4)), "array \"windows.key\" is f32"),
         ("windows.counts", Box::new(u32_at(1, u32::MAX)), "array \"windows.anchor\" is f32"),
         ("windows.key", Box::new(f32_at(1, 0.0)), "keys 0 and 1 of window 0 are 0 and 0"),

@@ -10,6 +10,11 @@ const SUM_WITHIN: f32 = 1e-3;
 /// Least time between two keys, frames: velocities stay within what 32 bits hold.
 pub(crate) const LEAST_GAP: f32 = 1e-3;
 
+/// True where the second of two keys is later; NaN is not.
+pub(crate) fn rises(keys: &[f32]) -> bool {
+    keys[1] - keys[0] >= LEAST_GAP
+}
+
 /// How far the length of a rotation is from 1.
 pub(crate) fn off_unit(rotation: &[f32; 4]) -> f32 {
     (rotation.iter().map(|v| v * v).sum::<f32>().sqrt() - 1.0).abs()
@@ -30,7 +35,7 @@ fn of_window(window: &Window) -> Option<String> {
     if let Some(what) = outside("a key", window.keys(), &frames) {
         return Some(what);
     }
-    if let Some(gap) = window.keys().windows(2).find(|k| !(k[1] - k[0] >= LEAST_GAP)) {
+    if let Some(gap) = window.keys().windows(2).find(|k| !rises(k)) {
         let what = format!("keys at {} and {}", short(gap[0]), short(gap[1]));
         return Some(format!("{what}; keys that rise by at least {LEAST_GAP} frames were expected"));
     }

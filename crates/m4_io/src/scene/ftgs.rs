@@ -51,14 +51,18 @@ pub fn write(path: &Path, scene: &Scene) -> Result<Written, WriteError> {
         format!("n_frames {frames}"),
     ];
     // Writing to a string cannot fail.
-    comments.iter().for_each(|comment| drop(writeln!(text, "comment {comment}")));
+    for comment in comments {
+        let _ = writeln!(text, "comment {comment}");
+    }
     if scene.mip {
         text.push_str(ply::MIP_COMMENT);
     }
     let _ = writeln!(text, "element vertex {n}");
     let names = ["time", "log_duration", "velocity_0", "velocity_1", "velocity_2"].map(str::to_owned);
     let names: Vec<String> = ply::properties(degree).chain(names).collect();
-    names.iter().for_each(|name| drop(writeln!(text, "property float {name}")));
+    for name in &names {
+        let _ = writeln!(text, "property float {name}");
+    }
     text.push_str("end_header\n");
 
     let mut bytes = text.into_bytes();

@@ -230,7 +230,7 @@ mod tests {
         let want = central_differences(&x, 1e-6, |x| loss(&nodes, x));
         assert_gradient("splat", &flat, &want.gradient, 1e-7);
         let flat: Vec<f64> = got.nodes.iter().flat_map(|[p, w]| [p.as_slice(), w.as_slice()].concat()).collect();
-        let want = central_differences(&vec![0.0; 24], 1e-6, |d| loss(&moved(&nodes, d), &x));
+        let want = central_differences(&[0.0; 24], 1e-6, |d| loss(&moved(&nodes, d), &x));
         assert_gradient("nodes", &flat, &want.gradient, 1e-7);
     }
 

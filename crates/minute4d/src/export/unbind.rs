@@ -118,8 +118,9 @@ mod tests {
         safetensors::write(&file, &scene, None, &BTreeMap::new()).unwrap();
         for format in Format::all().filter(|format| !format.takes_capture()) {
             let report = make(&file, &ExportJob::new(format), &Silent).unwrap();
-            assert!(report.losses.baked[0].contains("20 splats that nodes carry"), "{format:?}: {report}");
-            assert!(report.losses.baked.iter().any(|what| what.contains("Mip filter")), "{format:?}: {report}");
+            for expected in ["20 splats that nodes carry", "Mip filter"] {
+                assert!(report.losses.baked.iter().any(|what| what.contains(expected)), "{format:?}: {report}");
+            }
         }
         let first = ply::read(&dir.path().join("ply").join(ply::frame_name(0))).unwrap().scene.splats;
         let want = instant(&at(&scene.splats, 0.0), 0.0, 9.0);

@@ -80,7 +80,9 @@ fn encode(splats: &Splats, t: f64, mip: bool) -> Vec<u8> {
     }
     let _ = writeln!(text, "element vertex {}", splats.n());
     let names: Vec<String> = properties(splats.layout().sh_degree).collect();
-    names.iter().for_each(|name| drop(writeln!(text, "property float {name}")));
+    for name in &names {
+        let _ = writeln!(text, "property float {name}");
+    }
     text.push_str("end_header\n");
 
     let mut bytes = text.into_bytes();

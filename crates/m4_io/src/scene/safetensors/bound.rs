@@ -2,7 +2,7 @@
 
 use super::tensor::{Arrays, Source, Sources, f32_array, u16_array, u32_array};
 use crate::Fault;
-use crate::scene::bound::{LEAST_GAP, UNIT_WITHIN, off_unit};
+use crate::scene::bound::{LEAST_GAP, UNIT_WITHIN, off_unit, rises};
 use m4_core::{BINDING_NODES, Binding, Column, Pose, Splats, StateTensor, Window};
 use std::sync::Arc;
 
@@ -108,7 +108,7 @@ fn windows(arrays: &Arrays) -> Result<Vec<Window>, Fault> {
         let anchor = anchors.split_off(..n_nodes).unwrap_or_default();
         let position = positions.split_off(..n_keys * n_nodes).unwrap_or_default();
         let rotation = rotations.split_off(..n_keys * n_nodes).unwrap_or_default();
-        if let Some(at) = key.windows(2).position(|k| !(k[1] - k[0] >= LEAST_GAP)) {
+        if let Some(at) = key.windows(2).position(|k| !rises(k)) {
             let what = format!("keys {at} and {} of window {i} are {} and {}", at + 1, key[at], key[at + 1]);
             return Err(Fault::damaged(format!("{what}; keys that rise by at least {LEAST_GAP} frames were expected")));
         }
