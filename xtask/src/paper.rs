@@ -188,7 +188,7 @@ pub fn check(root: &Path) -> Result<()> {
     let sources = sources(root)?;
     let mut found = violations(&rows(&read(&root.join("ARCHITECTURE.md"))?), &sources);
     let mut specifications = BTreeMap::new();
-    for name in ["optimiser", "front-end"] {
+    for name in ["optimiser", "front-end", "scaffold"] {
         let path = format!("{SPECIFICATIONS}{name}.md");
         let text = read(&root.join(&path))?;
         specifications.insert(path, headings(&text));

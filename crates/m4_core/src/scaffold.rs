@@ -1,4 +1,4 @@
-//! Motion that many splats share: the nodes of a window of time, and the splats bound to them (docs/spec/scaffold.md).
+//! Motion that many splats share: the nodes of a window of time, and the splats bound to them (docs/spec/scaffold.md 1).
 //!
 //! A [`Window`] knows the position and the rotation of its nodes at some instants, its *keys*. A splat that is bound to four nodes is stored as it is
 //! where no node has moved, and is carried by the weighted mean of their motions ([`Binding`]):

@@ -8,8 +8,11 @@
 //! p(t) = exp(-(t - time_mean)^2 / (2 exp(2 log_time_sd)))      opacity(t) = sigmoid(opacity) p(t)
 //! ```
 //!
-//! Rows `0..n_static` are static, the dynamic rows follow. Every column is one `Vec<f32>`, so a
+//! Rows `0..n_static` are static, the dynamic rows follow: first those that are bound to nodes, which carry them
+//! ([`Binding`]), then free ones. Every column is one `Vec<f32>`, so a
 //! kernel streams what it needs and a re-ordering is the same gather for each column.
+
+mod bound;
 
 use crate::{Binding, ShapeError, Window};
 use std::{ops::Range, sync::Arc};
@@ -162,42 +165,6 @@ impl Splats {
         Ok(Self { layout, n_static, n_dynamic, columns, bindings: Vec::new(), windows: Arc::default() })
     }
 
-    /// Binds the first dynamic rows, one per binding, to nodes of `windows`.
-    /// Fails with [`ShapeError`] if there are more bindings than dynamic rows, or a window or node does not exist.
-    pub fn bind(&mut self, windows: Arc<Vec<Window>>, bindings: Vec<Binding>) -> Result<(), ShapeError> {
-        if bindings.len() > self.n_dynamic {
-            return Err(ShapeError { what: "bindings", expected: self.n_dynamic, found: bindings.len() });
-        }
-        for binding in &bindings {
-            let nodes = windows.get(binding.window as usize).map_or(0, |w| w.anchors().len());
-            if let Some(&node) = binding.nodes.iter().find(|&&node| usize::from(node) >= nodes) {
-                return Err(ShapeError { what: "binding: node", expected: nodes, found: usize::from(node) });
-            }
-        }
-        (self.windows, self.bindings) = (windows, bindings);
-        Ok(())
-    }
-
-    /// The windows that bound splats move with.
-    pub fn windows(&self) -> &Arc<Vec<Window>> {
-        &self.windows
-    }
-
-    /// The windows that bound splats move with.
-    pub fn windows_mut(&mut self) -> &mut Vec<Window> {
-        Arc::make_mut(&mut self.windows)
-    }
-
-    /// Bindings of the bound splats: rows `n_static..n_static + bindings.len()`.
-    pub fn bindings(&self) -> &[Binding] {
-        &self.bindings
-    }
-
-    /// Rows of bound splats.
-    pub fn bound(&self) -> Range<usize> {
-        self.n_static..self.n_static + self.bindings.len()
-    }
-
     /// Which columns there are.
     pub fn layout(&self) -> SplatLayout {
         self.layout
@@ -266,11 +233,6 @@ impl Splats {
         self.bindings = self.gather_bindings(rows);
         (self.n_static, self.n_dynamic) = (n_static, n_dynamic);
         Ok(())
-    }
-
-    fn gather_bindings(&self, rows: &[u32]) -> Vec<Binding> {
-        let bound = |r: &u32| (*r as usize).checked_sub(self.n_static).and_then(|k| self.bindings.get(k));
-        rows.iter().filter_map(bound).copied().collect()
     }
 
     /// Number of static and of dynamic rows among those named.
@@ -345,6 +307,7 @@ mod tests {
                         Column::TimeMean,
                         Column::LogTimeSd,
                         Column::Velocity,
+                        Column::Trend,
                     ];
                     let mut next = 0;
                     for column in order {

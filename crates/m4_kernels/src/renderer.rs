@@ -119,13 +119,10 @@ impl Renderer {
             let rows = rest.split_off_mut(..chunk.room()).unwrap_or_default();
             tasks.push((chunk, rows));
         }
-        tasks
-            .par_iter_mut()
-            .with_max_len(1)
-            .for_each(|(chunk, rows)| {
-                let columns = if bound.contains(&chunk.rows.start) { &posed } else { &columns };
-                dispatch!(level, s => chunk.forward(s, columns, eye, rows));
-            });
+        tasks.par_iter_mut().with_max_len(1).for_each(|(chunk, rows)| {
+            let columns = if bound.contains(&chunk.rows.start) { &posed } else { &columns };
+            dispatch!(level, s => chunk.forward(s, columns, eye, rows));
+        });
         let projected = Instant::now();
         self.draw();
 

@@ -2,8 +2,7 @@
 //!
 //! [`Trainer`] takes a capture and its first splats and makes them look like the frames: pick a frame
 //! in an order drawn again for each epoch, draw it, compare (L1 + SSIM), step every splat that was seen. Every
-//! hundred steps [`density`] looks at what is still wrong and adds or removes splats there. Half way, splats of rotating surfaces become
-//! segments of arcs (`arcs`).
+//! hundred steps [`density`] looks at what is still wrong and adds or removes splats there.
 //!
 //! Steps are taken by a [`backend`], the CPU or a GPU ([`Trainer::use_backend`]); schedule, choice of frames and checkpoints are the same for
 //! both.
@@ -13,7 +12,6 @@
 //! ([`Trainer::resume`]) ends with the bits of the uninterrupted one.
 #![forbid(unsafe_code)]
 
-mod arcs;
 pub mod backend;
 pub mod config;
 pub mod density;

@@ -1,16 +1,15 @@
 //! Estimates how many iterations fit into a time budget on this machine.
 
 use crate::{
-    ColourDegree, TrainError, arcs,
+    ColourDegree, TrainError,
     backend::{BackendError, BackendMaker},
     colour_fit::frames_drawn,
     config::{DensityConfig, RefineConfig, TrainConfig},
     scale::SceneScale,
-    schedule::period,
-    trainer::{ARCS_AT, Trainer},
+    trainer::Trainer,
 };
 use m4_core::{Capture, Column, Splats, median};
-use m4_kernels::{SimdLevel, adam::cpu::AdamState};
+use m4_kernels::SimdLevel;
 use rayon::prelude::*;
 use std::time::Instant;
 
@@ -28,7 +27,8 @@ const LEAST: usize = 50;
 const MOST: usize = 5000;
 
 /// The number of iterations that take `seconds()`, asked after the trial steps, on rayon's current pool, or on a `backend`: trial steps on a copy of `splats` with what density control may add,
-/// on one that is split into segments of arcs besides, which the second half of a run has, and on one with all colour coefficients. A multiple of 10, at least 50 and at most 5,000. Unlike everything else in this crate it depends on the machine: with the number that it returns,
+/// and on one with all colour coefficients. A multiple of 10, at least 50 and at most 5,000. Unlike everything else in this crate it depends on the
+/// machine: with the number that it returns,
 /// training is a function of its inputs again.
 /// Once `stopped()` no more steps are taken, and the number means nothing.
 /// Fails as [`Trainer::new`] and [`Trainer::run`].
@@ -46,26 +46,13 @@ pub fn affordable_iterations(
     }
     let mut trial_splats = grown(splats, &apparent_sizes(capture, splats), config)?;
     let mut step_s = trial(capture, &trial_splats, config, level, backend, stopped)?;
-    let mut last_s = step_s;
-    // what a later part of the run has in addition, and the share of the run that it is there for
-    let mut add = |splats: &Splats, share: f64| -> Result<(), TrainError> {
-        let after_s = trial(capture, splats, config, level, backend, stopped)?;
-        step_s += share * (after_s - last_s).max(0.0);
-        last_s = after_s;
-        Ok(())
-    };
-    let rotating = if config.arcs && !stopped() { arcs::rotating(&trial_splats) } else { Vec::new() };
-    if !rotating.is_empty() && !stopped() {
-        let mut state = AdamState::new(&trial_splats);
-        arcs::split(&mut trial_splats, &mut state, &rotating, period(capture.time_frames))?;
-        drop(state);
-        add(&trial_splats, 1.0 - ARCS_AT)?;
-    }
     let layout = trial_splats.layout();
     let raised = config.colour_degree.raise(layout);
     if raised != layout && !stopped() {
         trial_splats.raise_degrees(raised.sh_degree, raised.time_degree);
-        add(&trial_splats, config.colour_degree.mean_share(layout))?;
+        // what later parts of the run have in addition
+        let more_s = trial(capture, &trial_splats, config, level, backend, stopped)? - step_s;
+        step_s += config.colour_degree.mean_share(layout) * more_s.max(0.0);
     }
     let fits = frames_drawn(config.colour_fit_rounds, capture.frames.len()) / config.batch as f64;
     Ok(count(seconds(), step_s, fits))
@@ -126,7 +113,6 @@ fn trial(
         // never the last: that one does more
         iterations: STEPS + 1,
         density: DensityConfig { enabled: false, ..config.density.clone() },
-        arcs: false,
         // those of the splats
         colour_degree: ColourDegree::default(),
         colour_fit_rounds: 0,

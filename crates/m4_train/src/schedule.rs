@@ -1,8 +1,8 @@
 //! The frame of an iteration, the learning rate per column, and the purposes of random numbers.
 
 use crate::{config::RateConfig, scale::SceneScale};
-use m4_kernels::adam::nodes::NodeRates;
 use m4_core::{Column, CounterRng, SplatLayout};
+use m4_kernels::adam::nodes::NodeRates;
 
 /// `exp((1 - x) ln a + x ln b)`, log-linear from `a` to `b` with `x` in 0..1 (docs/spec/optimiser.md 3);
 /// linear when one of them is 0.
@@ -74,10 +74,7 @@ const NODE_TURN: f32 = 0.015;
 /// The rates of nodes at `x` of the run (0..1).
 pub(crate) fn node_rates(config: &RateConfig, scale: &SceneScale, x: f32) -> NodeRates {
     let fall = log_linear(config.position, config.position_end, x);
-    NodeRates {
-        position: NODE_POSITION * fall * scale.extent,
-        turn: NODE_TURN * log_linear(1.0, config.other_end, x),
-    }
+    NodeRates { position: NODE_POSITION * fall * scale.extent, turn: NODE_TURN * log_linear(1.0, config.other_end, x) }
 }
 
 /// The rates at `x` of the run (0..1), in the order of [`m4_core::Splats::columns`].

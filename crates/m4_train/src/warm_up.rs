@@ -5,8 +5,11 @@ use crate::{
     config::{DensityConfig, RefineConfig, TrainConfig},
     scale::SceneScale,
 };
-use m4_core::{Capture, Column, CounterRng, Silent, SplatLayout, Splats, nalgebra::Vector3};
+use m4_core::{
+    BINDING_NODES, Binding, Capture, Column, CounterRng, Pose, Silent, SplatLayout, Splats, Window, nalgebra::Vector3,
+};
 use m4_kernels::SimdLevel;
+use std::sync::Arc;
 
 /// Splats: sums and sorts of fewer run in a single cube, by other kernels.
 const SPLATS: usize = 16_384;
@@ -69,6 +72,26 @@ fn splats(capture: &Capture, layout: SplatLayout) -> Splats {
     }
     if !layout.isotropic {
         out.column_mut(Column::Quat, 0).fill(1.0);
+        bind(capture, &mut out);
     }
     out
+}
+
+/// Binds half of the dynamic ones to nodes that stand still, as profiles do whose splats are no spheres.
+fn bind(capture: &Capture, splats: &mut Splats) {
+    let mut keys: Vec<f32> = capture.frames.iter().map(|frame| frame.t as f32).collect();
+    keys.sort_by(f32::total_cmp);
+    keys.dedup();
+    let pose = Pose { position: [0.0; 3], rotation: [1.0, 0.0, 0.0, 0.0] };
+    let poses = vec![pose; BINDING_NODES * keys.len()];
+    let binding = Binding {
+        window: 0,
+        nodes: std::array::from_fn(|k| k as u16),
+        weights: [1.0 / BINDING_NODES as f32; BINDING_NODES],
+        life: [f32::NEG_INFINITY, f32::INFINITY],
+    };
+    if let Ok(window) = Window::new(keys, vec![[0.0; 3]; BINDING_NODES], poses) {
+        let bound = splats.bind(Arc::new(vec![window]), vec![binding; splats.n_dynamic() / 2]);
+        debug_assert!(bound.is_ok());
+    }
 }

@@ -91,7 +91,7 @@ fn asynchronous_steps_give_the_same_bits() {
 fn densification_by_gradients_adds_splats_on_every_backend() {
     let (scene, capture) = video();
     let density = DensityConfig { from: 0.2, every: 0.2, ..DensityConfig::by_gradient() };
-    let config = TrainConfig { density, arcs: false, ..config() };
+    let config = TrainConfig { density, ..config() };
     let run = |stops: &[usize], calls: Option<&Arc<Calls>>| {
         let mut trainer = Trainer::new(&capture, disturbed(&scene, 2), config.clone(), SimdLevel::best()).unwrap();
         if let Some(calls) = calls {
@@ -146,7 +146,7 @@ fn a_backend_that_fails_leaves_the_last_good_splats() {
     assert!(trainer.splats().is_finite() && losses.last() < losses.first(), "{losses:?}");
 
     // splats are not copied more often than the settings say
-    let rarely = TrainConfig { keep_every_s: 1e9, arcs: false, ..config() };
+    let rarely = TrainConfig { keep_every_s: 1e9, ..config() };
     let calls = Arc::default();
     let (end, kept, at) = run_with(failing(71, &calls), rarely, 100);
     assert!(matches!(end, Err(TrainError::Device { good_iteration: 0, .. })), "{end:?}");

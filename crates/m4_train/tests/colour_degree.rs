@@ -28,7 +28,6 @@ fn trained(splats: &Splats, capture: &Capture, colour_degree: ColourDegree) -> (
     let mut config =
         TrainConfig { iterations: 50 * FRAMES, metrics_every: FRAMES, colour_degree, ..TrainConfig::fast() };
     config.density.enabled = false;
-    config.arcs = false;
     config.colour_fit_rounds = 0;
     config.lr = RateConfig { colour: 0.02, colour_harmonics: 0.02, ..STILL };
     let mut trainer = Trainer::new(capture, splats.clone(), config, SimdLevel::best()).unwrap();

@@ -21,10 +21,11 @@ fn start(capture: &Capture, splats: Splats, config: TrainConfig) -> Trainer<'_> 
     Trainer::new(capture, splats, config, SimdLevel::best()).unwrap()
 }
 
-/// First moments of all splats, column after column.
+/// First moments of all splats, column after column; none of the trend, which splats without windows lack.
 fn moments(state: &TrainState<'_>, columns: usize) -> Vec<f32> {
-    let column = |c: usize| match &state[&format!("adam/m/{c:02}")] {
-        StateTensor::F32 { data, .. } => data.to_vec(),
+    let column = |c: usize| match state.get(&format!("adam/m/{c:02}")) {
+        Some(StateTensor::F32 { data, .. }) => data.to_vec(),
+        None => Vec::new(),
         other => panic!("moments are f32, not {other:?}"),
     };
     (0..columns).flat_map(column).collect()

@@ -1,6 +1,5 @@
 //! The integration tests of this crate, in one program.
 
-mod arcs;
 mod backend;
 mod colour_degree;
 mod common;

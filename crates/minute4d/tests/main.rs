@@ -63,13 +63,8 @@ fn capture(times: &[f64]) -> Capture {
 
 /// The dynamic splats alone.
 fn dynamic(splats: &Splats) -> Splats {
-    let (layout, n_static) = (splats.layout(), splats.n_static());
-    let columns = splats.columns().iter().enumerate();
-    let columns = columns.map(|(c, column)| {
-        let first = if c < layout.shared_columns() { n_static } else { 0 };
-        column[first..].to_vec()
-    });
-    Splats::from_columns(layout, 0, splats.n_dynamic(), columns.collect()).unwrap()
+    let rows: Vec<u32> = (splats.n_static() as u32..splats.n() as u32).collect();
+    splats.gather(&rows).unwrap()
 }
 
 /// Mean opacity of the square at every tenth of a frame between 1 and 9.

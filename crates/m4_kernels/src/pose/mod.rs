@@ -1,4 +1,4 @@
-//! Carries bound splats to an instant with the nodes of their window, and gradients back (docs/spec/scaffold.md; [`m4_core::Binding`]).
+//! Carries bound splats to an instant with the nodes of their window, and gradients back (docs/spec/scaffold.md 2; [`m4_core::Binding`]).
 //!
 //! ```text
 //! m(t)   = A (mean + velocity dt) + b          Q(t) = q Q          rgb(t) = colour + trend dt          dt = t - time_mean

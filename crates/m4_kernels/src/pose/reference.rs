@@ -79,13 +79,7 @@ pub fn carry<T: Real>(nodes: &[Node<T>], splat: &Splat<T>, dt: T, presence: T) -
 }
 
 /// The gradient of a loss with respect to splat and nodes, given that with respect to what [`carry`] gives.
-pub fn backward<T: Real>(
-    nodes: &[Node<T>],
-    splat: &Splat<T>,
-    dt: T,
-    presence: T,
-    g: &Carried<T>,
-) -> Gradient<T> {
+pub fn backward<T: Real>(nodes: &[Node<T>], splat: &Splat<T>, dt: T, presence: T, g: &Carried<T>) -> Gradient<T> {
     let (a, _, q) = motion(nodes);
     let own = splat.mean + splat.velocity * dt;
     let g_own = a.transpose() * g.mean;
@@ -226,7 +220,15 @@ mod tests {
         };
         let got = backward(&nodes, &splat(&x), DT, PRESENCE, &g);
         let s = &got.splat;
-        let flat: Vec<f64> = [s.mean.as_slice(), s.velocity.as_slice(), s.quat.as_slice(), &[s.logit], s.rgb.as_slice(), s.trend.as_slice()].concat();
+        let flat: Vec<f64> = [
+            s.mean.as_slice(),
+            s.velocity.as_slice(),
+            s.quat.as_slice(),
+            &[s.logit],
+            s.rgb.as_slice(),
+            s.trend.as_slice(),
+        ]
+        .concat();
         let want = central_differences(&x, 1e-6, |x| loss(&nodes, x));
         assert_gradient("splat", &flat, &want.gradient, 1e-7);
         let flat: Vec<f64> = got.nodes.iter().flat_map(|[p, w]| [p.as_slice(), w.as_slice()].concat()).collect();

@@ -37,8 +37,6 @@ pub struct TrainConfig {
     pub adam: AdamConfig,
     /// Adding and removing splats.
     pub density: DensityConfig,
-    /// Half way through the run, splats of rotating surfaces become three segments of arcs (docs/spec/optimiser.md 8.8, our rule).
-    pub arcs: bool,
     /// Poses, focal length and exposure.
     pub refine: RefineConfig,
     /// Opacity-compensated 2D filter (docs/spec/optimiser.md 1.6); false in the reference.
@@ -81,7 +79,6 @@ impl TrainConfig {
             lr: RateConfig::default(),
             adam: AdamConfig::default(),
             density: DensityConfig { enabled: false, ..DensityConfig::fast() },
-            arcs: true,
             refine: RefineConfig::default(),
             mip: true,
             background: None,
@@ -103,7 +100,6 @@ impl TrainConfig {
             lr: RateConfig::faithful(),
             adam: AdamConfig { sparse: false, beta2_dynamic: 0.999, ..AdamConfig::default() },
             density: DensityConfig::faithful(),
-            arcs: false,
             mip: false,
             ..Self::fast()
         }

@@ -128,7 +128,8 @@ fn become_child(splats: &mut Splats, row: usize, mut rng: CounterRng) {
     let scale: [f32; 3] = [0, 1, 2].map(|k| splats.column(Column::LogScale, if isotropic { 0 } else { k })[row].exp());
     let local = Vector3::from_fn(|k, _| scale[k] * rng.normal() as f32);
     let mut shift = if isotropic { local } else { turned(splats, row, local) };
-    if let Some(i) = row.checked_sub(splats.n_static()) {
+    // a bound splat lives as its binding says
+    if let Some(i) = row.checked_sub(splats.n_static()).filter(|i| *i >= splats.bindings().len()) {
         let log_sd = &mut splats.column_mut(Column::LogTimeSd, 0)[i];
         let dt = log_sd.exp() * rng.normal() as f32;
         *log_sd -= shrink;

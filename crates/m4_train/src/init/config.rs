@@ -36,7 +36,8 @@ pub enum VelocityInit {
     /// All 0: the optimiser finds them.
     Zero,
     /// Each keyframe's points are registered to those of the keyframes before and after: locally rigid
-    /// motions that bring similar colours together, refined by patches of the frames (docs/spec/optimiser.md 2.6).
+    /// motions that bring similar colours together. From there, nodes of windows of time are aligned to every frame, and splats are bound to
+    /// them (docs/spec/scaffold.md 4).
     Register {
         /// Where the capture brings tracks, points near them go where they say, before the frames have their word (section
         /// 2.6; measured: 0.00 to +0.12 dB inside moving parts, +0.27 with true depth; docs/geometry.md).
@@ -48,9 +49,8 @@ pub enum VelocityInit {
 /// tracks nothing is added. The default is [`InitConfig::fast`]'s.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct TrackedInit {
-    /// Whether they are added: one a track and keyframe, hidden ones too. On by the paper's letter; off in [`InitConfig::fast`], since
-    /// points that are carried ([`InitConfig::carry_keyframes`]) lie closer together and do better (measured inside moving parts of
-    /// held-out views, before training, three scenes with true depth: carried 21.9, 24.4, 24.0 dB, tracked 21.2, 22.8, 23.4; both 21.3 in the first).
+    /// Whether they are added: one a track and keyframe, hidden ones too. On by the paper's letter; off in [`InitConfig::fast`], whose
+    /// splats live on where they are hidden (docs/spec/scaffold.md 4).
     pub enabled: bool,
     /// Also where the frame itself sees the place (the paper's letter); such points fill cells that the frame's own points leave
     /// empty. Else only where it cannot.
@@ -70,8 +70,8 @@ impl Default for TrackedInit {
 pub struct InitConfig {
     /// Most static splats to start with; the voxels' size is chosen to come close from below.
     pub max_static: usize,
-    /// Most dynamic splats to start with, all keyframes together; a frame draws those of a few keyframes
-    /// alone, so they cost memory rather than time.
+    /// Most dynamic points, all keyframes together, that splats are made of: the voxels' size is chosen to come close from below. A splat that lives
+    /// for several keyframes stands for their points.
     pub max_dynamic: usize,
     /// Edge of static voxels, pixels; dynamic points are then merged only where there are more than `max_dynamic`. `None`: the least
     /// edge from 1.25 on, for each of the two, that keeps to the numbers above. 6 for DyCheck, 4 for NVIDIA, 2 for DAVIS (Instant4D;
@@ -92,10 +92,6 @@ pub struct InitConfig {
     /// Whether points of several frames that are of one surface become one before voxels are made (our rule; docs/decisions/0009). Else voxels
     /// hold the points of all frames, as the paper has it.
     pub merge_surfaces: bool,
-    /// Moving points that leave the image or go behind something are carried on, with what is seen of
-    /// their body, into at most this many keyframes that cannot see them (docs/spec/optimiser.md 2.6: occluded samples are kept).
-    /// They come on top of `max_dynamic`. 0 for none.
-    pub carry_keyframes: usize,
     /// Points of tracks.
     pub tracked: TrackedInit,
     /// A patch of static surface whose brightness differs by more than this (0..1) from its mean over
@@ -139,7 +135,6 @@ impl InitConfig {
             mask_margin_px: 2,
             free_space: 0.015,
             merge_surfaces: true,
-            carry_keyframes: 24,
             tracked: TrackedInit::default(),
             change_threshold: 0.05,
             shell_splats: 2000,
@@ -164,7 +159,6 @@ impl InitConfig {
             mask_margin_px: 0,
             free_space: 0.0,
             merge_surfaces: false,
-            carry_keyframes: 0,
             tracked: TrackedInit { enabled: true, seen: true, most: 40_000 },
             change_threshold: 0.0,
             shell_splats: 0,
@@ -258,6 +252,9 @@ pub enum InitError {
         /// The allowed values.
         expected: &'static str,
     },
+    /// Motion of splats that does not fit them.
+    #[error(transparent)]
+    Shape(#[from] m4_core::ShapeError),
     /// The user asked to stop.
     #[error("stopped before the first splats were complete")]
     Stopped,

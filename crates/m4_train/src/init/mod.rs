@@ -5,9 +5,9 @@
 //! (docs/spec/optimiser.md 2).
 //!
 //! ```text
-//! cloud (depth -> points) -> free_space (what other frames see through goes) -> surface (one of what the frames agree on) -> voxel (points -> centroids) -> write (neighbours -> discs) -> assemble
-//!                                                        -> motion (keyframe to keyframe)
-//! carry (what a keyframe cannot see, from those that can)    tracked (what tracks know of it)
+//! cloud (depth -> points) -> free_space (what other frames see through goes) -> surface (one of what the frames agree on) -> voxel (points -> centroids) -> write (neighbours -> discs) -> rows
+//!                                                        -> motion (keyframe to keyframe, windows of time) -> lives (how long a point follows it)
+//! tracked (what tracks know of places that a keyframe cannot see)
 //! change (moving shadows on static parts)    shell (something behind everything)
 //! ```
 //!
@@ -15,15 +15,17 @@
 //! voxel keys, never through a hash map, and no random number is drawn.
 
 mod assemble;
-mod carry;
 mod change;
 mod cloud;
 mod config;
 mod free_space;
+mod lives;
 mod motion;
+mod rows;
 mod shell;
 mod surface;
 mod tracked;
+mod visible;
 mod voxel;
 mod write;
 

@@ -6,7 +6,7 @@
 
 use crate::init::{
     InitConfig, VelocityInit,
-    carry::{CARRY_MARGIN, Moving, is_seen},
+    visible::is_visible,
     voxel::{Centroids, Grid},
 };
 use m4_core::{Capture, CaptureFrame, Tracks};
@@ -23,15 +23,24 @@ const JUMP: f32 = 8.0;
 /// A step shorter than this share of the median depth is no jump.
 const SMALL_STEP: f32 = 0.01;
 
+/// A place behind the depth map by more than this share of the depth is hidden (docs/decisions/0004).
+const HIDDEN: f32 = 0.02;
+
+/// Points of tracks at a keyframe.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Tracked {
+    pub points: Centroids,
+    /// World units per frame.
+    pub velocity: Vec<[f32; 3]>,
+}
+
 /// What the cloud of a clip is made of, as far as tracks are concerned.
 pub(crate) struct Known<'a> {
     pub capture: &'a Capture,
     /// The frame of each keyframe.
     pub frames: &'a [usize],
     /// Time and points of each keyframe.
-    pub moving: &'a [(f64, Centroids)],
-    /// Points that were carried into each keyframe.
-    pub carried: &'a [Moving],
+    pub dynamic: &'a [(f64, Centroids)],
     pub grid: &'a Grid,
     /// Depth above which, and below which, 99 of 100 pixels lie, world units.
     pub depth_range: [f64; 2],
@@ -47,8 +56,8 @@ struct Sample {
 }
 
 /// For every keyframe the points of tracks that it lacks.
-pub(crate) fn tracked(known: &Known<'_>, config: &InitConfig) -> Vec<Moving> {
-    let none = || vec![Moving::default(); known.frames.len()];
+pub(crate) fn tracked(known: &Known<'_>, config: &InitConfig) -> Vec<Tracked> {
+    let none = || vec![Tracked::default(); known.frames.len()];
     let Some(tracks) = known.capture.tracks.as_ref().filter(|_| config.tracked.enabled) else {
         return none();
     };
@@ -74,8 +83,8 @@ pub(crate) fn tracked(known: &Known<'_>, config: &InitConfig) -> Vec<Moving> {
     out.into_iter().map(|samples| collect(samples, known.grid)).collect()
 }
 
-fn collect(samples: Vec<Sample>, grid: &Grid) -> Moving {
-    let mut out = Moving::default();
+fn collect(samples: Vec<Sample>, grid: &Grid) -> Tracked {
+    let mut out = Tracked::default();
     for s in samples {
         out.points.xyz.push(s.xyz);
         out.points.rgb.push(s.rgb);
@@ -146,19 +155,17 @@ fn samples(
 ) -> Vec<Sample> {
     let (at, frame) = (known.frames[i], &known.capture.frames[known.frames[i]]);
     let velocities = Velocities::new(known, tracks, i, config);
-    let mut carried: Vec<(i16, u64)> = known.carried[i].points.xyz.iter().map(|&p| known.grid.key(p)).collect();
-    carried.sort_unstable();
     let mut out: Vec<Sample> = Vec::new();
     for (k, summary) in summaries.iter().enumerate() {
         let (Some(xyz), Some(rgb)) = (tracks.place(at, k), summary.rgb) else {
             continue;
         };
-        let own = !config.tracked.seen && is_seen(frame, xyz, CARRY_MARGIN);
+        let own = !config.tracked.seen && is_visible(frame, xyz, HIDDEN);
         if own || !is_plausible(known, tracks, (k, summary), (at, xyz), cameras) {
             continue;
         }
         let key = known.grid.key(xyz);
-        if known.moving[i].1.key.binary_search(&key).is_ok() || carried.binary_search(&key).is_ok() {
+        if known.dynamic[i].1.key.binary_search(&key).is_ok() {
             continue;
         }
         let velocity = velocities.of(k).unwrap_or([0.0; 3]);

@@ -10,7 +10,7 @@ use rayon::prelude::*;
 use std::num::NonZero;
 
 /// Value of the constant spherical harmonic.
-const Y00: f32 = 0.282_094_8;
+pub(crate) const Y00: f32 = 0.282_094_8;
 /// Grey of splats that take light away; a little above 0, where the gradient of the colour ends.
 pub(crate) const DARK: f32 = 0.02;
 /// Grey of splats that add light.

@@ -23,8 +23,6 @@ use m4_kernels::{SimdLevel, View, morton_order};
 use std::{collections::HashSet, time::Instant};
 use step::StepReport;
 
-pub(crate) use periodic::ARCS_AT;
-
 /// Splats nearer than this share of the median depth are not drawn. The reference has 0.2 scene units whatever the scale
 /// (docs/spec/optimiser.md 1.6).
 const NEAR_SHARE: f32 = 0.05;

@@ -71,7 +71,6 @@ impl Trainer<'_> {
         self.iteration += 1;
         self.guard()?;
         self.density_round()?;
-        self.arc_round()?;
         Ok(())
     }
 

@@ -123,8 +123,7 @@ pub fn halves_have_the_colour_of_their_time(backend: Option<Box<dyn Backend>>) {
     let wave = 3 * splats.layout().sh_terms();
     splats.column_mut(Column::Colour, wave).fill(1.0);
     splats.column_mut(Column::LogTimeSd, 0).fill(0.0);
-    let mut config =
-        TrainConfig { iterations: 20, arcs: false, colour_fit_rounds: 0, lr: STILL, ..TrainConfig::fast() };
+    let mut config = TrainConfig { iterations: 20, colour_fit_rounds: 0, lr: STILL, ..TrainConfig::fast() };
     config.density = DensityConfig {
         from: 0.5,
         every: 0.5,

@@ -166,7 +166,7 @@ fn first(scene: &MovingScene) -> Splats {
 }
 
 fn config(iterations: usize) -> TrainConfig {
-    let mut config = TrainConfig { iterations, seed: 5, arcs: false, ..TrainConfig::fast() };
+    let mut config = TrainConfig { iterations, seed: 5, ..TrainConfig::fast() };
     config.density = DensityConfig { from: 0.2, every: 0.2, prune_every: 0.4, ..DensityConfig::fast() };
     config
 }

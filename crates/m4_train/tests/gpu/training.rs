@@ -42,7 +42,7 @@ fn config(iterations: usize) -> TrainConfig {
 /// Density control as 3DGS does it.
 fn by_gradient(iterations: usize) -> TrainConfig {
     let density = DensityConfig { from: 0.25, every: 0.25, until: 0.7, ..DensityConfig::by_gradient() };
-    TrainConfig { density, arcs: false, ..config(iterations) }
+    TrainConfig { density, ..config(iterations) }
 }
 
 fn train<'a>(scene: &MovingScene, capture: &'a Capture, config: TrainConfig, gpu: Option<&Gpu>) -> Trainer<'a> {

@@ -80,7 +80,6 @@ fn config(tracked: TrackedInit) -> InitConfig {
     InitConfig {
         max_static: 4000,
         max_dynamic: 100_000,
-        carry_keyframes: 0,
         change_threshold: 0.0,
         shell_splats: 0,
         velocity: VelocityInit::Zero,
@@ -185,11 +184,8 @@ fn implausible_track_points_are_dropped() {
 fn threads_do_not_change_a_bit() {
     let run = |threads| {
         on_threads(threads, || {
-            let config = InitConfig {
-                carry_keyframes: 24,
-                velocity: InitConfig::fast().velocity,
-                ..config(TrackedInit { seen: true, ..on() })
-            };
+            let config =
+                InitConfig { velocity: InitConfig::fast().velocity, ..config(TrackedInit { seen: true, ..on() }) };
             initialise(&capture(Some(true_tracks())), &config, &Silent).unwrap().splats
         })
     };

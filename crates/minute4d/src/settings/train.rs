@@ -227,7 +227,6 @@ impl InitSettings {
             config.time_spread = TimeSpread::KeyframeGaps { factor };
         }
         if !self.tracks {
-            config.carry_keyframes = 0;
             config.tracked.enabled = false;
             if let VelocityInit::Register { tracks } = &mut config.velocity {
                 *tracks = false;

@@ -41,7 +41,7 @@ pub(crate) fn fields(
     progress: &dyn Progress,
 ) -> Result<Vec<Fields>, InitError> {
     let mut out: Vec<Fields> = Vec::new();
-    // two at a time: the images of all would be most of the memory of a run
+    // two at a time: trees of all would take much memory
     let mut prepared = keyframes.iter().map(|view| Keyframe::new(*view, reach));
     let mut ahead = prepared.next();
     for i in 1..keyframes.len() {
@@ -106,22 +106,18 @@ impl Field {
             .collect()
     }
 
-    /// Where a point beside the nodes goes: with the one rigid motion that fits those of `nodes` (indices) best, the
-    /// nearer ones counting more: as far around it as it is away from them, at least `reach`. `None` without nodes.
-    pub fn place_beyond(&self, nodes: &[u32], p: [f32; 3], reach: f32) -> Option<[f32; 3]> {
-        let at = Vector3::from(p);
-        let square = |i: u32| (Vector3::from(self.nodes[i as usize]) - at).norm_squared();
-        let nearest = nodes.iter().map(|&i| square(i)).fold(f32::INFINITY, f32::min);
-        let scale = 0.5 / nearest.max(reach * reach);
-        // what weighs less than a thousandth of the nearest is left out
-        let pairs = nodes.iter().filter_map(|&i| {
-            let e = (square(i) - nearest) * scale;
-            let from = self.nodes[i as usize];
-            let to = || self.motion[i as usize].apply(from);
-            (e < 7.0).then(|| (Vector3::from(from), Vector3::from(to()), (-e).exp()))
-        });
-        let pairs: Vec<_> = pairs.collect();
-        Rigid::fit(pairs.into_iter(), UnitQuaternion::identity()).map(|m| m.apply(p))
+    /// The motions around points among the nodes: turned as the nearest node is, placed as [`places`](Self::places) says.
+    pub fn motions(&self, at: &[[f32; 3]]) -> Vec<Rigid> {
+        let tree = ImmutableKdTree::<f32, 3>::new_from_slice(&self.nodes).ok().filter(|_| !self.nodes.is_empty());
+        let places = self.places(at);
+        at.par_iter()
+            .zip(places)
+            .map(|(p, q)| {
+                let nearest = tree.as_ref().map(|t| t.query(p).nearest_one::<SquaredEuclidean<f32>>().execute());
+                let rotation = nearest.map_or_else(UnitQuaternion::identity, |n| self.motion[n.item as usize].rotation);
+                Rigid { rotation, from: (*p).into(), to: q.into() }
+            })
+            .collect()
     }
 }
 
@@ -137,10 +133,16 @@ pub(crate) struct Paths {
 }
 
 impl Paths {
-    /// Of the points of keyframe `i` of `moving` (time in frames, points), seen from `centre`; `fields` leads from each keyframe
+    /// Those of some of the points.
+    pub fn of_points(&self, points: &[u32]) -> Self {
+        let all = || points.iter().map(|&k| k as usize);
+        Self { velocity: all().map(|k| self.velocity[k]).collect(), bend: all().map(|k| self.bend[k]).collect() }
+    }
+
+    /// Of the points of keyframe `i` of `dynamic` (time in frames, points), seen from `centre`; `fields` leads from each keyframe
     /// to the next.
-    pub fn of(moving: &[(f64, Centroids)], fields: &[Fields], i: usize, centre: &Vector3<f64>) -> Self {
-        let (t, points) = &moving[i];
+    pub fn of(dynamic: &[(f64, Centroids)], fields: &[Fields], i: usize, centre: &Vector3<f64>) -> Self {
+        let (t, points) = &dynamic[i];
         // a keyframe of the same instant, from another camera, says nothing of velocities
         let side = |field: &Field, other: f64| -> Option<(f32, Vec<Vector3<f32>>)> {
             let gap = (other - t) as f32;
@@ -148,8 +150,8 @@ impl Paths {
             let pairs = places.iter().zip(&points.xyz);
             Some((gap, pairs.map(|(q, p)| (Vector3::from(*q) - Vector3::from(*p)) / gap).collect()))
         };
-        let before = i.checked_sub(1).and_then(|j| side(&fields[j].backward, moving[j].0));
-        let after = moving.get(i + 1).and_then(|next| side(&fields[i].forward, next.0));
+        let before = i.checked_sub(1).and_then(|j| side(&fields[j].backward, dynamic[j].0));
+        let after = dynamic.get(i + 1).and_then(|next| side(&fields[i].forward, next.0));
         let straight =
             |v: Vec<Vector3<f32>>| Self { bend: vec![0.0; v.len()], velocity: v.into_iter().map(Into::into).collect() };
         match (before, after) {
@@ -202,7 +204,7 @@ mod tests {
     }
 
     fn between(clouds: &[Centroids], sees: &(dyn Fn([f32; 3]) -> bool + Sync)) -> Vec<Fields> {
-        let view = |c| View { nodes: c, points: c, frame: None, sees };
+        let view = |c| View { nodes: c, points: c, sees };
         fields(&clouds.iter().map(view).collect::<Vec<_>>(), None, 0.1, &Silent).unwrap()
     }
 
@@ -257,22 +259,6 @@ mod tests {
         let places = field.places(&leaving);
         let off: f32 = leaving.iter().zip(&places).map(|(p, q)| distance([p[0] + 0.1, p[1], p[2]], *q)).sum();
         assert!(off / (leaving.len() as f32) < 0.02, "{}", off / leaving.len() as f32);
-        // and what is out already follows
-        let nodes: Vec<u32> = (0..field.nodes.len() as u32).collect();
-        let q = field.place_beyond(&nodes, [1.1, 0.5, 0.5], 0.2).unwrap();
-        assert!(distance(q, [1.2, 0.5, 0.5]) < 0.03, "{q:?}");
-    }
-
-    #[test]
-    fn a_turn_is_continued_beyond_what_is_known() {
-        let nodes = cloud().xyz;
-        let motion = nodes.iter().map(|p| Rigid::shift(*p, turn(*p, 0.2))).collect();
-        let field = Field { nodes, motion };
-        let all: Vec<u32> = (0..600).collect();
-        let q = field.place_beyond(&all, [2.5, 0.5, 0.5], 0.1).unwrap();
-        assert!(distance(q, turn([2.5, 0.5, 0.5], 0.2)) < 0.02);
-        assert_eq!(field.place_beyond(&[], [0.0; 3], 0.1), None);
-        assert_eq!(Field::default().places(&[[1.0; 3]]), [[1.0; 3]]);
     }
 
     #[test]

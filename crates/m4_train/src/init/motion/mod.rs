@@ -2,17 +2,20 @@
 //!
 //! ```text
 //! register (two keyframes -> a rigid motion around each point) -> field (motion at any place)
-//! KeyframeTracks (shifts of the tracks of the capture), patches (Lucas-Kanade between their images)
-//! bodies (points that hang together move together, visible or not)
+//! KeyframeTracks (shifts of the tracks of the capture)
+//! pieces, align (brought onto what a frame shows, by colour and depth), window (nodes over a span of time)
 //! ```
 
+mod align;
 mod field;
-mod patches;
+mod observed;
+mod pieces;
 mod register;
 mod rigid;
+mod window;
 
 pub(crate) use field::{Field, Fields, Paths, fields};
+pub(crate) use observed::Observed;
 pub(crate) use register::{KeyframeTracks, NODE_PIXELS, REACH_PIXELS, View};
-#[cfg(test)]
 pub(crate) use rigid::Rigid;
-pub(crate) use rigid::bodies;
+pub(crate) use window::WindowMotion;

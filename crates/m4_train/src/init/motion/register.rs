@@ -1,14 +1,8 @@
 //! Registers the dynamic points of two keyframes, with the help of the capture's tracks.
 
-use crate::init::{
-    motion::{
-        patches::{Patch, PatchImage},
-        rigid::Rigid,
-    },
-    voxel::Centroids,
-};
+use crate::init::{motion::rigid::Rigid, voxel::Centroids};
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
-use m4_core::{CaptureFrame, Tracks, nalgebra::Vector3};
+use m4_core::{Tracks, nalgebra::Vector3};
 use rayon::prelude::*;
 use std::num::NonZero;
 
@@ -18,9 +12,6 @@ const COLOUR_SCALE: f32 = 0.1;
 const NEIGHBOURS: usize = 20;
 /// Rounds of match and fit.
 const ROUNDS: usize = 15;
-/// Rounds that track patches of the images: +0.14 dB inside moving parts, difference of colour after one frame down by a fifth
-/// (docs/decisions/0004).
-const IMAGE_ROUNDS: usize = 3;
 /// Spacing of the points that are registered, pixels at the median depth (our rule).
 pub(crate) const NODE_PIXELS: f32 = 4.0;
 /// Length over which places compete with colours, pixels at the median depth (our rule).
@@ -42,8 +33,6 @@ pub(crate) struct View<'a> {
     pub nodes: &'a Centroids,
     /// Points that nodes of other keyframes are brought onto.
     pub points: &'a Centroids,
-    /// Its frame, for tracking patches; `None` to do without.
-    pub frame: Option<&'a CaptureFrame>,
     /// Whether it would see a place.
     pub sees: &'a (dyn Fn([f32; 3]) -> bool + Sync),
 }
@@ -55,22 +44,20 @@ pub(crate) struct Keyframe<'a> {
     near: Vec<Vec<u32>>,
     /// Points in place and colour; `None` without points.
     points: Option<ImmutableKdTree<f32, 6>>,
-    image: Option<PatchImage>,
 }
 
 impl<'a> Keyframe<'a> {
     /// Prepares `view`; `reach` in world units.
     pub fn new(view: View<'a>, reach: f32) -> Self {
-        let (near, (points, image)) = rayon::join(
+        let (near, points) = rayon::join(
             || neighbours(&view.nodes.xyz),
             || {
                 let joint = view.points.xyz.iter().zip(&view.points.rgb).map(|(p, c)| joint(*p, *c, reach));
                 let joint: Vec<[f32; 6]> = joint.collect();
-                let points = ImmutableKdTree::new_from_slice(&joint).ok().filter(|_| !joint.is_empty());
-                (points, view.frame.and_then(PatchImage::new))
+                ImmutableKdTree::new_from_slice(&joint).ok().filter(|_| !joint.is_empty())
             },
         );
-        Self { view, near, points, image }
+        Self { view, near, points }
     }
 }
 
@@ -89,8 +76,7 @@ fn neighbours(nodes: &[[f32; 3]]) -> Vec<Vec<u32>> {
 /// Each round matches every displaced node to the nearest point of `to` in place and colour; then the motion of
 /// a node is the rigid one that fits what the matches of its neighbours ask for, matches of unlike colour or far
 /// away weighing little, and nodes that go where they cannot be seen nothing at all. Neighbourhoods shrink from
-/// round to round: large pieces first, then their parts. Then nodes near `tracks` are moved with them; the last
-/// rounds track patches of the images, which is exact to a fraction of a pixel.
+/// round to round: large pieces first, then their parts. Then nodes near `tracks` are moved with them.
 pub(crate) fn register(
     from: &Keyframe<'_>,
     to: &Keyframe<'_>,
@@ -117,13 +103,6 @@ pub(crate) fn register(
     if let Some(tracks) = tracks {
         let wanted = wanted(nodes, &motion, |i, _| tracks.shifted(nodes.xyz[i]));
         motion = fitted(nodes, &motion, near, &wanted, NEIGHBOURS);
-    }
-    if let (Some(from), Some(to)) = (&from.image, &to.image) {
-        let patches: Vec<Option<Patch>> = nodes.xyz.par_iter().map(|p| from.patch(*p)).collect();
-        for _ in 0..IMAGE_ROUNDS {
-            let wanted = wanted(nodes, &motion, |i, place| to.find(patches[i].as_ref()?, place));
-            motion = fitted(nodes, &motion, near, &wanted, NEIGHBOURS);
-        }
     }
     motion
 }

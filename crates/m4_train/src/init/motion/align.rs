@@ -1,0 +1,344 @@
+//! Aligns rigid pieces of a surface to another frame, by colour and depth (Gauss-Newton).
+
+use crate::init::motion::{
+    observed::{Observed, SurfacePoint},
+    rigid::Rigid,
+};
+use m4_core::nalgebra::{Matrix3, Matrix6, UnitQuaternion, Vector3, Vector6};
+use rayon::prelude::*;
+
+/// Noise of a measure of [`Observed`], as two frames show one point (our rule).
+const MEASURE: f32 = 0.03;
+/// Neighbouring pixels of a smoothed image that count as one (our rule).
+const ALIKE: f32 = 5.0;
+/// Differences of this many times their noise halve the trust in a point (our rules).
+const OUTLIER: f32 = 3.0;
+/// A point behind the surface by more than this many times the noise of depth is hidden.
+const HIDDEN: f32 = 6.0;
+/// Neighbours whose motions differ by this many times what is usual are of another piece: they count half.
+const ANOTHER_PIECE: f32 = 2.0;
+/// A step turns by this at most, radians, and shifts by this at most, pixels: slopes hold no farther.
+const LONGEST: (f32, f32) = (0.3, 3.0);
+/// Points that weigh less than this are left out.
+const LEAST: f32 = 0.02;
+
+/// A place of a surface, and what moves with it.
+#[derive(Debug, Clone)]
+pub(crate) struct Node {
+    pub place: Vector3<f32>,
+    /// Points around it: index, and half the squared distance over the squared radius of the piece.
+    pub points: Vec<(u32, f32)>,
+    /// The nodes around it.
+    pub near: Vec<u32>,
+}
+
+/// The surface that is aligned.
+#[derive(Debug)]
+pub(crate) struct Pieces {
+    pub nodes: Vec<Node>,
+    pub points: Vec<SurfacePoint>,
+    /// Distance between nodes, world units.
+    pub spacing: f32,
+    /// Pixels between points along rows and columns.
+    pub step: usize,
+}
+
+/// What is known before a frame is looked at.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Prior {
+    /// Standard deviation of depth, share of it.
+    pub depth: f32,
+    /// How far neighbours move apart, pixels.
+    pub apart_px: f32,
+    /// How far the guess is off, pixels.
+    pub guess_px: f32,
+}
+
+/// Moves every node of `pieces` from its `guess` so that its points look in `frame` as they do in their own.
+///
+/// A node minimises the squared differences of measures and depth at its points, the distances of its motion from those of its neighbours (as
+/// rigid as possible, robust, so that joints bend) and from the guess. Pieces are wide in the first half of the rounds. All nodes take a step from the same
+/// state: the result does not depend on the number of threads.
+pub(crate) fn align(pieces: &Pieces, frame: &Observed, guess: &[Rigid], prior: Prior, rounds: usize) -> Vec<Rigid> {
+    let mut motion = guess.to_vec();
+    for round in 0..rounds {
+        let narrow = if 2 * round < rounds { 1.0 } else { 4.0 };
+        motion = (0..pieces.nodes.len())
+            .into_par_iter()
+            .map(|i| {
+                let mut sums = Sums::default();
+                let now = Moved::new(&pieces.nodes[i], &motion[i]);
+                sums.points(pieces, i, &now, frame, prior.depth, narrow);
+                sums.neighbours(pieces, i, &now, frame, &motion, prior);
+                sums.guess(pieces, &now, frame, &guess[i], prior);
+                sums.step(&now, frame)
+            })
+            .collect();
+    }
+    motion
+}
+
+/// A node where its motion takes it.
+struct Moved<'a> {
+    node: &'a Node,
+    motion: &'a Rigid,
+    place: Vector3<f32>,
+}
+
+impl<'a> Moved<'a> {
+    fn new(node: &'a Node, motion: &'a Rigid) -> Self {
+        Self { node, motion, place: motion.moved(&node.place) }
+    }
+
+    /// World units of a pixel there.
+    fn pixel(&self, frame: &Observed) -> f32 {
+        frame.pixel(frame.project(&self.place).map_or(1.0, |p| p.point[2]))
+    }
+}
+
+/// The normal equations of a shift and a turn about the moved node.
+#[derive(Default)]
+struct Sums {
+    /// Shift with shift, turn with shift, turn with turn.
+    h: [Matrix3<f32>; 3],
+    /// Of the shift and of the turn.
+    b: [Vector3<f32>; 2],
+}
+
+impl Sums {
+    /// Adds the squares `(r + g . (shift + turn x arm))^2`, summed to `outer = sum w g g^T` and `along = sum w r g`.
+    #[inline]
+    fn add(&mut self, outer: &Matrix3<f32>, along: &Vector3<f32>, arm: &Vector3<f32>) {
+        let cross = arm.cross_matrix();
+        let turned = cross * outer;
+        self.h[0] += outer;
+        self.h[1] += turned;
+        self.h[2] += turned * cross.transpose();
+        self.b[0] -= along;
+        self.b[1] -= arm.cross(along);
+    }
+
+    fn points(&mut self, pieces: &Pieces, i: usize, now: &Moved<'_>, frame: &Observed, depth: f32, narrow: f32) {
+        let count = (ALIKE / (pieces.step * pieces.step) as f32).max(1.0);
+        for &(k, d) in &pieces.nodes[i].points {
+            let near = (-narrow * d).exp();
+            if near < LEAST {
+                // the nearest come first
+                break;
+            }
+            let point = &pieces.points[k as usize];
+            let place = now.motion.moved(&point.place);
+            let Some(projected) = frame.project(&place) else { continue };
+            let Some(sample) = frame.sample(projected.at) else { continue };
+            let noise = depth * projected.point[2];
+            let behind = (sample.depth - projected.point[2]) / noise;
+            let has_depth = sample.depth > 0.0;
+            if has_depth && behind < -HIDDEN {
+                continue;
+            }
+            let mut weight = near / count;
+            if has_depth {
+                weight *= trust(behind * behind);
+            }
+            let [du, dv, dz] = frame.jacobian(&projected);
+            let off: [f32; 3] = std::array::from_fn(|c| (sample.measures[c] - point.measures[c]) / MEASURE);
+            let square = (off[0] * off[0] + off[1] * off[1] + off[2] * off[2]) / 3.0;
+            let of_measures = weight * trust(square) / 3.0;
+            let (mut outer, mut along) = (Matrix3::zeros(), Vector3::zeros());
+            for c in 0..3 {
+                let [a, b] = sample.slopes[c];
+                let g = (du * a + dv * b) / MEASURE;
+                along += g * (of_measures * off[c]);
+                outer += (g * of_measures) * g.transpose();
+            }
+            if has_depth {
+                let [a, b] = sample.depth_slope;
+                let g = (du * a + dv * b - dz) / noise;
+                along += g * (weight * behind);
+                outer += (g * weight) * g.transpose();
+            }
+            self.add(&outer, &along, &(place - now.place));
+        }
+    }
+
+    fn neighbours(
+        &mut self,
+        pieces: &Pieces,
+        i: usize,
+        now: &Moved<'_>,
+        frame: &Observed,
+        motion: &[Rigid],
+        prior: Prior,
+    ) {
+        let near = &pieces.nodes[i].near;
+        let noise = prior.apart_px * now.pixel(frame);
+        for &j in near {
+            let off = corners(pieces, now, &motion[j as usize]);
+            let square = off.iter().map(|(off, _)| off.norm_squared()).sum::<f32>() / (4.0 * noise * noise);
+            let weight = 0.5 / (near.len() as f32 * noise * noise) / (1.0 + square / (ANOTHER_PIECE * ANOTHER_PIECE));
+            self.corners(&off, weight);
+        }
+    }
+
+    fn guess(&mut self, pieces: &Pieces, now: &Moved<'_>, frame: &Observed, guess: &Rigid, prior: Prior) {
+        let noise = prior.guess_px * now.pixel(frame);
+        self.corners(&corners(pieces, now, guess), 0.25 / (noise * noise));
+    }
+
+    fn corners(&mut self, off: &[(Vector3<f32>, Vector3<f32>); 4], weight: f32) {
+        for (off, arm) in off {
+            self.add(&(Matrix3::identity() * weight), &(off * weight), arm);
+        }
+    }
+
+    /// The motion after the step that the sums ask for.
+    fn step(&self, now: &Moved<'_>, frame: &Observed) -> Rigid {
+        let mut h = Matrix6::<f64>::zeros();
+        let [shift, mixed, turn] = self.h.map(|m| m.cast::<f64>());
+        h.fixed_view_mut::<3, 3>(0, 0).copy_from(&shift);
+        h.fixed_view_mut::<3, 3>(3, 0).copy_from(&mixed);
+        h.fixed_view_mut::<3, 3>(0, 3).copy_from(&mixed.transpose());
+        h.fixed_view_mut::<3, 3>(3, 3).copy_from(&turn);
+        let [a, b] = self.b;
+        let Some(cholesky) = h.cholesky() else { return *now.motion };
+        let step = cholesky.solve(&Vector6::new(a.x, a.y, a.z, b.x, b.y, b.z).cast::<f64>()).cast::<f32>();
+        let limited = |v: Vector3<f32>, most: f32| v * (most / v.norm().max(most));
+        let turn = limited(Vector3::new(step[3], step[4], step[5]), LONGEST.0);
+        let shift = limited(Vector3::new(step[0], step[1], step[2]), LONGEST.1 * now.pixel(frame));
+        if !(turn.norm().is_finite() && shift.norm().is_finite()) {
+            return *now.motion;
+        }
+        let mut rotation = UnitQuaternion::from_scaled_axis(turn) * now.motion.rotation;
+        rotation.renormalize_fast();
+        Rigid { rotation, from: now.node.place, to: now.place + shift }
+    }
+}
+
+/// How far two motions take the node, and three corners beside it, apart; and the arms of the corners.
+fn corners(pieces: &Pieces, now: &Moved<'_>, other: &Rigid) -> [(Vector3<f32>, Vector3<f32>); 4] {
+    let axes = [Vector3::zeros(), Vector3::x(), Vector3::y(), Vector3::z()];
+    axes.map(|axis| {
+        let p = now.node.place + axis * pieces.spacing;
+        let mine = now.motion.moved(&p);
+        (mine - other.moved(&p), mine - now.place)
+    })
+}
+
+/// 1 where nothing differs, a quarter at [`OUTLIER`]; of a squared difference over its noise.
+fn trust(square: f32) -> f32 {
+    let t = 1.0 / (1.0 + square / (OUTLIER * OUTLIER));
+    t * t
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Observed, Prior, Rigid, align};
+    use crate::init::motion::pieces::pieces;
+    use m4_core::{Camera, CaptureFrame, CompactMask, Intrinsics, Plane, Se3};
+
+    const SIZE: (usize, usize) = (160, 120);
+    const DEPTH: f64 = 2.0;
+
+    /// A textured wall, dynamic but for its left quarter, whose pixel `(x, y)` shows what is at `back(x, y)`, by that much `light`.
+    fn frame(back: impl Fn(f64, f64) -> [f64; 2], contrast: f64, light: f64) -> CaptureFrame {
+        let texture = |x: f64, y: f64| {
+            let wave = |a: f64, b: f64, c: f64| {
+                0.5 + contrast * (0.25 * (a * x + b * y).sin() + 0.25 * (b * x - a * y + c).cos())
+            };
+            [wave(0.5, 0.2, 0.0), wave(0.3, -0.45, 1.0), wave(0.15, 0.6, 2.0)]
+        };
+        CaptureFrame {
+            name: String::new(),
+            camera: Camera { intrinsics: Intrinsics::centred(SIZE.0, SIZE.1, 140.0), c2w: Se3::identity() },
+            t: 0.0,
+            rgb: Plane::from_fn(SIZE.0, SIZE.1, |x, y| {
+                let [u, v] = back(x as f64, y as f64);
+                texture(u, v).map(|v| (255.0 * light * v).round() as u8)
+            }),
+            depth: Some(Plane::filled(SIZE.0, SIZE.1, DEPTH as f32).into()),
+            mask: Some(CompactMask::from_fn(SIZE.0, SIZE.1, |x, _| x >= 40)),
+            motion: None,
+            instances: None,
+            camera_index: None,
+        }
+    }
+
+    fn still(contrast: f64) -> CaptureFrame {
+        frame(|x, y| [x, y], contrast, 1.0)
+    }
+
+    /// Places of the wall inside the image.
+    fn places(frame: &CaptureFrame) -> Vec<[f32; 3]> {
+        let pixels = (0..192).map(|k| [f64::from(56 + 6 * (k % 16)), f64::from(24 + 7 * (k / 16))]);
+        let place = |[u, v]: [f64; 2]| {
+            let q = frame.camera.unproject(u, v, DEPTH);
+            [q.x as f32, q.y as f32, q.z as f32]
+        };
+        pixels.map(place).collect()
+    }
+
+    /// The median and the largest distance of nodes, aligned from no motion, from `forward`, pixels; and the largest error of depth, share.
+    fn errors(from: &CaptureFrame, to: &CaptureFrame, forward: impl Fn(f64, f64) -> [f64; 2]) -> [f32; 3] {
+        let places = places(from);
+        let (pieces, chosen) = pieces(&Observed::new(from).unwrap(), &places, 6.0).unwrap();
+        assert_eq!(chosen.len(), pieces.nodes.len());
+        let still: Vec<Rigid> = pieces.nodes.iter().map(|n| Rigid::shift(n.place.into(), n.place.into())).collect();
+        let prior = Prior { depth: 0.004, apart_px: 0.5, guess_px: 1.0 };
+        let motion = align(&pieces, &Observed::new(to).unwrap(), &still, prior, 12);
+        let (mut off, mut depth) = (Vec::new(), 0.0f32);
+        for (node, motion) in pieces.nodes.iter().zip(&motion) {
+            let (at, _) = from.camera.project(&node.place.cast::<f64>());
+            let ([u, v], z) = to.camera.project(&motion.moved(&node.place).cast::<f64>());
+            let want = forward(at[0], at[1]);
+            off.push((u - want[0]).hypot(v - want[1]) as f32);
+            depth = depth.max((z / DEPTH - 1.0).abs() as f32);
+        }
+        let most = off.iter().fold(0.0f32, |a, &b| a.max(b));
+        [m4_core::median(&mut off).unwrap(), most, depth]
+    }
+
+    #[test]
+    fn a_guess_that_is_a_pixel_off_becomes_exact_to_a_tenth_in_dimmer_light() {
+        let shifted = frame(|x, y| [x - 0.8, y + 0.6], 1.0, 0.7);
+        let [median, most, depth] = errors(&still(1.0), &shifted, |x, y| [x + 0.8, y - 0.6]);
+        assert!(median < 0.1 && most < 0.3 && depth < 0.002, "{median} {most} px, {depth}");
+        let turned = |angle: f64| {
+            let (sin, cos) = angle.sin_cos();
+            move |x: f64, y: f64| {
+                let (x, y) = (x - 100.0, y - 60.0);
+                [100.0 + cos * x - sin * y, 60.0 + sin * x + cos * y]
+            }
+        };
+        let [median, most, depth] = errors(&still(1.0), &frame(turned(-0.02), 1.0, 0.7), turned(0.02));
+        assert!(median < 0.1 && most < 0.3 && depth < 0.002, "{median} {most} px, {depth}");
+    }
+
+    #[test]
+    fn a_plain_surface_keeps_its_guess() {
+        let [_, most, depth] = errors(&still(0.0), &still(0.0), |x, y| [x, y]);
+        assert!(most < 1e-3 && depth < 1e-4, "{most} px, {depth}");
+        let [_, most, _] = errors(&still(0.0), &frame(|x, y| [x, y], 0.0, 0.6), |x, y| [x, y]);
+        assert!(most < 0.05, "{most} px");
+    }
+
+    #[test]
+    fn what_shows_nothing_moves_nothing() {
+        let from = still(1.0);
+        let without = |depth: bool| match depth {
+            true => CaptureFrame { depth: None, ..from.clone() },
+            false => CaptureFrame { mask: None, ..from.clone() },
+        };
+        assert!(Observed::new(&without(true)).is_none() && Observed::new(&without(false)).is_none());
+        let empty = CaptureFrame { mask: Some(CompactMask::from_fn(SIZE.0, SIZE.1, |_, _| false)), ..from.clone() };
+        assert!(pieces(&Observed::new(&empty).unwrap(), &[], 6.0).is_none());
+        let [_, most, depth] = errors(&from, &empty, |x, y| [x, y]);
+        assert!(most < 1e-3 && depth < 1e-4, "{most} px, {depth}");
+        let away = Se3 { translation: [0.0, 0.0, 9.0].into(), ..Se3::identity() };
+        let behind = CaptureFrame { camera: Camera { c2w: away, ..from.camera }, ..from.clone() };
+        let (pieces, _) = pieces(&Observed::new(&from).unwrap(), &places(&from), 6.0).unwrap();
+        let still: Vec<Rigid> = pieces.nodes.iter().map(|n| Rigid::shift(n.place.into(), n.place.into())).collect();
+        let prior = Prior { depth: 0.004, apart_px: 0.5, guess_px: 1.0 };
+        let motion = align(&pieces, &Observed::new(&behind).unwrap(), &still, prior, 12);
+        assert!(motion.iter().all(|m| (m.to - m.from).norm() < 1e-3));
+    }
+}
