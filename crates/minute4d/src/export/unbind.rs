@@ -6,8 +6,8 @@ use m4_core::{Scene, Se3, SourceFrame};
 use m4_io::scene::Loss;
 use m4_kernels::pose;
 
-/// How far a piece may be off its path, pixels of the source.
-const TOLERANCE_PX: f64 = 0.5;
+/// How far a piece may be off its path, pixels of the source. Half a pixel makes four million pieces of a clip with fast rotation, which no format holds well.
+const TOLERANCE_PX: f64 = 2.0;
 
 /// The scene for a format: with pieces for one of the whole clip, as at `t`, frames, for one of an instant; a sequence poses splats by itself. `None`
 /// where nothing changes.
@@ -136,7 +136,7 @@ mod tests {
         let pixels = Pixels::of(&scene);
         let camera = &scene.source[4].camera;
         let place = camera.c2w.transform(&Vector3::new(0.3, 0.2, 2.0));
-        assert!((pixels.size(&place, 4.2) - 2.0 / 50.0).abs() < 1e-9 && TOLERANCE_PX < 1.0);
+        assert!((pixels.size(&place, 4.2) - 2.0 / 50.0).abs() < 1e-9 && TOLERANCE_PX < 3.0);
         let behind = camera.c2w.transform(&Vector3::new(0.0, 0.0, -3.0));
         assert!((pixels.size(&behind, 3.9) - 3.0 / 50.0).abs() < 1e-9);
         assert!(pixels.size(&place, 1e6) > 0.0 && pixels.size(&place, -1e6) > 0.0);
