@@ -148,8 +148,9 @@ fn become_child(splats: &mut Splats, row: usize, mut rng: CounterRng) {
 mod tests {
     use super::{Origin, Plan, apply};
     use crate::config::{DensityConfig, SplitPlacement};
-    use m4_core::{Column, SplatLayout, Splats};
+    use m4_core::{Binding, Column, Pose, SplatLayout, Splats, Window};
     use m4_kernels::adam::cpu::AdamState;
+    use std::sync::Arc;
 
     fn world() -> (Splats, AdamState) {
         let layout = SplatLayout { isotropic: false, sh_degree: 0, time_degree: 0 };
@@ -255,6 +256,23 @@ mod tests {
         assert_eq!((next.column(Column::TimeMean, 0)[1], next.column(Column::LogTimeSd, 0)[1]), (0.0, 0.0));
         let other = applied(&DensityConfig::faithful(), &world, 2, 700).0;
         assert_ne!(other.column(Column::Mean, 0)[4], a[0], "another seed, another direction");
+    }
+
+    #[test]
+    fn drawn_children_of_bound_splats_live_as_their_parent() {
+        let mut world = world();
+        let pose = Pose { position: [0.0; 3], rotation: [1.0, 0.0, 0.0, 0.0] };
+        let window = Window::new(vec![0.0], vec![[0.0; 3]], vec![pose]).unwrap();
+        let binding = Binding { window: 0, nodes: [0; 4], weights: [0.25; 4], life: [-1.0, 2.0] };
+        world.0.bind(Arc::new(vec![window]), vec![binding; 2]).unwrap();
+        let config = DensityConfig { split_placement: SplitPlacement::Sample, ..DensityConfig::fast() };
+        let (next, _) = applied(&config, &world, 1, 700);
+        assert_eq!(next.bindings(), [binding; 3]);
+        assert_eq!(
+            (next.column(Column::TimeMean, 0), next.column(Column::LogTimeSd, 0)),
+            (&[0.0; 3][..], &[0.0; 3][..])
+        );
+        assert_ne!(next.column(Column::Mean, 0)[4], next.column(Column::Mean, 0)[5]);
     }
 
     #[test]

@@ -12,7 +12,10 @@ use m4_kernels::{
 };
 use m4_testkit::{MovingScene, assert_gradient, bind_at_random};
 use m4_train::backend::{Backend, CpuBackend, StepSettings, StepView, gpu::GpuBackend, gpu::GpuTrainer};
-use m4_train::{DensityConfig, SceneScale, TrainConfig, Trainer, config::SplitSize};
+use m4_train::{
+    DensityConfig, SceneScale, TrainConfig, Trainer,
+    config::{SplitPlacement, SplitSize},
+};
 use std::sync::Arc;
 
 const BOUND: usize = 120;
@@ -127,6 +130,11 @@ fn bound_splats_keep_their_bindings_wherever_they_go() {
     let copied = before.bindings().iter().filter(|b| count(&after, b) > 1).count();
     let gone = before.bindings().iter().filter(|b| count(&after, b) == 0).count();
     assert!(copied > 2 && gone > 2 && after.bindings().len() > 20, "{copied} copied, {gone} gone");
+    // drawn children: those of bound splats live as their bindings say
+    let drawn = DensityConfig { split_placement: SplitPlacement::Sample, min_opacity: 0.0, ..config };
+    let grown = check("bound, drawn", &mut trainer, &round(&views, &drawn, &lengths, DUE));
+    assert!(grown.split > 5, "{grown:?}");
+    let after = trainer.download_splats().unwrap();
     // nodes have lists of the new rows
     trainer.stats().unwrap();
     let late = View { t: 3.0, ..view };

@@ -67,7 +67,7 @@ impl GpuTrainer {
         let shape = (next, grown.n_static);
         self.gather_adam(&rows.states, shape);
         let splats = gathered(&self.gpu, &self.splats, &rows.sources, shape);
-        rows.shape(&client, &self.splats, &splats, round);
+        rows.shape(&client, &self.splats, &splats, grown.n_static + n_bound, round);
         move_phases(&client, &self.splats, &splats, &rows.sources, round.period);
         let bound = self.splats.bound.as_ref();
         let n_static = unchanged.n_static;

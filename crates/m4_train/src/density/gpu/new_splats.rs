@@ -54,8 +54,15 @@ impl Rows {
         Self { sources, states, marks }
     }
 
-    /// Makes clones and halves of the copies of their `parents` that `splats` has.
-    pub fn shape(&self, client: &Client, parents: &DeviceSplats, splats: &DeviceSplats, round: &DensityRound<'_>) {
+    /// Makes clones and halves of the copies of their `parents` that `splats` has, whose row `first_free` is the first that is neither static nor bound.
+    pub fn shape(
+        &self,
+        client: &Client,
+        parents: &DeviceSplats,
+        splats: &DeviceSplats,
+        first_free: usize,
+        round: &DensityRound<'_>,
+    ) {
         let config = round.rules.config;
         let [first, second] = [0, 1].map(|child| CounterRng::base(round.seed, child_purpose(round.iteration, child)));
         let words = |base: u64| ((base >> 32) as u32, base as u32);
@@ -71,6 +78,7 @@ impl Rows {
             parents.n as u32,
             splats.n as u32,
             splats.n_static as u32,
+            first_free as u32,
             words(first).0,
             words(first).1,
             words(second).0,
@@ -128,6 +136,7 @@ fn shape_new_splats(
     old: u32,
     n: u32,
     n_static: u32,
+    first_free: u32,
     first_high: u32,
     first_low: u32,
     second_high: u32,
@@ -149,7 +158,7 @@ fn shape_new_splats(
                     low = second_low;
                 }
                 let key = key(&wide(high, low), row);
-                draw_child(parents, row, old, to, time, i, n, n_static, &key, isotropic);
+                draw_child(parents, row, old, to, time, i, n, n_static, first_free, &key, isotropic);
             } else {
                 let mut sign = 1.0f32;
                 if mark == OTHER_HALF {
@@ -179,6 +188,7 @@ fn draw_child(
     i: u32,
     n: u32,
     n_static: u32,
+    first_free: u32,
     key: &Wide,
     #[comptime] isotropic: bool,
 ) {
@@ -188,7 +198,8 @@ fn draw_child(
     let mut x = shift.x;
     let mut y = shift.y;
     let mut z = shift.z;
-    if i >= n_static {
+    // a bound splat lives as its binding says
+    if i >= first_free {
         let (j, dynamic) = ((i - n_static) as usize, (n - n_static) as usize);
         let log_sd = time[dynamic + j];
         let dt = log_sd.exp() * normal(key, 3u32);
