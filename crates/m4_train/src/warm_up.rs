@@ -77,7 +77,7 @@ fn splats(capture: &Capture, layout: SplatLayout) -> Splats {
     out
 }
 
-/// Binds half of the dynamic ones to nodes that stand still, as profiles do whose splats are no spheres.
+/// Binds half of the dynamic ones to nodes that do not move, as profiles do whose splats are no spheres.
 fn bind(capture: &Capture, splats: &mut Splats) {
     let mut keys: Vec<f32> = capture.frames.iter().map(|frame| frame.t as f32).collect();
     keys.sort_by(f32::total_cmp);

@@ -22,7 +22,7 @@ const LONGEST: (f32, f32) = (0.3, 3.0);
 /// Points that weigh less than this are left out.
 const LEAST: f32 = 0.02;
 
-/// A place of a surface, and what moves with it.
+/// A place of a surface, and the points that move with it.
 #[derive(Debug, Clone)]
 pub(crate) struct Node {
     pub place: Vector3<f32>,

@@ -41,7 +41,8 @@ pub(crate) struct WindowMotion {
 
 impl WindowMotion {
     /// Of nodes on what keyframe `reference` of a window shows. `observed` and `times` (frames) are those of its keyframes; `fields` lead from
-    /// each of them to the next. `None` where the reference shows nothing dynamic.
+    /// each of them to the next. `None` where the reference shows nothing dynamic, or depth so torn that there are more nodes than a
+    /// binding can name.
     ///
     /// Keyframes of one instant, from other cameras, share their motion.
     pub fn new(observed: &[Option<Observed>], times: &[f64], reference: usize, fields: &[Fields]) -> Option<Self> {
@@ -49,6 +50,9 @@ impl WindowMotion {
         let places: Vec<[f32; 3]> = from.points(1).iter().map(|p| p.place.into()).collect();
         let px = (places.len() as f32 / NODES).sqrt().max(3.0);
         let (pieces, chosen) = pieces(from, &places, px)?;
+        if chosen.len() > usize::from(u16::MAX) {
+            return None;
+        }
         let nodes: Vec<[f32; 3]> = chosen.iter().map(|&k| places[k as usize]).collect();
         let still: Vec<Rigid> = nodes.iter().map(|p| Rigid::shift(*p, *p)).collect();
         // the field that leads from a keyframe to the next one on that side

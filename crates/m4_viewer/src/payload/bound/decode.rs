@@ -18,7 +18,7 @@ pub(in super::super) struct Table {
 }
 
 impl Table {
-    /// Reads it from a payload of version 2 with so many dynamic splats.
+    /// Reads it from a payload of version 2 with this number of dynamic splats.
     pub fn read(bytes: &[u8], n_dynamic: usize) -> Result<Self, PayloadError> {
         let fixed = bytes.get(HEADER_BYTES..FIXED_BYTES).ok_or(PayloadError::Header(bytes.len()))?;
         let words = fixed.as_chunks::<4>().0;
