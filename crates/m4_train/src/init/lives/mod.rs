@@ -200,7 +200,7 @@ impl Span<'_> {
         let born = (0..points.xyz.len() as u32).into_par_iter().filter(|&i| !covered[i as usize]);
         let born: Vec<(u32, Option<Bound>)> = born
             .map(|i| {
-                let carrier = Carrier::new(&tree, motions, points.xyz[i as usize], self.nodes.spacing);
+                let carrier = Carrier::new(&tree, &self.nodes.motion, at, points.xyz[i as usize], self.nodes.spacing);
                 (i, carrier.and_then(|carrier| self.life(at, i, points.rgb[i as usize], &carrier)))
             })
             .collect();
