@@ -10,6 +10,7 @@ use crate::init::{
 };
 use m4_core::{Camera, Capture, CompactMask, Progress, nalgebra::Vector3};
 use rayon::prelude::*;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// Other frames that are asked about a point.
 const WITNESSES: usize = 8;
@@ -28,9 +29,14 @@ pub(crate) fn clear(
         return Ok(());
     }
     let frames: Vec<usize> = static_points.iter().map(|s| s.frame).collect();
-    static_points.par_iter_mut().enumerate().try_for_each(|(at, pixels)| {
+    let asked: Vec<Vec<usize>> = (0..frames.len()).map(|at| witnesses(&frames, at)).collect();
+    // the same few frames are asked about most
+    let all: BTreeSet<usize> = asked.iter().flatten().copied().collect();
+    let all: BTreeMap<usize, Witness> =
+        all.into_par_iter().filter_map(|frame| Some((frame, Witness::of(capture, frame, config)?))).collect();
+    static_points.par_iter_mut().zip(&asked).try_for_each(|(pixels, asked)| {
         stopped(progress)?;
-        let votes = votes(capture, pixels, &witnesses(&frames, at), config);
+        let votes = votes(capture, pixels, asked.iter().filter_map(|frame| all.get(frame)), config.free_space);
         let mut votes = votes.into_iter();
         let (w, h) = pixels.mask.size();
         let kept = &pixels.mask;
@@ -56,7 +62,12 @@ struct Votes {
 }
 
 /// Of every kept pixel, row by row.
-fn votes(capture: &Capture, pixels: &Pixels, witnesses: &[usize], config: &InitConfig) -> Vec<Votes> {
+fn votes<'a>(
+    capture: &Capture,
+    pixels: &Pixels,
+    witnesses: impl Iterator<Item = &'a Witness>,
+    tolerance: f32,
+) -> Vec<Votes> {
     let frame = &capture.frames[pixels.frame];
     let Some(depth) = &frame.depth else {
         return Vec::new();
@@ -66,12 +77,9 @@ fn votes(capture: &Capture, pixels: &Pixels, witnesses: &[usize], config: &InitC
     let points: Vec<Vector3<f64>> =
         pixels.mask.set_pixels().map(|(x, y)| camera.unproject(x as f64, y as f64, depth.at(x, y).into())).collect();
     let mut out = vec![Votes::default(); points.len()];
-    for &other in witnesses {
-        let Some(witness) = Witness::of(capture, other, config) else {
-            continue;
-        };
+    for witness in witnesses {
         for (point, votes) in points.iter().zip(&mut out) {
-            match witness.says(point, config.free_space) {
+            match witness.says(point, tolerance) {
                 Some(true) => votes.through += 1,
                 Some(false) => votes.agree += 1,
                 None => {}
