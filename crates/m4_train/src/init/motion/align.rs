@@ -21,6 +21,8 @@ const ANOTHER_PIECE: f32 = 2.0;
 const LONGEST: (f32, f32) = (0.3, 3.0);
 /// Points that weigh less than this are left out.
 const LEAST: f32 = 0.02;
+/// While pieces are wide, every so many points speak for all.
+const WIDE_STEP: usize = 2;
 
 /// A place of a surface, and the points that move with it.
 #[derive(Debug, Clone)]
@@ -62,13 +64,13 @@ pub(crate) struct Prior {
 pub(crate) fn align(pieces: &Pieces, frame: &Observed, guess: &[Rigid], prior: Prior, rounds: usize) -> Vec<Rigid> {
     let mut motion = guess.to_vec();
     for round in 0..rounds {
-        let narrow = if 2 * round < rounds { 1.0 } else { 4.0 };
+        let (narrow, step) = if 2 * round < rounds { (1.0, WIDE_STEP) } else { (4.0, 1) };
         motion = (0..pieces.nodes.len())
             .into_par_iter()
             .map(|i| {
                 let mut sums = Sums::default();
                 let now = Moved::new(&pieces.nodes[i], &motion[i]);
-                sums.points(pieces, i, &now, frame, prior.depth, narrow);
+                sums.points(pieces, i, &now, frame, prior.depth, (narrow, step));
                 sums.neighbours(pieces, i, &now, frame, &motion, prior);
                 sums.guess(pieces, &now, frame, &guess[i], prior);
                 sums.step(&now, frame)
@@ -118,9 +120,17 @@ impl Sums {
         self.b[1] -= arm.cross(along);
     }
 
-    fn points(&mut self, pieces: &Pieces, i: usize, now: &Moved<'_>, frame: &Observed, depth: f32, narrow: f32) {
-        let count = (ALIKE / (pieces.step * pieces.step) as f32).max(1.0);
-        for &(k, d) in &pieces.nodes[i].points {
+    fn points(
+        &mut self,
+        pieces: &Pieces,
+        i: usize,
+        now: &Moved<'_>,
+        frame: &Observed,
+        depth: f32,
+        (narrow, step): (f32, usize),
+    ) {
+        let count = (ALIKE / (pieces.step * pieces.step) as f32).max(1.0) / step as f32;
+        for &(k, d) in pieces.nodes[i].points.iter().step_by(step) {
             let near = (-narrow * d).exp();
             if near < LEAST {
                 // the nearest come first

@@ -4,7 +4,7 @@ use crate::init::{
     InitError,
     config::stopped,
     motion::{
-        register::{Keyframe, KeyframeTracks, View, register},
+        register::{Guess, Keyframe, KeyframeTracks, View, register},
         rigid::Rigid,
     },
     voxel::Centroids,
@@ -56,10 +56,10 @@ pub(crate) fn fields(
             Some(last) => shifts(from, &last.forward.onward(from)),
             None => shifts(from, from),
         };
-        let motion = register(a, b, shifts_between(i - 1, i), guess, reach);
+        let motion = register(a, b, shifts_between(i - 1, i), Guess::Vague(guess), reach);
         let forward = Field { nodes: from.clone(), motion };
         let guess = shifts(to, &forward.inverse().places(to));
-        let motion = register(b, a, shifts_between(i, i - 1), guess, reach);
+        let motion = register(b, a, shifts_between(i, i - 1), Guess::Near(guess), reach);
         out.push(Fields { forward, backward: Field { nodes: to.clone(), motion } });
     }
     Ok(out)

@@ -10,8 +10,12 @@ use std::num::NonZero;
 const COLOUR_SCALE: f32 = 0.1;
 /// Points that move together as one rigid piece, in the last rounds.
 const NEIGHBOURS: usize = 20;
-/// Rounds of match and fit.
-const ROUNDS: usize = 15;
+/// Rounds of match and fit from a vague guess, and from one that is nearly right (measured, as the next two: docs/decisions/0022).
+const ROUNDS: (usize, usize) = (8, 4);
+/// How many more points move together in the first rounds than in the last.
+const FIRST: usize = 8;
+/// Large pieces are fitted around one of this many nodes; the others move as the fitted one nearest to them.
+const LED: usize = 4;
 /// Spacing of the points that are registered, pixels at the median depth (our rule).
 pub(crate) const NODE_PIXELS: f32 = 4.0;
 /// Length over which places compete with colours, pixels at the median depth (our rule).
@@ -22,9 +26,6 @@ fn joint(p: [f32; 3], rgb: [f32; 3], reach: f32) -> [f32; 6] {
     let (a, b) = (1.0 / reach, 1.0 / COLOUR_SCALE);
     [p[0] * a, p[1] * a, p[2] * a, rgb[0] * b, rgb[1] * b, rgb[2] * b]
 }
-
-/// How many more points move together in the first rounds than in the last.
-const FIRST: usize = 8;
 
 /// One keyframe as its neighbours are registered to it.
 #[derive(Clone, Copy)]
@@ -42,6 +43,7 @@ pub(crate) struct Keyframe<'a> {
     pub view: View<'a>,
     /// The nodes nearest to each node, the nearest first; none if they have no order in space.
     near: Vec<Vec<u32>>,
+    leaders: Leaders,
     /// Points in place and colour; `None` without points.
     points: Option<ImmutableKdTree<f32, 6>>,
 }
@@ -49,56 +51,97 @@ pub(crate) struct Keyframe<'a> {
 impl<'a> Keyframe<'a> {
     /// Prepares `view`; `reach` in world units.
     pub fn new(view: View<'a>, reach: f32) -> Self {
-        let (near, points) = rayon::join(
-            || neighbours(&view.nodes.xyz),
+        let nodes = &view.nodes.xyz;
+        let ((near, leaders), points) = rayon::join(
+            || (nearest(nodes, nodes, NEIGHBOURS), Leaders::new(nodes)),
             || {
                 let joint = view.points.xyz.iter().zip(&view.points.rgb).map(|(p, c)| joint(*p, *c, reach));
                 let joint: Vec<[f32; 6]> = joint.collect();
                 ImmutableKdTree::new_from_slice(&joint).ok().filter(|_| !joint.is_empty())
             },
         );
-        Self { view, near, points }
+        Self { view, near, leaders, points }
     }
 }
 
-fn neighbours(nodes: &[[f32; 3]]) -> Vec<Vec<u32>> {
+/// Nodes that large pieces are fitted around: wide neighbourhoods of neighbours hardly differ.
+struct Leaders {
+    nodes: Vec<u32>,
+    /// The leader of each node.
+    of: Vec<u32>,
+    /// The nodes nearest to each leader, the nearest first.
+    near: Vec<Vec<u32>>,
+}
+
+impl Leaders {
+    fn new(places: &[[f32; 3]]) -> Self {
+        let nodes: Vec<u32> = (0..places.len() as u32).step_by(LED).collect();
+        let leading: Vec<[f32; 3]> = nodes.iter().map(|&k| places[k as usize]).collect();
+        let of = nearest(&leading, places, 1).into_iter().flatten().collect();
+        Self { nodes, of, near: nearest(places, &leading, FIRST * NEIGHBOURS) }
+    }
+
+    /// The motion of every node, as its leader's `fitted` one.
+    fn fitted(&self, nodes: &Centroids, motion: &[Rigid], wanted: &[(Vector3<f32>, f32)], pieces: usize) -> Vec<Rigid> {
+        let leading: Vec<Rigid> = self.nodes.iter().map(|&k| motion[k as usize]).collect();
+        let leading = fitted(nodes, &leading, &self.near, wanted, pieces);
+        self.of.iter().map(|&k| leading[k as usize]).collect()
+    }
+}
+
+/// The `count` of `points` that are nearest to each of the `places`, the nearest first; none if points have no order in space.
+fn nearest(points: &[[f32; 3]], places: &[[f32; 3]], count: usize) -> Vec<Vec<u32>> {
     let (Ok(tree), Some(count)) =
-        (ImmutableKdTree::<f32, 3>::new_from_slice(nodes), NonZero::new((FIRST * NEIGHBOURS).min(nodes.len())))
+        (ImmutableKdTree::<f32, 3>::new_from_slice(points), NonZero::new(count.min(points.len())))
     else {
         return Vec::new();
     };
-    let near = nodes.par_iter().map(|p| tree.query(p).nearest_n::<SquaredEuclidean<f32>>(count).execute());
+    let near = places.par_iter().map(|p| tree.query(p).nearest_n::<SquaredEuclidean<f32>>(count).execute());
     near.map(|found| found.into_iter().map(|n| n.item).collect()).collect()
+}
+
+/// Where a registration starts.
+pub(crate) enum Guess {
+    /// Pieces are large in the first rounds and shrink.
+    Vague(Vec<Rigid>),
+    /// Pieces are small at once.
+    Near(Vec<Rigid>),
 }
 
 /// A motion for every node of `from`, that brings them onto `to`, starting from `guess`; `reach` in world units.
 ///
 /// Each round matches every displaced node to the nearest point of `to` in place and colour; then the motion of
 /// a node is the rigid one that fits what the matches of its neighbours ask for, matches of unlike colour or far
-/// away weighing little, and nodes that go where they cannot be seen nothing at all. Neighbourhoods shrink from
+/// away weighing little, and nodes that go where they cannot be seen nothing at all. From a vague guess neighbourhoods shrink from
 /// round to round: large pieces first, then their parts. Then nodes near `tracks` are moved with them.
 pub(crate) fn register(
     from: &Keyframe<'_>,
     to: &Keyframe<'_>,
     tracks: Option<TrackShifts>,
-    guess: Vec<Rigid>,
+    guess: Guess,
     reach: f32,
 ) -> Vec<Rigid> {
     let (nodes, near) = (from.view.nodes, &from.near);
-    let mut motion = guess;
+    let (mut motion, rounds, first) = match guess {
+        Guess::Vague(motion) => (motion, ROUNDS.0, FIRST as f32),
+        Guess::Near(motion) => (motion, ROUNDS.1, 1.0),
+    };
     let Some(points) = to.points.as_ref().filter(|_| !near.is_empty()) else {
         return motion;
     };
-    for round in 0..ROUNDS {
+    for round in 0..rounds {
         let wanted = wanted(nodes, &motion, |i, place| {
             let n = points.query(&joint(place, nodes.rgb[i], reach)).nearest_one::<SquaredEuclidean<f32>>().execute();
             let match_ = to.view.points.xyz[n.item as usize];
             (to.view.sees)(place).then(|| (match_, 1.0 / (1.0 + n.distance).powi(2)))
         });
-        // from FIRST to 1 in the first two thirds of the rounds
-        let left = 1.0 - (1.5 * round as f32 / ROUNDS as f32).min(1.0);
-        let pieces = NEIGHBOURS as f32 * (FIRST as f32).powf(left);
-        motion = fitted(nodes, &motion, near, &wanted, pieces as usize);
+        // down to 1 in the first two thirds of the rounds
+        let left = 1.0 - (1.5 * round as f32 / rounds as f32).min(1.0);
+        let pieces = (NEIGHBOURS as f32 * first.powf(left)) as usize;
+        motion = match pieces > NEIGHBOURS {
+            true => from.leaders.fitted(nodes, &motion, &wanted, pieces),
+            false => fitted(nodes, &motion, near, &wanted, pieces),
+        };
     }
     if let Some(tracks) = tracks {
         let wanted = wanted(nodes, &motion, |i, _| tracks.shifted(nodes.xyz[i]));
