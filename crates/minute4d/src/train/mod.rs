@@ -12,7 +12,7 @@ use crate::stage::{RecordingObserver, check_stop};
 use crate::workspace::{Task, Workspace};
 use crate::{Error, Job, Observer, Settings, StageEvent, hash, preview, viewer};
 use checkpoint::{CheckpointTimer, Checkpoints, MetricsLog};
-use m4_core::{Capture, Progress, Scene, SplatLayout, Splats, TrainState};
+use m4_core::{Capture, Progress, Scene, SplatLayout, Splats};
 use m4_io::capture::Split;
 use m4_io::scene::safetensors;
 use m4_train::init::{FirstSplats, InitError};
@@ -207,8 +207,9 @@ fn train(
     log.write()?;
     note_progress(&mut run.record, &trainer);
     let path = run.path(SCENE_FILE);
-    trainer.save(|scene, state| publish(&path, scene, state))?;
-    Ok(trainer.into_scene())
+    let scene = trainer.into_scene();
+    publish(&path, &scene)?;
+    Ok(scene)
 }
 
 /// Makes the first splats, while a GPU compiles the kernels of the training that follows.
@@ -271,20 +272,15 @@ fn note_progress(record: &mut RunRecord, trainer: &Trainer<'_>) {
     record.splats = Some(SplatCount { r#static: splats.n_static(), dynamic: splats.n_dynamic() });
 }
 
-/// Writes the finished scene with the state of the optimiser, reads both back and compares.
-fn publish(path: &Path, scene: &Scene, state: &TrainState<'_>) -> Result<(), Error> {
+/// Writes the finished scene, reads it back and compares.
+fn publish(path: &Path, scene: &Scene) -> Result<(), Error> {
     if !scene.splats.is_finite() {
         return Err(Error::Internal { what: "training ended with values that are not finite".to_owned() });
     }
-    safetensors::write(path, scene, Some(state), &BTreeMap::new())?;
-    let back = safetensors::read(path)?;
-    let differs = if back.scene != *scene {
-        "the scene differs"
-    } else if back.state.as_ref() != Some(state) {
-        "the state of the optimiser differs"
-    } else {
+    safetensors::write(path, scene, None, &BTreeMap::new())?;
+    if safetensors::read(path)?.scene == *scene {
         return Ok(());
-    };
+    }
     folder::remove_file(path)?;
-    Err(OutputError::Verify { path: path.to_path_buf(), what: differs.to_owned() }.into())
+    Err(OutputError::Verify { path: path.to_path_buf(), what: "the scene differs".to_owned() }.into())
 }
