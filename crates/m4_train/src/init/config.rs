@@ -128,7 +128,7 @@ impl InitConfig {
     pub fn fast() -> Self {
         Self {
             max_static: 80_000,
-            max_dynamic: 600_000,
+            max_dynamic: 300_000,
             voxel_px: None,
             cells: CellSize::DepthProportional,
             static_frames: 24,
