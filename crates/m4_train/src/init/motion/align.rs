@@ -52,14 +52,14 @@ pub(crate) struct Prior {
     pub depth: f32,
     /// How far neighbours move apart, pixels.
     pub apart_px: f32,
-    /// How far the guess is off, pixels.
-    pub guess_px: f32,
+    /// How far a step leads, pixels.
+    pub step_px: f32,
 }
 
 /// Moves every node of `pieces` from its `guess` so that its points look in `frame` as they do in their own.
 ///
-/// A node minimises the squared differences of measures and depth at its points, the distances of its motion from those of its neighbours (as
-/// rigid as possible, robust, so that joints bend) and from the guess. Pieces are wide in the first half of the rounds. All nodes take a step from the same
+/// A node minimises the squared differences of measures and depth at its points and the distances of its motion from those of its neighbours (as
+/// rigid as possible, robust, so that joints bend); steps are damped (Levenberg-Marquardt), so that what nothing tells keeps its guess. Pieces are wide in the first half of the rounds. All nodes take a step from the same
 /// state: the result does not depend on the number of threads.
 pub(crate) fn align(pieces: &Pieces, frame: &Observed, guess: &[Rigid], prior: Prior, rounds: usize) -> Vec<Rigid> {
     let mut motion = guess.to_vec();
@@ -72,7 +72,7 @@ pub(crate) fn align(pieces: &Pieces, frame: &Observed, guess: &[Rigid], prior: P
                 let now = Moved::new(&pieces.nodes[i], &motion[i]);
                 sums.points(pieces, i, &now, frame, prior.depth, (narrow, step));
                 sums.neighbours(pieces, i, &now, frame, &motion, prior);
-                sums.guess(pieces, &now, frame, &guess[i], prior);
+                sums.damp(pieces, &now, frame, prior);
                 sums.step(&now, frame)
             })
             .collect();
@@ -190,9 +190,10 @@ impl Sums {
         }
     }
 
-    fn guess(&mut self, pieces: &Pieces, now: &Moved<'_>, frame: &Observed, guess: &Rigid, prior: Prior) {
-        let noise = prior.guess_px * now.pixel(frame);
-        self.corners(&corners(pieces, now, guess), 0.25 / (noise * noise));
+    /// Draws the step to none.
+    fn damp(&mut self, pieces: &Pieces, now: &Moved<'_>, frame: &Observed, prior: Prior) {
+        let noise = prior.step_px * now.pixel(frame);
+        self.corners(&corners(pieces, now, now.motion), 0.25 / (noise * noise));
     }
 
     fn corners(&mut self, off: &[(Vector3<f32>, Vector3<f32>); 4], weight: f32) {
@@ -293,7 +294,7 @@ mod tests {
         let (pieces, chosen) = pieces(&Observed::new(from).unwrap(), &places, 6.0).unwrap();
         assert_eq!(chosen.len(), pieces.nodes.len());
         let still: Vec<Rigid> = pieces.nodes.iter().map(|n| Rigid::shift(n.place.into(), n.place.into())).collect();
-        let prior = Prior { depth: 0.004, apart_px: 0.5, guess_px: 1.0 };
+        let prior = Prior { depth: 0.004, apart_px: 0.5, step_px: 1.0 };
         let motion = align(&pieces, &Observed::new(to).unwrap(), &still, prior, 12);
         let (mut off, mut depth) = (Vec::new(), 0.0f32);
         for (node, motion) in pieces.nodes.iter().zip(&motion) {
@@ -347,7 +348,7 @@ mod tests {
         let behind = CaptureFrame { camera: Camera { c2w: away, ..from.camera }, ..from.clone() };
         let (pieces, _) = pieces(&Observed::new(&from).unwrap(), &places(&from), 6.0).unwrap();
         let still: Vec<Rigid> = pieces.nodes.iter().map(|n| Rigid::shift(n.place.into(), n.place.into())).collect();
-        let prior = Prior { depth: 0.004, apart_px: 0.5, guess_px: 1.0 };
+        let prior = Prior { depth: 0.004, apart_px: 0.5, step_px: 1.0 };
         let motion = align(&pieces, &Observed::new(&behind).unwrap(), &still, prior, 12);
         assert!(motion.iter().all(|m| (m.to - m.from).norm() < 1e-3));
     }

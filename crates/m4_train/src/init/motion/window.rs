@@ -13,8 +13,8 @@ use rayon::prelude::*;
 const NODES: f32 = 200.0;
 /// Rounds of a frame.
 const ROUNDS: usize = 8;
-/// How far the guess is off, widths of the image.
-const GUESS_WIDTHS: f32 = 1.0 / 160.0;
+/// How far a step of an alignment leads, widths of the image.
+const STEP_WIDTHS: f32 = 1.0 / 160.0;
 /// How far neighbouring nodes move apart, widths of the image.
 const APART_WIDTHS: f32 = 1.0 / 320.0;
 /// A guess that is not the node's own continued motion must explain this much more: the motion of the field, that of a neighbour.
@@ -66,7 +66,7 @@ impl WindowMotion {
         });
         let depth = m4_core::median(&mut noises.collect::<Vec<f32>>()).unwrap_or(DEPTH);
         let width = from.width() as f32;
-        let prior = Prior { depth, apart_px: APART_WIDTHS * width, guess_px: GUESS_WIDTHS * width };
+        let prior = Prior { depth, apart_px: APART_WIDTHS * width, step_px: STEP_WIDTHS * width };
         let along = |forward: bool| {
             let mut out = Vec::new();
             let (mut key, mut before, mut motion) = (reference, None, still.clone());
