@@ -61,8 +61,8 @@ def lists(out, keys, scene, sets, every, matrix):
 
 
 def tracks(path, points, visible, instance, part):
-    """`tracks.npz`: points [T][N][3] in the world, visible [T][N], instance [N], part [N]."""
-    arrays = {"points": np.float32(points), "visible": np.array(visible), "instance": instance, "part": part}
+    """`tracks.npz`: coords [T][N][3] in the world, visibs [T][N], instance [N], part [N]."""
+    arrays = {"coords": np.float32(points), "visibs": np.array(visible), "instance": instance, "part": part}
 
     def write(temporary):
         with open(temporary, "wb") as file:

@@ -2,9 +2,10 @@
 
 use crate::common::{Ended, Running, Scratch, capture, frames_of, mean_image_psnr_db, write_capture, write_images};
 use minute4d::Silent;
-use minute4d::core::{Plane, Sim3, exp_so3, nalgebra::Vector3};
+use minute4d::core::{Plane, Sim3, Tracks, exp_so3, nalgebra::Vector3};
 use minute4d::io::capture::Split;
 use minute4d::io::scene::safetensors;
+use minute4d::io::tracks;
 use serde_json::Value;
 use std::fs;
 use std::io::{BufRead, BufReader};
@@ -67,6 +68,20 @@ fn train_render_eval() {
     let object = &same["objects"][0];
     assert_eq!((&object["distance"], &object["relief"], &object["missed"]), (&0.0.into(), &0.0.into(), &0.0.into()));
     assert!(dir.succeed("eval-geometry capture --truth capture").stdout.contains("distance"));
+}
+
+#[test]
+fn motion_needs_true_tracks_and_is_compared_with_them() {
+    let dir = with_capture(false);
+    let frames = capture(6, false).frames.len();
+    dir.refused("eval-geometry capture --truth capture --motion", 66, &["true tracks", "tracks.npz"]);
+    let still = Tracks::new(frames, 1, vec![[0.0, 0.0, 2.0]; frames], vec![true; frames]).unwrap();
+    tracks::write(&dir.path("capture/tracks.npz"), &still).unwrap();
+    let motion = &dir.succeed("eval-geometry capture --truth capture --motion --json").result()["motion"];
+    let after: Vec<&Value> = motion["carried"].as_array().unwrap().iter().map(|row| &row["after"]).collect();
+    assert!(after == [&5.0, &10.0] && motion["lives"]["count"].is_u64(), "{motion}");
+    let table = dir.succeed("eval-geometry capture --truth capture --motion").stdout;
+    assert!(table.contains("standard deviation") && table.contains("lives that end"), "{table}");
 }
 
 /// The capture with half the dynamic depth: `eval` has its baselines, and `--explain` names the cause, by warping and by training.

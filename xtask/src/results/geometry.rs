@@ -44,6 +44,33 @@ pub(super) fn table(runs: &mut Runs, scenes: &[Input]) -> Result<String> {
     Ok(markdown(HEADINGS, TEMPLATES, &rows?))
 }
 
+const MOTION_HEADINGS: &str = "scene | after 5 frames: median / 80 %, px | within 1 sigma, % | after 10: median / 80 %, px | within 1 sigma, % \
+    | lives on time / late / early, %";
+const MOTION_TEMPLATES: &str = "{/scene} | {/carried/0/median_px 2} / {/carried/0/p80_px 2} | {/carried/0/percent} \
+    | {/carried/1/median_px 2} / {/carried/1/p80_px 2} | {/carried/1/percent} | {/lives/on_time} / {/lives/late} / {/lives/early}";
+
+/// Motion against true tracks: a row per scene.
+pub(super) fn motion(runs: &mut Runs, scenes: &[Input]) -> Result<String> {
+    let row = |scene: &Input| {
+        runs.of(scene, "motion", "motion", |program| {
+            let report = program
+                .result(|c| c.arg("eval-geometry").arg(&scene.path).arg("--truth").arg(&scene.path).arg("--motion"))?;
+            let mut row = report["motion"].clone();
+            row["scene"] = scene.name.clone().into();
+            let percent = |value: &Value| value.as_f64().map(|share| 100.0 * share);
+            for k in 0..list(&report["motion"]["carried"]).count() {
+                row["carried"][k]["percent"] = percent(&row["carried"][k]["within_sigma"]).into();
+            }
+            for key in ["on_time", "late", "early"] {
+                row["lives"][key] = percent(&row["lives"][key]).into();
+            }
+            Ok(row)
+        })
+    };
+    let rows: Result<Vec<_>> = scenes.iter().map(row).collect();
+    Ok(markdown(MOTION_HEADINGS, MOTION_TEMPLATES, &rows?))
+}
+
 /// Far views with one kind of estimate at a time replaced by the truth: a row per kind, a column per scene.
 pub(super) fn explained(runs: &mut Runs, scenes: &[Input]) -> Result<String> {
     let (mut reports, mut headings, mut templates) = (Vec::new(), "what is true".to_owned(), "{/0/name}".to_owned());

@@ -31,8 +31,9 @@ enum Over {
 type Section = (&'static str, Over, fn(&mut Runs, &[Input]) -> Result<String>);
 
 /// In the order of the page.
-const SECTIONS: [Section; 6] = [
+const SECTIONS: [Section; 7] = [
     ("geometry", Over::Scenes, geometry::table),
+    ("motion", Over::Scenes, geometry::motion),
     ("views", Over::Views(usize::MAX), views::tables),
     ("ablation", Over::Views(usize::MAX), density::ablation),
     ("explain", Over::Views(4), geometry::explained),

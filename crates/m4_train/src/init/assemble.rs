@@ -55,21 +55,8 @@ pub fn initialise(capture: &Capture, config: &InitConfig, progress: &dyn Progres
         return Err(InitError::Tracks { frames: capture.frames.len(), tracks: tracks.frames() });
     }
     let clouds = clouds(capture, config, progress)?;
-    let (focal_px, median_depth) = (clouds.focal_px, clouds.median_depth);
-    let centres: Vec<[f32; 3]> = every_nth(capture.frames.len(), 16)
-        .map(|i| capture.frames[i].camera.centre())
-        .map(|c| [c.x as f32, c.y as f32, c.z as f32])
-        .collect();
-    let origin = centres[0];
-    let grid = |pixels| {
-        let depth = match config.cells {
-            CellSize::Constant => clouds.first_depth,
-            CellSize::DepthProportional => median_depth,
-        };
-        Grid::new(config.cells, pixels, focal_px, depth, &centres, origin)
-    };
-    let points = |pixels: &Pixels| pixels.cloud(capture);
-
+    let median_depth = clouds.median_depth;
+    let grid = |pixels| grid(capture, config, &clouds, pixels);
     let least = config.voxel_px.unwrap_or(MIN_PIXELS);
     let (static_grid, static_points) = if config.merge_surfaces {
         let Surface { cloud, count } = surface(capture, &clouds.static_points, progress)?;
@@ -78,26 +65,15 @@ pub fn initialise(capture: &Capture, config: &InitConfig, progress: &dyn Progres
         (grid, points)
     } else {
         let parts = &clouds.static_points;
+        let points = |pixels: &Pixels| pixels.cloud(capture);
         let grid = grid(pixels_for(config.max_static, least, |p| grid(p).occupied_by(parts, points)));
         let merged = grid.merge_all(parts, points);
         (grid, merged)
     };
     stopped(progress)?;
     progress.update("voxels", 1, 3, &format!("{} static", static_points.xyz.len()));
-
-    let count = |p| {
-        let grid = grid(p);
-        clouds.moving.par_iter().map(|k| grid.occupied(&points(k))).sum()
-    };
-    let least = if config.voxel_px.is_some() { UNMERGED_PIXELS } else { MIN_PIXELS };
-    let moving_grid = grid(pixels_for(config.max_dynamic, least, count));
-    let dynamic: Vec<(f64, Centroids)> =
-        clouds.moving.par_iter().map(|k| (capture.frames[k.frame].t, moving_grid.merge(&points(k)))).collect();
-    stopped(progress)?;
+    let Moving { grid: moving_grid, frames, dynamic, fields } = moving(capture, config, &clouds, progress)?;
     progress.update("voxels", 2, 3, &format!("{} static", static_points.xyz.len()));
-
-    let fields = motions(capture, config, &clouds, &dynamic, &grid, progress)?;
-    let frames: Vec<usize> = clouds.moving.iter().map(|k| k.frame).collect();
     let clip = Clip { capture, frames: &frames, dynamic: &dynamic, fields: &fields };
     let lives = match config.velocity {
         VelocityInit::Zero => Lives::free(&dynamic),
@@ -133,6 +109,54 @@ pub fn initialise(capture: &Capture, config: &InitConfig, progress: &dyn Progres
     let note = format!("{} static, {} dynamic", first.splats.n_static(), first.splats.n_dynamic());
     progress.update("voxels", 3, 3, &note);
     Ok(first)
+}
+
+/// The dynamic points of a clip.
+pub(crate) struct Moving {
+    /// Of the points.
+    pub grid: Grid,
+    /// The frame of each keyframe.
+    pub frames: Vec<usize>,
+    /// Time in frames, and points.
+    pub dynamic: Vec<(f64, Centroids)>,
+    /// Motions from each keyframe to the next.
+    pub fields: Vec<Fields>,
+}
+
+/// The dynamic points of a clip and how they move.
+pub(crate) fn moving(
+    capture: &Capture,
+    config: &InitConfig,
+    clouds: &Clouds,
+    progress: &dyn Progress,
+) -> Result<Moving, InitError> {
+    let grid = |pixels| grid(capture, config, clouds, pixels);
+    let points = |pixels: &Pixels| pixels.cloud(capture);
+    let count = |p| {
+        let grid = grid(p);
+        clouds.moving.par_iter().map(|k| grid.occupied(&points(k))).sum()
+    };
+    let least = if config.voxel_px.is_some() { UNMERGED_PIXELS } else { MIN_PIXELS };
+    let moving_grid = grid(pixels_for(config.max_dynamic, least, count));
+    let dynamic: Vec<(f64, Centroids)> =
+        clouds.moving.par_iter().map(|k| (capture.frames[k.frame].t, moving_grid.merge(&points(k)))).collect();
+    stopped(progress)?;
+    let fields = motions(capture, config, clouds, &dynamic, &grid, progress)?;
+    let frames = clouds.moving.iter().map(|k| k.frame).collect();
+    Ok(Moving { grid: moving_grid, frames, dynamic, fields })
+}
+
+/// Voxels of an edge of `pixels`.
+fn grid(capture: &Capture, config: &InitConfig, clouds: &Clouds, pixels: f32) -> Grid {
+    let centres: Vec<[f32; 3]> = every_nth(capture.frames.len(), 16)
+        .map(|i| capture.frames[i].camera.centre())
+        .map(|c| [c.x as f32, c.y as f32, c.z as f32])
+        .collect();
+    let depth = match config.cells {
+        CellSize::Constant => clouds.first_depth,
+        CellSize::DepthProportional => clouds.median_depth,
+    };
+    Grid::new(config.cells, pixels, clouds.focal_px, depth, &centres, centres[0])
 }
 
 /// A place behind the depth map by this share of the depth is not looked for in an image.

@@ -7,6 +7,7 @@
 //! ```text
 //! cloud (depth -> points) -> free_space (what other frames see through goes) -> surface (one of what the frames agree on) -> voxel (points -> centroids) -> write (neighbours -> discs) -> rows
 //!                                                        -> motion (keyframe to keyframe, windows of time) -> lives (how long a point follows it)
+//! accuracy (motion against true tracks)
 //! tracked (what tracks know of places that a keyframe cannot see)
 //! change (moving shadows on static parts)    shell (something behind everything)
 //! ```
@@ -14,6 +15,7 @@
 //! The result depends on the capture and the settings alone: points are merged by sorting 64-bit
 //! voxel keys, never through a hash map, and no random number is drawn.
 
+mod accuracy;
 mod assemble;
 mod change;
 mod cloud;
@@ -29,5 +31,6 @@ mod visible;
 mod voxel;
 mod write;
 
+pub use accuracy::{CarriedErrors, LifeErrors, MotionErrors, motion_errors};
 pub use assemble::{FirstSplats, initialise};
 pub use config::{CellSize, InitConfig, InitError, TimeSpread, TrackedInit, VelocityInit};

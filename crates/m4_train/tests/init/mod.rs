@@ -1,5 +1,6 @@
 //! Initialisation, through its public functions.
 
+mod accuracy;
 mod initialise;
 mod tracked;
 mod tracks;

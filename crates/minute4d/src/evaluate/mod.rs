@@ -11,6 +11,7 @@ mod by_protocol;
 mod choices;
 mod covisible;
 mod explain;
+mod motion;
 mod perceptual;
 mod poses;
 pub mod protocol;
@@ -24,6 +25,7 @@ pub use choices::{Choices, FrameChoice, Headline, MaskChoice, PoseChoice, PoseTr
 pub(crate) use covisible::adopt as adopt_covisible;
 pub use covisible::{COVISIBLE_FOLDER, MaskSource};
 pub use explain::{ExplainRow, explain, explain_table};
+pub use motion::{motion, motion_table};
 pub use perceptual::LpipsChoice;
 pub use poses::{Alignment, Moved};
 pub use protocol::{FrameRule, Protocol, Task};

@@ -97,6 +97,9 @@ pub struct EvalGeometry {
     /// Folder for the captures and scenes of `--train`; finished scenes are kept
     #[arg(long, short, value_name = "DIR", requires = "train")]
     pub out: Option<PathBuf>,
+    /// Also compare the motion that first splats get from the frames, depth and masks of SCENE with its tracks
+    #[arg(long)]
+    pub motion: bool,
     #[command(flatten)]
     pub reach: ReachArgs,
 }
@@ -105,6 +108,11 @@ pub fn run_geometry(args: &EvalGeometry, output: &Output) -> Result<(), Failure>
     let reach = args.reach.reach();
     let report = minute4d::evaluate::geometry(&args.capture, &args.truth, reach, output)?;
     let (mut text, mut value) = (report.table(), minute4d::plain_json(&report)?);
+    if args.motion {
+        let errors = minute4d::evaluate::motion(&args.truth, reach, output)?;
+        text += &minute4d::evaluate::motion_table(&errors);
+        value["motion"] = minute4d::plain_json(&errors)?;
+    }
     if args.explain {
         let mut settings = Settings::fast();
         settings.capture.reach = reach;

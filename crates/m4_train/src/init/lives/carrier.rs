@@ -17,7 +17,7 @@ const MOST: NonZero<usize> = NonZero::new(BINDING_NODES).unwrap();
 
 /// What carries a point.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Carrier {
+pub(crate) struct Carrier {
     /// The nearest first: signs of rotations follow it.
     pub nodes: [u16; BINDING_NODES],
     pub weights: [f32; BINDING_NODES],

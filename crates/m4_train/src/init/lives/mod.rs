@@ -16,7 +16,7 @@ use crate::init::{
     motion::{Fields, Observed, Rigid, WindowMotion},
     voxel::Centroids,
 };
-use carrier::Carrier;
+pub(crate) use carrier::Carrier;
 use cover::covered;
 use evidence::{Evidence, Shown};
 use kiddo::ImmutableKdTree;
@@ -83,68 +83,95 @@ pub(crate) struct Clip<'a> {
 
 /// Windows of a clip, and the lives of its points. Fails with [`InitError::Stopped`].
 pub(crate) fn lives(clip: Clip<'_>, progress: &dyn Progress) -> Result<Lives, InitError> {
-    let n = clip.dynamic.len();
     let mut out = Lives::free(clip.dynamic);
-    let (Some(first), Some(last)) = (clip.dynamic.first(), clip.dynamic.last()) else { return Ok(out) };
-    let frames_a_second = match clip.capture.duration_s {
-        Some(seconds) if seconds > 0.0 => (clip.capture.time_frames.max(2) - 1) as f64 / seconds,
-        _ => FRAMES_A_SECOND,
-    };
-    let seconds = (last.0 - first.0) / frames_a_second;
-    let count = ((seconds / WINDOW_S).round() as usize).clamp(1, (n / LEAST_KEYS).max(1));
-    for w in 0..count {
+    let spans = clip.spans();
+    for (w, keys) in spans.iter().enumerate() {
         stopped(progress)?;
-        progress.update("lives", w, count, "");
-        let unchanged = (UNCHANGED_S * frames_a_second) as f32;
-        out.window(clip, w * n / count..(w + 1) * n / count, unchanged);
+        progress.update("lives", w, spans.len(), "");
+        clip.span(keys.clone(), |span| out.window(span, clip.dynamic));
     }
-    progress.update("lives", count, count, "");
+    progress.update("lives", spans.len(), spans.len(), "");
     Ok(out)
 }
 
-impl Lives {
-    /// Binds points of the keyframes `keys` to nodes; `unchanged` in frames.
-    fn window(&mut self, clip: Clip<'_>, keys: Range<usize>, unchanged: f32) {
-        let dynamic = &clip.dynamic[keys.clone()];
-        let frames: Vec<_> = clip.frames[keys.clone()].iter().map(|&frame| &clip.capture.frames[frame]).collect();
+impl Clip<'_> {
+    /// Frames a second.
+    pub fn rate(&self) -> f64 {
+        match self.capture.duration_s {
+            Some(seconds) if seconds > 0.0 => (self.capture.time_frames.max(2) - 1) as f64 / seconds,
+            _ => FRAMES_A_SECOND,
+        }
+    }
+
+    /// The keyframes of each window.
+    pub fn spans(&self) -> Vec<Range<usize>> {
+        let n = self.dynamic.len();
+        let (Some(first), Some(last)) = (self.dynamic.first(), self.dynamic.last()) else { return Vec::new() };
+        let seconds = (last.0 - first.0) / self.rate();
+        let count = ((seconds / WINDOW_S).round() as usize).clamp(1, (n / LEAST_KEYS).max(1));
+        (0..count).map(|w| w * n / count..(w + 1) * n / count).collect()
+    }
+
+    /// What `of` makes of the motion of nodes in the keyframes `keys`; `None` where nothing is known of it.
+    pub fn span<R>(&self, keys: Range<usize>, of: impl FnOnce(&Span<'_>) -> R) -> Option<R> {
+        let dynamic = &self.dynamic[keys.clone()];
+        let frames: Vec<_> = self.frames[keys.clone()].iter().map(|&frame| &self.capture.frames[frame]).collect();
         let observed: Vec<Option<Observed>> = frames.par_iter().map(|frame| Observed::new(frame)).collect();
         let times: Vec<f64> = dynamic.iter().map(|(t, _)| *t).collect();
-        let fields = &clip.fields[keys.start.min(clip.fields.len())..];
-        let Some(nodes) = WindowMotion::new(&observed, &times, reference(dynamic), fields) else { return };
+        let fields = &self.fields[keys.start.min(self.fields.len())..];
+        let nodes = WindowMotion::new(&observed, &times, reference(dynamic), fields)?;
+        let shown = frames.iter().zip(&observed);
+        let shown = shown.map(|(frame, o)| o.as_ref().map(|o| Shown::new(o, &frame.rgb, nodes.depth_noise())));
+        let edge = |inside: usize, outside: Option<&(f64, Centroids)>, open: f32| match outside {
+            Some((t, _)) => (0.5 * (times[inside] + t)) as f32,
+            None => open,
+        };
+        let before = keys.start.checked_sub(1).and_then(|k| self.dynamic.get(k));
+        let ends =
+            [edge(0, before, f32::NEG_INFINITY), edge(times.len() - 1, self.dynamic.get(keys.end), f32::INFINITY)];
+        Some(of(&Span {
+            keys: keys.clone(),
+            times: times.iter().map(|&t| t as f32).collect(),
+            shown: shown.collect(),
+            observed: &observed,
+            nodes: &nodes,
+            ends,
+            unchanged: (UNCHANGED_S * self.rate()) as f32,
+        }))
+    }
+}
+
+impl Lives {
+    /// Binds points of the keyframes of `span` to its nodes.
+    fn window(&mut self, span: &Span<'_>, dynamic: &[(f64, Centroids)]) {
         // keyframes of one instant, from other cameras, have one key
+        let times = &span.times;
         let instants: Vec<usize> = (0..times.len()).filter(|&k| k == 0 || times[k] > times[k - 1]).collect();
         let pose = |m: &Rigid| {
             let q = m.rotation;
             Pose { rotation: [q.w, q.i, q.j, q.k], position: m.to.into() }
         };
-        let poses = instants.iter().flat_map(|&k| nodes.motion[k].iter().map(pose)).collect();
-        let at = instants.iter().map(|&k| times[k] as f32).collect();
-        let Ok(window) = Window::new(at, nodes.nodes.clone(), poses) else { return };
-        let shown = frames.iter().zip(&observed);
-        let shown = shown.map(|(frame, o)| o.as_ref().map(|o| Shown::new(o, &frame.rgb, nodes.depth_noise)));
-        let edge = |inside: usize, outside: Option<&(f64, Centroids)>, open: f32| match outside {
-            Some((t, _)) => (0.5 * (times[inside] + t)) as f32,
-            None => open,
-        };
-        let before = keys.start.checked_sub(1).and_then(|k| clip.dynamic.get(k));
-        let ends =
-            [edge(0, before, f32::NEG_INFINITY), edge(times.len() - 1, clip.dynamic.get(keys.end), f32::INFINITY)];
-        let span = Span {
-            index: self.windows.len() as u32,
-            times: times.iter().map(|&t| t as f32).collect(),
-            shown: shown.collect(),
-            nodes: &nodes,
-            ends,
-            unchanged,
-        };
+        let poses = instants.iter().flat_map(|&k| span.nodes.motion[k].iter().map(pose)).collect();
+        let at = instants.iter().map(|&k| times[k]).collect();
+        let Ok(window) = Window::new(at, span.nodes.nodes.clone(), poses) else { return };
+        let index = self.windows.len() as u32;
         let mut splats: Vec<(Binding, Vector3<f32>)> = Vec::new();
         for at in bisecting(times.len()) {
-            let Some((bound, free)) = span.born(at, &dynamic[at].1, &splats) else { continue };
+            let key = span.keys.start + at;
+            let Some((bound, free)) = span.born(index, at, &dynamic[key].1, &splats) else { continue };
             splats.extend(bound.iter().map(|b| (b.binding, Vector3::from(b.mean))));
-            (self.bound[keys.start + at], self.free[keys.start + at]) = (bound, free);
+            (self.bound[key], self.free[key]) = (bound, free);
         }
         self.windows.push(window);
     }
+}
+
+/// How long a point is carried.
+pub(crate) struct Life {
+    /// Begin and end, frames.
+    pub life: [f32; 2],
+    /// Change of the colour per frame, 0..1.
+    trend: [f32; 3],
 }
 
 /// The keyframe that nodes are on: one in the middle that shows much of the surface.
@@ -171,14 +198,15 @@ fn bisecting(n: usize) -> Vec<usize> {
     order
 }
 
-/// A window while its splats are born.
-struct Span<'a> {
-    /// Of the window.
-    index: u32,
+/// The keyframes of a window, and the motion of its nodes.
+pub(crate) struct Span<'a> {
+    /// Of the clip.
+    pub keys: Range<usize>,
     /// Of the keyframes, frames.
-    times: Vec<f32>,
+    pub times: Vec<f32>,
     shown: Vec<Option<Shown<'a>>>,
-    nodes: &'a WindowMotion,
+    pub observed: &'a [Option<Observed>],
+    pub nodes: &'a WindowMotion,
     /// Where a life ends that reaches the first or the last keyframe, frames.
     ends: [f32; 2],
     /// Frames.
@@ -189,27 +217,42 @@ impl Span<'_> {
     /// Bound and free points of keyframe `at` where no splat of `splats` lives; `None` if nothing is known of the keyframe.
     fn born(
         &self,
+        window: u32,
         at: usize,
         points: &Centroids,
         splats: &[(Binding, Vector3<f32>)],
     ) -> Option<(Vec<Bound>, Vec<u32>)> {
         let (here, motions) = (self.shown[at].as_ref()?, &self.nodes.motion[at]);
-        let places: Vec<[f32; 3]> = motions.iter().map(|m| m.to.into()).collect();
-        let tree = ImmutableKdTree::<f32, 3>::new_from_slice(&places).ok()?;
+        let tree = self.tree(at)?;
         let covered = covered(here, splats, motions, self.times[at], points);
         let born = (0..points.xyz.len() as u32).into_par_iter().filter(|&i| !covered[i as usize]);
         let born: Vec<(u32, Option<Bound>)> = born
             .map(|i| {
-                let carrier = Carrier::new(&tree, &self.nodes.motion, at, points.xyz[i as usize], self.nodes.spacing);
-                (i, carrier.and_then(|carrier| self.life(at, i, points.rgb[i as usize], &carrier)))
+                let bound = self.carrier(&tree, at, points.xyz[i as usize]).and_then(|carrier| {
+                    let Life { life, trend } = self.life(at, points.rgb[i as usize], &carrier)?;
+                    let binding = Binding { window, nodes: carrier.nodes, weights: carrier.weights, life };
+                    Some(Bound { point: i, binding, mean: carrier.mean.into(), turn: carrier.turn, trend })
+                });
+                (i, bound)
             })
             .collect();
         let free = born.iter().filter(|(_, bound)| bound.is_none()).map(|(i, _)| *i).collect();
         Some((born.iter().filter_map(|(_, bound)| *bound).collect(), free))
     }
 
+    /// Finds nodes by their places at keyframe `at`.
+    pub fn tree(&self, at: usize) -> Option<ImmutableKdTree<f32, 3>> {
+        let places: Vec<[f32; 3]> = self.nodes.motion[at].iter().map(|m| m.to.into()).collect();
+        ImmutableKdTree::<f32, 3>::new_from_slice(&places).ok()
+    }
+
+    /// What carries a place of keyframe `at`, whose nodes `tree` finds.
+    pub fn carrier(&self, tree: &ImmutableKdTree<f32, 3>, at: usize, p: [f32; 3]) -> Option<Carrier> {
+        Carrier::new(tree, &self.nodes.motion, at, p, self.nodes.spacing())
+    }
+
     /// Follows a point of keyframe `at` both ways until a frame contradicts it. `None` where the next frames on both sides do.
-    fn life(&self, at: usize, point: u32, rgb: [f32; 3], carrier: &Carrier) -> Option<Bound> {
+    pub fn life(&self, at: usize, rgb: [f32; 3], carrier: &Carrier) -> Option<Life> {
         let (mut life, mut carried) = (self.ends, false);
         let (mut slope, mut squares) = ([0.0f32; 3], self.unchanged * self.unchanged);
         for ahead in [true, false] {
@@ -234,12 +277,6 @@ impl Span<'_> {
                 last = next;
             }
         }
-        carried.then(|| Bound {
-            point,
-            binding: Binding { window: self.index, nodes: carrier.nodes, weights: carrier.weights, life },
-            mean: carrier.mean.into(),
-            turn: carrier.turn,
-            trend: slope.map(|s| s / squares.max(f32::MIN_POSITIVE)),
-        })
+        carried.then(|| Life { life, trend: slope.map(|s| s / squares.max(f32::MIN_POSITIVE)) })
     }
 }

@@ -81,26 +81,51 @@ pub(crate) fn align(pieces: &Pieces, frame: &Observed, guess: &[Rigid], prior: P
 }
 
 /// A node where its motion takes it.
-struct Moved<'a> {
-    node: &'a Node,
+pub(super) struct Moved<'a> {
+    pub node: &'a Node,
     motion: &'a Rigid,
-    place: Vector3<f32>,
+    pub place: Vector3<f32>,
 }
 
 impl<'a> Moved<'a> {
-    fn new(node: &'a Node, motion: &'a Rigid) -> Self {
+    pub fn new(node: &'a Node, motion: &'a Rigid) -> Self {
         Self { node, motion, place: motion.moved(&node.place) }
     }
 
     /// World units of a pixel there.
-    fn pixel(&self, frame: &Observed) -> f32 {
+    pub fn pixel(&self, frame: &Observed) -> f32 {
         frame.pixel(frame.project(&self.place).map_or(1.0, |p| p.point[2]))
     }
 }
 
-/// The normal equations of a shift and a turn about the moved node.
+/// How well the points of a node agree with a frame.
 #[derive(Default)]
-struct Sums {
+pub(super) struct Fit {
+    squares: f32,
+    shown: f32,
+    all: f32,
+}
+
+impl Fit {
+    fn add(&mut self, weight: f32, square: f32) {
+        self.squares += weight * square / (1.0 + square / (OUTLIER * OUTLIER));
+        self.shown += weight;
+    }
+
+    /// Mean squared difference over its noise, [`OUTLIER`] squared at most and where nothing is shown.
+    pub fn misfit(&self) -> f32 {
+        if self.shown > 0.0 { self.squares / self.shown } else { OUTLIER * OUTLIER }
+    }
+
+    /// Share of the points that the frame shows.
+    pub fn shown(&self) -> f32 {
+        self.shown / self.all.max(f32::MIN_POSITIVE)
+    }
+}
+
+/// The normal equations of a shift and a turn about the moved node.
+#[derive(Clone, Copy, Default)]
+pub(super) struct Sums {
     /// Shift with shift, turn with shift, turn with turn.
     h: [Matrix3<f32>; 3],
     /// Of the shift and of the turn.
@@ -120,7 +145,7 @@ impl Sums {
         self.b[1] -= arm.cross(along);
     }
 
-    fn points(
+    pub fn points(
         &mut self,
         pieces: &Pieces,
         i: usize,
@@ -128,7 +153,8 @@ impl Sums {
         frame: &Observed,
         depth: f32,
         (narrow, step): (f32, usize),
-    ) {
+    ) -> Fit {
+        let mut fit = Fit::default();
         let count = (ALIKE / (pieces.step * pieces.step) as f32).max(1.0) / step as f32;
         for &(k, d) in pieces.nodes[i].points.iter().step_by(step) {
             let near = (-narrow * d).exp();
@@ -136,6 +162,7 @@ impl Sums {
                 // the nearest come first
                 break;
             }
+            fit.all += near;
             let point = &pieces.points[k as usize];
             let place = now.motion.moved(&point.place);
             let Some(projected) = frame.project(&place) else { continue };
@@ -154,6 +181,7 @@ impl Sums {
             let off: [f32; 3] = std::array::from_fn(|c| (sample.measures[c] - point.measures[c]) / MEASURE);
             let square = (off[0] * off[0] + off[1] * off[1] + off[2] * off[2]) / 3.0;
             let of_measures = weight * trust(square) / 3.0;
+            fit.add(near, square + if has_depth { behind * behind } else { 0.0 });
             let (mut outer, mut along) = (Matrix3::zeros(), Vector3::zeros());
             for c in 0..3 {
                 let [a, b] = sample.slopes[c];
@@ -169,9 +197,10 @@ impl Sums {
             }
             self.add(&outer, &along, &(place - now.place));
         }
+        fit
     }
 
-    fn neighbours(
+    pub fn neighbours(
         &mut self,
         pieces: &Pieces,
         i: usize,
@@ -191,7 +220,7 @@ impl Sums {
     }
 
     /// Draws the step to none.
-    fn damp(&mut self, pieces: &Pieces, now: &Moved<'_>, frame: &Observed, prior: Prior) {
+    pub fn damp(&mut self, pieces: &Pieces, now: &Moved<'_>, frame: &Observed, prior: Prior) {
         let noise = prior.step_px * now.pixel(frame);
         self.corners(&corners(pieces, now, now.motion), 0.25 / (noise * noise));
     }
@@ -202,16 +231,29 @@ impl Sums {
         }
     }
 
-    /// The motion after the step that the sums ask for.
-    fn step(&self, now: &Moved<'_>, frame: &Observed) -> Rigid {
+    fn matrix(&self) -> Matrix6<f64> {
         let mut h = Matrix6::<f64>::zeros();
         let [shift, mixed, turn] = self.h.map(|m| m.cast::<f64>());
         h.fixed_view_mut::<3, 3>(0, 0).copy_from(&shift);
         h.fixed_view_mut::<3, 3>(3, 0).copy_from(&mixed);
         h.fixed_view_mut::<3, 3>(0, 3).copy_from(&mixed.transpose());
         h.fixed_view_mut::<3, 3>(3, 3).copy_from(&turn);
+        h
+    }
+
+    /// Standard deviation of the place in the image, pixels; `None` where it is not known at all.
+    pub fn deviation(&self, now: &Moved<'_>, frame: &Observed) -> Option<f32> {
+        let projected = frame.project(&now.place)?;
+        let covariance: Matrix3<f64> = self.matrix().try_inverse()?.fixed_view::<3, 3>(0, 0).into();
+        let covariance = covariance.cast::<f32>();
+        let [du, dv, _] = frame.jacobian(&projected);
+        Some((du.dot(&(covariance * du)) + dv.dot(&(covariance * dv))).max(0.0).sqrt())
+    }
+
+    /// The motion after the step that the sums ask for.
+    pub fn step(&self, now: &Moved<'_>, frame: &Observed) -> Rigid {
         let [a, b] = self.b;
-        let Some(cholesky) = h.cholesky() else { return *now.motion };
+        let Some(cholesky) = self.matrix().cholesky() else { return *now.motion };
         let step = cholesky.solve(&Vector6::new(a.x, a.y, a.z, b.x, b.y, b.z).cast::<f64>()).cast::<f32>();
         let limited = |v: Vector3<f32>, most: f32| v * (most / v.norm().max(most));
         let turn = limited(Vector3::new(step[3], step[4], step[5]), LONGEST.0);

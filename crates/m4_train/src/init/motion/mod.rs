@@ -7,6 +7,7 @@
 //! ```
 
 mod align;
+mod deviation;
 mod field;
 mod observed;
 mod pieces;

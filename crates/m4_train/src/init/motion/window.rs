@@ -3,6 +3,7 @@
 use crate::init::motion::{
     Field, Fields,
     align::{Node, Pieces, Prior, align},
+    deviation::{Signs, signs},
     observed::Observed,
     pieces::{depth_noise, pieces},
     rigid::Rigid,
@@ -31,12 +32,11 @@ const UNKNOWN: f32 = 0.7;
 pub(crate) struct WindowMotion {
     /// World units.
     pub nodes: Vec<[f32; 3]>,
-    /// Distance between nodes, world units.
-    pub spacing: f32,
     /// `[keyframes][nodes]`.
     pub motion: Vec<Vec<Rigid>>,
-    /// Noise of depth, share.
-    pub depth_noise: f32,
+    pieces: Pieces,
+    prior: Prior,
+    reference: usize,
 }
 
 impl WindowMotion {
@@ -89,7 +89,24 @@ impl WindowMotion {
         motions.reverse();
         motions.push(still);
         motions.extend(ahead);
-        Some(Self { spacing: pieces.spacing, nodes, motion: motions, depth_noise: depth })
+        Some(Self { nodes, motion: motions, pieces, prior, reference })
+    }
+
+    /// Distance between nodes, world units.
+    pub fn spacing(&self) -> f32 {
+        self.pieces.spacing
+    }
+
+    /// Noise of depth, share.
+    pub fn depth_noise(&self) -> f32 {
+        self.prior.depth
+    }
+
+    /// What tells how far off each node is at keyframe `key` of the `observed` ones that it was made of; `None` where it is known: on the reference; and
+    /// where nothing tells it.
+    pub fn signs(&self, observed: &[Option<Observed>], key: usize) -> Option<Vec<Signs>> {
+        let frame = observed.get(key)?.as_ref().filter(|_| key != self.reference)?;
+        Some(signs(&self.pieces, frame, &self.motion[key], self.prior))
     }
 }
 
