@@ -81,6 +81,11 @@ impl Leaders {
         Self { nodes, of, near: nearest(places, &leading, FIRST * NEIGHBOURS) }
     }
 
+    /// Whether each of the nodes has a leader: not where points have no order in space.
+    fn lead(&self, nodes: &Centroids) -> bool {
+        self.of.len() == nodes.xyz.len() && self.near.len() == self.nodes.len()
+    }
+
     /// The motion of every node, as its leader's `fitted` one.
     fn fitted(&self, nodes: &Centroids, motion: &[Rigid], wanted: &[(Vector3<f32>, f32)], pieces: usize) -> Vec<Rigid> {
         let leading: Vec<Rigid> = self.nodes.iter().map(|&k| motion[k as usize]).collect();
@@ -138,7 +143,7 @@ pub(crate) fn register(
         // down to 1 in the first two thirds of the rounds
         let left = 1.0 - (1.5 * round as f32 / rounds as f32).min(1.0);
         let pieces = (NEIGHBOURS as f32 * first.powf(left)) as usize;
-        motion = match pieces > NEIGHBOURS {
+        motion = match pieces > NEIGHBOURS && from.leaders.lead(nodes) {
             true => from.leaders.fitted(nodes, &motion, &wanted, pieces),
             false => fitted(nodes, &motion, near, &wanted, pieces),
         };
