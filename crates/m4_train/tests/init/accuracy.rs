@@ -1,6 +1,6 @@
 //! Motion errors against tracks that are true, and against tracks that are not.
 
-use m4_core::{Capture, CaptureFrame, CompactMask, Silent, Tracks, nalgebra::Vector3};
+use m4_core::{Capture, CaptureFrame, CompactMask, ShapeError, Silent, Tracks, nalgebra::Vector3};
 use m4_testkit::BoxScene;
 use m4_train::init::{InitConfig, InitError, MotionErrors, motion_errors};
 
@@ -27,7 +27,7 @@ fn capture(scene: &BoxScene) -> Capture {
 }
 
 /// Points that frames show of the boxes; off by `drift` along x, world units per frame.
-fn tracks(scene: &BoxScene, drift: f64) -> Tracks {
+fn tracks(scene: &BoxScene, drift: f64) -> Result<Tracks, ShapeError> {
     let (w, h) = scene.mask(0).size();
     let pixels = (0..w * h).filter(|i| i % 5 == 0 && (i / w) % 5 == 0).map(|i| (i % w, i / w));
     let points: Vec<(usize, Vector3<f64>)> = [0, FRAMES / 2, FRAMES - 1]
@@ -42,7 +42,7 @@ fn tracks(scene: &BoxScene, drift: f64) -> Tracks {
         [(p.x + drift * t as f64) as f32, p.y as f32, p.z as f32]
     };
     let visible = all().map(|(t, body, local)| scene.sees(body, local, t)).collect();
-    Tracks::new(FRAMES, points.len(), all().map(place).collect(), visible).unwrap()
+    Tracks::new(FRAMES, points.len(), all().map(place).collect(), visible)
 }
 
 fn errors(capture: &Capture, tracks: &Tracks) -> Result<MotionErrors, InitError> {
@@ -53,7 +53,7 @@ fn errors(capture: &Capture, tracks: &Tracks) -> Result<MotionErrors, InitError>
 fn motion_of_boxes_is_right_and_wrong_tracks_contradict_it() {
     let scene = BoxScene::new(160, 120, FRAMES);
     let capture = capture(&scene);
-    let right = errors(&capture, &tracks(&scene, 0.0)).unwrap();
+    let right = errors(&capture, &tracks(&scene, 0.0).unwrap()).unwrap();
     println!("{right:?}");
     let after = |errors: &MotionErrors, k: usize| (errors.carried[k].after, errors.carried[k].median_px.unwrap());
     assert!(right.carried.iter().all(|row| row.count > 300));
@@ -64,7 +64,7 @@ fn motion_of_boxes_is_right_and_wrong_tracks_contradict_it() {
     assert!(lives.on_time > 0.5 && lives.late < 0.1, "{lives:?}");
 
     // 0.02 units are a pixel of the 160 at depth 3.2, and three of 480
-    let wrong = errors(&capture, &tracks(&scene, 0.01)).unwrap();
+    let wrong = errors(&capture, &tracks(&scene, 0.01).unwrap()).unwrap();
     println!("{wrong:?}");
     let (frames, off) = after(&wrong, 0);
     assert!((off / frames as f32 - 1.5).abs() < 0.4, "{wrong:?}");
@@ -77,7 +77,7 @@ fn tracks_of_another_clip_and_clips_without_content_are_no_errors_of_motion() {
     let mut capture = capture(&scene);
     let other = Tracks::new(2, 1, vec![[0.0; 3]; 2], vec![true; 2]).unwrap();
     assert!(matches!(errors(&capture, &other), Err(InitError::Tracks { frames: FRAMES, tracks: 2 })));
-    let own = tracks(&scene, 0.0);
+    let own = tracks(&scene, 0.0).unwrap();
     capture.frames.iter_mut().for_each(|frame| frame.mask = None);
     let none = errors(&capture, &own).unwrap();
     assert!(none.lives.count == 0 && none.carried.iter().all(|row| row.median_px.is_none()), "{none:?}");
