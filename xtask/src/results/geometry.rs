@@ -45,11 +45,11 @@ pub(super) fn table(runs: &mut Runs, scenes: &[Input]) -> Result<String> {
 }
 
 const MOTION_HEADINGS: &str = "scene | after 5 frames: median / 80 %, px | within 1 sigma, % | after 10: median / 80 %, px | within 1 sigma, % \
-    | lives on time / late / early, %";
+    | without a node, % | lives on time / late / early, %";
 const MOTION_TEMPLATES: &str = "{/scene} | {/carried/0/median_px 2} / {/carried/0/p80_px 2} | {/carried/0/percent} \
-    | {/carried/1/median_px 2} / {/carried/1/p80_px 2} | {/carried/1/percent} | {/lives/on_time} / {/lives/late} / {/lives/early}";
+    | {/carried/1/median_px 2} / {/carried/1/p80_px 2} | {/carried/1/percent} | {/percent_without_node 1} | {/lives/on_time} / {/lives/late} / {/lives/early}";
 
-/// Motion against true tracks: a row per scene.
+/// Measures motion against true tracks: a row per scene.
 pub(super) fn motion(runs: &mut Runs, scenes: &[Input]) -> Result<String> {
     let row = |scene: &Input| {
         runs.of(scene, "motion", "motion", |program| {
@@ -61,6 +61,7 @@ pub(super) fn motion(runs: &mut Runs, scenes: &[Input]) -> Result<String> {
             for k in 0..list(&report["motion"]["carried"]).count() {
                 row["carried"][k]["percent"] = percent(&row["carried"][k]["within_sigma"]).into();
             }
+            row["percent_without_node"] = percent(&row["without_node"]).into();
             for key in ["on_time", "late", "early"] {
                 row["lives"][key] = percent(&row["lives"][key]).into();
             }

@@ -1,4 +1,4 @@
-//! How far off the motion of dynamic surfaces is, measured against true tracks.
+//! Measures the motion of dynamic surfaces against true tracks.
 
 use crate::init::{
     InitConfig, InitError,
@@ -6,13 +6,12 @@ use crate::init::{
     cloud::clouds,
     config::stopped,
     lives::{Carrier, Clip, Span},
+    motion::UNIT_WIDTH,
 };
 use m4_core::{Capture, Progress, Tracks, nalgebra::Vector3};
 use rayon::prelude::*;
 use serde::Serialize;
 
-/// Errors are in pixels of an image of this width.
-const WIDTH: f32 = 480.0;
 /// Time over which a point is carried, frames at 24 a second.
 const AFTER: [f64; 2] = [5.0, 10.0];
 /// A life should end when the error passes this, pixels.
@@ -53,25 +52,33 @@ pub struct LifeErrors {
 /// How far off the motion of a clip is.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct MotionErrors {
+    /// Points on dynamic surfaces that frames of windows with nodes show, one per point and frame.
+    pub points: usize,
+    /// Share of them that no node carries; the figures below leave them out.
+    pub without_node: f32,
     /// After 5 and after 10 frames at 24 a second.
     pub carried: Vec<CarriedErrors>,
     /// Ends of lives.
     pub lives: LifeErrors,
 }
 
-/// What one point tells.
+/// What is known of some points.
 #[derive(Default)]
-struct Told {
+struct Samples {
+    points: usize,
+    without_node: usize,
     /// Error and standard deviation, pixels, per time of [`AFTER`].
     carried: [Vec<[f32; 2]>; AFTER.len()],
     /// Ends of lives after their moments, frames at 24 a second.
     ends: Vec<f64>,
 }
 
-impl Told {
+impl Samples {
     fn and(mut self, other: Self) -> Self {
         self.carried.iter_mut().zip(other.carried).for_each(|(a, b)| a.extend(b));
         self.ends.extend(other.ends);
+        self.points += other.points;
+        self.without_node += other.without_node;
         self
     }
 }
@@ -91,18 +98,18 @@ pub fn motion_errors(
     let clouds = clouds(capture, config, progress)?;
     let Moving { frames, dynamic, fields, .. } = moving(capture, config, &clouds, progress)?;
     let clip = Clip { capture, frames: &frames, dynamic: &dynamic, fields: &fields };
-    let mut all = Told::default();
+    let mut all = Samples::default();
     for keys in clip.spans() {
         stopped(progress)?;
-        if let Some(told) = clip.span(keys, |span| told(&clip, span, truth)) {
-            all = all.and(told);
+        if let Some(samples) = clip.span(keys, |span| window(&clip, span, truth)) {
+            all = all.and(samples);
         }
     }
     Ok(summary(all))
 }
 
-/// Of every point and keyframe of a window.
-fn told(clip: &Clip<'_>, span: &Span<'_>, truth: &Tracks) -> Told {
+/// Collects the samples of every point and keyframe of a window.
+fn window(clip: &Clip<'_>, span: &Span<'_>, truth: &Tracks) -> Samples {
     let deviations: Vec<Option<Vec<f32>>> = (0..span.times.len())
         .map(|key| {
             let width = span.observed[key].as_ref()?.width() as f32;
@@ -111,26 +118,28 @@ fn told(clip: &Clip<'_>, span: &Span<'_>, truth: &Tracks) -> Told {
         })
         .collect();
     let of = |at: usize| {
-        let Some(tree) = span.tree(at) else { return Told::default() };
+        let Some(tree) = span.tree(at) else { return Samples::default() };
         let frame = clip.frames[span.keys.start + at];
-        let points = (0..truth.count()).filter_map(|track| Some((track, seen(truth, frame, track)?)));
-        let told = points.filter_map(|(track, p)| {
-            let rgb = shown(clip, span, at, p)?;
-            let carrier = span.carrier(&tree, at, p)?;
+        let points = (0..truth.count()).filter_map(|track| Some((track, visible_place(truth, frame, track)?)));
+        let samples = points.filter_map(|(track, p)| {
+            let rgb = colour(clip, span, at, p)?;
+            let Some(carrier) = span.carrier(&tree, at, p) else {
+                return Some(Samples { points: 1, without_node: 1, ..Samples::default() });
+            };
             Some(point(clip, span, &deviations, (at, track, rgb), &carrier, truth))
         });
-        told.fold(Told::default(), Told::and)
+        samples.fold(Samples::default(), Samples::and)
     };
-    (0..span.times.len()).into_par_iter().map(of).reduce(Told::default, Told::and)
+    (0..span.times.len()).into_par_iter().map(of).reduce(Samples::default, Samples::and)
 }
 
-/// Where a track is, if the frame shows it.
-fn seen(truth: &Tracks, frame: usize, track: usize) -> Option<[f32; 3]> {
+/// Returns where a track is, if the frame shows it.
+fn visible_place(truth: &Tracks, frame: usize, track: usize) -> Option<[f32; 3]> {
     truth.place(frame, track).filter(|_| truth.visible()[frame * truth.count() + track])
 }
 
-/// The colour of a dynamic surface that keyframe `at` shows at a place.
-fn shown(clip: &Clip<'_>, span: &Span<'_>, at: usize, p: [f32; 3]) -> Option<[f32; 3]> {
+/// Returns the colour of a dynamic surface that keyframe `at` shows at a place.
+fn colour(clip: &Clip<'_>, span: &Span<'_>, at: usize, p: [f32; 3]) -> Option<[f32; 3]> {
     let observed = span.observed[at].as_ref()?;
     let projected = observed.project(&Vector3::from(p))?;
     let [x, y] = projected.at.map(f32::round);
@@ -145,7 +154,7 @@ fn shown(clip: &Clip<'_>, span: &Span<'_>, at: usize, p: [f32; 3]) -> Option<[f3
     ((depth - z).abs() <= SAME_DEPTH * z).then(|| rgb[pixel].map(|c| f32::from(c) / 255.0))
 }
 
-/// Of one point of keyframe `at`, in colour `rgb`.
+/// Collects the samples of one point of keyframe `at`, in colour `rgb`.
 fn point(
     clip: &Clip<'_>,
     span: &Span<'_>,
@@ -153,31 +162,30 @@ fn point(
     (at, track, rgb): (usize, usize, [f32; 3]),
     carrier: &Carrier,
     truth: &Tracks,
-) -> Told {
+) -> Samples {
     let frame_24 = clip.rate() / 24.0;
     let times = &span.times;
-    // pixels of WIDTH; where the point is seen
+    // where the point is visible
     let error = |key: usize| -> Option<f32> {
-        let true_place = seen(truth, clip.frames[span.keys.start + key], track)?;
+        let true_place = visible_place(truth, clip.frames[span.keys.start + key], track)?;
         let observed = span.observed[key].as_ref()?;
         let place = observed.project(&carrier.place(&span.nodes.motion[key]))?.at;
         let true_place = observed.project(&Vector3::from(true_place))?.at;
-        Some((place[0] - true_place[0]).hypot(place[1] - true_place[1]) * WIDTH / observed.width() as f32)
+        Some((place[0] - true_place[0]).hypot(place[1] - true_place[1]) * UNIT_WIDTH / observed.width() as f32)
     };
-    let own = |key: usize| {
+    let deviation = |key: usize| {
         let Some(all) = &deviations[key] else { return 0.0 };
-        let width = span.observed[key].as_ref().map_or(WIDTH, |o| o.width() as f32);
-        let mean: f32 = carrier.nodes.iter().zip(carrier.weights).map(|(&n, w)| w * all[usize::from(n)]).sum();
-        mean * WIDTH / width
+        carrier.nodes.iter().zip(carrier.weights).map(|(&n, w)| w * all[usize::from(n)]).sum::<f32>()
     };
-    let mut out = Told::default();
-    for (after, told) in AFTER.iter().zip(&mut out.carried) {
+    let mut out = Samples { points: 1, ..Samples::default() };
+    for (after, pairs) in AFTER.iter().zip(&mut out.carried) {
         for side in [-1.0, 1.0] {
             let wanted = f64::from(times[at]) + side * after * frame_24;
             let near = |key: &usize| (f64::from(times[*key]) - wanted).abs() <= 0.5;
-            let Some(key) = (0..times.len()).find(near) else { continue };
+            // a slow clip has no frame at that time but its own
+            let Some(key) = (0..times.len()).find(near).filter(|key| *key != at) else { continue };
             let Some(error) = error(key) else { continue };
-            told.push([error, own(at).hypot(own(key))]);
+            pairs.push([error, deviation(at).hypot(deviation(key))]);
         }
     }
     let life = span.life(at, rgb, carrier).map_or([times[at]; 2], |life| life.life);
@@ -194,9 +202,9 @@ fn point(
     out
 }
 
-fn summary(told: Told) -> MotionErrors {
+fn summary(samples: Samples) -> MotionErrors {
     let quantile = |sorted: &[f32], share: f64| sorted.get((share * sorted.len() as f64) as usize).copied();
-    let carried = AFTER.iter().zip(told.carried).map(|(&after, pairs)| {
+    let carried = AFTER.iter().zip(samples.carried).map(|(&after, pairs)| {
         let mut errors: Vec<f32> = pairs.iter().map(|[error, _]| *error).collect();
         errors.sort_by(f32::total_cmp);
         let within = pairs.iter().filter(|[error, sigma]| error <= sigma).count();
@@ -209,13 +217,14 @@ fn summary(told: Told) -> MotionErrors {
         }
     });
     let share = |of: &dyn Fn(f64) -> bool| {
-        told.ends.iter().filter(|end| of(**end)).count() as f32 / told.ends.len().max(1) as f32
+        samples.ends.iter().filter(|end| of(**end)).count() as f32 / samples.ends.len().max(1) as f32
     };
     let lives = LifeErrors {
-        count: told.ends.len(),
+        count: samples.ends.len(),
         on_time: share(&|end| end.abs() <= ON_TIME),
         late: share(&|end| end > ON_TIME),
         early: share(&|end| end < -ON_TIME),
     };
-    MotionErrors { carried: carried.collect(), lives }
+    let without_node = samples.without_node as f32 / samples.points.max(1) as f32;
+    MotionErrors { points: samples.points, without_node, carried: carried.collect(), lives }
 }

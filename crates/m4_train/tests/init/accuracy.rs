@@ -59,6 +59,7 @@ fn motion_of_boxes_is_right_and_wrong_tracks_contradict_it() {
     assert!(right.carried.iter().all(|row| row.count > 300));
     assert!(after(&right, 0).1 < 1.0 && after(&right, 1).1 < 1.5, "{right:?}");
     assert!(right.carried.iter().all(|row| row.within_sigma.unwrap() > 0.5), "{right:?}");
+    assert!(right.points > 4000 && right.without_node < 0.1, "{right:?}");
     let lives = right.lives;
     assert!((lives.on_time + lives.late + lives.early - 1.0).abs() < 1e-5 && lives.count > 1000, "{lives:?}");
     assert!(lives.on_time > 0.5 && lives.late < 0.1, "{lives:?}");
@@ -78,6 +79,10 @@ fn tracks_of_another_clip_and_clips_without_content_are_no_errors_of_motion() {
     let other = Tracks::new(2, 1, vec![[0.0; 3]; 2], vec![true; 2]).unwrap();
     assert!(matches!(errors(&capture, &other), Err(InitError::Tracks { frames: FRAMES, tracks: 2 })));
     let own = tracks(&scene, 0.0).unwrap();
+    // a frame a second: none is five frames at 24 a second away
+    let slow = Capture { duration_s: Some((FRAMES - 1) as f64), ..capture.clone() };
+    let slow = errors(&slow, &own).unwrap();
+    assert!(slow.points > 0 && slow.carried.iter().all(|row| row.count == 0), "{slow:?}");
     capture.frames.iter_mut().for_each(|frame| frame.mask = None);
     let none = errors(&capture, &own).unwrap();
     assert!(none.lives.count == 0 && none.carried.iter().all(|row| row.median_px.is_none()), "{none:?}");

@@ -1,4 +1,4 @@
-//! How far off the motion of dynamic surfaces is that first splats get.
+//! Measures the motion that first splats give to dynamic surfaces.
 
 use super::read_truth;
 use crate::settings::Settings;
@@ -28,7 +28,7 @@ pub fn motion(scene: &Path, reach: Reach, observer: &dyn Observer) -> Result<Mot
     Ok(motion_errors(&capture, &tracks, &settings.init_config(), observer)?)
 }
 
-/// A line per time that points are carried, and one for the ends of lives.
+/// Formats the errors: a line per time that points are carried, one for points without a node, and one for the ends of lives.
 pub fn motion_table(errors: &MotionErrors) -> String {
     let px = |value: Option<f32>| value.map_or("-".to_owned(), |v| format!("{v:.2}"));
     let mut out = "\nmotion against true tracks, pixels of an image 480 wide\n".to_owned();
@@ -42,6 +42,8 @@ pub fn motion_table(errors: &MotionErrors) -> String {
             row.count
         );
     }
+    out +=
+        &format!("  {} points of frames, {:.1} % of them without a node\n", errors.points, 100.0 * errors.without_node);
     let lives = errors.lives;
     let [on_time, late, early] = [lives.on_time, lives.late, lives.early].map(|share| 100.0 * share);
     out += &format!(

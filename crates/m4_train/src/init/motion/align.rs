@@ -21,8 +21,10 @@ const ANOTHER_PIECE: f32 = 2.0;
 const LONGEST: (f32, f32) = (0.3, 3.0);
 /// Points that weigh less than this are left out.
 const LEAST: f32 = 0.02;
-/// While pieces are wide, every so many points speak for all.
-const WIDE_STEP: usize = 2;
+/// How much of a piece counts: the fall of weights with the distance from its node, and the step over its points. Wide in the first half of the rounds.
+pub(super) type Extent = (f32, usize);
+const WIDE: Extent = (1.0, 2);
+pub(super) const NARROW: Extent = (4.0, 1);
 
 /// A place of a surface, and the points that move with it.
 #[derive(Debug, Clone)]
@@ -64,13 +66,13 @@ pub(crate) struct Prior {
 pub(crate) fn align(pieces: &Pieces, frame: &Observed, guess: &[Rigid], prior: Prior, rounds: usize) -> Vec<Rigid> {
     let mut motion = guess.to_vec();
     for round in 0..rounds {
-        let (narrow, step) = if 2 * round < rounds { (1.0, WIDE_STEP) } else { (4.0, 1) };
+        let extent = if 2 * round < rounds { WIDE } else { NARROW };
         motion = (0..pieces.nodes.len())
             .into_par_iter()
             .map(|i| {
                 let mut sums = Sums::default();
                 let now = Moved::new(&pieces.nodes[i], &motion[i]);
-                sums.points(pieces, i, &now, frame, prior.depth, (narrow, step));
+                sums.points(pieces, i, &now, frame, prior.depth, extent);
                 sums.neighbours(pieces, i, &now, frame, &motion, prior);
                 sums.damp(pieces, &now, frame, prior);
                 sums.step(&now, frame)
@@ -102,24 +104,24 @@ impl<'a> Moved<'a> {
 #[derive(Default)]
 pub(super) struct Fit {
     squares: f32,
-    shown: f32,
+    visible: f32,
     all: f32,
 }
 
 impl Fit {
     fn add(&mut self, weight: f32, square: f32) {
         self.squares += weight * square / (1.0 + square / (OUTLIER * OUTLIER));
-        self.shown += weight;
+        self.visible += weight;
     }
 
-    /// Mean squared difference over its noise, [`OUTLIER`] squared at most and where nothing is shown.
+    /// Returns the mean squared difference over its noise, [`OUTLIER`] squared at most and where nothing is visible.
     pub fn misfit(&self) -> f32 {
-        if self.shown > 0.0 { self.squares / self.shown } else { OUTLIER * OUTLIER }
+        if self.visible > 0.0 { self.squares / self.visible } else { OUTLIER * OUTLIER }
     }
 
-    /// Share of the points that the frame shows.
-    pub fn shown(&self) -> f32 {
-        self.shown / self.all.max(f32::MIN_POSITIVE)
+    /// Returns the share of the points that the frame shows.
+    pub fn visible(&self) -> f32 {
+        self.visible / self.all.max(f32::MIN_POSITIVE)
     }
 }
 
@@ -152,12 +154,12 @@ impl Sums {
         now: &Moved<'_>,
         frame: &Observed,
         depth: f32,
-        (narrow, step): (f32, usize),
+        (fall, step): Extent,
     ) -> Fit {
         let mut fit = Fit::default();
         let count = (ALIKE / (pieces.step * pieces.step) as f32).max(1.0) / step as f32;
         for &(k, d) in pieces.nodes[i].points.iter().step_by(step) {
-            let near = (-narrow * d).exp();
+            let near = (-fall * d).exp();
             if near < LEAST {
                 // the nearest come first
                 break;
@@ -219,7 +221,7 @@ impl Sums {
         }
     }
 
-    /// Draws the step to none.
+    /// Damps the step.
     pub fn damp(&mut self, pieces: &Pieces, now: &Moved<'_>, frame: &Observed, prior: Prior) {
         let noise = prior.step_px * now.pixel(frame);
         self.corners(&corners(pieces, now, now.motion), 0.25 / (noise * noise));

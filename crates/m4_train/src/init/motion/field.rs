@@ -56,10 +56,10 @@ pub(crate) fn fields(
             Some(last) => shifts(from, &last.forward.onward(from)),
             None => shifts(from, from),
         };
-        let motion = register(a, b, shifts_between(i - 1, i), Guess::Vague(guess), reach);
+        let motion = register(a, b, shifts_between(i - 1, i), Guess::Rough(guess), reach);
         let forward = Field { nodes: from.clone(), motion };
         let guess = shifts(to, &forward.inverse().places(to));
-        let motion = register(b, a, shifts_between(i, i - 1), Guess::Near(guess), reach);
+        let motion = register(b, a, shifts_between(i, i - 1), Guess::Close(guess), reach);
         out.push(Fields { forward, backward: Field { nodes: to.clone(), motion } });
     }
     Ok(out)

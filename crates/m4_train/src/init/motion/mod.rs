@@ -15,6 +15,7 @@ mod register;
 mod rigid;
 mod window;
 
+pub(crate) use deviation::UNIT_WIDTH;
 pub(crate) use field::{Field, Fields, Paths, fields};
 pub(crate) use observed::Observed;
 pub(crate) use register::{KeyframeTracks, NODE_PIXELS, REACH_PIXELS, View};

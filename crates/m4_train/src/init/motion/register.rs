@@ -10,12 +10,12 @@ use std::num::NonZero;
 const COLOUR_SCALE: f32 = 0.1;
 /// Points that move together as one rigid piece, in the last rounds.
 const NEIGHBOURS: usize = 20;
-/// Rounds of match and fit from a vague guess, and from one that is nearly right (measured, as the next two: docs/decisions/0022).
+/// Rounds of match and fit from a rough guess, and from one that is nearly right (measured, as the next two: docs/decisions/0022).
 const ROUNDS: (usize, usize) = (8, 4);
 /// How many more points move together in the first rounds than in the last.
 const FIRST: usize = 8;
-/// Large pieces are fitted around one of this many nodes; the others move as the fitted one nearest to them.
-const LED: usize = 4;
+/// Large pieces are fitted around one of this many nodes; the others have the motion of the nearest of these.
+const NODES_PER_LEADER: usize = 4;
 /// Spacing of the points that are registered, pixels at the median depth (our rule).
 pub(crate) const NODE_PIXELS: f32 = 4.0;
 /// Length over which places compete with colours, pixels at the median depth (our rule).
@@ -75,18 +75,18 @@ struct Leaders {
 
 impl Leaders {
     fn new(places: &[[f32; 3]]) -> Self {
-        let nodes: Vec<u32> = (0..places.len() as u32).step_by(LED).collect();
+        let nodes: Vec<u32> = (0..places.len() as u32).step_by(NODES_PER_LEADER).collect();
         let leading: Vec<[f32; 3]> = nodes.iter().map(|&k| places[k as usize]).collect();
         let of = nearest(&leading, places, 1).into_iter().flatten().collect();
         Self { nodes, of, near: nearest(places, &leading, FIRST * NEIGHBOURS) }
     }
 
-    /// Whether each of the nodes has a leader: not where points have no order in space.
-    fn lead(&self, nodes: &Centroids) -> bool {
+    /// Tells whether each of the nodes has a leader: not where points have no order in space.
+    fn are_complete(&self, nodes: &Centroids) -> bool {
         self.of.len() == nodes.xyz.len() && self.near.len() == self.nodes.len()
     }
 
-    /// The motion of every node, as its leader's `fitted` one.
+    /// Fits the leaders, and returns for every node the motion of its leader.
     fn fitted(&self, nodes: &Centroids, motion: &[Rigid], wanted: &[(Vector3<f32>, f32)], pieces: usize) -> Vec<Rigid> {
         let leading: Vec<Rigid> = self.nodes.iter().map(|&k| motion[k as usize]).collect();
         let leading = fitted(nodes, &leading, &self.near, wanted, pieces);
@@ -94,7 +94,7 @@ impl Leaders {
     }
 }
 
-/// The `count` of `points` that are nearest to each of the `places`, the nearest first; none if points have no order in space.
+/// Finds the `count` of `points` that are nearest to each of the `places`, the nearest first; none if points have no order in space.
 fn nearest(points: &[[f32; 3]], places: &[[f32; 3]], count: usize) -> Vec<Vec<u32>> {
     let (Ok(tree), Some(count)) =
         (ImmutableKdTree::<f32, 3>::new_from_slice(points), NonZero::new(count.min(points.len())))
@@ -107,17 +107,17 @@ fn nearest(points: &[[f32; 3]], places: &[[f32; 3]], count: usize) -> Vec<Vec<u3
 
 /// Where a registration starts.
 pub(crate) enum Guess {
-    /// Pieces are large in the first rounds and shrink.
-    Vague(Vec<Rigid>),
-    /// Pieces are small at once.
-    Near(Vec<Rigid>),
+    /// A rough one: pieces are large in the first rounds and shrink.
+    Rough(Vec<Rigid>),
+    /// One that is nearly right: pieces are small at once.
+    Close(Vec<Rigid>),
 }
 
 /// A motion for every node of `from`, that brings them onto `to`, starting from `guess`; `reach` in world units.
 ///
 /// Each round matches every displaced node to the nearest point of `to` in place and colour; then the motion of
 /// a node is the rigid one that fits what the matches of its neighbours ask for, matches of unlike colour or far
-/// away weighing little, and nodes that go where they cannot be seen nothing at all. From a vague guess neighbourhoods shrink from
+/// away weighing little, and nodes that go where they cannot be seen nothing at all. From a rough guess neighbourhoods shrink from
 /// round to round: large pieces first, then their parts. Then nodes near `tracks` are moved with them.
 pub(crate) fn register(
     from: &Keyframe<'_>,
@@ -128,8 +128,8 @@ pub(crate) fn register(
 ) -> Vec<Rigid> {
     let (nodes, near) = (from.view.nodes, &from.near);
     let (mut motion, rounds, first) = match guess {
-        Guess::Vague(motion) => (motion, ROUNDS.0, FIRST as f32),
-        Guess::Near(motion) => (motion, ROUNDS.1, 1.0),
+        Guess::Rough(motion) => (motion, ROUNDS.0, FIRST as f32),
+        Guess::Close(motion) => (motion, ROUNDS.1, 1.0),
     };
     let Some(points) = to.points.as_ref().filter(|_| !near.is_empty()) else {
         return motion;
@@ -143,7 +143,7 @@ pub(crate) fn register(
         // down to 1 in the first two thirds of the rounds
         let left = 1.0 - (1.5 * round as f32 / rounds as f32).min(1.0);
         let pieces = (NEIGHBOURS as f32 * first.powf(left)) as usize;
-        motion = match pieces > NEIGHBOURS && from.leaders.lead(nodes) {
+        motion = match pieces > NEIGHBOURS && from.leaders.are_complete(nodes) {
             true => from.leaders.fitted(nodes, &motion, &wanted, pieces),
             false => fitted(nodes, &motion, near, &wanted, pieces),
         };

@@ -102,8 +102,8 @@ impl WindowMotion {
         self.prior.depth
     }
 
-    /// What tells how far off each node is at keyframe `key` of the `observed` ones that it was made of; `None` where it is known: on the reference; and
-    /// where nothing tells it.
+    /// Returns the signs of the error of each node at keyframe `key` of the `observed` ones that this was made of; `None` on the reference, where nodes are exact, and
+    /// where nothing was observed.
     pub fn signs(&self, observed: &[Option<Observed>], key: usize) -> Option<Vec<Signs>> {
         let frame = observed.get(key)?.as_ref().filter(|_| key != self.reference)?;
         Some(signs(&self.pieces, frame, &self.motion[key], self.prior))
