@@ -119,7 +119,7 @@ impl Clip<'_> {
         let observed: Vec<Option<Observed>> = frames.par_iter().map(|frame| Observed::new(frame)).collect();
         let times: Vec<f64> = dynamic.iter().map(|(t, _)| *t).collect();
         let fields = &self.fields[keys.start.min(self.fields.len())..];
-        let nodes = WindowMotion::new(&observed, &times, reference(dynamic), fields)?;
+        let nodes = WindowMotion::new(&observed, &times, reference(dynamic), fields, self.rate())?;
         let shown = frames.iter().zip(&observed);
         let shown = shown.map(|(frame, o)| o.as_ref().map(|o| Shown::new(o, &frame.rgb, nodes.depth_noise())));
         let edge = |inside: usize, outside: Option<&(f64, Centroids)>, open: f32| match outside {

@@ -21,9 +21,9 @@ const ANOTHER_PIECE: f32 = 2.0;
 const LONGEST: (f32, f32) = (0.3, 3.0);
 /// Points that weigh less than this are left out.
 const LEAST: f32 = 0.02;
-/// How much of a piece counts: the fall of weights with the distance from its node, and the step over its points. Wide in the first half of the rounds.
-pub(super) type Extent = (f32, usize);
-const WIDE: Extent = (1.0, 2);
+/// How much of a piece counts: the fall of weights with the distance from its node, and the step over its points.
+pub(crate) type Extent = (f32, usize);
+pub(super) const WIDE: Extent = (1.0, 2);
 pub(super) const NARROW: Extent = (4.0, 1);
 
 /// A place of a surface, and the points that move with it.
@@ -61,12 +61,11 @@ pub(crate) struct Prior {
 /// Moves every node of `pieces` from its `guess` so that its points look in `frame` as they do in their own.
 ///
 /// A node minimises the squared differences of measures and depth at its points and the distances of its motion from those of its neighbours (as
-/// rigid as possible, robust, so that joints bend); steps are damped (Levenberg-Marquardt), so that what nothing tells keeps its guess. Pieces are wide in the first half of the rounds. All nodes take a step from the same
+/// rigid as possible, robust, so that joints bend); steps are damped (Levenberg-Marquardt), so that what nothing tells keeps its guess. `rounds` tells how wide pieces are in each round. All nodes take a step from the same
 /// state: the result does not depend on the number of threads.
-pub(crate) fn align(pieces: &Pieces, frame: &Observed, guess: &[Rigid], prior: Prior, rounds: usize) -> Vec<Rigid> {
+pub(crate) fn align(pieces: &Pieces, frame: &Observed, guess: &[Rigid], prior: Prior, rounds: &[Extent]) -> Vec<Rigid> {
     let mut motion = guess.to_vec();
-    for round in 0..rounds {
-        let extent = if 2 * round < rounds { WIDE } else { NARROW };
+    for &extent in rounds {
         motion = (0..pieces.nodes.len())
             .into_par_iter()
             .map(|i| {
@@ -287,12 +286,13 @@ fn trust(square: f32) -> f32 {
 
 #[cfg(test)]
 mod tests {
-    use super::{Observed, Prior, Rigid, align};
+    use super::{Extent, NARROW, Observed, Prior, Rigid, WIDE, align};
     use crate::init::motion::pieces::pieces;
     use m4_core::{Camera, CaptureFrame, CompactMask, Intrinsics, Plane, Se3};
 
     const SIZE: (usize, usize) = (160, 120);
     const DEPTH: f64 = 2.0;
+    const ROUNDS: [Extent; 2] = [WIDE, NARROW];
 
     /// A textured wall, dynamic but for its left quarter, whose pixel `(x, y)` shows what is at `back(x, y)`, by that much `light`.
     fn frame(back: impl Fn(f64, f64) -> [f64; 2], contrast: f64, light: f64) -> CaptureFrame {
@@ -339,7 +339,7 @@ mod tests {
         assert_eq!(chosen.len(), pieces.nodes.len());
         let still: Vec<Rigid> = pieces.nodes.iter().map(|n| Rigid::shift(n.place.into(), n.place.into())).collect();
         let prior = Prior { depth: 0.004, apart_px: 0.5, step_px: 1.0 };
-        let motion = align(&pieces, &Observed::new(to).unwrap(), &still, prior, 12);
+        let motion = align(&pieces, &Observed::new(to).unwrap(), &still, prior, &ROUNDS.map(|e| [e; 6]).concat());
         let (mut off, mut depth) = (Vec::new(), 0.0f32);
         for (node, motion) in pieces.nodes.iter().zip(&motion) {
             let (at, _) = from.camera.project(&node.place.cast::<f64>());
@@ -393,7 +393,7 @@ mod tests {
         let (pieces, _) = pieces(&Observed::new(&from).unwrap(), &places(&from), 6.0).unwrap();
         let still: Vec<Rigid> = pieces.nodes.iter().map(|n| Rigid::shift(n.place.into(), n.place.into())).collect();
         let prior = Prior { depth: 0.004, apart_px: 0.5, step_px: 1.0 };
-        let motion = align(&pieces, &Observed::new(&behind).unwrap(), &still, prior, 12);
+        let motion = align(&pieces, &Observed::new(&behind).unwrap(), &still, prior, &ROUNDS.map(|e| [e; 6]).concat());
         assert!(motion.iter().all(|m| (m.to - m.from).norm() < 1e-3));
     }
 }

@@ -13,6 +13,7 @@ mod observed;
 mod pieces;
 mod register;
 mod rigid;
+mod smooth;
 mod window;
 
 pub(crate) use deviation::UNIT_WIDTH;

@@ -1,6 +1,9 @@
 //! What a frame shows of dynamic surfaces, in measures that shading leaves alone.
 
-use m4_core::{CaptureFrame, Plane, nalgebra::Vector3};
+use m4_core::{
+    CaptureFrame, Plane,
+    nalgebra::{Matrix3, Vector3},
+};
 
 /// Depths of four neighbouring pixels that differ by more than this share are not of one surface (our rule).
 const JUMP: f32 = 0.03;
@@ -82,6 +85,11 @@ impl Observed {
             pixels: (0..width * height).map(pixel).collect(),
             dynamic: inside.data().iter().map(|&v| v > 0.0).collect(),
         })
+    }
+
+    /// Rows: right, down and ahead, in world axes.
+    pub fn axes(&self) -> Matrix3<f32> {
+        Matrix3::from_fn(|i, j| self.rotation[i][j])
     }
 
     /// Columns of the image.

@@ -1,19 +1,30 @@
-//! Motion of the nodes of a window: each is aligned to every frame of it from the frame in the middle, so that errors do not add up.
+//! Motion of the nodes of a window: each is aligned to every frame of it from the frame in the middle, so that errors do not add up, and
+//! smoothed over time.
 
 use crate::init::motion::{
     Field, Fields,
-    align::{Node, Pieces, Prior, align},
-    deviation::{Signs, signs},
+    align::{Extent, NARROW, Node, Pieces, Prior, WIDE, align},
+    deviation::{Signs, UNIT_WIDTH, signs},
     observed::Observed,
     pieces::{depth_noise, pieces},
     rigid::Rigid,
+    smooth::{Estimate, Expected, smooth},
 };
 use rayon::prelude::*;
 
 /// Nodes of a window if its surface faced the camera; surfaces that do not have up to two or three times as many (measured: docs/decisions/0022).
 const NODES: f32 = 200.0;
 /// Rounds of a frame.
-const ROUNDS: usize = 8;
+const ROUNDS: [Extent; 8] = [WIDE, WIDE, WIDE, WIDE, NARROW, NARROW, NARROW, NARROW];
+/// How often a window is aligned again from smoothed motion (measured, as the next: docs/decisions/0022).
+const AGAIN: usize = 2;
+/// Deviation of fourth differences of places from 0, pixels of [`UNIT_WIDTH`], for times a second apart.
+const SNAP_PX: f64 = 680_000.0;
+/// Deviations of the place on the reference, and where no frame tells it, pixels of [`UNIT_WIDTH`].
+const EXACT_PX: f32 = 0.02;
+const UNKNOWN_PX: f32 = 50.0;
+/// Noise of the depth of a piece, in units of that of a pixel.
+const DEPTH_OF_PIECE: f32 = 0.3;
 /// How far a step of an alignment leads, widths of the image.
 const STEP_WIDTHS: f32 = 1.0 / 160.0;
 /// How far neighbouring nodes move apart, widths of the image.
@@ -41,11 +52,17 @@ pub(crate) struct WindowMotion {
 
 impl WindowMotion {
     /// Of nodes on what keyframe `reference` of a window shows. `observed` and `times` (frames) are those of its keyframes; `fields` lead from
-    /// each of them to the next. `None` where the reference shows nothing dynamic, or depth so torn that there are more nodes than a
+    /// each of them to the next; `rate` is that of frames a second. `None` where the reference shows nothing dynamic, or depth so torn that there are more nodes than a
     /// binding can name.
     ///
     /// Keyframes of one instant, from other cameras, share their motion.
-    pub fn new(observed: &[Option<Observed>], times: &[f64], reference: usize, fields: &[Fields]) -> Option<Self> {
+    pub fn new(
+        observed: &[Option<Observed>],
+        times: &[f64],
+        reference: usize,
+        fields: &[Fields],
+        rate: f64,
+    ) -> Option<Self> {
         let from = observed.get(reference)?.as_ref()?;
         let places: Vec<[f32; 3]> = from.points(1).iter().map(|p| p.place.into()).collect();
         let px = (places.len() as f32 / NODES).sqrt().max(3.0);
@@ -65,6 +82,7 @@ impl WindowMotion {
             Some(depth_noise(observed.get(key)?.as_ref()?, &nodes, &field.motions(&nodes)))
         });
         let depth = m4_core::median(&mut noises.collect::<Vec<f32>>()).unwrap_or(DEPTH);
+        let seconds: Vec<f64> = times.iter().map(|t| t / rate).collect();
         let width = from.width() as f32;
         let prior = Prior { depth, apart_px: APART_WIDTHS * width, step_px: STEP_WIDTHS * width };
         let along = |forward: bool| {
@@ -75,7 +93,7 @@ impl WindowMotion {
                     let frame = observed[next].as_ref();
                     let guess = guess(&pieces, &motion, before.as_deref(), field, frame, prior);
                     let now = match frame {
-                        Some(frame) => align(&pieces, frame, &guess, prior, ROUNDS),
+                        Some(frame) => align(&pieces, frame, &guess, prior, &ROUNDS),
                         None => guess,
                     };
                     before = Some(std::mem::replace(&mut motion, now));
@@ -89,7 +107,64 @@ impl WindowMotion {
         motions.reverse();
         motions.push(still);
         motions.extend(ahead);
-        Some(Self { nodes, motion: motions, pieces, prior, reference })
+        let mut out = Self { nodes, motion: motions, pieces, prior, reference };
+        for _ in 0..AGAIN {
+            out.smooth(observed, &seconds);
+            out.align_again(observed, &seconds);
+        }
+        out.smooth(observed, &seconds);
+        Some(out)
+    }
+
+    /// Brings the motion of each node to that which is most likely over time (docs/spec/scaffold.md 4).
+    fn smooth(&mut self, observed: &[Option<Observed>], seconds: &[f64]) {
+        let Some(from) = observed[self.reference].as_ref() else { return };
+        let keys = 0..observed.len();
+        let signs: Vec<Option<Vec<Signs>>> = keys.clone().map(|key| self.signs(observed, key)).collect();
+        // keyframes of one instant, from other cameras, share their motion
+        let instants: Vec<usize> = keys.clone().filter(|&k| k == 0 || seconds[k] > seconds[k - 1]).collect();
+        let of = |i: usize| {
+            let z = from.project(&self.pieces.nodes[i].place).map_or(1.0, |p| p.point[2]);
+            let unit = from.pixel(z) * from.width() as f32 / UNIT_WIDTH;
+            let depth = self.prior.depth * z;
+            let estimate = |&key: &usize| {
+                let across_px = match &signs[key] {
+                    _ if seconds[key] == seconds[self.reference] => EXACT_PX,
+                    Some(signs) => signs[i].deviation(from.width() as f32),
+                    None => UNKNOWN_PX,
+                };
+                let across = across_px * unit;
+                Estimate {
+                    time: seconds[key],
+                    motion: self.motion[key][i],
+                    across,
+                    along: across.max(DEPTH_OF_PIECE * depth),
+                }
+            };
+            let estimates: Vec<Estimate> = instants.iter().map(estimate).collect();
+            let radius = 2.0 * self.pieces.spacing;
+            smooth(&estimates, Expected { axes: from.axes(), snap: SNAP_PX * f64::from(unit), radius })
+        };
+        let paths: Vec<Vec<Rigid>> = (0..self.pieces.nodes.len()).into_par_iter().map(of).collect();
+        let mut instant = 0;
+        for key in keys {
+            instant += usize::from(instants.get(instant + 1) == Some(&key));
+            if seconds[key] != seconds[self.reference] {
+                self.motion[key] = paths.iter().map(|path| path[instant]).collect();
+            }
+        }
+    }
+
+    /// Aligns the nodes to every frame from where they are.
+    fn align_again(&mut self, observed: &[Option<Observed>], seconds: &[f64]) {
+        for key in 0..observed.len() {
+            if seconds[key] == seconds[self.reference] {
+                continue;
+            }
+            if let Some(frame) = &observed[key] {
+                self.motion[key] = align(&self.pieces, frame, &self.motion[key], self.prior, &[NARROW; 2]);
+            }
+        }
     }
 
     /// Distance between nodes, world units.
