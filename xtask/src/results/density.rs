@@ -5,7 +5,7 @@ use super::page::{list, mean, table};
 use super::runs::{Input, Program, Runs, continuing, read};
 use anyhow::{Context, Result};
 use serde_json::{Value, json};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 const TABLE: [&str; 2] = [
     "scene | profile, density control | first splats | splats | loop, s | processor, s | peak MB | held-out frames: whole / dynamic | SSIM \
@@ -76,12 +76,7 @@ fn row(runs: &mut Runs, scene: &Input, profile: &str, what: &str, settings: &[St
     let name = format!("{profile}, {what}");
     let folder = name.replace([',', '(', ')', '\''], "").replace(' ', "-");
     runs.of(scene, &name, &folder, |program| {
-        let (split, out) = (scene.dir.join("instant4d"), scene.dir.join(&folder));
-        if !split.join("transforms_test.json").is_file() {
-            program.run(|c| {
-                c.arg("split").arg(&scene.path).arg("-o").arg(&split).args(["--protocol", "instant4d", "--quiet"])
-            })?;
-        }
+        let (split, out) = (split(program, scene)?, scene.dir.join(&folder));
         let record = out.join("run.json");
         program.run(|c| {
             c.arg("train").arg(&split).arg("-o").arg(&out).args(["--profile", profile, "--no-viewer", "--quiet"]);
@@ -105,8 +100,19 @@ fn row(runs: &mut Runs, scene: &Input, profile: &str, what: &str, settings: &[St
     })
 }
 
+/// The frames of a scene, but for those that the protocol `instant4d` holds out.
+pub(super) fn split(program: &Program, scene: &Input) -> Result<PathBuf> {
+    let split = scene.dir.join("instant4d");
+    if !split.join("transforms_test.json").is_file() {
+        program.run(|c| {
+            c.arg("split").arg(&scene.path).arg("-o").arg(&split).args(["--protocol", "instant4d", "--quiet"])
+        })?;
+    }
+    Ok(split)
+}
+
 /// Means over the views that a capture lists; of several sets, those of the far views.
-fn scores(program: &Program, out: &Path, data: &Path) -> Result<Value> {
+pub(super) fn scores(program: &Program, out: &Path, data: &Path) -> Result<Value> {
     program.run(|c| c.arg("eval").arg(out).arg("--data").arg(data).arg("--quiet"))?;
     let eval = read(&out.join("eval.json"))?;
     let far = list(&eval["sets"]).find(|set| set["set"] == "far").map(|set| set["mean"].clone());
@@ -114,7 +120,7 @@ fn scores(program: &Program, out: &Path, data: &Path) -> Result<Value> {
 }
 
 /// The first and the last event of a training.
-fn first_and_last(path: &Path) -> Result<(Value, Value)> {
+pub(super) fn first_and_last(path: &Path) -> Result<(Value, Value)> {
     let text = std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
     let parse =
         |line: Option<&str>| serde_json::from_str(line.unwrap_or_default()).context("a line of metrics is no JSON");

@@ -4,6 +4,7 @@
 //! `eval.json`) or prints (`eval-geometry`, `bench`).
 
 mod clips;
+mod curve;
 mod density;
 mod geometry;
 mod kernels;
@@ -31,11 +32,12 @@ enum Over {
 type Section = (&'static str, Over, fn(&mut Runs, &[Input]) -> Result<String>);
 
 /// In the order of the page.
-const SECTIONS: [Section; 7] = [
+const SECTIONS: [Section; 8] = [
     ("geometry", Over::Scenes, geometry::table),
     ("motion", Over::Scenes, geometry::motion),
     ("views", Over::Views(usize::MAX), views::tables),
     ("ablation", Over::Views(usize::MAX), density::ablation),
+    ("curve", Over::Views(usize::MAX), curve::curve),
     ("explain", Over::Views(4), geometry::explained),
     ("clips", Over::Clips, clips::table),
     ("kernels", Over::Machine, kernels::table),
