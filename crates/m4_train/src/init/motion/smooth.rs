@@ -9,6 +9,8 @@ const ORDER: usize = 4;
 const ROUNDS: usize = 6;
 /// Residuals of this many times their deviation count half (measured: docs/decisions/0022).
 const OUTLIER: f64 = 2.0;
+/// Standard deviation of a normal distribution whose absolute values have a median of 1.
+const NORMAL: f64 = 1.4826;
 
 /// The motion of a node at one instant, as a frame tells it.
 #[derive(Debug, Clone, Copy)]
@@ -71,6 +73,26 @@ fn smoothed(estimates: &[Estimate], expected: Expected) -> Option<Vec<Rigid>> {
         Some(Rigid { rotation, from: e.motion.from, to })
     };
     estimates.iter().zip(places).zip(turns).map(motion).collect()
+}
+
+/// Returns the usual size of fourth differences of paths across the view, as the standard deviation for times a second apart, world units: by their
+/// median, so that slips of a minority do not count. `paths` are places at the ascending `times`. `None` without differences.
+pub(super) fn usual_snap(
+    times: &[f64],
+    paths: impl Iterator<Item = Vec<Vector3<f32>>>,
+    axes: &Matrix3<f32>,
+) -> Option<f64> {
+    let rows = differences(times);
+    let mut all = Vec::new();
+    for path in paths {
+        for (first, weights, unit) in &rows {
+            let difference: Vector3<f32> = weights.iter().zip(&path[*first..]).map(|(w, p)| p * *w as f32).sum();
+            let across = axes * difference;
+            all.extend([across.x, across.y].map(|v| v.abs() / *unit as f32));
+        }
+    }
+    all.retain(|v| v.is_finite());
+    Some(NORMAL * f64::from(m4_core::median(&mut all)?))
 }
 
 /// A difference of five values in a row: the first of them, their weights, and its deviation for a snap of 1.
@@ -184,13 +206,27 @@ mod tests {
     }
 
     #[test]
-    fn a_jolt_stays_a_jolt() {
+    fn a_jolt_does_not_spread() {
         let times: Vec<f64> = (0..15).map(|k| f64::from(k) / 24.0).collect();
         let bounce = estimates(&times, |t| [0.0, 300.0 * (t - 7.0 / 24.0).abs(), 200.0], |_| 0.0);
-        for (path, e) in smooth(&bounce, EXPECTED).iter().zip(&bounce) {
+        // of 12.5 from frame to frame
+        for (k, (path, e)) in smooth(&bounce, EXPECTED).iter().zip(&bounce).enumerate() {
             let (off, _) = apart(path, &e.motion);
-            assert!(off < 1.0, "{off} of 12.5 from frame to frame");
+            assert!(k == 7 || off < 1.0, "keyframe {k}: {off}");
         }
+    }
+
+    #[test]
+    fn the_usual_snap_is_that_of_most_nodes() {
+        let times: Vec<f64> = (0..15).map(|k| f64::from(k) / 24.0).collect();
+        // to and fro
+        let path = |size: f32| (0..15).map(|k| Vector3::new(size * [0.0, 1.0, 1.0, 0.0][k % 4], 0.0, 0.0)).collect();
+        let of = |sizes: &[f32]| super::usual_snap(&times, sizes.iter().map(|&s| path(s)), &Matrix3::identity());
+        assert_eq!(of(&[]), None);
+        let [alike, with_slips] =
+            [of(&[1.0; 9]), of(&[1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 50.0, 50.0])].map(Option::unwrap);
+        assert!(with_slips <= 1.5 * alike, "{alike} {with_slips}");
+        assert!(alike > 0.0 && (of(&[2.0; 9]).unwrap() / alike - 2.0).abs() < 1e-3, "{alike}");
     }
 
     #[test]

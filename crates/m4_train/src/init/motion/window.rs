@@ -8,7 +8,7 @@ use crate::init::motion::{
     observed::Observed,
     pieces::{depth_noise, pieces},
     rigid::Rigid,
-    smooth::{Estimate, Expected, smooth},
+    smooth::{Estimate, Expected, smooth, usual_snap},
 };
 use rayon::prelude::*;
 
@@ -18,8 +18,8 @@ const NODES: f32 = 200.0;
 const ROUNDS: [Extent; 8] = [WIDE, WIDE, WIDE, WIDE, NARROW, NARROW, NARROW, NARROW];
 /// How often a window is aligned again from smoothed motion (measured, as the next: docs/decisions/0022).
 const AGAIN: usize = 2;
-/// Deviation of fourth differences of places from 0, pixels of [`UNIT_WIDTH`], for times a second apart.
-const SNAP_PX: f64 = 680_000.0;
+/// Fourth differences of paths may be this many times as large as they usually are in the window (measured: docs/decisions/0022).
+const SLACK: f64 = 3.0;
 /// Deviations of the place on the reference, and where no frame tells it, pixels of [`UNIT_WIDTH`].
 const EXACT_PX: f32 = 0.02;
 const UNKNOWN_PX: f32 = 50.0;
@@ -108,21 +108,25 @@ impl WindowMotion {
         motions.push(still);
         motions.extend(ahead);
         let mut out = Self { nodes, motion: motions, pieces, prior, reference };
-        for _ in 0..AGAIN {
-            out.smooth(observed, &seconds);
-            out.align_again(observed, &seconds);
+        let instants = instants(&seconds);
+        let times: Vec<f64> = instants.iter().map(|&k| seconds[k]).collect();
+        let path = |i: usize| instants.iter().map(|&k| out.motion[k][i].to).collect();
+        if let Some(usual) = usual_snap(&times, (0..out.nodes.len()).map(path), &from.axes()) {
+            for _ in 0..AGAIN {
+                out.smooth(observed, &seconds, SLACK * usual);
+                out.align_again(observed, &seconds);
+            }
+            out.smooth(observed, &seconds, SLACK * usual);
         }
-        out.smooth(observed, &seconds);
         Some(out)
     }
 
-    /// Brings the motion of each node to that which is most likely over time (docs/spec/scaffold.md 4).
-    fn smooth(&mut self, observed: &[Option<Observed>], seconds: &[f64]) {
+    /// Brings the motion of each node to that which is most likely over time, for fourth differences as large as `snap` (docs/spec/scaffold.md 4).
+    fn smooth(&mut self, observed: &[Option<Observed>], seconds: &[f64], snap: f64) {
         let Some(from) = observed[self.reference].as_ref() else { return };
         let keys = 0..observed.len();
         let signs: Vec<Option<Vec<Signs>>> = keys.clone().map(|key| self.signs(observed, key)).collect();
-        // keyframes of one instant, from other cameras, share their motion
-        let instants: Vec<usize> = keys.clone().filter(|&k| k == 0 || seconds[k] > seconds[k - 1]).collect();
+        let instants = instants(seconds);
         let of = |i: usize| {
             let z = from.project(&self.pieces.nodes[i].place).map_or(1.0, |p| p.point[2]);
             let unit = from.pixel(z) * from.width() as f32 / UNIT_WIDTH;
@@ -141,11 +145,11 @@ impl WindowMotion {
                     along: across.max(DEPTH_OF_PIECE * depth),
                 }
             };
-            let estimates: Vec<Estimate> = instants.iter().map(estimate).collect();
-            let radius = 2.0 * self.pieces.spacing;
-            smooth(&estimates, Expected { axes: from.axes(), snap: SNAP_PX * f64::from(unit), radius })
+            instants.iter().map(estimate).collect()
         };
-        let paths: Vec<Vec<Rigid>> = (0..self.pieces.nodes.len()).into_par_iter().map(of).collect();
+        let paths: Vec<Vec<Estimate>> = (0..self.pieces.nodes.len()).into_par_iter().map(of).collect();
+        let expected = Expected { axes: from.axes(), snap, radius: 2.0 * self.pieces.spacing };
+        let paths: Vec<Vec<Rigid>> = paths.par_iter().map(|path| smooth(path, expected)).collect();
         let mut instant = 0;
         for key in keys {
             instant += usize::from(instants.get(instant + 1) == Some(&key));
@@ -183,6 +187,11 @@ impl WindowMotion {
         let frame = observed.get(key)?.as_ref().filter(|_| key != self.reference)?;
         Some(signs(&self.pieces, frame, &self.motion[key], self.prior))
     }
+}
+
+/// The first keyframe of each instant: those of other cameras share its motion.
+fn instants(seconds: &[f64]) -> Vec<usize> {
+    (0..seconds.len()).filter(|&k| k == 0 || seconds[k] > seconds[k - 1]).collect()
 }
 
 /// The motion `b` after `a` once more.
