@@ -17,8 +17,8 @@ const USAGE: &str = "usage: cargo xtask <test [--full] [--require NEED,...] [-- 
   deny    cargo-deny: licences, sources, duplicate versions, and advisories where their database can be fetched
   page    build the viewer's page from crates/m4_viewer/page (needs npm)
   settings  write the ranges and defaults in docs/settings.md from the code; --check: fail where it is not up to date
-  results  measure the tables of docs/results.md on SCENEs of tools/bench and clips, and write them there: geometry, views, ablation,
-          explain, clips, kernels, or those of --only. Takes hours; the same command continues (in --work, else target/results)";
+  results  measure the tables of docs/results.md on SCENEs of tools/bench and clips, and write them there: geometry, motion, views,
+          ablation, curve, explain, clips, kernels, or those of --only. Takes hours; the same command continues (in --work, else target/results)";
 
 /// The features that are linted and documented beside the default ones.
 const FULL: [&str; 2] = ["--features", "minute4d_cli/full,m4_nets/gpu"];
