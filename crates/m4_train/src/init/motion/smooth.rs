@@ -7,7 +7,7 @@ use m4_core::nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
 const ORDER: usize = 4;
 /// Rounds of reweighted least squares; in the first, all weigh alike.
 const ROUNDS: usize = 6;
-/// Residuals of this many times their deviation count half (measured: docs/decisions/0022).
+/// Residuals of this many times their deviation count half (our rule).
 const OUTLIER: f64 = 2.0;
 /// Standard deviation of a normal distribution whose absolute values have a median of 1.
 const NORMAL: f64 = 1.4826;
