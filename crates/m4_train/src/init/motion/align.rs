@@ -24,7 +24,7 @@ const LEAST: f32 = 0.02;
 /// How much of a piece counts: the fall of weights with the distance from its node, and the step over its points.
 pub(crate) type Extent = (f32, usize);
 pub(super) const WIDE: Extent = (1.0, 2);
-pub(super) const NARROW: Extent = (4.0, 1);
+pub(super) const NARROW: Extent = (4.0, 2);
 
 /// A place of a surface, and the points that move with it.
 #[derive(Debug, Clone)]
