@@ -1,9 +1,9 @@
 //! The `minute4d` program: commands, messages, exit codes. The work is done by the library.
-#![forbid(unsafe_code)]
 
 mod cli;
 mod commands;
 mod failure;
+mod memory;
 mod options;
 mod output;
 

@@ -7,6 +7,7 @@ mod text;
 pub use stop::{StopSignal, stop_at_eof, watch_signals};
 pub use text::{delivered, lost, to_stderr};
 
+use crate::memory::FreedMemory;
 use minute4d::{Category, Observer, Progress, StageEvent};
 pub use progress::end_of_json;
 use progress::{Bars, Events, Lines};
@@ -30,6 +31,7 @@ pub struct Output {
     mode: Mode,
     stop: StopSignal,
     warned: Mutex<Vec<String>>,
+    memory: FreedMemory,
 }
 
 impl Output {
@@ -46,7 +48,7 @@ impl Output {
         } else {
             Mode::Lines(Lines::default())
         };
-        Arc::new(Self { mode, stop, warned: Mutex::new(Vec::new()) })
+        Arc::new(Self { mode, stop, warned: Mutex::new(Vec::new()), memory: FreedMemory::default() })
     }
 
     pub fn stop(&self) -> &StopSignal {
@@ -114,6 +116,7 @@ impl Output {
 
 impl Progress for Output {
     fn update(&self, phase: &str, done: usize, total: usize, note: &str) {
+        self.memory.give_back();
         match &self.mode {
             Mode::Json(events) => events.progress(phase, done, total, note),
             Mode::Bars(bars) => bars.update(phase, done, total, note),

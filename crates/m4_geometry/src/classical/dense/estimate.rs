@@ -101,7 +101,6 @@ pub fn estimate(
         parallax,
         frames,
         shots: &shots,
-        swept: &swept,
         flows: &flows,
         mono: &mono,
         clues: &clues,
@@ -109,7 +108,7 @@ pub fn estimate(
         progress,
     };
     let given = masks.map(|masks| masks.iter().map(|mask| mask_at_size(mask, w, h)).collect());
-    let MotionSegmentation { moving, measured, filled, refined } = clip.segment_motion(given)?;
+    let MotionSegmentation { moving, measured, filled, refined } = clip.segment_motion(swept, given)?;
     let found =
         Clip { width: w, height: h, rate, cameras: &clues.cameras, moving: &moving, disparity: &filled, flows: &flows };
     let mut disparity =

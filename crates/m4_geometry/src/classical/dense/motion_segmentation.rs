@@ -36,8 +36,6 @@ pub(super) struct Clip<'a> {
     /// At their own size.
     pub frames: &'a [&'a RgbImage],
     pub shots: &'a [Shot],
-    /// Disparities that the sweep found.
-    pub swept: &'a [Vec<f32>],
     pub flows: &'a [FlowPair],
     pub mono: &'a Mono,
     pub clues: &'a MotionCues,
@@ -61,14 +59,16 @@ fn of(masks: Option<&[Vec<u8>]>, i: usize) -> Option<&[u8]> {
 }
 
 impl Clip<'_> {
-    /// Segments dynamic regions, or takes the masks of the user.
-    pub fn segment_motion(&self, given: Option<Masks>) -> Result<MotionSegmentation, DenseError> {
+    /// Segments dynamic regions by the disparities that were `swept`, or takes the masks of the user.
+    pub fn segment_motion(&self, swept: Vec<Vec<f32>>, given: Option<Masks>) -> Result<MotionSegmentation, DenseError> {
         let given_masks = given.is_some();
         let mut moving = match given {
             Some(given) => given,
-            None => self.moving()?,
+            None => self.moving(&swept)?,
         };
-        let mut measured = self.measured(Some(&moving))?;
+        let mut measured = self.measured(&swept, Some(&moving))?;
+        // a clip's planes are its memory: each goes as soon as nothing needs it
+        drop(swept);
         let filled = self.filled(&measured, Some(&moving))?;
         let refined = if self.parallax { self.refined(&measured, &filled, &moving)? } else { Vec::new() };
         if !given_masks {
@@ -113,9 +113,11 @@ impl Clip<'_> {
             self.mono.impose(i, &mut out, Some(&moving[i]));
             out.disparity.into_iter().zip(out.confidence).collect::<DepthMap>()
         })?;
+        drop(start);
         let merged = self.each("merging depth", |i| {
             fusion::fuse(self.shots, cameras, &refined, &at(&keys, i, &fusion::PARALLAX_PX, 0), i)
         })?;
+        drop(refined);
         let merged = edges::Merged { shots: self.shots, cameras, depth: &merged, moving };
         self.each("filling depth", |i| {
             let smoother = self.smoother(i);
@@ -137,13 +139,12 @@ impl Clip<'_> {
     }
 
     /// Masks of dynamic regions, with the outlines of the images as far as depth of this precision shows what is behind them.
-    fn moving(&self) -> Result<Masks, DenseError> {
-        let mut round = self.round(None)?;
+    fn moving(&self, swept: &[Vec<f32>]) -> Result<Masks, DenseError> {
+        let (mut last, mut measured) = self.round(swept, None)?;
         for _ in 1..ROUNDS {
-            let (masks, _) = round;
-            round = self.round(Some(&masks))?;
+            drop(measured);
+            (last, measured) = self.round(swept, Some(&last))?;
         }
-        let (last, measured) = round;
         let near = self.grown(&last)?;
         let background = if self.parallax {
             self.each("filling depth", |i| {
@@ -155,6 +156,7 @@ impl Clip<'_> {
             // the place of a background pixel in other frames does not depend on its depth
             self.filled(&[], None)?
         };
+        drop(measured);
         self.sharpened(&last, &near, &background)
     }
 
@@ -170,9 +172,9 @@ impl Clip<'_> {
     }
 
     /// Masks, given those of the round before, and the disparities that were measured with those.
-    fn round(&self, before: Option<&[Vec<u8>]>) -> Result<(Masks, Vec<Measured>), DenseError> {
+    fn round(&self, swept: &[Vec<f32>], before: Option<&[Vec<u8>]>) -> Result<(Masks, Vec<Measured>), DenseError> {
         let (w, h) = (self.width, self.height);
-        let measured = self.measured(before)?;
+        let measured = self.measured(swept, before)?;
         let filled = self.filled(&measured, before)?;
         let evidence = self.each("finding motion", |i| {
             let seen = FrameDisparity {
@@ -183,15 +185,16 @@ impl Clip<'_> {
             let smoother = self.smoother(i);
             motion::evidence(self.clues, self.shots, self.flows, i, &seen, &smoother)
         })?;
+        drop(filled);
         let memory = self.clues.rate.exact(MEMORY_S).max(1.0) as f32;
         let evidence = temporal::mean(w, &evidence, self.flows, memory, motion::trust);
         Ok((self.each("cutting masks", |i| motion::mask(w, h, &evidence[i]))?, measured))
     }
 
-    /// Disparities that the neighbours confirm; dynamic pixels (above 0) confirm nothing.
-    fn measured(&self, moving: Option<&[Vec<u8>]>) -> Result<Vec<Measured>, DenseError> {
+    /// The `swept` disparities that the neighbours confirm; dynamic pixels (above 0) confirm nothing.
+    fn measured(&self, swept: &[Vec<f32>], moving: Option<&[Vec<u8>]>) -> Result<Vec<Measured>, DenseError> {
         self.each("comparing depth", |i| {
-            let mut measured = static_depth::measure(self.shots, self.swept, moving, i);
+            let mut measured = static_depth::measure(self.shots, swept, moving, i);
             self.mono.impose(i, &mut measured, of(moving, i));
             measured
         })
