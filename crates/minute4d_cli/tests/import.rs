@@ -1,4 +1,4 @@
-//! Clips that other tools posed, from outside.
+//! Captures with poses from other tools, through the program.
 
 use crate::common::{Scratch, read_capture, write_capture};
 use minute4d::core::Capture;

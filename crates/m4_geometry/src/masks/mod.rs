@@ -107,7 +107,7 @@ pub enum InstanceError {
     },
 }
 
-/// How the way of a thing ends.
+/// Why a track ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", tag = "how")]
 pub enum Ending {

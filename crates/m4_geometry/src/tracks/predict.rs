@@ -1,4 +1,4 @@
-//! Where a point that is not seen went: with its neighbours.
+//! Predicts occluded points from their neighbours' rigid motion.
 
 use super::fill::{Board, State};
 use super::rigid::{Anchor, fit};

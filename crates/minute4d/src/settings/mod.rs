@@ -90,7 +90,7 @@ impl Preset {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Enhancement {
-    /// Masks by a network that knows what things look like.
+    /// Masks by a segmentation network.
     Segmentation,
     /// Points followed through the clip: parts that a frame hides are filled from others, and first velocities.
     Tracking,

@@ -51,7 +51,7 @@ pub fn make(capture: &Path, out: &Path, job: &Job<'_>) -> Result<RunRecord, Erro
     Workspace::open(out, capture, input, job, clock)?.finish(|run| all(run, &data))
 }
 
-/// Trains, and shows what came of it as far as there is time.
+/// Trains; writes preview and viewer if time remains.
 pub(crate) fn all(run: &mut Workspace<'_>, capture: &Capture) -> Result<(), Error> {
     let scene = stage(run, capture)?;
     run.if_there_is_time("a preview", |run| preview::stage(run, capture, &scene))?;

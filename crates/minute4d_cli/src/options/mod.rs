@@ -19,8 +19,8 @@ use values::{degrees, duration, seconds};
 
 #[derive(Debug, Args)]
 pub struct DeviceArgs {
-    /// Device for training: `cpu`, `gpu` (the best one), `gpu:N` (`minute4d doctor` lists them), or `auto` (the best graphics card, else
-    /// or if it fails the CPU). Networks run on a GPU only with `gpu`
+    /// Device for training: `cpu`, `gpu` (the best one), `gpu:N` (`minute4d doctor` lists them), or `auto` (the best discrete GPU,
+    /// falling back to the CPU). Networks run on a GPU only with `gpu`
     #[arg(long, value_name = "DEVICE", default_value = "auto")]
     pub device: DeviceChoice,
     /// Limit of GPU memory for training in megabytes, of no effect on the CPU: frames that do not fit are uploaded when needed;

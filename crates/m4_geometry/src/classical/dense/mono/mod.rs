@@ -16,7 +16,7 @@ pub enum MonoKind {
     UpToScale,
     /// One over z-depth up to a factor above 0 and a shift per frame; not finite where unknown.
     AffineDisparity,
-    /// Measured z-depth, of which a unit of the cameras has this many units; 0, or not finite, where unknown.
+    /// Metric z-depth; the value is depth units per camera unit. 0, or not finite, where unknown.
     Metric(f32),
 }
 
@@ -98,7 +98,7 @@ impl Mono {
         Some(known.iter().map(|&v| fit.disparity(v).unwrap_or(f32::NAN)).collect())
     }
 
-    /// What is measured, and weakly, where nothing is and nothing moves, what is aligned.
+    /// Fills unmeasured static pixels with the aligned prior, at low weight.
     pub fn with_prior(&self, i: usize, measured: &Measured, moving: Option<&[u8]>) -> Measured {
         let mut out = measured.clone();
         let aligned = self.aligned(i, &measured.disparity, &measured.confidence, moving).unwrap_or_default();
