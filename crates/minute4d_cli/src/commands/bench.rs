@@ -28,7 +28,7 @@ pub struct Bench {
     /// Short run: 100,000 splats at 480x360 and few steps, unless other options say otherwise
     #[arg(long)]
     pub quick: bool,
-    /// Device: `cpu`, `gpu` (the best one), `gpu:N` (`minute4d doctor` lists them), or `auto` (the best discrete GPU,
+    /// Device: `cpu`, `gpu` (the best one), `gpu:N` (`minute4d doctor` lists them), or `auto` (the best GPU,
     /// falling back to the CPU)
     #[arg(long, value_name = "DEVICE", default_value = "cpu")]
     pub device: DeviceChoice,

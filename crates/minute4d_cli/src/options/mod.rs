@@ -19,7 +19,7 @@ use values::{degrees, duration, seconds};
 
 #[derive(Debug, Args)]
 pub struct DeviceArgs {
-    /// Device for training: `cpu`, `gpu` (the best one), `gpu:N` (`minute4d doctor` lists them), or `auto` (the best discrete GPU,
+    /// Device for training: `cpu`, `gpu` (the best one), `gpu:N` (`minute4d doctor` lists them), or `auto` (the best GPU,
     /// falling back to the CPU). Networks run on a GPU only with `gpu`
     #[arg(long, value_name = "DEVICE", default_value = "auto")]
     pub device: DeviceChoice,
