@@ -168,15 +168,23 @@ struct Path {
 /// Semi-global aggregation along eight directions (Hirschmueller 2008): the disparity of least aggregated cost a pixel, `[height][width]`: index into the range, with a fraction.
 pub(super) fn aggregate(width: usize, height: usize, count: usize, volume: &[u8], grey: &[f32]) -> Vec<f32> {
     let mut total = vec![0i16; width * height * count];
-    for downwards in [true, false] {
-        dispatch!(Level::new(), _s => pass(width, height, count, volume, grey, downwards, &mut total));
-    }
+    dispatch!(Level::new(), _s => pass::<true>(width, height, count, volume, grey, &mut total));
+    dispatch!(Level::new(), _s => pass::<false>(width, height, count, volume, grey, &mut total));
     winner(count, &total)
 }
 
-/// Adds four directions: along the row, and from the three neighbours in the previous row.
+/// Adds four directions: along the row, and from the three neighbours in the previous row. The pass downwards comes first: it sets the
+/// total without reading it, since memory that is read before it is written costs an interrupt of every core for each page.
 #[inline(always)]
-fn pass(width: usize, height: usize, count: usize, volume: &[u8], grey: &[f32], downwards: bool, total: &mut [i16]) {
+fn pass<const DOWNWARDS: bool>(
+    width: usize,
+    height: usize,
+    count: usize,
+    volume: &[u8],
+    grey: &[f32],
+    total: &mut [i16],
+) {
+    let downwards = DOWNWARDS;
     let fresh = || Path { values: vec![FAR; count + 2], least: 0 };
     let rows = |n: usize| (0..n).map(|_| fresh()).collect::<Vec<Path>>();
     // [direction][column]; the row before and the row being made.
@@ -200,8 +208,8 @@ fn pass(width: usize, height: usize, count: usize, volume: &[u8], grey: &[f32], 
                 ((f32::from(LARGE_STEP) * fade) as i16).max(SMALL_STEP)
             };
             match before_x {
-                Some(px) => extend(cost, &left, SMALL_STEP, large(y * width + px), &mut here, out),
-                None => extend(cost, &start, 0, 0, &mut here, out),
+                Some(px) => extend::<DOWNWARDS>(cost, &left, SMALL_STEP, large(y * width + px), &mut here, out),
+                None => extend::<DOWNWARDS>(cost, &start, 0, 0, &mut here, out),
             }
             std::mem::swap(&mut left, &mut here);
             let py = beside(y, height, downwards);
@@ -211,9 +219,9 @@ fn pass(width: usize, height: usize, count: usize, volume: &[u8], grey: &[f32], 
                 match (py, column) {
                     (Some(py), Some(px)) => {
                         let p2 = large(py * width + px);
-                        extend(cost, &before[direction][px], SMALL_STEP, p2, target, out);
+                        extend::<false>(cost, &before[direction][px], SMALL_STEP, p2, target, out);
                     }
-                    _ => extend(cost, &start, 0, 0, target, out),
+                    _ => extend::<false>(cost, &start, 0, 0, target, out),
                 }
             }
         }
@@ -221,9 +229,9 @@ fn pass(width: usize, height: usize, count: usize, volume: &[u8], grey: &[f32], 
     }
 }
 
-/// One step of equation 13: `cost + min(same, neighbour + p1, least + p2) - least`.
+/// One step of equation 13: `cost + min(same, neighbour + p1, least + p2) - least`; sets or adds to the total.
 #[inline(always)]
-fn extend(cost: &[u8], from: &Path, p1: i16, p2: i16, to: &mut Path, total: &mut [i16]) {
+fn extend<const SETS: bool>(cost: &[u8], from: &Path, p1: i16, p2: i16, to: &mut Path, total: &mut [i16]) {
     let n = cost.len();
     // A start holds FAR everywhere and a least of 0, so `least + p2` wins and the cost is plain.
     let jump = from.least + p2;
@@ -234,7 +242,7 @@ fn extend(cost: &[u8], from: &Path, p1: i16, p2: i16, to: &mut Path, total: &mut
         let best = same[d].min(down[d] + p1).min(up[d] + p1).min(jump);
         let value = i16::from(cost[d]) + best - from.least;
         values[d] = value;
-        total[d] += value;
+        total[d] = if SETS { value } else { total[d] + value };
         least = least.min(value);
     }
     to.least = least;
