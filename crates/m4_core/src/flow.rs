@@ -8,8 +8,10 @@ pub struct Flow {
     /// Rows.
     pub height: usize,
     /// `[height][width]`: to the right.
+    #[serde(with = "crate::packed")]
     pub u: Vec<f32>,
     /// `[height][width]`: downwards.
+    #[serde(with = "crate::packed")]
     pub v: Vec<f32>,
 }
 

@@ -13,6 +13,7 @@ pub struct Tracks {
     frames: usize,
     count: usize,
     /// `[frames][count]`.
+    #[serde(with = "crate::packed")]
     xyz: Vec<[f32; 3]>,
     /// `[frames][count]`.
     visible: Vec<bool>,
@@ -28,6 +29,7 @@ pub struct Tracks {
 struct Written {
     frames: usize,
     count: usize,
+    #[serde(with = "crate::packed")]
     xyz: Vec<[f32; 3]>,
     visible: Vec<bool>,
     rgb: Option<Vec<[u8; 3]>>,

@@ -3,8 +3,10 @@
 //! A step is a file `.minute4d-steps/NAME` next to the result: magic, a hash, the warnings, and
 //! the value. The hash covers the stage's key, the name and the bytes, so a damaged file, one of another input and one of
 //! other settings all count as missing. Values are restored bit by bit, so the result of an interrupted run equals
-//! that of an uninterrupted one. Steps only save time: a failure to write one is reported once, and the work
-//! continues.
+//! that of an uninterrupted one. Steps only save time: a thread of their own writes them while the work goes on, and a failure to write
+//! one is reported once.
+
+mod writer;
 
 use crate::Observer;
 use crate::record::MAX_RECORD_BYTES;
@@ -12,18 +14,17 @@ use crate::stage::RecordingObserver;
 use m4_io::files;
 use serde::{Serialize, de::DeserializeOwned};
 use std::fs;
-use std::io::Write;
+use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
+use writer::{PART, Writer, write};
 
 /// The hidden folder.
 const FOLDER: &str = ".minute4d-steps";
 /// The file with the key of the stage that the steps belong to.
 const KEY_FILE: &str = "key";
-/// The end of the name of a step that is being written.
-const PART: &str = ".part";
 /// The magic bytes of a step: the format and its version.
-const MAGIC: &[u8; 8] = b"m4step01";
+const MAGIC: &[u8; 8] = b"m4step02";
 /// Length of the hash.
 const HASH: usize = 32;
 
@@ -34,17 +35,21 @@ pub(crate) struct Steps<'a> {
     observer: &'a dyn Observer,
     /// False after a failed write.
     usable: AtomicBool,
+    writer: Writer,
 }
 
 impl<'a> Steps<'a> {
     /// Opens the steps of the stage with this key whose result goes to `folder`; steps of another key are removed.
     pub fn open(folder: &Path, key: &str, observer: &'a dyn Observer) -> Self {
-        let steps = Self { folder: folder.join(FOLDER), key: key.to_owned(), observer, usable: AtomicBool::new(true) };
+        let place = folder.join(FOLDER);
+        let writer = Writer::new(place.clone());
+        let steps = Self { folder: place, key: key.to_owned(), observer, usable: AtomicBool::new(true), writer };
         let of_key =
             files::read(&steps.folder.join(KEY_FILE), MAX_RECORD_BYTES).is_ok_and(|found| found == key.as_bytes());
         if !of_key {
             Self::remove_from(folder);
-            let made = fs::create_dir_all(&steps.folder).and_then(|()| steps.write(KEY_FILE, &[key.as_bytes()]));
+            let made =
+                fs::create_dir_all(&steps.folder).and_then(|()| write(&steps.folder, KEY_FILE, &[key.as_bytes()]));
             if let Err(error) = made {
                 steps.give_up(&error);
             }
@@ -80,7 +85,7 @@ impl<'a> Steps<'a> {
     pub fn store(&self, name: &str, value: &impl Serialize) {
         // One that cannot be serialised is computed again.
         if let Ok(bytes) = postcard::to_stdvec(value) {
-            self.put(name, &bytes);
+            self.put(name, bytes);
         }
     }
 
@@ -104,37 +109,12 @@ impl<'a> Steps<'a> {
         }
     }
 
-    fn hash(&self, name: &str, bytes: &[u8]) -> blake3::Hash {
-        let mut hasher = blake3::Hasher::new();
-        for part in [self.key.as_bytes(), name.as_bytes(), bytes] {
-            hasher.update(&(part.len() as u64).to_le_bytes());
-            hasher.update(part);
-        }
-        hasher.finalize()
-    }
-
     fn path(&self, name: &str) -> PathBuf {
         self.folder.join(name)
     }
 
-    /// Writes without waiting for the disk: a torn file is recognised by its hash.
-    fn write(&self, name: &str, parts: &[&[u8]]) -> std::io::Result<()> {
-        let temporary = self.path(&format!("{name}{PART}"));
-        let written = (|| {
-            let mut file = fs::File::create(&temporary)?;
-            for part in parts {
-                file.write_all(part)?;
-            }
-            fs::rename(&temporary, self.path(name))
-        })();
-        if written.is_err() {
-            let _ = fs::remove_file(&temporary);
-        }
-        written
-    }
-
     /// Warns that steps are no longer stored.
-    fn give_up(&self, error: &std::io::Error) {
+    fn give_up(&self, error: &io::Error) {
         if self.usable.swap(false, Ordering::Relaxed) {
             self.observer.warn(&format!(
                 "finished steps cannot be kept in {}: {error}; if this run is interrupted now, it does them again",
@@ -143,30 +123,58 @@ impl<'a> Steps<'a> {
         }
     }
 
-    /// Returns stored bytes; `None` if there are none or they are damaged.
-    pub fn get(&self, name: &str) -> Option<Vec<u8>> {
-        let mut file = files::read(&self.path(name), u64::MAX).ok()?;
-        let bytes = file.get(MAGIC.len() + HASH..)?;
-        let whole = file.starts_with(MAGIC) && file[MAGIC.len()..][..HASH] == *self.hash(name, bytes).as_bytes();
-        whole.then(|| file.split_off(MAGIC.len() + HASH))
-    }
-
-    /// Stores bytes.
-    pub fn put(&self, name: &str, bytes: &[u8]) {
-        if !self.usable.load(Ordering::Relaxed) {
-            return;
-        }
-        if let Err(error) = self.write(name, &[MAGIC, self.hash(name, bytes).as_bytes(), bytes]) {
+    /// Waits until every step is written.
+    fn settle(&self) {
+        if let Some(error) = self.writer.settle() {
             self.give_up(&error);
         }
     }
+
+    /// Returns stored bytes; `None` if there are none or they are damaged.
+    pub fn get(&self, name: &str) -> Option<Vec<u8>> {
+        self.settle();
+        let mut file = files::read(&self.path(name), u64::MAX).ok()?;
+        let bytes = file.get(MAGIC.len() + HASH..)?;
+        let whole = file.starts_with(MAGIC) && file[MAGIC.len()..][..HASH] == *hash(&self.key, name, bytes).as_bytes();
+        whole.then(|| file.split_off(MAGIC.len() + HASH))
+    }
+
+    /// Stores bytes, which are on disk a little later.
+    pub fn put(&self, name: &str, bytes: Vec<u8>) {
+        if !self.usable.load(Ordering::Relaxed) {
+            return;
+        }
+        let (key, step) = (self.key.clone(), name.to_owned());
+        let failed = self
+            .writer
+            .push(move |folder| write(folder, &step, &[MAGIC, hash(&key, &step, &bytes).as_bytes(), &bytes]));
+        if let Some(error) = failed {
+            self.give_up(&error);
+        }
+    }
+}
+
+impl Drop for Steps<'_> {
+    fn drop(&mut self) {
+        self.settle();
+    }
+}
+
+/// The hash of a step.
+fn hash(key: &str, name: &str, bytes: &[u8]) -> blake3::Hash {
+    let mut hasher = blake3::Hasher::new();
+    for part in [key.as_bytes(), name.as_bytes(), bytes] {
+        hasher.update(&(part.len() as u64).to_le_bytes());
+        hasher.update(part);
+    }
+    hasher.finalize()
 }
 
 #[cfg(test)]
 mod tests {
     use super::Steps;
     use crate::{Observer, StageEvent};
-    use m4_core::Progress;
+    use m4_core::{Flow, Progress};
     use std::convert::Infallible;
     use std::fs;
     use std::sync::Mutex;
@@ -215,11 +223,28 @@ mod tests {
     }
 
     #[test]
+    fn flow_comes_back_bit_by_bit() {
+        let dir = tempfile::tempdir().unwrap();
+        let heard = Heard::default();
+        let steps = Steps::open(dir.path(), "k", &heard);
+        let numbers = |offset: u32| (0..35).map(|i| f32::from_bits(0x7f80_0000 - 17 + offset + i)).collect();
+        let flow = Flow { width: 7, height: 5, u: numbers(0), v: numbers(1) };
+        steps.store("flow", &flow);
+        let back: Flow = steps.load("flow").unwrap();
+        let bits = |values: &[f32]| values.iter().map(|v| v.to_bits()).collect::<Vec<_>>();
+        assert_eq!((back.width, back.height), (7, 5));
+        assert!(bits(&back.u) == bits(&flow.u) && bits(&back.v) == bits(&flow.v));
+        // as another type it is not there
+        assert!(steps.load::<Vec<Vec<f32>>>("flow").is_none());
+    }
+
+    #[test]
     fn a_torn_step_is_not_there() {
         let dir = tempfile::tempdir().unwrap();
         let heard = Heard::default();
         let steps = Steps::open(dir.path(), "k", &heard);
-        steps.put("flow", &[7; 100]);
+        steps.put("flow", vec![7; 100]);
+        steps.settle();
         let path = dir.path().join(".minute4d-steps/flow");
         let whole = fs::read(&path).unwrap();
         for length in 0..whole.len() {
@@ -246,7 +271,8 @@ mod tests {
         fs::write(dir.path().join(".minute4d-steps"), "in the way").unwrap();
         let steps = Steps::open(dir.path(), "k", &heard);
         assert_eq!(step(&steps, 3.0), 3.0);
-        steps.put("more", b"1");
+        steps.put("more", vec![1]);
+        drop(steps);
         let said = heard.0.lock().unwrap();
         assert_eq!(said.iter().filter(|s| s.contains("cannot be kept")).count(), 1, "{said:?}");
     }

@@ -44,10 +44,13 @@ const LEAST_BACKGROUND: usize = 8;
 pub struct Estimate {
     size: (usize, usize),
     /// One over z-depth; all planes are `[frames][height][width]`.
+    #[serde(with = "m4_core::packed::lists")]
     disparity: Vec<Vec<f32>>,
     /// How far the depth was measured, 0..1.
+    #[serde(with = "m4_core::packed::lists")]
     confidence: Vec<Vec<f32>>,
     /// Above 0 in dynamic regions.
+    #[serde(with = "m4_core::packed::lists")]
     moving: Vec<Vec<u8>>,
     tracks: Option<Tracks>,
 }
