@@ -4,6 +4,7 @@ use crate::manifest::FrameIndex;
 use image::codecs::jpeg::JpegEncoder;
 use image::{ExtendedColorType, ImageEncoder};
 use m4_core::{ResizeFilter, RgbImage, resize_rgb};
+use rayon::prelude::*;
 use std::borrow::Cow;
 
 /// Longest side of the frames, pixels: as the panels of the preview.
@@ -70,12 +71,9 @@ pub fn encode_frames(images: &[&RgbImage], most: usize) -> Result<Option<Frames>
     let step = images.len().div_ceil(SAMPLES);
     loop {
         let size = fit(first.size(), side);
-        let mut sampled = Vec::new();
-        for index in (0..images.len()).step_by(step) {
-            append(&mut sampled, images, index, size, quality)?;
-        }
-        let samples = images.len().div_ceil(step);
-        let expected = sampled.len() as f64 / samples as f64 * images.len() as f64;
+        let sampled = encoded(images, step, size, quality)?;
+        let bytes: usize = sampled.iter().map(Vec::len).sum();
+        let expected = bytes as f64 / sampled.len() as f64 * images.len() as f64;
         if expected <= most as f64 || side <= LEAST_SIDE_PX {
             break;
         }
@@ -87,8 +85,8 @@ pub fn encode_frames(images: &[&RgbImage], most: usize) -> Result<Option<Frames>
     }
     let size = fit(first.size(), side);
     let (mut bytes, mut offsets) = (Vec::new(), vec![0]);
-    for index in 0..images.len() {
-        append(&mut bytes, images, index, size, quality)?;
+    for jpeg in encoded(images, 1, size, quality)? {
+        bytes.extend(jpeg);
         offsets.push(bytes.len());
     }
     let index = FrameIndex { width: size.0, height: size.1, offsets };
@@ -102,15 +100,13 @@ fn fit((width, height): (usize, usize), side: usize) -> (usize, usize) {
     (scaled(width), scaled(height))
 }
 
-fn append(
-    out: &mut Vec<u8>,
-    images: &[&RgbImage],
-    index: usize,
-    (width, height): (usize, usize),
-    quality: u8,
-) -> Result<(), FramesError> {
+/// Every `step`th image as a JPEG.
+fn encoded(images: &[&RgbImage], step: usize, size: (usize, usize), quality: u8) -> Result<Vec<Vec<u8>>, FramesError> {
+    (0..images.len().div_ceil(step)).into_par_iter().map(|i| jpeg(images[i * step], i * step, size, quality)).collect()
+}
+
+fn jpeg(image: &RgbImage, index: usize, (width, height): (usize, usize), quality: u8) -> Result<Vec<u8>, FramesError> {
     let failed = |reason: &dyn std::fmt::Display| FramesError::Encode { index, reason: reason.to_string() };
-    let image = images[index];
     let small = if image.size() == (width, height) {
         Cow::Borrowed(image)
     } else {
@@ -120,9 +116,11 @@ fn append(
         )
     };
     let side = |n: usize| u32::try_from(n).map_err(|e| failed(&e));
-    JpegEncoder::new_with_quality(out, quality)
+    let mut out = Vec::new();
+    JpegEncoder::new_with_quality(&mut out, quality)
         .write_image(small.data().as_flattened(), side(width)?, side(height)?, ExtendedColorType::Rgb8)
-        .map_err(|e| failed(&e))
+        .map_err(|e| failed(&e))?;
+    Ok(out)
 }
 
 #[cfg(test)]

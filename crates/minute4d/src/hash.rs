@@ -87,6 +87,20 @@ pub fn of_capture(capture: &Capture) -> String {
     hasher.finalize().to_hex().to_string()
 }
 
+/// A capture with its hash, which takes a while.
+pub(crate) struct HashedCapture {
+    pub capture: Capture,
+    /// [`of_capture`] of it.
+    pub hash: String,
+}
+
+impl HashedCapture {
+    /// Hashes a capture.
+    pub fn new(capture: Capture) -> Self {
+        Self { hash: of_capture(&capture), capture }
+    }
+}
+
 fn size_into((width, height): (usize, usize), hasher: &mut blake3::Hasher) {
     hasher.update(&(width as u64).to_le_bytes());
     hasher.update(&(height as u64).to_le_bytes());

@@ -3,10 +3,11 @@
 use crate::device::DeviceRequest;
 use crate::folder::{CAPTURE_FOLDER, Existing};
 use crate::geometry::GeometryOptions;
+use crate::hash::{self, HashedCapture};
 use crate::record::{Input, RunRecord, StageRecord};
 use crate::stage::RecordingObserver;
 use crate::workspace::Workspace;
-use crate::{Error, Observer, Settings, geometry, hash, train};
+use crate::{Error, Observer, Settings, geometry, train};
 use m4_kernels::SimdLevel;
 use std::path::Path;
 use std::time::{Duration, Instant};
@@ -47,7 +48,7 @@ pub fn run(input: &Path, out: &Path, job: &Job<'_>) -> Result<RunRecord, Error> 
         };
         run.record.stages.insert(geometry::STAGE.to_owned(), stage);
         let capture = train::read(&folder, &job.settings, job.observer)?;
-        train::all(run, &capture)
+        train::all(run, &HashedCapture::new(capture))
     })
 }
 

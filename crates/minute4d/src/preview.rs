@@ -2,12 +2,13 @@
 //! overviews of many clips.
 
 use crate::folder::{self, CAPTURE_FOLDER, PREVIEW_FILE, SCENE_FILE};
+use crate::hash::{self, HashedCapture};
 use crate::record::{FileRecord, RUN_FILE, RunRecord};
 use crate::render::{SWING_FRAMES, SceneRenderer, source_fps, swing};
 use crate::settings::{Settings, part_to_toml};
 use crate::stage::{RecordingObserver, check_stop};
 use crate::workspace::{Task, Workspace};
-use crate::{Error, StageEvent, hash, train};
+use crate::{Error, StageEvent, train};
 use m4_core::{Camera, Capture, Exposure, Plane, Progress, ResizeFilter, RgbImage, Scene, Silent, resize_rgb};
 use m4_io::image::write_rgb;
 use m4_io::results::Kind;
@@ -16,8 +17,6 @@ use m4_io::video::Mp4Writer;
 use m4_kernels::SimdLevel;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
-use std::sync::mpsc;
-use std::{panic, thread};
 
 /// Name of the stage.
 pub const STAGE: &str = "preview";
@@ -40,10 +39,10 @@ impl Default for PreviewConfig {
 }
 
 /// Makes the preview within a run, unless that was done before.
-pub(crate) fn stage(run: &mut Workspace<'_>, capture: &Capture, scene: &Scene) -> Result<(), Error> {
+pub(crate) fn stage(run: &mut Workspace<'_>, capture: &HashedCapture, scene: &Scene) -> Result<(), Error> {
     let scene_hash = run.record.files.get(SCENE_FILE).map_or("", |f| f.blake3.as_str());
     let config = part_to_toml(&run.job.settings.preview)?;
-    let key = hash::of_parts(&[STAGE, env!("CARGO_PKG_VERSION"), scene_hash, &hash::of_capture(capture), &config]);
+    let key = hash::of_parts(&[STAGE, env!("CARGO_PKG_VERSION"), scene_hash, &capture.hash, &config]);
     let task = match run.task(STAGE, &key, &[PREVIEW_FILE])? {
         Task::Reuse => {
             run.job.observer.stage(STAGE, StageEvent::Reused);
@@ -52,7 +51,7 @@ pub(crate) fn stage(run: &mut Workspace<'_>, capture: &Capture, scene: &Scene) -
         // A preview is computed again, so seconds of an earlier attempt do not count.
         Task::Work { because, .. } => (because, 0.0),
     };
-    run.stage(STAGE, key, task, &[PREVIEW_FILE], |run, keeper| draw(run, capture, scene, keeper))
+    run.stage(STAGE, key, task, &[PREVIEW_FILE], |run, keeper| draw(run, &capture.capture, scene, keeper))
 }
 
 fn draw(run: &Workspace<'_>, capture: &Capture, scene: &Scene, keeper: &RecordingObserver<'_>) -> Result<(), Error> {
@@ -82,22 +81,9 @@ fn draw(run: &Workspace<'_>, capture: &Capture, scene: &Scene, keeper: &Recordin
         keeper.update(STAGE, i + 1, total, "");
         Ok(side_by_side(size, [photo.as_ref(), Some(&again), Some(&swung)]))
     };
-    // One image is encoded while the next is rendered.
-    let writer = thread::scope(|scope| {
-        let (images, rendered) = mpsc::sync_channel(1);
-        let encoder = scope.spawn(move || {
-            rendered.into_iter().try_for_each(|image| writer.push(&image))?;
-            Ok::<_, Error>(writer)
-        });
-        for (i, camera) in cameras.iter().enumerate() {
-            // closed where encoding failed
-            if images.send(panels(i, camera)?).is_err() {
-                break;
-            }
-        }
-        drop(images);
-        encoder.join().unwrap_or_else(|panic| panic::resume_unwind(panic))
-    })?;
+    for (i, camera) in cameras.iter().enumerate() {
+        writer.push(panels(i, camera)?)?;
+    }
     Ok(writer.finish()?)
 }
 

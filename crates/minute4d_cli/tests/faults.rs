@@ -152,7 +152,7 @@ fn decoder_over_its_limits_is_killed_and_reported() {
     let mut writer = Mp4Writer::create(&clip, 3840, 2160, 24.0).unwrap();
     for i in 0..2 {
         let image = Plane::from_fn(3840, 2160, |x, y| [(x + i) as u8, y as u8, (x ^ y) as u8]);
-        writer.push(&image).unwrap();
+        writer.push(image).unwrap();
     }
     writer.finish().unwrap();
     // Our own process has all the memory that it wants. What a refusal of memory looks like depends on how much of it the program

@@ -24,6 +24,7 @@
 
 mod colour;
 mod decoder;
+mod encode;
 mod ffmpeg;
 mod h264;
 mod mp4;

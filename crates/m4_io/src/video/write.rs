@@ -1,31 +1,19 @@
 //! Writes images as an MP4 file that plays in common players.
 
-use super::colour::{Planes420, Range, YuvMatrix};
+use super::colour::{Range, YuvMatrix};
+use super::encode::{Coded, Pieces, Refused};
 use super::plan;
 use super::{VideoOptions, read_with};
 use crate::WriteError;
 use crate::atomic::AtomicFile;
 use m4_core::{RgbImage, Silent};
-use muxide::api::{Muxer, MuxerBuilder, VideoCodec};
-use openh264::OpenH264API;
-use openh264::encoder::{
-    BitRate, Encoder, EncoderConfig, FrameRate, FrameType, IntraFramePeriod, Profile, QpRange, RateControlMode,
-    VuiConfig,
-};
-use openh264::formats::YUVSlices;
+use muxide::api::{Muxer, MuxerBuilder, MuxerError, VideoCodec};
 use std::path::{Path, PathBuf};
 
 /// Sides that the encoder takes, pixels: from one macroblock to level 5.2.
 const SIDES_PX: (usize, usize) = (16, 3840);
 /// Shorter side of the largest image, pixels.
 const SHORT_SIDE_PX: usize = 2160;
-/// Quantisation: coding begins to be seen at 26, and below 18 it costs bits without a visible gain.
-const QP: (u8, u8) = (20, 22);
-/// Bits per second that the encoder asks for. It steers nothing in the mode that is used here.
-const NOMINAL_BITS_PER_S: u32 = 2_000_000;
-/// Seconds between frames at which a player can enter.
-const KEY_EVERY_S: f64 = 2.0;
-
 /// Longest side of the frames that a written file is read back in, pixels: they take little memory, however many they are.
 const VERIFIED_PX: usize = 64;
 
@@ -36,8 +24,9 @@ pub struct Mp4Writer {
     size: (usize, usize),
     fps: f64,
     frames: usize,
-    encoder: Encoder,
-    matrix: YuvMatrix,
+    /// Frames of it that are in the file.
+    coded: usize,
+    pieces: Pieces,
     muxer: Muxer<AtomicFile>,
 }
 
@@ -65,21 +54,6 @@ impl Mp4Writer {
             return Err(unsupported(format!("{fps} frames per second; 0.1 to 1000 were expected")));
         }
         let encode = |reason: String| WriteError::encode(path, reason);
-        let config = EncoderConfig::new()
-            .profile(Profile::High)
-            .vui(VuiConfig::bt709())
-            .max_frame_rate(FrameRate::from_hz(fps as f32))
-            .bitrate(BitRate::from_bps(NOMINAL_BITS_PER_S))
-            // Constant quality: of all modes the one that follows the range of QP and nothing else.
-            .rate_control_mode(RateControlMode::Bufferbased)
-            .qp(QpRange::new(QP.0, QP.1))
-            .intra_frame_period(IntraFramePeriod::from_num_frames((KEY_EVERY_S * fps).ceil() as u32))
-            // Every frame counts, and one thread so that the bytes do not depend on the machine.
-            .skip_frames(false)
-            .background_detection(false)
-            .num_threads(1);
-        let encoder = Encoder::with_api_config(OpenH264API::from_source(), config)
-            .map_err(|e| refused(path, (width, height), &e))?;
         let matrix = YuvMatrix::from_code(1, height, Range::Limited);
         let matrix = matrix.ok_or_else(|| encode("BT.709 is not known".into()))?;
         let file = AtomicFile::create(path).map_err(|e| WriteError::io(path, e))?;
@@ -88,43 +62,35 @@ impl Mp4Writer {
             .with_fast_start(true)
             .build()
             .map_err(|e| encode(e.to_string()))?;
-        Ok(Self { path: path.to_path_buf(), size: (width, height), fps, frames: 0, encoder, matrix, muxer })
+        let pieces = Pieces::new((width, height), fps, matrix);
+        Ok(Self { path: path.to_path_buf(), size: (width, height), fps, frames: 0, coded: 0, pieces, muxer })
     }
 
-    /// Adds a frame. Fails if its size is not that of the clip or the encoder fails.
-    pub fn push(&mut self, image: &RgbImage) -> Result<(), WriteError> {
+    /// Adds a frame, which is encoded while others are made. Fails if its size is not that of the clip or the encoder fails, which may be
+    /// told with a later frame.
+    pub fn push(&mut self, image: RgbImage) -> Result<(), WriteError> {
         if image.size() != self.size {
             let ((w, h), (width, height)) = (image.size(), self.size);
             let what = format!("frame {} is {w} x {h} pixels where {width} x {height} were expected", self.frames);
             return Err(WriteError::bad(&self.path, what));
         }
-        let encode = |reason: String| WriteError::encode(&self.path, reason);
-        let planes = Planes420::new(image, &self.matrix);
-        let [cb, cr] = &planes.chroma;
-        let half = planes.width / 2;
-        let source = YUVSlices::new((&planes.luma, cb, cr), (planes.width, planes.height), (planes.width, half, half));
-        let coded = self.encoder.encode(&source).map_err(|e| refused(&self.path, self.size, &e))?;
-        let key = matches!(coded.frame_type(), FrameType::IDR | FrameType::I);
-        let bytes = coded.to_vec();
-        if bytes.is_empty() {
-            return Err(encode(format!("the encoder left out frame {}", self.frames)));
-        }
-        let time_s = self.frames as f64 / self.fps;
-        self.muxer.write_video(time_s, &bytes, key).map_err(|e| encode(e.to_string()))?;
         self.frames += 1;
-        Ok(())
+        let coded = self.pieces.push(image).map_err(|refused| failed(&self.path, self.size, refused))?;
+        write_frames(&mut self.muxer, &mut self.coded, self.fps, coded).map_err(|e| WriteError::encode(&self.path, e))
     }
 
     /// Completes the file, decodes it again, and gives it its name. Fails if there were no frames, the file system refuses,
     /// or the file does not hold as many decodable frames as were pushed.
     pub fn finish(self) -> Result<(), WriteError> {
-        let Self { path, size, frames, mut muxer, .. } = self;
+        let Self { path, size, fps, frames, mut coded, pieces, mut muxer } = self;
         if frames == 0 {
             return Err(WriteError::bad(&path, "there are no frames"));
         }
+        let rest = pieces.finish().map_err(|refused| failed(&path, size, refused))?;
+        write_frames(&mut muxer, &mut coded, fps, rest).map_err(|e| WriteError::encode(&path, e))?;
         let io = |e| WriteError::io(&path, e);
         muxer.finish_in_place().map_err(|e| match e {
-            muxide::api::MuxerError::Io(source) => io(source),
+            MuxerError::Io(source) => io(source),
             other => WriteError::encode(&path, other),
         })?;
         let mut file = muxer.into_writer();
@@ -134,12 +100,29 @@ impl Mp4Writer {
     }
 }
 
+/// Appends coded frames to a file that holds `before`.
+fn write_frames(
+    muxer: &mut Muxer<AtomicFile>,
+    before: &mut usize,
+    fps: f64,
+    coded: Vec<Coded>,
+) -> Result<(), MuxerError> {
+    for Coded { bytes, key } in coded {
+        muxer.write_video(*before as f64 / fps, &bytes, key)?;
+        *before += 1;
+    }
+    Ok(())
+}
+
 /// The error of an encoder that failed. It says that it could not be set up (1), or got no memory (3), where memory ran out: sizes and
 /// rates were checked before.
-fn refused(path: &Path, (width, height): (usize, usize), error: &openh264::Error) -> WriteError {
-    match error.native_code() {
-        1 | 3 => WriteError::memory(path, format!("frames of {width} x {height} pixels")),
-        _ => WriteError::encode(path, error),
+fn failed(path: &Path, (width, height): (usize, usize), refused: Refused) -> WriteError {
+    match refused {
+        Refused::Encoder(error) if matches!(error.native_code(), 1 | 3) => {
+            WriteError::memory(path, format!("frames of {width} x {height} pixels"))
+        }
+        Refused::Encoder(error) => WriteError::encode(path, error),
+        Refused::Other(reason) => WriteError::encode(path, reason),
     }
 }
 

@@ -1,14 +1,18 @@
 //! Draws scenes, on the processor or a GPU, and writes the images to their destination.
 
+mod images;
+
 use super::Stop;
 use crate::device::OpenGpu;
 use crate::error::OutputError;
 use crate::{Error, Observer, Refusal};
+use images::ImageWriters;
 use m4_core::{Camera, Exposure, Plane, RgbImage, Scene};
 use m4_io::image;
 use m4_io::results::{self, Kind, ResultFolder};
 use m4_io::video::Mp4Writer;
 use m4_kernels::{Frame, Renderer, SimdLevel, View};
+use rayon::prelude::*;
 use std::path::{Path, PathBuf};
 
 /// Draws images of one scene, one after the other.
@@ -63,14 +67,19 @@ pub fn view(scene: &Scene, camera: &Camera, t: f64) -> View {
 /// Exposed, clamped and rounded to 8 bits per channel.
 pub fn to_rgb(frame: &Frame, exposure: &Exposure) -> RgbImage {
     let (m, o) = (&exposure.matrix, &exposure.offset);
-    Plane::from_fn(frame.width, frame.height, |x, y| {
-        let i = y * frame.width + x;
-        let c = [frame.rgb[0][i], frame.rgb[1][i], frame.rgb[2][i]];
-        std::array::from_fn(|r| {
-            let value = m[r][0] * c[0] + m[r][1] * c[1] + m[r][2] * c[2] + o[r];
-            (value.clamp(0.0, 1.0) * 255.0).round() as u8
-        })
-    })
+    let mut out = Plane::filled(frame.width, frame.height, [0; 3]);
+    let rows = out.data_mut().par_chunks_exact_mut(frame.width.max(1)).enumerate();
+    rows.for_each(|(y, row)| {
+        for (x, out) in row.iter_mut().enumerate() {
+            let i = y * frame.width + x;
+            let c = [frame.rgb[0][i], frame.rgb[1][i], frame.rgb[2][i]];
+            *out = std::array::from_fn(|r| {
+                let value = m[r][0] * c[0] + m[r][1] * c[1] + m[r][2] * c[2] + o[r];
+                (value.clamp(0.0, 1.0) * 255.0).round() as u8
+            });
+        }
+    });
+    out
 }
 
 /// Renders a scene on a GPU if there is one, else on the CPU, and from the image on at which a GPU fails that no one asked for.
@@ -177,7 +186,7 @@ const IMAGE_EXTENSIONS: [&str; 3] = ["png", "jpg", "jpeg"];
 /// The destination of images.
 pub(super) enum Sink {
     /// `00000.png` and so on.
-    Folder { results: ResultFolder, path: PathBuf, next: usize },
+    Folder { results: ResultFolder, images: ImageWriters },
     /// One image.
     Image(PathBuf),
     /// A clip.
@@ -225,23 +234,20 @@ impl Sink {
             if !results.is_empty() && !replace {
                 return Err(OutputError::WouldReplace { path }.into());
             }
-            let names: Vec<String> = (0..stops.len()).map(numbered).collect();
+            let names: Vec<String> = (0..stops.len()).map(images::numbered).collect();
             results.check_free(names.iter().map(String::as_str))?;
-            let path = results.begin()?;
-            return Ok(Self::Folder { results, path, next: 0 });
+            let images = ImageWriters::new(results.begin()?);
+            return Ok(Self::Folder { results, images });
         }
         let size = stops.first().map_or((0, 0), |s| (s.camera.intrinsics.width, s.camera.intrinsics.height));
         Ok(Self::Video(Box::new(Mp4Writer::create(out, size.0, size.1, fps)?)))
     }
 
-    /// The next image.
-    pub fn push(&mut self, rgb: &RgbImage) -> Result<(), Error> {
+    /// The next image, which is encoded while others are drawn.
+    pub fn push(&mut self, rgb: RgbImage) -> Result<(), Error> {
         match self {
-            Self::Folder { path, next, .. } => {
-                image::write_rgb(&path.join(numbered(*next)), rgb)?;
-                *next += 1;
-            }
-            Self::Image(path) => image::write_rgb(path, rgb)?,
+            Self::Folder { images, .. } => images.push(rgb)?,
+            Self::Image(path) => image::write_rgb(path, &rgb)?,
             Self::Video(writer) => writer.push(rgb)?,
         }
         Ok(())
@@ -250,7 +256,8 @@ impl Sink {
     /// Completes the file, or puts the images into the place of those of an earlier render.
     pub fn finish(self) -> Result<(), Error> {
         match self {
-            Self::Folder { mut results, .. } => {
+            Self::Folder { mut results, images } => {
+                images.finish()?;
                 results.commit(None)?;
                 Ok(())
             }
@@ -266,10 +273,6 @@ fn extension(out: &Path) -> String {
 
 fn is_file(extension: &str) -> bool {
     extension == "mp4" || IMAGE_EXTENSIONS.contains(&extension)
-}
-
-fn numbered(i: usize) -> String {
-    format!("{i:05}.png")
 }
 
 #[cfg(test)]

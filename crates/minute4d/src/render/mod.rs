@@ -122,7 +122,7 @@ pub fn make(scene: &Path, out: &Path, job: &RenderJob, observer: &dyn Observer) 
             return Err(Error::Stopped { stage: "render", saved: false });
         }
         let image = renderer.image(&stop.camera, stop.t, &stop.exposure)?;
-        sink.push(&image)?;
+        sink.push(image)?;
         observer.update("render", i + 1, stops.len(), "");
     }
     sink.finish()?;

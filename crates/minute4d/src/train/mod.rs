@@ -5,12 +5,13 @@ mod checkpoint;
 use crate::device::OpenGpu;
 use crate::error::OutputError;
 use crate::folder::{self, METRICS_FILE, SCENE_FILE, VIEWER_FILE};
+use crate::hash::{self, HashedCapture};
 use crate::pipeline::Clock;
 use crate::record::{Device, Input, RunRecord, SplatCount};
 use crate::settings::{InitSettings, Profile, TrainSettings, part_to_toml};
 use crate::stage::{RecordingObserver, check_stop};
 use crate::workspace::{Task, Workspace};
-use crate::{Error, Job, Observer, Settings, StageEvent, hash, preview, viewer};
+use crate::{Error, Job, Observer, Settings, StageEvent, preview, viewer};
 use checkpoint::{CheckpointTimer, Checkpoints, MetricsLog};
 use m4_core::{Capture, Progress, Scene, SplatLayout, Splats};
 use m4_io::capture::Split;
@@ -47,15 +48,24 @@ pub fn make(capture: &Path, out: &Path, job: &Job<'_>) -> Result<RunRecord, Erro
     let clock = Clock::start(&job.settings);
     // Read before the folder is made, so that a wrong path leaves nothing behind.
     let data = read(capture, &job.settings, job.observer)?;
-    let input = Input { path: capture.display().to_string(), blake3: hash::of_capture(&data) };
+    let data = HashedCapture::new(data);
+    let input = Input { path: capture.display().to_string(), blake3: data.hash.clone() };
     Workspace::open(out, capture, input, job, clock)?.finish(|run| all(run, &data))
 }
 
 /// Trains; writes preview and viewer if time remains.
-pub(crate) fn all(run: &mut Workspace<'_>, capture: &Capture) -> Result<(), Error> {
-    let scene = stage(run, capture)?;
-    run.if_there_is_time("a preview", |run| preview::stage(run, capture, &scene))?;
-    run.if_there_is_time("the page", |run| viewer::stage(run, capture, &scene))
+pub(crate) fn all(run: &mut Workspace<'_>, capture: &HashedCapture) -> Result<(), Error> {
+    let (scene, packed) = stage(run, capture)?;
+    let plan = viewer::plan(run, capture)?;
+    let wanted = matches!(plan, viewer::Plan::Write { .. });
+    // The page is made while the preview is drawn; a scene of an earlier run is packed now.
+    let packed = if wanted { packed.or_else(|| viewer::packed(run, &scene)) } else { None };
+    let (preview, page) = rayon::join(
+        || run.if_there_is_time("a preview", |run| preview::stage(run, capture, &scene)),
+        || packed.map(|packed| viewer::Page::new(packed, &capture.capture, &scene)).transpose(),
+    );
+    preview?;
+    run.if_there_is_time("the page", |run| viewer::stage(run, plan, page?))
 }
 
 /// Reads the training frames of a capture.
@@ -64,11 +74,14 @@ pub(crate) fn read(capture: &Path, settings: &Settings, observer: &dyn Observer)
 }
 
 /// Trains within a run, unless that was done before.
-pub(crate) fn stage(run: &mut Workspace<'_>, capture: &Capture) -> Result<Scene, Error> {
+/// Returns the scene, and the splats for its page where they were packed as well.
+pub(crate) fn stage(
+    run: &mut Workspace<'_>,
+    capture: &HashedCapture,
+) -> Result<(Scene, Option<viewer::Packed>), Error> {
     let settings = &run.job.settings;
-    let part = Part { profile: settings.profile, init: &settings.init, train: &settings.train };
-    let (capture_hash, part) = (hash::of_capture(capture), part_to_toml(&part)?);
-    let mut parts = vec![STAGE, env!("CARGO_PKG_VERSION"), &capture_hash, run.level.name(), &part];
+    let part = part_to_toml(&Part { profile: settings.profile, init: &settings.init, train: &settings.train })?;
+    let mut parts = vec![STAGE, env!("CARGO_PKG_VERSION"), &capture.hash, run.level.name(), &part];
     // last digits are the device's own
     parts.extend(run.gpu.as_ref().map(OpenGpu::name));
     let key = hash::of_parts(&parts);
@@ -77,16 +90,16 @@ pub(crate) fn stage(run: &mut Workspace<'_>, capture: &Capture) -> Result<Scene,
     let (because, seconds) = match task {
         Task::Reuse => {
             run.job.observer.stage(STAGE, StageEvent::Reused);
-            return Ok(safetensors::read(&run.path(SCENE_FILE))?.scene);
+            return Ok((safetensors::read(&run.path(SCENE_FILE))?.scene, None));
         }
         Task::Work { because, seconds_before } => (because, seconds_before),
     };
     let same_key = key.clone();
-    let scene =
-        run.stage(STAGE, key, (because, seconds), &files, |run, keeper| train(run, capture, &same_key, keeper))?;
+    let made = run
+        .stage(STAGE, key, (because, seconds), &files, |run, keeper| train(run, &capture.capture, &same_key, keeper))?;
     // Only now: until the record says that the scene is whole, they are what a killed run continues from.
     folder::remove_checkpoints(&run.folder)?;
-    Ok(scene)
+    Ok(made)
 }
 
 fn train(
@@ -94,7 +107,7 @@ fn train(
     capture: &Capture,
     key: &str,
     keeper: &RecordingObserver<'_>,
-) -> Result<Scene, Error> {
+) -> Result<(Scene, Option<viewer::Packed>), Error> {
     let started = Instant::now();
     let settings = &run.job.settings;
     let gpu = run.gpu.clone();
@@ -208,8 +221,10 @@ fn train(
     note_progress(&mut run.record, &trainer);
     let path = run.path(SCENE_FILE);
     let scene = trainer.into_scene();
-    publish(&path, &scene)?;
-    Ok(scene)
+    let run = &*run;
+    let (written, packed) = rayon::join(|| publish(&path, &scene), || viewer::packed(run, &scene));
+    written?;
+    Ok((scene, packed))
 }
 
 /// Makes the first splats, while a GPU compiles the kernels of the training that follows.

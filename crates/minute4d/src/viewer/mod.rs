@@ -11,10 +11,11 @@ pub use view::{Viewing, view};
 
 use crate::error::OutputError;
 use crate::folder::{CAPTURE_FOLDER, SCENE_FILE, VIEWER_FILE};
+use crate::hash::{self, HashedCapture};
 use crate::render::{Painter, source_fps};
 use crate::settings::part_to_toml;
 use crate::workspace::{Task, Workspace};
-use crate::{Error, StageEvent, hash};
+use crate::{Error, StageEvent};
 use m4_core::{Capture, RgbImage, Scene};
 use m4_io::atomic::AtomicFile;
 use m4_kernels::SimdLevel;
@@ -43,12 +44,21 @@ impl Default for ViewerConfig {
     }
 }
 
-/// The splats for the page, and their metadata. `median_depth`: of what the middle camera
+/// The splats for the page, and their metadata.
+pub(crate) type Packed = (Manifest, Payload);
+
+/// Packs the splats of a scene for the page, and describes them. `median_depth`: of what the middle camera
 /// sees, world units.
-fn pack(scene: &Scene, title: &str, median_depth: f64) -> (Manifest, Payload) {
+fn pack(scene: &Scene, title: &str, median_depth: f64) -> Packed {
     let payload = encode(scene, median_depth);
     let about = About { title, median_depth, fps: source_fps(scene) };
     (Manifest::new(scene, &payload, &about), payload)
+}
+
+/// The same for the page of a run; `None` where none is wanted.
+pub(crate) fn packed(run: &Workspace<'_>, scene: &Scene) -> Option<Packed> {
+    let title = title(run.place(), &run.record.input.path);
+    run.job.settings.viewer.write.then(|| pack(scene, &title, median_depth(scene, run.level)))
 }
 
 /// Median z-depth of the view of the middle camera, world units; 1 for an empty view.
@@ -67,52 +77,88 @@ fn frames(capture: &Capture, scene: &Scene) -> Result<Option<Frames>, Error> {
     Ok(encode_frames(&images, FRAME_BYTES)?)
 }
 
-/// Writes the page within a run, unless that was done before or is not wanted.
-pub(crate) fn stage(run: &mut Workspace<'_>, capture: &Capture, scene: &Scene) -> Result<(), Error> {
+/// What is to be done for the page of a run.
+pub(crate) enum Plan {
+    /// None is wanted.
+    Nothing,
+    /// It was written before.
+    Reuse,
+    /// It is written again; seconds of an earlier attempt do not count.
+    Write { key: String, because: Option<&'static str> },
+}
+
+/// Decides that, once the scene of the run is written.
+pub(crate) fn plan(run: &Workspace<'_>, capture: &HashedCapture) -> Result<Plan, Error> {
     let config = &run.job.settings.viewer;
     if !config.write {
-        return Ok(());
+        return Ok(Plan::Nothing);
     }
     let scene_hash = run.record.files.get(SCENE_FILE).map_or("", |f| f.blake3.as_str());
-    let title = title(run.place(), &run.record.input.path);
     let key = hash::of_parts(&[
         STAGE,
         env!("CARGO_PKG_VERSION"),
         scene_hash,
-        &hash::of_capture(capture),
+        &capture.hash,
         &part_to_toml(config)?,
-        &hash::of_parts(&[TEMPLATE, &title]),
+        &hash::of_parts(&[TEMPLATE, &title(run.place(), &run.record.input.path)]),
     ]);
-    let task = match run.task(STAGE, &key, &[VIEWER_FILE])? {
-        Task::Reuse => {
-            run.job.observer.stage(STAGE, StageEvent::Reused);
-            return Ok(());
-        }
-        // A page is written again, so seconds of an earlier attempt do not count.
-        Task::Work { because, .. } => (because, 0.0),
-    };
-    run.stage(STAGE, key, task, &[VIEWER_FILE], |run, _| write(run, &title, capture, scene))
+    Ok(match run.task(STAGE, &key, &[VIEWER_FILE])? {
+        Task::Reuse => Plan::Reuse,
+        Task::Work { because, .. } => Plan::Write { key, because },
+    })
 }
 
-fn write(run: &Workspace<'_>, title: &str, capture: &Capture, scene: &Scene) -> Result<(), Error> {
-    let (mut manifest, payload) = pack(scene, title, median_depth(scene, run.level));
-    let frames = frames(capture, scene)?;
-    manifest.frames = frames.as_ref().map(|f| f.index.clone());
-    let parts = Parts { manifest: &manifest, payload: Some(&payload.bytes), frames: frames.as_ref() };
-    let html = page::compose(TEMPLATE, &parts, Compression::default())?;
-    let path = run.path(VIEWER_FILE);
-    let failed = |source| Error::Write { path: path.clone(), source };
-    let mut file = AtomicFile::create(&path).map_err(failed)?;
-    file.write_all(&html).map_err(failed)?;
-    drop(html);
-    file.sync().map_err(failed)?;
-    let text =
-        fs::read_to_string(file.temporary_path()).map_err(|source| Error::Read { path: path.clone(), source })?;
-    let back = page::read(&text)?;
-    if back.manifest != manifest || back.payload.as_ref() != Some(&payload.bytes) || back.frames != frames {
-        return Err(OutputError::Verify { path, what: "the scene in it differs".to_owned() }.into());
+/// A page that is not written yet.
+pub(crate) struct Page {
+    manifest: Manifest,
+    payload: Payload,
+    frames: Option<Frames>,
+    html: Vec<u8>,
+}
+
+impl Page {
+    /// Adds the frames of the capture to the splats, and compresses all.
+    pub fn new((mut manifest, payload): Packed, capture: &Capture, scene: &Scene) -> Result<Self, Error> {
+        let frames = frames(capture, scene)?;
+        manifest.frames = frames.as_ref().map(|f| f.index.clone());
+        let parts = Parts { manifest: &manifest, payload: Some(&payload.bytes), frames: frames.as_ref() };
+        let html = page::compose(TEMPLATE, &parts, Compression::default())?;
+        Ok(Self { manifest, payload, frames, html })
     }
-    file.commit().map_err(failed)
+
+    /// Writes the page, reads it back and compares.
+    fn write(self, path: &Path) -> Result<(), Error> {
+        let failed = |source| Error::Write { path: path.to_path_buf(), source };
+        let mut file = AtomicFile::create(path).map_err(failed)?;
+        file.write_all(&self.html).map_err(failed)?;
+        drop(self.html);
+        file.sync().map_err(failed)?;
+        let text = fs::read_to_string(file.temporary_path())
+            .map_err(|source| Error::Read { path: path.to_path_buf(), source })?;
+        let back = page::read(&text)?;
+        let same = back.manifest == self.manifest
+            && back.payload.as_ref() == Some(&self.payload.bytes)
+            && back.frames == self.frames;
+        if !same {
+            let what = "the scene in it differs".to_owned();
+            return Err(OutputError::Verify { path: path.to_path_buf(), what }.into());
+        }
+        file.commit().map_err(failed)
+    }
+}
+
+/// Does what was planned: writes `page`, which there is where one is to be written.
+pub(crate) fn stage(run: &mut Workspace<'_>, plan: Plan, page: Option<Page>) -> Result<(), Error> {
+    match (plan, page) {
+        (Plan::Write { key, because }, Some(page)) => {
+            run.stage(STAGE, key, (because, 0.0), &[VIEWER_FILE], |run, _| page.write(&run.path(VIEWER_FILE)))
+        }
+        (Plan::Reuse, _) => {
+            run.job.observer.stage(STAGE, StageEvent::Reused);
+            Ok(())
+        }
+        _ => Ok(()),
+    }
 }
 
 /// Title of the page: the name of the clip, or of the run where that is more telling.

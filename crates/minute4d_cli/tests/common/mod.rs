@@ -314,7 +314,7 @@ pub fn edit_transforms(folder: &Path, edit: impl FnOnce(&mut Value)) {
 pub fn write_video(path: &Path, n: usize) {
     let mut writer = Mp4Writer::create(path, SIZE.0, SIZE.1, 10.0).unwrap();
     for frame in capture(n, false).frames {
-        writer.push(&frame.rgb).unwrap();
+        writer.push(frame.rgb).unwrap();
     }
     writer.finish().unwrap();
 }

@@ -231,7 +231,7 @@ fn videos() -> Vec<Reader> {
         let ours = super::written("a.mp4", |path| {
             let mut to = Mp4Writer::create(path, 32, 16, 24.0)?;
             for i in 0..3u8 {
-                to.push(&Plane::from_fn(32, 16, |x, y| [x as u8 * 8, y as u8 * 8, i * 40]))?;
+                to.push(Plane::from_fn(32, 16, |x, y| [x as u8 * 8, y as u8 * 8, i * 40]))?;
             }
             to.finish()
         });
