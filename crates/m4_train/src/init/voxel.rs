@@ -37,9 +37,16 @@ pub(crate) struct Grid {
     origin: [f32; 3],
     /// Constant edge, or edge at unit distance.
     unit: f32,
-    /// Cameras whose nearest counts; empty for a constant edge.
-    centres: Vec<[f32; 3]>,
+    /// Cameras whose nearest counts: four a row, one component after the other; empty for a constant edge.
+    centres: Vec<[[f32; LANES]; 3]>,
+    /// Edge of each level, the lowest first.
+    edges: Vec<f32>,
 }
+
+/// Cameras that are compared at once.
+const LANES: usize = 4;
+/// Highest level; the lowest is as far below 0.
+const MOST_LEVEL: i16 = 60;
 
 impl Grid {
     /// `pixels` at `depth`, or (depth-proportional) at the distance to the nearest camera.
@@ -52,10 +59,20 @@ impl Grid {
         origin: [f32; 3],
     ) -> Self {
         let (unit, centres) = match cells {
-            CellSize::Constant => (f64::from(pixels) * depth / focal_px, Vec::new()),
-            CellSize::DepthProportional => (f64::from(pixels) / focal_px, centres.to_vec()),
+            CellSize::Constant => (f64::from(pixels) * depth / focal_px, &[][..]),
+            CellSize::DepthProportional => (f64::from(pixels) / focal_px, centres),
         };
-        Self { origin, unit: unit as f32, centres }
+        let unit = unit as f32;
+        // the last camera fills the last row
+        let row =
+            |row: &[[f32; 3]]| std::array::from_fn(|k| std::array::from_fn(|lane| row[lane.min(row.len() - 1)][k]));
+        let edge = |level: i16| unit * (0.5 * f32::from(level)).exp2();
+        Self {
+            origin,
+            unit,
+            centres: centres.chunks(LANES).map(row).collect(),
+            edges: (-MOST_LEVEL..=MOST_LEVEL).map(edge).collect(),
+        }
     }
 
     /// Level and edge at a point: `edge = unit` or `unit * sqrt(2)^level`.
@@ -63,10 +80,19 @@ impl Grid {
         if self.centres.is_empty() {
             return (0, self.unit);
         }
-        let nearest = self.centres.iter().map(|c| distance2(*c, p)).fold(f32::INFINITY, f32::min);
+        let mut nearest = [f32::INFINITY; LANES];
+        for [x, y, z] in &self.centres {
+            for (lane, nearest) in nearest.iter_mut().enumerate() {
+                let [dx, dy, dz] = [x[lane] - p[0], y[lane] - p[1], z[lane] - p[2]];
+                let square = dx * dx + dy * dy + dz * dz;
+                *nearest = if square < *nearest { square } else { *nearest };
+            }
+        }
+        let nearest = nearest.into_iter().fold(f32::INFINITY, f32::min);
         // log base sqrt(2) of the distance is log2 of its square
-        let level = nearest.max(1e-12).log2().round().clamp(-60.0, 60.0);
-        (level as i16, self.unit * (0.5 * level).exp2())
+        let most = f32::from(MOST_LEVEL);
+        let level = nearest.max(1e-12).log2().round().clamp(-most, most) as i16;
+        (level, self.edges[(level + MOST_LEVEL) as usize])
     }
 
     /// Edge of the cell of a point, world units.
@@ -78,16 +104,16 @@ impl Grid {
     pub fn key(&self, p: [f32; 3]) -> (i16, u64) {
         let (level, edge) = self.level(p);
         let axis = |k: usize| {
-            let cell = ((p[k] - self.origin[k]) / edge + 0.5 * CELLS).floor();
-            cell.clamp(0.0, CELLS - 1.0) as u64
+            // what is not negative is rounded down by the conversion
+            ((p[k] - self.origin[k]) / edge + 0.5 * CELLS).clamp(0.0, CELLS - 1.0) as u64
         };
         (level, (axis(2) << (2 * BITS)) | (axis(1) << BITS) | axis(0))
     }
 
     /// The cells that hold a point, sorted.
     fn cells(&self, cloud: &Cloud) -> Vec<(i16, u64)> {
-        let mut keys: Vec<_> = cloud.xyz.iter().map(|&p| self.key(p)).collect();
-        keys.sort_unstable();
+        let mut keys: Vec<_> = cloud.xyz.par_iter().map(|&p| self.key(p)).collect();
+        keys.par_sort_unstable();
         keys.dedup();
         keys
     }
@@ -95,9 +121,9 @@ impl Grid {
     /// The cell and the index of each point, sorted by cell, points of a cell in order.
     fn sorted_keys(&self, cloud: &Cloud) -> Vec<((i16, u64), u32)> {
         let keyed = |i: u32| (self.key(cloud.xyz[i as usize]), i);
-        let mut keys: Vec<_> = (0..cloud.xyz.len() as u32).map(keyed).collect();
+        let mut keys: Vec<_> = (0..cloud.xyz.len() as u32).into_par_iter().map(keyed).collect();
         // The index makes every entry unique, so an unstable sort has one result.
-        keys.sort_unstable();
+        keys.par_sort_unstable();
         keys
     }
 
@@ -234,10 +260,6 @@ pub(crate) fn pixels_for(target: usize, least: f32, mut count: impl FnMut(f32) -
         }
     }
     high.unwrap_or(pixels)
-}
-
-pub(crate) fn distance2(a: [f32; 3], b: [f32; 3]) -> f32 {
-    (0..3).map(|k| (a[k] - b[k]) * (a[k] - b[k])).sum()
 }
 
 #[cfg(test)]

@@ -137,11 +137,19 @@ impl Sums {
     /// Adds the squares `(r + g . (shift + turn x arm))^2`, summed to `outer = sum w g g^T` and `along = sum w r g`.
     #[inline]
     fn add(&mut self, outer: &Matrix3<f32>, along: &Vector3<f32>, arm: &Vector3<f32>) {
-        let cross = arm.cross_matrix();
-        let turned = cross * outer;
+        // [arm]x outer and [arm]x outer [arm]x^T, without the zeros of the cross matrix
+        let [x, y, z] = [arm.x, arm.y, arm.z];
+        let o = |i: usize, j: usize| outer[(i, j)];
+        let turned: [[f32; 3]; 3] =
+            std::array::from_fn(|j| [y * o(2, j) - z * o(1, j), z * o(0, j) - x * o(2, j), x * o(1, j) - y * o(0, j)]);
         self.h[0] += outer;
-        self.h[1] += turned;
-        self.h[2] += turned * cross.transpose();
+        for i in 0..3 {
+            let t = turned.map(|column| column[i]);
+            (0..3).for_each(|j| self.h[1][(i, j)] += t[j]);
+            self.h[2][(i, 0)] += y * t[2] - z * t[1];
+            self.h[2][(i, 1)] += z * t[0] - x * t[2];
+            self.h[2][(i, 2)] += x * t[1] - y * t[0];
+        }
         self.b[0] -= along;
         self.b[1] -= arm.cross(along);
     }

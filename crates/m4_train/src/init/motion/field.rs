@@ -40,27 +40,39 @@ pub(crate) fn fields(
     reach: f32,
     progress: &dyn Progress,
 ) -> Result<Vec<Fields>, InitError> {
+    let shifts_between = |from, to| tracks.and_then(|w| w.between(from, to));
+    // three at a time: trees of all would take much memory
+    let prepared = |i: usize| keyframes.get(i).map(|view| Keyframe::new(*view, reach));
+    let places = |keyframe: &Keyframe<'_>| keyframe.view.nodes.xyz.clone();
+    // Motion continues: the last one is a good first guess.
+    let forward = |last: Option<&Field>, (i, from): (usize, &Keyframe<'_>), to: &Keyframe<'_>| {
+        let nodes = places(from);
+        let guess = last.map_or_else(|| shifts(&nodes, &nodes), |last| shifts(&nodes, &last.onward(&nodes)));
+        Field { motion: register(from, to, shifts_between(i, i + 1), Guess::Rough(guess), reach), nodes }
+    };
+    let backward = |ahead: &Field, from: &Keyframe<'_>, (i, to): (usize, &Keyframe<'_>)| {
+        let nodes = places(to);
+        let guess = shifts(&nodes, &ahead.inverse().places(&nodes));
+        Field { motion: register(to, from, shifts_between(i, i - 1), Guess::Close(guess), reach), nodes }
+    };
     let mut out: Vec<Fields> = Vec::new();
-    // two at a time: trees of all would take much memory
-    let mut prepared = keyframes.iter().map(|view| Keyframe::new(*view, reach));
-    let mut ahead = prepared.next();
+    let (Some(first), Some(second)) = (prepared(0), prepared(1)) else { return Ok(out) };
+    let mut ahead = forward(None, (0, &first), &second);
+    let (mut behind, mut here) = (first, second);
     for i in 1..keyframes.len() {
         stopped(progress)?;
         progress.update("motions", i - 1, keyframes.len() - 1, "");
-        let behind = std::mem::replace(&mut ahead, prepared.next());
-        let (Some(a), Some(b)) = (&behind, &ahead) else { break };
-        let shifts_between = |from, to| tracks.and_then(|w| w.between(from, to));
-        let (from, to) = (&a.view.nodes.xyz, &b.view.nodes.xyz);
-        // Motion continues: the last one is a good first guess.
-        let guess = match out.last() {
-            Some(last) => shifts(from, &last.forward.onward(from)),
-            None => shifts(from, from),
+        // the way back of this pair beside the way forward of the next
+        let (back, next) = rayon::join(
+            || backward(&ahead, &behind, (i, &here)),
+            || prepared(i + 1).map(|next| (forward(Some(&ahead), (i, &here), &next), next)),
+        );
+        let Some((onward, next)) = next else {
+            out.push(Fields { forward: ahead, backward: back });
+            break;
         };
-        let motion = register(a, b, shifts_between(i - 1, i), Guess::Rough(guess), reach);
-        let forward = Field { nodes: from.clone(), motion };
-        let guess = shifts(to, &forward.inverse().places(to));
-        let motion = register(b, a, shifts_between(i, i - 1), Guess::Close(guess), reach);
-        out.push(Fields { forward, backward: Field { nodes: to.clone(), motion } });
+        out.push(Fields { forward: std::mem::replace(&mut ahead, onward), backward: back });
+        behind = std::mem::replace(&mut here, next);
     }
     Ok(out)
 }

@@ -28,15 +28,19 @@ impl Rigid {
         let mut pairs = pairs.peekable();
         // from here, or the sums would lose digits
         let origin = pairs.peek()?.0;
-        let (mut from, mut to, mut total) = (Vector3::zeros(), Vector3::zeros(), 0.0f32);
-        let mut a = Matrix3::<f32>::zeros();
+        // sums of the weighted `(to, 1)`: alone, and with each component of `from`; four lanes are one instruction
+        let mut sums = [[0.0f32; 4]; 4];
         for (p, q, w) in pairs {
-            let (p, q) = (p - origin, w * (q - origin));
-            from += w * p;
-            to += q;
-            a += q * p.transpose();
-            total += w;
+            let (p, q) = (p - origin, q - origin);
+            let to = [w * q.x, w * q.y, w * q.z, w];
+            for (sum, by) in sums.iter_mut().zip([1.0, p.x, p.y, p.z]) {
+                (0..4).for_each(|k| sum[k] += to[k] * by);
+            }
         }
+        let [[x, y, z, total], rest @ ..] = sums;
+        let mut to = Vector3::new(x, y, z);
+        let mut from = Vector3::from(rest.map(|sum| sum[3]));
+        let mut a = Matrix3::from_fn(|i, j| rest[j][i]);
         if !(total > 0.0 && total.is_finite()) {
             return None;
         }
