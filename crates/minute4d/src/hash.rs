@@ -2,8 +2,9 @@
 
 use crate::Error;
 use crate::stage::check_stop;
-use m4_core::{Capture, CompactDepth, CompactMask, Plane, Progress, Silent};
+use m4_core::{Capture, CaptureFrame, CompactDepth, CompactMask, Plane, Progress, Silent};
 use m4_io::files;
+use rayon::prelude::*;
 use std::fs::{self, File};
 use std::io::{self, Read};
 use std::path::{Path, PathBuf};
@@ -60,23 +61,9 @@ pub fn of_parts(parts: &[&str]) -> String {
 pub fn of_capture(capture: &Capture) -> String {
     let mut hasher = blake3::Hasher::new();
     hasher.update(&(capture.time_frames as u64).to_le_bytes());
-    for frame in &capture.frames {
-        let k = &frame.camera.intrinsics;
-        size_into((k.width, k.height), &mut hasher);
-        let pose = &frame.camera.c2w;
-        let numbers = [k.fx, k.fy, k.cx, k.cy, frame.t];
-        for x in numbers.iter().chain(pose.rotation.iter()).chain(pose.translation.iter()) {
-            hasher.update(&x.to_le_bytes());
-        }
-        size_into(frame.rgb.size(), &mut hasher);
-        hasher.update(frame.rgb.data().as_flattened());
-        size_into(frame.depth.as_ref().map_or((0, 0), CompactDepth::size), &mut hasher);
-        if let Some(depth) = &frame.depth {
-            hasher.update(&depth.every(1).flat_map(f32::to_le_bytes).collect::<Vec<u8>>());
-        }
-        let mask = frame.mask.as_ref().map(CompactMask::to_mask);
-        size_into(mask.as_ref().map_or((0, 0), Plane::size), &mut hasher);
-        hasher.update(mask.as_ref().map_or(&[], Plane::data));
+    let frames: Vec<blake3::Hash> = capture.frames.par_iter().map(of_frame).collect();
+    for frame in frames {
+        hasher.update(frame.as_bytes());
     }
     // Without tracks the hash is what it was before there were any.
     if let Some(tracks) = &capture.tracks {
@@ -85,6 +72,27 @@ pub fn of_capture(capture: &Capture) -> String {
         hasher.update(&tracks.visible().iter().map(|&v| u8::from(v)).collect::<Vec<u8>>());
     }
     hasher.finalize().to_hex().to_string()
+}
+
+fn of_frame(frame: &CaptureFrame) -> blake3::Hash {
+    let mut hasher = blake3::Hasher::new();
+    let k = &frame.camera.intrinsics;
+    size_into((k.width, k.height), &mut hasher);
+    let pose = &frame.camera.c2w;
+    let numbers = [k.fx, k.fy, k.cx, k.cy, frame.t];
+    for x in numbers.iter().chain(pose.rotation.iter()).chain(pose.translation.iter()) {
+        hasher.update(&x.to_le_bytes());
+    }
+    size_into(frame.rgb.size(), &mut hasher);
+    hasher.update(frame.rgb.data().as_flattened());
+    size_into(frame.depth.as_ref().map_or((0, 0), CompactDepth::size), &mut hasher);
+    if let Some(depth) = &frame.depth {
+        hasher.update(&depth.every(1).flat_map(f32::to_le_bytes).collect::<Vec<u8>>());
+    }
+    let mask = frame.mask.as_ref().map(CompactMask::to_mask);
+    size_into(mask.as_ref().map_or((0, 0), Plane::size), &mut hasher);
+    hasher.update(mask.as_ref().map_or(&[], Plane::data));
+    hasher.finalize()
 }
 
 /// A capture with its hash, which takes a while.
