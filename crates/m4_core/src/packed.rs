@@ -33,7 +33,7 @@ impl<'de, T: Pod> Deserialize<'de> for Unpacked<T> {
                 if bytes.len() % size_of::<T>() != 0 {
                     return Err(E::invalid_length(bytes.len(), &self));
                 }
-                Ok(bytemuck::pod_collect_to_vec(bytes))
+                Ok(bytes.chunks_exact(size_of::<T>()).map(bytemuck::pod_read_unaligned).collect())
             }
         }
         from.deserialize_bytes(Bytes(PhantomData)).map(Self)
