@@ -37,7 +37,7 @@ pub fn step(
     let client = &gpu.client;
     let [geometry, colour, time] = parts(splats.layout).map(|columns| columns.len() as u32);
     let trend = splats.layout.range(Column::Trend).len() as u32;
-    let rates = Buffer::floats(client, rates);
+    let rates = gpu.passing(rates);
     adam::launch(
         client,
         cubes(splats.n, 256),

@@ -1,6 +1,9 @@
 //! Lists GPUs, opens one, and reports the memory that it holds.
 
-use crate::{bench::Probe, gpu::GpuError};
+use crate::{
+    bench::Probe,
+    gpu::{GpuError, inputs::Inputs},
+};
 use cubecl::Device;
 use cubecl::MemoryScope;
 use cubecl::device::{WgpuBackend, WgpuDevice, WgpuDeviceKind};
@@ -230,6 +233,7 @@ pub struct Gpu {
     /// The runtime's queue.
     pub client: Client,
     adapter: Adapter,
+    pub(super) inputs: Inputs,
 }
 
 impl std::fmt::Debug for Gpu {
@@ -273,7 +277,8 @@ impl Gpu {
         }
         #[cfg(feature = "cuda")]
         if let Runtime::Cuda(ordinal) = adapter.runtime() {
-            return Ok(Self { client: crate::gpu::cuda::start(ordinal).map_err(refused)?, adapter: adapter.clone() });
+            let client = crate::gpu::cuda::start(ordinal).map_err(refused)?;
+            return Ok(Self { client, adapter: adapter.clone(), inputs: Inputs::default() });
         }
         #[cfg_attr(not(feature = "cuda"), expect(irrefutable_let_patterns, reason = "CUDA is the other one"))]
         let Runtime::Wgpu(device) = adapter.runtime() else {
@@ -286,7 +291,7 @@ impl Gpu {
                 .map_err(|error| refused(error.to_string()))?;
             started.push(adapter.place);
         }
-        Ok(Self { client: Device::Wgpu(device).client(), adapter: adapter.clone() })
+        Ok(Self { client: Device::Wgpu(device).client(), adapter: adapter.clone(), inputs: Inputs::default() })
     }
 
     /// The kind.
@@ -365,6 +370,7 @@ impl Gpu {
     /// Fails with [`GpuError::Failed`] if the device failed.
     pub fn give_back(&self) -> Result<(), GpuError> {
         let doing = "giving memory back";
+        self.inputs.clear();
         self.wait(doing)?;
         self.client.memory_cleanup().map_err(|error| failed(doing, &error))
     }

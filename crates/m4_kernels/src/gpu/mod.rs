@@ -21,6 +21,7 @@ mod cuda;
 pub(crate) mod device;
 mod error;
 pub mod frames;
+mod inputs;
 pub mod log;
 pub mod morton;
 mod plan;

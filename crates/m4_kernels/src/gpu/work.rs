@@ -143,7 +143,7 @@ impl Work {
         let client = &gpu.client;
         let (size, n) = (self.size, self.size.n);
         let (tiles, width, height) = (size.tiles(), size.width as u32, size.height as u32);
-        self.eye = Buffer::floats(client, &eye(view));
+        self.eye = gpu.input_floats(&eye(view));
         let bound = splats.bound.as_ref();
         self.moment = bound.map(|bound| bound.pose(gpu, splats, &self.eye, view.t as f32, &self.node_keys));
         project::launch(

@@ -112,7 +112,7 @@ impl DeviceNodes {
             self.m.arg(),
             self.v.arg(),
             self.steps.arg(),
-            Buffer::words(client, &table).arg(),
+            gpu.input(&table).arg(),
             tally.buffer.arg(),
             keys.len() as u32,
             config.beta1 as f32,

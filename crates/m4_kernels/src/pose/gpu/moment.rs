@@ -67,7 +67,7 @@ impl Moment {
         }
         let count = active.len();
         table.extend(active);
-        Self { table: Buffer::words(&gpu.client, &table), active: count, most, keys }
+        Self { table: gpu.input(&table), active: count, most, keys }
     }
 }
 
