@@ -46,7 +46,7 @@ impl Tally {
     /// Adds the sums of a frame's tiles, three per tile and channel of which `values` make a mean, and keeps the loss as that
     /// of view `view`.
     pub fn frame(&self, gpu: &Gpu, sums: &Buffer, tiles: usize, values: usize, view: usize, lambda: f32) {
-        add_up::launch(
+        add_frame::launch(
             &gpu.client,
             cubes(1, 1),
             units(),
@@ -121,10 +121,23 @@ fn add_float(tally: &mut [u32], #[comptime] at: usize, value: f32) {
     tally[at] = u32::reinterpret(sum);
 }
 
-/// Adds the means of a frame's SSIM and differences, and keeps its loss.
 #[cube(launch)]
-fn add_up(sums: &[f32], tally: &mut [u32], cubes: u32, count: f32, lambda: f32, view: u32) {
+fn add_frame(sums: &[f32], tally: &mut [u32], cubes: u32, count: f32, lambda: f32, view: u32) {
     let mut shared = Shared::<[f32]>::new_slice(256usize);
+    add_up(sums, tally, &mut shared, cubes, count, lambda, view);
+}
+
+/// Adds the means of a frame's SSIM and differences, and keeps its loss. By one cube of 256 units, with `shared` memory for as many.
+#[cube]
+pub(crate) fn add_up(
+    sums: &[f32],
+    tally: &mut [u32],
+    shared: &mut Shared<[f32]>,
+    cubes: u32,
+    count: f32,
+    lambda: f32,
+    view: u32,
+) {
     let mut ssim = 0.0f32;
     let mut difference = 0.0f32;
     let mut square = 0.0f32;
@@ -135,9 +148,9 @@ fn add_up(sums: &[f32], tally: &mut [u32], cubes: u32, count: f32, lambda: f32, 
         square += sums[(3u32 * k + 2u32) as usize];
         k += 256u32;
     }
-    let ssim = cube_sum(ssim, &mut shared) / count;
-    let difference = cube_sum(difference, &mut shared) / count;
-    let square = cube_sum(square, &mut shared) / count;
+    let ssim = cube_sum(ssim, shared) / count;
+    let difference = cube_sum(difference, shared) / count;
+    let square = cube_sum(square, shared) / count;
     if UNIT_POS == 0u32 {
         let loss = (1.0f32 - lambda) * difference + lambda * (1.0f32 - ssim);
         tally[FRAMES] += 1u32;

@@ -214,28 +214,10 @@ impl Work {
             capacity,
             most,
         );
+        let small = n.div_ceil(256).max(1);
         entries::emit::launch(
             client,
-            cubes(n, 256),
-            units(),
-            self.counts.arg(),
-            self.offsets.arg(),
-            self.reaches.arg(),
-            self.depths.arg(),
-            self.eye.arg(),
-            self.ranges.arg(),
-            self.cursors.arg(),
-            self.lists[0].arg(),
-            self.lists[1].arg(),
-            self.splat_of_slot.arg(),
-            self.totals.arg(),
-            n as u32,
-            size.across() as u32,
-            capacity,
-        );
-        entries::emit_large::launch(
-            client,
-            cubes(LARGE_CUBES, 1),
+            cubes(small + LARGE_CUBES, 1),
             units(),
             self.counts.arg(),
             self.offsets.arg(),
@@ -249,8 +231,10 @@ impl Work {
             self.splat_of_slot.arg(),
             self.large.arg(),
             self.totals.arg(),
+            n as u32,
             size.across() as u32,
             capacity,
+            small as u32,
         );
         sort::sort_lists::launch(
             client,

@@ -5,7 +5,7 @@ use crate::{
     gpu::{
         Gpu,
         buffer::{Buffer, units},
-        tally::Tally,
+        tally::{Tally, add_up},
         work::Size,
     },
     loss::window,
@@ -155,19 +155,45 @@ pub(crate) fn similarity(image: &[f32], target: &[u32], slopes: &mut [f32], sums
     }
 }
 
-/// The gradient of the loss with respect to the image; `gradient` has the planes of the backward pass.
+/// The gradient of the loss with respect to the image; `gradient` has the planes of the backward pass. One more row of cubes than there are
+/// channels: its first adds the sums of the tiles to `tally`.
 #[cube(launch)]
 pub(crate) fn gradient(
     image: &[f32],
     target: &[u32],
     slopes: &[f32],
+    sums: &[f32],
     gradient: &mut [f32],
+    tally: &mut [u32],
     width: u32,
     height: u32,
     lambda: f32,
 ) {
     let mut planes = Shared::<[f32]>::new_slice(2028usize);
     let mut rows = Shared::<[f32]>::new_slice(1248usize);
+    if CUBE_POS_Y == 3u32 {
+        if CUBE_POS_X == 0u32 {
+            let count = 3.0f32 * f32::cast_from(width * height);
+            add_up(sums, tally, &mut rows, 3u32 * CUBE_COUNT_X, count, lambda, 0u32);
+        }
+    } else {
+        tile_gradient(image, target, slopes, gradient, &mut planes, &mut rows, width, height, lambda);
+    }
+}
+
+/// The gradient in a tile.
+#[cube]
+fn tile_gradient(
+    image: &[f32],
+    target: &[u32],
+    slopes: &[f32],
+    gradient: &mut [f32],
+    planes: &mut Shared<[f32]>,
+    rows: &mut Shared<[f32]>,
+    width: u32,
+    height: u32,
+    lambda: f32,
+) {
     let channel = CUBE_POS_Y;
     let across = (width + 15u32) / 16u32;
     let (left, top) = ((CUBE_POS_X % across) * 16u32, (CUBE_POS_X / across) * 16u32);
@@ -270,17 +296,37 @@ impl Loss {
         }
     }
 
-    /// A cube a tile and channel.
-    fn cubes(&self) -> CubeCount {
-        CubeCount::Static(self.tiles as u32, 3, 1)
-    }
-
     /// Compares `image` with `frame` and adds the sums to `tally`, the loss as that of view `index`. `lambda` is the share of
     /// SSIM.
     pub fn compare(&self, gpu: &Gpu, image: &Buffer, frame: &Buffer, index: usize, lambda: f32, tally: &Tally) {
+        self.similarity(gpu, image, frame);
+        tally.frame(gpu, &self.sums, self.tiles, 3 * self.size.pixels(), index, lambda);
+    }
+
+    /// As [`compare`](Self::compare), as view 0, and the gradient with respect to `image` into `out`.
+    pub fn differentiate(&self, gpu: &Gpu, image: &Buffer, frame: &Buffer, lambda: f32, tally: &Tally, out: &Buffer) {
+        self.similarity(gpu, image, frame);
+        gradient::launch(
+            &gpu.client,
+            CubeCount::Static(self.tiles as u32, 4, 1),
+            units(),
+            image.arg(),
+            frame.arg(),
+            self.slopes.arg(),
+            self.sums.arg(),
+            out.arg(),
+            tally.buffer.arg(),
+            self.size.width as u32,
+            self.size.height as u32,
+            lambda,
+        );
+    }
+
+    fn similarity(&self, gpu: &Gpu, image: &Buffer, frame: &Buffer) {
         similarity::launch(
             &gpu.client,
-            self.cubes(),
+            // a cube a tile and channel
+            CubeCount::Static(self.tiles as u32, 3, 1),
             units(),
             image.arg(),
             frame.arg(),
@@ -288,23 +334,6 @@ impl Loss {
             self.sums.arg(),
             self.size.width as u32,
             self.size.height as u32,
-        );
-        tally.frame(gpu, &self.sums, self.tiles, 3 * self.size.pixels(), index, lambda);
-    }
-
-    /// The gradient of what was compared last, with respect to `image`.
-    pub fn gradient(&self, gpu: &Gpu, image: &Buffer, frame: &Buffer, lambda: f32, out: &Buffer) {
-        gradient::launch(
-            &gpu.client,
-            self.cubes(),
-            units(),
-            image.arg(),
-            frame.arg(),
-            self.slopes.arg(),
-            out.arg(),
-            self.size.width as u32,
-            self.size.height as u32,
-            lambda,
         );
     }
 }

@@ -143,8 +143,7 @@ impl GpuTrainer {
         self.draw(&View { with_depth: false, ..*step.view })?;
         let (shown, exposure) = self.corrected(step.frame);
         let (gpu, gradient) = (&self.gpu, &self.work.gradient);
-        self.loss.compare(gpu, &shown, &target, 0, lambda, &self.tally);
-        self.loss.gradient(gpu, &shown, &target, lambda, gradient);
+        self.loss.differentiate(gpu, &shown, &target, lambda, &self.tally, gradient);
         if let Some(exposure) = exposure {
             self.pull_back(step.frame, &exposure, step.exposure);
         }
