@@ -4,6 +4,7 @@ use crate::gpu::Gpu;
 use crate::gpu::buffer::{Buffer, cubes, units};
 use crate::gpu::splats::{DeviceSplats, parts};
 use crate::gpu::tally::{Tally, check_parameter, count_step};
+use crate::launch;
 use cubecl::prelude::*;
 use m4_core::Column;
 pub use nodes::DeviceNodes;
@@ -38,38 +39,42 @@ pub fn step(
     let [geometry, colour, time] = parts(splats.layout).map(|columns| columns.len() as u32);
     let trend = splats.layout.range(Column::Trend).len() as u32;
     let rates = gpu.passing(rates);
-    adam::launch(
+    launch!(
         client,
-        cubes(splats.n, 256),
-        units(),
-        splats.geometry.arg(),
-        splats.colour.arg(),
-        splats.time.arg(),
-        gradients.geometry.arg(),
-        gradients.colour.arg(),
-        gradients.time.arg(),
-        state.m.geometry.arg(),
-        state.m.colour.arg(),
-        state.m.time.arg(),
-        state.v.geometry.arg(),
-        state.v.colour.arg(),
-        state.v.time.arg(),
-        touched.arg(),
-        state.steps.arg(),
-        rates.arg(),
-        tally.buffer.arg(),
-        splats.n as u32,
-        splats.n_static as u32,
-        splats.n_still() as u32,
-        geometry,
-        colour,
-        time - trend,
-        trend,
-        config.beta1 as f32,
-        config.beta2 as f32,
-        config.beta2_dynamic as f32,
-        config.eps as f32,
-        config.sparse,
+        adam::launch,
+        (cubes(splats.n, 256), units()),
+        [
+            splats.geometry,
+            splats.colour,
+            splats.time,
+            gradients.geometry,
+            gradients.colour,
+            gradients.time,
+            state.m.geometry,
+            state.m.colour,
+            state.m.time,
+            state.v.geometry,
+            state.v.colour,
+            state.v.time,
+            touched,
+            state.steps,
+            rates,
+            tally.buffer
+        ],
+        [
+            splats.n as u32,
+            splats.n_static as u32,
+            splats.n_still() as u32,
+            geometry,
+            colour,
+            time - trend,
+            trend,
+            config.beta1 as f32,
+            config.beta2 as f32,
+            config.beta2_dynamic as f32,
+            config.eps as f32,
+            config.sparse
+        ]
     );
 }
 

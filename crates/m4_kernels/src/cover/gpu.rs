@@ -3,6 +3,7 @@ use super::LEAST_OPACITY;
 use crate::gpu::Gpu;
 use crate::gpu::buffer::{Buffer, cubes, units};
 use crate::gpu::splats::DeviceSplats;
+use crate::launch;
 use cubecl::prelude::*;
 use m4_core::Column;
 
@@ -13,20 +14,20 @@ pub fn add(gpu: &Gpu, splats: &DeviceSplats, gradients: &DeviceSplats, touched: 
         return;
     }
     let scales = layout.range(Column::LogScale);
-    grow::launch(
+    launch!(
         &gpu.client,
-        cubes(n - n_static, 256),
-        units(),
-        splats.geometry.arg(),
-        gradients.geometry.arg(),
-        touched.arg(),
-        n as u32,
-        n_static as u32,
-        layout.column(Column::Opacity) as u32,
-        scales.start as u32,
-        scales.end as u32,
-        weight,
-        LEAST_OPACITY,
+        grow::launch,
+        (cubes(n - n_static, 256), units()),
+        [splats.geometry, gradients.geometry, touched],
+        [
+            n as u32,
+            n_static as u32,
+            layout.column(Column::Opacity) as u32,
+            scales.start as u32,
+            scales.end as u32,
+            weight,
+            LEAST_OPACITY
+        ]
     );
 }
 

@@ -2,6 +2,7 @@
 
 use crate::gpu::GpuError;
 use crate::gpu::device::failed;
+use crate::launch;
 use cubecl::prelude::*;
 use cubecl::server::Handle;
 
@@ -36,7 +37,7 @@ impl Buffer {
 
     /// Sets every number to 0.
     pub fn clear(&self, client: &Client) {
-        clear::launch(client, cubes(self.len, 256), units(), self.arg());
+        launch!(client, clear::launch, (cubes(self.len, 256), units()), [self]);
     }
 
     /// A copy of `values`.
@@ -71,6 +72,14 @@ impl Buffer {
         let bytes = client.read_one(self.handle.clone()).map_err(|error| failed(doing, &error))?;
         Ok(u32::from_bytes(&bytes)[..self.len].to_vec())
     }
+}
+
+/// Launches a kernel: the client, the kernel, cubes and units of a cube, its [`Buffer`]s, and what follows them.
+#[macro_export]
+macro_rules! launch {
+    ($client:expr, $kernel:path, ($cubes:expr, $units:expr), [$($buffer:expr),* $(,)?] $(, [$($value:expr),* $(,)?])? $(,)?) => {
+        $kernel($client, $cubes, $units, $($buffer.arg(),)* $($($value),*)?)
+    };
 }
 
 /// As many cubes as `n` things take where each does `per`. One dimension ends at 65,535.

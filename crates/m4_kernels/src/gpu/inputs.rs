@@ -7,6 +7,7 @@
 use crate::gpu::Gpu;
 use crate::gpu::buffer::Buffer;
 use crate::gpu::device::Runtime;
+use crate::launch;
 use cubecl::prelude::*;
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -54,7 +55,7 @@ impl Gpu {
             Runtime::Wgpu(_) if !values.is_empty() => {
                 let out = Buffer::empty(&self.client, values.len());
                 let values = values.iter().copied().collect();
-                put::launch(&self.client, CubeCount::new_single(), CubeDim::new_single(), out.arg(), values);
+                launch!(&self.client, put::launch, (CubeCount::new_single(), CubeDim::new_single()), [out], [values]);
                 out
             }
             _ => Buffer::floats(&self.client, values),

@@ -4,6 +4,7 @@
 
 use crate::gpu::buffer::{Buffer, cubes, units};
 use crate::gpu::{Gpu, GpuError};
+use crate::launch;
 use crate::loss::gpu::cube_sum;
 use cubecl::prelude::*;
 
@@ -44,15 +45,12 @@ impl<const N: usize> Log<N> {
         else {
             return;
         };
-        add_up::launch(
+        launch!(
             &gpu.client,
-            cubes(1, 1),
-            units(),
-            parts.arg(),
-            page.arg(),
-            *count as u32,
-            (view % PAGE) as u32,
-            N as u32,
+            add_up::launch,
+            (cubes(1, 1), units()),
+            [parts, page],
+            [*count as u32, (view % PAGE) as u32, N as u32]
         );
     }
 

@@ -6,6 +6,7 @@ use crate::gpu::Gpu;
 use crate::gpu::buffer::{Buffer, cubes, units};
 use crate::gpu::sort::{Pairs, Sort};
 use crate::gpu::splats::{DeviceSplats, gathered_words, parts};
+use crate::launch;
 use crate::pose::gpu::Bound;
 use cubecl::prelude::*;
 use m4_core::Column;
@@ -42,37 +43,39 @@ pub fn morton_order(gpu: &Gpu, splats: &DeviceSplats) -> Buffer {
     for (axis, (buffer, first, rows)) in columns.into_iter().enumerate() {
         let pairs = Pairs::empty(client, n);
         let count = Buffer::words(client, &[rows as u32]);
-        keys_of::launch(client, cubes(n, 256), units(), buffer.arg(), pairs.keys.arg(), first as u32, rows as u32);
+        launch!(client, keys_of::launch, (cubes(n, 256), units()), [buffer, pairs.keys], [first as u32, rows as u32]);
         let sorted = sort.run(client, &pairs, &count, 32);
-        take_limits::launch(
+        launch!(
             client,
-            cubes(1, 1),
-            CubeDim::new_1d(1),
-            sorted.keys.arg(),
-            limits.arg(),
-            axis as u32,
-            rows as u32,
+            take_limits::launch,
+            (cubes(1, 1), CubeDim::new_1d(1)),
+            [sorted.keys, limits],
+            [axis as u32, rows as u32]
         );
     }
     let windows = splats.bound.as_ref().map_or(0, |bound| bound.windows().len());
     let (places, slots) = (Pairs::empty(client, n), Buffer::empty(client, n));
-    codes::launch(
+    launch!(
         client,
-        cubes(n, 256),
-        units(),
-        splats.geometry.arg(),
-        splats.time.arg(),
-        splats.bound.as_ref().map_or(&limits, Bound::bindings).arg(),
-        limits.arg(),
-        places.keys.arg(),
-        places.values.arg(),
-        slots.arg(),
-        n as u32,
-        n_static as u32,
-        splats.n_still() as u32,
-        windows as u32,
-        (mean * n) as u32,
-        (time * (n - n_static)) as u32,
+        codes::launch,
+        (cubes(n, 256), units()),
+        [
+            splats.geometry,
+            splats.time,
+            splats.bound.as_ref().map_or(&limits, Bound::bindings),
+            limits,
+            places.keys,
+            places.values,
+            slots
+        ],
+        [
+            n as u32,
+            n_static as u32,
+            splats.n_still() as u32,
+            windows as u32,
+            (mean * n) as u32,
+            (time * (n - n_static)) as u32
+        ]
     );
     let by_place = sort.run(client, &places, &all, PLACE_BITS);
     let by_slot = Pairs { keys: gathered_words(gpu, &slots, &by_place.values, n), values: by_place.values.clone() };

@@ -80,6 +80,7 @@ mod tests {
     use super::{key, normal, wide};
     use crate::gpu::buffer::{Buffer, cubes, units};
     use crate::gpu::device::tests::gpu;
+    use crate::launch;
     use cubecl::prelude::*;
     use m4_core::CounterRng;
 
@@ -102,7 +103,13 @@ mod tests {
         let (seed, purpose, n) = (77, 5 | 0x1234_5678 << 32, 20_000usize);
         let base = CounterRng::base(seed, purpose);
         let out = Buffer::empty(&gpu.client, 4 * n);
-        draw::launch(&gpu.client, cubes(n, 256), units(), out.arg(), n as u32, (base >> 32) as u32, base as u32);
+        launch!(
+            &gpu.client,
+            draw::launch,
+            (cubes(n, 256), units()),
+            [out],
+            [n as u32, (base >> 32) as u32, base as u32]
+        );
         let got = out.read_floats(&gpu.client, "drawing").unwrap();
         for (i, numbers) in got.chunks(4).enumerate() {
             let mut rng = CounterRng::new(seed, purpose, i as u64);

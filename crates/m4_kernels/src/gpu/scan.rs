@@ -3,6 +3,7 @@
 #![expect(missing_docs, reason = "`cube` generates items beside those that it is written at")]
 
 use crate::gpu::buffer::{Buffer, cubes, units};
+use crate::launch;
 use cubecl::prelude::*;
 
 /// Numbers a cube: 256 units with four each.
@@ -134,15 +135,14 @@ impl Scan {
     pub fn run(&self, client: &Client, input: &Buffer, output: &Buffer) {
         let n = self.n as u32;
         if self.n <= IN_ONE {
-            let (one, input, output) = (cubes(1, 1), input.arg(), output.arg());
-            scan_in_one::launch(client, one, units(), input, output, self.totals.arg(), n);
+            launch!(client, scan_in_one::launch, (cubes(1, 1), units()), [input, output, self.totals], [n]);
             return;
         }
         let count = cubes(self.n, BLOCK);
-        scan_blocks::launch(client, count, units(), input.arg(), output.arg(), self.totals.arg(), n);
+        launch!(client, scan_blocks::launch, (count, units()), [input, output, self.totals], [n]);
         if let Some((offsets, above)) = &self.above {
             above.run(client, &self.totals, offsets);
-            add_totals::launch(client, cubes(self.n, BLOCK), units(), output.arg(), offsets.arg(), n);
+            launch!(client, add_totals::launch, (cubes(self.n, BLOCK), units()), [output, offsets], [n]);
         }
     }
 

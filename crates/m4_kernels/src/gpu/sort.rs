@@ -5,6 +5,7 @@
 
 use crate::gpu::buffer::{Buffer, cubes, units};
 use crate::gpu::scan::{BLOCK, Scan, scan_cube};
+use crate::launch;
 use cubecl::prelude::*;
 
 /// Digits of a pass.
@@ -143,31 +144,20 @@ impl Sort {
         let blocks = self.capacity.div_ceil(BLOCK).max(1) as u32;
         let (mut from, mut to) = (pairs, &self.other);
         for shift in (0..bits).step_by(4) {
-            histogram::launch(
+            launch!(
                 client,
-                cubes(self.capacity, BLOCK),
-                units(),
-                from.keys.arg(),
-                count.arg(),
-                self.digits.arg(),
-                self.capacity as u32,
-                blocks,
-                shift,
+                histogram::launch,
+                (cubes(self.capacity, BLOCK), units()),
+                [from.keys, count, self.digits],
+                [self.capacity as u32, blocks, shift]
             );
             self.scan.run(client, &self.digits, &self.places);
-            scatter::launch(
+            launch!(
                 client,
-                cubes(self.capacity, BLOCK),
-                units(),
-                from.keys.arg(),
-                from.values.arg(),
-                count.arg(),
-                self.places.arg(),
-                to.keys.arg(),
-                to.values.arg(),
-                self.capacity as u32,
-                blocks,
-                shift,
+                scatter::launch,
+                (cubes(self.capacity, BLOCK), units()),
+                [from.keys, from.values, count, self.places, to.keys, to.values],
+                [self.capacity as u32, blocks, shift]
             );
             std::mem::swap(&mut from, &mut to);
         }

@@ -1,5 +1,6 @@
 //! Splats on the device, and the gather of their rows into a new order.
 
+use crate::launch;
 use crate::{
     gpu::{
         Gpu, GpuError,
@@ -122,7 +123,7 @@ pub const NOTHING: u32 = u32::MAX;
 /// The numbers of `from` that `rows` names, one per splat: `n` of them, 0 for [`NOTHING`].
 pub fn gathered_words(gpu: &Gpu, from: &Buffer, rows: &Buffer, n: usize) -> Buffer {
     let to = Buffer::empty(&gpu.client, n);
-    gather_words::launch(&gpu.client, cubes(n, 256), units(), from.arg(), rows.arg(), to.arg(), n as u32);
+    launch!(&gpu.client, gather_words::launch, (cubes(n, 256), units()), [from, rows, to], [n as u32]);
     to
 }
 
@@ -137,18 +138,12 @@ pub fn gathered(gpu: &Gpu, from: &DeviceSplats, rows: &Buffer, (n, n_static): (u
         let ((old, old_first), (new, new_first)) = (old[k], new[k]);
         let to = Buffer::empty(&gpu.client, columns[k] * new);
         if columns[k] * new > 0 {
-            gather_columns::launch(
+            launch!(
                 &gpu.client,
-                cubes(new, 256),
-                units(),
-                buffers[k].arg(),
-                rows.arg(),
-                to.arg(),
-                columns[k] as u32,
-                old as u32,
-                old_first as u32,
-                new as u32,
-                new_first as u32,
+                gather_columns::launch,
+                (cubes(new, 256), units()),
+                [buffers[k], rows, to],
+                [columns[k] as u32, old as u32, old_first as u32, new as u32, new_first as u32]
             );
         }
         to
@@ -192,18 +187,12 @@ pub(crate) fn gathered_columns(
     (new, new_first): (usize, usize),
 ) -> Buffer {
     let to = Buffer::empty(&gpu.client, columns * new);
-    gather_word_columns::launch(
+    launch!(
         &gpu.client,
-        cubes(new, 256),
-        units(),
-        from.arg(),
-        rows.arg(),
-        to.arg(),
-        columns as u32,
-        old as u32,
-        old_first as u32,
-        new as u32,
-        new_first as u32,
+        gather_word_columns::launch,
+        (cubes(new, 256), units()),
+        [from, rows, to],
+        [columns as u32, old as u32, old_first as u32, new as u32, new_first as u32]
     );
     to
 }

@@ -6,6 +6,7 @@ use crate::StepStats;
 use crate::gpu::buffer::{Buffer, cubes, units};
 use crate::gpu::scan::scan_cube;
 use crate::gpu::{Gpu, GpuError};
+use crate::launch;
 use crate::loss::gpu::cube_sum;
 use cubecl::prelude::*;
 
@@ -46,16 +47,12 @@ impl Tally {
     /// Adds the sums of a frame's tiles, three per tile and channel of which `values` make a mean, and keeps the loss as that
     /// of view `view`.
     pub fn frame(&self, gpu: &Gpu, sums: &Buffer, tiles: usize, values: usize, view: usize, lambda: f32) {
-        add_frame::launch(
+        launch!(
             &gpu.client,
-            cubes(1, 1),
-            units(),
-            sums.arg(),
-            self.buffer.arg(),
-            3 * tiles as u32,
-            values as f32,
-            lambda,
-            view as u32,
+            add_frame::launch,
+            (cubes(1, 1), units()),
+            [sums, self.buffer],
+            [3 * tiles as u32, values as f32, lambda, view as u32]
         );
     }
 

@@ -1,5 +1,6 @@
 //! Times the kernels of a step, and measures the limits of the device as [`crate::bench::Probe`] does for the CPU.
 
+use crate::launch;
 use crate::{
     bench::{Kernel, Probe},
     gpu::{
@@ -63,12 +64,12 @@ pub(crate) fn probe(gpu: &Gpu) -> Result<Probe, GpuError> {
     let len = STREAM_BYTES.min(gpu.adapter().max_buffer_bytes as usize) / 4;
     let (a, b) = (Buffer::empty(client, len), Buffer::empty(client, len));
     let bytes_per_s = rate(gpu, 12.0 * len as f64, || {
-        stream::launch(client, cubes(len, 256), units(), a.arg(), b.arg());
+        launch!(client, stream::launch, (cubes(len, 256), units()), [a, b]);
     })?;
     let out = Buffer::empty(client, 256 * CUBES);
     let operations = (256 * CUBES * CHAINS) as f64 * f64::from(ROUNDS);
     let operations_per_s = rate(gpu, operations, || {
-        multiply::launch(client, cubes(256 * CUBES, 256), units(), out.arg(), 0.5);
+        launch!(client, multiply::launch, (cubes(256 * CUBES, 256), units()), [out], [0.5]);
     })?;
     Ok(Probe { bytes_per_s, operations_per_s })
 }

@@ -8,6 +8,7 @@ use crate::gpu::splats::DeviceSplats;
 use crate::gpu::timing::Stopwatch;
 use crate::gpu::vector::eye;
 use crate::gpu::{Gpu, GpuError};
+use crate::launch;
 use crate::pose::gpu::Moment;
 use crate::project::gpu::{RECORD, project, project_backward, sum_large};
 use crate::tile_binning::gpu::{ALLOCATED, LARGE_CUBES, REACH, TILE, TOTALS, WANTED, entries, sort, starts};
@@ -146,49 +147,46 @@ impl Work {
         self.eye = gpu.input_floats(&eye(view));
         let bound = splats.bound.as_ref();
         self.moment = bound.map(|bound| bound.pose(gpu, splats, &self.eye, view.t as f32, &self.node_keys));
-        project::launch(
+        launch!(
             client,
-            cubes(n, 256),
-            units(),
-            splats.geometry.arg(),
-            splats.colour.arg(),
-            splats.time.arg(),
-            splats.posed(&self.eye).arg(),
-            self.eye.arg(),
-            self.records.arg(),
-            self.reaches.arg(),
-            self.depths.arg(),
-            self.counts.arg(),
-            self.offsets.arg(),
-            self.changes.arg(),
-            self.allocated.arg(),
-            self.large.arg(),
-            n as u32,
-            splats.n_static as u32,
-            splats.n_still() as u32,
-            size.across() as u32,
-            splats.spec(view.mip),
+            project::launch,
+            (cubes(n, 256), units()),
+            [
+                splats.geometry,
+                splats.colour,
+                splats.time,
+                splats.posed(&self.eye),
+                self.eye,
+                self.records,
+                self.reaches,
+                self.depths,
+                self.counts,
+                self.offsets,
+                self.changes,
+                self.allocated,
+                self.large
+            ],
+            [n as u32, splats.n_static as u32, splats.n_still() as u32, size.across() as u32, splats.spec(view.mip)]
         );
         self.stopwatch.lap(gpu, Kernel::Project);
         self.make_lists(gpu);
         self.stopwatch.lap(gpu, Kernel::Bin);
-        blend::blend::launch(
+        launch!(
             client,
-            cubes(tiles, 1),
-            CubeDim::new_1d((TILE * TILE) as u32),
-            self.records.arg(),
-            self.splat_of_entry.arg(),
-            self.ranges.arg(),
-            self.eye.arg(),
-            self.bucket_offsets.arg(),
-            self.image.arg(),
-            self.checkpoints.arg(),
-            self.ends.arg(),
-            self.tile_ends.arg(),
-            width,
-            height,
-            view.with_depth,
-            size.training,
+            blend::blend::launch,
+            (cubes(tiles, 1), CubeDim::new_1d((TILE * TILE) as u32)),
+            [
+                self.records,
+                self.splat_of_entry,
+                self.ranges,
+                self.eye,
+                self.bucket_offsets,
+                self.image,
+                self.checkpoints,
+                self.ends,
+                self.tile_ends
+            ],
+            [width, height, view.with_depth, size.training]
         );
         self.stopwatch.lap(gpu, Kernel::Blend);
     }
@@ -199,58 +197,51 @@ impl Work {
         let (n, tiles, capacity) = (size.n, size.tiles() as u32, size.entries as u32);
         // a power of two
         let most = if gpu.adapter().max_units >= 1024 { 1024 } else { 256 };
-        starts::tile_starts::launch(
+        launch!(
             client,
-            cubes(1, 1),
-            CubeDim::new_1d(most),
-            self.changes.arg(),
-            self.allocated.arg(),
-            self.ranges.arg(),
-            self.cursors.arg(),
-            self.bucket_offsets.arg(),
-            self.totals.arg(),
-            self.peak.arg(),
-            tiles,
-            capacity,
-            most,
+            starts::tile_starts::launch,
+            (cubes(1, 1), CubeDim::new_1d(most)),
+            [self.changes, self.allocated, self.ranges, self.cursors, self.bucket_offsets, self.totals, self.peak],
+            [tiles, capacity, most]
         );
         let small = n.div_ceil(256).max(1);
-        entries::emit::launch(
+        launch!(
             client,
-            cubes(small + LARGE_CUBES, 1),
-            units(),
-            self.counts.arg(),
-            self.offsets.arg(),
-            self.reaches.arg(),
-            self.depths.arg(),
-            self.eye.arg(),
-            self.ranges.arg(),
-            self.cursors.arg(),
-            self.lists[0].arg(),
-            self.lists[1].arg(),
-            self.splat_of_slot.arg(),
-            self.large.arg(),
-            self.totals.arg(),
-            n as u32,
-            size.across() as u32,
-            capacity,
-            small as u32,
+            entries::emit::launch,
+            (cubes(small + LARGE_CUBES, 1), units()),
+            [
+                self.counts,
+                self.offsets,
+                self.reaches,
+                self.depths,
+                self.eye,
+                self.ranges,
+                self.cursors,
+                self.lists[0],
+                self.lists[1],
+                self.splat_of_slot,
+                self.large,
+                self.totals
+            ],
+            [n as u32, size.across() as u32, capacity, small as u32]
         );
-        sort::sort_lists::launch(
+        launch!(
             client,
-            cubes(size.tiles(), 1),
-            CubeDim::new_1d(sort::UNITS),
-            self.ranges.arg(),
-            self.cursors.arg(),
-            self.bucket_offsets.arg(),
-            self.lists[0].arg(),
-            self.lists[1].arg(),
-            self.sorted[0].arg(),
-            self.sorted[1].arg(),
-            self.splat_of_slot.arg(),
-            self.splat_of_entry.arg(),
-            self.tile_of_bucket.arg(),
-            tiles,
+            sort::sort_lists::launch,
+            (cubes(size.tiles(), 1), CubeDim::new_1d(sort::UNITS)),
+            [
+                self.ranges,
+                self.cursors,
+                self.bucket_offsets,
+                self.lists[0],
+                self.lists[1],
+                self.sorted[0],
+                self.sorted[1],
+                self.splat_of_slot,
+                self.splat_of_entry,
+                self.tile_of_bucket
+            ],
+            [tiles]
         );
     }
 
@@ -273,63 +264,65 @@ impl Work {
         // all since the image was drawn
         self.stopwatch.lap(gpu, Kernel::Photo);
         let (count, dim) = self.cubes_of_buckets();
-        blend_backward::blend_backward::launch(
+        launch!(
             client,
-            count,
-            dim,
-            self.records.arg(),
-            self.reaches.arg(),
-            self.splat_of_entry.arg(),
-            self.slot_of_entry().arg(),
-            self.ranges.arg(),
-            self.tile_of_bucket.arg(),
-            self.bucket_offsets.arg(),
-            self.totals.arg(),
-            self.checkpoints.arg(),
-            self.image.arg(),
-            self.gradient.arg(),
-            self.ends.arg(),
-            self.tile_ends.arg(),
-            self.sums.arg(),
-            width,
-            height,
+            blend_backward::blend_backward::launch,
+            (count, dim),
+            [
+                self.records,
+                self.reaches,
+                self.splat_of_entry,
+                self.slot_of_entry(),
+                self.ranges,
+                self.tile_of_bucket,
+                self.bucket_offsets,
+                self.totals,
+                self.checkpoints,
+                self.image,
+                self.gradient,
+                self.ends,
+                self.tile_ends,
+                self.sums
+            ],
+            [width, height]
         );
         self.stopwatch.lap(gpu, Kernel::BlendBackward);
-        sum_large::launch(
+        launch!(
             client,
-            cubes(LARGE_CUBES, 1),
-            units(),
-            self.counts.arg(),
-            self.offsets.arg(),
-            self.large.arg(),
-            self.totals.arg(),
-            self.sums.arg(),
+            sum_large::launch,
+            (cubes(LARGE_CUBES, 1), units()),
+            [self.counts, self.offsets, self.large, self.totals, self.sums]
         );
-        project_backward::launch(
+        // any other memory where nothing is written
+        let (camera_sums, centre_gradients) = (camera.unwrap_or(&self.peak), centres.unwrap_or(&self.image));
+        launch!(
             client,
-            cubes(n, 256),
-            units(),
-            splats.geometry.arg(),
-            splats.colour.arg(),
-            splats.time.arg(),
-            splats.posed(&self.eye).arg(),
-            self.eye.arg(),
-            self.counts.arg(),
-            self.offsets.arg(),
-            self.sums.arg(),
-            out.geometry.arg(),
-            out.colour.arg(),
-            out.time.arg(),
-            self.touched.arg(),
-            camera.unwrap_or(&self.peak).arg(),
-            // any other memory where nothing is written
-            centres.unwrap_or(&self.image).arg(),
-            n as u32,
-            splats.n_static as u32,
-            splats.n_still() as u32,
-            splats.spec(mip),
-            camera.is_some(),
-            centres.is_some(),
+            project_backward::launch,
+            (cubes(n, 256), units()),
+            [
+                splats.geometry,
+                splats.colour,
+                splats.time,
+                splats.posed(&self.eye),
+                self.eye,
+                self.counts,
+                self.offsets,
+                self.sums,
+                out.geometry,
+                out.colour,
+                out.time,
+                self.touched,
+                camera_sums,
+                centre_gradients
+            ],
+            [
+                n as u32,
+                splats.n_static as u32,
+                splats.n_still() as u32,
+                splats.spec(mip),
+                camera.is_some(),
+                centres.is_some()
+            ]
         );
         if let (Some(bound), Some(moment)) = (&splats.bound, &self.moment) {
             bound.backward(gpu, splats, out, &self.touched, &self.eye, moment);

@@ -1,6 +1,7 @@
 //! L1 + SSIM and its gradient: one cube per tile of 16x16 pixels and channel.
 #![expect(missing_docs, reason = "`cube` generates items beside those that it is written at")]
 
+use crate::launch;
 use crate::{
     gpu::{
         Gpu,
@@ -306,34 +307,24 @@ impl Loss {
     /// As [`compare`](Self::compare), as view 0, and the gradient with respect to `image` into `out`.
     pub fn differentiate(&self, gpu: &Gpu, image: &Buffer, frame: &Buffer, lambda: f32, tally: &Tally, out: &Buffer) {
         self.similarity(gpu, image, frame);
-        gradient::launch(
+        launch!(
             &gpu.client,
-            CubeCount::Static(self.tiles as u32, 4, 1),
-            units(),
-            image.arg(),
-            frame.arg(),
-            self.slopes.arg(),
-            self.sums.arg(),
-            out.arg(),
-            tally.buffer.arg(),
-            self.size.width as u32,
-            self.size.height as u32,
-            lambda,
+            gradient::launch,
+            (CubeCount::Static(self.tiles as u32, 4, 1), units()),
+            [image, frame, self.slopes, self.sums, out, tally.buffer],
+            [self.size.width as u32, self.size.height as u32, lambda]
         );
     }
 
     fn similarity(&self, gpu: &Gpu, image: &Buffer, frame: &Buffer) {
-        similarity::launch(
+        // a cube a tile and channel
+        let cubes = CubeCount::Static(self.tiles as u32, 3, 1);
+        launch!(
             &gpu.client,
-            // a cube a tile and channel
-            CubeCount::Static(self.tiles as u32, 3, 1),
-            units(),
-            image.arg(),
-            frame.arg(),
-            self.slopes.arg(),
-            self.sums.arg(),
-            self.size.width as u32,
-            self.size.height as u32,
+            similarity::launch,
+            (cubes, units()),
+            [image, frame, self.slopes, self.sums],
+            [self.size.width as u32, self.size.height as u32]
         );
     }
 }

@@ -9,6 +9,7 @@
 //!
 //! What is drawn of a bound splat lies in columns of its own; the stages that follow take it from there and treat the splat as a static one.
 
+use crate::launch;
 use crate::{
     NodeGradients,
     adam::nodes::PARAMETERS,
@@ -201,36 +202,30 @@ impl Bound {
         let client = &gpu.client;
         let units_of_nodes = moment.active * moment.most;
         if units_of_nodes > 0 {
-            forward::move_nodes::launch(
+            launch!(
                 client,
-                cubes(units_of_nodes, 256),
-                units(),
-                self.poses.arg(),
-                self.anchors.arg(),
-                moment.table.arg(),
-                self.motions.arg(),
-                self.list(),
-                moment.active as u32,
-                moment.most as u32,
+                forward::move_nodes::launch,
+                (cubes(units_of_nodes, 256), units()),
+                [self.poses, self.anchors, moment.table, self.motions],
+                [self.list(), moment.active as u32, moment.most as u32]
             );
         }
         if self.n > 0 {
-            forward::pose::launch(
+            launch!(
                 client,
-                cubes(self.n, 256),
-                units(),
-                splats.geometry.arg(),
-                splats.colour.arg(),
-                splats.time.arg(),
-                eye.arg(),
-                moment.table.arg(),
-                self.bindings.arg(),
-                self.motions.arg(),
-                self.posed.arg(),
-                splats.n as u32,
-                splats.n_static as u32,
-                self.n as u32,
-                splats.layout.isotropic,
+                forward::pose::launch,
+                (cubes(self.n, 256), units()),
+                [
+                    splats.geometry,
+                    splats.colour,
+                    splats.time,
+                    eye,
+                    moment.table,
+                    self.bindings,
+                    self.motions,
+                    self.posed
+                ],
+                [splats.n as u32, splats.n_static as u32, self.n as u32, splats.layout.isotropic]
             );
         }
         moment
@@ -257,49 +252,52 @@ impl Bound {
         }
         let client = &gpu.client;
         if !moment.keys.is_empty() {
-            backward::node_sums::launch(
+            launch!(
                 client,
-                cubes(moment.active * moment.most, 1),
-                CubeDim::new_1d(backward::UNITS as u32),
-                splats.geometry.arg(),
-                splats.time.arg(),
-                out.geometry.arg(),
-                touched.arg(),
-                eye.arg(),
-                moment.table.arg(),
-                self.bindings.arg(),
-                self.motions.arg(),
-                self.anchors.arg(),
-                self.lists[0].arg(),
-                self.lists[1].arg(),
-                self.gradients.arg(),
-                splats.n as u32,
-                splats.n_static as u32,
-                self.n as u32,
-                self.list(),
-                moment.active as u32,
-                moment.most as u32,
-                splats.layout.isotropic,
+                backward::node_sums::launch,
+                (cubes(moment.active * moment.most, 1), CubeDim::new_1d(backward::UNITS as u32)),
+                [
+                    splats.geometry,
+                    splats.time,
+                    out.geometry,
+                    touched,
+                    eye,
+                    moment.table,
+                    self.bindings,
+                    self.motions,
+                    self.anchors,
+                    self.lists[0],
+                    self.lists[1],
+                    self.gradients
+                ],
+                [
+                    splats.n as u32,
+                    splats.n_static as u32,
+                    self.n as u32,
+                    self.list(),
+                    moment.active as u32,
+                    moment.most as u32,
+                    splats.layout.isotropic
+                ]
             );
         }
-        backward::own_gradients::launch(
+        launch!(
             client,
-            cubes(self.n, 256),
-            units(),
-            splats.geometry.arg(),
-            splats.time.arg(),
-            out.geometry.arg(),
-            out.colour.arg(),
-            out.time.arg(),
-            touched.arg(),
-            eye.arg(),
-            moment.table.arg(),
-            self.bindings.arg(),
-            self.motions.arg(),
-            splats.n as u32,
-            splats.n_static as u32,
-            self.n as u32,
-            splats.layout.isotropic,
+            backward::own_gradients::launch,
+            (cubes(self.n, 256), units()),
+            [
+                splats.geometry,
+                splats.time,
+                out.geometry,
+                out.colour,
+                out.time,
+                touched,
+                eye,
+                moment.table,
+                self.bindings,
+                self.motions
+            ],
+            [splats.n as u32, splats.n_static as u32, self.n as u32, splats.layout.isotropic]
         );
     }
 

@@ -7,6 +7,7 @@ use crate::gpu::buffer::{Buffer, cubes, units};
 use crate::gpu::splats::DeviceSplats;
 use crate::gpu::vector::TIME;
 use crate::gpu::work::Work;
+use crate::launch;
 use crate::project::gpu::RECORD;
 use crate::slice::gpu::{carried, life};
 use crate::tile_binning::gpu::BUCKETS;
@@ -31,43 +32,48 @@ pub struct FrameScore<'a> {
 pub fn add(gpu: &Gpu, work: &Work, splats: &DeviceSplats, frame: &FrameScore<'_>, scores: &Buffer) {
     let (client, n) = (&gpu.client, splats.n);
     let (count, dim) = work.cubes_of_buckets();
-    score_slots::launch(
+    launch!(
         client,
-        count,
-        dim,
-        work.records.arg(),
-        work.splat_of_entry.arg(),
-        work.slot_of_entry().arg(),
-        work.ranges.arg(),
-        work.tile_of_bucket.arg(),
-        work.bucket_offsets.arg(),
-        work.totals.arg(),
-        work.ends.arg(),
-        frame.errors.arg(),
-        frame.cut.arg(),
-        work.sums.arg(),
-        work.size.width as u32,
-        work.size.height as u32,
+        score_slots::launch,
+        (count, dim),
+        [
+            work.records,
+            work.splat_of_entry,
+            work.slot_of_entry(),
+            work.ranges,
+            work.tile_of_bucket,
+            work.bucket_offsets,
+            work.totals,
+            work.ends,
+            frame.errors,
+            frame.cut,
+            work.sums
+        ],
+        [work.size.width as u32, work.size.height as u32]
     );
-    score_splats::launch(
+    launch!(
         client,
-        cubes(n, 256),
-        units(),
-        splats.geometry.arg(),
-        splats.time.arg(),
-        splats.posed(&work.eye).arg(),
-        work.eye.arg(),
-        work.counts.arg(),
-        work.offsets.arg(),
-        work.sums.arg(),
-        frame.tally.arg(),
-        scores.arg(),
-        n as u32,
-        splats.n_static as u32,
-        splats.n_still() as u32,
-        frame.loss as u32,
-        frame.share,
-        splats.n_still() > splats.n_static,
+        score_splats::launch,
+        (cubes(n, 256), units()),
+        [
+            splats.geometry,
+            splats.time,
+            splats.posed(&work.eye),
+            work.eye,
+            work.counts,
+            work.offsets,
+            work.sums,
+            frame.tally,
+            scores
+        ],
+        [
+            n as u32,
+            splats.n_static as u32,
+            splats.n_still() as u32,
+            frame.loss as u32,
+            frame.share,
+            splats.n_still() > splats.n_static
+        ]
     );
 }
 

@@ -5,6 +5,7 @@ use crate::adam::nodes::{NodeMoments, NodeRates, PARAMETERS};
 use crate::gpu::buffer::{Buffer, cubes, units};
 use crate::gpu::tally::{Tally, check_parameter};
 use crate::gpu::{Gpu, GpuError};
+use crate::launch;
 use crate::pose::gpu::{Bound, POSE};
 use cubecl::prelude::*;
 use m4_core::{ShapeError, Window};
@@ -103,23 +104,19 @@ impl DeviceNodes {
             table.extend([first as u32, nodes as u32, (before + key) as u32]);
         }
         let client = &gpu.client;
-        step_nodes::launch(
+        launch!(
             client,
-            cubes(keys.len(), 1),
-            units(),
-            bound.poses.arg(),
-            bound.gradients.arg(),
-            self.m.arg(),
-            self.v.arg(),
-            self.steps.arg(),
-            gpu.input(&table).arg(),
-            tally.buffer.arg(),
-            keys.len() as u32,
-            config.beta1 as f32,
-            config.beta2_dynamic as f32,
-            config.eps as f32,
-            rates.position,
-            rates.turn,
+            step_nodes::launch,
+            (cubes(keys.len(), 1), units()),
+            [bound.poses, bound.gradients, self.m, self.v, self.steps, gpu.input(&table), tally.buffer],
+            [
+                keys.len() as u32,
+                config.beta1 as f32,
+                config.beta2_dynamic as f32,
+                config.eps as f32,
+                rates.position,
+                rates.turn
+            ]
         );
     }
 }

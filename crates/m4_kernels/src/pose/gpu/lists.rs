@@ -4,6 +4,7 @@ use super::NODE;
 use crate::gpu::Gpu;
 use crate::gpu::buffer::{Buffer, cubes, units};
 use crate::gpu::sort::{Pairs, Sort};
+use crate::launch;
 use cubecl::prelude::*;
 
 /// Where the entries of each of `nodes` nodes start, and one more, and the entries: four times a bound splat plus its place among the splat's
@@ -12,11 +13,17 @@ pub(super) fn lists(gpu: &Gpu, bindings: &Buffer, n: usize, nodes: usize) -> [Bu
     let client = &gpu.client;
     let starts = Buffer::empty(client, nodes + 1);
     let pairs = Pairs::empty(client, 4 * n);
-    pair::launch(client, cubes(4 * n, 256), units(), bindings.arg(), pairs.keys.arg(), pairs.values.arg(), n as u32);
+    launch!(client, pair::launch, (cubes(4 * n, 256), units()), [bindings, pairs.keys, pairs.values], [n as u32]);
     let sort = Sort::new(client, 4 * n);
     let count = Buffer::words(client, &[4 * n as u32]);
     let sorted = sort.run(client, &pairs, &count, key_bits(nodes));
-    start::launch(client, cubes(nodes + 1, 256), units(), sorted.keys.arg(), starts.arg(), 4 * n as u32, nodes as u32);
+    launch!(
+        client,
+        start::launch,
+        (cubes(nodes + 1, 256), units()),
+        [sorted.keys, starts],
+        [4 * n as u32, nodes as u32]
+    );
     [starts, sorted.values.clone()]
 }
 

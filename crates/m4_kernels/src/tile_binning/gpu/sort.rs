@@ -205,6 +205,7 @@ mod tests {
     use super::sort_lists;
     use crate::gpu::buffer::{Buffer, cubes};
     use crate::gpu::device::tests::gpu;
+    use crate::launch;
     use cubecl::prelude::CubeDim;
     use m4_core::CounterRng;
 
@@ -239,21 +240,23 @@ mod tests {
         let empty = |len| Buffer::empty(client, len);
         let [range_buffer, sorted, splats, tile_of] =
             [buffer(&words(&ranges)), empty(start), empty(start), empty(bucket)];
-        sort_lists::launch(
+        launch!(
             client,
-            cubes(LENGTHS.len(), 1),
-            CubeDim::new_1d(super::UNITS),
-            range_buffer.arg(),
-            buffer(&words(&cursors)).arg(),
-            buffer(&words(&buckets)).arg(),
-            buffer(&keys).arg(),
-            buffer(&slots).arg(),
-            empty(start).arg(),
-            sorted.arg(),
-            buffer(&splat_of_slot).arg(),
-            splats.arg(),
-            tile_of.arg(),
-            LENGTHS.len() as u32,
+            sort_lists::launch,
+            (cubes(LENGTHS.len(), 1), CubeDim::new_1d(super::UNITS)),
+            [
+                range_buffer,
+                buffer(&words(&cursors)),
+                buffer(&words(&buckets)),
+                buffer(&keys),
+                buffer(&slots),
+                empty(start),
+                sorted,
+                buffer(&splat_of_slot),
+                splats,
+                tile_of
+            ],
+            [LENGTHS.len() as u32]
         );
         let read = |buffer: &Buffer| buffer.read_words(client, "sorting").unwrap();
         let (ends, sorted, splats, tile_of) = (read(&range_buffer), read(&sorted), read(&splats), read(&tile_of));

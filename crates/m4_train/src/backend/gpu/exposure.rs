@@ -8,6 +8,7 @@ use crate::backend::{
 };
 use cubecl::prelude::*;
 use m4_core::Exposure;
+use m4_kernels::launch;
 use m4_kernels::{
     View,
     adam::FIXED,
@@ -39,14 +40,12 @@ impl GpuTrainer {
         if self.exposed.len() != 3 * pixels {
             self.exposed = Buffer::empty(client, 3 * pixels);
         }
-        expose::launch(
+        launch!(
             client,
-            cubes(pixels, 256),
-            units(),
-            self.work.image.arg(),
-            exposure.arg(),
-            self.exposed.arg(),
-            pixels as u32,
+            expose::launch,
+            (cubes(pixels, 256), units()),
+            [self.work.image, exposure, self.exposed],
+            [pixels as u32]
         );
         (self.exposed.clone(), Some(exposure))
     }
@@ -55,17 +54,14 @@ impl GpuTrainer {
     pub(crate) fn pull_back(&mut self, frame: usize, exposure: &Buffer, log: bool) {
         let (gpu, pixels) = (&self.gpu, self.work.size.pixels());
         let parts = log.then(|| self.exposure_log.next(gpu, frame, pixels));
-        pull_back::launch(
+        // any other memory where nothing is written
+        let parts = parts.as_ref().unwrap_or(&self.exposed);
+        launch!(
             &gpu.client,
-            cubes(pixels, 256),
-            units(),
-            self.work.image.arg(),
-            exposure.arg(),
-            self.work.gradient.arg(),
-            // any other memory where nothing is written
-            parts.as_ref().unwrap_or(&self.exposed).arg(),
-            pixels as u32,
-            log,
+            pull_back::launch,
+            (cubes(pixels, 256), units()),
+            [self.work.image, exposure, self.work.gradient, parts],
+            [pixels as u32, log]
         );
         if log {
             self.exposure_log.add_up(gpu);
@@ -165,7 +161,13 @@ impl GpuTrainer {
             self.add_colours(view, &sums, 0);
             if with_weight {
                 let ones = 3 * self.work.size.pixels();
-                fill_ones::launch(&gpu.client, cubes(ones, 256), units(), self.work.gradient.arg(), ones as u32);
+                launch!(
+                    &gpu.client,
+                    fill_ones::launch,
+                    (cubes(ones, 256), units()),
+                    [self.work.gradient],
+                    [ones as u32]
+                );
                 self.add_colours(view, &sums, 3 * n);
             }
         }
@@ -177,14 +179,12 @@ impl GpuTrainer {
     /// Image minus frame becomes the gradient.
     fn leave_residual(&self, shown: &Buffer, frame: &Buffer) {
         let pixels = self.work.size.pixels();
-        residual::launch(
+        launch!(
             &self.gpu.client,
-            cubes(pixels, 256),
-            units(),
-            shown.arg(),
-            frame.arg(),
-            self.work.gradient.arg(),
-            pixels as u32,
+            residual::launch,
+            (cubes(pixels, 256), units()),
+            [shown, frame, self.work.gradient],
+            [pixels as u32]
         );
     }
 
@@ -192,16 +192,12 @@ impl GpuTrainer {
     fn add_colours(&mut self, view: &View, sums: &Buffer, first: usize) {
         let n = self.splats.n;
         self.work.backward(&self.gpu, &self.splats, &self.gradients, view.mip, None, None);
-        add_touched::launch(
+        launch!(
             &self.gpu.client,
-            cubes(n, 256),
-            units(),
-            self.gradients.colour.arg(),
-            self.work.touched.arg(),
-            self.adam.steps.arg(),
-            sums.arg(),
-            n as u32,
-            first as u32,
+            add_touched::launch,
+            (cubes(n, 256), units()),
+            [self.gradients.colour, self.work.touched, self.adam.steps, sums],
+            [n as u32, first as u32]
         );
     }
 }

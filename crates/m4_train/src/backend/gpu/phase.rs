@@ -3,6 +3,7 @@
 use cubecl::prelude::*;
 use m4_kernels::gpu::buffer::{Buffer, cubes, units};
 use m4_kernels::gpu::splats::DeviceSplats;
+use m4_kernels::launch;
 use std::f32::consts::TAU;
 
 /// Does on the device what [`crate::colour_degree::move_phases`] does: `splats` were the rows `sources` of `parents`.
@@ -17,20 +18,19 @@ pub(crate) fn move_phases(
     if layout.time_degree == 0 || n_dynamic == 0 {
         return;
     }
-    move_phase::launch(
+    launch!(
         client,
-        cubes(n_dynamic, 256),
-        units(),
-        sources.arg(),
-        parents.time.arg(),
-        splats.time.arg(),
-        splats.colour.arg(),
-        parents.n_static as u32,
-        splats.n as u32,
-        splats.n_static as u32,
-        1.0 / period,
-        3 * layout.sh_terms() as u32,
-        layout.time_degree as u32 + 1,
+        move_phase::launch,
+        (cubes(n_dynamic, 256), units()),
+        [sources, parents.time, splats.time, splats.colour],
+        [
+            parents.n_static as u32,
+            splats.n as u32,
+            splats.n_static as u32,
+            1.0 / period,
+            3 * layout.sh_terms() as u32,
+            layout.time_degree as u32 + 1
+        ]
     );
 }
 

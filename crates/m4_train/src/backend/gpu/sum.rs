@@ -3,6 +3,7 @@
 use crate::backend::{StepSettings, StepView, gpu::GpuTrainer, pixels};
 use cubecl::prelude::*;
 use m4_core::ShapeError;
+use m4_kernels::launch;
 use m4_kernels::{
     View,
     adam::gpu::step,
@@ -57,20 +58,15 @@ impl GpuTrainer {
             if rows == 0 {
                 continue;
             }
-            add_touched::launch(
+            launch!(
                 client,
-                cubes(rows, 256),
-                units(),
-                sum.arg(),
-                more.arg(),
-                batch.touched.arg(),
-                self.work.touched.arg(),
-                rows as u32,
-                first as u32,
-                columns.len() as u32,
+                add_touched::launch,
+                (cubes(rows, 256), units()),
+                [sum, more, batch.touched, self.work.touched],
+                [rows as u32, first as u32, columns.len() as u32]
             );
         }
-        unite::launch(client, cubes(n, 256), units(), batch.touched.arg(), self.work.touched.arg(), n as u32);
+        launch!(client, unite::launch, (cubes(n, 256), units()), [batch.touched, self.work.touched], [n as u32]);
     }
 }
 

@@ -5,6 +5,7 @@ use cubecl::prelude::*;
 use m4_kernels::gpu::Gpu;
 use m4_kernels::gpu::buffer::{Buffer, cubes, units};
 use m4_kernels::gpu::sort::{Pairs, Sort};
+use m4_kernels::launch;
 use m4_kernels::loss::gpu::target_at;
 
 /// The errors of a frame, and from where on they count.
@@ -55,38 +56,37 @@ impl Mask {
     /// The errors of `image`, and the cut.
     pub fn find(&self, gpu: &Gpu, image: &Buffer, frame: &Buffer, threshold: f32) {
         let (client, pixels) = (&gpu.client, self.pixels);
-        error_map::launch(
+        launch!(
             client,
-            cubes(pixels, 256),
-            units(),
-            image.arg(),
-            frame.arg(),
-            self.errors.arg(),
-            self.extremes.arg(),
-            pixels as u32,
+            error_map::launch,
+            (cubes(pixels, 256), units()),
+            [image, frame, self.errors, self.extremes],
+            [pixels as u32]
         );
         match &self.sorted {
-            None => cut_of_extremes::launch(
+            None => launch!(
                 client,
-                cubes(1, 1),
-                units(),
-                self.extremes.arg(),
-                self.cut.arg(),
-                pixels.div_ceil(256) as u32,
-                threshold,
+                cut_of_extremes::launch,
+                (cubes(1, 1), units()),
+                [self.extremes, self.cut],
+                [pixels.div_ceil(256) as u32, threshold]
             ),
             Some(quantile) => {
                 let Quantile { place, pairs, sort, count } = quantile;
-                bits::launch(client, cubes(pixels, 256), units(), self.errors.arg(), pairs.keys.arg(), pixels as u32);
-                let sorted = sort.run(client, pairs, count, 32);
-                cut_of_quantile::launch(
+                launch!(
                     client,
-                    cubes(1, 1),
-                    CubeDim::new_1d(1),
-                    sorted.keys.arg(),
-                    self.cut.arg(),
-                    *place as u32,
-                    threshold,
+                    bits::launch,
+                    (cubes(pixels, 256), units()),
+                    [self.errors, pairs.keys],
+                    [pixels as u32]
+                );
+                let sorted = sort.run(client, pairs, count, 32);
+                launch!(
+                    client,
+                    cut_of_quantile::launch,
+                    (cubes(1, 1), CubeDim::new_1d(1)),
+                    [sorted.keys, self.cut],
+                    [*place as u32, threshold]
                 );
             }
         }

@@ -3,6 +3,7 @@
 use super::read;
 use crate::{backend::gpu::GpuTrainer, density::Scores};
 use cubecl::prelude::*;
+use m4_kernels::launch;
 use m4_kernels::{
     adam::{FIXED, gpu::DeviceAdam},
     gpu::{
@@ -44,18 +45,12 @@ impl ImageGradients {
 
     /// Adds the frame whose gradients `work` and [`centres`](Self::centres) have, where it touched splats that are not fixed.
     pub(crate) fn add(&self, gpu: &Gpu, work: &Work, adam: &DeviceAdam) {
-        add_lengths::launch(
+        launch!(
             &gpu.client,
-            cubes(self.n, 256),
-            units(),
-            self.centres.arg(),
-            work.touched.arg(),
-            adam.steps.arg(),
-            self.sums.arg(),
-            self.frames.arg(),
-            self.n as u32,
-            0.5 * work.size.width as f32,
-            0.5 * work.size.height as f32,
+            add_lengths::launch,
+            (cubes(self.n, 256), units()),
+            [self.centres, work.touched, adam.steps, self.sums, self.frames],
+            [self.n as u32, 0.5 * work.size.width as f32, 0.5 * work.size.height as f32]
         );
     }
 
@@ -70,8 +65,7 @@ impl ImageGradients {
     fn means(&mut self, gpu: &Gpu, n: usize) -> Buffer {
         self.fit(gpu, n);
         let scores = Buffer::zeros(&gpu.client, 2 * n);
-        let (sums, frames) = (self.sums.arg(), self.frames.arg());
-        means::launch(&gpu.client, cubes(n, 256), units(), sums, frames, scores.arg(), n as u32);
+        launch!(&gpu.client, means::launch, (cubes(n, 256), units()), [self.sums, self.frames, scores], [n as u32]);
         scores
     }
 

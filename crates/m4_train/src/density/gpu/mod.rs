@@ -20,6 +20,7 @@ use crate::{
 };
 use cubecl::prelude::*;
 use error_mask::Mask;
+use m4_kernels::launch;
 use m4_kernels::{
     View,
     adam::FIXED,
@@ -126,7 +127,7 @@ impl GpuTrainer {
                 FrameScore { errors: &mask.errors, cut: &mask.cut, tally: &tally.buffer, loss: LOSSES + index, share };
             add(&gpu, &self.work, &self.splats, &frame, &scores);
         }
-        forget_fixed::launch(&gpu.client, cubes(n, 256), units(), self.adam.steps.arg(), scores.arg(), n as u32);
+        launch!(&gpu.client, forget_fixed::launch, (cubes(n, 256), units()), [self.adam.steps, scores], [n as u32]);
         Ok(scores)
     }
 }

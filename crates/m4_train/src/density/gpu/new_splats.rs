@@ -12,6 +12,7 @@ use m4_kernels::gpu::random::{Wide, key, normal, wide};
 use m4_kernels::gpu::splats::DeviceSplats;
 use m4_kernels::gpu::splats::NOTHING;
 use m4_kernels::gpu::vector::{V3, dot, v3};
+use m4_kernels::launch;
 use m4_kernels::slice::gpu::{Shape, shape};
 
 /// A clone, or what was cloned; 0 is a row that stays as it is.
@@ -38,18 +39,12 @@ impl Rows {
     pub fn new(client: &Client, fates: &Outcomes, splats: &DeviceSplats, next: usize) -> Self {
         let n = splats.n;
         let [sources, states, marks] = [(); 3].map(|()| Buffer::empty(client, next));
-        place::launch(
+        launch!(
             client,
-            cubes(n, 256),
-            units(),
-            fates.sizes.arg(),
-            fates.places.arg(),
-            sources.arg(),
-            states.arg(),
-            marks.arg(),
-            n as u32,
-            splats.n_static as u32,
-            splats.n_still() as u32,
+            place::launch,
+            (cubes(n, 256), units()),
+            [fates.sizes, fates.places, sources, states, marks],
+            [n as u32, splats.n_static as u32, splats.n_still() as u32]
         );
         Self { sources, states, marks }
     }
@@ -66,26 +61,24 @@ impl Rows {
         let config = round.rules.config;
         let [first, second] = [0, 1].map(|child| CounterRng::base(round.seed, child_purpose(round.iteration, child)));
         let words = |base: u64| ((base >> 32) as u32, base as u32);
-        shape_new_splats::launch(
+        launch!(
             client,
-            cubes(splats.n, 256),
-            units(),
-            self.marks.arg(),
-            self.sources.arg(),
-            parents.geometry.arg(),
-            splats.geometry.arg(),
-            splats.time.arg(),
-            parents.n as u32,
-            splats.n as u32,
-            splats.n_static as u32,
-            first_free as u32,
-            words(first).0,
-            words(first).1,
-            words(second).0,
-            words(second).1,
-            splats.layout.isotropic,
-            config.clone_opacity == CloneOpacity::Share,
-            config.split_placement == SplitPlacement::Sample,
+            shape_new_splats::launch,
+            (cubes(splats.n, 256), units()),
+            [self.marks, self.sources, parents.geometry, splats.geometry, splats.time],
+            [
+                parents.n as u32,
+                splats.n as u32,
+                splats.n_static as u32,
+                first_free as u32,
+                words(first).0,
+                words(first).1,
+                words(second).0,
+                words(second).1,
+                splats.layout.isotropic,
+                config.clone_opacity == CloneOpacity::Share,
+                config.split_placement == SplitPlacement::Sample
+            ]
         );
     }
 }

@@ -9,6 +9,7 @@ use m4_kernels::gpu::GpuError;
 use m4_kernels::gpu::buffer::{Buffer, cubes, units};
 use m4_kernels::gpu::scan::{Scan, scan_cube};
 use m4_kernels::gpu::splats::DeviceSplats;
+use m4_kernels::launch;
 
 /// Rows of the next splats: static that stay, new static, and the same of bound and of free ones.
 pub(super) struct Outcomes {
@@ -45,46 +46,36 @@ impl Outcomes {
         let blocks = n.div_ceil(256);
         let (sizes, places) = (Buffer::empty(client, 2 * n), Buffer::empty(client, 2 * n));
         let (parts, counts) = (Buffer::empty(client, blocks), Buffer::empty(client, 6));
-        decide::launch(
+        launch!(
             client,
-            cubes(n, 256),
-            units(),
-            splats.geometry.arg(),
-            grows.arg(),
-            prune_scores.arg(),
-            range.arg(),
-            Buffer::floats(client, centres.as_flattened()).arg(),
-            sizes.arg(),
-            parts.arg(),
-            n as u32,
-            splats.n_static as u32,
-            splats.n_still() as u32,
-            centres.len() as u32,
-            rules.min_opacity,
-            size,
-            scale.focal_px,
-            config.prune_threshold,
-            opacity,
-            LARGE_EXTENT * scale.extent,
-            LARGE_PX / 3.0,
-            splats.layout.isotropic,
-            literal,
-            everywhere,
-            prune_large,
+            decide::launch,
+            (cubes(n, 256), units()),
+            [splats.geometry, grows, prune_scores, range, Buffer::floats(client, centres.as_flattened()), sizes, parts],
+            [
+                n as u32,
+                splats.n_static as u32,
+                splats.n_still() as u32,
+                centres.len() as u32,
+                rules.min_opacity,
+                size,
+                scale.focal_px,
+                config.prune_threshold,
+                opacity,
+                LARGE_EXTENT * scale.extent,
+                LARGE_PX / 3.0,
+                splats.layout.isotropic,
+                literal,
+                everywhere,
+                prune_large
+            ]
         );
         Scan::new(client, 2 * n).run(client, &sizes, &places);
-        count_up::launch(
+        launch!(
             client,
-            cubes(1, 1),
-            units(),
-            parts.arg(),
-            sizes.arg(),
-            places.arg(),
-            counts.arg(),
-            blocks as u32,
-            n as u32,
-            splats.n_static as u32,
-            splats.n_still() as u32,
+            count_up::launch,
+            (cubes(1, 1), units()),
+            [parts, sizes, places, counts],
+            [blocks as u32, n as u32, splats.n_static as u32, splats.n_still() as u32]
         );
         Self { sizes, places, counts }
     }

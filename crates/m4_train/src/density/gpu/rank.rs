@@ -6,6 +6,7 @@ use m4_kernels::gpu::buffer::{Buffer, cubes, units};
 use m4_kernels::gpu::morton::{float_of, key_of};
 use m4_kernels::gpu::sort::{Pairs, Sort};
 use m4_kernels::gpu::tally::is_finite;
+use m4_kernels::launch;
 
 /// In place of the key of a score that does not count; it comes last.
 const LAST: u32 = u32::MAX;
@@ -35,26 +36,20 @@ impl Rank {
             return Buffer::zeros(client, self.n);
         }
         let grows = Buffer::empty(client, self.n);
-        grow_keys::launch(
+        launch!(
             client,
-            cubes(self.n, 256),
-            units(),
-            scores.arg(),
-            self.pairs.keys.arg(),
-            self.pairs.values.arg(),
-            n,
-            threshold,
+            grow_keys::launch,
+            (cubes(self.n, 256), units()),
+            [scores, self.pairs.keys, self.pairs.values],
+            [n, threshold]
         );
         let sorted = self.sort.run(client, &self.pairs, &self.count, 32);
-        take_best::launch(
+        launch!(
             client,
-            cubes(self.n, 256),
-            units(),
-            sorted.keys.arg(),
-            sorted.values.arg(),
-            grows.arg(),
-            n,
-            u32::try_from(budget).unwrap_or(u32::MAX),
+            take_best::launch,
+            (cubes(self.n, 256), units()),
+            [sorted.keys, sorted.values, grows],
+            [n, u32::try_from(budget).unwrap_or(u32::MAX)]
         );
         grows
     }
@@ -67,17 +62,14 @@ impl Rank {
             PruneRule::WithOpacity { quantile, .. } => (false, quantile.clamp(0.0, 1.0)),
         };
         let range = Buffer::empty(client, 2);
-        prune_keys::launch(client, cubes(self.n, 256), units(), scores.arg(), self.pairs.keys.arg(), n, literal);
+        launch!(client, prune_keys::launch, (cubes(self.n, 256), units()), [scores, self.pairs.keys], [n, literal]);
         let sorted = self.sort.run(client, &self.pairs, &self.count, 32);
-        find_range::launch(
+        launch!(
             client,
-            cubes(1, 1),
-            CubeDim::new_1d(1),
-            sorted.keys.arg(),
-            range.arg(),
-            n,
-            quantile,
-            literal,
+            find_range::launch,
+            (cubes(1, 1), CubeDim::new_1d(1)),
+            [sorted.keys, range],
+            [n, quantile, literal]
         );
         range
     }
