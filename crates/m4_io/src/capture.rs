@@ -181,20 +181,29 @@ pub fn write(folder: &Path, capture: &Capture, split: Split, progress: &dyn Prog
     }
     let pairs: Vec<(&CaptureFrame, &Frame)> = capture.frames.iter().zip(&frames).collect();
     let stopped = || WriteError::cancelled(&list);
-    let clipped =
-        in_parallel("write frames", &pairs, progress, stopped, |_, (frame, entry)| images(folder, frame, entry, unit))?;
-    let clipped: usize = clipped.into_iter().sum();
+    let tracks_path = capture.tracks.as_ref().map(|_| split.tracks_file().to_owned());
+    // tracks are compressed by one thread
+    let (clipped, tracks) = rayon::join(
+        || {
+            in_parallel("write frames", &pairs, progress, stopped, |_, (frame, entry)| {
+                images(folder, frame, entry, unit)
+            })
+        },
+        || match (&tracks_path, &capture.tracks) {
+            (Some(name), Some(tracks)) => {
+                let path = folder.join(name);
+                tracks::write(&path, tracks).map_err(|e| WriteError::io(&path, e))
+            }
+            _ => Ok(()),
+        },
+    );
+    let clipped: usize = clipped?.into_iter().sum();
+    tracks?;
     if clipped > 0 {
         progress.warn(&format!(
             "{clipped} depths above {:.3} were written as that depth: 16 bits hold no more without losing what is near",
             MAX_STEPS * unit
         ));
-    }
-
-    let tracks_path = capture.tracks.as_ref().map(|_| split.tracks_file().to_owned());
-    if let (Some(name), Some(tracks)) = (&tracks_path, &capture.tracks) {
-        let path = folder.join(name);
-        tracks::write(&path, tracks).map_err(|e| WriteError::io(&path, e))?;
     }
 
     let transforms = Transforms {

@@ -9,6 +9,7 @@ use super::{Clip, LEAST_SHARE, ROUND_TRIP_PX, shortest};
 use crate::classical::dense::flow::FlowPair;
 use crate::classical::dense::regions::Components;
 use crate::classical::dense::working::pixel_at;
+use rayon::prelude::*;
 use std::collections::{BTreeMap, VecDeque};
 
 /// Most frames that are adjusted together: bounds memory.
@@ -60,13 +61,17 @@ pub(in super::super) fn follow(clip: &Clip<'_>) -> Vec<Tracklet> {
     let mut done = Vec::new();
     // The open tracklet of every part of the frame before.
     let mut open: Vec<Option<Tracklet>> = Vec::new();
-    let mut before: Option<Components> = None;
     let least = (LEAST_SHARE * (w * h) as f32) as usize;
-    for (t, now) in regions(clip).into_iter().enumerate() {
+    let regions = regions(clip);
+    let both = |t: usize| {
+        let (before, now) = ((t - 1, &regions[t - 1]), (t, &regions[t]));
+        (heirs(clip, before, now), heirs(clip, now, before))
+    };
+    let links: Vec<(Vec<usize>, Vec<usize>)> = (1..regions.len()).into_par_iter().map(both).collect();
+    for (t, now) in regions.iter().enumerate() {
         let mut next: Vec<Option<Tracklet>> = (0..now.pixels.len()).map(|_| None).collect();
-        if let Some(before) = &before {
-            let there = heirs(clip, (t - 1, before), (t, &now));
-            let back = heirs(clip, (t, &now), (t - 1, before));
+        if let Some(before) = t.checked_sub(1).map(|t| &regions[t]) {
+            let (there, back) = &links[t - 1];
             for (a, tracklet) in open.drain(..).enumerate() {
                 let Some(mut tracklet) = tracklet else { continue };
                 let b = there[a];
@@ -88,7 +93,6 @@ pub(in super::super) fn follow(clip: &Clip<'_>) -> Vec<Tracklet> {
             }
         }
         open = next;
-        before = Some(now);
     }
     done.extend(open.into_iter().flatten());
     done.retain(|t| t.parts.len() >= shortest(clip));
@@ -105,10 +109,11 @@ const PAIR: f32 = 0.5;
 /// The regions of every frame.
 pub(super) fn regions(clip: &Clip<'_>) -> Vec<Components> {
     let (w, h) = (clip.width, clip.height);
-    let parts: Vec<Components> = clip.moving.iter().map(|m| Components::of(w, h, m)).collect();
+    let parts: Vec<Components> = clip.moving.par_iter().map(|m| Components::of(w, h, m)).collect();
     let least = ((LEAST_SHARE * (w * h) as f32) as usize).max(1);
     let (later, earlier) = rayon::join(|| carry(clip, &parts, least, true), || carry(clip, &parts, least, false));
-    parts.into_iter().zip(later.iter().zip(&earlier)).map(|(parts, (a, b))| pairs(w, h, &parts, a, b, least)).collect()
+    let labels = later.par_iter().zip(&earlier);
+    parts.par_iter().zip(labels).map(|(parts, (a, b))| pairs(w, h, parts, a, b, least)).collect()
 }
 
 /// Labels (`[height][width]` by frame, 0 outside the masks) carried from one end of the clip to the other.
