@@ -36,3 +36,28 @@ fn trim() {
 
 #[cfg(not(all(target_os = "linux", target_env = "gnu")))]
 fn trim() {}
+
+#[cfg(all(test, target_os = "linux", target_env = "gnu"))]
+mod tests {
+    use super::FreedMemory;
+
+    /// Memory of this process that is in use, by the system's count, bytes.
+    fn resident() -> usize {
+        let status = std::fs::read_to_string("/proc/self/status").unwrap();
+        let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:")).unwrap();
+        1024 * line.trim().trim_end_matches(" kB").parse::<usize>().unwrap()
+    }
+
+    #[test]
+    fn gaps_between_what_is_kept_go_back() {
+        const BLOCK: usize = 100_000;
+        const COUNT: usize = 600;
+        let blocks: Vec<Vec<u8>> = (0..COUNT).map(|_| vec![1; BLOCK]).collect();
+        let kept: Vec<Vec<u8>> = blocks.into_iter().step_by(20).collect();
+        let before = resident();
+        FreedMemory::default().give_back();
+        let after = resident();
+        assert!(before > after + COUNT * BLOCK / 2, "{before} {after}");
+        assert_eq!(kept.iter().map(|block| block.len()).sum::<usize>(), COUNT / 20 * BLOCK);
+    }
+}
