@@ -160,6 +160,16 @@ fn scene_is_independent_of_the_number_of_threads() {
     assert!(one == two && two == three, "the files differ");
 }
 
+/// Preview, clip and page have threads of their own; none of them waits for the only worker, which may wait for them.
+#[test]
+fn one_worker_is_enough() {
+    let dir = with_capture(false);
+    for line in ["train capture -o out --iterations 2", "render out -o out.mp4", "render out -o images"] {
+        let ended = Ended::of(dir.command(line).env("RAYON_NUM_THREADS", "1").output().unwrap());
+        assert_eq!(ended.code, 0, "{line}\n{}", ended.stderr);
+    }
+}
+
 /// Starts training and waits for its first steps; gives the rest of its events.
 fn start(dir: &Scratch, line: &str) -> (Running, BufReader<ChildStdout>) {
     let mut command = dir.command(line);

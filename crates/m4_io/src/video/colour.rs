@@ -168,19 +168,20 @@ pub struct Planes420 {
 
 impl Planes420 {
     /// Converts an image; odd sides grow by repeating the last column or row. Chroma is sited at the
-    /// left luma column, between two rows, and weighed 1 2 1 along the row.
+    /// left luma column, between two rows, and weighed 1 2 1 along the row. By the calling thread alone: those that encode must not wait for
+    /// threads that wait for them.
     pub fn new(image: &RgbImage, matrix: &YuvMatrix) -> Self {
         let (w, h) = image.size();
         let (width, height) = (w.next_multiple_of(2), h.next_multiple_of(2));
         let pixel = |x: usize, y: usize| image[(x.min(w - 1), y.min(h - 1))].map(f32::from);
         let mut luma = vec![0; width * height];
-        luma.par_chunks_mut(width).enumerate().for_each(|(y, row)| {
+        for (y, row) in luma.chunks_mut(width).enumerate() {
             for (x, value) in row.iter_mut().enumerate() {
                 *value = matrix.yuv(pixel(x, y))[0].round() as u8;
             }
-        });
+        }
         let mut both = vec![[0; 2]; width / 2 * (height / 2)];
-        both.par_chunks_mut(width / 2).enumerate().for_each(|(y, row)| {
+        for (y, row) in both.chunks_mut(width / 2).enumerate() {
             for (x, value) in row.iter_mut().enumerate() {
                 let mut mean = [0.0; 3];
                 for (column, weight) in [((2 * x).saturating_sub(1), 0.125), (2 * x, 0.25), (2 * x + 1, 0.125)] {
@@ -192,7 +193,7 @@ impl Planes420 {
                 let [_, cb, cr] = matrix.yuv(mean);
                 *value = [cb.round() as u8, cr.round() as u8];
             }
-        });
+        }
         let chroma = [0, 1].map(|c| both.iter().map(|v| v[c]).collect());
         Self { width, height, luma, chroma }
     }
