@@ -204,11 +204,30 @@ impl Work {
             [self.changes, self.allocated, self.ranges, self.cursors, self.bucket_offsets, self.totals, self.peak],
             [tiles, capacity, most]
         );
-        let small = n.div_ceil(256).max(1);
         launch!(
             client,
             entries::emit::launch,
-            (cubes(small + LARGE_CUBES, 1), units()),
+            (cubes(n, 256), units()),
+            [
+                self.counts,
+                self.offsets,
+                self.reaches,
+                self.depths,
+                self.eye,
+                self.ranges,
+                self.cursors,
+                self.lists[0],
+                self.lists[1],
+                self.splat_of_slot,
+                self.totals
+            ],
+            [n as u32, size.across() as u32, capacity]
+        );
+        // not beside the others: it lowers counts by which they leave large splats out
+        launch!(
+            client,
+            entries::emit_large::launch,
+            (cubes(LARGE_CUBES, 1), units()),
             [
                 self.counts,
                 self.offsets,
@@ -223,7 +242,7 @@ impl Work {
                 self.large,
                 self.totals
             ],
-            [n as u32, size.across() as u32, capacity, small as u32]
+            [size.across() as u32, capacity]
         );
         launch!(
             client,

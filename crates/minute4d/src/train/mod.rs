@@ -57,7 +57,7 @@ pub fn make(capture: &Path, out: &Path, job: &Job<'_>) -> Result<RunRecord, Erro
 pub(crate) fn all(run: &mut Workspace<'_>, capture: &HashedCapture) -> Result<(), Error> {
     let (scene, packed) = stage(run, capture)?;
     let plan = viewer::plan(run, capture)?;
-    let wanted = matches!(plan, viewer::Plan::Write { .. });
+    let wanted = matches!(plan, viewer::Plan::Write { .. }) && !run.clock.is_over();
     // The page is made while the preview is drawn; a scene of an earlier run is packed now.
     let packed = if wanted { packed.or_else(|| viewer::packed(run, &scene)) } else { None };
     let (preview, page) = rayon::join(
@@ -73,8 +73,7 @@ pub(crate) fn read(capture: &Path, settings: &Settings, observer: &dyn Observer)
     Ok(m4_io::capture::read(capture, Split::Train, &settings.capture, observer)?)
 }
 
-/// Trains within a run, unless that was done before.
-/// Returns the scene, and the splats for its page where they were packed as well.
+/// Trains within a run, unless that was done before. Returns the scene, and the splats for its page where they were packed as well.
 pub(crate) fn stage(
     run: &mut Workspace<'_>,
     capture: &HashedCapture,

@@ -1,60 +1,14 @@
 //! Writes each splat into the lists of the tiles that it reaches.
 
-use super::{LARGE, LARGE_CUBES, MANY, REACH, Reach, SLACK_PX, WANTED, tile_rows, tile_span};
+use super::{LARGE, MANY, REACH, Reach, SLACK_PX, WANTED, tile_rows, tile_span};
 use crate::gpu::scan::scan_cube;
 use crate::gpu::vector::SIZE;
 use cubecl::prelude::*;
 
-/// One entry for every tile that a splat reaches, anywhere in the tile's list; `counts` become the numbers that were made. The first
-/// `small` cubes take 256 splats each, large ones left out, which [`LARGE_CUBES`] more take.
+/// One entry for every tile that a splat reaches which is not large, anywhere in the tile's list; `counts` become the numbers that were
+/// made. The units of a cube share the entries of its 256 splats.
 #[cube(launch)]
 pub(crate) fn emit(
-    counts: &mut [u32],
-    offsets: &[u32],
-    reaches: &[f32],
-    depths: &[u32],
-    eye: &[f32],
-    ranges: &[u32],
-    cursors: &[Atomic<u32>],
-    keys: &mut [u32],
-    slots: &mut [u32],
-    splats: &mut [u32],
-    large: &[u32],
-    totals: &[u32],
-    n: u32,
-    across: u32,
-    capacity: u32,
-    small: u32,
-) {
-    let cube = CUBE_POS as u32;
-    if cube < small {
-        emit_small(
-            counts, offsets, reaches, depths, eye, ranges, cursors, keys, slots, splats, totals, n, across, capacity,
-        );
-    } else {
-        emit_large(
-            counts,
-            offsets,
-            reaches,
-            depths,
-            eye,
-            ranges,
-            cursors,
-            keys,
-            slots,
-            splats,
-            large,
-            totals,
-            across,
-            capacity,
-            cube - small,
-        );
-    }
-}
-
-/// The units of a cube share the entries of its 256 splats.
-#[cube]
-fn emit_small(
     counts: &mut [u32],
     offsets: &[u32],
     reaches: &[f32],
@@ -112,9 +66,9 @@ fn emit_small(
     }
 }
 
-/// Cube number `first` of those for large splats takes one after the other, a unit a row of tiles at first and then tiles.
-#[cube]
-fn emit_large(
+/// As `emit`, for large splats: a cube takes one after the other, a unit a row of tiles at first and then tiles.
+#[cube(launch)]
+pub(crate) fn emit_large(
     counts: &mut [u32],
     offsets: &[u32],
     reaches: &[f32],
@@ -129,25 +83,24 @@ fn emit_large(
     totals: &[u32],
     across: u32,
     capacity: u32,
-    first: u32,
 ) {
     // tiles before each row's, and the first of each
     let mut starts = Shared::<[u32]>::new_slice(256usize);
     let mut firsts = Shared::<[u32]>::new_slice(256usize);
     let mut all = Shared::<[u32]>::new_slice(1usize);
     let mut number = totals[LARGE];
-    if totals[WANTED] > capacity || first >= CUBES {
+    if totals[WANTED] > capacity {
         number = 0u32;
     }
-    let mut next = first;
+    let mut next = CUBE_POS as u32;
     while next < number {
         let splat = large[next as usize];
         let count = counts[splat as usize];
         let slot = offsets[splat as usize];
         let reach = reach_of(reaches, splat, eye);
-        let (top_row, end) = tile_rows(&reach, SLACK_PX);
+        let (first, end) = tile_rows(&reach, SLACK_PX);
         let mut made = 0u32;
-        let mut top = top_row;
+        let mut top = first;
         while top < end {
             let row = top + UNIT_POS;
             let mut left = 0u32;
@@ -179,7 +132,7 @@ fn emit_large(
         if UNIT_POS == 0u32 {
             counts[splat as usize] = made;
         }
-        next += CUBES;
+        next += CUBE_COUNT as u32;
     }
 }
 
@@ -234,8 +187,6 @@ fn reach_of(reaches: &[f32], splat: u32, eye: &[f32]) -> Reach {
     }
 }
 
-/// Cubes for large splats.
-const CUBES: u32 = LARGE_CUBES as u32;
 /// In place of a tile.
 const NO_TILE: u32 = 0xffff_ffff;
 
