@@ -1,13 +1,16 @@
 //! Hashes of inputs and settings: the cache keys of finished stages.
 
 use crate::Error;
-use crate::stage::check_stop;
+use crate::observer::check_stop;
 use m4_core::{Capture, CaptureFrame, CompactDepth, CompactMask, Plane, Progress, Silent};
 use m4_io::files;
 use rayon::prelude::*;
 use std::fs::{self, File};
 use std::io::{self, Read};
 use std::path::{Path, PathBuf};
+
+/// Name of the record in a capture, which is not a part of its content.
+pub const RECORD_FILE: &str = "geometry.json";
 
 /// Returns the BLAKE3 hash of a file's bytes, or of the names and bytes of everything in a folder; hexadecimal.
 ///
@@ -145,7 +148,7 @@ fn list(root: &Path, folder: &Path, out: Option<&Path>, files: &mut Vec<PathBuf>
         let name = entry.file_name();
         let text = name.to_string_lossy();
         // the record is not part of the input
-        if text.starts_with('.') || text == crate::record::GEOMETRY_FILE {
+        if text.starts_with('.') || text == RECORD_FILE {
             continue;
         }
         let relative = folder.join(&name);

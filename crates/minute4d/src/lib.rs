@@ -28,50 +28,42 @@
 pub mod ablate;
 pub mod batch;
 pub mod bench;
+pub mod cache;
 pub mod device;
 pub mod enhance;
 pub mod evaluate;
 pub mod export;
-pub mod folder;
 pub mod geometry;
-pub mod import;
-pub mod preview;
-pub mod record;
+pub mod layout;
+pub mod networks;
+pub mod page;
 pub mod render;
 pub mod reproduce;
+pub mod run;
 pub mod settings;
 pub mod train;
-pub mod viewer;
+pub mod view;
 #[cfg(feature = "nets")]
 pub mod weights;
 
 mod environment;
 mod error;
 mod hash;
-mod pipeline;
-mod stage;
-mod steps;
-mod workspace;
+mod json;
+mod observer;
+mod time;
 
 pub use error::{BUILD_FULL, Category, DataError, Error, NetworkError, NetworkMethod, OutputError, Refusal};
-pub use folder::Existing;
-pub use pipeline::{Job, is_capture, run, threads, with_threads};
-pub use record::plain_json;
+pub use json::plain_json;
+pub use layout::Existing;
+pub use observer::{Observer, RecordingObserver, StageEvent};
+pub use run::{Job, run, threads, with_threads};
 pub use settings::Settings;
-pub use stage::{Observer, RecordingObserver, StageEvent};
 
-pub use m4_core as core;
-pub use m4_core::{Progress, Silent};
-pub use m4_eval as eval;
-pub use m4_geometry as reconstruction;
-pub use m4_io as io;
-pub use m4_kernels as kernels;
-#[cfg(feature = "gpu")]
-pub use m4_kernels::gpu;
+pub use m4_core::{self, Progress, Silent};
 #[cfg(feature = "nets")]
-pub use m4_nets as nets;
-pub use m4_train as training;
-pub use m4_viewer as page;
+pub use m4_nets;
+pub use {m4_eval, m4_geometry, m4_io, m4_kernels, m4_train, m4_viewer};
 
 #[cfg(test)]
 mod test_clips {

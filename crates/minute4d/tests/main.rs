@@ -8,7 +8,7 @@ use m4_core::{SourceFrame, SplatLayout, Splats};
 use m4_kernels::{Renderer, SimdLevel, View};
 use m4_testkit::{SceneSpec, camera_looking_at, random_splats};
 use m4_train::init::{InitConfig, initialise};
-use minute4d::page::payload::{bytes_per_splat, decode, encode};
+use minute4d::m4_viewer::payload::{bytes_per_splat, decode, encode};
 use minute4d::render::Painter;
 
 const SIZE: (usize, usize) = (96, 64);

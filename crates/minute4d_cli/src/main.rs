@@ -11,7 +11,7 @@ use clap::Parser;
 use cli::Cli;
 use failure::Failure;
 use minute4d::Category;
-use minute4d::io::video::{DecoderProgram, serve_decoder, set_decoder_program};
+use minute4d::m4_io::video::{DecoderProgram, serve_decoder, set_decoder_program};
 use output::{Output, StopSignal};
 use std::ffi::OsString;
 use std::io::Write;

@@ -2,8 +2,8 @@
 //! the message, and `--json` must end with `ok: false`.
 
 use crate::common::{Scratch, edit_transforms, finished_run, write_capture, write_video};
-use minute4d::core::Plane;
-use minute4d::io::image::{write_depth, write_rgb};
+use minute4d::m4_core::Plane;
+use minute4d::m4_io::image::{write_depth, write_rgb};
 use serde_json::{Value, json};
 use std::fs;
 use std::path::Path;

@@ -6,7 +6,7 @@ use crate::common::{Scratch, capture, mean_image_psnr_db, read_capture, write_ca
 use minute4d::BUILD_FULL;
 #[cfg(feature = "nets")]
 use minute4d::Silent;
-use minute4d::io::capture::Split;
+use minute4d::m4_io::capture::Split;
 use std::fs;
 
 #[test]
@@ -104,7 +104,7 @@ fn networks_enhance_a_capture() {
     FormulaWeights::of_keys(keys)
         .scaled("point_updater.flow_head.weight", 0.005)
         .write_with(Some(("config", config)), &store.join("tapip3d/tapip3d.safetensors"));
-    minute4d::io::capture::write(&dir.path("capture"), &capture(3, false), Split::Train, &Silent).unwrap();
+    minute4d::m4_io::capture::write(&dir.path("capture"), &capture(3, false), Split::Train, &Silent).unwrap();
     let line = "enhance capture -o better --json --segmenter sam2 --tracker tapip3d --set enhance.tapip3d.size=1.0 \
                 --set enhance.tapip3d.iterations=1 --set enhance.tapip3d.most=40 --set enhance.tapip3d.every=1";
     let mut command = dir.command(line);

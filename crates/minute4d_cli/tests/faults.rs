@@ -5,8 +5,8 @@
 use crate::common::Ended;
 use crate::common::clips::{frame_image, walk, write};
 use crate::common::{Scratch, write_capture};
-use minute4d::core::Plane;
-use minute4d::io::video::Mp4Writer;
+use minute4d::m4_core::Plane;
+use minute4d::m4_io::video::Mp4Writer;
 use std::fs;
 use std::path::Path;
 #[cfg(unix)]

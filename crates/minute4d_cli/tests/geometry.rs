@@ -6,10 +6,10 @@ use crate::common::clips::{self, FOCAL_PX, SIZE, camera, frame_image, see, walk}
 use crate::common::text;
 use crate::common::{Ended, Scratch, read_capture};
 use minute4d::Silent;
-use minute4d::core::{Camera, Capture, CaptureFrame, CounterRng, DepthMap, Mask, Plane, RgbImage, log_so3};
-use minute4d::eval::geometry::placement;
-use minute4d::io::capture::{self, Split};
-use minute4d::io::image::{read_depth, read_mask, write_depth, write_mask};
+use minute4d::m4_core::{Camera, Capture, CaptureFrame, CounterRng, DepthMap, Mask, Plane, RgbImage, log_so3};
+use minute4d::m4_eval::geometry::placement;
+use minute4d::m4_io::capture::{self, Split};
+use minute4d::m4_io::image::{read_depth, read_mask, write_depth, write_mask};
 use serde_json::{Value, json};
 use std::fs;
 
@@ -184,7 +184,7 @@ fn given_depth_sets_the_unit() {
     }
     dir.refused(&line, 65, &["depth", "0 (unknown) everywhere"]);
     let colour = frame_image(&cameras[0]);
-    minute4d::io::image::write_rgb(&dir.path("depth/00002.png"), &colour).unwrap();
+    minute4d::m4_io::image::write_rgb(&dir.path("depth/00002.png"), &colour).unwrap();
     dir.refused(&line, 65, &["00002.png", "16 bits"]);
 }
 

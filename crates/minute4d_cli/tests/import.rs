@@ -1,8 +1,8 @@
 //! Captures with poses from other tools, through the program.
 
 use crate::common::{Scratch, read_capture, write_capture};
-use minute4d::core::Capture;
-use minute4d::io::capture::Split;
+use minute4d::m4_core::Capture;
+use minute4d::m4_io::capture::Split;
 use std::fs;
 
 fn fixture(name: &str) -> String {

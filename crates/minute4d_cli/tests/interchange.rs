@@ -3,8 +3,8 @@
 use crate::common::Scratch;
 use crate::render::difference;
 use m4_testkit::{SceneSpec, bare_scene, moving_scene, random_camera, random_splats};
-use minute4d::core::{Column, Exposure, Intrinsics, Scene, SourceFrame, SplatLayout};
-use minute4d::io::scene::safetensors;
+use minute4d::m4_core::{Column, Exposure, Intrinsics, Scene, SourceFrame, SplatLayout};
+use minute4d::m4_io::scene::safetensors;
 use serde_json::Value;
 use std::collections::BTreeMap;
 use std::fs;

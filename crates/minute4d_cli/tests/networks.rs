@@ -3,11 +3,11 @@
 
 use crate::common::{Ended, Scratch, read_capture, text};
 use m4_testkit::write_formula_weights;
-use minute4d::core::{Capture, Plane};
 use minute4d::device::{DeviceChoice, DeviceRequest};
-use minute4d::io::capture::Split;
-use minute4d::io::image::write_rgb;
-use minute4d::reconstruction::megasam::tracker::TrackerSettings;
+use minute4d::m4_core::{Capture, Plane};
+use minute4d::m4_geometry::megasam::tracker::TrackerSettings;
+use minute4d::m4_io::capture::Split;
+use minute4d::m4_io::image::write_rgb;
 use minute4d::{Existing, Job, Settings, Silent, geometry};
 use serde_json::Value;
 use std::path::Path;

@@ -2,10 +2,10 @@
 
 use crate::common::{Ended, Running, Scratch, capture, frames_of, mean_image_psnr_db, write_capture, write_images};
 use minute4d::Silent;
-use minute4d::core::{Plane, Sim3, Tracks, exp_so3, nalgebra::Vector3};
-use minute4d::io::capture::Split;
-use minute4d::io::scene::safetensors;
-use minute4d::io::tracks;
+use minute4d::m4_core::{Plane, Sim3, Tracks, exp_so3, nalgebra::Vector3};
+use minute4d::m4_io::capture::Split;
+use minute4d::m4_io::scene::safetensors;
+use minute4d::m4_io::tracks;
 use serde_json::Value;
 use std::fs;
 use std::io::{BufRead, BufReader};
@@ -96,7 +96,7 @@ fn explanation_names_the_wrong_part_and_baselines_need_no_training() {
         let wrong = depth.data().iter().enumerate().map(|(i, &z)| near(i, z)).collect();
         frame.depth = Some(Plane::from_vec(depth.width(), depth.height(), wrong).unwrap().into());
     }
-    minute4d::io::capture::write(&dir.path("own"), &own, Split::Train, &Silent).unwrap();
+    minute4d::m4_io::capture::write(&dir.path("own"), &own, Split::Train, &Silent).unwrap();
     let explained = dir.succeed("eval-geometry own --truth capture --explain --train 40 -o work --json").result();
     let row = |what: &str, how: &str| {
         let rows = explained["explain"].as_array().unwrap();
@@ -133,7 +133,7 @@ fn held_out_views_are_aligned_to_an_own_world() {
         frame.camera.c2w = map.transform_pose(&frame.camera.c2w);
         frame.depth = frame.depth.as_ref().map(|d| d.to_map().map(|z| z * 2.5).into());
     }
-    minute4d::io::capture::write(&dir.path("own"), &own, Split::Train, &Silent).unwrap();
+    minute4d::m4_io::capture::write(&dir.path("own"), &own, Split::Train, &Silent).unwrap();
     let score = |data: &str, out: &str| {
         dir.succeed(&format!("train {data} -o {out} --iterations 120"));
         let ended = dir.succeed(&format!("eval {out} --data capture --json"));
@@ -267,7 +267,7 @@ fn finished_stages_are_reused_unless_inputs_or_settings_change() {
 
     let mut changed = capture(6, false);
     changed.frames[2].rgb.data_mut()[5] = [1, 2, 3];
-    minute4d::io::capture::write(&dir.path("capture"), &changed, Split::Train, &Silent).unwrap();
+    minute4d::m4_io::capture::write(&dir.path("capture"), &changed, Split::Train, &Silent).unwrap();
     assert_eq!(stages(more)[0], "train started because the input changed");
 
     dir.write("out/metrics.jsonl", "gone");

@@ -3,11 +3,11 @@
 
 use crate::common::{SIZE, Scratch, finished_run, frames_of, write_clip};
 use m4_testkit::{Chromium, find_chromium};
-use minute4d::core::nalgebra::{Matrix3, Vector3};
-use minute4d::core::{Camera, Intrinsics, RgbImage, Scene, Se3};
-use minute4d::io::image::read_rgb;
-use minute4d::io::scene::safetensors;
-use minute4d::kernels::SimdLevel;
+use minute4d::m4_core::nalgebra::{Matrix3, Vector3};
+use minute4d::m4_core::{Camera, Intrinsics, RgbImage, Scene, Se3};
+use minute4d::m4_io::image::read_rgb;
+use minute4d::m4_io::scene::safetensors;
+use minute4d::m4_kernels::SimdLevel;
 use minute4d::render::Painter;
 use serde_json::Value;
 use std::path::Path;

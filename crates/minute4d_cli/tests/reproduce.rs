@@ -3,8 +3,8 @@
 use crate::common::clips::{write_dycheck, write_dycheck_of, write_nvidia};
 use crate::common::{SIZE, Scratch, capture, clips, mean_image_psnr_db, seen_from, write_capture};
 use minute4d::Silent;
-use minute4d::core::{Camera, Capture, CaptureFrame, Plane};
-use minute4d::io::capture::Split;
+use minute4d::m4_core::{Camera, Capture, CaptureFrame, Plane};
+use minute4d::m4_io::capture::Split;
 use serde_json::{Value, json};
 use std::fs;
 
@@ -12,7 +12,7 @@ use std::fs;
 fn eval_by_protocol_reports_every_choice() {
     let dir = Scratch::new();
     let whole: Capture = capture(24, false);
-    minute4d::io::capture::write(&dir.path("whole"), &whole, Split::Train, &Silent).unwrap();
+    minute4d::m4_io::capture::write(&dir.path("whole"), &whole, Split::Train, &Silent).unwrap();
     let record = dir.succeed("split whole --protocol rodygs -o part --json").result();
     assert_eq!(record["held_out"], json!([4, 12, 20]));
     dir.succeed("train part -o run --iterations 60");

@@ -1,9 +1,9 @@
 //! The page of a run and its server, from outside.
 
 use crate::common::{Running, Scratch, write_capture};
-use minute4d::io::scene::safetensors;
-use minute4d::page::page;
-use minute4d::page::payload::decode;
+use minute4d::m4_io::scene::safetensors;
+use minute4d::m4_viewer::page;
+use minute4d::m4_viewer::payload::decode;
 use serde_json::Value;
 use std::fs;
 use std::io::{BufRead, BufReader, Read, Write};

@@ -13,10 +13,12 @@ pub use row::Row;
 
 use crate::bench::{aligned, number, today};
 use crate::evaluate::{self, EvalOptions};
-use crate::folder::CAPTURE_FOLDER;
-use crate::record::{GeometryRecord, RunRecord, Status, write_json};
-use crate::stage::check_stop;
-use crate::{Error, Job, Settings, environment, is_capture};
+use crate::json::write_json;
+use crate::layout::CAPTURE_FOLDER;
+use crate::layout::is_capture;
+use crate::observer::check_stop;
+use crate::run::record::{GeometryRecord, RunRecord, Status};
+use crate::{Error, Job, Settings, environment};
 use m4_core::{Capture, CompactMask};
 use m4_geometry::resample::resize_bilinear;
 use m4_io::atomic;
@@ -151,7 +153,7 @@ pub fn ablate(input: &Path, out: &Path, options: &AblateOptions, job: &Job<'_>) 
     let rows: Vec<Row> = Row::ALL.into_iter().filter(wanted).collect();
     let configs: Vec<String> = rows.iter().map(|row| format!("{}.toml", row.name())).collect();
     let files = [ABLATION_FILE, TABLE_FILE, TRACKING_FILE].into_iter().chain(configs.iter().map(String::as_str));
-    crate::folder::claim(out, Kind::Report, &files.collect::<Vec<_>>())?;
+    crate::layout::claim(out, Kind::Report, &files.collect::<Vec<_>>())?;
     let mut made = Vec::new();
     let mut settings = job.settings.clone();
     for (i, &row) in rows.iter().enumerate() {
@@ -239,8 +241,8 @@ impl Bench<'_> {
             moving_psnr_db: mean.and_then(|mean| mean.masked_psnr_db),
             ssim: mean.map(|mean| mean.ssim),
             moving_ssim: mean.and_then(|mean| mean.masked_ssim),
-            geometry_s: stage(crate::geometry::STAGE).or(shared),
-            train_s: stage(crate::train::STAGE),
+            geometry_s: stage(crate::run::geometry::STAGE).or(shared),
+            train_s: stage(crate::run::train::STAGE),
             peak_memory_bytes: record.peak_memory_bytes,
             splats: Some(scores.splats),
             iterations: record.iterations,
@@ -250,7 +252,7 @@ impl Bench<'_> {
     /// The input with masks of pixels that are more likely dynamic than static by its maps, unrefined; or why it has none.
     fn coarse(&self) -> Result<Result<PathBuf, &'static str>, Error> {
         let folder = self.out.join("coarse");
-        let mut capture: Capture = crate::train::read(self.input, &self.job.settings, self.job.observer)?;
+        let mut capture: Capture = crate::run::train::read(self.input, &self.job.settings, self.job.observer)?;
         if capture.frames.iter().any(|frame| frame.motion.is_none()) {
             return Ok(Err(match capture.frames.iter().any(|frame| frame.mask.is_some()) {
                 true => "the masks of the capture are given, and it has no motion maps to make coarse ones of",
@@ -269,7 +271,7 @@ impl Bench<'_> {
             frame.mask = Some(CompactMask::from_fn(w, h, |x, y| share[(x, y)] > tau));
         }
         let mut results = ResultFolder::open(&folder, Kind::Capture)?;
-        results.check_free(crate::folder::capture_names())?;
+        results.check_free(crate::layout::capture_names())?;
         m4_io::capture::write(&results.begin()?, &capture, Split::Train, self.job.observer)?;
         results.commit(None)?;
         Ok(Ok(folder))

@@ -1,8 +1,7 @@
 //! The rows of the table (paper, table 3).
 
-use crate::enhance::{Before, Plan, Tracker};
-use crate::geometry::Segmenter;
-use crate::settings::{Enhancement, UnknownName, by_name};
+use crate::enhance::{Before, Plan};
+use crate::settings::{Enhancement, Segmenter, Tracker, UnknownName, by_name};
 use crate::{Error, Settings};
 use serde::{Deserialize, Serialize};
 

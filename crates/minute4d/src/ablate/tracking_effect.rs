@@ -1,8 +1,8 @@
 //! The effect of tracking as an image: the region of a held-out view that it changes most.
 
 use crate::evaluate::HeldOut;
+use crate::observer::check_stop;
 use crate::render::SceneRenderer;
-use crate::stage::check_stop;
 use crate::{Error, Job};
 use m4_core::{Plane, RgbImage};
 use m4_kernels::SimdLevel;

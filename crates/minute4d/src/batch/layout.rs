@@ -3,7 +3,7 @@
 
 use crate::Error;
 use crate::batch::manifest::VERSION;
-use crate::record::read_json;
+use crate::json::read_json;
 use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};

@@ -6,7 +6,8 @@
 
 use crate::batch::layout::{Layout, RESULT_FILE};
 use crate::batch::manifest::VERSION;
-use crate::record::{FileRecord, RUN_FILE, RUN_FORMAT, Status, read_json, write_json};
+use crate::json::{read_json, write_json};
+use crate::run::record::{FileRecord, RUN_FILE, RUN_FORMAT, Status};
 use crate::{Error, hash};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;

@@ -2,7 +2,7 @@
 
 use super::{BenchConfig, Case, Fastest, GpuCase, GpuMachine, Millis, Step, Timed, case, mean_over};
 use crate::device::DeviceChoice;
-use crate::stage::check_stop;
+use crate::observer::check_stop;
 use crate::{Error, Observer};
 use cpu_time::ProcessTime;
 use m4_kernels::bench::{Bench as Host, Counts, SceneConfig};

@@ -12,7 +12,7 @@ pub use report::{BenchReport, Bound, Case, GpuCase, GpuMachine, KernelRow, Machi
 pub(crate) use table::{aligned, number, today};
 
 use crate::device::DeviceChoice;
-use crate::stage::check_stop;
+use crate::observer::check_stop;
 use crate::{Error, Observer, with_threads};
 use cpu_time::ProcessTime;
 use m4_kernels::SimdLevel;

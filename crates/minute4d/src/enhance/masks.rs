@@ -1,15 +1,13 @@
 //! Refines the masks of a capture in memory, with any object tracker.
 
-use super::EnhanceError;
-use crate::record::write_json;
+use crate::error::EnhanceError;
+use crate::json::write_json;
+use crate::layout::OBJECTS_FILE;
 use crate::{Error, Refusal};
 use m4_core::{Capture, CompactIds, CompactMask, Plane, Progress};
 use m4_geometry::masks::{Coarse, InstanceError, InstanceReport, RefineSettings, RefinedFrame, VideoSession, refine};
 use m4_io::capture::Split;
 use std::path::Path;
-
-/// What was found, beside a capture's list of frames.
-pub(crate) const REPORT_FILE: &str = "instances.json";
 
 /// Refined masks and maps of instances at the size of a capture's images, a pair per frame, and what was found. The dynamic part is read
 /// from the maps of motion where every frame has one, else from the masks. `open` as in [`refine()`]. Refused where a frame says nothing
@@ -28,14 +26,14 @@ pub fn masks<'a>(
 }
 
 /// Writes a capture, with its report if it has one, into `folder`; see [`m4_io::capture::write()`].
-pub(crate) fn write(
+pub fn write(
     folder: &Path,
     capture: &Capture,
     report: Option<&InstanceReport>,
     progress: &dyn Progress,
 ) -> Result<(), Error> {
     m4_io::capture::write(folder, capture, Split::Train, progress)?;
-    report.map_or(Ok(()), |report| write_json(&folder.join(REPORT_FILE), report))
+    report.map_or(Ok(()), |report| write_json(&folder.join(OBJECTS_FILE), report))
 }
 
 fn coarse(capture: &Capture) -> Result<Coarse<'_>, Refusal> {
@@ -69,7 +67,7 @@ fn at_size(found: RefinedFrame, (width, height): (usize, usize)) -> (CompactMask
 
 #[cfg(test)]
 mod tests {
-    use super::{REPORT_FILE, masks, write};
+    use super::{OBJECTS_FILE, masks, write};
     use crate::test_clips::clip;
     use crate::{Category, Error};
     use m4_core::{Capture, CompactIds, CompactMask, Plane, Silent};
@@ -125,7 +123,7 @@ mod tests {
         for (a, b) in again.frames.iter().zip(&found.frames) {
             assert_eq!((&a.instances, &a.mask), (&b.instances, &b.mask));
         }
-        let text = std::fs::read(dir.path().join(REPORT_FILE)).unwrap();
+        let text = std::fs::read(dir.path().join(OBJECTS_FILE)).unwrap();
         assert_eq!(serde_json::from_slice::<InstanceReport>(&text).unwrap(), report);
     }
 

@@ -4,8 +4,8 @@
 //! capture (motion maps, or masks) --m4_geometry::masks, with an object tracker--> capture (masks, instances), report
 //! ```
 //!
-//! [`make`] is `minute4d enhance`, which also follows points in the new masks ([`m4_geometry::tracks`]); the geometry stage does the same to
-//! what its front ends find.
+//! [`apply`] also follows points in the new masks ([`m4_geometry::tracks`]); [`crate::geometry`] calls it on what its front ends
+//! find.
 
 mod masks;
 #[cfg(feature = "nets")]
@@ -13,124 +13,29 @@ mod networks;
 mod plan;
 
 pub use masks::masks;
-pub(crate) use masks::{REPORT_FILE, write};
-pub(crate) use plan::{Before, Plan};
-pub use plan::{EnhanceConfig, Tapip3dConfig, Tracker};
+pub use masks::write;
+pub use plan::{Before, Plan};
 
+use crate::cache::Steps;
 use crate::device::NetworkDevice;
+use crate::error::EnhanceError;
 #[cfg(feature = "nets")]
 use crate::error::NetworkMethod;
-use crate::folder::CaptureFolder;
-use crate::geometry::UsedNetwork;
+use crate::json::plain_json;
 #[cfg(feature = "nets")]
-use crate::geometry::{Segmenter, resolve_segmenter, unusable};
-use crate::record::{GeometryRecord, Input, plain_json};
-use crate::stage::RecordingObserver;
-use crate::steps::Steps;
-use crate::{Category, Error, Job, Refusal, Settings, hash};
+use crate::networks::{resolve_segmenter, unusable};
+#[cfg(feature = "nets")]
+use crate::settings::{Segmenter, Tracker};
+use crate::{Error, Refusal, Settings};
 use m4_core::{Capture, CompactIds, CompactMask, Progress, Tracks};
-use m4_geometry::classical::dense::DenseConfig;
 #[cfg(feature = "nets")]
 use m4_geometry::masks::FlowFollower;
-use m4_geometry::masks::{InstanceError, InstanceReport};
-use m4_geometry::tracks::{CaptureClip, QueryGrid, TrackError, follow};
+use m4_geometry::masks::InstanceReport;
+use m4_geometry::tracks::{CaptureClip, QueryGrid, follow};
 use plan::{Segmentation, Tracking};
-use serde::Serialize;
-use std::path::{Path, PathBuf};
-use std::time::Instant;
-
-/// Name of the stage.
-pub const STAGE: &str = "enhance";
-
-/// What was done to a capture.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct EnhanceReport {
-    /// The capture that was made.
-    pub path: PathBuf,
-    /// The segmentation method: `none`, `mobilesam` or `sam2`.
-    pub segmenter: String,
-    /// The tracking method: `none`, `flow` or `tapip3d`.
-    pub tracker: String,
-    /// Networks that took part.
-    pub networks: Vec<UsedNetwork>,
-    /// Number of objects.
-    pub instances: usize,
-    /// Share of all pixels that move, before and after; `None` where the capture had no masks.
-    pub moving_share: [Option<f64>; 2],
-    /// Points that were followed.
-    pub tracks: usize,
-    /// Wall-clock seconds.
-    pub seconds: f64,
-}
-
-/// The settings that this stage depends on.
-#[derive(Serialize)]
-struct Part<'a> {
-    enhance: &'a EnhanceConfig,
-    dense: &'a DenseConfig,
-    segmenter: &'a str,
-    tracker: &'a str,
-    networks: &'a [UsedNetwork],
-}
-
-/// Reads the capture `input`, refines its masks, follows points in them, and writes a capture into the folder `out`.
-///
-/// # Errors
-///
-/// [`Error`]: the capture cannot be read or says nothing of the dynamic part, weights are missing, the folder cannot be used, or the user stops.
-pub fn make(input: &Path, out: &Path, job: &Job<'_>) -> Result<EnhanceReport, Error> {
-    if !input.exists() {
-        return Err(Error::Missing { what: "capture", path: input.to_path_buf() });
-    }
-    let settings = &job.settings;
-    let (segmenter, tracker) = (settings.geometry.segmenter, settings.geometry.tracker);
-    let plan = Plan::of(segmenter, tracker, Before::Motion)?;
-    if plan.nothing() {
-        return Err(nothing_to_do());
-    }
-    let start = Instant::now();
-    let recorder = RecordingObserver::new(job.observer);
-    // Read before the folder is made, so that a wrong path leaves nothing behind.
-    let capture = crate::train::read(input, settings, &recorder)?;
-    let part = Part {
-        enhance: &settings.enhance,
-        dense: &settings.dense,
-        segmenter: plan.segmenter(),
-        tracker: plan.tracker(),
-        networks: &plan.used,
-    };
-    let part = plain_json(&part)?;
-    let source = Input { path: input.display().to_string(), blake3: hash::of_capture(&capture) };
-    let key = hash::of_parts(&[STAGE, env!("CARGO_PKG_VERSION"), &source.blake3, &part.to_string()]);
-    let mut record = GeometryRecord::begin(source, key, part);
-    record.seconds = start.elapsed().as_secs_f64();
-    record.warnings = recorder.warnings();
-    let before = moving_share(&capture);
-    let list = if input.is_dir() { input } else { input.parent().unwrap_or(input) };
-    let images: Vec<PathBuf> = capture.frames.iter().map(|frame| list.join(&frame.name)).collect();
-    let inputs: Vec<&Path> = [input].into_iter().chain(images.iter().map(PathBuf::as_path)).collect();
-    let mut folder = CaptureFolder::open(out, job.existing, record, &inputs, job.observer)?;
-    let (capture, found) = folder.stage(STAGE, |folder, steps| {
-        let device = if plan.has_network() { job.device.choice.for_networks()? } else { NetworkDevice::processor() };
-        let (capture, found) = apply(capture, &plan, settings, &device, steps)?;
-        write(&folder.next(), &capture, found.as_ref(), steps.observer())?;
-        Ok((capture, found))
-    })?;
-    let seconds = folder.record.seconds;
-    Ok(EnhanceReport {
-        path: out.to_path_buf(),
-        segmenter: plan.segmenter().to_owned(),
-        tracker: plan.tracker().to_owned(),
-        networks: plan.used,
-        instances: found.map_or(0, |report| report.instances.len()),
-        moving_share: [before, moving_share(&capture)],
-        tracks: capture.tracks.as_ref().map_or(0, Tracks::count),
-        seconds,
-    })
-}
 
 /// Share of the pixels in masks; `None` without masks.
-pub(crate) fn moving_share(capture: &Capture) -> Option<f64> {
+pub fn moving_share(capture: &Capture) -> Option<f64> {
     let masks = || capture.frames.iter().filter_map(|frame| frame.mask.as_ref());
     let pixels: usize = masks().map(|mask| mask.size().0 * mask.size().1).sum();
     let moving: usize = masks().map(CompactMask::count).sum();
@@ -138,19 +43,19 @@ pub(crate) fn moving_share(capture: &Capture) -> Option<f64> {
 }
 
 /// The refusal of a plan without a method, or none that is available.
-fn nothing_to_do() -> Error {
+pub fn nothing_to_do() -> Error {
     let message =
         "there is nothing to do: --segmenter none and --tracker none leave a capture unchanged; omit one of them";
     Refusal::usage(message).into()
 }
 
 /// Refines masks, then tracks points in them, each a step; returns the statistics of objects if a method tracked them.
-pub(crate) fn apply(
+pub fn apply(
     mut capture: Capture,
     plan: &Plan,
     settings: &Settings,
     device: &NetworkDevice,
-    steps: &Steps<'_>,
+    steps: Steps<'_>,
 ) -> Result<(Capture, Option<InstanceReport>), Error> {
     let mut report = None;
     if plan.segmentation != Segmentation::Unchanged {
@@ -233,31 +138,4 @@ fn tracked(
         return Ok(networks::tapip3d(&net, &options, &clip, &grid, progress).map_err(EnhanceError::from)?);
     }
     Ok(follow(&clip, &QueryGrid::chains(), progress).map_err(EnhanceError::from)?)
-}
-
-/// Why masks could not be refined or points not be followed.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum EnhanceError {
-    /// Refinement failed.
-    #[error(transparent)]
-    Instances(#[from] InstanceError),
-    /// Points could not be followed.
-    #[error(transparent)]
-    Tracks(#[from] TrackError),
-}
-
-impl EnhanceError {
-    /// Returns the category of the failure.
-    pub fn category(&self) -> Category {
-        match self {
-            Self::Instances(InstanceError::Cancelled { .. }) | Self::Tracks(TrackError::Cancelled { .. }) => {
-                Category::Stopped
-            }
-            Self::Instances(InstanceError::Setting { .. }) | Self::Tracks(TrackError::Setting { .. }) => {
-                Category::BadSettings
-            }
-            Self::Instances(_) | Self::Tracks(_) => Category::BadInput,
-        }
-    }
 }

@@ -4,13 +4,19 @@
 //! Requests and inputs that cannot be used are [`Refusal`]s, whose messages stand where they are refused. Each says its [`Category`].
 
 mod data;
+mod network;
+mod stages;
+#[cfg(feature = "nets")]
+mod weights;
 
 pub use data::{Category, DataError, OutputError, Refusal};
+pub use network::{NetworkError, NetworkMethod};
+pub use stages::{EnhanceError, ReconstructionError};
+#[cfg(feature = "nets")]
+pub use weights::WeightsError;
 
-use crate::enhance::{EnhanceError, Tracker};
-use crate::geometry::{FrontendPart, ReconstructionError, Segmenter};
-use crate::render::TimeError;
 use crate::settings::SettingsError;
+use crate::time::TimeError;
 use m4_eval::geometry::GeometryError;
 use m4_eval::image::ImageError;
 use m4_geometry::classical::dense::DenseError;
@@ -23,8 +29,8 @@ use m4_train::init::InitError;
 use m4_viewer::FramesError;
 use m4_viewer::page::PageError;
 use m4_viewer::server::ServeError;
+use std::io;
 use std::path::{Path, PathBuf};
-use std::{fmt, io};
 
 /// The command that builds the program with GPU support and networks, for messages about missing features.
 pub const BUILD_FULL: &str = "cargo build --release -p minute4d_cli --features full";
@@ -109,7 +115,7 @@ pub enum Error {
     /// Pretrained weights.
     #[cfg(feature = "nets")]
     #[error(transparent)]
-    Weights(#[from] crate::weights::WeightsError),
+    Weights(#[from] WeightsError),
     /// A request or an input that cannot be used.
     #[error(transparent)]
     Refused(#[from] Refusal),
@@ -203,7 +209,9 @@ impl Error {
             Self::TimeLimit { .. } => Category::TryAgain,
             Self::Stopped { .. } => Category::Stopped,
             Self::Internal { .. } => Category::Internal,
-            Self::Settings(e) => e.category(),
+            Self::Settings(SettingsError::Read { source, .. }) => ErrorKind::of_read(source).into(),
+            Self::Settings(SettingsError::Internal { .. }) => Category::Internal,
+            Self::Settings(_) => Category::BadSettings,
             Self::Simd(_) | Self::NoGpuSupport => Category::NoDevice,
             #[cfg(feature = "gpu")]
             Self::Gpu(_) => Category::NoDevice,
@@ -234,97 +242,6 @@ impl Error {
     /// True when the caller asked to stop.
     pub fn is_stop(&self) -> bool {
         self.category() == Category::Stopped
-    }
-}
-
-/// A method that needs a pretrained network; printed as its kind and its name, such as `front end raft`.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-#[non_exhaustive]
-pub enum NetworkMethod {
-    /// A part of the front end.
-    FrontEnd(FrontendPart),
-    /// A segmenter.
-    Segmenter(Segmenter),
-    /// A point tracker.
-    Tracker(Tracker),
-}
-
-impl NetworkMethod {
-    /// Returns the option that works without a network.
-    fn without(self) -> &'static str {
-        match self {
-            Self::FrontEnd(_) => "--frontend classical",
-            Self::Segmenter(_) => "--segmenter none",
-            Self::Tracker(_) => "--tracker flow",
-        }
-    }
-}
-
-impl fmt::Display for NetworkMethod {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::FrontEnd(part) => write!(f, "front end {}", part.name()),
-            Self::Segmenter(segmenter) => write!(f, "segmenter {}", segmenter.name()),
-            Self::Tracker(tracker) => write!(f, "tracker {}", tracker.name()),
-        }
-    }
-}
-
-/// Why a network could not be used.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum NetworkError {
-    /// The program was built without networks.
-    #[error(
-        "this program was built without networks, which the {method} needs: `{BUILD_FULL}` builds it with them; \
-         {} works without",
-        method.without()
-    )]
-    NotBuilt {
-        /// The method.
-        method: NetworkMethod,
-    },
-    /// The weights are missing.
-    #[cfg(feature = "nets")]
-    #[error("the {method} cannot be used: {source}; {} works without", method.without())]
-    Weights {
-        /// The method.
-        method: NetworkMethod,
-        /// What is missing, and how to get it.
-        source: crate::weights::WeightsError,
-    },
-    /// The weights are invalid.
-    #[cfg(feature = "nets")]
-    #[error("the {method} cannot be used: {source}; {} works without", method.without())]
-    Load {
-        /// The method.
-        method: NetworkMethod,
-        /// The fault.
-        source: Box<m4_nets::LoadError>,
-    },
-    /// The networks for depth from one image failed.
-    #[cfg(feature = "nets")]
-    #[error("{networks} estimated no depth of frame {frame}: {reason}")]
-    Depth {
-        /// Their names, joined by `+`.
-        networks: String,
-        /// The frame.
-        frame: usize,
-        /// What went wrong.
-        reason: Box<dyn std::error::Error + Send + Sync>,
-    },
-}
-
-impl NetworkError {
-    /// Returns the category of the failure.
-    pub fn category(&self) -> Category {
-        match self {
-            Self::NotBuilt { .. } => Category::NoDevice,
-            #[cfg(feature = "nets")]
-            Self::Weights { source, .. } => source.category(),
-            #[cfg(feature = "nets")]
-            Self::Load { .. } | Self::Depth { .. } => Category::NoDevice,
-        }
     }
 }
 

@@ -3,7 +3,7 @@
 
 use super::HeldOut;
 use super::regions::regions;
-use crate::stage::check_stop;
+use crate::observer::check_stop;
 use crate::{Error, Observer};
 use m4_core::{Camera, Capture, CaptureFrame, CompactMask, RgbImage, covering, median};
 use m4_eval::image::{ImageReport, MeanScore, PlanarImage};

@@ -6,17 +6,15 @@
 //! top; then each training frame is tested for seeing that point (`m4_eval::image::covisible::seen_by_depth`). Dynamic pixels are valid
 //! only at the time of the test image: they are projected from the training frame that is nearest in time.
 
+use crate::layout::COVISIBLE_FOLDER;
 use crate::{Category, Error, Observer, Refusal, Settings};
 use m4_core::{Camera, Capture, CaptureFrame, DepthMap, Mask, Plane};
 use m4_eval::image::covisible::{CovisibleCounts, DEPTH_TOLERANCE, DepthView, seen_by_depth};
-use m4_io::image::{read_mask, write_mask};
+use m4_io::image::read_mask;
 use m4_io::reach::Reach;
 use serde::Serialize;
-use std::fs;
 use std::path::{Path, PathBuf};
 
-/// The folder of a capture that holds the masks which its data set publishes.
-pub const COVISIBLE_FOLDER: &str = "covisible";
 /// Training frames that are asked at most: the share that saw a pixel hardly changes with more.
 const MOST_FRAMES: usize = 60;
 /// Largest square that a pixel is drawn as, pixels.
@@ -70,7 +68,7 @@ impl Masks {
         }
         let mut settings = Settings::fast();
         settings.capture.reach = reach;
-        let capture = crate::train::read(root, &settings, observer)?;
+        let capture = crate::run::train::read(root, &settings, observer)?;
         let training = Training::of(capture).map_err(|why| {
             let (root, hint) = (root.display(), "give the official ones with --covisible DIR");
             Refusal::bad_input(format!("co-visibility masks cannot be computed for {root}: {why}; {hint}"))
@@ -230,26 +228,6 @@ fn draw(out: &mut DepthMap, u: f64, v: f64, z: f32, side: f64) {
             }
         }
     }
-}
-
-/// Copies published masks into a capture: `from(name)` is the file of a view, whose name in the capture is that of its image. Files that
-/// do not exist are passed over; says how many were copied.
-pub(crate) fn adopt(capture: &Path, views: &Capture, from: impl Fn(&str) -> PathBuf) -> Result<usize, Error> {
-    let folder = capture.join(COVISIBLE_FOLDER);
-    let mut copied = 0;
-    for (i, view) in views.frames.iter().enumerate() {
-        let source = from(&view.name);
-        if !source.is_file() {
-            continue;
-        }
-        let mask = read_mask(&source)?.to_mask();
-        if copied == 0 {
-            fs::create_dir_all(&folder).map_err(|source| Error::Write { path: folder.clone(), source })?;
-        }
-        write_mask(&folder.join(format!("{i:05}.png")), &mask)?;
-        copied += 1;
-    }
-    Ok(copied)
 }
 
 #[cfg(test)]

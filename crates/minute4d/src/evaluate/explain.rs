@@ -3,7 +3,7 @@
 
 use super::baselines::mean_of;
 use super::{EvalOptions, read_truth, sets, views};
-use crate::pipeline::Job;
+use crate::run::Job;
 use crate::{Error, Observer};
 use m4_core::CaptureFrame;
 use m4_eval::geometry::{Substitutes, Substitution};
@@ -79,12 +79,12 @@ fn trained(
     truth: &Path,
     options: &CaptureOptions,
 ) -> Result<Vec<super::SetScore>, Error> {
-    let (data, out) = (folder.join(crate::folder::CAPTURE_FOLDER), folder.join("scene"));
+    let (data, out) = (folder.join(crate::layout::CAPTURE_FOLDER), folder.join("scene"));
     let mut results = ResultFolder::open(&data, Kind::Capture)?;
-    results.check_free(crate::folder::capture_names())?;
+    results.check_free(crate::layout::capture_names())?;
     capture::write(&results.begin()?, replaced, Split::Train, job.observer)?;
     results.commit(None)?;
-    crate::train::make(&data, &out, job)?;
+    crate::run::train::make(&data, &out, job)?;
     let options = EvalOptions { reach: options.reach, ..EvalOptions::default() };
     Ok(views(&out, truth, &options, job.observer)?.sets)
 }

@@ -22,8 +22,7 @@ mod split;
 pub use aligned::AlignedScore;
 pub use baselines::BaselineScore;
 pub use choices::{Choices, FrameChoice, Headline, MaskChoice, PoseChoice, PoseTreatment, ResolutionChoice};
-pub(crate) use covisible::adopt as adopt_covisible;
-pub use covisible::{COVISIBLE_FOLDER, MaskSource};
+pub use covisible::MaskSource;
 pub use explain::{ExplainRow, explain, explain_table};
 pub use motion::{motion, motion_table};
 pub use perceptual::LpipsChoice;
@@ -33,11 +32,11 @@ pub use sets::SetScore;
 pub use split::{SPLIT_FILE, SplitRecord, split};
 
 use crate::device::DeviceChoice;
-use crate::folder::{self, CAPTURE_FOLDER, EVAL_FILE, SCENE_FILE};
-use crate::record::write_json;
+use crate::json::write_json;
+use crate::layout::{self, CAPTURE_FOLDER, EVAL_FILE, SCENE_FILE};
+use crate::observer::check_stop;
 use crate::render::SceneRenderer;
 use crate::settings::Settings;
-use crate::stage::check_stop;
 use crate::{Error, Observer, Refusal, hash};
 use aligned::Shifts;
 use m4_core::{Camera, Capture, CaptureFrame, CompactMask, Exposure, RgbImage, Scene};
@@ -231,7 +230,7 @@ pub fn views(out: &Path, data: &Path, options: &EvalOptions, observer: &dyn Obse
         alignment: held.alignment,
         seconds: start.elapsed().as_secs_f64(),
     };
-    folder::claim(out, Kind::Run, &[EVAL_FILE])?;
+    layout::claim(out, Kind::Run, &[EVAL_FILE])?;
     write_json(&out.join(EVAL_FILE), &report)?;
     Ok(report)
 }
@@ -359,7 +358,7 @@ impl HeldOut {
     /// The scene of the run `out` and the held-out views of the capture `data`, which may name files within `reach`.
     /// Refused without held-out views.
     pub fn read(out: &Path, data: &Path, reach: Reach, observer: &dyn Observer) -> Result<Self, Error> {
-        folder::settle(out)?;
+        layout::settle(out)?;
         let path = out.join(SCENE_FILE);
         let scene = safetensors::read(&path)?.scene;
         let options = CaptureOptions { reach, ..Settings::fast().capture };

@@ -11,8 +11,8 @@
 //! result does not depend on the unit of the world. Splats, intrinsics and time are fixed.
 
 use super::protocol::RefineRule;
+use crate::observer::check_stop;
 use crate::render::{Painter, view};
-use crate::stage::check_stop;
 use crate::{Error, Observer};
 use m4_core::nalgebra::{Matrix3, Vector6};
 use m4_core::{Camera, Scene, Sim3};

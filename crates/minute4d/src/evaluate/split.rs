@@ -2,8 +2,8 @@
 
 use super::{FrameRule, Protocol};
 use crate::error::OutputError;
-use crate::folder::{Existing, capture_names};
-use crate::record::{MAX_RECORD_BYTES, write_json};
+use crate::json::{MAX_RECORD_BYTES, write_json};
+use crate::layout::{Existing, capture_names};
 use crate::{Error, Observer, Refusal, Settings, hash};
 use m4_core::{Capture, CaptureFrame};
 use m4_io::capture::Split;
@@ -125,7 +125,7 @@ pub fn split(
     }
     let mut settings = Settings::fast();
     settings.capture.reach = reach;
-    let capture = crate::train::read(data, &settings, observer)?;
+    let capture = crate::run::train::read(data, &settings, observer)?;
     let source_blake3 = hash::of_capture(&capture);
     let frames = capture.frames.len();
     let names: Vec<String> = capture.frames.iter().map(|f| f.name.clone()).collect();

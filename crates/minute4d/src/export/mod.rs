@@ -11,9 +11,10 @@ mod write;
 pub use report::{ExportReport, Losses};
 
 use crate::error::OutputError;
-use crate::folder::{self, SCENE_FILE};
+use crate::layout::is_capture;
+use crate::layout::{self, SCENE_FILE};
 use crate::render::{Moment, Span};
-use crate::{Error, Observer, Refusal, is_capture};
+use crate::{Error, Observer, Refusal};
 use m4_core::Scene;
 use m4_io::results;
 use m4_io::scene::safetensors;
@@ -85,7 +86,7 @@ pub fn make(input: &Path, job: &ExportJob, observer: &dyn Observer) -> Result<Ex
     if job.format.time() != Time::Sequence {
         results::check_target(&out, &[&file])?;
     }
-    folder::settle(&home)?;
+    layout::settle(&home)?;
     let scene = safetensors::read(&file)?.scene;
     let moments = job.moments(&scene)?;
     let start = Instant::now();

@@ -2,6 +2,7 @@
 //! without the tracks of dynamic regions.
 
 use super::Context;
+use super::GeometrySummary;
 use super::clip::{Clip, FrameGeometry};
 use super::confidence::{Confidence, Grade};
 use super::depth::{rescale, set_unit, unit};
@@ -9,7 +10,6 @@ use super::frontend::MonoClip;
 use super::given::Given;
 use super::iterate;
 use crate::Error;
-use crate::record::GeometrySummary;
 use m4_core::{Camera, Capture, RgbImage, Tracks};
 use m4_geometry::FrameRate;
 use m4_geometry::classical::CameraMotion;

@@ -7,8 +7,8 @@
 use super::Context;
 use super::frontend::Plan;
 use super::given::Given;
-use crate::{Error, Observer, Settings};
-use m4_core::{Camera, Capture, CaptureFrame, CompactDepth, CompactMask, Plane, RgbImage, Tracks, Video};
+use crate::{Error, Settings};
+use m4_core::{Camera, Capture, CaptureFrame, CompactDepth, CompactMask, Plane, Progress, RgbImage, Tracks, Video};
 use m4_geometry::FrameRate;
 use m4_geometry::classical::sparse::SparseConfig;
 use m4_io::video::{VideoOptions, evenly};
@@ -130,7 +130,7 @@ impl Between {
     }
 
     /// Keeps the frames that were asked for, with their times; tracks lose the others.
-    pub fn keep(self, capture: Capture, observer: &dyn Observer) -> Result<Capture, Error> {
+    pub fn keep(self, capture: Capture, observer: &dyn Progress) -> Result<Capture, Error> {
         let all = capture.frames.len();
         let chosen = evenly(all, self.kept);
         if chosen.len() == all {

@@ -1,8 +1,8 @@
 //! The unit of length, which depth that is known without parallax sets.
 
 use super::frontend::MonoClip;
-use crate::{Observer, Refusal};
-use m4_core::{DepthMap, median};
+use crate::Refusal;
+use m4_core::{DepthMap, Progress, median};
 use m4_geometry::classical::{CameraMotion, SparseReconstruction};
 
 /// Given poses and given depth whose units differ by more than this factor do not fit.
@@ -14,7 +14,7 @@ pub(super) fn set_unit(
     mono: Option<&MonoClip>,
     sparse: &mut SparseReconstruction,
     posed: bool,
-    observer: &dyn Observer,
+    observer: &dyn Progress,
 ) -> Result<bool, Refusal> {
     let Some((given, maps)) = mono.and_then(|mono| Some((mono.given, mono.metric_m.as_deref()?))) else {
         return Ok(false);

@@ -3,8 +3,8 @@
 //! The first cameras come from tracks of the whole image. Where masks then hold a share of the static tracks, these are excluded and the
 //! cameras are estimated again; if their projections change, depth and masks are computed again, too. Otherwise the first result is kept.
 
-use crate::steps::Steps;
-use crate::{Error, Observer};
+use crate::Error;
+use crate::cache::Steps;
 use m4_core::{Mask, Plane, Progress, Sim3, median, nalgebra::Vector3};
 use m4_geometry::classical::dense::DenseFrame;
 use m4_geometry::classical::sparse::{FeatureTracks, Recovered, SparseConfig, SparseError};
@@ -30,7 +30,7 @@ pub(super) fn without_masked(
     first: &SparseReconstruction,
     frames: &mut [DenseFrame],
     config: &SparseConfig,
-    steps: &Steps<'_>,
+    steps: Steps<'_>,
 ) -> Result<Option<Recovered>, Error> {
     const PHASE: &str = "cameras from static points";
     let masks: Vec<Mask> = frames.iter_mut().map(|f| std::mem::replace(&mut f.mask, Plane::filled(0, 0, 0))).collect();
@@ -61,7 +61,7 @@ pub(super) fn without_masked(
 }
 
 /// Passes on all but warnings.
-struct NoWarnings<'a>(&'a dyn Observer);
+struct NoWarnings<'a>(&'a dyn Progress);
 
 impl Progress for NoWarnings<'_> {
     fn update(&self, phase: &str, done: usize, total: usize, note: &str) {

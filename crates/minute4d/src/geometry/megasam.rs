@@ -1,10 +1,10 @@
 //! Computes a capture with MegaSaM's networks (Minute4D Eq. 3, Minute4D sec. 3.1).
 
 use super::Context;
+use super::GeometrySummary;
 use super::clip::{Clip, FrameGeometry};
 use super::frontend::{MonoClip, NetworkCorrespondence};
-use crate::record::GeometrySummary;
-use crate::{Error, Observer, Refusal, enhance};
+use crate::{Error, Refusal, enhance};
 use m4_core::{Camera, Capture, CompactMask, Intrinsics, Mask, Plane};
 use m4_geometry::classical::dense::InverseSearch;
 use m4_geometry::megasam::{MegasamGeometry, MegasamInput, PairFlow, TAU_MOTION, TrackingSize, reconstruct, track};
@@ -72,7 +72,7 @@ pub(super) fn compute(mut clip: Clip, context: &Context<'_>) -> Result<(Capture,
     Ok((capture, found))
 }
 
-fn warn(geometry: &MegasamGeometry, focal_is_known: bool, observer: &dyn Observer) {
+fn warn(geometry: &MegasamGeometry, focal_is_known: bool, observer: &dyn Progress) {
     if !geometry.observability.has_parallax() {
         observer.warn("the camera hardly moves sideways: depth is monocular, and views from the side will be wrong");
     }

@@ -279,7 +279,7 @@ fn is_file(extension: &str) -> bool {
 mod tests {
     use super::{OnGpu, Painter, SceneRenderer};
     use crate::Error;
-    use crate::stage::RecordingObserver;
+    use crate::observer::RecordingObserver;
     use m4_core::{Camera, Exposure, Intrinsics, Se3, Silent};
     use m4_kernels::SimdLevel;
     use m4_testkit::{SceneSpec, random_scene};

@@ -6,7 +6,6 @@ mod path;
 mod region;
 mod spline;
 mod swing;
-mod time;
 
 pub use draw::{Painter, SceneRenderer, to_rgb, view};
 pub use options::PathOptions;
@@ -14,10 +13,11 @@ pub use path::{CameraPath, Plan, SourcePath, Stop};
 pub use region::Region;
 pub use spline::{PoseSpline, Spline};
 pub use swing::{SWING_FRAMES, swing};
-pub use time::{Moment, Span, TimeError, TimePath};
+
+pub use crate::time::{DEFAULT_FPS, Moment, Span, TimeError, TimePath};
 
 use crate::device::DeviceChoice;
-use crate::folder::SCENE_FILE;
+use crate::layout::SCENE_FILE;
 use crate::{Error, Observer, Refusal};
 use draw::Sink;
 use m4_core::{Intrinsics, Scene};
@@ -25,9 +25,6 @@ use m4_io::scene::safetensors;
 use m4_kernels::SimdLevel;
 use std::path::Path;
 use std::time::Instant;
-
-/// Frames a second where the scene does not say.
-pub const DEFAULT_FPS: f64 = 30.0;
 
 /// A rendering job.
 #[derive(Debug, Clone, PartialEq)]
@@ -109,7 +106,7 @@ pub fn make(scene: &Path, out: &Path, job: &RenderJob, observer: &dyn Observer) 
     let start = Instant::now();
     Sink::check(out, job.replace, &[scene])?;
     let level = SimdLevel::detect()?;
-    crate::folder::settle(scene)?;
+    crate::layout::settle(scene)?;
     let file = if scene.is_dir() { scene.join(SCENE_FILE) } else { scene.to_path_buf() };
     let scene = safetensors::read(&file)?.scene;
     let gpu = job.device.open(|why| observer.warn(why))?;

@@ -23,7 +23,7 @@ pub use suite::Suite;
 use crate::ablate::{self, AblateOptions, Row};
 use crate::bench::today;
 use crate::evaluate::Protocol;
-use crate::record::write_json;
+use crate::json::write_json;
 use crate::{Category, Error, Job, Refusal};
 use m4_io::atomic;
 use m4_io::results::Kind;
@@ -134,7 +134,7 @@ pub fn reproduce(
     };
     let plots: Vec<String> = report.tables.iter().map(TableReport::plot_file).collect();
     let files = [REPORT_FILE, TABLE_FILE].into_iter().chain(plots.iter().map(String::as_str));
-    crate::folder::claim(out, Kind::Report, &files.collect::<Vec<_>>())?;
+    crate::layout::claim(out, Kind::Report, &files.collect::<Vec<_>>())?;
     for table in &report.tables {
         plot::write_plot(&out.join(table.plot_file()), table)?;
     }

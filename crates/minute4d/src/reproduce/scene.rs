@@ -14,9 +14,11 @@ use super::suite::{FoundScene, Suite};
 use super::{GeometrySource, ReproduceOptions};
 use crate::error::OutputError;
 use crate::evaluate::{self, EvalOptions, EvalReport, FrameRule, PoseTreatment, Protocol};
-use crate::folder::{self, EVAL_FILE, Existing};
-use crate::record::{MAX_RECORD_BYTES, RunRecord, write_json};
-use crate::{Error, Job, Refusal, geometry, hash, import};
+use crate::json::{MAX_RECORD_BYTES, write_json};
+use crate::layout::{self, EVAL_FILE, Existing};
+use crate::run::record::RunRecord;
+use crate::run::{self, geometry, import};
+use crate::{Error, Job, Refusal, hash};
 use m4_io::capture::{self, Split};
 use m4_io::dataset::{ImportOptions, SourceFormat};
 use m4_io::files;
@@ -98,8 +100,8 @@ pub(super) fn make(
     {
         return Ok(made(kept.row));
     }
-    folder::claim(&folder, Kind::Report, &[ROW_FILE])?;
-    folder::remove_file(&file)?;
+    layout::claim(&folder, Kind::Report, &[ROW_FILE])?;
+    run::folder::remove_file(&file)?;
     let mut geometry_s = whole_capture(suite, scene, &source, &whole, options, &job)?;
     if own {
         geometry_s = Some(own_geometry(&whole, &trained, &job)?);
@@ -111,7 +113,7 @@ pub(super) fn make(
         let message = format!("{path} has no held-out views, which the protocol {protocol} scores; {HINT}");
         return Err(Refusal::bad_input(message).into());
     }
-    let record = crate::train::make(&data, &run, &job)?;
+    let record = run::train::make(&data, &run, &job)?;
     let judging = EvalOptions {
         device: job.device.choice,
         protocol: Some(protocol),
@@ -179,7 +181,7 @@ fn whole_capture(
     if !results.is_empty() && !file.is_file() {
         return Err(OutputError::NotOurs { path: whole.to_path_buf(), missing: KEY_FILE }.into());
     }
-    results.check_free(folder::capture_names().chain([KEY_FILE]))?;
+    results.check_free(layout::capture_names().chain([KEY_FILE]))?;
     let import = ImportOptions {
         factor: options.factor,
         max_memory_bytes: job.settings.capture.max_memory_bytes,
@@ -232,7 +234,7 @@ fn row(
             evaluate::MaskSource::Computed => "co-visibility masks made here,".to_owned(),
         },
         size_px: choices.resolution.scored_px,
-        train_s: record.stages.get(crate::train::STAGE).map(|stage| stage.seconds),
+        train_s: record.stages.get(run::train::STAGE).map(|stage| stage.seconds),
         geometry_s,
         iterations: record.iterations,
         splats: report.splats,

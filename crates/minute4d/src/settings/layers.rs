@@ -5,8 +5,9 @@
 
 use super::ranges::out_of_range;
 use super::{Profile, Settings};
-use crate::Category;
-use m4_io::{ErrorKind, files, shortened};
+use m4_io::{files, shortened};
+use m4_train::TrainError;
+use m4_train::init::InitError;
 use std::path::{Path, PathBuf};
 use toml::{Table, Value};
 
@@ -228,23 +229,18 @@ pub enum SettingsError {
     /// A file that is not TOML, a malformed `--set`, a value of the wrong type or out of range, or two profiles.
     #[error("{0}")]
     Invalid(String),
+    /// Settings of the first splats that do not go together.
+    #[error(transparent)]
+    Init(#[from] InitError),
+    /// Settings of training that do not go together.
+    #[error(transparent)]
+    Train(#[from] TrainError),
     /// The built-in settings cannot be written as TOML, a bug of ours.
     #[error("the built-in settings cannot be written as TOML: {reason}")]
     Internal {
         /// Message of the serialiser.
         reason: String,
     },
-}
-
-impl SettingsError {
-    /// Returns the category of the failure.
-    pub fn category(&self) -> Category {
-        match self {
-            Self::Read { source, .. } => ErrorKind::of_read(source).into(),
-            Self::Internal { .. } => Category::Internal,
-            _ => Category::BadSettings,
-        }
-    }
 }
 
 fn suggest(nearest: &Option<String>) -> String {

@@ -1,21 +1,22 @@
 //! Every setting of the pipeline: profiles, presets, switches, and layers over them.
 
+mod frontend;
+mod geometry;
 mod layers;
+mod output;
 #[cfg(test)]
 mod page;
 mod ranges;
 mod train;
 
+pub use frontend::{Frontend, Part as FrontendPart, UnknownFrontend};
+pub use geometry::{EnhanceConfig, GeometryOptions, Segmenter, Tapip3dConfig, Tracker};
 pub use layers::{Layers, SettingsError};
+pub use output::{CheckpointConfig, LimitConfig, PreviewConfig, ViewerConfig};
 pub use train::{
     ColourFitSettings, DensityRule, DensitySettings, InitSettings, LossSettings, RefinementSettings, TrainSettings,
 };
 
-use crate::Error;
-use crate::enhance::{EnhanceConfig, Tracker};
-use crate::geometry::{GeometryOptions, Segmenter};
-use crate::preview::PreviewConfig;
-use crate::viewer::ViewerConfig;
 use m4_geometry::classical::dense::DenseConfig;
 use m4_geometry::classical::sparse::SparseConfig;
 use m4_geometry::megasam::MegasamSettings;
@@ -134,31 +135,6 @@ pub struct Settings {
     pub viewer: ViewerConfig,
 }
 
-/// How long a run may take.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct LimitConfig {
-    /// Seconds from start to end; 0 for as long as it takes. Training is planned to end in time, and ended where it would
-    /// not. Geometry that takes longer is saved and resumes with the next attempt.
-    pub time_s: f64,
-}
-
-/// When training is saved.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct CheckpointConfig {
-    /// Seconds between two checkpoints. 30: what a person is willing to lose.
-    pub every_s: f64,
-    /// How many are kept. 2: one is whole even when the other cannot be read.
-    pub keep: usize,
-}
-
-impl Default for CheckpointConfig {
-    fn default() -> Self {
-        Self { every_s: 30.0, keep: 2 }
-    }
-}
-
 impl Default for Settings {
     fn default() -> Self {
         Self::fast()
@@ -207,7 +183,7 @@ impl Settings {
     }
 
     /// Refuses values that no run can use.
-    pub(crate) fn check(&self) -> Result<(), Error> {
+    pub fn check(&self) -> Result<(), SettingsError> {
         layers::in_range(&layers::table(self)?, "the settings")?;
         self.init_config().check()?;
         Ok(self.train_config().check()?)

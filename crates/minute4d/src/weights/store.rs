@@ -105,7 +105,7 @@ impl Store {
 
     /// The record of `entry`; `None` if missing or unreadable.
     pub fn record(&self, entry: &Entry) -> Option<Record> {
-        let text = files::read(&self.root.join(entry.name).join(RECORD), crate::record::MAX_RECORD_BYTES).ok()?;
+        let text = files::read(&self.root.join(entry.name).join(RECORD), crate::json::MAX_RECORD_BYTES).ok()?;
         serde_json::from_slice(&text).ok()
     }
 

@@ -10,8 +10,8 @@ use minute4d::batch::slurm::{Script, largest_array, submit};
 use minute4d::batch::{
     Arguments, JobEnd, Manifest, Outcome, Plan, Report, Tools, index_of_environment, page, plan, run_job,
 };
-use minute4d::io::atomic;
-use minute4d::io::results::{Kind, ResultFolder};
+use minute4d::m4_io::atomic;
+use minute4d::m4_io::results::{Kind, ResultFolder};
 use minute4d::{Category, Error, Settings};
 use serde_json::json;
 use std::path::{Path, PathBuf};

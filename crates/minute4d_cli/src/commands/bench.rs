@@ -9,7 +9,7 @@ use clap::Args;
 use clap::builder::TypedValueParser;
 use minute4d::bench::{self, BenchConfig};
 use minute4d::device::DeviceChoice;
-use minute4d::kernels::bench::SceneKind;
+use minute4d::m4_kernels::bench::SceneKind;
 
 #[derive(Debug, Args)]
 pub struct Bench {

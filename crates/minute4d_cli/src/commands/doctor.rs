@@ -63,7 +63,7 @@ fn examine() -> Result<Machine, Failure> {
         system.refresh_memory();
         system
     });
-    let simd = minute4d::kernels::SimdLevel::detect().map_err(minute4d::Error::from)?;
+    let simd = minute4d::m4_kernels::SimdLevel::detect().map_err(minute4d::Error::from)?;
     let mut machine = Machine {
         minute4d: env!("CARGO_PKG_VERSION"),
         platform: format!("{}-{}", std::env::consts::ARCH, std::env::consts::OS),
@@ -71,7 +71,7 @@ fn examine() -> Result<Machine, Failure> {
         cores: System::physical_core_count().ok(),
         threads: minute4d::threads(),
         simd: simd.name().to_owned(),
-        simd_available: minute4d::kernels::SimdLevel::available().iter().map(|l| l.name()).collect(),
+        simd_available: minute4d::m4_kernels::SimdLevel::available().iter().map(|l| l.name()).collect(),
         memory: system.map(|s| Memory { total_bytes: s.total_memory(), available_bytes: s.available_memory() }),
         ffmpeg: ffmpeg(),
         gpus: gpus(),
@@ -100,11 +100,11 @@ fn ffmpeg() -> Ffmpeg {
 
 #[cfg(feature = "gpu")]
 fn gpus() -> Vec<GpuAdapter> {
-    use minute4d::gpu::{AdapterKind, adapters};
+    use minute4d::m4_kernels::gpu::{AdapterKind, adapters};
     let all = adapters();
-    let usable = |a: &minute4d::gpu::Adapter| a.kind != AdapterKind::Software && a.unfit.is_none();
-    let chosen = minute4d::gpu::automatic(all).map(|a| a.index);
-    let why = |a: &minute4d::gpu::Adapter| match (&a.unfit, a.kind) {
+    let usable = |a: &minute4d::m4_kernels::gpu::Adapter| a.kind != AdapterKind::Software && a.unfit.is_none();
+    let chosen = minute4d::m4_kernels::gpu::automatic(all).map(|a| a.index);
+    let why = |a: &minute4d::m4_kernels::gpu::Adapter| match (&a.unfit, a.kind) {
         (Some(unfit), _) => Some(unfit.clone()),
         (None, AdapterKind::Software) => Some("software rendering, slower than --device cpu".to_owned()),
         (None, kind) if kind != AdapterKind::Discrete => Some("not measured; --device gpu uses it".to_owned()),
@@ -141,7 +141,7 @@ fn notes(machine: &Machine) -> Vec<String> {
         );
     }
     #[cfg(feature = "cuda")]
-    notes.extend(minute4d::gpu::missing_for_cuda());
+    notes.extend(minute4d::m4_kernels::gpu::missing_for_cuda());
     if !machine.ffmpeg.found {
         notes.push(
             "no ffmpeg: 8-bit H.264 in MP4 or MOV works without it; HEVC, AV1, VP9 and others need it \

@@ -8,8 +8,8 @@ use crate::output::Output;
 use clap::Args;
 use minute4d::Job;
 use minute4d::device::DeviceChoice;
-use minute4d::enhance::Tracker;
-use minute4d::geometry::Segmenter;
+use minute4d::settings::Segmenter;
+use minute4d::settings::Tracker;
 use serde_json::json;
 use std::path::PathBuf;
 
@@ -42,7 +42,7 @@ pub fn run(args: &Geometry, output: &Output) -> Result<(), Failure> {
     };
     let asked = settings.geometry.segmenter;
     let job = Job { settings, device: args.device.into(), existing: args.existing.mode(), observer: output };
-    let record = minute4d::geometry::make(input, out, &job)?;
+    let record = minute4d::run::geometry::make(input, out, &job)?;
     if let Some(found) = &record.found {
         output.note(&format!(
             "{} frames, {} x {} pixels, field of view {:.1} degrees, {:.1} % dynamic, reprojection error {:.2} px",
@@ -103,7 +103,7 @@ pub fn enhance(args: &Enhance, output: &Output) -> Result<(), Failure> {
         return print_config(&settings, output);
     };
     let job = Job { settings, device: args.device.into(), existing: args.existing.mode(), observer: output };
-    let report = minute4d::enhance::make(capture, out, &job)?;
+    let report = minute4d::run::enhance::make(capture, out, &job)?;
     let share = |share: Option<f64>| share.map_or_else(|| "unknown".to_owned(), |s| format!("{:.1} %", 100.0 * s));
     output.note(&format!(
         "segmentation {}: {} objects; dynamic pixels {} before, {} now; tracking {}: {} points",

@@ -7,8 +7,8 @@ use crate::output::Output;
 use clap::Args;
 use minute4d::Existing;
 use minute4d::export::{ExportJob, Format};
-use minute4d::import::{CaptureReport, ImportFormat, ImportJob, ImportOptions, ImportReport, Report};
 use minute4d::render::Moment;
+use minute4d::run::import::{CaptureReport, ImportFormat, ImportJob, ImportOptions, ImportReport, Report};
 use std::path::PathBuf;
 
 #[derive(Debug, Args)]
@@ -65,7 +65,7 @@ impl Import {
 }
 
 pub fn import(args: &Import, output: &Output) -> Result<(), Failure> {
-    let report = minute4d::import::make(&args.file, &args.out, &args.job(), output)?;
+    let report = minute4d::run::import::make(&args.file, &args.out, &args.job(), output)?;
     match &report {
         Report::Scene(scene) => output.note(&of_scene(scene)),
         Report::Capture(capture) => output.note(&of_capture(capture)),

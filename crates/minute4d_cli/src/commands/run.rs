@@ -5,8 +5,8 @@ use crate::failure::Failure;
 use crate::options::{OutArgs, TrainingArgs, VideoArgs, print_config};
 use crate::output::{Output, duration};
 use clap::Args;
-use minute4d::folder::{PREVIEW_FILE, VIEWER_FILE};
-use minute4d::record::RunRecord;
+use minute4d::layout::{PREVIEW_FILE, VIEWER_FILE};
+use minute4d::run::record::RunRecord;
 use minute4d::{Job, Observer};
 use serde_json::json;
 use std::path::{Path, PathBuf};
@@ -43,7 +43,7 @@ pub fn run(args: &Run, output: &Output) -> Result<(), Failure> {
         let job = Job { settings, device, existing: args.existing.mode(), observer };
         let done = minute4d::run(input, out, &job)?;
         if args.poster {
-            minute4d::preview::poster(out, input, &job.settings)?;
+            minute4d::run::preview::poster(out, input, &job.settings)?;
         }
         Ok(done)
     };
@@ -85,7 +85,7 @@ pub fn train(args: &Train, output: &Output) -> Result<(), Failure> {
     let device = args.training.device.request()?;
     let work = |observer: &dyn Observer| {
         let job = Job { settings, device, existing: args.existing.mode(), observer };
-        minute4d::train::make(capture, out, &job)
+        minute4d::run::train::make(capture, out, &job)
     };
     while_training(&args.page, (capture, out), output, work, |done| report(out, done, output))
 }

@@ -3,8 +3,9 @@
 use crate::failure::Failure;
 use crate::output::Output;
 use clap::Args;
-use minute4d::record::RunRecord;
-use minute4d::viewer::{Broadcast, title};
+use minute4d::run::record::RunRecord;
+use minute4d::run::viewer::title;
+use minute4d::view::Broadcast;
 use minute4d::{Error, Observer};
 use serde_json::json;
 use std::io::IsTerminal;
@@ -36,7 +37,7 @@ pub struct PageArgs {
 }
 
 pub fn run(args: &View, output: &Output) -> Result<(), Failure> {
-    let mut viewing = minute4d::viewer::view(&args.scene, args.port.unwrap_or(0), output)?;
+    let mut viewing = minute4d::view::view(&args.scene, args.port.unwrap_or(0), output)?;
     output.result(viewing.url(), json!({"url": viewing.url()}));
     output.note("the page shows new scenes automatically; Ctrl-C stops the server");
     open(viewing.url(), args.no_open, output);

@@ -10,10 +10,10 @@ use clap::Args;
 use clap::builder::TypedValueParser;
 use minute4d::Existing;
 use minute4d::device::{DeviceChoice, DeviceRequest};
-use minute4d::enhance::Tracker;
-use minute4d::geometry::{Frontend, Segmenter};
-use minute4d::io::reach::Reach;
+use minute4d::m4_io::reach::Reach;
+use minute4d::settings::Tracker;
 use minute4d::settings::{Enhancement, Layers, Preset, Profile, Settings};
+use minute4d::settings::{Frontend, Segmenter};
 use std::path::PathBuf;
 use values::{degrees, duration, seconds};
 

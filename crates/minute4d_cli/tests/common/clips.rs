@@ -1,9 +1,9 @@
 //! Generated clips of a textured room as folders of images, and data sets in their published layouts.
 
 use super::{capture, seen_from};
-use minute4d::core::nalgebra::{Vector3, Vector6};
-use minute4d::core::{Camera, Capture, CaptureFrame, Intrinsics, Plane, RgbImage, Se3, exp_so3};
-use minute4d::io::image::{write_mask, write_rgb};
+use minute4d::m4_core::nalgebra::{Vector3, Vector6};
+use minute4d::m4_core::{Camera, Capture, CaptureFrame, Intrinsics, Plane, RgbImage, Se3, exp_so3};
+use minute4d::m4_io::image::{write_mask, write_rgb};
 use serde_json::{Value, json};
 use std::fs;
 use std::path::Path;

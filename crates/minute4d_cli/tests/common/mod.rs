@@ -3,10 +3,10 @@
 pub mod clips;
 
 use minute4d::Silent;
-use minute4d::core::{Camera, Capture, CaptureFrame, Intrinsics, Plane, RgbImage, Se3, nalgebra::Vector6};
-use minute4d::io::capture::{self, Split};
-use minute4d::io::image::write_rgb;
-use minute4d::io::video::{self, Mp4Writer, VideoOptions};
+use minute4d::m4_core::{Camera, Capture, CaptureFrame, Intrinsics, Plane, RgbImage, Se3, nalgebra::Vector6};
+use minute4d::m4_io::capture::{self, Split};
+use minute4d::m4_io::image::write_rgb;
+use minute4d::m4_io::video::{self, Mp4Writer, VideoOptions};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output};

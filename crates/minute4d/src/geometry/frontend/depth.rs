@@ -2,8 +2,8 @@
 
 use super::Plan;
 use crate::Error;
+use crate::cache::Steps;
 use crate::device::NetworkDevice;
-use crate::steps::Steps;
 use m4_core::{Plane, RgbImage};
 use m4_geometry::classical::dense::{MonoDepth, MonoKind};
 #[cfg(feature = "nets")]
@@ -56,7 +56,7 @@ impl Plan {
         images: &[&RgbImage],
         focal_px: Option<f64>,
         device: &NetworkDevice,
-        steps: &Steps<'_>,
+        steps: Steps<'_>,
     ) -> Result<Option<MonoClip>, Error> {
         #[cfg(feature = "nets")]
         return MonoClip::measure(self, images, focal_px, &device.device, steps);
@@ -126,7 +126,7 @@ mod networks {
             images: &[&RgbImage],
             focal_px: Option<f64>,
             device: &Compute,
-            steps: &Steps<'_>,
+            steps: Steps<'_>,
         ) -> Result<Option<Self>, Error> {
             let progress = steps.observer();
             let moge = load(Part::Moge, plan, device, |path, on| MoGe::load(path, on))?;

@@ -2,8 +2,8 @@
 
 use super::Plan;
 use crate::Error;
+use crate::cache::Steps;
 use crate::device::NetworkDevice;
-use crate::steps::Steps;
 use m4_core::Flow;
 use m4_geometry::classical::dense::{InverseSearch, MeasureFlow, SourceError};
 
@@ -14,7 +14,7 @@ impl Plan {
         &self,
         iterations: usize,
         device: &NetworkDevice,
-        steps: &'a Steps<'a>,
+        steps: Steps<'a>,
     ) -> Result<Box<MeasureFlow<'a>>, Error> {
         #[cfg(feature = "nets")]
         if let Some(net) = self.raft(device)? {
@@ -28,7 +28,7 @@ impl Plan {
 /// The flow of frame `i`, measured once: it is asked for again after an interruption, and when depth is estimated again with better
 /// cameras.
 fn kept(
-    steps: &Steps<'_>,
+    steps: Steps<'_>,
     i: usize,
     measure: impl FnOnce() -> Result<(Flow, Flow), SourceError>,
 ) -> Result<(Flow, Flow), SourceError> {

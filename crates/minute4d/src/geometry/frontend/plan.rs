@@ -1,29 +1,16 @@
 //! Resolves a front end to the networks whose weights are installed.
 
-use super::{Frontend, Part};
 use crate::Error;
 use crate::device::DeviceChoice;
-use crate::error::{NetworkError, NetworkMethod};
+#[cfg(not(feature = "nets"))]
+use crate::error::NetworkError;
+use crate::error::NetworkMethod;
+use crate::networks::UsedNetwork;
 #[cfg(feature = "nets")]
-use crate::weights::{self, Entry, Store, WeightsError};
-#[cfg(feature = "nets")]
-use m4_nets::LoadError;
-use serde::{Deserialize, Serialize};
+use crate::networks::{installed, network};
+use crate::settings::{Frontend, FrontendPart as Part};
 #[cfg(feature = "nets")]
 use std::path::PathBuf;
-
-/// A network that took part, for the record.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct UsedNetwork {
-    /// The name of its weights in `minute4d weights list`.
-    pub weights: String,
-    /// Their licence.
-    pub licence: String,
-    /// False where that forbids commercial use.
-    pub commercial: bool,
-    /// BLAKE3 of the file.
-    pub blake3: String,
-}
 
 /// A front end whose weights were found.
 #[derive(Debug)]
@@ -117,14 +104,14 @@ pub fn plan(asked: &Frontend, _: DeviceChoice) -> Result<Plan, Error> {
     let network = Part::ALL.into_iter().find(|&p| p != Part::Classical && asked.has(p));
     match network {
         Some(part) => Err(NetworkError::NotBuilt { method: NetworkMethod::FrontEnd(part) }.into()),
-        None => Ok(Plan { frontend: Frontend { parts: vec![Part::Classical] }, used: Vec::new(), notes: Vec::new() }),
+        None => Ok(Plan { frontend: Frontend::classical(), used: Vec::new(), notes: Vec::new() }),
     }
 }
 
 /// The parts of `asked` with a flow, and with a depth where the tracking network wants one.
 #[cfg(feature = "nets")]
 fn complete(asked: &Frontend, here: &dyn Fn(Part) -> bool, notes: &mut Vec<String>) -> Vec<Part> {
-    let mut parts = asked.parts.clone();
+    let mut parts = asked.parts().to_vec();
     let tracked = asked.has(Part::Megasam);
     if !FLOWS.iter().any(|&flow| asked.has(flow)) {
         let flow = FLOWS.into_iter().find(|&flow| tracked && here(flow));
@@ -135,8 +122,8 @@ fn complete(asked: &Frontend, here: &dyn Fn(Part) -> bool, notes: &mut Vec<Strin
         let depth = DEPTHS.iter().find(|depth| depth.iter().all(|&part| here(part)));
         parts.extend(depth.into_iter().flat_map(|depth| depth.iter()));
     }
-    if tracked && parts.len() != asked.parts.len() {
-        let chosen: Vec<&str> = parts[asked.parts.len()..].iter().map(|p| p.name()).collect();
+    if tracked && parts.len() != asked.parts().len() {
+        let chosen: Vec<&str> = parts[asked.parts().len()..].iter().map(|p| p.name()).collect();
         let depth = parts.iter().any(|p| matches!(p.task(), "metric depth" | "relative depth"));
         let without = if depth {
             ""
@@ -148,49 +135,11 @@ fn complete(asked: &Frontend, here: &dyn Fn(Part) -> bool, notes: &mut Vec<Strin
     parts
 }
 
-/// The first of `names` whose weights are installed, and their file.
-#[cfg(feature = "nets")]
-fn installed(names: &[&str]) -> Option<(&'static Entry, PathBuf)> {
-    let store = Store::of_user().ok()?;
-    names.iter().filter_map(|name| weights::find(name).ok()).find_map(|entry| Some((entry, store.require(entry).ok()?)))
-}
-
-/// The first of `names`, best first, whose weights are installed, and their file. Where there are none and they are `required`, fails with
-/// how to get the best.
-#[cfg(feature = "nets")]
-pub(crate) fn network(
-    names: &[&str],
-    required: bool,
-    method: NetworkMethod,
-) -> Result<Option<(UsedNetwork, PathBuf)>, Error> {
-    let Some((entry, path)) = installed(names) else {
-        let best = names.first().filter(|_| required);
-        return best.map_or(Ok(None), |name| {
-            let absent = weights::find(name).and_then(|entry| Store::of_user()?.require(entry));
-            let source = absent.err().unwrap_or(WeightsError::NoFolder);
-            Err(NetworkError::Weights { method, source }.into())
-        });
-    };
-    let used = UsedNetwork {
-        weights: entry.name.to_owned(),
-        licence: entry.licence.to_owned(),
-        commercial: entry.commercial,
-        blake3: crate::hash::of_path(&path)?,
-    };
-    Ok(Some((used, path)))
-}
-
-/// The error of weights of `method` that cannot be loaded.
-#[cfg(feature = "nets")]
-pub(crate) fn unusable(method: NetworkMethod) -> impl Fn(LoadError) -> Error {
-    move |source| NetworkError::Load { method, source: Box::new(source) }.into()
-}
-
 #[cfg(test)]
 #[cfg(feature = "nets")]
 mod tests {
     use super::{complete, names};
-    use crate::geometry::frontend::{Frontend, Part};
+    use crate::settings::{Frontend, FrontendPart as Part};
     use crate::weights;
 
     fn parts(asked: &str, here: &[Part]) -> (String, Vec<String>) {

@@ -3,7 +3,8 @@
 use super::alone;
 use crate::reader::{Around, Outcome, Reader};
 use minute4d::batch::{Arguments, ClipReport, Job, JobRecord, Manifest, Outcome as JobOutcome, Report, VERSION};
-use minute4d::record::{self, Device, GEOMETRY_FORMAT, GeometryRecord, Input, RunRecord, Status};
+use minute4d::m4_kernels::SimdLevel;
+use minute4d::run::record::{self, Device, GEOMETRY_FORMAT, GeometryRecord, Input, RunRecord, Status};
 use minute4d::settings::{Layers, Settings};
 use serde::Serialize;
 use std::path::Path;
@@ -58,7 +59,7 @@ fn input() -> Input {
 }
 
 fn runs() -> Vec<Vec<u8>> {
-    let device = Device::here(minute4d::kernels::SimdLevel::best(), None);
+    let device = Device::here(SimdLevel::best(), None);
     let record = RunRecord::begin(input(), &Settings::fast(), device);
     vec![json(&record.unwrap_or_else(|e| panic!("a valid record: {e}")))]
 }

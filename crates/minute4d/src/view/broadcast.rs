@@ -1,7 +1,7 @@
 //! Shows the scene in the browser during training.
 
-use super::pack;
-use super::view::{Source, event};
+use super::{Source, event};
+use crate::page::pack;
 use crate::{Error, Observer, StageEvent};
 use m4_core::{Progress, Scene};
 use m4_kernels::SimdLevel;

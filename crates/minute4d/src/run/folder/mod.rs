@@ -6,54 +6,17 @@
 mod capture;
 mod run;
 
-pub(crate) use capture::{CaptureFolder, names as capture_names};
+pub(crate) use capture::CaptureFolder;
 pub(crate) use run::RunFolder;
 
 use crate::Error;
 use crate::error::OutputError;
+use crate::layout::{CHECKPOINT_FOLDER, Existing};
 use m4_io::atomic;
-use m4_io::results::{self, Kind, ResultFolder};
+use m4_io::results::ResultFolder;
 use std::fs;
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
-
-/// The trained scene.
-pub const SCENE_FILE: &str = "scene.safetensors";
-/// The metrics of training, one JSON object per line.
-pub const METRICS_FILE: &str = "metrics.jsonl";
-/// Source, re-render and frozen time side by side.
-pub const PREVIEW_FILE: &str = "preview.mp4";
-/// The page that shows the scene in a browser.
-pub const VIEWER_FILE: &str = "viewer.html";
-/// Scores over the held-out views.
-pub const EVAL_FILE: &str = "eval.json";
-/// The capture that `run` makes of a video.
-pub const CAPTURE_FOLDER: &str = "capture";
-/// Scenes saved during training.
-pub const CHECKPOINT_FOLDER: &str = "checkpoints";
-
-/// What to do with a folder that is not empty.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum Existing {
-    /// Leave the folder unchanged and fail.
-    #[default]
-    Refuse,
-    /// Resume an earlier run.
-    Resume,
-    /// Replace the results of an earlier run once the new ones are complete; other files are kept.
-    Force,
-}
-
-/// Ends a replacement of results that was interrupted where `path` is a folder of results, or a file in one; for who reads it.
-pub(crate) fn settle(path: &Path) -> Result<(), Error> {
-    let folder = if path.is_dir() { Some(path) } else { path.parent() };
-    Ok(folder.map_or(Ok(()), results::settle)?)
-}
-
-/// Lets files of these names be written: refuses those that are not ours.
-pub(crate) fn claim(folder: &Path, kind: Kind, names: &[&str]) -> Result<(), Error> {
-    Ok(ResultFolder::open(folder, kind)?.claim(names.iter().copied())?)
-}
 
 /// Removes the temporary files of these names that a killed process left ([`m4_io::atomic`]).
 fn remove_half_written(folder: &Path, names: &[&str]) -> Result<(), Error> {

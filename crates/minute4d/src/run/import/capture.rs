@@ -1,17 +1,20 @@
 //! Imports a clip with poses as a capture.
 
 use super::{ImportJob, ImportOptions, STAGE};
-use crate::evaluate::adopt_covisible;
-use crate::folder::CaptureFolder;
-use crate::record::{GeometryRecord, Input, plain_json};
-use crate::stage::RecordingObserver;
+use crate::json::plain_json;
+use crate::layout::COVISIBLE_FOLDER;
+use crate::observer::RecordingObserver;
+use crate::run::folder::CaptureFolder;
+use crate::run::record::{GeometryRecord, Input};
 use crate::{Error, Observer, Refusal, Settings, hash};
-use m4_core::{Capture, CompactMask};
+use m4_core::{Capture, CompactMask, Progress};
 use m4_io::capture::{self, Split};
 use m4_io::dataset::dycheck;
 use m4_io::dataset::{Imported, SourceFormat};
+use m4_io::image::{read_mask, write_mask};
 use m4_io::{ErrorKind, ReadError};
 use serde::Serialize;
+use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -84,12 +87,12 @@ pub(crate) fn write(
     imported: &Imported,
     (source, format): (&Path, SourceFormat),
     factor: Option<u32>,
-    observer: &dyn Observer,
+    observer: &dyn Progress,
 ) -> Result<(), Error> {
     if let Some(test) = &imported.test {
         capture::write(out, test, Split::Test, observer)?;
         if format == SourceFormat::Dycheck {
-            let masks = adopt_covisible(out, test, |name| dycheck::covisible(source, name, factor))?;
+            let masks = copy_covisible(out, test, |name| dycheck::covisible(source, name, factor))?;
             // Nerfies and HyperNeRF publish none
             if (1..test.frames.len()).contains(&masks) {
                 observer.warn(&format!(
@@ -148,4 +151,24 @@ fn report(format: SourceFormat, out: &Path, capture: &Capture, held_out: usize, 
         held_out,
         seconds,
     }
+}
+
+/// Copies published masks into a capture: `from(name)` is the file of a view, whose name in the capture is that of its image. Files that
+/// do not exist are passed over; says how many were copied.
+fn copy_covisible(capture: &Path, views: &Capture, from: impl Fn(&str) -> PathBuf) -> Result<usize, Error> {
+    let folder = capture.join(COVISIBLE_FOLDER);
+    let mut copied = 0;
+    for (i, view) in views.frames.iter().enumerate() {
+        let source = from(&view.name);
+        if !source.is_file() {
+            continue;
+        }
+        let mask = read_mask(&source)?.to_mask();
+        if copied == 0 {
+            fs::create_dir_all(&folder).map_err(|source| Error::Write { path: folder.clone(), source })?;
+        }
+        write_mask(&folder.join(format!("{i:05}.png")), &mask)?;
+        copied += 1;
+    }
+    Ok(copied)
 }

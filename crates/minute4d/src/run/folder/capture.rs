@@ -1,24 +1,16 @@
 //! The folder of a capture while a stage writes it.
 
-use super::{Existing, remove_half_written, take_over};
-use crate::enhance::REPORT_FILE;
-use crate::evaluate::COVISIBLE_FOLDER;
-use crate::record::{GEOMETRY_FILE, GeometryRecord, Status};
-use crate::stage::{self, Ended, RecordingObserver, StageFolder};
-use crate::steps::Steps;
+use super::{remove_half_written, take_over};
+use crate::cache::Steps;
+use crate::layout::{Existing, GEOMETRY_FILE, capture_names as names};
+use crate::observer::RecordingObserver;
+use crate::run::record::{GeometryRecord, Status};
+use crate::run::stage::{self, Ended, StageFolder};
+use crate::run::steps::StepFolder;
 use crate::{Error, Observer, StageEvent};
-use m4_io::capture::{Split, TRACKS_FILE};
+use m4_io::capture::Split;
 use m4_io::results::{Kind, ResultFolder};
 use std::path::{Path, PathBuf};
-
-/// The names that a capture may use in its folder: its record, and those of the splits that are written.
-pub(crate) fn names() -> impl Iterator<Item = &'static str> + Clone {
-    let of = |split: Split| split.folders().into_iter().chain([split.file_name()]);
-    [GEOMETRY_FILE, TRACKS_FILE, REPORT_FILE, COVISIBLE_FOLDER]
-        .into_iter()
-        .chain(of(Split::Train))
-        .chain(of(Split::Test))
-}
 
 /// The folder of a capture while a stage writes it.
 pub(crate) struct CaptureFolder<'a> {
@@ -48,7 +40,7 @@ impl<'a> CaptureFolder<'a> {
         let earlier = GeometryRecord::read(path)?;
         let is_complete = path.join(Split::Train.file_name()).is_file();
         let replaces = is_complete && earlier.as_ref().is_some_and(|earlier| earlier.status == Status::Finished);
-        let nothing = !is_complete && !Steps::exist(path);
+        let nothing = !is_complete && !StepFolder::exist(path);
         let what = || if is_complete { "a capture" } else { "finished steps of a capture" }.to_owned();
         let earlier = take_over(&results, existing, earlier, nothing, what, GEOMETRY_FILE)?;
         results.check_free(names())?;
@@ -79,17 +71,17 @@ impl<'a> CaptureFolder<'a> {
     pub fn stage<R>(
         &mut self,
         stage: &'static str,
-        work: impl FnOnce(&mut Self, &Steps<'_>) -> Result<R, Error>,
+        work: impl FnOnce(&mut Self, Steps<'_>) -> Result<R, Error>,
     ) -> Result<R, Error> {
         let outdated = self.earlier.as_ref().filter(|earlier| !self.is_result(earlier));
         let because = outdated.map(|earlier| why_again(earlier, &self.record));
         let path = self.results.path().to_path_buf();
         let outcome = stage::run(self, stage, because, |folder, recorder: &RecordingObserver<'_>| {
-            let steps = Steps::open(&path, &folder.record.key, recorder);
-            work(folder, &steps)
+            let cache = StepFolder::open(&path, &folder.record.key, recorder);
+            work(folder, Steps::new(recorder, Some(&cache)))
         });
         if outcome.as_ref().err().is_none_or(|error| !error.is_stop() && !error.may_pass()) {
-            Steps::remove_from(&path);
+            StepFolder::remove_from(&path);
         }
         outcome
     }

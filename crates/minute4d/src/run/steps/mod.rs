@@ -8,11 +8,10 @@
 
 mod writer;
 
-use crate::Observer;
-use crate::record::MAX_RECORD_BYTES;
-use crate::stage::RecordingObserver;
+use crate::cache::StepCache;
+use crate::json::MAX_RECORD_BYTES;
+use m4_core::Progress;
 use m4_io::files;
-use serde::{Serialize, de::DeserializeOwned};
 use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
@@ -28,22 +27,22 @@ const MAGIC: &[u8; 8] = b"m4step02";
 /// Length of the hash.
 const HASH: usize = 32;
 
-/// The finished steps of one stage.
-pub(crate) struct Steps<'a> {
+/// The folder of the finished steps of one stage.
+pub(crate) struct StepFolder<'a> {
     folder: PathBuf,
     key: String,
-    observer: &'a dyn Observer,
+    progress: &'a dyn Progress,
     /// False after a failed write.
     usable: AtomicBool,
     writer: Writer,
 }
 
-impl<'a> Steps<'a> {
+impl<'a> StepFolder<'a> {
     /// Opens the steps of the stage with this key whose result goes to `folder`; steps of another key are removed.
-    pub fn open(folder: &Path, key: &str, observer: &'a dyn Observer) -> Self {
+    pub fn open(folder: &Path, key: &str, progress: &'a dyn Progress) -> Self {
         let place = folder.join(FOLDER);
         let writer = Writer::new(place.clone());
-        let steps = Self { folder: place, key: key.to_owned(), observer, usable: AtomicBool::new(true), writer };
+        let steps = Self { folder: place, key: key.to_owned(), progress, usable: AtomicBool::new(true), writer };
         let of_key =
             files::read(&steps.folder.join(KEY_FILE), MAX_RECORD_BYTES).is_ok_and(|found| found == key.as_bytes());
         if !of_key {
@@ -55,43 +54,6 @@ impl<'a> Steps<'a> {
             }
         }
         steps
-    }
-
-    /// Returns the value of a step: from disk, with its warnings repeated, or computed by `work` and stored. Warnings of
-    /// `work` go to the observer that it is given.
-    pub fn keep<T: Serialize + DeserializeOwned, E>(
-        &self,
-        name: &str,
-        work: impl FnOnce(&dyn Observer) -> Result<T, E>,
-    ) -> Result<T, E> {
-        if let Some((warnings, value)) = self.load::<(Vec<String>, T)>(name) {
-            for warning in &warnings {
-                self.observer.warn(warning);
-            }
-            return Ok(value);
-        }
-        let keeper = RecordingObserver::new(self.observer);
-        let value = work(&keeper)?;
-        self.store(name, &(keeper.warnings(), &value));
-        Ok(value)
-    }
-
-    /// Returns a stored value, bit by bit.
-    pub fn load<T: DeserializeOwned>(&self, name: &str) -> Option<T> {
-        postcard::from_bytes(&self.get(name)?).ok()
-    }
-
-    /// Stores a value.
-    pub fn store(&self, name: &str, value: &impl Serialize) {
-        // One that cannot be serialised is computed again.
-        if let Ok(bytes) = postcard::to_stdvec(value) {
-            self.put(name, bytes);
-        }
-    }
-
-    /// Receives progress and warnings, and says when to stop.
-    pub fn observer(&self) -> &'a dyn Observer {
-        self.observer
     }
 
     /// Returns whether finished steps are kept beside the result in `folder`.
@@ -116,7 +78,7 @@ impl<'a> Steps<'a> {
     /// Warns that steps are no longer stored.
     fn give_up(&self, error: &io::Error) {
         if self.usable.swap(false, Ordering::Relaxed) {
-            self.observer.warn(&format!(
+            self.progress.warn(&format!(
                 "finished steps cannot be kept in {}: {error}; if this run is interrupted now, it does them again",
                 self.folder.display()
             ));
@@ -129,9 +91,10 @@ impl<'a> Steps<'a> {
             self.give_up(&error);
         }
     }
+}
 
-    /// Returns stored bytes; `None` if there are none or they are damaged.
-    pub fn get(&self, name: &str) -> Option<Vec<u8>> {
+impl StepCache for StepFolder<'_> {
+    fn get(&self, name: &str) -> Option<Vec<u8>> {
         self.settle();
         let mut file = files::read(&self.path(name), u64::MAX).ok()?;
         let bytes = file.get(MAGIC.len() + HASH..)?;
@@ -139,8 +102,7 @@ impl<'a> Steps<'a> {
         whole.then(|| file.split_off(MAGIC.len() + HASH))
     }
 
-    /// Stores bytes, which are on disk a little later.
-    pub fn put(&self, name: &str, bytes: Vec<u8>) {
+    fn put(&self, name: &str, bytes: Vec<u8>) {
         if !self.usable.load(Ordering::Relaxed) {
             return;
         }
@@ -154,7 +116,7 @@ impl<'a> Steps<'a> {
     }
 }
 
-impl Drop for Steps<'_> {
+impl Drop for StepFolder<'_> {
     fn drop(&mut self) {
         self.settle();
     }
@@ -172,10 +134,9 @@ fn hash(key: &str, name: &str, bytes: &[u8]) -> blake3::Hash {
 
 #[cfg(test)]
 mod tests {
-    use super::Steps;
-    use crate::{Observer, StageEvent};
-    use m4_core::{Flow, Progress};
-    use std::convert::Infallible;
+    use super::StepFolder;
+    use crate::cache::StepCache;
+    use m4_core::Progress;
     use std::fs;
     use std::sync::Mutex;
 
@@ -194,55 +155,25 @@ mod tests {
         }
     }
 
-    impl Observer for Heard {
-        fn stage(&self, _: &str, _: StageEvent<'_>) {}
-    }
-
-    fn step(steps: &Steps<'_>, value: f64) -> f64 {
-        let made = steps.keep("cameras", |observer| {
-            observer.warn("blurred");
-            Ok::<_, Infallible>(value)
-        });
-        made.unwrap()
-    }
-
     #[test]
-    fn a_step_is_made_once_and_its_warnings_are_said_again() {
+    fn steps_of_another_key_are_removed() {
         let dir = tempfile::tempdir().unwrap();
         let heard = Heard::default();
-        let nan = f64::from_bits(0x7ff8_0000_dead_beef);
-        assert_eq!(step(&Steps::open(dir.path(), "k", &heard), nan).to_bits(), nan.to_bits());
-        let again = Steps::open(dir.path(), "k", &heard);
-        assert_eq!(step(&again, 1.0).to_bits(), nan.to_bits(), "from disk, bit by bit");
-        assert_eq!(*heard.0.lock().unwrap(), ["blurred", "blurred"]);
-        assert_eq!(step(&Steps::open(dir.path(), "other", &heard), 2.0), 2.0, "another key");
-        let last = Steps::open(dir.path(), "other", &heard);
-        drop(last);
-        Steps::remove_from(dir.path());
+        let steps = StepFolder::open(dir.path(), "k", &heard);
+        steps.put("flow", vec![7; 100]);
+        drop(steps);
+        assert_eq!(StepFolder::open(dir.path(), "k", &heard).get("flow"), Some(vec![7; 100]));
+        assert_eq!(StepFolder::open(dir.path(), "other", &heard).get("flow"), None, "another key");
+        assert_eq!(StepFolder::open(dir.path(), "k", &heard).get("flow"), None, "removed");
+        StepFolder::remove_from(dir.path());
         assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 0);
-    }
-
-    #[test]
-    fn flow_comes_back_bit_by_bit() {
-        let dir = tempfile::tempdir().unwrap();
-        let heard = Heard::default();
-        let steps = Steps::open(dir.path(), "k", &heard);
-        let numbers = |offset: u32| (0..35).map(|i| f32::from_bits(0x7f80_0000 - 17 + offset + i)).collect();
-        let flow = Flow { width: 7, height: 5, u: numbers(0), v: numbers(1) };
-        steps.store("flow", &flow);
-        let back: Flow = steps.load("flow").unwrap();
-        let bits = |values: &[f32]| values.iter().map(|v| v.to_bits()).collect::<Vec<_>>();
-        assert_eq!((back.width, back.height), (7, 5));
-        assert!(bits(&back.u) == bits(&flow.u) && bits(&back.v) == bits(&flow.v));
-        // as another type it is not there
-        assert!(steps.load::<Vec<Vec<f32>>>("flow").is_none());
     }
 
     #[test]
     fn a_torn_step_is_not_there() {
         let dir = tempfile::tempdir().unwrap();
         let heard = Heard::default();
-        let steps = Steps::open(dir.path(), "k", &heard);
+        let steps = StepFolder::open(dir.path(), "k", &heard);
         steps.put("flow", vec![7; 100]);
         steps.settle();
         let path = dir.path().join(".minute4d-steps/flow");
@@ -269,8 +200,7 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let heard = Heard::default();
         fs::write(dir.path().join(".minute4d-steps"), "in the way").unwrap();
-        let steps = Steps::open(dir.path(), "k", &heard);
-        assert_eq!(step(&steps, 3.0), 3.0);
+        let steps = StepFolder::open(dir.path(), "k", &heard);
         steps.put("more", vec![1]);
         drop(steps);
         let said = heard.0.lock().unwrap();

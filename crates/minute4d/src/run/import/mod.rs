@@ -15,10 +15,10 @@ pub use format::{ImportFormat, default_cameras};
 pub use m4_io::dataset::{ImportOptions, SourceFormat};
 
 use crate::export::{Format, Losses};
-use crate::folder::{Existing, SCENE_FILE};
-use crate::pipeline::Clock;
-use crate::record::{Input, RunRecord, SplatCount};
-use crate::workspace::Workspace;
+use crate::layout::{Existing, SCENE_FILE};
+use crate::run::Clock;
+use crate::run::record::{Input, RunRecord, SplatCount};
+use crate::run::workspace::Workspace;
 use crate::{DataError, Error, Job, Observer, Refusal, Settings, hash};
 use m4_io::scene::{Imported, fourdgs, ply, safetensors};
 use serde::Serialize;

@@ -1,13 +1,13 @@
 //! The folder of a run.
 
-use super::{
-    CAPTURE_FOLDER, CHECKPOINT_FOLDER, EVAL_FILE, Existing, METRICS_FILE, PREVIEW_FILE, SCENE_FILE, VIEWER_FILE,
-    checkpoints, hidden, remove_checkpoints, remove_file, remove_half_written, take_over,
-};
+use super::{checkpoints, hidden, remove_checkpoints, remove_file, remove_half_written, take_over};
 use crate::Error;
-use crate::preview::POSTER_FILE;
-use crate::record::{RUN_FILE, RunRecord, Status};
-use crate::steps::Steps;
+use crate::layout::{
+    CAPTURE_FOLDER, CHECKPOINT_FOLDER, EVAL_FILE, Existing, METRICS_FILE, POSTER_FILE, PREVIEW_FILE, SCENE_FILE,
+    VIEWER_FILE, is_capture,
+};
+use crate::run::record::{RUN_FILE, RunRecord, Status};
+use crate::run::steps::StepFolder;
 use m4_io::capture::Split;
 use m4_io::results::{Kind, ResultFolder};
 use std::path::{Path, PathBuf};
@@ -43,10 +43,10 @@ impl RunFolder {
         inputs: &[&Path],
     ) -> Result<(Self, Option<RunRecord>), Error> {
         let mut results = ResultFolder::open(path, Kind::Run)?;
-        let is_input = results.check_inputs([CAPTURE_FOLDER], inputs).is_err() && crate::is_capture(inputs[0]);
+        let is_input = results.check_inputs([CAPTURE_FOLDER], inputs).is_err() && is_capture(inputs[0]);
         let names = || FILES.into_iter().chain([CHECKPOINTS]).chain((!is_input).then_some(CAPTURE));
         results.check_inputs(names(), inputs)?;
-        if !crate::is_capture(inputs[0]) {
+        if !is_capture(inputs[0]) {
             results.check_not_itself(inputs)?;
         }
         let old = RunRecord::read(path)?;
@@ -117,7 +117,7 @@ fn contents(folder: &Path) -> Vec<String> {
     let capture = folder.join(CAPTURE_FOLDER);
     if capture.join(Split::Train.file_name()).is_file() {
         all.push("a capture".to_owned());
-    } else if Steps::exist(&capture) {
+    } else if StepFolder::exist(&capture) {
         all.push("finished steps of geometry".to_owned());
     }
     let saved = checkpoints(folder).len();

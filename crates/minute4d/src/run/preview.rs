@@ -1,42 +1,28 @@
 //! `preview.mp4`: source, re-render and frozen time with a swinging camera, side by side; and `poster.jpg`: a frame and its re-render, for
 //! overviews of many clips.
 
-use crate::folder::{self, CAPTURE_FOLDER, PREVIEW_FILE, SCENE_FILE};
+use super::train;
 use crate::hash::{self, HashedCapture};
-use crate::record::{FileRecord, RUN_FILE, RunRecord};
+use crate::layout::{self, CAPTURE_FOLDER, PREVIEW_FILE, SCENE_FILE};
+use crate::observer::{RecordingObserver, check_stop};
 use crate::render::{SWING_FRAMES, SceneRenderer, source_fps, swing};
+use crate::run::record::{FileRecord, RUN_FILE, RunRecord};
+use crate::run::workspace::{Task, Workspace};
 use crate::settings::{Settings, part_to_toml};
-use crate::stage::{RecordingObserver, check_stop};
-use crate::workspace::{Task, Workspace};
-use crate::{Error, StageEvent, train};
+use crate::{Error, StageEvent};
 use m4_core::{Camera, Capture, Exposure, Plane, Progress, ResizeFilter, RgbImage, Scene, Silent, resize_rgb};
 use m4_io::image::write_rgb;
 use m4_io::results::Kind;
 use m4_io::scene::safetensors;
 use m4_io::video::Mp4Writer;
 use m4_kernels::SimdLevel;
-use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
 /// Name of the stage.
 pub const STAGE: &str = "preview";
 
-/// Shape of the clip.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct PreviewConfig {
-    /// Longest side of each of the three panels, pixels. 480: three fit on a full-HD screen.
-    pub panel_px: usize,
-}
-
 /// Shortest clip, seconds; shorter ones are played again until they are this long.
 const MIN_SECONDS: f64 = 4.0;
-
-impl Default for PreviewConfig {
-    fn default() -> Self {
-        Self { panel_px: 480 }
-    }
-}
 
 /// Makes the preview within a run, unless that was done before.
 pub(crate) fn stage(run: &mut Workspace<'_>, capture: &HashedCapture, scene: &Scene) -> Result<(), Error> {
@@ -129,7 +115,7 @@ pub fn poster(run: &Path, input: &Path, settings: &Settings) -> Result<PathBuf, 
         }
         row[width..].copy_from_slice(again.row(y));
     }
-    folder::claim(run, Kind::Run, &[POSTER_FILE])?;
+    layout::claim(run, Kind::Run, &[POSTER_FILE])?;
     let path = run.join(POSTER_FILE);
     write_rgb(&path, &both)?;
     record.files.insert(POSTER_FILE.to_owned(), FileRecord::of(&path)?);

@@ -3,26 +3,23 @@
 //! A record is written when work begins and again when it ends, so that it always describes the
 //! folder: [`Status::Running`] without a running process means that the process was killed.
 
-use crate::geometry::{Confidence, UsedNetwork};
+use crate::geometry::GeometrySummary;
+use crate::json::{plain_json, read_json, write_json};
 use crate::{Error, Settings, hash};
-use m4_io::{atomic, files};
-use serde::{Deserialize, Serialize, de::DeserializeOwned};
+use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use std::collections::BTreeMap;
 use std::fs;
-use std::io::ErrorKind;
 use std::path::Path;
 
 /// Name of a run's record.
 pub const RUN_FILE: &str = "run.json";
 /// Name of the geometry stage's record in a capture.
-pub const GEOMETRY_FILE: &str = "geometry.json";
+pub const GEOMETRY_FILE: &str = hash::RECORD_FILE;
 /// `format` of a run's record.
 pub const RUN_FORMAT: &str = "minute4d-run";
 /// `format` of a capture's record.
 pub const GEOMETRY_FORMAT: &str = "minute4d-geometry";
-/// Largest record that is read, bytes: those of long runs have some hundred kilobytes.
-pub(crate) const MAX_RECORD_BYTES: u64 = 64 << 20;
 /// Version of both; a record with another one is not used.
 pub const VERSION: u32 = 1;
 
@@ -241,61 +238,6 @@ pub struct GeometryRecord {
     pub warnings: Vec<String>,
 }
 
-/// The results of the geometry stage.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
-pub struct GeometrySummary {
-    /// Frames of the capture.
-    pub frames: usize,
-    /// Their size, pixels.
-    pub size: [usize; 2],
-    /// Horizontal focal length, pixels.
-    pub focal_px: f64,
-    /// The same as a field of view, degrees.
-    pub fov_deg: f64,
-    /// `parallax`, `rotation_only` or `static`.
-    pub camera_motion: String,
-    /// Median reprojection error of static regions, pixels.
-    pub residual_px: f64,
-    /// Number of feature tracks.
-    pub tracks: usize,
-    /// Number of triangulated tracks.
-    pub points: usize,
-    /// Share of all pixels that are dynamic.
-    pub moving_share: f64,
-    /// Number of point tracks in dynamic regions, in `tracks.npz`.
-    #[serde(default)]
-    pub moving_tracks: usize,
-    /// The front end: `classical`, `raft`, `megasam+raft+moge`, ...
-    #[serde(default)]
-    pub frontend: String,
-    /// The networks of the front end, with the licences of their weights.
-    #[serde(default)]
-    pub networks: Vec<UsedNetwork>,
-    /// Number of keyframes of the tracking network.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub keyframes: Option<Vec<usize>>,
-    /// Units of MegaSaM's own files (disparities whose 98th percentile is 2) a metre, where depth is metric.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub megasam_units_a_metre: Option<f64>,
-    /// The segmentation method: `none`, `mobilesam`.
-    #[serde(default)]
-    pub segmenter: String,
-    /// The geometry that the user provided: `intrinsics`, `poses`, `masks`, `depth`.
-    #[serde(default)]
-    pub given: Vec<String>,
-    /// How often depth and masks were computed: twice if the masks changed the cameras.
-    #[serde(default = "once")]
-    pub rounds: usize,
-    /// The confidence.
-    #[serde(default)]
-    pub confidence: Option<Confidence>,
-}
-
-/// Defaults for records of earlier releases.
-fn once() -> usize {
-    1
-}
-
 impl GeometryRecord {
     /// Creates the record of a stage that is about to run with this key and these settings.
     pub(crate) fn begin(input: Input, key: String, settings: Value) -> Self {
@@ -335,38 +277,6 @@ impl GeometryRecord {
     }
 }
 
-/// Converts a value to JSON in which 32-bit numbers keep their short form.
-///
-/// # Errors
-///
-/// [`Error::Internal`] if the value cannot be written as JSON.
-pub fn plain_json(value: &impl Serialize) -> Result<Value, Error> {
-    let internal = |e: serde_json::Error| Error::Internal { what: e.to_string() };
-    // Through text: `to_value` would widen 0.1f32 to 0.10000000149011612.
-    serde_json::from_str(&serde_json::to_string(value).map_err(internal)?).map_err(internal)
-}
-
-/// Converts a value to indented JSON, with keys in the order of its fields.
-fn pretty_json(value: &impl Serialize) -> Result<String, Error> {
-    let text = serde_json::to_string_pretty(value).map_err(|e| Error::Internal { what: e.to_string() })?;
-    Ok(text + "\n")
-}
-
-/// Writes `value` as indented JSON, atomically.
-pub(crate) fn write_json(path: &Path, value: &impl Serialize) -> Result<(), Error> {
-    let text = pretty_json(value)?;
-    atomic::write(path, text.as_bytes()).map_err(Error::write(path))
-}
-
-/// Reads JSON; `None` if there is no file or it has other contents.
-pub(crate) fn read_json<T: DeserializeOwned>(path: &Path) -> Result<Option<T>, Error> {
-    match files::read(path, MAX_RECORD_BYTES) {
-        Ok(bytes) => Ok(serde_json::from_slice(&bytes).ok()),
-        Err(error) if matches!(error.kind(), ErrorKind::NotFound | ErrorKind::NotADirectory) => Ok(None),
-        Err(source) => Err(Error::read(path)(source)),
-    }
-}
-
 /// Returns the peak memory of this process so far, bytes; available on Linux only.
 #[must_use]
 pub fn peak_memory_bytes() -> Option<u64> {
@@ -378,12 +288,7 @@ pub fn peak_memory_bytes() -> Option<u64> {
 
 #[cfg(test)]
 mod tests {
-    use super::{peak_memory_bytes, plain_json};
-
-    #[test]
-    fn short_numbers_stay_short() {
-        assert_eq!(plain_json(&0.1f32).unwrap().to_string(), "0.1");
-    }
+    use super::peak_memory_bytes;
 
     #[test]
     fn memory_is_plausible_where_it_is_known() {

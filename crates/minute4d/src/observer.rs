@@ -1,71 +1,10 @@
-//! Runs stages, and observes them.
+//! Progress of stages, and warnings.
 
 use crate::Error;
-use crate::record::Status;
 use m4_core::{Progress, Scene};
 use m4_train::MetricsEvent;
 use std::sync::{Mutex, PoisonError};
 use std::time::Instant;
-
-/// A folder with the record that a stage writes.
-pub(crate) trait StageFolder<'a> {
-    /// Receives the events of the stage.
-    fn observer(&self) -> &'a dyn Observer;
-
-    /// The time from which the stage is asked to stop.
-    fn until(&self) -> Option<Instant> {
-        None
-    }
-
-    /// Records that the stage runs.
-    fn begin(&mut self, stage: &'static str) -> Result<(), Error>;
-
-    /// Records how the stage ended.
-    fn end(&mut self, stage: &'static str, ended: &Ended) -> Result<(), Error>;
-}
-
-/// How a stage ended.
-pub(crate) struct Ended {
-    /// [`Status::Finished`], [`Status::Stopped`] or [`Status::Failed`].
-    pub status: Status,
-    /// Wall-clock seconds of this attempt.
-    pub seconds: f64,
-    /// Warnings of this attempt, each once.
-    pub warnings: Vec<String>,
-}
-
-/// Runs the work of a stage, and records its start and its end in `folder`. `because` says why an earlier result is not reused. A stop is
-/// returned as [`Error::Stopped`].
-pub(crate) fn run<'a, F: StageFolder<'a>, R>(
-    folder: &mut F,
-    stage: &'static str,
-    because: Option<&'static str>,
-    work: impl FnOnce(&mut F, &RecordingObserver<'_>) -> Result<R, Error>,
-) -> Result<R, Error> {
-    let observer = folder.observer();
-    observer.stage(stage, StageEvent::Started { because });
-    let (start, recorder) = (Instant::now(), RecordingObserver::new(observer).until(folder.until()));
-    folder.begin(stage)?;
-    let outcome = work(folder, &recorder);
-    let ended = Ended {
-        status: match &outcome {
-            Ok(_) => Status::Finished,
-            Err(error) if error.is_stop() => Status::Stopped,
-            Err(_) => Status::Failed,
-        },
-        seconds: start.elapsed().as_secs_f64(),
-        warnings: recorder.warnings(),
-    };
-    let recorded = folder.end(stage, &ended);
-    let result = outcome.map_err(|error| match error {
-        error if error.is_stop() => Error::Stopped { stage, saved: true },
-        error => error,
-    })?;
-    recorded?;
-    let seconds = ended.seconds;
-    observer.stage(stage, StageEvent::Finished { seconds });
-    Ok(result)
-}
 
 /// Fails with [`Error::Stopped`] if a stop was requested; `saved` says whether there is something to resume from.
 pub(crate) fn check_stop(progress: &dyn Progress, stage: &'static str, saved: bool) -> Result<(), Error> {
@@ -124,17 +63,20 @@ impl Observer for m4_core::Silent {
     fn stage(&self, _name: &str, _event: StageEvent<'_>) {}
 }
 
-/// Forwards everything to another observer, and keeps the warnings for the record.
-pub struct RecordingObserver<'a> {
-    observer: &'a dyn Observer,
+/// A [`Recording`] of an observer.
+pub type RecordingObserver<'a> = Recording<'a, dyn Observer + 'a>;
+
+/// Forwards everything to an observer or another [`Progress`], and keeps the warnings for the record.
+pub struct Recording<'a, P: ?Sized> {
+    observer: &'a P,
     warnings: Mutex<Vec<String>>,
     until: Option<Instant>,
 }
 
-impl<'a> RecordingObserver<'a> {
+impl<'a, P: Progress + ?Sized> Recording<'a, P> {
     /// Creates one that forwards to `observer`.
     #[must_use]
-    pub fn new(observer: &'a dyn Observer) -> Self {
+    pub fn new(observer: &'a P) -> Self {
         Self { observer, warnings: Mutex::new(Vec::new()), until: None }
     }
 
@@ -151,7 +93,7 @@ impl<'a> RecordingObserver<'a> {
     }
 }
 
-impl Progress for RecordingObserver<'_> {
+impl<P: Progress + ?Sized> Progress for Recording<'_, P> {
     fn update(&self, phase: &str, done: usize, total: usize, note: &str) {
         self.observer.update(phase, done, total, note);
     }
@@ -171,20 +113,32 @@ impl Progress for RecordingObserver<'_> {
     }
 }
 
-impl Observer for RecordingObserver<'_> {
+impl<P: Observer + ?Sized> Observer for Recording<'_, P> {
     fn stage(&self, name: &str, event: StageEvent<'_>) {
         self.observer.stage(name, event);
+    }
+
+    fn metrics(&self, metrics: &MetricsEvent, iterations: usize) {
+        self.observer.metrics(metrics, iterations);
+    }
+
+    fn wants_scene(&self) -> bool {
+        self.observer.wants_scene()
+    }
+
+    fn scene(&self, copy: &mut dyn FnMut() -> Scene, median_depth: f64) {
+        self.observer.scene(copy, median_depth);
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use super::RecordingObserver;
+    use super::Recording;
     use m4_core::{Progress, Silent};
 
     #[test]
     fn repeated_warnings_are_recorded_once() {
-        let keeper = RecordingObserver::new(&Silent);
+        let keeper = Recording::new(&Silent);
         for message in ["dark", "blurred", "dark"] {
             keeper.warn(message);
         }

@@ -4,40 +4,13 @@ use crate::Error;
 #[cfg(not(feature = "nets"))]
 use crate::error::NetworkError;
 use crate::error::NetworkMethod;
+use crate::settings::Segmenter;
 use m4_geometry::classical::dense;
-use serde::{Deserialize, Serialize};
 #[cfg(feature = "nets")]
 use std::path::PathBuf;
 
-/// The segmentation method.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Segmenter {
-    /// [`Self::Mobilesam`] where its weights are present, else [`Self::None`], and [`Self::Sam2`] after it where its are: see
-    /// `docs/geometry.md`.
-    #[default]
-    Auto,
-    /// Masks are what motion and colours say.
-    None,
-    /// MobileSAM, a pretrained network; needs its weights.
-    Mobilesam,
-    /// SAM 2.1, a pretrained network with a memory, which follows things through the clip; needs the weights of one of its sizes.
-    Sam2,
-}
-
-impl Segmenter {
-    /// As options and records name it.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Auto => "auto",
-            Self::None => "none",
-            Self::Mobilesam => "mobilesam",
-            Self::Sam2 => "sam2",
-        }
-    }
-}
-
 /// A segmenter that can be used: its weights were found.
+#[derive(Debug)]
 pub(crate) struct Resolved {
     #[cfg(feature = "nets")]
     weights: Option<(super::UsedNetwork, PathBuf)>,
@@ -138,7 +111,8 @@ mod network {
 
 #[cfg(all(test, feature = "nets"))]
 mod tests {
-    use super::{Segmenter, resolve};
+    use super::resolve;
+    use crate::settings::Segmenter;
     use m4_core::{Plane, RgbImage};
     use m4_geometry::classical::dense::SegmentPrompt;
 

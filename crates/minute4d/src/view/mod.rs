@@ -1,9 +1,17 @@
 //! `minute4d view`: finds the scene in a folder, shows it in the browser, and every newer one that replaces it.
 
-use super::{frames, median_depth, pack, title};
-use crate::folder::{self, CAPTURE_FOLDER, METRICS_FILE, SCENE_FILE, VIEWER_FILE};
-use crate::record::{MAX_RECORD_BYTES, RunRecord, Status};
-use crate::{Error, Observer, is_capture};
+mod broadcast;
+
+pub use broadcast::Broadcast;
+
+use crate::json::MAX_RECORD_BYTES;
+use crate::layout::is_capture;
+use crate::layout::{self, CAPTURE_FOLDER, METRICS_FILE, SCENE_FILE, VIEWER_FILE};
+use crate::page::{frames, median_depth, pack};
+use crate::run::folder;
+use crate::run::record::{RunRecord, Status};
+use crate::run::viewer::title;
+use crate::{Error, Observer};
 use m4_core::{Progress, Scene};
 use m4_io::capture::{CaptureOptions, Split};
 use m4_io::files;
@@ -159,7 +167,7 @@ pub(super) struct Source {
 impl Source {
     /// Takes a path with a scene, or one where a run is at work or was stopped.
     pub fn new(path: &Path) -> Result<Self, Error> {
-        folder::settle(path)?;
+        layout::settle(path)?;
         let source = Self { path: path.to_path_buf() };
         if source.newest().is_some() || (path.is_dir() && RunRecord::read(path)?.is_some()) {
             return Ok(source);

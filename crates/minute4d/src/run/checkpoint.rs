@@ -1,7 +1,8 @@
 //! Writes checkpoints and `metrics.jsonl` during training, and resumes from them.
 
-use crate::record::MAX_RECORD_BYTES;
-use crate::{Error, Observer, folder};
+use super::folder;
+use crate::Error;
+use crate::json::MAX_RECORD_BYTES;
 use m4_core::{Capture, Progress};
 use m4_io::scene::safetensors::{self, SceneFile};
 use m4_io::{atomic, files};
@@ -9,8 +10,6 @@ use m4_kernels::SimdLevel;
 use m4_train::{MetricsEvent, TrainConfig, Trainer};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::{Duration, Instant};
 
 /// Name of the key in the metadata of a scene file.
 const KEY: &str = "minute4d.train_key";
@@ -82,60 +81,6 @@ impl Checkpoints {
     }
 }
 
-/// Stops a trainer when it is time for a checkpoint, when a page requests the scene, or on request of the user.
-pub(super) struct CheckpointTimer<'a> {
-    inner: &'a dyn Progress,
-    observer: &'a dyn Observer,
-    until: Instant,
-    /// Training asks before every step; the first step is always taken, however short the wait.
-    asked: AtomicBool,
-}
-
-impl<'a> CheckpointTimer<'a> {
-    /// Lasts for this many seconds.
-    pub fn new(inner: &'a dyn Progress, observer: &'a dyn Observer, seconds: f64) -> Self {
-        const LONGEST: Duration = Duration::from_secs(1 << 31);
-        let wait = Duration::try_from_secs_f64(seconds).unwrap_or(LONGEST).min(LONGEST);
-        Self { inner, observer, until: Instant::now() + wait, asked: AtomicBool::new(false) }
-    }
-
-    /// The same, but not beyond `end`.
-    pub fn at_most(self, end: Option<Instant>) -> Self {
-        let until = end.map_or(self.until, |end| end.min(self.until));
-        Self { until, ..self }
-    }
-
-    /// True when it is time for a checkpoint.
-    pub fn is_over(&self) -> bool {
-        Instant::now() >= self.until
-    }
-
-    /// Allows the trainer another step, whatever the time is.
-    pub fn take_a_step(&self) {
-        self.asked.store(false, Ordering::Relaxed);
-    }
-
-    /// True if the user asked to stop.
-    pub fn stopped_by_user(&self) -> bool {
-        self.inner.cancelled()
-    }
-}
-
-impl Progress for CheckpointTimer<'_> {
-    fn update(&self, phase: &str, done: usize, total: usize, note: &str) {
-        self.inner.update(phase, done, total, note);
-    }
-
-    fn warn(&self, message: &str) {
-        self.inner.warn(message);
-    }
-
-    fn cancelled(&self) -> bool {
-        let due = || self.is_over() || self.observer.wants_scene();
-        self.inner.cancelled() || (self.asked.swap(true, Ordering::Relaxed) && due())
-    }
-}
-
 /// `metrics.jsonl`: the events of a run so far, one per line.
 pub(super) struct MetricsLog {
     path: PathBuf,
@@ -171,20 +116,8 @@ impl MetricsLog {
 
 #[cfg(test)]
 mod tests {
-    use super::{CheckpointTimer, MetricsLog};
-    use m4_core::{Progress, Silent};
+    use super::MetricsLog;
     use m4_train::MetricsEvent;
-
-    #[test]
-    fn at_least_one_step_is_allowed_per_interval() {
-        let timer = CheckpointTimer::new(&Silent, &Silent, 0.0);
-        assert!(!timer.cancelled());
-        assert!(timer.cancelled() && !timer.stopped_by_user() && timer.is_over());
-        timer.take_a_step();
-        assert!(!timer.cancelled(), "one more");
-        let endless = CheckpointTimer::new(&Silent, &Silent, f64::INFINITY);
-        assert!(!endless.cancelled() && !endless.cancelled());
-    }
 
     fn event(iteration: usize) -> MetricsEvent {
         MetricsEvent {

@@ -3,6 +3,9 @@
 use std::fmt;
 use std::str::FromStr;
 
+/// Frames a second where the scene does not say.
+pub const DEFAULT_FPS: f64 = 30.0;
+
 /// A moment, as people write it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Moment {
@@ -152,7 +155,7 @@ impl TimePath {
                 let last = span.last() as f64;
                 let per_s = match span.duration_s {
                     Some(duration_s) if duration_s > 0.0 => last / duration_s,
-                    _ => super::DEFAULT_FPS,
+                    _ => DEFAULT_FPS,
                 };
                 // The last frame lasts as long as the others before the first one comes again.
                 let moment = |i: usize| (i as f64 * per_s / fps) % (last + 1.0);

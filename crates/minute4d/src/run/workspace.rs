@@ -1,10 +1,11 @@
 //! A run in progress: its folder, its record, and its observer.
 
 use crate::device::OpenGpu;
-use crate::folder::RunFolder;
-use crate::pipeline::Clock;
-use crate::record::{Device, FileRecord, Input, RunRecord, StageRecord, Status, peak_memory_bytes};
-use crate::stage::{self, Ended, RecordingObserver, StageFolder};
+use crate::observer::RecordingObserver;
+use crate::run::Clock;
+use crate::run::folder::RunFolder;
+use crate::run::record::{Device, FileRecord, Input, RunRecord, StageRecord, Status, peak_memory_bytes};
+use crate::run::stage::{self, Ended, StageFolder};
 use crate::{Error, Job, Observer, hash};
 use m4_kernels::SimdLevel;
 use std::fs;
