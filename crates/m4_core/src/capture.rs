@@ -104,3 +104,11 @@ pub struct Scene {
     /// The training cameras, in order of time.
     pub source: Vec<SourceFrame>,
 }
+
+impl Scene {
+    /// Period of the first harmonic of time, frames: the length of the clip (docs/spec/optimiser.md 1.8).
+    #[must_use]
+    pub fn period_frames(&self) -> f64 {
+        (self.time_frames.max(2) - 1) as f64
+    }
+}

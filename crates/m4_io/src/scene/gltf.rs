@@ -46,7 +46,7 @@ pub fn write(path: &Path, scene: &Scene, t: f64) -> Result<Written, WriteError> 
         return bad(format!("t = {t}; a number of frames was expected"));
     }
     check_unbound(path, &scene.splats)?;
-    let mut splats = instant(&scene.splats, t, scene.time_frames as f64);
+    let mut splats = instant(&scene.splats, t, scene.period_frames());
     turn_splats(&mut splats);
     let count = splats.n();
     if count == 0 {

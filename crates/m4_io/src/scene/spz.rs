@@ -37,7 +37,7 @@ pub fn write(path: &Path, scene: &Scene, t: f64) -> Result<Written, WriteError> 
     }
     check_unbound(path, &scene.splats)?;
     let io = |e| WriteError::io(path, e);
-    let mut splats = instant(&scene.splats, t, scene.time_frames as f64);
+    let mut splats = instant(&scene.splats, t, scene.period_frames());
     turn_splats(&mut splats);
     let encoded = encode(&splats, scene.mip).map_err(|what| WriteError::bad(path, what))?;
     let count = splats.n();

@@ -59,7 +59,7 @@ pub fn view(scene: &Scene, camera: &Camera, t: f64) -> View {
         background: scene.background,
         near: scene.near,
         mip: scene.mip,
-        period: (scene.time_frames.max(2) - 1) as f32,
+        period: scene.period_frames() as f32,
         with_depth: false,
     }
 }

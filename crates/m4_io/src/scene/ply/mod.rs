@@ -51,7 +51,7 @@ pub fn write(path: &Path, scene: &Scene, t: f64) -> Result<Written, WriteError> 
 
 /// The splats of an instant, frames.
 fn seen(scene: &Scene, splats: &Splats, t: f64) -> Splats {
-    instant(splats, t, (scene.time_frames.max(2) - 1) as f64)
+    instant(splats, t, scene.period_frames())
 }
 
 /// Returns the properties of a scene that PLY cannot store.
