@@ -1,13 +1,13 @@
 //! What all targets share: the readers of a family, their folders, and what counts as a crash besides a panic. The table of readers is
-//! that of the tests of `minute4d`.
+//! that of the tests of `minute4d_cli`.
 
 pub use libfuzzer_sys;
 
-#[path = "../crates/minute4d/tests/fuzz/files.rs"]
+#[path = "../apps/minute4d/tests/fuzz/files.rs"]
 pub mod files;
-#[path = "../crates/minute4d/tests/fuzz/reader.rs"]
+#[path = "../apps/minute4d/tests/fuzz/reader.rs"]
 pub mod reader;
-#[path = "../crates/minute4d/tests/fuzz/table/mod.rs"]
+#[path = "../apps/minute4d/tests/fuzz/table/mod.rs"]
 pub mod table;
 
 use reader::{Reader, Stage};

@@ -5,7 +5,7 @@
 #   tools/models/check.sh CLIP [TRUTH]         # another clip; TRUTH is a capture or a transforms file to compare with
 #   FRONTEND=moge+raft WEIGHTS="raft-things moge-2-l-normal" tools/models/check.sh
 #
-# MINUTE4D is the program (default: target/release/minute4d, built if it is not there). FRONTEND is what geometry runs with
+# MINUTE4D is the program (default: target/release/minute4d, built if it is not there), with minute4d-lab beside it. FRONTEND is what geometry runs with
 # (default: the paper's chain), OPTIONS are more options of `minute4d geometry`, such as "--device gpu --end 1". WEIGHTS are the names that
 # must be here (default: those that the front end takes). Whatever else is here is verified too. OUT keeps the capture.
 #
@@ -17,6 +17,7 @@ clip=${1:-examples/pinwheel.mp4}
 truth=${2:-}
 frontend=${FRONTEND:-megasam+raft+depth-anything+unidepth}
 program=${MINUTE4D:-target/release/minute4d}
+lab=$(dirname "$program")/minute4d-lab
 case $frontend in
     megasam) usual="megasam" ;;
     megasam+raft+depth-anything+unidepth) usual="megasam raft-things depth-anything-v1-l unidepth-v2-l" ;;
@@ -29,7 +30,7 @@ wanted=${WEIGHTS-$usual}
 
 if [ -z "${MINUTE4D:-}" ] && [ ! -x "$program" ]; then
     echo "== build" >&2
-    cargo build --release -p minute4d_cli --features full >&2 || exit 69
+    cargo build --release -p minute4d_cli -p minute4d_lab --features minute4d_cli/full >&2 || exit 69
 fi
 [ -x "$program" ] || { echo "there is no program $program: build it (cargo build --release -p minute4d_cli --features full), or set MINUTE4D" >&2; exit 66; }
 command -v python3 >/dev/null || { echo "python3 is needed to read the program's reports" >&2; exit 69; }
@@ -92,7 +93,7 @@ if [ -z "$truth" ]; then
     row "reference cameras" "not asked" "give a capture or a transforms file as the second argument"
 elif [ $made = 0 ]; then
     row "reference cameras" MISSING "there is no capture to compare"
-elif "$program" eval-geometry "$out" --truth "$truth" >"$work/scores" 2>"$work/errors"; then
+elif "$lab" eval-geometry "$out" --truth "$truth" >"$work/scores" 2>"$work/errors"; then
     row "reference cameras" ok "$truth"
 else
     failed=1

@@ -1,5 +1,4 @@
-//! What the checks know: the allowed arrows between crates, the sources of dependencies, and how the
-//! tables of results are measured.
+//! What the checks know: the allowed arrows between crates, the sources of dependencies.
 //!
 //! The program (`cargo xtask check`) runs these with formats, lints and docs, and `cargo xtask test` the tests; CI runs the
 //! program and nothing else.
@@ -8,7 +7,6 @@
 pub mod arrows;
 pub mod page;
 pub mod paper;
-pub mod results;
 pub mod tests;
 
 use std::path::{Path, PathBuf};

@@ -7,7 +7,7 @@ use std::path::Path;
 use std::process::{Command, ExitCode};
 use std::time::Instant;
 
-const USAGE: &str = "usage: cargo xtask <test [--full] [--require NEED,...] [-- ARGUMENT...] | check [--skip-tests] | arrows | lock | deny | page | settings [--check] | results [--only SECTION,...] [--work DIR] [--clips DIR] SCENE...>
+const USAGE: &str = "usage: cargo xtask <test [--full] [--require NEED,...] [-- ARGUMENT...] | check [--skip-tests] | arrows | lock | deny | page | settings [--check]>
 
   test    the tests of the default program, and at the end what could not run here and why; --full: what networks and GPUs add to
           them; --require ffmpeg,chromium,vulkan,...: fail where a test was skipped for want of these (docs/building.md)
@@ -16,9 +16,7 @@ const USAGE: &str = "usage: cargo xtask <test [--full] [--require NEED,...] [-- 
   lock    no git sources in Cargo.lock
   deny    cargo-deny: licences, sources, duplicate versions, and advisories where their database can be fetched
   page    build the viewer's page from crates/m4_viewer/page (needs npm)
-  settings  write the ranges and defaults in docs/settings.md from the code; --check: fail where it is not up to date
-  results  measure the tables of docs/results.md on SCENEs of tools/bench and clips, and write them there: geometry, motion, views,
-          ablation, curve, explain, clips, kernels, or those of --only. Takes hours; the same command continues (in --work, else target/results)";
+  settings  write the ranges and defaults in docs/settings.md from the code; --check: fail where it is not up to date";
 
 /// The features that are linted and documented beside the default ones.
 const FULL: [&str; 2] = ["--features", "minute4d_cli/full,m4_nets/gpu"];
@@ -37,7 +35,6 @@ fn main() -> ExitCode {
         ["page"] => step("page", || xtask::page::build(&root, &root.join("target/page"))),
         ["settings"] => step("settings", || settings(&root, true)),
         ["settings", "--check"] => step("settings", || settings(&root, false)),
-        ["results", ref args @ ..] => xtask::results::run(&root, args),
         _ => {
             eprintln!("{USAGE}");
             return ExitCode::from(2);

@@ -176,10 +176,15 @@ fn collect(folder: &Path, name: &str, sources: &mut Sources) -> Result<()> {
     Ok(())
 }
 
-/// The Rust and TypeScript files of the crates under `root`.
+/// Folders of packages.
+const FOLDERS: [&str; 3] = ["crates", "apps", "lab"];
+
+/// The Rust and TypeScript files of the packages under `root`.
 pub fn sources(root: &Path) -> Result<Sources> {
     let mut sources = Sources::new();
-    collect(&root.join("crates"), "crates", &mut sources)?;
+    for folder in FOLDERS {
+        collect(&root.join(folder), folder, &mut sources)?;
+    }
     Ok(sources)
 }
 

@@ -18,7 +18,7 @@ use std::time::Instant;
 /// What the tests of the default program leave out: networks. Without features nothing of GPUs is compiled.
 const DEFAULT: [&str; 3] = ["--workspace", "--exclude", "m4_nets"];
 /// What `full` adds to the program, with the crates whose tests it changes.
-const FULL: [&str; 12] = [
+const FULL: [&str; 14] = [
     "--package",
     "m4_kernels",
     "--package",
@@ -27,6 +27,8 @@ const FULL: [&str; 12] = [
     "m4_nets",
     "--package",
     "minute4d",
+    "--package",
+    "minute4d_eval",
     "--package",
     "minute4d_cli",
     "--features",
@@ -175,11 +177,12 @@ pub fn lacking(skipped: &[Skipped], required: &BTreeSet<String>) -> Result<()> {
 }
 
 /// The programs that run longest, the longest first: they start before others.
-const LONGEST: [&str; 7] = [
+const LONGEST: [&str; 8] = [
     "m4_nets (test it)",
     "m4_train (test gpu)",
     "m4_nets (lib m4_nets)",
     "minute4d_cli (test it)",
+    "minute4d_lab (test it)",
     "m4_geometry (lib m4_geometry)",
     "m4_geometry (test it)",
     "m4_io (test it)",

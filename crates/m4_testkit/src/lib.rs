@@ -8,6 +8,7 @@
 mod boxes;
 #[cfg(feature = "browser")]
 mod browser;
+pub mod clips;
 mod compare;
 mod fixture;
 mod formula;

@@ -125,7 +125,8 @@ impl NetworkDevice {
         &self.name
     }
 
-    pub(crate) fn processor() -> Self {
+    /// The CPU.
+    pub fn processor() -> Self {
         Self {
             #[cfg(feature = "nets")]
             device: m4_nets::cpu().into(),

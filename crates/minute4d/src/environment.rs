@@ -60,7 +60,7 @@ const STARTS: [&str; 15] = [
 ];
 
 /// Gives `command` of this process's environment what a run needs, variables that start with one of `more`, and nothing else.
-pub(crate) fn pass_on(command: &mut Command, more: &[&str]) {
+pub fn pass_on(command: &mut Command, more: &[&str]) {
     let needed = |name: &str| is_needed(name) || more.iter().any(|start| name.starts_with(start));
     command.env_clear();
     command.envs(std::env::vars_os().filter(|(name, _)| name.to_str().is_some_and(needed)));

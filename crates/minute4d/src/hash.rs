@@ -99,7 +99,8 @@ fn of_frame(frame: &CaptureFrame) -> blake3::Hash {
 }
 
 /// A capture with its hash, which takes a while.
-pub(crate) struct HashedCapture {
+pub struct HashedCapture {
+    /// The capture.
     pub capture: Capture,
     /// [`of_capture`] of it.
     pub hash: String,

@@ -3,6 +3,8 @@
 use crate::Error;
 use m4_io::capture::{Split, TRACKS_FILE};
 use m4_io::results::{self, Kind, ResultFolder};
+use std::fs;
+use std::io::ErrorKind;
 use std::path::Path;
 
 /// The trained scene.
@@ -65,4 +67,12 @@ pub fn capture_names() -> impl Iterator<Item = &'static str> + Clone {
         .into_iter()
         .chain(of(Split::Train))
         .chain(of(Split::Test))
+}
+
+/// Removes a file that may be missing.
+pub fn remove_file(path: &Path) -> Result<(), Error> {
+    match fs::remove_file(path) {
+        Err(source) if source.kind() != ErrorKind::NotFound => Err(Error::Write { path: path.to_path_buf(), source }),
+        _ => Ok(()),
+    }
 }

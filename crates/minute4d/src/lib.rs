@@ -1,96 +1,65 @@
-//! The pipeline of minute4d: turns a casual video into a dynamic 3D scene.
-//!
-//! ```text
-//! video --geometry--> capture --train--> scene.safetensors --render, preview, viewer, evaluate-->
-//! ```
-//!
-//! [`run`] does everything; [`geometry::make`], [`train::make`], [`render::make`] and the functions of
-//! [`evaluate`] each run one stage on the output of the previous one. A stage is a function of its input, its
-//! [`Settings`] and the seed: results are stored with a hash of those ([`record`]) and reused if
-//! nothing changed.
+//! Turns a casual video into a dynamic 3D scene: 4D Gaussian splats that a camera can look at from elsewhere, at any time.
 //!
 //! ```no_run
-//! use minute4d::{Existing, Job, Settings, Silent};
+//! use minute4d::prelude::*;
 //! # fn main() -> Result<(), minute4d::Error> {
-//! let job = Job {
-//!     settings: Settings::fast(),
-//!     device: Default::default(),
-//!     existing: Existing::Resume,
-//!     observer: &Silent,
-//! };
-//! let record = minute4d::run("clip.mp4".as_ref(), "out".as_ref(), &job)?;
-//! println!("{:?} splats in {:.0} s", record.splats, record.seconds);
+//! let options = Options::new().seconds(60.0);
+//! let capture = reconstruct(&Video::open("clip.mp4")?, &options)?.capture;
+//! let scene = train(&capture, &options)?;
+//! let image = scene.render(&capture.frames[0].camera, 12.5)?;
+//! scene.write("scene.safetensors")?;
 //! # Ok(())
 //! # }
 //! ```
+//!
+//! ```text
+//! Video --reconstruct--> Capture --train--> Scene --at, render, write, export, page-->
+//! ```
+//!
+//! A stage is a function of its input, its [`Settings`] and the seed. It keeps nothing on disk; the program `minute4d` adds folders with
+//! records, checkpoints and resuming. [`geometry`], [`enhance`], [`train`](mod@train), [`mod@render`], [`export`] and [`page`] have the
+//! parts of the stages.
+//!
+//! Clips are decoded in this process. A host that wants damaged clips to be decoded in a process of its own registers a program for it:
+//! [`m4_io::video::set_decoder_program`].
 #![forbid(unsafe_code)]
 
-pub mod ablate;
-pub mod batch;
-pub mod bench;
 pub mod cache;
 pub mod device;
 pub mod enhance;
-pub mod evaluate;
+pub mod environment;
 pub mod export;
 pub mod geometry;
+pub mod hash;
+pub mod json;
 pub mod layout;
 pub mod networks;
+pub mod observer;
+mod options;
 pub mod page;
+pub mod prelude;
 pub mod render;
-pub mod reproduce;
-pub mod run;
 pub mod settings;
 pub mod train;
-pub mod view;
 #[cfg(feature = "nets")]
 pub mod weights;
 
-mod environment;
 mod error;
-mod hash;
-mod json;
-mod observer;
 mod time;
+mod video;
 
-pub use error::{BUILD_FULL, Category, DataError, Error, NetworkError, NetworkMethod, OutputError, Refusal};
+pub use error::{
+    BUILD_FULL, Category, DataError, EnhanceError, Error, NetworkError, NetworkMethod, OutputError,
+    ReconstructionError, Refusal,
+};
 pub use json::plain_json;
 pub use layout::Existing;
 pub use observer::{Observer, RecordingObserver, StageEvent};
-pub use run::{Job, run, threads, with_threads};
+pub use options::{Event, Options};
 pub use settings::Settings;
+pub use video::{Video, reconstruct, train};
 
-pub use m4_core::{self, Progress, Silent};
+pub use m4_core::{self, Capture, Progress, Scene, Silent};
 #[cfg(feature = "nets")]
 pub use m4_nets;
-pub use {m4_eval, m4_geometry, m4_io, m4_kernels, m4_train, m4_viewer};
-
-#[cfg(test)]
-mod test_clips {
-    use m4_core::{Camera, Capture, CaptureFrame, Intrinsics, Plane, RgbImage, Se3};
-
-    /// A clip of `n` frames of a static camera: frame `i` shows `rgb(i)` at time `i`.
-    pub fn clip(n: usize, rgb: impl Fn(usize) -> RgbImage) -> Capture {
-        let frame = |i: usize| {
-            let rgb = rgb(i);
-            let intrinsics = Intrinsics::centred(rgb.width(), rgb.height(), 0.5 * rgb.width() as f64);
-            CaptureFrame {
-                name: format!("{i:05}"),
-                camera: Camera { intrinsics, c2w: Se3::identity() },
-                t: i as f64,
-                rgb,
-                depth: None,
-                mask: None,
-                motion: None,
-                instances: None,
-                camera_index: None,
-            }
-        };
-        Capture { frames: (0..n).map(frame).collect(), time_frames: n, duration_s: None, metric: false, tracks: None }
-    }
-
-    /// The same with frames in which every value is `i`.
-    pub fn plain_clip(n: usize, (width, height): (usize, usize)) -> Capture {
-        clip(n, |i| Plane::filled(width, height, [i as u8; 3]))
-    }
-}
+pub use {m4_geometry, m4_io, m4_kernels, m4_train, m4_viewer};

@@ -7,7 +7,7 @@ use std::sync::{Mutex, PoisonError};
 use std::time::Instant;
 
 /// Fails with [`Error::Stopped`] if a stop was requested; `saved` says whether there is something to resume from.
-pub(crate) fn check_stop(progress: &dyn Progress, stage: &'static str, saved: bool) -> Result<(), Error> {
+pub fn check_stop(progress: &dyn Progress, stage: &'static str, saved: bool) -> Result<(), Error> {
     if progress.cancelled() { Err(Error::Stopped { stage, saved }) } else { Ok(()) }
 }
 
@@ -39,7 +39,9 @@ pub enum StageEvent<'a> {
 /// A [`Progress`] that also follows stages.
 pub trait Observer: Progress {
     /// Reports an event of the stage `name`.
-    fn stage(&self, name: &str, event: StageEvent<'_>);
+    fn stage(&self, name: &str, event: StageEvent<'_>) {
+        let _ = (name, event);
+    }
 
     /// Reports the progress of training over this many iterations.
     fn metrics(&self, metrics: &MetricsEvent, iterations: usize) {
@@ -59,9 +61,7 @@ pub trait Observer: Progress {
     }
 }
 
-impl Observer for m4_core::Silent {
-    fn stage(&self, _name: &str, _event: StageEvent<'_>) {}
-}
+impl Observer for m4_core::Silent {}
 
 /// A [`Recording`] of an observer.
 pub type RecordingObserver<'a> = Recording<'a, dyn Observer + 'a>;

@@ -68,11 +68,11 @@ fn at_size(found: RefinedFrame, (width, height): (usize, usize)) -> (CompactMask
 #[cfg(test)]
 mod tests {
     use super::{OBJECTS_FILE, masks, write};
-    use crate::test_clips::clip;
     use crate::{Category, Error};
     use m4_core::{Capture, CompactIds, CompactMask, Plane, Silent};
     use m4_geometry::masks::{FlowFollower, InstanceReport, RefineSettings};
     use m4_io::capture::{CaptureOptions, Split};
+    use m4_testkit::clips::clip;
 
     const SIZE: (usize, usize) = (96, 72);
 

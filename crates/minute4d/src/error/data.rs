@@ -141,17 +141,18 @@ pub struct Refusal {
 }
 
 impl Refusal {
-    pub(crate) fn new(category: Category, message: impl Into<String>) -> Self {
+    /// Refuses with a category and a message.
+    pub fn new(category: Category, message: impl Into<String>) -> Self {
         Self { category, message: message.into() }
     }
 
     /// An argument that is invalid, or that does not go with the others.
-    pub(crate) fn usage(message: impl Into<String>) -> Self {
+    pub fn usage(message: impl Into<String>) -> Self {
         Self::new(Category::Usage, message)
     }
 
     /// An input that is damaged, incomplete or inconsistent.
-    pub(crate) fn bad_input(message: impl Into<String>) -> Self {
+    pub fn bad_input(message: impl Into<String>) -> Self {
         Self::new(Category::BadInput, message)
     }
 }

@@ -17,8 +17,6 @@ pub use weights::WeightsError;
 
 use crate::settings::SettingsError;
 use crate::time::TimeError;
-use m4_eval::geometry::GeometryError;
-use m4_eval::image::ImageError;
 use m4_geometry::classical::dense::DenseError;
 use m4_geometry::classical::sparse::SparseError;
 use m4_geometry::megasam::MegasamError;
@@ -143,22 +141,6 @@ pub enum Error {
     /// The server of the page.
     #[error(transparent)]
     Serve(#[from] ServeError),
-    /// Scoring images.
-    #[error(transparent)]
-    Score(#[from] ImageError),
-    /// Scoring geometry.
-    #[error(transparent)]
-    ScoreGeometry(#[from] GeometryError),
-    /// A row of an ablation failed.
-    #[error("the row {row} failed: {message}; its files are in {}", folder.display())]
-    Row {
-        /// Its name.
-        row: &'static str,
-        /// The folder of the row.
-        folder: PathBuf,
-        /// Its last messages.
-        message: String,
-    },
 }
 
 /// Lets `?` turn errors of other crates into [`Error`], through the type of the operation.
@@ -187,13 +169,13 @@ fn of_link(path: &Path) -> &'static str {
 
 impl Error {
     /// For `map_err` after a read.
-    pub(crate) fn read(path: &Path) -> impl FnOnce(io::Error) -> Self {
+    pub fn read(path: &Path) -> impl FnOnce(io::Error) -> Self {
         let path = path.to_path_buf();
         |source| Self::Read { path, source }
     }
 
     /// For `map_err` after a write.
-    pub(crate) fn write(path: &Path) -> impl FnOnce(io::Error) -> Self {
+    pub fn write(path: &Path) -> impl FnOnce(io::Error) -> Self {
         let path = path.to_path_buf();
         |source| Self::Write { path, source }
     }
@@ -230,7 +212,7 @@ impl Error {
             Self::Time(_) => Category::Usage,
             Self::Frames(_) => Category::Internal,
             Self::Serve(_) => Category::TryAgain,
-            Self::Page(_) | Self::Score(_) | Self::ScoreGeometry(_) | Self::Row { .. } => Category::BadInput,
+            Self::Page(_) => Category::BadInput,
         }
     }
 

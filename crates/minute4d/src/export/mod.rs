@@ -47,6 +47,22 @@ impl ExportJob {
     }
 }
 
+/// Exports `scene` to `out`, in the format of `job`, whose path is not read.
+///
+/// # Errors
+///
+/// [`Error`]: the moment lies outside the scene, options and format do not go together, or the file exists or cannot be written.
+pub fn scene(scene: &Scene, out: &Path, job: &ExportJob, observer: &dyn Observer) -> Result<ExportReport, Error> {
+    job.check()?;
+    if job.format.takes_capture() {
+        return Err(write::needs_capture(job.format).into());
+    }
+    if !job.replace && occupied(out) {
+        return Err(OutputError::WouldReplace { path: out.to_path_buf() }.into());
+    }
+    scene_as(scene, out, job, observer)
+}
+
 /// Exports a scene (a file, or the folder of a run) or, in a format of captures, a capture.
 ///
 /// # Errors
@@ -88,16 +104,21 @@ pub fn make(input: &Path, job: &ExportJob, observer: &dyn Observer) -> Result<Ex
     }
     layout::settle(&home)?;
     let scene = safetensors::read(&file)?.scene;
-    let moments = job.moments(&scene)?;
+    scene_as(&scene, &out, job, observer)
+}
+
+/// Exports `scene` to `out`, which is replaced.
+fn scene_as(scene: &Scene, out: &Path, job: &ExportJob, observer: &dyn Observer) -> Result<ExportReport, Error> {
+    let moments = job.moments(scene)?;
     let start = Instant::now();
-    let (plain, loss) = bake::bake(&scene).unzip();
-    let plain = plain.as_ref().unwrap_or(&scene);
+    let (plain, loss) = bake::bake(scene).unzip();
+    let plain = plain.as_ref().unwrap_or(scene);
     let (free, of_motion) = unbind::unbind(plain, job.format, moments.first().copied().unwrap_or(0.0)).unzip();
-    let mut written = write::write(free.as_ref().unwrap_or(plain), &out, &moments, job, observer)?;
+    let mut written = write::write(free.as_ref().unwrap_or(plain), out, &moments, job, observer)?;
     written.losses.splice(0..0, of_motion.into_iter().chain(loss));
     drop(free);
     let encode_s = start.elapsed().as_secs_f64();
-    Ok(ExportReport::new(&scene, job.format, &moments, written, encode_s))
+    Ok(ExportReport::new(scene, job.format, &moments, written, encode_s))
 }
 
 impl ExportJob {

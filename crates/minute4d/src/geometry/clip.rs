@@ -160,9 +160,9 @@ fn to_read(kept: usize) -> usize {
 mod tests {
     use super::{Between, MOST_FRAMES, to_read};
     use crate::Silent;
-    use crate::test_clips::plain_clip;
     use m4_core::{Capture, Tracks};
     use m4_io::video::evenly;
+    use m4_testkit::clips::plain_clip;
 
     #[test]
     fn steps_have_four_parts_while_memory_allows() {

@@ -29,7 +29,7 @@ pub struct GeometryOptions {
 
 impl GeometryOptions {
     /// The files and folders of the user among them.
-    pub(crate) fn files(&self) -> impl Iterator<Item = &Path> {
+    pub fn files(&self) -> impl Iterator<Item = &Path> {
         let intrinsics = self.intrinsics.as_deref().map(Path::new);
         let given = [self.poses.as_deref(), self.masks.as_deref(), self.depth.as_deref()];
         given.into_iter().flatten().chain(intrinsics.filter(|path| path.is_file()))

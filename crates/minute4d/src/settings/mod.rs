@@ -229,7 +229,7 @@ pub struct UnknownName {
 }
 
 /// The one of `all` (at least two) whose name is `word`.
-pub(crate) fn by_name<T: Copy>(
+pub fn by_name<T: Copy>(
     what: &'static str,
     word: &str,
     all: &[T],
@@ -243,7 +243,7 @@ pub(crate) fn by_name<T: Copy>(
 }
 
 /// Some settings as TOML: what keys of stages are made of.
-pub(crate) fn part_to_toml(part: &impl Serialize) -> Result<String, SettingsError> {
+pub fn part_to_toml(part: &impl Serialize) -> Result<String, SettingsError> {
     toml::to_string_pretty(part).map_err(|e| SettingsError::Internal { reason: e.to_string() })
 }
 

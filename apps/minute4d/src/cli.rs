@@ -1,0 +1,142 @@
+//! The command line as clap parses it: the commands, and the options that all of them have.
+
+use crate::commands::{
+    batch::Batch,
+    bench::Bench,
+    eval::{Eval, Split},
+    geometry::{Enhance, Geometry},
+    interchange::{Export, Import},
+    render::Render,
+    run::{Run, Train},
+    view::View,
+    weights::Weights,
+};
+use clap::{Args, Parser, Subcommand};
+
+/// Turns one casual video into a 4D Gaussian splatting scene, on a plain CPU.
+///
+/// The result goes to stdout, progress and messages to stderr.
+#[derive(Debug, Parser)]
+#[command(
+    name = "minute4d",
+    version,
+    max_term_width = 100,
+    after_help = "Exit codes: 0 done; 1 internal error; 2 wrong arguments; 65 bad input; 66 no input; 69 no usable device, decoder or \
+                  weights; 73 cannot write; 74 reading failed; 75 try again later; 78 bad settings; 130 and 143 stopped by a signal (run again with --resume)."
+)]
+pub struct Cli {
+    /// The command to run.
+    #[command(subcommand)]
+    pub command: Command,
+    /// Options of all commands.
+    #[command(flatten)]
+    pub common: Common,
+}
+
+/// Options that all commands have.
+#[derive(Debug, Args)]
+pub struct Common {
+    /// Print one JSON object per line on stdout; the last is {"event":"end","ok":..,"code":..,"reason":..}
+    #[arg(long, global = true)]
+    pub json: bool,
+    /// Hide progress; warnings and errors are still shown
+    #[arg(long, short, global = true)]
+    pub quiet: bool,
+    /// Number of threads; the result does not depend on it [default: all cores]
+    #[arg(long, global = true, value_name = "T", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    pub threads: Option<u16>,
+    /// Save and stop when standard input is closed, so that a parent process can stop this one.
+    #[arg(long, global = true, hide = true)]
+    pub stop_at_eof: bool,
+}
+
+/// The commands of the program.
+#[derive(Debug, Subcommand)]
+pub enum Command {
+    /// Turn a video into a scene: geometry, training, a preview video and a viewer page
+    Run(Run),
+    /// Turn a video into a capture: poses, focal length, depth, motion masks
+    Geometry(Geometry),
+    /// Improve the masks of a capture, and track points on dynamic objects
+    Enhance(Enhance),
+    /// Train a scene from a capture
+    Train(Train),
+    /// Render images or a video of a trained scene
+    Render(Render),
+    /// Export a scene for other viewers, or a capture for COLMAP
+    Export(Export),
+    /// Import a splat file as a scene, or a clip with poses from another tool as a capture
+    Import(Import),
+    /// Show a scene in the browser from a local server; the page follows a training run
+    View(View),
+    /// Score a trained scene on the held-out views of a capture, optionally by a published protocol
+    Eval(Eval),
+    /// Split a capture into training and held-out frames by a protocol
+    Split(Split),
+    /// Process many clips on many machines: plan, run, submit to Slurm, show progress
+    Batch(Batch),
+    /// Describe this machine: cores, instruction sets, memory, GPUs, ffmpeg
+    Doctor,
+    /// Benchmark the kernels on this machine
+    Bench(Bench),
+    /// List, download, add and verify pretrained network weights
+    Weights(Weights),
+}
+
+#[cfg(test)]
+mod tests {
+    use super::Cli;
+    use clap::{CommandFactory, Parser};
+
+    #[test]
+    fn the_definition_is_consistent() {
+        Cli::command().debug_assert();
+    }
+
+    #[test]
+    fn numeric_arguments_are_validated_when_parsed() {
+        let bad = [
+            "run a -o b --threads 0",
+            "run a -o b --fov 200",
+            "run a -o b --start -1",
+            "run a -o b --max-frames 1",
+            "render a --fps 0 -o b",
+            "bench --size 480",
+            "bench --scene 5d",
+            "export a --fps 0",
+            "import a.npz -o b --fps 0",
+            "view a --port 0",
+            "geometry a -o b --frontend best",
+            "train a -o b --port 8000",
+            "enhance a -o b --tracker best",
+            "eval a --data b --refine-poses",
+            "eval a --data b --covisible c",
+            "batch plan a -o b",
+            "batch run",
+            "batch run --manifest a --index 1 --stride 2",
+            "batch submit --manifest a --max-parallel 0",
+            "batch submit --manifest a --gres=gpu:1",
+        ];
+        for line in bad {
+            let args = std::iter::once("minute4d").chain(line.split(' '));
+            assert!(Cli::try_parse_from(args).is_err(), "{line}");
+        }
+        let good = [
+            "import a.npz -o b --fps 24 --depth d --masks m --factor 2",
+            "run a -o b --start 1.5s --end 3 --threads 2 --json",
+            "train a -o b --no-track --no-density",
+            "enhance a -o b --segmenter sam2 --tracker tapip3d --device gpu",
+            "train a -o b --view --port 8000 --no-open --no-viewer",
+            "eval a --data b --protocol rodygs --refine-poses",
+            "eval a --data b --protocol dycheck --covisible c --device auto",
+            "bench --splats 10,20 --size 480x360,96x72 --scene static,4d --quick",
+            "batch plan a b --recursive -o jobs.jsonl --out c --preset draft --set train.seed=1 --device cpu --no-track",
+            "batch submit --manifest a --max-parallel 64 --dry-run -- --gres=gpu:1 --account=me",
+            "batch status --manifest a --failed --html b --json",
+        ];
+        for line in good {
+            let args = std::iter::once("minute4d").chain(line.split(' '));
+            assert!(Cli::try_parse_from(args).is_ok(), "{line}");
+        }
+    }
+}

@@ -1,0 +1,119 @@
+//! `minute4d geometry`: turns a video into a capture. `minute4d enhance`: improves the masks of a capture and tracks points.
+
+use crate::failure::Failure;
+use crate::options::{
+    OutArgs, ReachArgs, SettingsArgs, VideoArgs, WithoutArgs, print_config, segmenters, settings, trackers,
+};
+use crate::output::Output;
+use crate::run::Job;
+use clap::Args;
+use minute4d::device::DeviceChoice;
+use minute4d::settings::Segmenter;
+use minute4d::settings::Tracker;
+use serde_json::json;
+use std::path::PathBuf;
+
+#[derive(Debug, Args)]
+pub struct Geometry {
+    /// A video or a folder of images
+    #[arg(required_unless_present = "print_config")]
+    pub input: Option<PathBuf>,
+    /// Folder for the capture
+    #[arg(long, short, value_name = "DIR", required_unless_present = "print_config")]
+    pub out: Option<PathBuf>,
+    #[command(flatten)]
+    pub video: VideoArgs,
+    /// Device for networks: `cpu`, `gpu` (the best one), `gpu:N` (`minute4d doctor` lists them), or `auto` (the CPU)
+    #[arg(long, value_name = "DEVICE", default_value = "cpu")]
+    pub device: DeviceChoice,
+    #[command(flatten)]
+    pub without: WithoutArgs,
+    #[command(flatten)]
+    pub settings: SettingsArgs,
+    #[command(flatten)]
+    pub existing: OutArgs,
+}
+
+pub fn run(args: &Geometry, output: &Output) -> Result<(), Failure> {
+    let mut settings = settings(&args.settings, Some(&args.video), None)?;
+    args.without.apply(&mut settings);
+    let (Some(input), Some(out), false) = (&args.input, &args.out, args.settings.print_config) else {
+        return print_config(&settings, output);
+    };
+    let asked = settings.geometry.segmenter;
+    let job = Job { settings, device: args.device.into(), existing: args.existing.mode(), observer: output };
+    let record = crate::run::geometry::make(input, out, &job)?;
+    if let Some(found) = &record.found {
+        output.note(&format!(
+            "{} frames, {} x {} pixels, field of view {:.1} degrees, {:.1} % dynamic, reprojection error {:.2} px",
+            found.frames,
+            found.size[0],
+            found.size[1],
+            found.fov_deg,
+            100.0 * found.moving_share,
+            found.residual_px
+        ));
+        if let Some(confidence) = &found.confidence {
+            output.note(&confidence.description());
+        }
+        if cfg!(feature = "nets")
+            && asked == Segmenter::Auto
+            && found.segmenter == Segmenter::None.name()
+            && found.keyframes.is_none()
+        {
+            output.note("MobileSAM improves the masks of dynamic objects: `minute4d weights fetch mobile-sam`");
+        }
+    }
+    output.result(&out.display().to_string(), json!({"path": out, "record": minute4d::plain_json(&record)?}));
+    Ok(())
+}
+
+#[derive(Debug, Args)]
+pub struct Enhance {
+    /// A capture with motion maps or masks of dynamic regions
+    #[arg(required_unless_present = "print_config")]
+    pub capture: Option<PathBuf>,
+    /// Folder for the enhanced capture
+    #[arg(long, short, value_name = "DIR", required_unless_present = "print_config")]
+    pub out: Option<PathBuf>,
+    /// Segmentation method [default: auto]
+    #[arg(long, value_parser = segmenters())]
+    pub segmenter: Option<Segmenter>,
+    /// Tracking method [default: auto]
+    #[arg(long, value_parser = trackers())]
+    pub tracker: Option<Tracker>,
+    /// Device for networks: `cpu`, `gpu` (the best one), `gpu:N` (`minute4d doctor` lists them), or `auto` (the CPU)
+    #[arg(long, value_name = "DEVICE", default_value = "cpu")]
+    pub device: DeviceChoice,
+    #[command(flatten)]
+    pub settings: SettingsArgs,
+    #[command(flatten)]
+    pub existing: OutArgs,
+    #[command(flatten)]
+    pub reach: ReachArgs,
+}
+
+pub fn enhance(args: &Enhance, output: &Output) -> Result<(), Failure> {
+    let mut settings = settings(&args.settings, None, None)?;
+    settings.capture.reach = args.reach.reach();
+    let geometry = &mut settings.geometry;
+    geometry.segmenter = args.segmenter.unwrap_or(geometry.segmenter);
+    geometry.tracker = args.tracker.unwrap_or(geometry.tracker);
+    let (Some(capture), Some(out), false) = (&args.capture, &args.out, args.settings.print_config) else {
+        return print_config(&settings, output);
+    };
+    let job = Job { settings, device: args.device.into(), existing: args.existing.mode(), observer: output };
+    let report = crate::run::enhance::make(capture, out, &job)?;
+    let share = |share: Option<f64>| share.map_or_else(|| "unknown".to_owned(), |s| format!("{:.1} %", 100.0 * s));
+    output.note(&format!(
+        "segmentation {}: {} objects; dynamic pixels {} before, {} now; tracking {}: {} points",
+        report.segmenter,
+        report.instances,
+        share(report.moving_share[0]),
+        share(report.moving_share[1]),
+        report.tracker,
+        report.tracks
+    ));
+    output.result(&out.display().to_string(), json!({"path": out, "record": minute4d::plain_json(&report)?}));
+    Ok(())
+}

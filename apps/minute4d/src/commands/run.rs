@@ -1,0 +1,92 @@
+//! `minute4d run`: turns a video into a scene. `minute4d train`: trains a scene from a capture.
+
+use super::view::{PageArgs, while_training};
+use crate::failure::Failure;
+use crate::options::{OutArgs, TrainingArgs, VideoArgs, print_config};
+use crate::output::{Output, duration};
+use crate::run::Job;
+use crate::run::record::RunRecord;
+use clap::Args;
+use minute4d::Observer;
+use minute4d::layout::{PREVIEW_FILE, VIEWER_FILE};
+use serde_json::json;
+use std::path::{Path, PathBuf};
+
+#[derive(Debug, Args)]
+pub struct Run {
+    /// A video, a folder of images, or a capture folder (whose geometry is then used)
+    #[arg(required_unless_present = "print_config")]
+    pub input: Option<PathBuf>,
+    /// Folder for all results: scene.safetensors, viewer.html, preview.mp4, run.json, metrics.jsonl, capture/
+    #[arg(long, short, value_name = "DIR", required_unless_present = "print_config")]
+    pub out: Option<PathBuf>,
+    #[command(flatten)]
+    pub video: VideoArgs,
+    #[command(flatten)]
+    pub training: TrainingArgs,
+    #[command(flatten)]
+    pub page: PageArgs,
+    #[command(flatten)]
+    pub existing: OutArgs,
+    /// Also write poster.jpg, for overviews of many clips.
+    #[arg(long, hide = true)]
+    pub poster: bool,
+}
+
+pub fn run(args: &Run, output: &Output) -> Result<(), Failure> {
+    let mut settings = args.training.settings(Some(&args.video))?;
+    settings.capture.reach = args.training.reach.reach();
+    let (Some(input), Some(out), false) = (&args.input, &args.out, args.training.settings.print_config) else {
+        return print_config(&settings, output);
+    };
+    let device = args.training.device.request()?;
+    let work = |observer: &dyn Observer| {
+        let job = Job { settings, device, existing: args.existing.mode(), observer };
+        let done = crate::run::run(input, out, &job)?;
+        if args.poster {
+            crate::run::preview::poster(out, input, &job.settings)?;
+        }
+        Ok(done)
+    };
+    while_training(&args.page, (input, out), output, work, |done| report(out, done, output))
+}
+
+/// Reports the folder of the results, the time, and the file to open.
+pub fn report(out: &Path, done: &RunRecord, output: &Output) -> Result<(), Failure> {
+    let mut viewable = [VIEWER_FILE, PREVIEW_FILE].into_iter();
+    let file = viewable.find(|name| done.files.contains_key(*name));
+    let open = file.map_or_else(String::new, |name| format!("; open {}", out.join(name).display()));
+    output.note(&format!("finished in {}{open}", duration(done.seconds)));
+    output.result(&out.display().to_string(), json!({"path": out, "record": minute4d::plain_json(done)?}));
+    Ok(())
+}
+
+#[derive(Debug, Args)]
+pub struct Train {
+    /// A capture: a folder with transforms_train.json, images, depth and masks
+    #[arg(required_unless_present = "print_config")]
+    pub capture: Option<PathBuf>,
+    /// Folder for the scene and its records
+    #[arg(long, short, value_name = "DIR", required_unless_present = "print_config")]
+    pub out: Option<PathBuf>,
+    #[command(flatten)]
+    pub training: TrainingArgs,
+    #[command(flatten)]
+    pub page: PageArgs,
+    #[command(flatten)]
+    pub existing: OutArgs,
+}
+
+pub fn train(args: &Train, output: &Output) -> Result<(), Failure> {
+    let mut settings = args.training.settings(None)?;
+    settings.capture.reach = args.training.reach.reach();
+    let (Some(capture), Some(out), false) = (&args.capture, &args.out, args.training.settings.print_config) else {
+        return print_config(&settings, output);
+    };
+    let device = args.training.device.request()?;
+    let work = |observer: &dyn Observer| {
+        let job = Job { settings, device, existing: args.existing.mode(), observer };
+        crate::run::train::make(capture, out, &job)
+    };
+    while_training(&args.page, (capture, out), output, work, |done| report(out, done, output))
+}

@@ -1,0 +1,100 @@
+//! Failures of a command: an exit code and one line of text. A panic is a bug: it ends the program with exit code 1 and a report
+//! that a user can send.
+
+use std::backtrace::{Backtrace, BacktraceStatus};
+use std::error::Error;
+use std::sync::{Mutex, PoisonError};
+
+/// Why a command failed.
+#[derive(Debug)]
+pub struct Failure {
+    /// The exit code.
+    pub code: u8,
+    /// One line for the user.
+    pub reason: String,
+}
+
+impl Failure {
+    /// Returns the failure for arguments that contradict each other.
+    pub fn usage(reason: &str) -> Self {
+        Self { code: 2, reason: reason.to_owned() }
+    }
+}
+
+impl From<minute4d::Error> for Failure {
+    fn from(error: minute4d::Error) -> Self {
+        Self { code: error.category().exit_code(), reason: chain(&error) }
+    }
+}
+
+impl From<minute4d_eval::Error> for Failure {
+    fn from(error: minute4d_eval::Error) -> Self {
+        Self { code: error.category().exit_code(), reason: chain(&error) }
+    }
+}
+
+impl From<minute4d::settings::SettingsError> for Failure {
+    fn from(error: minute4d::settings::SettingsError) -> Self {
+        minute4d::Error::from(error).into()
+    }
+}
+
+/// Joins an error and its causes in one line, without causes that the text already quotes.
+pub fn chain(error: &dyn Error) -> String {
+    let mut text = error.to_string();
+    let mut cause = error.source();
+    while let Some(inner) = cause {
+        let more = inner.to_string();
+        if !text.contains(&more) {
+            text += ": ";
+            text += &more;
+        }
+        cause = inner.source();
+    }
+    text
+}
+
+static LAST: Mutex<Option<String>> = Mutex::new(None);
+
+/// Replaces the standard panic message by a report that a user can act on.
+pub fn report_instead_of_abort() {
+    std::panic::set_hook(Box::new(|info| {
+        let message = info.payload_as_str().unwrap_or("no message");
+        let place = info.location().map_or_else(|| "an unknown place".to_owned(), ToString::to_string);
+        let report = format!(
+            "internal error: {message} (at {place}, minute4d {}); this is a bug in minute4d, please report it with the \
+             command line and run.json",
+            env!("CARGO_PKG_VERSION")
+        );
+        let backtrace = Backtrace::capture();
+        if backtrace.status() == BacktraceStatus::Captured {
+            crate::output::to_stderr(&backtrace.to_string());
+        }
+        let mut last = LAST.lock().unwrap_or_else(PoisonError::into_inner);
+        // The first panic is the cause; later ones in other threads follow from it.
+        last.get_or_insert(report);
+    }));
+}
+
+/// Returns the report of the first panic.
+pub fn last_report() -> String {
+    let last = LAST.lock().unwrap_or_else(PoisonError::into_inner);
+    last.clone().unwrap_or_else(|| "internal error without a report".to_owned())
+}
+
+#[cfg(test)]
+mod tests {
+
+    #[test]
+    fn panic_in_any_thread_is_reported() {
+        super::report_instead_of_abort();
+        let caught = std::panic::catch_unwind(|| {
+            let thread = std::thread::spawn(|| panic!("the promise is broken"));
+            thread.join().unwrap();
+        });
+        assert!(caught.is_err());
+        let report = super::last_report();
+        assert!(report.contains("the promise is broken") && report.contains("failure.rs"), "{report}");
+        assert!(report.contains("please report"), "{report}");
+    }
+}

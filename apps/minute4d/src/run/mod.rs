@@ -1,0 +1,126 @@
+//! The whole pipeline in the folder of a run: stages, their records, checkpoints and results, each on disk.
+
+mod checkpoint;
+mod clock;
+pub mod enhance;
+pub mod folder;
+pub mod geometry;
+pub mod import;
+pub mod preview;
+pub mod record;
+mod stage;
+mod steps;
+pub mod train;
+pub mod viewer;
+mod workspace;
+
+use clock::Clock;
+use m4_kernels::SimdLevel;
+use minute4d::device::DeviceRequest;
+use minute4d::hash::{self, HashedCapture};
+use minute4d::layout::{CAPTURE_FOLDER, Existing, is_capture};
+use minute4d::observer::RecordingObserver;
+use minute4d::settings::GeometryOptions;
+use minute4d::{Error, Observer, Settings};
+use record::{Input, RunRecord, StageRecord};
+use std::path::Path;
+use workspace::Workspace;
+
+/// Turns a video, a folder of images, or a capture into a scene; finished stages of an earlier run are reused
+/// with [`Existing::Resume`].
+///
+/// # Errors
+///
+/// [`Error`] of the stage that failed; finished work stays in `out`.
+pub fn run(input: &Path, out: &Path, job: &Job<'_>) -> Result<RunRecord, Error> {
+    if is_capture(input) {
+        if job.settings.geometry != GeometryOptions::default() {
+            job.observer.warn(
+                "the input is a capture, whose geometry is used unchanged: --frontend, --segmenter, --intrinsics, --poses, --masks and \
+                 --depth have no effect",
+            );
+        }
+        return train::make(input, out, job);
+    }
+    if !input.exists() {
+        return Err(Error::Missing { what: "video, folder of images or capture", path: input.to_path_buf() });
+    }
+    job.check()?;
+    let clock = Clock::start(&job.settings);
+    let source = Input { path: input.display().to_string(), blake3: hash::of_input(input, Some(out), job.observer)? };
+    Workspace::open(out, input, source.clone(), job, clock)?.finish(|run| {
+        let folder = run.path(CAPTURE_FOLDER);
+        let recorder = RecordingObserver::new(job.observer).until(clock.end());
+        let made = geometry::of_source(input, source, &folder, &job.of_geometry(&recorder))
+            .map_err(|error| clock.blame(error, geometry::STAGE, job.observer.cancelled()))?;
+        let stage = StageRecord {
+            key: made.key,
+            done: true,
+            seconds: made.seconds,
+            peak_memory_bytes: made.peak_memory_bytes,
+            warnings: made.warnings,
+        };
+        run.record.stages.insert(geometry::STAGE.to_owned(), stage);
+        let capture = train::read(&folder, &job.settings, job.observer)?;
+        train::all(run, &HashedCapture::new(capture))
+    })
+}
+
+/// The inputs of every stage: settings, device, the treatment of earlier results, and the observer.
+pub struct Job<'a> {
+    /// Every setting.
+    pub settings: Settings,
+    /// The device for training.
+    pub device: DeviceRequest,
+    /// What to do with a folder that is not empty.
+    pub existing: Existing,
+    /// Receives progress, and may ask to stop.
+    pub observer: &'a dyn Observer,
+}
+
+impl Job<'_> {
+    /// The job of the geometry stage of a run: the same settings and device, which its networks use too.
+    fn of_geometry<'a>(&self, observer: &'a dyn Observer) -> Job<'a> {
+        Job { settings: self.settings.clone(), device: self.device, existing: Existing::Resume, observer }
+    }
+
+    /// Refuses settings that no stage can use, before any of them starts.
+    pub fn check(&self) -> Result<SimdLevel, Error> {
+        self.settings.check()?;
+        Ok(SimdLevel::detect()?)
+    }
+}
+
+/// Calls `f` on a pool of this many threads; on all cores for `None`.
+///
+/// # Errors
+///
+/// [`Error::Internal`] if the system gives no threads.
+pub fn with_threads<R: Send>(threads: Option<usize>, f: impl FnOnce() -> R + Send) -> Result<R, Error> {
+    let Some(threads) = threads else { return Ok(f()) };
+    let pool = rayon::ThreadPoolBuilder::new()
+        .num_threads(threads)
+        .build()
+        .map_err(|e| Error::Internal { what: format!("cannot start {threads} threads: {e}") })?;
+    Ok(pool.install(f))
+}
+
+/// Threads of the current pool.
+pub fn threads() -> usize {
+    rayon::current_num_threads()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Existing, Job};
+    use minute4d::device::DeviceChoice;
+    use minute4d::{Settings, Silent};
+
+    #[test]
+    fn networks_of_a_run_use_the_device_that_was_asked_for() {
+        let device = DeviceChoice::Gpu(Some(1)).into();
+        let job = Job { settings: Settings::fast(), device, existing: Existing::Refuse, observer: &Silent };
+        let of_geometry = job.of_geometry(&Silent);
+        assert_eq!((of_geometry.device, of_geometry.existing), (device, Existing::Resume));
+    }
+}

@@ -1,0 +1,396 @@
+//! Evaluation: scores of a scene on held-out views, with or without a protocol; scores of a capture against ground truth.
+//!
+//! ```text
+//! capture of a video --split by a Protocol--> capture with training and test frames --train--> scene
+//! scene, its held-out views --views (Rules: masks, metrics, poses)--> eval.json with every choice
+//! ```
+
+mod aligned;
+mod baselines;
+mod by_protocol;
+mod choices;
+mod covisible;
+mod error;
+mod motion;
+mod perceptual;
+mod poses;
+pub mod protocol;
+mod regions;
+mod sets;
+mod split;
+
+pub use aligned::AlignedScore;
+pub use baselines::{BaselineScore, mean_of};
+pub use choices::{Choices, FrameChoice, Headline, MaskChoice, PoseChoice, PoseTreatment, ResolutionChoice};
+pub use covisible::MaskSource;
+pub use error::Error;
+pub use motion::{motion, motion_table};
+pub use perceptual::LpipsChoice;
+pub use poses::{Alignment, Moved};
+pub use protocol::{FrameRule, Protocol, Task};
+pub use sets::{SetScore, read as read_views};
+pub use split::{SPLIT_FILE, SplitRecord, split};
+
+use aligned::Shifts;
+use m4_core::{Camera, Capture, CaptureFrame, CompactMask, Exposure, RgbImage, Scene};
+use m4_eval::geometry::{GeometryReport, evaluate};
+use m4_eval::image::{ImageReport, MeanScore, PlanarImage};
+use m4_io::capture::{CaptureOptions, Split};
+use m4_io::reach::Reach;
+use m4_io::results::Kind;
+use m4_io::scene::safetensors;
+use m4_kernels::SimdLevel;
+use minute4d::device::DeviceChoice;
+use minute4d::json::write_json;
+use minute4d::layout::{self, CAPTURE_FOLDER, EVAL_FILE, SCENE_FILE};
+use minute4d::observer::check_stop;
+use minute4d::render::SceneRenderer;
+use minute4d::settings::Settings;
+use minute4d::{Observer, Refusal, hash};
+use perceptual::Perceptual;
+use protocol::LpipsRule;
+use serde::Serialize;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+/// Compares the cameras, depth and masks of a capture with a reference for the same video: another
+/// capture. `reach` is which files both may name.
+///
+/// # Errors
+///
+/// What could not be read, or why the two do not belong together.
+pub fn geometry(capture: &Path, truth: &Path, reach: Reach, observer: &dyn Observer) -> Result<GeometryReport, Error> {
+    let options = CaptureOptions { reach, ..Settings::fast().capture };
+    let estimate = m4_io::capture::read(capture, Split::Train, &options, observer)?;
+    if !truth.exists() {
+        return Err(minute4d::Error::Missing { what: "known geometry", path: truth.to_path_buf() }.into());
+    }
+    Ok(evaluate(&estimate, &read_truth(truth, &options, observer)?)?)
+}
+
+/// Reads the training frames of a data set, with the instance maps of a benchmark scene.
+pub fn read_truth(truth: &Path, options: &CaptureOptions, observer: &dyn Observer) -> Result<Capture, Error> {
+    let mut read = m4_io::capture::read(truth, Split::Train, options, observer)?;
+    add_instances(&mut read, &truth.join(INSTANCE_FOLDERS[0]))?;
+    Ok(read)
+}
+
+/// Folders of a benchmark scene with an instance map per training image and per held-out image; its lists of frames do not name them, so
+/// that no training reads them.
+const INSTANCE_FOLDERS: [&str; 2] = ["instance", "test_instance"];
+
+/// Adds the instance maps that lie in a folder, by the names of the images, to frames without.
+fn add_instances(truth: &mut Capture, folder: &Path) -> Result<(), Error> {
+    for frame in truth.frames.iter_mut().filter(|frame| frame.instances.is_none()) {
+        let name = Path::new(&frame.name).with_extension("png");
+        let file = name.file_name().map(|name| folder.join(name)).filter(|file| file.is_file());
+        if let Some(file) = file {
+            frame.instances = Some(m4_io::image::read_ids(&file)?);
+        }
+    }
+    Ok(())
+}
+
+/// The refusal of a capture without held-out views.
+pub fn no_test_list(data: &Path) -> Refusal {
+    Refusal::bad_input(format!(
+        "{} has no transforms_test.json, so there are no held-out views to compare with; give a capture that has some",
+        data.display()
+    ))
+}
+
+/// A mean over the views that have a score.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct OtherMean {
+    /// The mean.
+    pub mean: f64,
+    /// Number of views with it.
+    pub views: usize,
+}
+
+/// Options of scoring.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct EvalOptions {
+    /// Masks of dynamic regions are grown by this many pixels first.
+    pub grow_mask: usize,
+    /// Where views are drawn and LPIPS is computed.
+    pub device: DeviceChoice,
+    /// The protocol; `None` for joint PSNR and SSIM of what the capture holds out, in 8 bits.
+    pub protocol: Option<Protocol>,
+    /// Masks of co-visibility, for protocols that have some; `None` for those of the capture, or made ones.
+    pub covisible: Option<PathBuf>,
+    /// Refine the poses of test images as the protocol's peers do.
+    pub refine_poses: bool,
+    /// Which files the capture may name.
+    pub reach: Reach,
+}
+
+/// `eval.json`.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct EvalReport {
+    /// Release of the program that wrote it.
+    pub minute4d: String,
+    /// The scene that was judged.
+    pub scene: PathBuf,
+    /// BLAKE3 of its file.
+    pub scene_blake3: String,
+    /// The capture whose held-out views were used.
+    pub data: PathBuf,
+    /// Alignment of the held-out cameras, if the scene has a world of its own.
+    pub alignment: Option<Alignment>,
+    /// Splats of the scene.
+    pub splats: usize,
+    /// Means over all views.
+    pub mean: Option<MeanScore>,
+    /// Means by set of held-out views: far (the test list), near, between; without a protocol alone.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub sets: Vec<SetScore>,
+    /// Protocol, and one row per view of the test list.
+    pub images: ImageReport,
+    /// As `images`, of the views near the training camera, where the capture lists some.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub near: Option<ImageReport>,
+    /// As `images`, of the views between training frames, where the capture lists some.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub between: Option<ImageReport>,
+    /// Each dynamic object after its best shift, by set.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub aligned: Vec<AlignedScore>,
+    /// The same views without training, where the data set has depth and masks.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub baselines: Vec<BaselineScore>,
+    /// State of LPIPS without a protocol; a protocol's is in `choices`.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub lpips: Vec<LpipsChoice>,
+    /// Means of the scores by other metrics.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    pub mean_others: BTreeMap<String, OtherMean>,
+    /// Everything that the protocol chose, where there was one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub choices: Option<Choices>,
+    /// Images a second while drawing, one after the other, each copied to the host.
+    pub frames_per_s: Option<f64>,
+    /// Rendering device: `cpu`, or the name of the GPU that drew all images.
+    pub device: String,
+    /// Seconds it took.
+    pub seconds: f64,
+}
+
+/// Renders the held-out views of the capture `data` and compares them with its images; writes `eval.json` into the run `out`. Where the
+/// options name a protocol, its rules hold and `eval.json` names every choice.
+///
+/// A scene that was trained on another capture of the same video has a world of its own; the held-out cameras are then placed by the
+/// similarity that takes the training cameras of `data` to those of the scene, and a warning says how well that fits.
+///
+/// # Errors
+///
+/// [`Error::Refused`] without held-out views, or if the capture cannot be judged by the protocol; else what could not be read, compared
+/// or written.
+pub fn views(out: &Path, data: &Path, options: &EvalOptions, observer: &dyn Observer) -> Result<EvalReport, Error> {
+    let start = Instant::now();
+    let level = SimdLevel::detect()?;
+    // before anything large is read
+    let split = match options.protocol {
+        Some(protocol) => by_protocol::check(data, protocol, options)?,
+        None => None,
+    };
+    let held = HeldOut::read(out, data, options.reach, observer)?;
+    let gpu = options.device.open(|why| observer.warn(why))?;
+    let mut renderer = SceneRenderer::new(&held.scene, level, gpu.as_ref(), observer)?;
+    let (images, other, choices, drawing_s) = match options.protocol {
+        None => {
+            let (images, other, drawing_s) = plain(&held, data, out, options, &mut renderer, observer)?;
+            (images, other, None, drawing_s)
+        }
+        Some(protocol) => {
+            let scored = by_protocol::score(&held, data, protocol, split, options, (level, &mut renderer), observer)?;
+            (scored.images, OtherSets::default(), Some(scored.choices), scored.drawing_s)
+        }
+    };
+    let means = images.mean_others().into_iter();
+    let report = EvalReport {
+        minute4d: env!("CARGO_PKG_VERSION").to_owned(),
+        scene_blake3: hash::of_path(&held.path)?,
+        data: data.to_path_buf(),
+        splats: held.scene.splats.n(),
+        mean: images.mean(),
+        mean_others: means.map(|(name, (mean, views))| (name, OtherMean { mean, views })).collect(),
+        choices,
+        frames_per_s: (drawing_s > 0.0).then(|| images.frames.len() as f64 / drawing_s),
+        device: gpu.as_ref().filter(|_| renderer.is_on_gpu()).map_or("cpu", |gpu| gpu.name()).to_owned(),
+        sets: other.rows,
+        images,
+        near: other.near,
+        between: other.between,
+        aligned: other.aligned,
+        baselines: other.baselines,
+        lpips: other.lpips,
+        scene: held.path,
+        alignment: held.alignment,
+        seconds: start.elapsed().as_secs_f64(),
+    };
+    layout::claim(out, Kind::Run, &[EVAL_FILE])?;
+    write_json(&out.join(EVAL_FILE), &report)?;
+    Ok(report)
+}
+
+/// What is scored beside the test list.
+#[derive(Default)]
+struct OtherSets {
+    rows: Vec<SetScore>,
+    near: Option<ImageReport>,
+    between: Option<ImageReport>,
+    aligned: Vec<AlignedScore>,
+    baselines: Vec<BaselineScore>,
+    lpips: Vec<LpipsChoice>,
+}
+
+/// Joint PSNR and SSIM of images in 8 bits, LPIPS where it is installed, of every list of held-out views; objects after their best shift;
+/// baselines where the data set has depth; and the seconds of drawing.
+fn plain(
+    held: &HeldOut,
+    data: &Path,
+    out: &Path,
+    options: &EvalOptions,
+    renderer: &mut SceneRenderer<'_>,
+    observer: &dyn Observer,
+) -> Result<(ImageReport, OtherSets, f64), Error> {
+    let read = CaptureOptions { reach: options.reach, ..Settings::fast().capture };
+    let size = held.test.frames.first().map_or((0, 0), |v| v.rgb.size());
+    let lpips = Perceptual::load(&[LpipsRule::Alex], false, size.0.min(size.1), options.device)?;
+    let train = match data.is_dir() && data.join(Split::Train.file_name()).is_file() {
+        true => Some(read_truth(data, &read, observer)?),
+        false => None,
+    };
+    let mut other = OtherSets { lpips: lpips.choices.clone(), ..OtherSets::default() };
+    let mut lists = vec![("far", held.test.clone())];
+    for (set, split) in [("near", Split::Near), ("between", Split::Between)] {
+        lists.extend(sets::read(data, split, &read, observer)?.map(|views| (set, views)));
+    }
+    let (mut reports, mut drawing_s) = (BTreeMap::new(), 0.0);
+    for (set, views) in &mut lists {
+        add_instances(views, &data.join(INSTANCE_FOLDERS[1]))?;
+        let mut shifts = Shifts::default();
+        let (report, seconds) =
+            score_views(held, views, data, options.grow_mask, (&mut *renderer, &lpips, &mut shifts), observer)?;
+        drawing_s += seconds;
+        let angles = train.as_ref().map_or_else(|| vec![None; views.frames.len()], |train| sets::angles(train, views));
+        other.rows.extend(sets::rows(set, &report, &angles));
+        other.aligned.extend(shifts.rows(set));
+        reports.insert(*set, report);
+    }
+    let complete = |c: &Capture| c.frames.iter().all(|f| f.depth.is_some() && f.mask.is_some());
+    if let Some(given) = train.filter(complete) {
+        // a scene trained from a video has its own geometry beside it
+        let own = sets::read(&out.join(CAPTURE_FOLDER), Split::Train, &read, observer)?.filter(complete);
+        let lists: Vec<(&str, &Capture)> = lists.iter().map(|(set, views)| (*set, views)).collect();
+        other.baselines = baselines::score(&given, own.as_ref(), held, &lists, observer)?;
+    }
+    let images = reports.remove("far").unwrap_or_else(|| ImageReport::new("far", options.grow_mask));
+    (other.near, other.between) = (reports.remove("near"), reports.remove("between"));
+    Ok((images, other, drawing_s))
+}
+
+/// Scores the views of one list, and says how many seconds drawing took.
+fn score_views(
+    held: &HeldOut,
+    capture: &Capture,
+    data: &Path,
+    grow_mask: usize,
+    (renderer, lpips, shifts): (&mut SceneRenderer<'_>, &Perceptual, &mut Shifts),
+    observer: &dyn Observer,
+) -> Result<(ImageReport, f64), Error> {
+    let views = &capture.frames;
+    let mut images = ImageReport::new(data.display().to_string(), grow_mask);
+    let mut drawing_s = 0.0;
+    for (i, frame) in views.iter().enumerate() {
+        check_stop(observer, "eval", false)?;
+        let t = held.moment(frame);
+        let begin = Instant::now();
+        let drawn = held.draw(renderer, frame)?;
+        drawing_s += begin.elapsed().as_secs_f64();
+        let (image, reference) = (PlanarImage::from(&drawn), PlanarImage::from(&frame.rgb));
+        let index = frame.camera_index;
+        let mask = frame.mask.as_ref().map(CompactMask::to_mask);
+        let score = images.add(&frame.name, t, index, &image, &reference, mask.as_ref())?;
+        let note = format!("{:.2} dB", score.psnr_db);
+        lpips.score(&mut images, &frame.name, &image, &reference, None)?;
+        shifts.add(&drawn, frame)?;
+        observer.update("eval", i + 1, views.len(), &note);
+    }
+    Ok((images, drawing_s))
+}
+
+impl EvalReport {
+    /// The scores as tables for people: one line per view of the test list, then one per set.
+    #[must_use]
+    pub fn table(&self) -> String {
+        let mut out = self.images.table();
+        if !self.sets.is_empty() {
+            out += &sets::table(&self.sets);
+        }
+        if !self.aligned.is_empty() {
+            out += &aligned::table(&self.aligned);
+        }
+        if !self.baselines.is_empty() {
+            out += &baselines::table(&self.baselines);
+        }
+        for missing in self.lpips.iter().filter_map(|lpips| lpips.absent.as_ref()) {
+            out += &format!("LPIPS      not scored: {missing}\n");
+        }
+        out
+    }
+}
+
+/// A scene and the views that it is judged by.
+#[derive(Debug)]
+pub struct HeldOut {
+    /// The file of the scene.
+    path: PathBuf,
+    /// The scene.
+    pub scene: Scene,
+    /// The held-out views.
+    pub test: Capture,
+    /// Alignment of the held-out cameras, if the scene has a world of its own.
+    alignment: Option<Alignment>,
+    stretch: f64,
+}
+
+impl HeldOut {
+    /// The scene of the run `out` and the held-out views of the capture `data`, which may name files within `reach`.
+    /// Refused without held-out views.
+    pub fn read(out: &Path, data: &Path, reach: Reach, observer: &dyn Observer) -> Result<Self, Error> {
+        layout::settle(out)?;
+        let path = out.join(SCENE_FILE);
+        let scene = safetensors::read(&path)?.scene;
+        let options = CaptureOptions { reach, ..Settings::fast().capture };
+        if !data.exists() {
+            return Err(minute4d::Error::Missing { what: "capture", path: data.to_path_buf() }.into());
+        }
+        if data.is_dir() && !data.join(Split::Test.file_name()).is_file() {
+            return Err(no_test_list(data).into());
+        }
+        let test = m4_io::capture::read(data, Split::Test, &options, observer)?;
+        let alignment = poses::between(&scene, data, observer)?;
+        let stretch = (scene.time_frames.max(2) - 1) as f64 / (test.time_frames.max(2) - 1) as f64;
+        Ok(Self { path, scene, test, alignment, stretch })
+    }
+
+    /// When a view was taken, frames of the scene.
+    pub fn moment(&self, frame: &CaptureFrame) -> f64 {
+        frame.t * self.stretch
+    }
+
+    /// The scene as a view's camera sees it.
+    pub fn draw(&self, renderer: &mut SceneRenderer<'_>, frame: &CaptureFrame) -> Result<RgbImage, Error> {
+        Ok(renderer.image(&self.camera(frame), self.moment(frame), &Exposure::IDENTITY)?)
+    }
+
+    /// A view's camera in the world of the scene.
+    pub fn camera(&self, frame: &CaptureFrame) -> Camera {
+        self.alignment
+            .as_ref()
+            .map_or(frame.camera, |a| Camera { c2w: a.similarity().transform_pose(&frame.camera.c2w), ..frame.camera })
+    }
+}
