@@ -6,14 +6,14 @@
 #   QUICK=1 GPU=gpu:0 tools/gpu/measure.sh   # a small setting, to see that everything runs
 #
 # Needs this folder and a driver. MINUTE4D is the program (default: target/release/minute4d, built if it is not there),
-# RESULTS where the reports go (default: bench/runs, with the name of the GPU), CAPTURE a capture or benchmark scene to train on
+# RESULTS where the reports go (default: target/gpu, with the name of the GPU), CAPTURE a capture or benchmark scene to train on
 # (default: that of a complete run of examples/pinwheel.mp4, which is timed). What is skipped, and why, is said at the end and in the
 # summary; the exit code is 0 if nothing failed.
 set -uo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/../.."
 
 gpu=${GPU:-gpu}
-results=${RESULTS:-bench/runs}
+results=${RESULTS:-target/gpu}
 program=${MINUTE4D:-target/release/minute4d}
 work=$(mktemp -d)
 watcher=
