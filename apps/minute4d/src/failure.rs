@@ -1,6 +1,9 @@
 //! Failures of a command: an exit code and one line of text. A panic is a bug: it ends the program with exit code 1 and a report
 //! that a user can send.
 
+use crate::advice::with_options;
+#[cfg(feature = "nets")]
+use minute4d::weights::{self, Entry, Origin, WeightsError};
 use std::backtrace::{Backtrace, BacktraceStatus};
 use std::error::Error;
 use std::sync::{Mutex, PoisonError};
@@ -39,9 +42,12 @@ impl From<minute4d::settings::SettingsError> for Failure {
     }
 }
 
-/// Joins an error and its causes in one line, without causes that the text already quotes.
-pub fn chain(error: &dyn Error) -> String {
+/// Joins an error and its causes in one line, without causes that the text already quotes, and adds the options and the command that
+/// help.
+pub fn chain(error: &(dyn Error + 'static)) -> String {
     let mut text = error.to_string();
+    #[cfg(feature = "nets")]
+    let mut weights = command_for(error);
     let mut cause = error.source();
     while let Some(inner) = cause {
         let more = inner.to_string();
@@ -49,9 +55,37 @@ pub fn chain(error: &dyn Error) -> String {
             text += ": ";
             text += &more;
         }
+        #[cfg(feature = "nets")]
+        {
+            weights = weights.or_else(|| command_for(inner));
+        }
         cause = inner.source();
     }
+    let text = with_options(&text);
+    #[cfg(feature = "nets")]
+    if let Some(command) = weights {
+        return format!("{text}. `{command}` gets them");
+    }
     text
+}
+
+/// The command that gets weights which an error misses.
+#[cfg(feature = "nets")]
+fn command_for(error: &(dyn Error + 'static)) -> Option<String> {
+    match error.downcast_ref::<WeightsError>()? {
+        WeightsError::Absent { name, .. } => weights::find(name).ok().map(command),
+        _ => None,
+    }
+}
+
+/// The command that gets weights; `FILE` is what the user brings.
+#[cfg(feature = "nets")]
+pub(crate) fn command(entry: &Entry) -> String {
+    let agree = if entry.commercial { "" } else { " --accept-license" };
+    match entry.origin {
+        Origin::Pip(_) => format!("minute4d weights fetch {}{agree}", entry.name),
+        _ => format!("minute4d weights add {} FILE{agree}", entry.name),
+    }
 }
 
 static LAST: Mutex<Option<String>> = Mutex::new(None);

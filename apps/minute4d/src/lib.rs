@@ -2,6 +2,7 @@
 //!
 //! [`run`](mod@run) has the stages on disk with their records, checkpoints and order; `minute4d-lab` builds on it.
 
+mod advice;
 pub mod batch;
 pub mod bench;
 mod cli;

@@ -35,7 +35,7 @@ fn eval_by_protocol_reports_every_choice() {
     assert_eq!((lpips.len(), &lpips[0]["net"], &lpips[1]["net"]), (2, &json!("alex"), &json!("vgg")));
     assert!(
         lpips[0]["absent"].as_str().unwrap().contains(if cfg!(feature = "nets") {
-            "minute4d weights fetch lpips-alex"
+            "weights lpips-alex are not installed"
         } else {
             minute4d::BUILD_FULL
         }),

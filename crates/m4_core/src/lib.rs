@@ -15,6 +15,7 @@
 //! ([`rotor`]), and a random generator whose numbers depend on a key and not on the order of drawing ([`CounterRng`]).
 #![forbid(unsafe_code)]
 
+pub mod advice;
 pub mod packed;
 pub mod quat;
 pub mod rotor;

@@ -1,6 +1,7 @@
 //! The files that a data set may refer to: a data set from an untrusted source must not bring private files into the result.
 
 use crate::shortened;
+use m4_core::advice::OUTSIDE;
 use std::path::{Path, PathBuf};
 
 /// Which files are read that a data set names.
@@ -17,10 +18,11 @@ pub enum Reach {
 #[derive(Debug, thiserror::Error)]
 #[error(
     "{}{} is outside of {}, and may be a private file that the result would reveal; put a copy into \
-     the folder, or, if you trust the data set, pass --allow-outside",
+     the folder, or, if you trust the data set, {}",
     shortened(path.display()),
     if path == real { String::new() } else { format!(", which is {},", shortened(real.display())) },
-    shortened(folder.display())
+    shortened(folder.display()),
+    OUTSIDE
 )]
 #[non_exhaustive]
 pub struct OutsideError {
@@ -107,7 +109,7 @@ mod tests {
             ["private.png", "set/../private.png", "set/link.png", "set/folder/private.png", "set-2/private.png"];
         for bad in outside {
             let message = inside.check(&at(bad)).unwrap_err().to_string();
-            assert!(message.contains(bad) && message.contains("--allow-outside"), "{message}");
+            assert!(message.contains(bad) && message.contains(OUTSIDE), "{message}");
         }
         // what a link points to is reported
         let message = inside.check(&at("set/folder/private.png")).unwrap_err().to_string();

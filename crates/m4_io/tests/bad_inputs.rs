@@ -165,7 +165,7 @@ fn damaged_images_of_a_folder_are_left_out_as_damaged_frames_of_a_video() {
         let [warning] = &got.warnings[..] else { panic!("{:?}", got.warnings) };
         assert!(warning.starts_with("1 of 5 frames are damaged") && warning.contains("1.jpg"), "{warning}");
         let strict = VideoOptions { strict: true, ..options() };
-        refused(dir.path(), &strict, ErrorKind::BadData, &["1 of 5 frames", "1.jpg", "--strict-video"]);
+        refused(dir.path(), &strict, ErrorKind::BadData, &["1 of 5 frames", "1.jpg", "strict"]);
         assert!(read_rgb(&clip(1)).is_err());
     }
     (0..5).for_each(|i| std::fs::write(clip(i), &whole[..whole.len() / 2]).unwrap());

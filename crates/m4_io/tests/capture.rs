@@ -2,6 +2,7 @@
 //! files outside of their folder are refused.
 
 use crate::common::{Heard, says};
+use m4_core::advice::OUTSIDE;
 use m4_core::nalgebra::Vector6;
 use m4_core::{Camera, Capture, CaptureFrame, CompactIds, CompactMask, Intrinsics, Plane, Se3, Silent};
 use m4_io::capture::{CaptureOptions, Split, read, write};
@@ -275,7 +276,7 @@ fn read_json(folder: &Path, json: &Value, reach: Reach) -> Result<Capture, ReadE
 fn refused(folder: &Path, json: &Value, words: &[&str]) {
     let error = read_json(folder, json, Reach::Inside).unwrap_err();
     assert_eq!(error.kind(), ErrorKind::BadData, "{error}");
-    says(&error, &[&["transforms_train.json", "outside of", "--allow-outside"], words].concat());
+    says(&error, &[&["transforms_train.json", "outside of", OUTSIDE], words].concat());
 }
 
 #[test]

@@ -13,13 +13,13 @@ use std::path::{Path, PathBuf};
 #[non_exhaustive]
 pub enum LoadError {
     /// There is no such file.
-    #[error("there is no file {}; `minute4d weights list` says where weights come from", path.display())]
+    #[error("there is no file {}", path.display())]
     Missing {
         /// The path that was searched.
         path: PathBuf,
     },
     /// The file is no checkpoint that can be read.
-    #[error("{} cannot be read as a checkpoint of {network}: {reason}; `minute4d weights verify` compares it with what was published", path.display())]
+    #[error("{} cannot be read as a checkpoint of {network}: {reason}; compare its checksum with the published one", path.display())]
     Unreadable {
         /// The file.
         path: PathBuf,

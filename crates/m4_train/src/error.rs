@@ -50,7 +50,7 @@ pub enum TrainError {
     },
     /// A saved state lacks a part.
     #[error(
-        "the saved training state has no usable {name:?}; it was written by another version or is damaged; train again without --resume"
+        "the saved training state has no usable {name:?}; it was written by another version or is damaged; train again from the start"
     )]
     BadState {
         /// The tensor at fault.

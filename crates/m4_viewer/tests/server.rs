@@ -185,7 +185,7 @@ fn a_port_in_use_is_an_error() {
     let port = taken.local_addr().unwrap().port();
     let error = Server::start(Hub::waiting("x"), port).unwrap_err();
     assert!(matches!(error, ServeError::InUse(p) if p == port), "{error}");
-    assert!(error.to_string().contains("--port"));
+    assert!(error.to_string().contains(m4_core::advice::PORT));
 }
 
 #[test]

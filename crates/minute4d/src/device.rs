@@ -21,7 +21,7 @@ pub enum DeviceChoice {
 
 /// A device that has no such name.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
-#[error("expected auto, cpu, gpu, or gpu:N with an index that `minute4d doctor` lists")]
+#[error("expected auto, cpu, gpu, or gpu:N with the index of a GPU of this machine")]
 pub struct UnknownDevice;
 
 impl FromStr for DeviceChoice {

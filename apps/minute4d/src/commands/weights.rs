@@ -3,8 +3,8 @@
 use crate::failure::Failure;
 use crate::output::Output;
 use clap::{Args, Subcommand};
-use minute4d::Progress;
 use minute4d::weights::{self, Condition, Entry, Origin, Record, Store, WeightsError};
+use minute4d::{Category, Progress};
 use serde::Serialize;
 use std::path::PathBuf;
 
@@ -57,7 +57,7 @@ pub fn run(args: &Weights, output: &Output) -> Result<(), Failure> {
             for name in names {
                 let entry = find_entry(name)?;
                 let record = weights::fetch(entry, &store, None, *accept_license, output);
-                records.push(record.map_err(minute4d::Error::from)?);
+                records.push(record.map_err(|error| or_by_hand(entry, error))?);
             }
             report_installed(&store, &records, output)
         }
@@ -71,6 +71,16 @@ pub fn run(args: &Weights, output: &Output) -> Result<(), Failure> {
         }
         WeightsAction::Verify { names } => verify(&store, names, output),
     }
+}
+
+/// The failure of a download, with the command that installs a file got by hand.
+fn or_by_hand(entry: &Entry, error: WeightsError) -> Failure {
+    let accepted = !matches!(&error, WeightsError::Refused(refusal) if refusal.category == Category::Usage);
+    let mut failure = Failure::from(minute4d::Error::from(error));
+    if accepted {
+        failure.reason += &format!("; `minute4d weights add {} FILE` installs a file", entry.name);
+    }
+    failure
 }
 
 fn find_entry(name: &str) -> Result<&'static Entry, Failure> {
@@ -97,7 +107,7 @@ fn list(store: &Store, output: &Output) -> Result<(), Failure> {
             Origin::Pip(_) => "fetch",
             _ => "add",
         },
-        command: entry.command(),
+        command: crate::failure::command(entry),
         origin: entry.origin.description(),
         path: store.installed(entry),
     };

@@ -7,6 +7,7 @@ mod text;
 pub use stop::{StopSignal, stop_at_eof, watch_signals};
 pub use text::{delivered, lost, to_stderr};
 
+use crate::advice::with_options;
 use crate::memory::FreedMemory;
 use minute4d::{Category, Observer, Progress, StageEvent};
 pub use progress::end_of_json;
@@ -63,7 +64,7 @@ impl Output {
     /// Prints a message that is neither progress nor result; `--json` and `--quiet` omit it.
     pub fn note(&self, message: &str) {
         if self.talks() {
-            self.say(message);
+            self.say(&with_options(message));
         }
     }
 
@@ -138,8 +139,9 @@ impl Progress for Output {
         }
         warned.push(message.to_owned());
         drop(warned);
+        let message = with_options(message);
         if let Mode::Json(events) = &self.mode {
-            events.emit("warning", &[("message", message.into())]);
+            events.emit("warning", &[("message", message.as_str().into())]);
         }
         self.say(&format!("warning: {message}"));
     }

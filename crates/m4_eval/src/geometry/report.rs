@@ -185,7 +185,7 @@ fn with_notes(mut report: GeometryReport, estimate: &Side<'_>, truth: &Side<'_>)
     if report.matching == Matching::Name && part != whole {
         report.notes.push(format!(
             "frames: {part} of the estimate were paired with {whole} of the ground truth by file name; if the estimate was \
-             made from a part of the clip (--start, --end, --max-frames), its names are numbered anew and the figures \
+             made from a part of the clip, its names are numbered anew and the figures \
              mean nothing"
         ));
     }

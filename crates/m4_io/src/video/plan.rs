@@ -147,7 +147,7 @@ pub fn thinned(kept: usize, of: usize) -> Option<String> {
 pub fn damaged(n: usize, of: usize, first: &str, options: &VideoOptions) -> Result<String, Fault> {
     if options.strict {
         let what = format!("{n} of {of} frames are damaged (the first {first})");
-        return Err(Fault::bad(what, "without --strict-video they are left out"));
+        return Err(Fault::bad(what, "they are left out unless reading is strict"));
     }
     Ok(format!("{n} of {of} frames are damaged or missing and were left out, the first {first}"))
 }

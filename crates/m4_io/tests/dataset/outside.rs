@@ -2,6 +2,7 @@
 
 use crate::dataset::{copied, fixture, refused, refuses, says};
 use m4_core::Silent;
+use m4_core::advice::OUTSIDE;
 use m4_io::dataset::SourceFormat::{self, Nerfstudio};
 use m4_io::dataset::{ImportOptions, read};
 use m4_io::reach::Reach;
@@ -16,7 +17,7 @@ fn anywhere() -> ImportOptions {
 fn folders_that_the_options_name_may_be_read() {
     let options = ImportOptions { images: Some(fixture("import/clip")), ..ImportOptions::default() };
     read(&fixture("import/blender"), Nerfstudio, &options, &Silent).unwrap();
-    refuses(&fixture("import/blender"), Nerfstudio, &["transforms_train.json", "clip/images", "--allow-outside"]);
+    refuses(&fixture("import/blender"), Nerfstudio, &["transforms_train.json", "clip/images", OUTSIDE]);
 }
 
 #[cfg(unix)]
@@ -33,7 +34,7 @@ fn links_out_of_a_source_are_not_followed() {
         for file in files {
             let (dir, here) = copied(&format!("import/{name}"));
             link(&here.join(file), dir.path());
-            refuses(&here, format, &[file.rsplit('/').next().unwrap(), "private", "--allow-outside"]);
+            refuses(&here, format, &[file.rsplit('/').next().unwrap(), "private", OUTSIDE]);
             if let Err(e) = read(&here, format, &anywhere(), &Silent) {
                 panic!("{name}, {file}: {e}");
             }
@@ -57,6 +58,6 @@ fn links_out_of_folders_that_the_options_name_are_not_followed() {
     let (dir, here) = copied("import/side/depth_png");
     link(&here.join("frame9.png"), dir.path());
     let message = refused(&clip, SourceFormat::Record3d, &of(Reach::Inside, &here));
-    says(&message, &["frame9.png", "--allow-outside"]);
+    says(&message, &["frame9.png", OUTSIDE]);
     read(&clip, SourceFormat::Record3d, &of(Reach::Anywhere, &here), &Silent).unwrap();
 }

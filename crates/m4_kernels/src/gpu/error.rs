@@ -1,5 +1,6 @@
 //! Errors of the GPU backend.
 
+use m4_core::advice::{CPU, GPU_MEMORY};
 use thiserror::Error;
 
 /// Why a GPU could not do what it was asked for.
@@ -7,9 +8,7 @@ use thiserror::Error;
 #[non_exhaustive]
 pub enum GpuError {
     /// No adapter answers to that.
-    #[error(
-        "there is no GPU {wanted}; this machine has {found}. Choose one listed by `minute4d doctor`, or --device cpu"
-    )]
+    #[error("there is no GPU {wanted}; this machine has {found}. Choose one of them, or {}", CPU)]
     NoAdapter {
         /// The requested value.
         wanted: String,
@@ -17,7 +16,7 @@ pub enum GpuError {
         found: String,
     },
     /// The adapter is there and does not start.
-    #[error("the GPU {name} does not start: {why}. Update its driver, or choose --device cpu")]
+    #[error("the GPU {name} does not start: {why}. Update its driver, or {}", CPU)]
     NotStarted {
         /// Its name.
         name: String,
@@ -26,7 +25,8 @@ pub enum GpuError {
     },
     /// A buffer is larger than the adapter allows.
     #[error(
-        "{what} needs {needed} MB in one buffer; the GPU {name} allows {limit} MB. Choose fewer splats, smaller images, or --device cpu"
+        "{what} needs {needed} MB in one buffer; the GPU {name} allows {limit} MB. Choose fewer splats, smaller images, or {}",
+        CPU
     )]
     TooLarge {
         /// The contents of the buffer.
@@ -64,8 +64,10 @@ pub enum GpuError {
     },
     /// It takes more memory than it may.
     #[error(
-        "{doing} needs {needed} MB on the GPU, above the limit of {limit} MB: {parts}. Raise --max-vram, or choose fewer \
-         splats, smaller images, or --device cpu"
+        "{doing} needs {needed} MB on the GPU, above the limit of {limit} MB: {parts}. Choose fewer splats or \
+         smaller images, {}, or {}",
+        GPU_MEMORY,
+        CPU
     )]
     OverLimit {
         /// The operation.
@@ -78,7 +80,7 @@ pub enum GpuError {
         parts: String,
     },
     /// The device was lost, is out of memory, or a kernel failed.
-    #[error("the GPU failed while {doing}: {why}. The scene before that is kept; try fewer splats, or --device cpu")]
+    #[error("the GPU failed while {doing}: {why}. The scene before that is kept; try fewer splats, or {}", CPU)]
     Failed {
         /// The operation.
         doing: &'static str,

@@ -34,6 +34,7 @@ use axum::response::{IntoResponse, Response};
 use axum::routing::get;
 use guard::Guard;
 use limits::Limited;
+use m4_core::advice::PORT;
 use std::io;
 use std::net::{Ipv4Addr, TcpListener};
 use std::sync::Arc;
@@ -45,10 +46,10 @@ use tokio::sync::oneshot;
 #[non_exhaustive]
 pub enum ServeError {
     /// Something else listens there.
-    #[error("port {0} of 127.0.0.1 is in use; choose another one with --port, or omit --port to use a free one")]
+    #[error("port {0} of 127.0.0.1 is in use; {advice}, or none to use a free one", advice = PORT)]
     InUse(u16),
     /// The port cannot be had.
-    #[error("cannot listen on port {port} of 127.0.0.1: {source}; choose another one with --port")]
+    #[error("cannot listen on port {port} of 127.0.0.1: {source}; {}", PORT)]
     Listen {
         /// The port that was asked for; 0 for any.
         port: u16,

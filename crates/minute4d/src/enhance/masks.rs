@@ -43,8 +43,8 @@ fn coarse(capture: &Capture) -> Result<Coarse<'_>, Refusal> {
     let masks = capture.frames.iter().enumerate().map(|(i, frame)| {
         frame.mask.as_ref().ok_or_else(|| {
             Refusal::bad_input(format!(
-                "frame {i} ({:?}) has neither a motion map nor a mask, so there is nothing to refine; create the capture with masks \
-                 (`minute4d geometry`), or import it with them",
+                "frame {i} ({:?}) has neither a motion map nor a mask, so there is nothing to refine; make the capture from the \
+                 video again, or import it with masks",
                 frame.name
             ))
         })

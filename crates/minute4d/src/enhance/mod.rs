@@ -44,8 +44,7 @@ pub fn moving_share(capture: &Capture) -> Option<f64> {
 
 /// The refusal of a plan without a method, or none that is available.
 pub fn nothing_to_do() -> Error {
-    let message =
-        "there is nothing to do: --segmenter none and --tracker none leave a capture unchanged; omit one of them";
+    let message = "there is nothing to do: without a segmenter and without a tracker a capture stays as it is; choose one of them";
     Refusal::usage(message).into()
 }
 

@@ -1,5 +1,6 @@
 //! The category of a failure, and errors that several operations share: data, outputs.
 
+use m4_core::advice::{REPLACE, RESUME};
 use m4_io::{ErrorKind, ReadError, WriteError};
 use std::path::PathBuf;
 
@@ -91,7 +92,7 @@ impl From<ErrorKind> for Category {
 #[non_exhaustive]
 pub enum OutputError {
     /// A folder with other files in it.
-    #[error("the folder {} is not empty and not made by minute4d (it has no usable {missing}); choose another folder, or --force to write into it anyway", path.display())]
+    #[error("the folder {} is not empty and not made by minute4d (it has no usable {missing}); choose another folder, or {} with what is ours in it", path.display(), REPLACE)]
     NotOurs {
         /// The folder.
         path: PathBuf,
@@ -99,7 +100,7 @@ pub enum OutputError {
         missing: &'static str,
     },
     /// A folder with earlier work.
-    #[error("the folder {} contains {what}; --resume continues it, --force replaces it", path.display())]
+    #[error("the folder {} contains {what}; {}, or {}", path.display(), RESUME, REPLACE)]
     Exists {
         /// The folder.
         path: PathBuf,
@@ -107,7 +108,7 @@ pub enum OutputError {
         what: String,
     },
     /// A file that would be replaced.
-    #[error("{} already exists; --force replaces it", path.display())]
+    #[error("{} already exists; choose another name, or {}", path.display(), REPLACE)]
     WouldReplace {
         /// The file or folder.
         path: PathBuf,

@@ -17,6 +17,7 @@ pub use weights::WeightsError;
 
 use crate::settings::SettingsError;
 use crate::time::TimeError;
+use m4_core::advice::{CPU, RESUME, TIME_LIMIT};
 use m4_geometry::classical::dense::DenseError;
 use m4_geometry::classical::sparse::SparseError;
 use m4_geometry::megasam::MegasamError;
@@ -69,8 +70,10 @@ pub enum Error {
     Data(#[from] DataError),
     /// The time limit was reached before there was a scene.
     #[error(
-        "the time limit of {seconds:.0} s was reached in the stage {stage}; finished work is kept: the same command with \
-         --resume continues, and --time-limit changes the limit"
+        "the time limit of {seconds:.0} s was reached in the stage {stage}; finished work is kept: {}, and \
+         {}",
+        RESUME,
+        TIME_LIMIT
     )]
     TimeLimit {
         /// The stage.
@@ -79,7 +82,7 @@ pub enum Error {
         seconds: f64,
     },
     /// The caller asked to stop.
-    #[error("stopped during {stage}{}", if *saved { "; run the same command with --resume to continue" } else { "" })]
+    #[error("stopped during {stage}{}{}", if *saved { "; finished work is kept: " } else { "" }, if *saved { RESUME } else { "" })]
     Stopped {
         /// The stage that was running.
         stage: &'static str,
@@ -103,9 +106,7 @@ pub enum Error {
     #[error(transparent)]
     Gpu(#[from] m4_kernels::gpu::GpuError),
     /// A GPU was requested in a build without GPU support.
-    #[error(
-        "this program was built without GPU support, which --device gpu needs: `{BUILD_FULL}` builds it with them; --device cpu works without"
-    )]
+    #[error("this program was built without GPU support: `{BUILD_FULL}` builds it with it; or {}", CPU)]
     NoGpuSupport,
     /// A method that needs a pretrained network.
     #[error(transparent)]

@@ -4,6 +4,7 @@
 use super::WeightsError;
 use super::{BUILD_FULL, Category};
 use crate::settings::{FrontendPart, Segmenter, Tracker};
+use m4_core::advice::{CLASSICAL, FLOW_TRACKER, NO_SEGMENTER};
 use std::fmt;
 
 /// A method that needs a pretrained network; printed as its kind and its name, such as `front end raft`.
@@ -19,12 +20,12 @@ pub enum NetworkMethod {
 }
 
 impl NetworkMethod {
-    /// Returns the option that works without a network.
+    /// Returns what works without a network.
     fn without(self) -> &'static str {
         match self {
-            Self::FrontEnd(_) => "--frontend classical",
-            Self::Segmenter(_) => "--segmenter none",
-            Self::Tracker(_) => "--tracker flow",
+            Self::FrontEnd(_) => CLASSICAL,
+            Self::Segmenter(_) => NO_SEGMENTER,
+            Self::Tracker(_) => FLOW_TRACKER,
         }
     }
 }
@@ -46,7 +47,7 @@ pub enum NetworkError {
     /// The program was built without networks.
     #[error(
         "this program was built without networks, which the {method} needs: `{BUILD_FULL}` builds it with them; \
-         {} works without",
+         or {}",
         method.without()
     )]
     NotBuilt {
@@ -55,7 +56,7 @@ pub enum NetworkError {
     },
     /// The weights are missing.
     #[cfg(feature = "nets")]
-    #[error("the {method} cannot be used: {source}; {} works without", method.without())]
+    #[error("the {method} cannot be used: {source}; or {}", method.without())]
     Weights {
         /// The method.
         method: NetworkMethod,
@@ -64,7 +65,7 @@ pub enum NetworkError {
     },
     /// The weights are invalid.
     #[cfg(feature = "nets")]
-    #[error("the {method} cannot be used: {source}; {} works without", method.without())]
+    #[error("the {method} cannot be used: {source}; or {}", method.without())]
     Load {
         /// The method.
         method: NetworkMethod,

@@ -9,7 +9,17 @@ use std::path::PathBuf;
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum WeightsError {
-    /// A request that cannot be met: an unknown name, weights that are missing or have to be fetched by hand, a licence that was not
+    /// Weights that are not installed.
+    #[error("the weights {name} are not installed; they come from {origin}. Without them: {without}")]
+    Absent {
+        /// Their name.
+        name: &'static str,
+        /// Where their authors publish them.
+        origin: String,
+        /// What is unavailable without them.
+        without: &'static str,
+    },
+    /// A request that cannot be met: an unknown name, weights that have to be fetched by hand, a licence that was not
     /// accepted, a `pip` that is missing or fails, a stop.
     #[error(transparent)]
     Refused(#[from] Refusal),
@@ -43,6 +53,7 @@ impl WeightsError {
     /// Category of the failure.
     pub fn category(&self) -> Category {
         match self {
+            Self::Absent { .. } => Category::NoInput,
             Self::Refused(refusal) => refusal.category,
             Self::Damaged(_) => Category::BadInput,
             Self::Read { source, .. } => ErrorKind::of_read(source).into(),

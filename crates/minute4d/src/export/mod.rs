@@ -80,7 +80,7 @@ pub fn make(input: &Path, job: &ExportJob, observer: &dyn Observer) -> Result<Ex
     }
     if lone_capture {
         return Err(Refusal::bad_input(format!(
-            "{} is a capture, which the format {} cannot store; choose colmap, or train it first (`minute4d train`)",
+            "{} is a capture, which the format {} cannot store; choose colmap, or train it first",
             input.display(),
             job.format.name()
         ))
@@ -126,13 +126,13 @@ impl ExportJob {
         let time = self.format.time();
         if self.time.is_some() && time != Time::Instant {
             return Err(Refusal::usage(format!(
-                "--time has no meaning for {}, which holds the whole clip; leave it out, or choose a format of one instant such as ply",
+                "a time has no meaning for {}, which holds the whole clip; leave it out, or choose a format of one instant such as ply",
                 self.format.name()
             )));
         }
         if self.fps.is_some() && time != Time::Sequence {
             return Err(Refusal::usage(format!(
-                "--fps has no meaning for {}; leave it out, or choose ply-sequence",
+                "a rate (fps) has no meaning for {}; leave it out, or choose ply-sequence",
                 self.format.name()
             )));
         }

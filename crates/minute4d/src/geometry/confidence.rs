@@ -1,5 +1,6 @@
 //! The confidence of the geometry: numbers, a grade and one piece of advice.
 
+use m4_core::advice::{DEPTH, FIELD_OF_VIEW, INTRINSICS, MASKS};
 use m4_core::median;
 use m4_geometry::classical::dense::DenseFrame;
 use m4_geometry::classical::sparse::FocalSource;
@@ -136,45 +137,49 @@ impl Confidence {
         let high = |value: f64, fair: f64, poor: f64| low(-value, -fair, -poor);
         let parallax = around.camera_motion == CameraMotion::Parallax;
         let crowded = self.static_share < 0.5 && !around.masks_given;
-        const CROWDED: &str = "dynamic objects fill the frame: give --masks, or film with more of the surroundings";
+        let crowd = format!("dynamic objects fill the frame: {MASKS}, or film with more of the surroundings");
         let motion = match around.camera_motion {
             CameraMotion::Static => (
                 Grade::Poor,
-                "the camera is static, so depth is a placeholder: film while walking sideways, or give --depth",
+                format!("the camera is static, so depth is a placeholder: film while walking sideways, or {DEPTH}"),
             ),
             CameraMotion::RotationOnly => (
                 Grade::Poor,
-                "the camera only rotates, so depth is a placeholder: film while walking sideways, or give --depth",
+                format!("the camera only rotates, so depth is a placeholder: film while walking sideways, or {DEPTH}"),
             ),
             CameraMotion::Parallax => (
                 low(self.parallax_deg, 2.0, 0.7),
-                "the camera moves little compared with the distance of what it sees: film while walking sideways",
+                "the camera moves little compared with the distance of what it sees: film while walking sideways"
+                    .to_owned(),
             ),
         };
-        let few = "few points can be tracked: film slower, in more light, with textured objects in view";
-        let tracks = (low(self.inlier_share, 0.4, 0.15), if crowded { CROWDED } else { few });
+        let few = "few points can be tracked: film slower, in more light, with textured objects in view".to_owned();
+        let tracks = (low(self.inlier_share, 0.4, 0.15), if crowded { crowd.clone() } else { few });
         let focal = match (self.focal, self.focal_sigma_percent) {
-            (Focal::Assumed, _) => (Grade::Fair, "the field of view is a guess: give --fov"),
+            (Focal::Assumed, _) => (Grade::Fair, format!("the field of view is a guess: {FIELD_OF_VIEW}")),
             (Focal::Estimated, Some(sigma)) => {
-                (high(sigma, 3.0, 10.0), "the clip says little about the field of view: give --fov")
+                (high(sigma, 3.0, 10.0), format!("the clip says little about the field of view: {FIELD_OF_VIEW}"))
             }
-            _ => (Grade::Good, ""),
+            _ => (Grade::Good, String::new()),
         };
         let residual = (
             high(self.residual_px, 0.75, 1.5),
-            "points do not stay where they should: film without zoom and with a short exposure, or give --intrinsics",
+            format!(
+                "points do not stay where they should: film without zoom and with a short exposure, or {INTRINSICS}"
+            ),
         );
         let measured = (
             low(self.measured_share, 0.35, 0.1),
-            "little of the depth was measured, the rest is filled in: film textured objects while walking sideways, or \
-             give --depth",
+            format!(
+                "little of the depth was measured, the rest is filled in: film textured objects while walking sideways, or {DEPTH}"
+            ),
         );
         let all = [
             (!around.depth_given, motion),
             (parallax, tracks),
             (true, focal),
             (parallax, residual),
-            (!around.masks_given, (low(self.static_share, 0.6, 0.35), CROWDED)),
+            (!around.masks_given, (low(self.static_share, 0.6, 0.35), crowd)),
             (parallax && !around.depth_given, measured),
         ];
         let findings: Vec<_> = all.into_iter().filter_map(|(counts, finding)| counts.then_some(finding)).collect();
@@ -224,7 +229,7 @@ fn parallax_rad(sparse: &SparseReconstruction) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use super::{Circumstances, Confidence, Focal, Grade};
+    use super::{Circumstances, Confidence, DEPTH, FIELD_OF_VIEW, Focal, Grade, MASKS};
     use m4_geometry::classical::CameraMotion;
 
     const FINE: Confidence = Confidence {
@@ -255,14 +260,14 @@ mod tests {
         weak(&|c| c.parallax_deg = 1.0, MOVING, Grade::Fair, "sideways");
         weak(&|c| c.parallax_deg = 0.1, MOVING, Grade::Poor, "sideways");
         weak(&|c| c.inlier_share = 0.1, MOVING, Grade::Poor, "light");
-        weak(&|c| (c.inlier_share, c.static_share) = (0.1, 0.4), MOVING, Grade::Poor, "--masks");
-        weak(&|c| c.focal_sigma_percent = Some(20.0), MOVING, Grade::Poor, "--fov");
+        weak(&|c| (c.inlier_share, c.static_share) = (0.1, 0.4), MOVING, Grade::Poor, MASKS);
+        weak(&|c| c.focal_sigma_percent = Some(20.0), MOVING, Grade::Poor, FIELD_OF_VIEW);
         weak(&|c| c.residual_px = 1.0, MOVING, Grade::Fair, "zoom");
-        weak(&|c| c.static_share = 0.5, MOVING, Grade::Fair, "--masks");
-        weak(&|c| c.measured_share = 0.2, MOVING, Grade::Fair, "--depth");
+        weak(&|c| c.static_share = 0.5, MOVING, Grade::Fair, MASKS);
+        weak(&|c| c.measured_share = 0.2, MOVING, Grade::Fair, DEPTH);
         let tripod = Circumstances { camera_motion: CameraMotion::Static, ..MOVING };
         weak(&|c| c.focal = Focal::Assumed, tripod, Grade::Poor, "is static");
         let given = Circumstances { depth_given: true, ..tripod };
-        weak(&|c| c.focal = Focal::Assumed, given, Grade::Fair, "--fov");
+        weak(&|c| c.focal = Focal::Assumed, given, Grade::Fair, FIELD_OF_VIEW);
     }
 }

@@ -31,7 +31,7 @@ pub(super) fn set_unit(
              the files) as by the poses; give poses in metres"
         )),
         Err(found) if given && !posed => {
-            let message = format!("{}; give --poses in metres too, or depth maps with fewer holes", few(found));
+            let message = format!("{}; give poses in metres too, or depth maps with fewer holes", few(found));
             return Err(Refusal::bad_input(message));
         }
         Err(found) if !given => {

@@ -5,6 +5,7 @@ use super::GeometrySummary;
 use super::clip::{Clip, FrameGeometry};
 use super::frontend::{MonoClip, NetworkCorrespondence};
 use crate::{Error, Refusal, enhance};
+use m4_core::advice::{FIELD_OF_VIEW, INTRINSICS, MASKS};
 use m4_core::{Camera, Capture, CompactMask, Intrinsics, Mask, Plane};
 use m4_geometry::classical::dense::InverseSearch;
 use m4_geometry::megasam::{MegasamGeometry, MegasamInput, PairFlow, TAU_MOTION, TrackingSize, reconstruct, track};
@@ -19,7 +20,7 @@ pub(super) fn compute(mut clip: Clip, context: &Context<'_>) -> Result<(Capture,
     let (plan, device) = (&context.methods.frontend, &context.methods.device);
     let given = &clip.given;
     if given.cameras.is_some() {
-        let message = "the front end megasam estimates the poses itself: omit --poses, or choose another --frontend";
+        let message = "the front end megasam estimates the poses itself: omit given poses, or choose another front end";
         return Err(Refusal::bad_input(message).into());
     }
     let images = clip.images();
@@ -65,7 +66,7 @@ pub(super) fn compute(mut clip: Clip, context: &Context<'_>) -> Result<(Capture,
     let found = summary(&capture, &geometry, context, given_names);
     if found.moving_share > TOO_MUCH_MOTION {
         observer.warn(&format!(
-            "{:.0} % of all pixels count as moving; if that is wrong, give masks of your own with --masks",
+            "{:.0} % of all pixels count as moving; if that is wrong, {MASKS}",
             100.0 * found.moving_share
         ));
     }
@@ -77,7 +78,9 @@ fn warn(geometry: &MegasamGeometry, focal_is_known: bool, observer: &dyn Progres
         observer.warn("the camera hardly moves sideways: depth is monocular, and views from the side will be wrong");
     }
     if !geometry.focal_adjusted && !focal_is_known {
-        observer.warn("the clip does not tell its focal length; a usual one was taken: --fov or --intrinsics sets it");
+        observer.warn(&format!(
+            "the clip does not tell its focal length; a usual one was taken: {FIELD_OF_VIEW}, or {INTRINSICS}"
+        ));
     }
 }
 

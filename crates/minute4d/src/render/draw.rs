@@ -222,8 +222,8 @@ impl Sink {
             if stops.len() != 1 {
                 let (path, frames) = (path.display(), stops.len());
                 return Err(Refusal::usage(format!(
-                    "{path} is one image, but the path has {frames}; name a folder or an .mp4 file, or choose one time with --path source \
-                     --at T"
+                    "{path} is one image, but the path has {frames}; name a folder or an .mp4 file, or choose the path source and \
+                     one time"
                 ))
                 .into());
             }

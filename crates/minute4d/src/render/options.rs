@@ -19,10 +19,10 @@ impl CameraPath {
     /// The options that mean something for this path.
     fn takes(&self) -> &'static [&'static str] {
         match self {
-            Self::Train => &["--at"],
-            Self::Source | Self::Stabilised => &["--seconds", "--at"],
-            Self::Swing | Self::Bullet => &["--seconds", "--at", "--degrees"],
-            Self::File(_) => &["--seconds"],
+            Self::Train => &["at"],
+            Self::Source | Self::Stabilised => &["seconds", "at"],
+            Self::Swing | Self::Bullet => &["seconds", "at", "degrees"],
+            Self::File(_) => &["seconds"],
         }
     }
 }
@@ -31,18 +31,18 @@ impl PathOptions {
     /// Refuses what means nothing for the path, and numbers that cannot work.
     pub fn check(&self, path: &CameraPath) -> Result<(), Refusal> {
         let given =
-            [("--seconds", self.seconds.is_some()), ("--at", self.at.is_some()), ("--degrees", self.degrees.is_some())];
+            [("seconds", self.seconds.is_some()), ("at", self.at.is_some()), ("degrees", self.degrees.is_some())];
         let known = path.takes();
         if let Some((option, _)) = given.into_iter().find(|(name, given)| *given && !known.contains(name)) {
             return Err(unused(option, &path.to_string(), known));
         }
         let numbers = [
-            ("--seconds", self.seconds, 0.01, 3600.0, "0.01 to 3600 seconds"),
-            ("--degrees", self.degrees, -60.0, 60.0, "at most 60 degrees"),
+            ("seconds", self.seconds, 0.01, 3600.0, "0.01 to 3600 seconds"),
+            ("degrees", self.degrees, -60.0, 60.0, "at most 60 degrees"),
         ];
         for (option, value, least, most, expected) in numbers {
             if let Some(value) = value.filter(|v| !(*v >= least && *v <= most)) {
-                let message = format!("{option} is {value}; {expected} was expected");
+                let message = format!("{option} = {value}; {expected} was expected");
                 return Err(Refusal::usage(message));
             }
         }
@@ -56,5 +56,5 @@ pub(super) fn unused(option: &str, path: &str, known: &[&str]) -> Refusal {
         [] => "none of these options".to_owned(),
         known => known.join(", "),
     };
-    Refusal::usage(format!("{option} has no meaning for the camera path {path}; it takes {takes}"))
+    Refusal::usage(format!("the option {option} has no meaning for the camera path {path}; it takes {takes}"))
 }

@@ -84,7 +84,7 @@ impl Bullet {
                 if kept < least {
                     let hold_s = bullet.hold_s + 2.0 * least;
                     return Err(Refusal::usage(format!(
-                        "--seconds {seconds} leaves no time besides the {hold_s} s for which time is frozen; choose more"
+                        "a path of {seconds} seconds leaves no time besides the {hold_s} s for which time is frozen; choose more"
                     )));
                 }
                 // Both sides give in proportion, but keep what the slowing down needs.

@@ -44,7 +44,7 @@ impl Layers {
     pub fn set(self, given: &str) -> Result<Self, SettingsError> {
         let form = || {
             let what = "is not of the form key=value, such as train.iterations=2000";
-            SettingsError::Invalid(format!("--set {given:?} {what}"))
+            SettingsError::Invalid(format!("{given:?} {what}"))
         };
         let (key, text) = given.split_once('=').ok_or_else(form)?;
         let parts: Vec<&str> = key.split('.').map(str::trim).collect();
@@ -60,7 +60,7 @@ impl Layers {
         let layer =
             parts.iter().rev().fold(value, |inner, &part| Value::Table(Table::from_iter([(part.to_owned(), inner)])));
         match layer {
-            Value::Table(layer) => self.lay(layer, &format!("--set {given}")),
+            Value::Table(layer) => self.lay(layer, given),
             _ => Err(form()),
         }
     }
@@ -78,7 +78,7 @@ impl Layers {
     pub fn over(&self, base: &Settings) -> Result<Settings, SettingsError> {
         if let Some(named) = self.profile().filter(|named| *named != base.profile) {
             return Err(SettingsError::Invalid(format!(
-                "the settings file or --set names profile = {:?}, and {:?} was asked for; leave one of them out",
+                "a settings file or key names profile = {:?}, and {:?} was asked for; leave one of them out",
                 named.name(),
                 base.profile.name()
             )));

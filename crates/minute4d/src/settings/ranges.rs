@@ -171,7 +171,7 @@ mod tests {
         let message = Layers::default().set("train.iterations=5000000000").unwrap_err().to_string();
         assert_eq!(
             message,
-            "--set train.iterations=5000000000: train.iterations = 5000000000 is out of range: it must be 1 to 10000000"
+            "train.iterations=5000000000: train.iterations = 5000000000 is out of range: it must be 1 to 10000000"
         );
         let mut settings = Settings::fast();
         settings.train.batch = 100_000;

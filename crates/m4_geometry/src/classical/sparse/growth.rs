@@ -9,6 +9,7 @@ use super::two_view::{Match, TwoView, relate};
 use super::{INLIER_PX, SparseError, stopped};
 use crate::classical::{CameraMotion, Motion};
 use m4_core::Se3;
+use m4_core::advice::{FIELD_OF_VIEW, STATIC_CAMERA};
 use rayon::prelude::*;
 use std::cmp::Reverse;
 
@@ -63,8 +64,8 @@ impl Clip<'_> {
             let (inliers, matches) = first.map_or((0, 0), |s| (s.view.inliers.len(), s.pair.matches));
             return Err(SparseError::NoAgreement(format!(
                 "no two frames agree on a static scene: the best pair has {inliers} of {matches} points on one rigid motion, \
-                 {MIN_MATCHES} are needed (do moving objects fill the image?); pass --fov with the true field of view, \
-                 --static-camera if the camera is static, or supply a capture with poses"
+                 {MIN_MATCHES} are needed (do moving objects fill the image?); {FIELD_OF_VIEW}, {STATIC_CAMERA} if \
+                 it is, or supply a capture with poses"
             )));
         };
         let (map, motions, report) = self.refine(map)?;
@@ -74,14 +75,14 @@ impl Clip<'_> {
         if points < needed {
             return Err(SparseError::NoAgreement(format!(
                 "only {points} of {tracks} tracks fit a static scene after bundle adjustment, {needed} are needed (do moving \
-                 objects fill the image?); pass --fov with the true field of view, --static-camera if the camera is \
-                 static, or supply a capture with poses"
+                 objects fill the image?); {FIELD_OF_VIEW}, {STATIC_CAMERA} if it is, or supply a \
+                 capture with poses"
             )));
         }
         if let Some(rival) = rival_focal {
             self.warn(format!(
                 "fields of view of {:.0} and {:.0} degrees explain the clip almost equally well, the first was taken; \
-                 pass --fov if the field of view is known",
+                 {FIELD_OF_VIEW} if it is known",
                 self.fov_deg(map.focal),
                 self.fov_deg(rival)
             ));

@@ -5,6 +5,7 @@ use super::map::Map;
 use super::reconstruct::Clip;
 use super::tracking::RawTrack;
 use crate::classical::{CameraMotion, Motion, SparseReconstruction, Track};
+use m4_core::advice::FIELD_OF_VIEW;
 use m4_core::{Camera, Intrinsics, Se3, median};
 
 impl Clip<'_> {
@@ -19,14 +20,14 @@ impl Clip<'_> {
         let fov = self.fov_deg(map.focal);
         if !(20.0..=125.0).contains(&fov) {
             self.warn(format!(
-                "the field of view came out as {fov:.0} degrees, which no common camera has; pass --fov with the true one"
+                "the field of view came out as {fov:.0} degrees, which no common camera has; {FIELD_OF_VIEW}"
             ));
         }
         let sigma = report.log_focal_sigma * typical.max(0.1);
         if free_focal && sigma > 0.1 {
             self.warn(format!(
-                "the motion of the camera says little about its focal length ({:.0} px, give or take {:.0} %); pass \
-                 --fov if the field of view is known",
+                "the motion of the camera says little about its focal length ({:.0} px, give or take {:.0} %); \
+                 {FIELD_OF_VIEW} if it is known",
                 map.focal / self.size.scale,
                 100.0 * sigma.min(9.99)
             ));

@@ -8,6 +8,7 @@ use super::rotation::{KEYFRAME_PARALLAX, Limits, MIN_TRACKS, Sway, focal_candida
 use super::tracking::{RawTrack, track};
 use super::{SparseConfig, SparseError, stopped};
 use crate::classical::{CameraMotion, check_count};
+use m4_core::advice::{FIELD_OF_VIEW, STATIC_CAMERA};
 use m4_core::{Intrinsics, Mask, Progress, RgbImage, Se3};
 
 /// Below this greatest median parallax (share of the width, rotation taken out) nothing can be triangulated and the camera counts as
@@ -158,7 +159,7 @@ impl<'a> Clip<'a> {
             if let Some(seen) = seen.filter(|s| s.motion_px > DOUBTFUL * STATIC_MOTION_PX) {
                 self.warn(format!(
                     "the camera was declared static, but most of the image moves, by up to {:.1} px (working \
-                     size); without --static-camera its motion would be reconstructed",
+                     size); undeclared, its motion would be reconstructed",
                     seen.motion_px
                 ));
             }
@@ -212,7 +213,7 @@ impl<'a> Clip<'a> {
             if found < MIN_TRACKS {
                 return Err(SparseError::NoAgreement(format!(
                     "only {found} points could be tracked from frame {} to the next, {MIN_TRACKS} are needed (flat, dark or \
-                     blurred images, or a cut); cut the clip there, or pass --static-camera if the camera is static, or \
+                     blurred images, or a cut); cut the clip there, or {STATIC_CAMERA} if it is, or \
                      supply a capture with poses",
                     frame - 1
                 )));
@@ -271,7 +272,7 @@ impl<'a> Clip<'a> {
             return String::new();
         }
         let fov_deg = self.config.default_fov_deg;
-        format!("; a field of view of {fov_deg} degrees is assumed (give the true one with --fov)")
+        format!("; a field of view of {fov_deg} degrees is assumed ({FIELD_OF_VIEW})")
     }
 }
 

@@ -5,6 +5,7 @@ use super::reconstruct::{FeatureTracks, from_tracks};
 use super::tracking::RawTrack;
 use super::{SparseConfig, SparseError};
 use crate::classical::{CameraMotion, Motion, SparseReconstruction, Track};
+use m4_core::advice::FIELD_OF_VIEW;
 use m4_core::{Camera, CounterRng, Intrinsics, Plane, Se3, Silent, Sim3, exp_so3, log_so3, nalgebra::Vector3};
 use m4_testkit::StopAtPoll;
 
@@ -247,7 +248,7 @@ fn a_camera_on_a_tripod_gives_one_pose() {
     let (found, moving) = solved(&scene);
     assert_eq!(found.camera_motion, CameraMotion::Static);
     assert!(found.cameras.iter().all(|c| c.c2w == Se3::identity()));
-    assert!(found.warnings[0].contains("--fov"), "{:?}", found.warnings);
+    assert!(found.warnings[0].contains(FIELD_OF_VIEW), "{:?}", found.warnings);
     let dynamic = [true, false].map(|moves| judged(&found, &moving, Motion::Dynamic, moves));
     assert!(dynamic[0] > 60 && dynamic[1] == 0, "{dynamic:?}");
 }

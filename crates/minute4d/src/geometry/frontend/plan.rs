@@ -125,11 +125,7 @@ fn complete(asked: &Frontend, here: &dyn Fn(Part) -> bool, notes: &mut Vec<Strin
     if tracked && parts.len() != asked.parts().len() {
         let chosen: Vec<&str> = parts[asked.parts().len()..].iter().map(|p| p.name()).collect();
         let depth = parts.iter().any(|p| matches!(p.task(), "metric depth" | "relative depth"));
-        let without = if depth {
-            ""
-        } else {
-            ", and no depth from one image (`minute4d weights add moge-2-l FILE` installs one)"
-        };
+        let without = if depth { "" } else { ", and no depth from one image (the weights moge-2-l give one)" };
         notes.push(format!("megasam takes {}{without}: that is what is here", chosen.join(", ")));
     }
     parts

@@ -36,7 +36,7 @@ pub fn numbers(text: &str) -> Option<Vec<f64>> {
 pub fn lens(given: &str, size: (usize, usize)) -> Result<Intrinsics, Error> {
     let bad = |reason: String| {
         Refusal::bad_input(format!(
-            "the intrinsics {given:?} cannot be used: {reason}; give --intrinsics fx,fy,cx,cy in pixels of the frames, or a JSON file with \
+            "the intrinsics {given:?} cannot be used: {reason}; give fx,fy,cx,cy in pixels of the frames, or a JSON file with \
              fl_x, fl_y, cx, cy, w and h"
         ))
     };

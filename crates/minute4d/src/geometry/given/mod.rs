@@ -31,22 +31,22 @@ pub(super) struct Sources {
 }
 
 impl Sources {
-    /// Of `options`; fails with the option and the file that is missing or cannot be read.
+    /// Of `options`; fails with the file that is missing or cannot be read.
     pub(super) fn of(options: &GeometryOptions) -> Result<Self, Error> {
-        let of = |option: &'static str, path: Option<&Path>| -> Result<Option<String>, Error> {
+        let of = |what: &'static str, path: Option<&Path>| -> Result<Option<String>, Error> {
             let Some(path) = path else { return Ok(None) };
             if !path.exists() {
-                let message = format!("there is nothing at {}, which was given with {option}", path.display());
+                let message = format!("there is nothing at {}, which was given as {what}", path.display());
                 return Err(Refusal::new(Category::NoInput, message).into());
             }
             hash::of_path(path).map(Some)
         };
         let lens_file = options.intrinsics.as_deref().filter(|text| cameras::numbers(text).is_none());
         Ok(Self {
-            intrinsics: of("--intrinsics", lens_file.map(Path::new))?,
-            poses: of("--poses", options.poses.as_deref())?,
-            masks: of("--masks", options.masks.as_deref())?,
-            depth: of("--depth", options.depth.as_deref())?,
+            intrinsics: of("intrinsics", lens_file.map(Path::new))?,
+            poses: of("poses", options.poses.as_deref())?,
+            masks: of("masks", options.masks.as_deref())?,
+            depth: of("depth", options.depth.as_deref())?,
         })
     }
 }

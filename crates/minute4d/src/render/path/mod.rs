@@ -140,7 +140,7 @@ fn limited(frames: f64, seconds: f64, fps: f64) -> Result<usize, Refusal> {
     } else {
         Err(Refusal::usage(format!(
             "the path takes {seconds} s, which is {frames} images at {fps} per second; at most {MAX_FRAMES} are rendered, so choose fewer \
-             with --seconds or --fps"
+             seconds or a lower rate"
         )))
     }
 }
@@ -236,7 +236,7 @@ fn file(path: &Path, scene: &Scene, job: &RenderJob) -> Result<Plan, Error> {
     match trajectory::load(path, scene.time_frames)? {
         Trajectory::Listed(listed) => {
             if job.options.seconds.is_some() {
-                return Err(unused("--seconds", &path.display().to_string(), &[]).into());
+                return Err(unused("seconds", &path.display().to_string(), &[]).into());
             }
             let stops = listed.into_iter().map(|(camera, t)| Stop { camera, t, exposure: Exposure::IDENTITY });
             Ok(Plan { stops: stops.collect(), fps: job.fps.unwrap_or_else(|| source_fps(scene)) })

@@ -30,7 +30,7 @@ impl SourcePath {
         frames.dedup_by(|later, kept| later.t <= kept.t);
         if frames.is_empty() {
             return Err(Refusal::bad_input(format!(
-                "the scene has no cameras of its source, so there is no camera path {path}; give a file of cameras with --path"
+                "the scene has no cameras of its source, so there is no camera path {path}; give a file of cameras"
             )));
         }
         let times: Vec<f64> = frames.iter().map(|f| f.t).collect();

@@ -271,7 +271,7 @@ fn bullet_path_has_the_requested_length() {
     for seconds in [5.0, 7.4, 20.0] {
         assert!((of(seconds).unwrap().seconds() - seconds).abs() < 1e-9, "{seconds}");
     }
-    assert!(of(4.2).unwrap_err().to_string().contains("--seconds 4.2 leaves no time"));
+    assert!(of(4.2).unwrap_err().to_string().contains("4.2 seconds leaves no time"));
     let cut = of(6.0).unwrap();
     let (first, last) = (cut.at(0.0).0, cut.at(6.0).0);
     assert!(first > 0.1 && last < 2.9 && first < 1.2 && last > 1.2, "{first} {last}");
