@@ -75,6 +75,7 @@ impl Bounds {
 #[cfg(test)]
 #[cfg(unix)]
 mod tests {
+    use super::OUTSIDE;
     use super::{Bounds, Reach};
     use std::fs;
     use std::os::unix::fs::symlink;

@@ -114,8 +114,9 @@ impl From<DeviceChoice> for DeviceRequest {
 /// A device for networks.
 #[derive(Debug, Clone)]
 pub struct NetworkDevice {
+    /// The device of Burn.
     #[cfg(feature = "nets")]
-    pub(crate) device: m4_nets::Compute,
+    pub device: m4_nets::Compute,
     name: String,
 }
 

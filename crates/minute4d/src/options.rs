@@ -27,6 +27,9 @@ pub enum Event<'a> {
     Warning(&'a str),
 }
 
+/// What receives reports, from any thread.
+type Report<'a> = dyn Fn(Event<'_>) + Send + Sync + 'a;
+
 /// Options of [`reconstruct`](crate::reconstruct()) and [`train`](crate::train()).
 ///
 /// ```
@@ -38,7 +41,7 @@ pub enum Event<'a> {
 pub struct Options<'a> {
     settings: Settings,
     device: DeviceChoice,
-    on_event: Option<Arc<dyn Fn(Event<'_>) + Send + Sync + 'a>>,
+    on_event: Option<Arc<Report<'a>>>,
     cancel: Option<Arc<AtomicBool>>,
 }
 

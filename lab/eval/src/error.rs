@@ -38,6 +38,9 @@ macro_rules! from_library {
 
 from_library!(minute4d::Error, InitError, OutputError, ReadError, Refusal, SettingsError, SimdLevelError, WriteError);
 
+#[cfg(feature = "nets")]
+from_library!(minute4d::weights::WeightsError);
+
 impl Error {
     /// Returns the category of the failure.
     pub fn category(&self) -> Category {

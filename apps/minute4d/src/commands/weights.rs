@@ -187,7 +187,7 @@ fn verify(store: &Store, names: &[String], output: &Output) -> Result<(), Failur
     match found.iter().find(|f| f.condition == "damaged") {
         None => Ok(()),
         Some(bad) => Err(Failure {
-            code: minute4d::Category::BadInput.exit_code(),
+            code: Category::BadInput.exit_code(),
             reason: format!(
                 "{} is damaged; remove it from {} and install it again",
                 bad.name,

@@ -1,7 +1,6 @@
 //! The folder of installed weights, and the comparison of files with their published size and checksum.
 
-use super::{Entry, Origin, WeightsError};
-use crate::{Category, Refusal};
+use super::{Entry, WeightsError};
 use m4_io::files;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};

@@ -72,9 +72,11 @@ impl Plan {
 mod networks {
     //! Networks for monocular depth.
 
-    use super::super::{Part, Plan, unusable};
+    use super::super::Plan;
     use super::{Error, MonoClip, Plane, RgbImage, Steps};
     use crate::error::{NetworkError, NetworkMethod};
+    use crate::networks::unusable;
+    use crate::settings::FrontendPart as Part;
     use m4_core::{ResizeFilter, resize_rgb};
     use m4_geometry::megasam::MegasamError;
     use m4_nets::{Compute, DepthAnything, LoadError, MoGe, MoGeOptions, NetError, UniDepth, cpu};

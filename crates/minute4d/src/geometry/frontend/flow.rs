@@ -45,9 +45,11 @@ fn kept(
 mod raft {
     //! RAFT as a source of flow.
 
-    use super::super::{Part, Plan, unusable};
+    use super::super::Plan;
     use super::{Error, Flow, NetworkDevice, SourceError};
     use crate::error::NetworkMethod;
+    use crate::networks::unusable;
+    use crate::settings::FrontendPart as Part;
     use m4_core::{Plane, RgbImage};
     use m4_geometry::classical::dense::ScaledFrame;
     use m4_geometry::megasam::PairFlow;

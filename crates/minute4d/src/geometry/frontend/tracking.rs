@@ -1,8 +1,10 @@
 //! The tracking network as a source of correspondences.
 
-use super::{Part, Plan, unusable};
+use super::Plan;
 use crate::Error;
 use crate::error::NetworkMethod;
+use crate::networks::unusable;
+use crate::settings::FrontendPart as Part;
 use m4_core::{Mask, Plane, RgbImage};
 use m4_geometry::megasam::TrackingSize;
 use m4_geometry::megasam::graph::EdgeChanges;
