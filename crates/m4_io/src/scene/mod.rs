@@ -6,7 +6,6 @@
 //! takes untrusted bytes: whatever they are, it returns a scene ([`Imported`]) or an error that names the field, and
 //! allocates no more than a small multiple of the file.
 
-pub(crate) mod bound;
 pub mod fourdgs;
 pub mod ftgs;
 pub mod gltf;

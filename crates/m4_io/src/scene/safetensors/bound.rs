@@ -2,7 +2,7 @@
 
 use super::tensor::{Arrays, Source, Sources, f32_array, u16_array, u32_array};
 use crate::Fault;
-use crate::scene::bound::{LEAST_GAP, UNIT_WITHIN, off_unit, rises};
+use crate::range::bound::{LEAST_GAP, UNIT_WITHIN, off_unit, rises};
 use m4_core::{BINDING_NODES, Binding, Column, Pose, Splats, StateTensor, Window};
 use std::sync::Arc;
 

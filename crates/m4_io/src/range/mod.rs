@@ -4,8 +4,10 @@
 //! The computations have 32 bits: a length may be squared twice without an overflow (1e7 to the power of 4 is 1e28, the largest
 //! number 3e38), and so may its inverse. Within these ranges nothing in the program becomes NaN or infinite.
 
+pub(crate) mod bound;
+
 use crate::Fault;
-use crate::scene::bound::of_bindings;
+use bound::of_bindings;
 use m4_core::nalgebra::Vector3;
 use m4_core::{Column, Intrinsics, SourceFrame, Splats};
 use std::ops::RangeInclusive;

@@ -1,6 +1,6 @@
 //! Checks the numbers of windows and bindings.
 
-use crate::range::{Range, of_column, words};
+use super::{Range, of_column, words};
 use m4_core::{Binding, Column, Splats, Window};
 
 /// Farthest that the length of a rotation may be from 1.
