@@ -29,7 +29,7 @@
 
 pub use crate::pose::Axes;
 
-use crate::dataset::nerfstudio::{Frame, LensKeys, Transforms, list_capture, rows};
+use crate::dataset::nerfstudio::{Frame, LensKeys, TRAINING_LIST, Transforms, list_capture, rows};
 use crate::dataset::{ImportOptions, load};
 use crate::files::in_parallel;
 use crate::reach::Reach;
@@ -63,7 +63,7 @@ impl Split {
     #[must_use]
     pub fn file_name(self) -> &'static str {
         match self {
-            Self::Train => "transforms_train.json",
+            Self::Train => TRAINING_LIST,
             Self::Test => "transforms_test.json",
             Self::Near => "transforms_near.json",
             Self::Between => "transforms_between.json",
@@ -134,7 +134,7 @@ pub fn read(
     }
     let options =
         ImportOptions { max_memory_bytes: options.max_memory_bytes, reach: options.reach, ..ImportOptions::default() };
-    let listing = list_capture(&file, split, &options, progress)?;
+    let listing = list_capture(&file, split != Split::Train, &options, progress)?;
     Ok(load(&file, listing, BYTES_PER_8_PIXELS, &options, progress)?.train)
 }
 

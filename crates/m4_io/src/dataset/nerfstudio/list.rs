@@ -1,13 +1,13 @@
 //! Converts the entries of the file to frames.
 
-use super::{Frame, Transforms, lens_of};
+use super::{Frame, TRAINING_LIST, Transforms, lens_of};
 use crate::dataset::depth;
 use crate::dataset::files::{Inside, duration_s, given_fps, stored_image};
 use crate::dataset::{FrameSource, ImportOptions, ListedFrame, Listing};
 use crate::error::AtPath;
 use crate::files::{json, natural};
 use crate::pose::{self, Axes};
-use crate::{Fault, ReadError, capture, image, range, tracks};
+use crate::{Fault, ReadError, image, range, tracks};
 use m4_core::{CompactMask, Progress, Se3, Tracks};
 use std::io;
 use std::path::{Path, PathBuf};
@@ -23,11 +23,11 @@ fn files(path: &Path) -> Option<(PathBuf, Option<PathBuf>)> {
         let name = path.file_name()?.to_string_lossy().to_ascii_lowercase();
         let fits = name.starts_with("transforms") && name.ends_with(".json");
         let test = path.with_file_name("transforms_test.json");
-        let test = (name == "transforms_train.json" && test.is_file()).then_some(test);
+        let test = (name == TRAINING_LIST && test.is_file()).then_some(test);
         return fits.then(|| (path.to_path_buf(), test));
     }
     let file = |name: &str| Some(path.join(name)).filter(|file| file.is_file());
-    match file("transforms_train.json") {
+    match file(TRAINING_LIST) {
         Some(train) => Some((train, file("transforms_test.json").or_else(|| file("transforms_val.json")))),
         None => Some((file("transforms.json")?, file("transforms_test.json"))),
     }
@@ -72,11 +72,11 @@ pub fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress) -> Re
     })
 }
 
-/// Lists one split of a capture ([`crate::capture`]): OpenGL axes unless the file names others, masks of 255 in dynamic regions, no
-/// assumed frame rate. Held-out views are timed by the training split beside them, or by `time_frames`.
+/// Lists one split of a capture of ours, the training video or `held_out` views: OpenGL axes unless the file names others, masks of
+/// 255 in dynamic regions, no assumed frame rate. Held-out views are timed by the training split beside them, or by `time_frames`.
 pub fn list_capture(
     file: &Path,
-    split: capture::Split,
+    held_out: bool,
     options: &ImportOptions,
     progress: &dyn Progress,
 ) -> Result<Listing, ReadError> {
@@ -84,7 +84,6 @@ pub fn list_capture(
     if list.entries.is_empty() {
         return Err(no_frames(file));
     }
-    let held_out = split != capture::Split::Train;
     if held_out && !list.timed {
         return Err(Fault::missing("time of the held-out views", "add their times, 0 to 1").within(file, "frames"));
     }
@@ -229,7 +228,7 @@ impl List {
 
     /// How many frames `time` = 0..1 spans, of held-out views.
     fn time_frames(&self) -> Result<usize, ReadError> {
-        for name in [capture::Split::Train.file_name(), "transforms.json"] {
+        for name in [TRAINING_LIST, "transforms.json"] {
             let training = self.folder.join(name);
             if training != self.path && training.is_file() {
                 return Ok(json::<Transforms>(&training)?.frames.len());

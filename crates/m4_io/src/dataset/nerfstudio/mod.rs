@@ -44,6 +44,9 @@ use m4_core::{Intrinsics, Se3};
 use serde::de::IgnoredAny;
 use serde::{Deserialize, Serialize};
 
+/// The file that lists the training frames where held-out views have a file of their own.
+pub(crate) const TRAINING_LIST: &str = "transforms_train.json";
+
 /// Lens of all frames or of one; pixels.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
