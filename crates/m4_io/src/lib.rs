@@ -23,4 +23,4 @@ pub mod video;
 mod error;
 mod pose;
 
-pub use error::{ErrorKind, Fault, ReadError, WriteError, WriteFault, shortened};
+pub use error::{DecoderEnd, ErrorKind, Fault, OutsideError, ReadError, WriteError, WriteFault, shortened};

@@ -1,7 +1,6 @@
 //! The files that a data set may refer to: a data set from an untrusted source must not bring private files into the result.
 
-use crate::shortened;
-use m4_core::advice::OUTSIDE;
+use crate::OutsideError;
 use std::path::{Path, PathBuf};
 
 /// Which files are read that a data set names.
@@ -12,26 +11,6 @@ pub enum Reach {
     Inside,
     /// All that the user may read.
     Anywhere,
-}
-
-/// A file of a data set that lies elsewhere.
-#[derive(Debug, thiserror::Error)]
-#[error(
-    "{}{} is outside of {}, and may be a private file that the result would reveal; put a copy into \
-     the folder, or, if you trust the data set, {}",
-    shortened(path.display()),
-    if path == real { String::new() } else { format!(", which is {},", shortened(real.display())) },
-    shortened(folder.display()),
-    OUTSIDE
-)]
-#[non_exhaustive]
-pub struct OutsideError {
-    /// The file as it is named.
-    pub path: PathBuf,
-    /// Where it lies, links followed.
-    pub real: PathBuf,
-    /// The folder that it should lie in.
-    pub folder: PathBuf,
 }
 
 /// The folders whose files may be read, links followed.
@@ -75,7 +54,7 @@ impl Bounds {
 #[cfg(test)]
 #[cfg(unix)]
 mod tests {
-    use super::OUTSIDE;
+    use m4_core::advice::OUTSIDE;
     use super::{Bounds, Reach};
     use std::fs;
     use std::os::unix::fs::symlink;

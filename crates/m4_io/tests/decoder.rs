@@ -4,8 +4,8 @@
 use crate::common::{PROBED, fake_ffmpeg, script, sent};
 use crate::common::{ffmpeg, have_ffmpeg, pinwheel, says, temporary, without_ffmpeg};
 use m4_core::{CounterRng, Progress, Silent, Video};
-use m4_io::video::{DecoderEnd, DecoderLimits, DecoderProgram, VideoOptions, read, read_with};
-use m4_io::{ErrorKind, Fault, ReadError};
+use m4_io::video::{DecoderLimits, DecoderProgram, VideoOptions, read, read_with};
+use m4_io::{DecoderEnd, ErrorKind, Fault, ReadError};
 use std::path::Path;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};

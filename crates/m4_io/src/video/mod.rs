@@ -32,7 +32,7 @@ mod plan;
 mod read;
 mod write;
 
-pub use decoder::{DecoderEnd, DecoderLimits, DecoderProgram, decoder_program, set_decoder_program};
+pub use decoder::{DecoderLimits, DecoderProgram, decoder_program, set_decoder_program};
 pub use h264::serve as serve_decoder;
 pub use plan::{VideoOptions, evenly};
 pub use read::{image_files, read, read_with};

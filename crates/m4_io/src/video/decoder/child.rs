@@ -1,8 +1,8 @@
 //! A decoder in a separate process: limited, supervised, and ended with its owner.
 
-use super::end::{DecoderEnd, Messages, OnLine};
+use super::end::{Messages, OnLine, how_it_ended};
 use super::{Allowed, limits};
-use crate::Fault;
+use crate::{DecoderEnd, Fault};
 use m4_core::Progress;
 use std::io::{self, Read, Write};
 use std::process::{Child as Process, ChildStdin, Command, ExitStatus, Stdio};
@@ -194,7 +194,7 @@ impl<'a> Child<'a> {
 
     /// Why a child that ended by itself did so.
     pub fn why(&self, exit: &Exit) -> DecoderEnd {
-        DecoderEnd::of(exit.status, exit.cpu_s, &self.allowed, &self.messages.kept())
+        how_it_ended(exit.status, exit.cpu_s, &self.allowed, &self.messages.kept())
     }
 
     /// Why a child whose output ended too early did so.

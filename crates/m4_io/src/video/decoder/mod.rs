@@ -15,7 +15,7 @@ mod end;
 mod limits;
 
 pub use child::{Child, Start};
-pub use end::{DecoderEnd, is_of_data, is_of_memory};
+pub use end::{is_of_data, is_of_memory};
 pub use limits::{Allowed, Confined, DecoderLimits, Work, limit_self};
 
 use std::ffi::OsString;

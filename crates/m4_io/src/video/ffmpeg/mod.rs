@@ -8,9 +8,9 @@ mod read;
 pub use read::read;
 
 use super::colour::Hdr;
-use super::decoder::{self, Allowed, Child, DecoderEnd, DecoderProgram, NOT_STARTED, Start, Work, is_of_data};
+use super::decoder::{self, Allowed, Child, DecoderProgram, NOT_STARTED, Start, Work, is_of_data};
 use super::read::{Request, not_video};
-use crate::Fault;
+use crate::{DecoderEnd, Fault};
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
 use std::process::Command;

@@ -1,12 +1,12 @@
 //! Decodes a clip through `ffmpeg`.
 
 use super::{Description, FrameInfo, Line, command, describe, needed, parse, start, undecoded};
-use crate::Fault;
 use crate::video::VideoOptions;
 use crate::video::colour::ToneMap;
-use crate::video::decoder::{Child, DecoderEnd, Work, is_of_data, is_of_memory};
+use crate::video::decoder::{Child, Work, is_of_data, is_of_memory};
 use crate::video::plan::{self, Collector};
 use crate::video::read::{Request, no_frames, no_video_track};
+use crate::{DecoderEnd, Fault};
 use m4_core::{Plane, Progress, RgbImage, Video};
 use std::sync::mpsc::{Receiver, channel};
 use std::sync::{Arc, Mutex, PoisonError};

@@ -13,8 +13,8 @@
 //! The decoder never says how long something is: its answers are the size that was agreed on.
 
 use crate::video::colour::bytes_420;
-use crate::video::decoder::{Allowed, Child, Confined, DecoderEnd, DecoderProgram, Start, become_program, limit_self};
-use crate::{ErrorKind, Fault};
+use crate::video::decoder::{Allowed, Child, Confined, DecoderProgram, Start, become_program, limit_self};
+use crate::{DecoderEnd, ErrorKind, Fault};
 use m4_core::Progress;
 use openh264::OpenH264API;
 use openh264::decoder::{DecodedYUV, Decoder, DecoderConfig, Flush};

@@ -1,7 +1,11 @@
 //! Errors of reading and writing.
 
-use crate::reach::OutsideError;
-use crate::video::DecoderEnd;
+mod decoder;
+mod outside;
+
+pub use decoder::DecoderEnd;
+pub use outside::OutsideError;
+
 use std::fmt::Display;
 use std::io;
 use std::path::{Path, PathBuf};
