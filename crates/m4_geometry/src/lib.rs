@@ -3,11 +3,13 @@
 //! ```text
 //! classical/     feature tracks, structure from motion, plane sweep, motion segmentation: no weights
 //! megasam/       dense tracking over a graph of frames, then consistent depth (MegaSaM), for a source of correspondences
+//! flow/          flow between two frames, without weights
 //! dba/           dense bundle adjustment, which both use
 //! masks/         segmentation and tracking of dynamic objects, for masks of any source
 //! tracks/        tracks of dynamic points through a clip whose cameras and depth are known, visible or occluded
 //! frame_rate     seconds in frames
 //! resample       images and maps in other sizes
+//! smooth         smoothing along the edges of an image
 //! ```
 //!
 //! Networks come as functions and traits: [`megasam::tracker::Correspondence`], [`classical::dense::MeasureFlow`],
@@ -16,12 +18,14 @@
 
 pub mod classical;
 pub mod dba;
+pub mod flow;
 mod frame_rate;
 pub mod masks;
 pub mod megasam;
 #[cfg(test)]
 mod published;
 pub mod resample;
+mod smooth;
 pub mod tracks;
 
 pub use frame_rate::FrameRate;

@@ -3,6 +3,16 @@
 use m4_core::{Plane, RgbImage};
 use rayon::prelude::*;
 
+/// The size whose longest side is `side`, or the size itself if it is smaller.
+pub(crate) fn working_size(width: usize, height: usize, side: usize) -> (usize, usize) {
+    let longest = width.max(height);
+    if longest <= side {
+        return (width, height);
+    }
+    let scaled = |n: usize| ((n * side + longest / 2) / longest).max(1);
+    (scaled(width), scaled(height))
+}
+
 /// The part of `image` from the upper left corner.
 pub(crate) fn crop<T: Copy>(image: &Plane<T>, (width, height): (usize, usize)) -> Plane<T> {
     Plane::from_fn(width, height, |x, y| image.row(y)[x])

@@ -5,10 +5,11 @@
 use m4_core::{Camera, Intrinsics, Mask, Plane, Progress, RgbImage, Se3, Silent, nalgebra::Vector3};
 use m4_geometry::FrameRate;
 use m4_geometry::classical::dense::{
-    DenseConfig, DenseError, DenseFrame, InverseSearch, MonoDepth, MonoKind, SegmentMask, SegmentPrompt, Segmenter,
-    SourceError, Sources, estimate,
+    DenseConfig, DenseError, DenseFrame, MonoDepth, MonoKind, SegmentMask, SegmentPrompt, Segmenter, SourceError,
+    Sources, estimate,
 };
 use m4_geometry::classical::{CameraMotion, Motion, SparseReconstruction, Track};
+use m4_geometry::flow::InverseSearch;
 use std::sync::Mutex;
 
 /// Without masks, by default settings.

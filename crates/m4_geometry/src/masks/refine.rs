@@ -7,7 +7,8 @@ use super::ledger::{Outline, TrackedObject};
 use super::source::{ObjectId, ObjectMask, VideoSession};
 use super::{InstanceError, RefineSettings};
 use super::{InstanceReport, Rejected, Rejection};
-use crate::classical::dense::{self, working_size};
+use crate::classical::dense;
+use crate::resample::working_size;
 use m4_core::{CompactIds, CompactMask, Progress, RgbImage};
 use std::collections::BTreeMap;
 

@@ -4,8 +4,9 @@ use super::cvd::pairs::{FramePair, PairStore, consistency_mask, halved, pair_lis
 use super::cvd::{ConsistentDepth, CvdInput, optimise, uncertainty_of_static};
 use super::tracker::{Clip, Correspondence, FrameInput, Tracked};
 use super::{CELL_PX, DepthPrior, MegasamError, MegasamSettings, PriorKind, TrackingSize, from_grid, tracker};
-use crate::classical::dense::{InverseSearch, ScaledFrame, SourceError};
+use crate::classical::dense::SourceError;
 use crate::dba::Observability;
+use crate::flow::{InverseSearch, ScaledFrame};
 use crate::resample::resize_bilinear;
 use m4_core::{Flow, Intrinsics, Plane, Progress, RgbImage, Se3};
 

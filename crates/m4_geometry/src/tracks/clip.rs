@@ -2,7 +2,8 @@
 //! that move, and nothing of the others.
 
 use super::TrackError;
-use crate::classical::dense::{FlowPair, ScaledFrame, working_size};
+use crate::flow::{FlowPair, ScaledFrame};
+use crate::resample::{resize_area, working_size};
 use m4_core::{Camera, Capture, DepthMap, Flow, Mask, Plane, RgbImage};
 
 /// One frame with its geometry, all planes of the size of the camera's image.
@@ -67,7 +68,7 @@ impl<'a> CaptureClip<'a> {
         let depth = Plane::from_fn(w, h, |x, y| frame.depth.as_ref().map_or(0.0, |d| d.covering((x, y), (w, h))));
         let inside = |x, y| frame.mask.as_ref().is_some_and(|m| m.covers((x, y), (w, h)));
         let moving = Plane::from_fn(w, h, |x, y| if inside(x, y) { 255 } else { 0 });
-        Ok(PosedFrame { rgb: crate::resample::resize_area(&frame.rgb, w, h), depth, moving, camera })
+        Ok(PosedFrame { rgb: resize_area(&frame.rgb, w, h), depth, moving, camera })
     }
 }
 

@@ -7,7 +7,7 @@ use super::frontend::{MonoClip, NetworkCorrespondence};
 use crate::{Error, Refusal, enhance};
 use m4_core::advice::{FIELD_OF_VIEW, INTRINSICS, MASKS};
 use m4_core::{Camera, Capture, CompactMask, Intrinsics, Mask, Plane, Progress};
-use m4_geometry::classical::dense::InverseSearch;
+use m4_geometry::flow::InverseSearch;
 use m4_geometry::megasam::{MegasamGeometry, MegasamInput, PairFlow, TAU_MOTION, TrackingSize, reconstruct, track};
 use m4_geometry::resample::resize_bilinear;
 

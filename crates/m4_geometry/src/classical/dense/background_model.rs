@@ -6,12 +6,12 @@
 //! stays in place and rotates or swings, masks may cover a pixel in every frame; its background is then the colour that recurs
 //! between those of the object.
 
-use super::flow::{ScaledFrame, bilinear_rgb};
 use super::matte;
 use super::motion::mask;
 use super::shot::{Pair, Shot};
-use super::smooth::{Smoother, box_blur};
 use crate::FrameRate;
+use crate::flow::{ScaledFrame, bilinear_rgb};
+use crate::smooth::{Smoother, box_blur};
 use m4_core::{Camera, dilated, quantile};
 use std::array;
 use std::ops::RangeInclusive;

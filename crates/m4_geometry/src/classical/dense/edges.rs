@@ -4,11 +4,11 @@
 //! surfaces go on as planes under the pixels in doubt; each of these belongs to the surface on which other frames show its colour, in agreement with
 //! the pixels of like colours around it.
 
-use super::flow::bilinear_rgb;
 use super::shot::{Pair, Shot};
-use super::smooth::Smoother;
 use super::static_depth::Measured;
 use super::working::pixel_at;
+use crate::flow::bilinear_rgb;
+use crate::smooth::Smoother;
 use fearless_simd::Level;
 use m4_core::{Camera, dispatch};
 
@@ -247,8 +247,8 @@ impl Plane {
 mod tests {
     use super::{Merged, Plane, Steps, around};
     use crate::classical::dense::shot::Shot;
-    use crate::classical::dense::smooth::Smoother;
     use crate::classical::dense::static_depth::Measured;
+    use crate::smooth::Smoother;
 
     const W: usize = 64;
     const H: usize = 24;

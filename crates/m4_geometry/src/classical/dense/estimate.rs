@@ -1,7 +1,6 @@
 //! The dense half from end to end.
 
 use super::background_model::median_colours;
-use super::flow::{FlowPair, ScaledFrame};
 use super::mono::Mono;
 use super::motion::{MotionCues, verdicts};
 use super::motion_segmentation::{self, MotionSegmentation};
@@ -11,6 +10,7 @@ use super::working::{Clip, Ground, each, mask_at_size, try_each};
 use super::{layers, moving_depth, rigid_objects, static_depth, tracks};
 use crate::FrameRate;
 use crate::classical::{CameraMotion, SparseReconstruction, check_count};
+use crate::flow::{FlowPair, ScaledFrame};
 use crate::resample::rgb_and_grey;
 use crate::tracks::QueryGrid;
 use m4_core::{DepthMap, Mask, Plane, Progress, RgbImage, Tracks};

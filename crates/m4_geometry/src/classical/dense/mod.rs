@@ -32,7 +32,6 @@
 mod background_model;
 mod edges;
 mod estimate;
-mod flow;
 mod fusion;
 mod layers;
 mod matte;
@@ -45,7 +44,6 @@ mod regions;
 mod rigid_objects;
 mod segment;
 mod shot;
-mod smooth;
 mod sources;
 mod static_depth;
 mod sweep;
@@ -55,12 +53,8 @@ mod trajectories;
 mod working;
 
 pub use estimate::{Dense, DenseFrame, Estimate, estimate};
-pub(crate) use flow::{FlowPair, round_trip_px};
-pub use flow::{InverseSearch, ScaledFrame};
 pub use mono::{MonoDepth, MonoKind};
 pub(crate) use regions::{Components, to_outside};
 pub(crate) use segment::{LEAST_OVERLAP, LEAST_PART_PX, LEAST_QUALITY, asked, belief, box_of, points_apart, prompt};
 pub use segment::{SegmentMask, SegmentPrompt, Segmenter};
-pub(crate) use smooth::Smoother;
 pub use sources::{DenseConfig, DenseError, MeasureFlow, SourceError, Sources};
-pub(crate) use working::working_size;

@@ -1,15 +1,15 @@
 //! Finds dynamic pixels: flow that the camera and the depth do not explain.
 
 use super::background_model::difference_evidence;
-use super::flow::{FlowPair, ScaledFrame};
 use super::regions::clean;
 use super::shot::Shot;
-use super::smooth::Smoother;
 use super::temporal;
 use super::trajectories::Trajectories;
 use super::working::observed;
 use crate::FrameRate;
 use crate::classical::{Motion, SparseReconstruction};
+use crate::flow::{FlowPair, ScaledFrame};
+use crate::smooth::Smoother;
 use m4_core::Camera;
 
 /// Standard deviation of a disparity on which all partners agree, and what none adds, in steps of the sweep.

@@ -2,7 +2,6 @@
 
 use super::background_model;
 use super::edges;
-use super::flow::FlowPair;
 use super::fusion::{self, DepthMap};
 use super::layers;
 use super::mono::Mono;
@@ -10,11 +9,12 @@ use super::motion::{self, FrameDisparity, MotionCues};
 use super::refine;
 use super::segment;
 use super::shot::{Shot, at_parallax, keyframes};
-use super::smooth::Smoother;
 use super::sources::{DenseError, Sources};
 use super::static_depth::{self, Measured};
 use super::temporal;
 use super::working::{each, try_each};
+use crate::flow::FlowPair;
+use crate::smooth::Smoother;
 use m4_core::{Progress, RgbImage, dilated};
 
 /// How often depth and motion are estimated in turn: the second round knows the masks of the first.

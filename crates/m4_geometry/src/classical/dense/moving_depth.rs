@@ -85,7 +85,7 @@ fn touch(width: usize, height: usize, moving: &[u8], background: &[f32]) -> Vec<
 mod tests {
     use super::Clip;
     use crate::FrameRate;
-    use crate::classical::dense::flow::FlowPair;
+    use crate::flow::FlowPair;
     use m4_core::Flow;
 
     const W: usize = 24;

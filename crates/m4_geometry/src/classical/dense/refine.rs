@@ -1,8 +1,8 @@
 //! Refines static depth below the precision of the sweep: Gauss-Newton on brightness over growing baselines.
 
 use super::shot::{Pair, Shot};
-use super::smooth::box_blur;
 use super::working::pixel_at;
+use crate::smooth::box_blur;
 use m4_core::{Camera, cubic, quantile};
 
 /// Parallax of the frames of each round, pixels at the working size: the error that one round leaves is within reach of the next. A step at

@@ -1,9 +1,9 @@
 //! One frame with everything that the geometry of its neighbours needs, and where its pixels appear in another.
 
-use super::flow::ScaledFrame;
 use super::sweep::{Range, census};
 use super::working::observed;
 use crate::classical::{Motion, SparseReconstruction};
+use crate::flow::ScaledFrame;
 use m4_core::{
     Camera,
     nalgebra::{Matrix3, Vector3},

@@ -1,8 +1,8 @@
 //! The methods, settings and errors of the dense half. All other values are constants of the files that use them.
 
-use super::flow::ScaledFrame;
 use super::mono::MonoDepth;
 use super::segment::Segmenter;
+use crate::flow::ScaledFrame;
 use crate::tracks::TrackError;
 use m4_core::Flow;
 use serde::{Deserialize, Serialize};

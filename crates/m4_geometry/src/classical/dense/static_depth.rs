@@ -1,9 +1,9 @@
 //! Depth of what does not move: sweep, agreement between frames, fill.
 
 use super::shot::Shot;
-use super::smooth::Smoother;
 use super::sweep::{Partner, aggregate, cost_volume};
 use super::working::pixel_at;
+use crate::smooth::Smoother;
 
 /// Largest difference to a partner's disparity that counts as agreement, in hypothesis steps.
 const AGREE_STEPS: f32 = 1.5;

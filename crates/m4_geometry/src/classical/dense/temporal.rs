@@ -1,7 +1,7 @@
 //! Means over time along the flow.
 
-use super::flow::FlowPair;
 use super::working::nearest_pixel;
+use crate::flow::FlowPair;
 use rayon::prelude::*;
 
 /// A pixel of a frame, and the one of a neighbouring frame that the flow leads to.
@@ -10,7 +10,7 @@ pub(super) struct Step {
     pub pixel: usize,
     pub other_frame: usize,
     pub other_pixel: usize,
-    /// See [`super::flow::round_trip_px`].
+    /// See [`crate::flow::round_trip_px`].
     pub round_trip_px: f32,
 }
 

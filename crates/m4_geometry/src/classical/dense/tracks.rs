@@ -11,9 +11,9 @@
 //!
 //! Pixels here are those of the working size, with the centre of the first one at 0, 0, as [`m4_core::Camera::unproject`] has them.
 
-use super::flow::FlowPair;
 use super::sources::DenseError;
 use super::working::Clip;
+use crate::flow::FlowPair;
 use crate::tracks::{QueryGrid, Scene, Sparse, Strip, TrackError, board_of, fill, followed, on_grid, sparse_flow};
 use m4_core::{Plane, Progress, Tracks};
 

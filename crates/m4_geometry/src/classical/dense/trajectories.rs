@@ -5,11 +5,11 @@
 //! the noise of the flow. Long spans tell slow motion, which is below the noise of short ones, and motion that looks like another depth
 //! as long as the camera moves evenly.
 
-use super::flow::{FlowPair, ScaledFrame};
 use super::shot::{Pair, Reprojected, Shot};
-use super::smooth::box_blur;
 use super::working::nearest_pixel;
 use crate::FrameRate;
+use crate::flow::{FlowPair, ScaledFrame};
+use crate::smooth::box_blur;
 use m4_core::{Camera, Flow, bilinear, quantile};
 
 /// Spans over which places are compared, each both ways, seconds.

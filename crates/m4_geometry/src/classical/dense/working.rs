@@ -1,9 +1,10 @@
 //! A clip at the working size, and what is checked before anything is measured.
 
-use super::flow::FlowPair;
 use super::sources::{DenseConfig, DenseError, Sources};
 use crate::FrameRate;
 use crate::classical::{CameraMotion, SparseReconstruction, Track, check_count};
+use crate::flow::FlowPair;
+use crate::resample::working_size;
 use m4_core::{Camera, Mask, Progress, RgbImage};
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -47,16 +48,6 @@ impl ClipData {
         let Self { cameras, moving, disparity, flows, .. } = self;
         Clip { width, height, rate: FrameRate::FILM, cameras, moving, disparity, flows }
     }
-}
-
-/// The size whose longest side is `side`, or the size itself if it is smaller.
-pub(crate) fn working_size(width: usize, height: usize, side: usize) -> (usize, usize) {
-    let longest = width.max(height);
-    if longest <= side {
-        return (width, height);
-    }
-    let scaled = |n: usize| ((n * side + longest / 2) / longest).max(1);
-    (scaled(width), scaled(height))
 }
 
 /// The longest side, at most `side`, at which `frames` frames of `width` x `height` stay within `memory_mb` megabytes; not less than

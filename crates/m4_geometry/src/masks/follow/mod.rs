@@ -14,9 +14,10 @@ mod warp;
 use super::InstanceError;
 use super::source::{ObjectId, ObjectMask, ObjectPrompt, VideoSession};
 use crate::classical::dense::{
-    FlowPair, LEAST_OVERLAP, LEAST_PART_PX, LEAST_QUALITY, ScaledFrame, SegmentMask, SegmentPrompt, Segmenter,
-    SourceError, asked, prompt, working_size,
+    LEAST_OVERLAP, LEAST_PART_PX, LEAST_QUALITY, SegmentMask, SegmentPrompt, Segmenter, SourceError, asked, prompt,
 };
+use crate::flow::{FlowPair, ScaledFrame};
+use crate::resample::working_size;
 use m4_core::{CompactMask, Progress, RgbImage};
 use rayon::prelude::*;
 use std::collections::BTreeMap;

@@ -1,6 +1,8 @@
 //! A mask carried to the next frame along the flow, and sharpened there along the edges of the frame.
 
-use crate::classical::dense::{FlowPair, ScaledFrame, Smoother, round_trip_px, to_outside};
+use crate::classical::dense::to_outside;
+use crate::flow::{FlowPair, ScaledFrame, round_trip_px};
+use crate::smooth::Smoother;
 use m4_core::{CompactMask, Flow, bilinear};
 
 /// A pixel whose way there and back misses by this much counts half, pixels of the masks' size.

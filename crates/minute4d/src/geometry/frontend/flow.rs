@@ -5,7 +5,8 @@ use crate::Error;
 use crate::cache::Steps;
 use crate::device::NetworkDevice;
 use m4_core::Flow;
-use m4_geometry::classical::dense::{InverseSearch, MeasureFlow, SourceError};
+use m4_geometry::classical::dense::{MeasureFlow, SourceError};
+use m4_geometry::flow::InverseSearch;
 
 impl Plan {
     /// Measures flow between neighbouring frames of a clip; a recurrent network takes `iterations`. What was measured is kept among
@@ -51,7 +52,7 @@ mod raft {
     use crate::networks::unusable;
     use crate::settings::FrontendPart as Part;
     use m4_core::{Plane, RgbImage};
-    use m4_geometry::classical::dense::ScaledFrame;
+    use m4_geometry::flow::ScaledFrame;
     use m4_geometry::megasam::PairFlow;
     use m4_geometry::megasam::cvd::pairs::FramePair;
     use m4_nets::Raft;

@@ -2,8 +2,8 @@
 
 use super::{NetworkCorrespondence, memory};
 use m4_core::{Plane, RgbImage, Se3, Silent};
-use m4_geometry::classical::dense::InverseSearch;
 use m4_geometry::dba::{DbaOptions, Factor, Geometry, Grid, Pinhole, Problem, adjust, project};
+use m4_geometry::flow::InverseSearch;
 use m4_geometry::megasam::graph::{EdgeChanges, FactorGraph};
 use m4_geometry::megasam::tracker::{
     Correspondence, CorrespondenceError, EdgeRevision, FrameInput, Frontend, Revision, SourceRevision, Submitted,

@@ -13,11 +13,11 @@
 
 mod occluders;
 
-use super::flow::FlowPair;
 use super::regions::Components;
 use super::rigid_objects::{ROUND_TRIP_PX, Tracklet, follow};
 use super::shot::Shot;
 use super::working::{Clip, pixel_at};
+use crate::flow::FlowPair;
 use m4_core::{Camera, Flow, quantile};
 use occluders::Occluders;
 use rayon::prelude::*;

@@ -3,8 +3,8 @@
 
 use super::super::rigid_objects::ROUND_TRIP_PX;
 use super::super::shot::{Pair, Shot};
-use super::super::smooth::Smoother;
 use super::super::working::{Clip, pixel_at};
+use crate::smooth::Smoother;
 use m4_core::{Camera, Intrinsics};
 
 /// Frames that the colours of the canvas are the median of, spread over the clip.

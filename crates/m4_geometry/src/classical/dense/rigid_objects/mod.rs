@@ -19,9 +19,9 @@ mod rigid;
 mod scale;
 mod tracklet;
 
-use super::smooth::Smoother;
 use super::sources::DenseError;
 use super::working::{Clip, each};
+use crate::smooth::Smoother;
 use flight::Flight;
 use m4_core::{Progress, quantile};
 use rayon::prelude::*;
@@ -156,7 +156,8 @@ mod tests {
     //! Rigid objects on synthetic clips: exact flow, a wrong guess of their distance.
 
     use super::{Smoother, place};
-    use crate::classical::dense::{flow::FlowPair, working::ClipData};
+    use crate::classical::dense::working::ClipData;
+    use crate::flow::FlowPair;
     use m4_core::{
         Camera, Flow, Intrinsics, Se3, Silent,
         nalgebra::{Vector3, Vector6},

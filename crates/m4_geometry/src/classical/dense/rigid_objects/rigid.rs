@@ -1,9 +1,9 @@
 //! A part as a rigid body: dense bundle adjustment of the camera against it.
 
 use super::{BLOCK_PX, Clip, ROUND_TRIP_PX, Tracklet};
-use crate::classical::dense::flow::FlowPair;
 use crate::classical::dense::working::{nearest_pixel, pixel_at};
 use crate::dba::{DbaOptions, Factor, Free, Geometry, Grid, Pinhole, Problem, adjust};
+use crate::flow::FlowPair;
 use m4_core::{Camera, Se3, quantile};
 use nalgebra::Vector3;
 

@@ -6,9 +6,9 @@
 //! the same pair of labels.
 
 use super::{Clip, LEAST_SHARE, ROUND_TRIP_PX, shortest};
-use crate::classical::dense::flow::FlowPair;
 use crate::classical::dense::regions::Components;
 use crate::classical::dense::working::pixel_at;
+use crate::flow::FlowPair;
 use rayon::prelude::*;
 use std::collections::{BTreeMap, VecDeque};
 

@@ -1,8 +1,8 @@
 //! Variational refinement: robust equal brightness and equal gradients, robust smoothness
 //! (Brox et al. 2004; normalised as in Zimmer et al. 2011; Kroeger et al. 2016, section 2.3).
 
-use super::super::smooth::couplings;
 use super::search::{Level, gradient};
+use crate::smooth::couplings;
 use m4_core::{Flow, bilinear_cell};
 use std::iter;
 

@@ -188,7 +188,7 @@ impl Smoother {
 }
 
 /// `f` of every pixel and the next in its row, and of every pixel and the one below; 0 at the rim.
-pub(super) fn couplings(width: usize, height: usize, f: impl Fn(usize, usize) -> f32) -> (Vec<f32>, Vec<f32>) {
+pub(crate) fn couplings(width: usize, height: usize, f: impl Fn(usize, usize) -> f32) -> (Vec<f32>, Vec<f32>) {
     let (mut right, mut below) = (vec![0.0; width * height], vec![0.0; width * height]);
     for y in 0..height {
         let row = y * width..(y + 1) * width;
@@ -230,7 +230,7 @@ fn solve_rows<const M: usize, const N: usize>(u: &mut [[f32; N]], right: &[f32],
 }
 
 /// Mean over `SIDE` x `SIDE` pixels (odd), fewer at the rim.
-pub(super) fn box_blur<const SIDE: usize>(width: usize, height: usize, values: &mut [f32]) {
+pub(crate) fn box_blur<const SIDE: usize>(width: usize, height: usize, values: &mut [f32]) {
     dispatch!(Level::new(), _s => blur::<SIDE>(width, height, values));
 }
 

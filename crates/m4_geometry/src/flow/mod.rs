@@ -8,7 +8,7 @@ use m4_core::{Flow, RgbImage, bilinear_cell, dispatch};
 use search::{Level, pyramid};
 
 /// Bilinear colour at `(x, y)`, clamped to the image.
-pub(super) fn bilinear_rgb(width: usize, height: usize, plane: &[[u8; 3]], x: f32, y: f32) -> [f32; 3] {
+pub(crate) fn bilinear_rgb(width: usize, height: usize, plane: &[[u8; 3]], x: f32, y: f32) -> [f32; 3] {
     let (i, wx, wy) = bilinear_cell(width, height, x, y);
     std::array::from_fn(|c| {
         let at = |k: usize| f32::from(plane[k][c]);
