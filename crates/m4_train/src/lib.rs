@@ -20,6 +20,7 @@ pub mod init;
 mod colour_degree;
 mod colour_fit;
 mod error;
+mod frames;
 mod metrics;
 mod pace;
 mod refine;

@@ -4,7 +4,8 @@ use m4_core::{Column, Exposure, Splats};
 use m4_kernels::{StepStats, View, adam::cpu::AdamState, loss::cpu::Target};
 use m4_train::{
     Backend, BackendError,
-    backend::{ColourSums, DensityRound, DensityStats, StepSettings, StepView},
+    backend::{ColourSums, StepSettings, StepView},
+    density::{DensityRound, DensityStats},
 };
 use std::sync::{
     Arc,

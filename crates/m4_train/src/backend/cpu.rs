@@ -1,13 +1,11 @@
 //! Training steps on the CPU.
 
 use crate::{
-    backend::{
-        Backend, BackendError, ColourSums, DensityRound, DensityStats, FrameStore, ScoreSettings, StepSettings,
-        StepView, pixels,
-    },
+    backend::{Backend, BackendError, ColourSums, StepSettings, StepView, pixels},
     colour_degree::move_phases,
     colour_fit::add_seen,
-    density::{GradientSums, ScoreInput, Scores, apply, rearrange, score},
+    density::{DensityRound, DensityStats, GradientSums, ScoreInput, ScoreSettings, Scores, apply, rearrange, score},
+    frames::FrameStore,
     metrics::psnr,
     refine::{expose, exposure_gradient, pull_back},
 };

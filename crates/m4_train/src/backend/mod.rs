@@ -5,14 +5,12 @@
 //! read now and then ([`Backend::stats`]). Both backends compute the same definitions; last digits differ.
 
 mod cpu;
-mod frames;
 #[cfg(feature = "gpu")]
 pub mod gpu;
 
 pub use cpu::CpuBackend;
-pub(crate) use frames::{FrameStore, targets};
 
-use crate::{config::ErrorRange, density::Rules};
+use crate::density::{DensityRound, DensityStats};
 use m4_core::{Exposure, Splats};
 use m4_kernels::adam::{
     cpu::{AdamConfig, AdamState},
@@ -73,17 +71,6 @@ pub struct StepSettings<'a> {
     pub psnr: bool,
 }
 
-/// Which errors of a frame count, and for how much.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct ScoreSettings {
-    /// Share of SSIM in the loss that weights a frame for pruning, 0..=1.
-    pub lambda_ssim: f32,
-    /// As [`crate::DensityConfig::error_threshold`].
-    pub threshold: f32,
-    /// As [`crate::DensityConfig::error_range`].
-    pub range: ErrorRange,
-}
-
 /// Sums over the pixels of some frames, for the least-squares fit of colours: derivatives with respect to the constant
 /// coefficient of each colour, `[channel][n]`, 0 where a splat was not seen.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -92,45 +79,6 @@ pub struct ColourSums {
     pub residual: [Vec<f32>; 3],
     /// Of blending weights; empty unless requested.
     pub weight: [Vec<f32>; 3],
-}
-
-/// A round of density control.
-#[derive(Debug, Clone, Copy)]
-pub struct DensityRound<'a> {
-    /// Frames for the scores, by number; none where nothing is due that needs scores.
-    pub views: &'a [(usize, View)],
-    /// How errors count.
-    pub scores: ScoreSettings,
-    /// The plan follows from these: [`Rules::plan`] says how.
-    pub rules: Rules<'a>,
-    /// Period of the first harmonic of time, frames.
-    pub period: f32,
-    /// Random positions of halves follow from this
-    pub seed: u64,
-    /// and from the steps taken.
-    pub iteration: usize,
-}
-
-/// What a round of density control did.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct DensityStats {
-    /// Splats that were cloned.
-    pub cloned: usize,
-    /// Splats that were split in two.
-    pub split: usize,
-    /// Splats that were pruned.
-    pub pruned: usize,
-    /// Static splats now.
-    pub n_static: usize,
-    /// Dynamic splats now.
-    pub n_dynamic: usize,
-}
-
-impl DensityStats {
-    /// True when the splats are what they were.
-    pub fn changes_nothing(&self) -> bool {
-        self.cloned + self.split + self.pruned == 0
-    }
 }
 
 /// Holds splats and takes training steps.

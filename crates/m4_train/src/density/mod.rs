@@ -3,6 +3,7 @@
 //! | file | what it does |
 //! |---|---|
 //! | `score` | error map to masked error; masked errors of K frames to two scores per splat |
+//! | `round` | what a round is given, and what it did |
 //! | `decide` | the rules of a round; scores to the splats to clone, split and prune; decisions to the rows of the next set |
 //! | `new_splats` | the parameters of clones and children |
 //! | `gradient` | the statistic of 3DGS in place of the scores, for comparison |
@@ -13,17 +14,17 @@
 
 mod decide;
 #[cfg(feature = "gpu")]
-mod gpu;
+pub(crate) mod gpu;
 mod gradient;
 mod new_splats;
+mod round;
 mod score;
 
 pub use decide::{Decision, Origin, Plan, Rules, SplatView, decide};
-#[cfg(feature = "gpu")]
-pub(crate) use gpu::ImageGradients;
 pub(crate) use gradient::GradientSums;
 pub use new_splats::apply;
 pub(crate) use new_splats::rearrange;
+pub use round::{DensityRound, DensityStats, ScoreSettings};
 pub use score::masked_error;
 pub(crate) use score::{ScoreInput, score};
 

@@ -2,12 +2,8 @@
 //! over some frames: their mean (Minute4D Eq. 9), and their sum weighted by the loss of the frame (Minute4D Eq. 10, which
 //! [`super::decide()`] normalises).
 
-use crate::{
-    backend::{FrameStore, ScoreSettings},
-    config::ErrorRange,
-    density::Scores,
-    refine::expose,
-};
+use super::{ScoreSettings, Scores};
+use crate::{config::ErrorRange, frames::FrameStore, refine::expose};
 use m4_core::{Exposure, Splats};
 use m4_kernels::{
     Renderer, SimdLevel, View,

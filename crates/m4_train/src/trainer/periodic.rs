@@ -2,11 +2,10 @@
 
 use crate::{
     TrainError,
-    backend::{DensityRound, ScoreSettings},
     colour_degree::add_coefficients,
     colour_fit::correct,
     config::LARGE_FROM,
-    density::{Decision, Rules},
+    density::{Decision, DensityRound, Rules, ScoreSettings},
     schedule::{period, progress, purpose},
     trainer::Trainer,
 };

@@ -3,7 +3,8 @@
 use super::{Trainer, place};
 use crate::{
     TrainError,
-    backend::{Backend, BackendError, StepSettings, StepView, targets},
+    backend::{Backend, BackendError, StepSettings, StepView},
+    frames::targets,
     schedule,
     schedule::{node_rates, rates},
 };

@@ -7,10 +7,10 @@ use m4_kernels::View;
 use m4_kernels::adam::cpu::AdamState;
 use m4_kernels::gpu::Gpu;
 use m4_testkit::{SceneSpec, random_splats};
+use m4_train::backend::StepView;
 use m4_train::backend::gpu::GpuTrainer;
-use m4_train::backend::{DensityRound, DensityStats, ScoreSettings, StepView};
 use m4_train::config::{CloneOpacity, ErrorRange, PruneRule, SplitPlacement, SplitSize};
-use m4_train::density::{Decision, Origin, Rules, apply};
+use m4_train::density::{Decision, DensityRound, DensityStats, Origin, Rules, ScoreSettings, apply};
 use m4_train::{DensityConfig, SceneScale};
 
 const SCORES: ScoreSettings =

@@ -10,8 +10,9 @@ use m4_kernels::adam::{
     cpu::{AdamConfig, AdamState},
 };
 use m4_train::{
-    backend::{ScoreSettings, StepSettings, StepView, gpu::GpuTrainer},
+    backend::{StepSettings, StepView, gpu::GpuTrainer},
     config::ErrorRange,
+    density::ScoreSettings,
 };
 
 const FIXED_ROWS: std::ops::Range<usize> = 0..120;

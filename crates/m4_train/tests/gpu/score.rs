@@ -13,9 +13,9 @@ use m4_kernels::{
 };
 use m4_testkit::assert_gradient;
 use m4_train::{
-    backend::{ScoreSettings, gpu::GpuTrainer},
+    backend::gpu::GpuTrainer,
     config::ErrorRange,
-    density::masked_error,
+    density::{ScoreSettings, masked_error},
 };
 
 fn on_the_cpu(

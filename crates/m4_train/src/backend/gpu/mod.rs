@@ -1,17 +1,18 @@
 //! Training steps on a GPU.
 
 mod bench;
+mod density;
 mod exposure;
 mod phase;
 mod sum;
 mod trainer;
 
 pub use bench::{Bench, Drawing};
-pub(crate) use phase::move_phases;
+use phase::move_phases;
 pub use trainer::GpuTrainer;
-pub(crate) use trainer::TRAINING;
 
-use super::{Backend, BackendError, ColourSums, DensityRound, DensityStats, StepSettings, StepView};
+use super::{Backend, BackendError, ColourSums, StepSettings, StepView};
+use crate::density::{DensityRound, DensityStats};
 use crate::{ColourDegree, TrainConfig};
 use m4_core::{Exposure, Splats};
 use m4_kernels::adam::cpu::AdamState;

@@ -7,7 +7,7 @@ use m4_kernels::launch;
 use std::f32::consts::TAU;
 
 /// Does on the device what [`crate::colour_degree::move_phases`] does: `splats` were the rows `sources` of `parents`.
-pub(crate) fn move_phases(
+pub(super) fn move_phases(
     client: &Client,
     parents: &DeviceSplats,
     splats: &DeviceSplats,

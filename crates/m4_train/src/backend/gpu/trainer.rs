@@ -2,7 +2,7 @@
 
 use super::exposure;
 use super::sum::Batch;
-use crate::density::ImageGradients;
+use crate::density::gpu::ImageGradients;
 use m4_core::{Exposure, ShapeError, Splats, Window};
 use m4_kernels::gpu::buffer::Buffer;
 use m4_kernels::gpu::frames::Frames;
@@ -24,7 +24,7 @@ use m4_kernels::{
 use std::borrow::Borrow;
 
 /// The operation named in errors.
-pub(crate) const TRAINING: &str = "training";
+pub(super) const TRAINING: &str = "training";
 
 /// Splats, their moments and the frames of a video on the device, and the step that moves them.
 #[derive(Debug)]

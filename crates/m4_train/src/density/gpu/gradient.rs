@@ -1,13 +1,11 @@
 //! The statistic that 3DGS densifies by, collected on the device as [`crate::density::gradient`] does it on the CPU.
 
-use super::read;
-use crate::{backend::gpu::GpuTrainer, density::Scores};
 use cubecl::prelude::*;
 use m4_kernels::launch;
 use m4_kernels::{
     adam::{FIXED, gpu::DeviceAdam},
     gpu::{
-        Gpu, GpuError,
+        Gpu,
         buffer::{Buffer, cubes, units},
         splats::gathered_words,
         work::Work,
@@ -27,7 +25,8 @@ pub(crate) struct ImageGradients {
 }
 
 impl ImageGradients {
-    fn new(gpu: &Gpu, n: usize) -> Self {
+    /// Of `n` splats, none of which was seen.
+    pub(crate) fn new(gpu: &Gpu, n: usize) -> Self {
         let client = &gpu.client;
         Self {
             n,
@@ -55,14 +54,15 @@ impl ImageGradients {
     }
 
     /// The means as the scores of `n` splats, `[2][n]`, none of which is pruned by score; the sums start anew.
-    pub(super) fn take(&mut self, gpu: &Gpu, n: usize) -> Buffer {
+    pub(crate) fn take(&mut self, gpu: &Gpu, n: usize) -> Buffer {
         let scores = self.means(gpu, n);
         self.sums.clear(&gpu.client);
         self.frames.clear(&gpu.client);
         scores
     }
 
-    fn means(&mut self, gpu: &Gpu, n: usize) -> Buffer {
+    /// The means as scores, `[2][n]`; the sums go on.
+    pub(crate) fn means(&mut self, gpu: &Gpu, n: usize) -> Buffer {
         self.fit(gpu, n);
         let scores = Buffer::zeros(&gpu.client, 2 * n);
         launch!(&gpu.client, means::launch, (cubes(n, 256), units()), [self.sums, self.frames, scores], [n as u32]);
@@ -80,24 +80,6 @@ impl ImageGradients {
     fn fit(&mut self, gpu: &Gpu, n: usize) {
         if self.n != n {
             *self = Self::new(gpu, n);
-        }
-    }
-}
-
-impl GpuTrainer {
-    /// Collects the gradients with respect to the centres of splats in the image from here on; they take the place of the scores of
-    /// density control.
-    pub fn collect_image_gradients(&mut self) {
-        self.image_gradients.get_or_insert_with(|| ImageGradients::new(&self.gpu, self.splats.n));
-    }
-
-    /// Waits, and says what a round of density control would go by now: the mean lengths of the gradients in the image in place of the scores, 0 where none
-    /// are collected. Fails with [`GpuError`] if the device failed since.
-    pub fn image_gradients(&mut self) -> Result<Scores, GpuError> {
-        let n = self.splats.n;
-        match &mut self.image_gradients {
-            Some(sums) => read(&self.gpu, &sums.means(&self.gpu, n), n),
-            None => Ok(Scores { densify: vec![0.0; n], prune: vec![0.0; n] }),
         }
     }
 }

@@ -11,144 +11,14 @@
 //! Rows are laid out by one exclusive sum: static splats that stay, then the new ones, then the same of dynamic splats. All
 //! that is read back is how many there are.
 
-use crate::{
-    backend::{
-        DensityRound, DensityStats, ScoreSettings,
-        gpu::{GpuTrainer, TRAINING, move_phases},
-    },
-    density::Scores,
-};
-use cubecl::prelude::*;
-use error_mask::Mask;
-use m4_kernels::launch;
-use m4_kernels::{
-    View,
-    adam::FIXED,
-    gpu::{
-        Gpu, GpuError,
-        buffer::{Buffer, cubes, units},
-        splats::{DeviceSplats, gathered},
-        tally::{LOSSES, Tally},
-        work::Size,
-    },
-    score::gpu::{FrameScore, add},
-};
-
 mod error_mask;
 mod gradient;
 mod new_splats;
 mod outcomes;
 mod rank;
 
+pub(crate) use error_mask::Mask;
 pub(crate) use gradient::ImageGradients;
-
-impl GpuTrainer {
-    /// Clones, splits and prunes splats by the rules of `round`. Survivors keep the optimiser's state, new splats start from
-    /// nothing. Rows are in their old order, static before dynamic, the new ones after those that stay; halves lie 0.6
-    /// standard deviations to both sides along the longest axis, 0.8 as long there, or are drawn as on the CPU, to the last
-    /// digits. Where nothing would be left, nothing changes. Fails with [`GpuError`] if there is no such frame,
-    /// if there is no room, or if the device failed; the trainer is not to be used after that.
-    pub fn densify(&mut self, round: &DensityRound<'_>) -> Result<DensityStats, GpuError> {
-        let n = self.splats.n;
-        let unchanged = DensityStats {
-            n_static: self.splats.n_static,
-            n_dynamic: n - self.splats.n_static,
-            ..DensityStats::default()
-        };
-        if n == 0 {
-            return Ok(unchanged);
-        }
-        let client = self.gpu.client.clone();
-        let outcomes = self.outcomes(&client, round)?;
-        let (grown, next, n_bound) = outcomes.read(&client, TRAINING)?;
-        if grown.changes_nothing() || next == 0 {
-            return Ok(unchanged);
-        }
-        let rows = new_splats::Rows::new(&client, &outcomes, &self.splats, next);
-        let shape = (next, grown.n_static);
-        self.gather_adam(&rows.states, shape);
-        let splats = gathered(&self.gpu, &self.splats, &rows.sources, shape);
-        rows.shape(&client, &self.splats, &splats, grown.n_static + n_bound, round);
-        move_phases(&client, &self.splats, &splats, &rows.sources, round.period);
-        let bound = self.splats.bound.as_ref();
-        let n_static = unchanged.n_static;
-        let bound = bound.map(|bound| bound.gathered(&self.gpu, &rows.sources, n_static, (grown.n_static, n_bound)));
-        self.splats = DeviceSplats { bound, ..splats };
-        self.gradients = self.splats.like(&self.gpu);
-        self.make(Size { n: next, ..self.work.size })?;
-        Ok(grown)
-    }
-
-    fn outcomes(&mut self, client: &Client, round: &DensityRound<'_>) -> Result<outcomes::Outcomes, GpuError> {
-        let (n, rules) = (self.splats.n, &round.rules);
-        let (config, due) = (rules.config, rules.due);
-        let scores = match &mut self.image_gradients {
-            Some(sums) => sums.take(&self.gpu, n),
-            None if due.densify || due.prune_by_score => self.scores(round.views, &round.scores)?,
-            // of no consequence
-            None => Buffer::empty(client, 2 * n),
-        };
-        let rank = rank::Rank::new(client, n);
-        let budget = if due.densify { due.budget(config, n) } else { 0 };
-        let grows = rank.best(client, config.densify_threshold, budget, &scores);
-        let range = match due.prune_by_score {
-            true => rank.prune_range(client, config.prune_rule, &scores),
-            // no range, no pruning by score
-            false => Buffer::floats(client, &[0.0, 0.0]),
-        };
-        Ok(outcomes::Outcomes::new(client, &self.splats, rules, &grows, &scores, &range))
-    }
-}
-
-impl GpuTrainer {
-    /// Renders each view of a frame, by its number, and adds up the errors on the footprints of the splats.
-    /// Fails with [`GpuError`] if there is no such frame, if there is no room for the tile entries, or if the device failed.
-    pub fn score(&mut self, views: &[(usize, View)], settings: &ScoreSettings) -> Result<Scores, GpuError> {
-        let n = self.splats.n;
-        let scores = self.scores(views, settings)?;
-        read(&self.gpu, &scores, n)
-    }
-
-    /// [`score`](Self::score), left on the device: `[2][n]`.
-    pub(crate) fn scores(&mut self, views: &[(usize, View)], settings: &ScoreSettings) -> Result<Buffer, GpuError> {
-        let n = self.splats.n;
-        let gpu = self.gpu.clone();
-        let tally = Tally::new(&gpu, views.len());
-        let scores = Buffer::zeros(&gpu.client, 2 * n);
-        let mask = Mask::new(&gpu, self.work.size.pixels(), settings.range);
-        let share = 1.0 / views.len().max(1) as f32;
-        for (index, (frame, view)) in views.iter().enumerate() {
-            self.draw(view)?;
-            let target = self.frames.get(&gpu, *frame)?;
-            let (shown, _) = self.corrected(*frame);
-            self.loss.compare(&gpu, &shown, &target, index, settings.lambda_ssim, &tally);
-            mask.find(&gpu, &shown, &target, settings.threshold);
-            let frame =
-                FrameScore { errors: &mask.errors, cut: &mask.cut, tally: &tally.buffer, loss: LOSSES + index, share };
-            add(&gpu, &self.work, &self.splats, &frame, &scores);
-        }
-        launch!(&gpu.client, forget_fixed::launch, (cubes(n, 256), units()), [self.adam.steps, scores], [n as u32]);
-        Ok(scores)
-    }
-}
-
-/// Waits, and copies the scores of `n` splats back. Fails with [`GpuError`] if the device failed.
-fn read(gpu: &Gpu, scores: &Buffer, n: usize) -> Result<Scores, GpuError> {
-    let mut both = scores.read_floats(&gpu.client, TRAINING)?;
-    both.truncate(2 * n);
-    let prune = both.split_off(n);
-    Ok(Scores { densify: both, prune })
-}
-
-/// Sets both scores of fixed splats to 0.
-#[cube(launch)]
-fn forget_fixed(steps: &[u32], scores: &mut [f32], n: u32) {
-    let i = ABSOLUTE_POS as u32;
-    if i < n {
-        let step = steps[i as usize];
-        if step == FIXED {
-            scores[i as usize] = 0.0f32;
-            scores[(n + i) as usize] = 0.0f32;
-        }
-    }
-}
+pub(crate) use new_splats::Rows;
+pub(crate) use outcomes::Outcomes;
+pub(crate) use rank::Rank;

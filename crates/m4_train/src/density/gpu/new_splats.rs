@@ -2,8 +2,8 @@
 #![expect(clippy::collapsible_if, reason = "kernels are expanded: conditions at compile time stand alone")]
 
 use super::outcomes::{Outcomes, birth_of, stay_of};
-use crate::backend::DensityRound;
 use crate::config::{CloneOpacity, SplitPlacement};
+use crate::density::DensityRound;
 use crate::density::new_splats::child_purpose;
 use cubecl::prelude::*;
 use m4_core::CounterRng;
@@ -25,7 +25,7 @@ const OTHER_HALF: u32 = 3;
 const LN_SPLIT_FACTOR: f32 = 0.470_003_63;
 
 /// Of each row of the next splats:
-pub(super) struct Rows {
+pub(crate) struct Rows {
     /// The row that it comes from,
     pub sources: Buffer,
     /// the row whose state of the optimiser it keeps, or [`NOTHING`],

@@ -1,9 +1,8 @@
 //! The outcome of density control for each splat: the rows that it keeps and adds, and their totals.
 #![expect(clippy::collapsible_if, reason = "kernels are expanded: conditions at compile time stand alone")]
 
-use crate::backend::DensityStats;
 use crate::config::{LARGE_EXTENT, LARGE_PX, PruneRule, SplitSize};
-use crate::density::Rules;
+use crate::density::{DensityStats, Rules};
 use cubecl::prelude::*;
 use m4_kernels::gpu::GpuError;
 use m4_kernels::gpu::buffer::{Buffer, cubes, units};
@@ -12,7 +11,7 @@ use m4_kernels::gpu::splats::DeviceSplats;
 use m4_kernels::launch;
 
 /// Rows of the next splats: static that stay, new static, and the same of bound and of free ones.
-pub(super) struct Outcomes {
+pub(crate) struct Outcomes {
     /// How many rows each splat leaves (0 or 1) and adds (0 to 2), `[2 n]` in that order.
     pub sizes: Buffer,
     /// Their positions.

@@ -12,7 +12,7 @@ use m4_kernels::launch;
 const LAST: u32 = u32::MAX;
 
 /// Memory for sorting the scores of `n` splats.
-pub(super) struct Rank {
+pub(crate) struct Rank {
     n: usize,
     pairs: Pairs,
     sort: Sort,
