@@ -65,6 +65,9 @@ pub struct Gradients {
     pub nodes: Vec<NodeGradients>,
 }
 
+/// Parameters of a node at a key: its position, and a turn about it (left, world axes).
+pub const NODE_PARAMETERS: usize = 6;
+
 /// The gradient of a loss with respect to the nodes of a window at one of its keys.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct NodeGradients {
@@ -73,7 +76,7 @@ pub struct NodeGradients {
     /// Index of its key.
     pub key: usize,
     /// Of each node: with respect to its position, and to a turn about it (left, world axes).
-    pub nodes: Vec<[f32; 6]>,
+    pub nodes: Vec<[f32; NODE_PARAMETERS]>,
 }
 
 impl Gradients {

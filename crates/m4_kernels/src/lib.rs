@@ -8,7 +8,6 @@
 //!
 //! | folder | what it does |
 //! |---|---|
-//! | `pose` | bound splats to where their nodes carry them |
 //! | `slice` | 4D splat to 3D splat at an instant |
 //! | `pose` | splats that nodes carry to where they are at an instant; to splats of an instant or on straight lines for exports |
 //! | `project` | 3D splat to an ellipse on the image |
@@ -22,7 +21,9 @@
 //!
 //! In each folder `mod.rs` is the contract, `reference.rs` the definition (generic over f32 and f64,
 //! slow on purpose, the oracle of the tests), `cpu.rs` the SIMD twin that the product runs, and `gpu.rs` the twin in CubeCL
-//! (feature `gpu`; its devices, memory, sorts and sums are in `gpu`). [`Renderer`] strings the CPU twins together. Lengths are checked when data enters
+//! (feature `gpu`; its devices, memory, sorts and sums are in `gpu`, splats on a device in `splats`). `ellipse` is the alpha of a splat
+//! at a pixel, which binning and blending share; `stage` goes from splats to what tiles are made of, slice, project and shade in one
+//! pass. [`Renderer`] strings the CPU twins together, `renderer::gpu` those of the GPU; `plan` says how much memory they take. Lengths are checked when data enters
 //! ([`m4_core::Splats`], [`Frame`]); inside, kernels index freely.
 
 #![cfg_attr(
@@ -39,24 +40,31 @@ pub mod adam;
 pub mod bench;
 pub mod blend;
 pub mod cover;
+pub mod ellipse;
 #[cfg(feature = "gpu")]
 pub mod gpu;
 pub mod loss;
+#[cfg(feature = "gpu")]
+pub mod plan;
 pub mod pose;
 pub mod project;
 pub mod reference;
+pub mod renderer;
 pub mod score;
 pub mod shade;
 pub mod slice;
+#[cfg(feature = "gpu")]
+pub mod splats;
 pub mod tile_binning;
 
 mod frame;
+mod kernel;
 mod order;
-mod renderer;
 mod simd;
 mod stage;
 
-pub use frame::{CameraGradient, Frame, Gradients, NodeGradients, StepStats, View};
+pub use frame::{CameraGradient, Frame, Gradients, NODE_PARAMETERS, NodeGradients, StepStats, View};
+pub use kernel::Kernel;
 pub use m4_core::{SIMD_ENV, SimdLevel, SimdLevelError};
 pub use order::morton_order;
 pub use renderer::{FrameStats, Renderer};

@@ -4,9 +4,10 @@
 //! splat. This is what the twins are checked against; nothing outside tests calls it.
 
 use crate::{
-    blend::{
+    blend::reference::{BlendGradient, Image, blend, blend_vjp, walk},
+    ellipse::{
         ALPHA_MIN,
-        reference::{BlendGradient, CHANNELS, Cutoff, Ellipse, Image, blend, blend_vjp, walk},
+        reference::{CHANNELS, Cutoff, Ellipse},
     },
     project::reference::{PinholeGradient, Projected, project, project_vjp},
     score::reference::score,

@@ -4,7 +4,9 @@
 use m4_core::{Camera, Capture, CaptureFrame, Intrinsics, Plane, Se3, SplatLayout};
 use m4_kernels::adam::cpu::AdamState;
 use m4_kernels::bench::{BenchScene, SceneConfig, SceneKind};
-use m4_kernels::gpu::{Gpu, Plan};
+use m4_kernels::gpu::Gpu;
+use m4_kernels::plan::Plan;
+use m4_kernels::renderer::gpu::Size;
 use m4_train::backend::gpu::{GpuBackend, GpuTrainer};
 use m4_train::{RefineConfig, TrainConfig, warm_up};
 
@@ -40,7 +42,7 @@ fn a_trainer_takes_what_was_planned_and_a_warm_up_gives_all_back() {
         BenchScene::new(&SceneConfig { splats: 3000, width: SIZE.0, height: SIZE.1, kind: SceneKind::FourD }).unwrap();
     let (n, n_static) = (scene.splats.n(), scene.splats.n_static());
     let frames = [&scene.target; 3];
-    let entries = Plan::first_entries(n);
+    let entries = Size::first_entries(n);
     let plan = Plan::training(n_static, n - n_static, scene.splats.layout(), SIZE, frames.len(), entries);
     let plan = plan.with_image_gradients();
     let passing: u64 = plan.parts().iter().filter(|p| p.what == "density control").map(|p| p.bytes).sum();

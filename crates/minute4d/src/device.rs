@@ -145,7 +145,8 @@ mod gpu {
     use m4_core::{Capture, SplatLayout, Splats};
     #[cfg(feature = "nets")]
     use m4_kernels::gpu::Runtime;
-    use m4_kernels::gpu::{Choice, Gpu, Renderer, adapters, automatic};
+    use m4_kernels::gpu::{Choice, Gpu, adapters, automatic};
+    use m4_kernels::renderer::gpu::Renderer;
     use m4_kernels::{Frame, View};
     use m4_train::TrainConfig;
     use m4_train::backend::{Backend, gpu::GpuBackend};

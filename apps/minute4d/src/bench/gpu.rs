@@ -2,8 +2,10 @@
 
 use super::{BenchConfig, Case, Fastest, GpuCase, GpuMachine, Millis, Step, Timed, case, mean_over};
 use cpu_time::ProcessTime;
-use m4_kernels::bench::{Bench as Host, Counts, SceneConfig};
-use m4_kernels::gpu::{Choice, Gpu, GpuError, Laps, Plan, adapters, automatic};
+use m4_kernels::bench::{Bench as Host, Counts, Probe, SceneConfig};
+use m4_kernels::gpu::{Choice, Gpu, GpuError, Laps, adapters, automatic};
+use m4_kernels::plan::Plan;
+use m4_kernels::renderer::gpu::Size;
 use m4_kernels::{SimdLevel, StepStats};
 use m4_train::backend::gpu::{Bench, Drawing};
 use minute4d::device::DeviceChoice;
@@ -63,7 +65,7 @@ pub(super) fn run(
         Plan::training(n_static, n - n_static, layout, size, 1, entries)
     };
     let limit = config.max_vram_mb.map_or(u64::MAX, |mb| 1_000_000 * mb as u64);
-    let first = plan(Plan::first_entries(n));
+    let first = plan(Size::first_entries(n));
     first.check(limit)?;
     first.check_buffers(gpu)?;
 
@@ -83,7 +85,7 @@ pub(super) fn run(
     let mut drawing = bench.into_drawing()?;
     let frames = time_frames(&mut drawing, config.steps, observer)?;
     drop(drawing);
-    let probe = gpu.probe()?;
+    let probe = Probe::of_device(gpu)?;
     let figures = GpuCase {
         own_clock,
         behind_one_another: steps.count,

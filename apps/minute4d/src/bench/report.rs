@@ -37,7 +37,7 @@ pub struct GpuCase {
     pub(super) behind_one_another: usize,
     /// Frames a second when each is copied to the host, one after the other.
     pub(super) read_frames_per_s: f64,
-    /// What training was expected to take on the GPU (`m4_kernels::gpu::Plan`), bytes.
+    /// What training was expected to take on the GPU (`m4_kernels::plan::Plan`), bytes.
     pub(super) planned_bytes: u64,
     /// What its buffers took, with the bench's own, bytes.
     pub(super) in_use_bytes: u64,

@@ -2,9 +2,9 @@
 use super::{FIXED, cpu::AdamConfig};
 use crate::gpu::Gpu;
 use crate::gpu::buffer::{Buffer, cubes, units};
-use crate::gpu::splats::{DeviceSplats, parts};
 use crate::gpu::tally::{Tally, check_parameter, count_step};
 use crate::launch;
+use crate::splats::{DeviceSplats, parts};
 use cubecl::prelude::*;
 use m4_core::Column;
 pub use nodes::DeviceNodes;

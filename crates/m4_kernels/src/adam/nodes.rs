@@ -4,14 +4,11 @@
 //! world axes, although the node turns a little with every step.
 
 use super::{AdamParams, cpu::AdamConfig, reference::update};
-use crate::NodeGradients;
+use crate::{NODE_PARAMETERS, NodeGradients};
 use m4_core::{
     Window,
     nalgebra::{Quaternion, UnitQuaternion, Vector3},
 };
-
-/// Parameters of a node at a key.
-pub const PARAMETERS: usize = 6;
 
 /// The moments of the nodes of a window.
 #[derive(Debug, Clone, PartialEq)]
@@ -27,7 +24,7 @@ pub struct NodeMoments {
 impl NodeMoments {
     /// Nothing seen yet.
     pub fn new(window: &Window) -> Self {
-        let zeros = vec![0.0; PARAMETERS * window.keys().len() * window.anchors().len()];
+        let zeros = vec![0.0; NODE_PARAMETERS * window.keys().len() * window.anchors().len()];
         Self { step: vec![0; window.keys().len()], v: zeros.clone(), m: zeros }
     }
 }
@@ -56,18 +53,18 @@ pub fn step(
             continue;
         }
         let (window, moments) = (&mut windows[found.window], &mut moments[found.window]);
-        let size = PARAMETERS * window.anchors().len();
+        let size = NODE_PARAMETERS * window.anchors().len();
         moments.step[found.key] += 1;
         let count = moments.step[found.key];
         let part = found.key * size..(found.key + 1) * size;
         let (m, v) = (&mut moments.m[part.clone()], &mut moments.v[part]);
-        let moments = m.chunks_exact_mut(PARAMETERS).zip(v.chunks_exact_mut(PARAMETERS));
+        let moments = m.chunks_exact_mut(NODE_PARAMETERS).zip(v.chunks_exact_mut(NODE_PARAMETERS));
         for ((pose, g), (m, v)) in window.poses_mut(found.key).iter_mut().zip(&found.nodes).zip(moments) {
             if g.iter().all(|&g| g == 0.0) {
                 continue;
             }
             let mut turn = [0.0f32; 3];
-            for k in 0..PARAMETERS {
+            for k in 0..NODE_PARAMETERS {
                 let (x, rate) = match k {
                     0..3 => (&mut pose.position[k], rates.position),
                     _ => (&mut turn[k - 3], rates.turn),

@@ -1,6 +1,8 @@
 //! The parts of a kernel benchmark: scenes, timed steps, the minimum work of each kernel, and the limits of the machine. `minute4d bench`
 //! turns them into a report.
 
+#[cfg(feature = "gpu")]
+mod gpu;
 mod probe;
 mod scene;
 mod stage;
@@ -9,4 +11,4 @@ mod work;
 pub use probe::{PEAK_EVALUATIONS, PeakEvaluations, Probe};
 pub use scene::SceneKind;
 pub use stage::{Bench, BenchScene, SceneConfig, Times};
-pub use work::{Counts, Kernel, Work, useful_evaluations};
+pub use work::{Counts, Work, useful_evaluations};

@@ -1,8 +1,8 @@
 //! Times training steps on a synthetic scene, kernel by kernel.
 
-use super::{Counts, Kernel, SceneKind, scene, useful_evaluations};
+use super::{Counts, SceneKind, scene, useful_evaluations};
 use crate::{
-    Gradients, Renderer, SimdLevel, View,
+    Gradients, Kernel, Renderer, SimdLevel, View,
     adam::cpu::{self as adam, AdamConfig, AdamState},
     loss::cpu::{self as photometric, LossScratch, Target},
     morton_order,
@@ -192,10 +192,7 @@ impl Bench {
 #[cfg(test)]
 mod tests {
     use super::{Bench, SceneConfig};
-    use crate::{
-        SimdLevel,
-        bench::{Kernel, SceneKind},
-    };
+    use crate::{Kernel, SimdLevel, bench::SceneKind};
 
     #[test]
     fn steps_are_timed_and_lower_the_loss() {

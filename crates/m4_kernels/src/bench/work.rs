@@ -13,10 +13,11 @@
 //! ([`super::useful_evaluations`]).
 
 use crate::{
-    View,
-    blend::{
+    Kernel, View,
+    blend::reference::walk,
+    ellipse::{
         ALPHA_MIN,
-        reference::{Ellipse, Hard, walk},
+        reference::{Ellipse, Hard},
     },
     reference::{Setup, Splat, ellipses, splats_of},
     slice::MARGINAL_MIN,
@@ -24,25 +25,6 @@ use crate::{
 };
 use m4_core::{Column, Splats};
 use rayon::prelude::*;
-
-/// A kernel of the training step.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-pub enum Kernel {
-    /// Slice, project and shade.
-    Project,
-    /// Depth order and tile lists.
-    Bin,
-    /// Tile lists to the image.
-    Blend,
-    /// L1 + SSIM and its gradient.
-    Photo,
-    /// Image gradient to ellipse gradients.
-    BlendBackward,
-    /// Ellipse gradients to parameter gradients.
-    ProjectBackward,
-    /// The optimiser.
-    Adam,
-}
 
 /// What a frame is made of.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -97,41 +79,6 @@ const SPLAT: f64 = FIELDS as f64 * NUMBER;
 const SUMS: f64 = 64.0;
 
 impl Kernel {
-    /// In the order in which a step runs them.
-    pub const ALL: [Self; 7] =
-        [Self::Project, Self::Bin, Self::Blend, Self::Photo, Self::BlendBackward, Self::ProjectBackward, Self::Adam];
-
-    /// As reports call it.
-    #[must_use]
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Project => "project",
-            Self::Bin => "bin",
-            Self::Blend => "blend",
-            Self::Photo => "photo",
-            Self::BlendBackward => "blend backward",
-            Self::ProjectBackward => "project backward",
-            Self::Adam => "adam",
-        }
-    }
-
-    /// True for the kernels that an image alone needs.
-    #[must_use]
-    pub fn renders(self) -> bool {
-        matches!(self, Self::Project | Self::Bin | Self::Blend)
-    }
-
-    /// What [`Work::items`] counts: a splat that lives at the instant (forward) or was touched, an entry
-    /// of a tile list that was looked at, a pixel.
-    #[must_use]
-    pub fn item(self) -> &'static str {
-        match self {
-            Self::Project | Self::ProjectBackward | Self::Adam => "splat",
-            Self::Bin | Self::Blend | Self::BlendBackward => "pair",
-            Self::Photo => "pixel",
-        }
-    }
-
     /// What it has to do for a frame; see the head of this file for what counts.
     #[must_use]
     pub fn work(self, c: &Counts) -> Work {
@@ -195,7 +142,6 @@ impl Kernel {
         }
     }
 }
-
 /// Dynamic splats whose temporal marginal at `t` (frames) is above [`MARGINAL_MIN`].
 pub(super) fn alive(splats: &Splats, t: f64) -> usize {
     let means = splats.column(Column::TimeMean, 0);
@@ -267,7 +213,8 @@ mod tests {
     use super::useful_evaluations;
     use crate::{
         bench::{BenchScene, SceneConfig, SceneKind},
-        blend::reference::{Hard, walk},
+        blend::reference::walk,
+        ellipse::reference::Hard,
         reference::{Setup, ellipses, splats_of},
     };
 

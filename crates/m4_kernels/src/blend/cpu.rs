@@ -13,8 +13,9 @@ pub(crate) use self::{
     forward::{forward, score},
 };
 
-use super::{ALPHA_MAX, ALPHA_MIN, T_MIN, planes::BandPlace};
+use super::planes::BandPlace;
 use crate::{
+    ellipse::{ALPHA_MAX, ALPHA_MIN, T_MIN},
     simd::all,
     tile_binning::{
         TILE,
@@ -233,10 +234,8 @@ mod tests {
     use super::{BATCH, CHUNK, Sums, Used, backward, forward, score};
     use crate::{
         SimdLevel,
-        blend::{
-            ALPHA_MIN, LOG2_ALPHA_MIN,
-            planes::{BandGradient, BandPlace, BandPlanes},
-        },
+        blend::planes::{BandGradient, BandPlace, BandPlanes},
+        ellipse::{ALPHA_MIN, LOG2_ALPHA_MIN},
         simd::dispatch,
         tile_binning::{
             TILE,

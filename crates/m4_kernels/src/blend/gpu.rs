@@ -1,14 +1,14 @@
 //! Blends tile lists into an image: one cube per tile of 8x8 pixels, one unit per pixel.
 
-use crate::{gpu::vector::BACKGROUND, project::gpu::RECORD};
+use crate::{ellipse, gpu::vector::BACKGROUND, tile_binning::gpu::RECORD};
 use cubecl::prelude::*;
 use std::f32::consts::LN_2;
 
 pub(crate) mod backward;
 
-const ALPHA_MAX: f32 = super::ALPHA_MAX as f32;
-pub(crate) const LOG2_ALPHA_MIN: f32 = super::LOG2_ALPHA_MIN as f32;
-const T_MIN: f32 = super::T_MIN as f32;
+const ALPHA_MAX: f32 = ellipse::ALPHA_MAX as f32;
+const LOG2_ALPHA_MIN: f32 = ellipse::LOG2_ALPHA_MIN as f32;
+const T_MIN: f32 = ellipse::T_MIN as f32;
 
 #[cube(launch)]
 pub(crate) fn blend(

@@ -2,8 +2,8 @@
 use super::LEAST_OPACITY;
 use crate::gpu::Gpu;
 use crate::gpu::buffer::{Buffer, cubes, units};
-use crate::gpu::splats::DeviceSplats;
 use crate::launch;
+use crate::splats::DeviceSplats;
 use cubecl::prelude::*;
 use m4_core::Column;
 

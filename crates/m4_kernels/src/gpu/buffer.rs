@@ -74,6 +74,9 @@ impl Buffer {
     }
 }
 
+/// In place of an index where there is none: of the row of splats that start from nothing.
+pub const NOTHING: u32 = u32::MAX;
+
 /// Launches a kernel: the client, the kernel, cubes and units of a cube, its [`Buffer`]s, and what follows them.
 #[macro_export]
 macro_rules! launch {

@@ -1,9 +1,6 @@
 //! Lists GPUs, opens one, and reports the memory that it holds.
 
-use crate::{
-    bench::Probe,
-    gpu::{GpuError, inputs::Inputs},
-};
+use crate::gpu::{GpuError, inputs::Inputs};
 use cubecl::Device;
 use cubecl::MemoryScope;
 use cubecl::device::{WgpuBackend, WgpuDevice, WgpuDeviceKind};
@@ -373,11 +370,6 @@ impl Gpu {
         self.inputs.clear();
         self.wait(doing)?;
         self.client.memory_cleanup().map_err(|error| failed(doing, &error))
-    }
-
-    /// What the device can do at most, measured now, on 256 MB. Fails with [`GpuError`] if the device failed.
-    pub fn probe(&self) -> Result<Probe, GpuError> {
-        crate::gpu::timing::probe(self)
     }
 
     /// Whether kernels are timed by the device's own clock.

@@ -3,9 +3,9 @@
 #![expect(missing_docs, reason = "`cube` generates items beside those that it is written at")]
 
 use crate::gpu::buffer::{Buffer, cubes, units};
+use crate::gpu::scan::cube_sum;
 use crate::gpu::{Gpu, GpuError};
 use crate::launch;
-use crate::loss::gpu::cube_sum;
 use cubecl::prelude::*;
 
 /// Views per page.

@@ -1,4 +1,4 @@
-//! Exclusive sums.
+//! Sums over cubes, and exclusive sums.
 
 #![expect(missing_docs, reason = "`cube` generates items beside those that it is written at")]
 
@@ -8,6 +8,24 @@ use cubecl::prelude::*;
 
 /// Numbers a cube: 256 units with four each.
 pub(crate) const BLOCK: usize = 1024;
+
+/// Sum over the cube's 256 units; every unit gets it.
+#[cube]
+pub fn cube_sum(value: f32, shared: &mut Shared<[f32]>) -> f32 {
+    sync_cube();
+    shared[UNIT_POS as usize] = value;
+    sync_cube();
+    let mut half = 128u32;
+    while half > 0u32 {
+        if UNIT_POS < half {
+            let other = shared[(UNIT_POS + half) as usize];
+            shared[UNIT_POS as usize] += other;
+        }
+        sync_cube();
+        half /= 2u32;
+    }
+    shared[0]
+}
 
 /// Exclusive sum of one value per unit over a cube of 256.
 #[cube]

@@ -4,10 +4,9 @@
 
 use crate::StepStats;
 use crate::gpu::buffer::{Buffer, cubes, units};
-use crate::gpu::scan::scan_cube;
+use crate::gpu::scan::{cube_sum, scan_cube};
 use crate::gpu::{Gpu, GpuError};
 use crate::launch;
-use crate::loss::gpu::cube_sum;
 use cubecl::prelude::*;
 
 /// The largest number of tile entries that a frame wanted.

@@ -1,10 +1,6 @@
-//! Vectors of three numbers, and a camera at an instant in the form that the kernels read.
+//! Vectors of three numbers, and where the numbers of a camera at an instant lie.
 #![expect(missing_docs, reason = "`cube` generates items beside those that it is written at")]
 
-use crate::{
-    View,
-    project::{NEAR_MIN, jacobian_limits},
-};
 use cubecl::prelude::*;
 
 /// A vector or a row of a matrix.
@@ -74,30 +70,3 @@ pub(crate) const SIZE: usize = 23;
 pub(crate) const BACKGROUND: usize = 25;
 /// How many numbers there are.
 pub(crate) const EYE: usize = 28;
-
-/// `view` in the order of the constants.
-pub(crate) fn eye(view: &View) -> [f32; EYE] {
-    let k = &view.camera.intrinsics;
-    let (w2c, centre) = (view.camera.w2c(), view.camera.centre());
-    let mut out = [0.0; EYE];
-    for i in 0..9 {
-        out[i] = w2c.rotation[(i / 3, i % 3)] as f32;
-    }
-    let mut put = |at: usize, values: &[f64]| {
-        for (to, &v) in out[at..].iter_mut().zip(values) {
-            *to = v as f32;
-        }
-    };
-    put(CENTRE, &[centre.x, centre.y, centre.z]);
-    put(FOCAL, &[k.fx, k.fy]);
-    put(MIDDLE, &[k.cx - 0.5, k.cy - 0.5]);
-    put(LIMITS, &jacobian_limits(k));
-    put(TIME, &[view.t]);
-    // a period of 0 means none: the harmonics are static
-    let period = f64::from(view.period);
-    put(INVERSE_PERIOD, &[if period > 0.0 { 1.0 / period } else { 0.0 }]);
-    put(NEAR, &[f64::from(view.near).max(NEAR_MIN)]);
-    put(SIZE, &[k.width as f64, k.height as f64]);
-    put(BACKGROUND, &view.background.map(f64::from));
-    out
-}

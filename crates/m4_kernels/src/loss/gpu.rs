@@ -6,12 +6,15 @@ use crate::{
     gpu::{
         Gpu,
         buffer::{Buffer, units},
+        scan::cube_sum,
         tally::{Tally, add_up},
-        work::Size,
     },
     loss::window,
 };
 use cubecl::prelude::*;
+pub use frames::Frames;
+
+mod frames;
 
 const SSIM_C1: f32 = super::SSIM_C1 as f32;
 const SSIM_C2: f32 = super::SSIM_C2 as f32;
@@ -30,24 +33,6 @@ pub fn target_at(target: &[u32], at: u32, channel: u32, pixels: u32) -> f32 {
     let plane = channel * ((pixels + 3u32) / 4u32);
     let four = target[(plane + at / 4u32) as usize];
     f32::cast_from((four >> (8u32 * (at % 4u32))) & 255u32) * BYTE
-}
-
-/// Sum over the cube's 256 units; every unit gets it.
-#[cube]
-pub fn cube_sum(value: f32, shared: &mut Shared<[f32]>) -> f32 {
-    sync_cube();
-    shared[UNIT_POS as usize] = value;
-    sync_cube();
-    let mut half = 128u32;
-    while half > 0u32 {
-        if UNIT_POS < half {
-            let other = shared[(UNIT_POS + half) as usize];
-            shared[UNIT_POS as usize] += other;
-        }
-        sync_cube();
-        half /= 2u32;
-    }
-    shared[0]
 }
 
 /// Derivatives of SSIM with respect to the three blurs, and three sums per cube: of SSIM, of absolute differences, and of
@@ -277,7 +262,8 @@ pub(crate) fn tiles(width: usize, height: usize) -> usize {
 /// Memory for frames of one size.
 #[derive(Debug)]
 pub struct Loss {
-    size: Size,
+    width: usize,
+    height: usize,
     /// Tiles of 16x16 pixels.
     tiles: usize,
     /// SSIM's derivatives, three planes per channel.
@@ -287,13 +273,14 @@ pub struct Loss {
 }
 
 impl Loss {
-    /// Memory for frames of `size`.
-    pub fn new(gpu: &Gpu, size: Size) -> Self {
+    /// Memory for frames of `width` x `height` pixels.
+    pub fn new(gpu: &Gpu, width: usize, height: usize) -> Self {
         Self {
-            size,
-            tiles: tiles(size.width, size.height),
-            slopes: Buffer::empty(&gpu.client, 9 * size.pixels()),
-            sums: Buffer::empty(&gpu.client, 9 * tiles(size.width, size.height)),
+            width,
+            height,
+            tiles: tiles(width, height),
+            slopes: Buffer::empty(&gpu.client, 9 * width * height),
+            sums: Buffer::empty(&gpu.client, 9 * tiles(width, height)),
         }
     }
 
@@ -301,7 +288,7 @@ impl Loss {
     /// SSIM.
     pub fn compare(&self, gpu: &Gpu, image: &Buffer, frame: &Buffer, index: usize, lambda: f32, tally: &Tally) {
         self.similarity(gpu, image, frame);
-        tally.frame(gpu, &self.sums, self.tiles, 3 * self.size.pixels(), index, lambda);
+        tally.frame(gpu, &self.sums, self.tiles, 3 * self.width * self.height, index, lambda);
     }
 
     /// As [`compare`](Self::compare), as view 0, and the gradient with respect to `image` into `out`.
@@ -312,7 +299,7 @@ impl Loss {
             gradient::launch,
             (CubeCount::Static(self.tiles as u32, 4, 1), units()),
             [image, frame, self.slopes, self.sums, out, tally.buffer],
-            [self.size.width as u32, self.size.height as u32, lambda]
+            [self.width as u32, self.height as u32, lambda]
         );
     }
 
@@ -324,7 +311,7 @@ impl Loss {
             similarity::launch,
             (cubes, units()),
             [image, frame, self.slopes, self.sums],
-            [self.size.width as u32, self.size.height as u32]
+            [self.width as u32, self.height as u32]
         );
     }
 }

@@ -1,36 +1,41 @@
-//! Projects splats of one instant to ellipses on the image, and back: slice, project and shade in one kernel, one unit per splat.
+//! Projects splats of one instant to ellipses on the image: what the kernels of the stage ([`crate::stage`]) do for one splat.
 
-use crate::{
-    gpu::scan::scan_cube,
-    gpu::vector::{
-        CENTRE, FOCAL, INVERSE_PERIOD, LIMITS, MIDDLE, NEAR, SIZE, TIME, V3, add_scaled, cross, dot, scaled, times,
-        transposed, v3,
-    },
-    shade::gpu::raw_colour,
-    slice::gpu::{Carried, Shape, carried, drawn_shape, life, posed_number},
-    tile_binning::gpu::{LARGE_SPLATS, MANY, REACH, Reach, SLOTS, count_slack, tile_rows, tile_span},
+use super::{NEAR_MIN, jacobian_limits};
+use crate::View;
+use crate::gpu::vector::{
+    BACKGROUND, CENTRE, EYE, FOCAL, INVERSE_PERIOD, LIMITS, MIDDLE, NEAR, SIZE, TIME, V3, add_scaled, cross, dot,
+    scaled, times, transposed, v3,
 };
-pub(crate) use backward::{project_backward, sum_large};
+use crate::slice::gpu::Shape;
 use cubecl::prelude::*;
-use std::f32::consts::{LN_2, LOG2_E};
 
-mod backward;
+pub(crate) const LOW_PASS: f32 = super::LOW_PASS as f32;
 
-const LOW_PASS: f32 = super::LOW_PASS as f32;
-
-/// Numbers of a record: centre, half conic 00, conic 01, half conic 11 (times log2 e), log2 of the opacity, red, green,
-/// blue, z-depth.
-pub(crate) const RECORD: usize = 10;
-
-/// What of a scene and a view is known when the kernel is compiled.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-pub(crate) struct Spec {
-    pub isotropic: bool,
-    pub sh_terms: u32,
-    pub time_terms: u32,
-    pub mip: bool,
-    /// Some splats are bound.
-    pub bound: bool,
+/// `view` in the order of the constants of [`crate::gpu::vector`].
+pub(crate) fn eye(view: &View) -> [f32; EYE] {
+    let k = &view.camera.intrinsics;
+    let (w2c, centre) = (view.camera.w2c(), view.camera.centre());
+    let mut out = [0.0; EYE];
+    for i in 0..9 {
+        out[i] = w2c.rotation[(i / 3, i % 3)] as f32;
+    }
+    let mut put = |at: usize, values: &[f64]| {
+        for (to, &v) in out[at..].iter_mut().zip(values) {
+            *to = v as f32;
+        }
+    };
+    put(CENTRE, &[centre.x, centre.y, centre.z]);
+    put(FOCAL, &[k.fx, k.fy]);
+    put(MIDDLE, &[k.cx - 0.5, k.cy - 0.5]);
+    put(LIMITS, &jacobian_limits(k));
+    put(TIME, &[view.t]);
+    // a period of 0 means none: the harmonics are static
+    let period = f64::from(view.period);
+    put(INVERSE_PERIOD, &[if period > 0.0 { 1.0 / period } else { 0.0 }]);
+    put(NEAR, &[f64::from(view.near).max(NEAR_MIN)]);
+    put(SIZE, &[k.width as f64, k.height as f64]);
+    put(BACKGROUND, &view.background.map(f64::from));
+    out
 }
 
 /// An ellipse and what its gradient needs again.
@@ -58,18 +63,18 @@ pub(crate) struct Ellipse {
 }
 
 #[cube]
-pub(super) fn row(eye: &[f32], #[comptime] i: usize) -> V3 {
+pub(crate) fn row(eye: &[f32], #[comptime] i: usize) -> V3 {
     v3(eye[3 * i], eye[3 * i + 1], eye[3 * i + 2])
 }
 
 #[cube]
-pub(super) fn offset_of(eye: &[f32], mean: &V3) -> V3 {
+pub(crate) fn offset_of(eye: &[f32], mean: &V3) -> V3 {
     // from the camera's centre first: rounding must not grow with the distance from the origin
     v3(mean.x - eye[CENTRE], mean.y - eye[CENTRE + 1], mean.z - eye[CENTRE + 2])
 }
 
 #[cube]
-pub(super) fn ellipse(eye: &[f32], offset: &V3, s: &Shape, #[comptime] mip: bool) -> Ellipse {
+pub(crate) fn ellipse(eye: &[f32], offset: &V3, s: &Shape, #[comptime] mip: bool) -> Ellipse {
     let (w0, w1, w2) = (row(eye, 0usize), row(eye, 1usize), row(eye, 2usize));
     let point = v3(dot(&w0, offset), dot(&w1, offset), dot(&w2, offset));
     let (fx, fy) = (eye[FOCAL], eye[FOCAL + 1]);
@@ -107,157 +112,5 @@ pub(super) fn ellipse(eye: &[f32], offset: &V3, s: &Shape, #[comptime] mip: bool
         b,
         f,
         g,
-    }
-}
-
-#[cube]
-pub(super) fn opacity_logit(
-    geometry: &[f32],
-    posed: &[f32],
-    carried: &Carried,
-    at: usize,
-    rows: usize,
-    #[comptime] spec: Spec,
-) -> f32 {
-    let k = comptime!(if spec.isotropic { 4usize } else { 10usize });
-    let mut logit = geometry[k * rows + at];
-    if comptime!(spec.bound) {
-        if carried.on {
-            logit = posed_number(posed, carried, 7usize);
-        }
-    }
-    logit
-}
-
-/// Direction to the splat and one over its distance; zeros where colours do not depend on it.
-#[cube]
-pub(super) fn sight(offset: &V3, #[comptime] sh_terms: u32) -> (V3, f32) {
-    let mut k = 0.0f32;
-    if comptime!(sh_terms > 1) {
-        k = 1.0f32 / dot(offset, offset).sqrt();
-    }
-    (scaled(offset, k), k)
-}
-
-const MARGINAL_MIN: f32 = crate::slice::MARGINAL_MIN as f32;
-const ALPHA_MIN: f32 = crate::blend::ALPHA_MIN as f32;
-const LOG2_ALPHA_MIN: f32 = crate::blend::LOG2_ALPHA_MIN as f32;
-const HALF_LOG2_E: f32 = 0.5 * LOG2_E;
-const TWO_LN_2: f32 = 2.0 * LN_2;
-
-/// Fills the records of the splats in the frame, their depths and tile counts, notes where the tiles' counts change, and gives every
-/// tile of a splat a slot: `offsets` is the first of them. Which splats come first is different every time.
-#[cube(launch)]
-pub(crate) fn project(
-    geometry: &[f32],
-    colour: &[f32],
-    time: &[f32],
-    posed: &[f32],
-    eye: &[f32],
-    records: &mut [f32],
-    reaches: &mut [f32],
-    depths: &mut [u32],
-    counts: &mut [u32],
-    offsets: &mut [u32],
-    changes: &[Atomic<u32>],
-    allocated: &[Atomic<u32>],
-    large: &mut [u32],
-    n: u32,
-    n_static: u32,
-    n_still: u32,
-    across: u32,
-    #[comptime] spec: Spec,
-) {
-    let mut shared = Shared::<[u32]>::new_slice(256usize);
-    let mut base = Shared::<[u32]>::new_slice(1usize);
-    let i = ABSOLUTE_POS as u32;
-    let mut count = 0u32;
-    if i < n {
-        let at = i as usize;
-        let rows = n as usize;
-        let carried = carried(i, n_static, n_still);
-        let life = life(geometry, time, posed, &carried, i, n, n_static, n_still, eye[TIME], spec.bound);
-        let offset = offset_of(eye, &life.mean);
-        let z = dot(&row(eye, 2usize), &offset);
-        if life.marginal > MARGINAL_MIN && z > eye[NEAR] {
-            let shape = drawn_shape(geometry, posed, &carried, i, n, spec.isotropic, spec.bound);
-            let e = ellipse(eye, &offset, &shape, spec.mip);
-            let logit = opacity_logit(geometry, posed, &carried, at, rows, spec);
-            let opacity = life.marginal * e.compensation / (1.0f32 + (-logit).exp());
-            let inverse = 1.0f32 / e.det;
-            // v * 0 is 0 for finite v, and NaN otherwise
-            let sum = (e.u + e.v) * 0.0f32 + ((e.v00 + e.v11 - e.v01) * inverse + opacity) * 0.0f32;
-            if opacity >= ALPHA_MIN && sum == 0.0f32 && e.det > 0.0f32 {
-                let log_opacity = opacity.ln() * LOG2_E;
-                let radius = (log_opacity - LOG2_ALPHA_MIN) * TWO_LN_2 + 0.002f32;
-                let reach = Reach {
-                    u: e.u,
-                    v: e.v,
-                    v00: e.v00,
-                    v01: e.v01,
-                    v11: e.v11,
-                    radius: radius.max(0.0f32),
-                    width: eye[SIZE],
-                    height: eye[SIZE + 1],
-                };
-                let slack = count_slack(&reach);
-                let (first, end) = tile_rows(&reach, slack);
-                for row in first..end {
-                    let (left, right) = tile_span(&reach, row, slack);
-                    if left < right {
-                        // one more entry from the first tile on, one less after the last
-                        changes[(row * across + left) as usize].fetch_add(1u32);
-                        changes[(row * across + right) as usize].fetch_sub(1u32);
-                        count += right - left;
-                    }
-                }
-                if count > 0u32 {
-                    depths[at] = u32::reinterpret(z);
-                    let (direction, _) = sight(&offset, spec.sh_terms);
-                    let rgb = raw_colour(
-                        colour,
-                        posed,
-                        &carried,
-                        at,
-                        rows,
-                        &direction,
-                        life.dt * eye[INVERSE_PERIOD],
-                        spec.sh_terms,
-                        spec.time_terms,
-                        spec.bound,
-                    );
-                    let r = at * RECORD;
-                    records[r] = e.u;
-                    records[r + 1] = e.v;
-                    records[r + 2] = e.v11 * inverse * HALF_LOG2_E;
-                    records[r + 3] = -e.v01 * inverse * LOG2_E;
-                    records[r + 4] = e.v00 * inverse * HALF_LOG2_E;
-                    records[r + 5] = log_opacity;
-                    records[r + 6] = rgb.x.max(0.0f32);
-                    records[r + 7] = rgb.y.max(0.0f32);
-                    records[r + 8] = rgb.z.max(0.0f32);
-                    records[r + 9] = z;
-                    let r = at * REACH;
-                    reaches[r] = e.u;
-                    reaches[r + 1] = e.v;
-                    reaches[r + 2] = e.v00;
-                    reaches[r + 3] = e.v01;
-                    reaches[r + 4] = e.v11;
-                    reaches[r + 5] = reach.radius;
-                }
-            }
-        }
-        counts[at] = count;
-    }
-    let before = scan_cube(count, &mut shared);
-    if UNIT_POS == 255u32 {
-        base[0] = allocated[SLOTS].fetch_add(before + count);
-    }
-    if count > MANY {
-        large[allocated[LARGE_SPLATS].fetch_add(1u32) as usize] = i;
-    }
-    sync_cube();
-    if i < n {
-        offsets[i as usize] = base[0] + before;
     }
 }

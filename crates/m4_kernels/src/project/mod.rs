@@ -12,7 +12,7 @@
 //!
 //! The limits of the clamp ([`jacobian_limits`]) count as constants: no gradient flows through them.
 //! A splat is left out when any of its centre, conic or opacity is not a finite number, or its
-//! opacity is under [`crate::blend::ALPHA_MIN`]: it cannot reach a pixel.
+//! opacity is under [`crate::ellipse::ALPHA_MIN`]: it cannot reach a pixel.
 //!
 //! The camera's gradient is that of a left twist, `W <- exp([omega]) W`, `T <- exp([omega]) T + tau`.
 

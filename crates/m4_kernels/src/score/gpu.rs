@@ -1,17 +1,17 @@
 //! The scores of one frame (Minute4D Eq. 9, Minute4D Eq. 10): sums of the errors over the pixels that each splat is blended on (a slot per tile
 //! and splat, as in the backward pass), times the temporal marginal of the splat at that instant, which is 1 for static and bound splats.
 
-use crate::blend::gpu::LOG2_ALPHA_MIN;
 use crate::gpu::Gpu;
 use crate::gpu::buffer::{Buffer, cubes, units};
-use crate::gpu::splats::DeviceSplats;
 use crate::gpu::vector::TIME;
-use crate::gpu::work::Work;
 use crate::launch;
-use crate::project::gpu::RECORD;
+use crate::renderer::gpu::Work;
 use crate::slice::gpu::{carried, life};
-use crate::tile_binning::gpu::BUCKETS;
+use crate::splats::DeviceSplats;
+use crate::tile_binning::gpu::{BUCKETS, RECORD};
 use cubecl::prelude::*;
+
+const LOG2_ALPHA_MIN: f32 = crate::ellipse::LOG2_ALPHA_MIN as f32;
 
 /// The errors of a frame and their weights.
 #[derive(Debug, Clone, Copy)]

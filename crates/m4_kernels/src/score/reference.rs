@@ -1,6 +1,7 @@
 //! The definition of the score in one frame: the sum over the footprint (Minute4D Eq. 9).
 
-use crate::blend::reference::{Ellipse, Hard, walk};
+use crate::blend::reference::walk;
+use crate::ellipse::reference::{Ellipse, Hard};
 use m4_core::Real;
 
 /// The score of each of `splats`, which are in order of depth and have these temporal `marginals`.

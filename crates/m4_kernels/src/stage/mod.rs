@@ -8,6 +8,8 @@
 //! after the other: neighbours in memory are neighbours in the image, so a group reaches few bands,
 //! and the length of the loops is guessed right far more often.
 
+#[cfg(feature = "gpu")]
+pub(crate) mod gpu;
 mod passes;
 
 use crate::{

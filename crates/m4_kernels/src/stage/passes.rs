@@ -1,7 +1,8 @@
 //! Columns to the records of the bands, and their moments back to gradients of the columns.
 
 use crate::{
-    blend::{ALPHA_MIN, cpu::Sums},
+    blend::cpu::Sums,
+    ellipse::ALPHA_MIN,
     project::cpu::{self as project, Ellipse, Eye, Moments},
     shade::cpu::{self as shade, Sight},
     simd::{FETCH_ROWS, LANES, all, all3, bits, dot, each, lanes, load, log2, sigmoid, store, touch, transpose, turn},

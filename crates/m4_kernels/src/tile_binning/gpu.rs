@@ -46,6 +46,9 @@ pub(crate) const SLACK_PX: f32 = 0.005;
 const COUNT_SLACK_PX: f32 = 0.007;
 /// The same, as a share of the coordinates.
 const COUNT_SLACK: f32 = 4e-6;
+/// Numbers of a record: centre, half conic 00, conic 01, half conic 11 (times log2 e), log2 of the opacity, red, green,
+/// blue, z-depth.
+pub(crate) const RECORD: usize = 10;
 /// Numbers of a reach in memory.
 pub(crate) const REACH: usize = 6;
 

@@ -2,7 +2,7 @@
 //! it, with the exact extent of their tiles row by row (docs/spec/optimiser.md 5.2).
 
 use crate::{
-    blend::ALPHA_MIN,
+    ellipse::ALPHA_MIN,
     project::cpu::{Ellipse, Eye},
     simd::{LANES, all, bits as bits_of, each, lanes as lanes_of},
     tile_binning::{

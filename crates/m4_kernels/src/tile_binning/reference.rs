@@ -1,7 +1,7 @@
 //! The definition of a tile list, by brute force.
 
 use super::TILE;
-use crate::blend::reference::{Ellipse, Hard, reach};
+use crate::ellipse::reference::{Ellipse, Hard, reach};
 use m4_core::Real;
 
 /// Columns and rows of tiles.

@@ -5,7 +5,7 @@ use crate::{
     twins::{FLIPS, assert_same_gradients, layout, scene},
 };
 use m4_core::{CounterRng, SplatLayout, Splats};
-use m4_kernels::{Frame, Gradients, Renderer, SimdLevel, View, gpu::Renderer as GpuRenderer};
+use m4_kernels::{Frame, Gradients, Renderer, SimdLevel, View, renderer::gpu::Renderer as GpuRenderer};
 use m4_testkit::{Flips, assert_gradient, assert_image, bind_at_random};
 
 const SIZE: (usize, usize) = (80, 61);

@@ -2,7 +2,7 @@
 
 use crate::gpu;
 use m4_core::{Camera, Column, CounterRng, Intrinsics, Se3, SplatLayout, Splats};
-use m4_kernels::{Frame, Gradients, Renderer, SimdLevel, View, gpu::Renderer as GpuRenderer};
+use m4_kernels::{Frame, Gradients, Renderer, SimdLevel, View, renderer::gpu::Renderer as GpuRenderer};
 use m4_testkit::{Flips, SceneSpec, assert_gradient, assert_image, random_camera, random_splats};
 
 /// Splats, half of them dynamic, before a random camera.

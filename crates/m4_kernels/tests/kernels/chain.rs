@@ -6,7 +6,7 @@ use m4_core::{
 };
 use m4_kernels::{
     View,
-    blend::reference::{CHANNELS, Cutoff, Hard, Smooth},
+    ellipse::reference::{CHANNELS, Cutoff, Hard, Smooth},
     reference::{Geometry, Setup, Splat, backward, render, splats_of},
     slice::reference::{Gaussian, Life, Shape},
 };

@@ -7,7 +7,8 @@ use m4_core::{
 };
 use m4_kernels::{
     adam::{AdamParams, reference::step},
-    blend::reference::{CHANNELS, Ellipse, Hard, blend, blend_vjp, walk},
+    blend::reference::{blend, blend_vjp, walk},
+    ellipse::reference::{CHANNELS, Ellipse, Hard},
     loss::{
         SSIM_C1, SSIM_C2, WINDOW, WINDOW_SD,
         reference::{photometric, ssim},

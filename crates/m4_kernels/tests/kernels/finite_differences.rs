@@ -8,7 +8,8 @@ use m4_core::{
     nalgebra::{Matrix2, Matrix3, Vector2, Vector3, Vector4, Vector6},
 };
 use m4_kernels::{
-    blend::reference::{CHANNELS, Ellipse, Smooth, blend, blend_vjp},
+    blend::reference::{blend, blend_vjp},
+    ellipse::reference::{CHANNELS, Ellipse, Smooth},
     project::reference::{Pinhole, Projected, project, project_vjp},
     reference::{expose, expose_vjp},
     shade::reference::{Sight, shade, shade_vjp},

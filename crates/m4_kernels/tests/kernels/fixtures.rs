@@ -7,7 +7,7 @@ use m4_core::{
     rotor,
 };
 use m4_kernels::{
-    blend::{
+    ellipse::{
         self,
         reference::{CHANNELS, Cutoff, Hard},
     },
@@ -23,9 +23,9 @@ fn constants_are_those_of_the_oracle() {
     let fixtures = gradient_fixtures();
     assert_eq!(fixtures.low_pass, project::LOW_PASS);
     assert_eq!(fixtures.jacobian_clamp, project::JACOBIAN_CLAMP);
-    assert_eq!(fixtures.alpha_max, blend::ALPHA_MAX);
-    assert_eq!(fixtures.alpha_min, blend::ALPHA_MIN);
-    assert_eq!(fixtures.t_min, blend::T_MIN);
+    assert_eq!(fixtures.alpha_max, ellipse::ALPHA_MAX);
+    assert_eq!(fixtures.alpha_min, ellipse::ALPHA_MIN);
+    assert_eq!(fixtures.t_min, ellipse::T_MIN);
     for case in &fixtures.cases {
         let limits = project::jacobian_limits(&camera(case).intrinsics);
         let [x, y] = case.camera.tan.map(|tan| fixtures.jacobian_clamp * tan);

@@ -3,7 +3,7 @@
 use m4_core::{Camera, Column, CounterRng, Splats};
 use m4_kernels::{
     Frame, Gradients, Renderer, SimdLevel, View,
-    blend::reference::{CHANNELS, Hard},
+    ellipse::reference::{CHANNELS, Hard},
     reference::{Rendered, SceneGradient, Setup, Splat, backward, render, score_splats, splats_of},
 };
 use m4_testkit::{Flips, assert_gradient, assert_image};

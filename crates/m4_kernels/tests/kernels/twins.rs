@@ -3,7 +3,7 @@
 use crate::fixtures::{Target, converted};
 use crate::twin::{compare, every_level, view};
 use m4_core::{Column, SplatLayout, Splats};
-use m4_kernels::{Gradients, Renderer, SimdLevel, View, blend::reference::CHANNELS};
+use m4_kernels::{Gradients, Renderer, SimdLevel, View, ellipse::reference::CHANNELS};
 use m4_testkit::{
     GradientCase, GradientFixtures, SceneSpec, gradient_fixtures, moving_scene, random_camera, random_splats,
 };

@@ -3,12 +3,12 @@
 use crate::gpu;
 use m4_core::{SplatLayout, Splats};
 use m4_kernels::{
-    Gradients, Renderer, SimdLevel, View,
+    Gradients, Kernel, Renderer, SimdLevel, View,
     adam::{
         cpu::{AdamConfig, AdamState, step},
         nodes::NodeRates,
     },
-    bench::{Bench as HostBench, Kernel, SceneConfig},
+    bench::{Bench as HostBench, SceneConfig},
     cover,
     loss::cpu::{LossScratch, Target, loss},
 };

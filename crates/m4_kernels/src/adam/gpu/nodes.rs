@@ -1,12 +1,13 @@
 //! One step of the nodes that carry splats, at the keys that frames showed: the version in CubeCL of [`crate::adam::nodes`].
 
+use crate::NODE_PARAMETERS;
 use crate::adam::cpu::AdamConfig;
-use crate::adam::nodes::{NodeMoments, NodeRates, PARAMETERS};
+use crate::adam::nodes::{NodeMoments, NodeRates};
 use crate::gpu::buffer::{Buffer, cubes, units};
 use crate::gpu::tally::{Tally, check_parameter};
 use crate::gpu::{Gpu, GpuError};
 use crate::launch;
-use crate::pose::gpu::{Bound, POSE};
+use crate::splats::{Bound, POSE};
 use cubecl::prelude::*;
 use m4_core::{ShapeError, Window};
 
@@ -48,7 +49,7 @@ impl DeviceNodes {
         let mut out = Vec::with_capacity(windows.len());
         for window in windows {
             let keys = window.keys().len();
-            let len = PARAMETERS * keys * window.anchors().len();
+            let len = NODE_PARAMETERS * keys * window.anchors().len();
             out.push(NodeMoments {
                 step: steps[key..key + keys].to_vec(),
                 m: m[first..first + len].to_vec(),
@@ -64,7 +65,7 @@ impl DeviceNodes {
         let (mut numbers, mut keys) = (0, 0);
         for window in windows {
             keys += window.keys().len();
-            numbers += PARAMETERS * window.keys().len() * window.anchors().len();
+            numbers += NODE_PARAMETERS * window.keys().len() * window.anchors().len();
         }
         ShapeError::check("numbers of nodes of the optimiser", numbers, self.shape[0])?;
         ShapeError::check("keys of windows of the optimiser", keys, self.shape[1])
@@ -75,7 +76,7 @@ impl DeviceNodes {
         ShapeError::check("windows of the optimiser", windows.len(), nodes.len())?;
         for (nodes, window) in nodes.iter().zip(windows) {
             let keys = window.keys().len();
-            let len = PARAMETERS * keys * window.anchors().len();
+            let len = NODE_PARAMETERS * keys * window.anchors().len();
             ShapeError::check("keys of the optimiser", keys, nodes.step.len())?;
             ShapeError::check("nodes of the optimiser", len, nodes.m.len())?;
             ShapeError::check("nodes of the optimiser", len, nodes.v.len())?;
@@ -174,10 +175,10 @@ fn step_nodes(
             while node < nodes {
                 if has_gradient(gradients, first + node) {
                     let pose = (first + node) as usize * POSE;
-                    let from = (first + node) as usize * PARAMETERS;
-                    let mut moves = Array::<f32>::new(PARAMETERS);
+                    let from = (first + node) as usize * NODE_PARAMETERS;
+                    let mut moves = Array::<f32>::new(NODE_PARAMETERS);
                     #[unroll]
-                    for k in 0usize..PARAMETERS {
+                    for k in 0usize..NODE_PARAMETERS {
                         let g = gradients[from + k];
                         let mean = beta1 * m[from + k] + (1.0f32 - beta1) * g;
                         let square = beta2 * v[from + k] + (1.0f32 - beta2) * g * g;
@@ -206,10 +207,10 @@ fn step_nodes(
 /// Whether one of the six numbers of a pose is not 0.
 #[cube]
 fn has_gradient(gradients: &[f32], pose: u32) -> bool {
-    let from = pose as usize * PARAMETERS;
+    let from = pose as usize * NODE_PARAMETERS;
     let mut any = false;
     #[unroll]
-    for k in 0usize..PARAMETERS {
+    for k in 0usize..NODE_PARAMETERS {
         if gradients[from + k] != 0.0f32 {
             any = true;
         }

@@ -10,10 +10,8 @@
 
 use super::{BLOCK_TILES, CHUNK, COLUMN, Copies, Pixels, ROW, Sums, T_FLOOR, Used, alpha, copy, step};
 use crate::{
-    blend::{
-        ALPHA_MAX,
-        planes::{BandGradient, BandPlace, PIXELS},
-    },
+    blend::planes::{BandGradient, BandPlace, PIXELS},
+    ellipse::ALPHA_MAX,
     simd::{all, all3},
     tile_binning::{
         TILE,

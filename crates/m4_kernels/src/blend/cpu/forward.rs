@@ -3,10 +3,10 @@
 
 use crate::{
     blend::{
-        T_MIN,
         cpu::{BATCH, CHUNK, Copies, Pixels, Shares, T_FLOOR, Used, alpha, copy, step},
         planes::{BandPlace, BandPlanes},
     },
+    ellipse::T_MIN,
     simd::{all, all3, each},
     tile_binning::{
         cpu::{BLOCK_TILES, Band, Record},

@@ -2,8 +2,7 @@
 //! each on the pixels of its bounding box alone, which the units share; what is left of each pixel's light stays in
 //! shared memory.
 use super::{ALPHA_MAX, LOG2_ALPHA_MIN};
-use crate::project::gpu::RECORD;
-use crate::tile_binning::gpu::{BUCKETS, REACH, SLACK_PX};
+use crate::tile_binning::gpu::{BUCKETS, REACH, RECORD, SLACK_PX};
 use cubecl::prelude::*;
 use std::f32::consts::LN_2;
 

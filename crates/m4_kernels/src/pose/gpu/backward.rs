@@ -4,9 +4,9 @@ use super::forward::{
     Quat, carrier, conjugate, faded_slope, in_column, of_window, presence, product, quat, quat_at, side, v3_at, v3_in,
 };
 use super::moment::{ADD, FIRST, KEY, NODES};
-use super::{MOTION, NODE, WEIGHT};
-use crate::gpu::splats::NOTHING;
+use crate::gpu::buffer::NOTHING;
 use crate::gpu::vector::{TIME, cross, dot, v3};
+use crate::splats::{MOTION, NODE, WEIGHT};
 use cubecl::prelude::*;
 
 /// Units that add up the splats of a node.

@@ -1,8 +1,9 @@
 //! Poses of nodes at an instant, and the splats that they carry.
 
+use super::LEAST;
 use super::moment::{FIRST, HALF, NODES, ON, POSES, SHARE, WEIGHTS, WINDOW};
-use super::{LEAST, LIFE, MOTION, NODE, POSE, WEIGHT};
 use crate::gpu::vector::{CENTRE, TIME, V3, v3};
+use crate::splats::{LIFE, MOTION, NODE, POSE, WEIGHT};
 use cubecl::prelude::*;
 
 /// A quaternion.

@@ -1,7 +1,10 @@
 //! What kernels are told of the windows at an instant.
 
 use crate::{
-    gpu::{Gpu, buffer::Buffer, splats::NOTHING},
+    gpu::{
+        Gpu,
+        buffer::{Buffer, NOTHING},
+    },
     pose::FADE,
 };
 use m4_core::Window;
@@ -41,6 +44,11 @@ pub(crate) struct Moment {
 }
 
 impl Moment {
+    /// The numbers of the table of `windows`, where there are some.
+    pub fn length(windows: &[Window]) -> usize {
+        WINDOW * windows.len() + windows.len()
+    }
+
     /// The windows at `t`, frames; `starts` are the first node and the first pose of each. Gradients of the nodes at `known` keys are added to.
     pub fn new(gpu: &Gpu, windows: &[Window], starts: &[[usize; 2]], t: f32, known: &[(usize, usize)]) -> Self {
         let (mut table, mut active, mut most, mut keys) = (Vec::new(), Vec::new(), 0, Vec::new());

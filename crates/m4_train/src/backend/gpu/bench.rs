@@ -6,11 +6,11 @@ use m4_kernels::adam::{
     cpu::{AdamConfig, AdamState},
     nodes::NodeRates,
 };
-use m4_kernels::bench::{BenchScene, Kernel};
-use m4_kernels::gpu::splats::DeviceSplats;
-use m4_kernels::gpu::work::{Size, Work};
-use m4_kernels::gpu::{DeviceMemory, Gpu, GpuError, Laps, Renderer};
-use m4_kernels::{Frame, StepStats, View};
+use m4_kernels::bench::BenchScene;
+use m4_kernels::gpu::{DeviceMemory, Gpu, GpuError, Laps};
+use m4_kernels::renderer::gpu::{Renderer, Size, Work};
+use m4_kernels::splats::DeviceSplats;
+use m4_kernels::{Frame, Kernel, StepStats, View};
 
 /// Weight of SSIM beside L1 (3DGS), as on the processor.
 const LAMBDA_SSIM: f32 = 0.2;

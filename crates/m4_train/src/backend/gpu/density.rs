@@ -12,11 +12,11 @@ use m4_kernels::{
     gpu::{
         Gpu, GpuError,
         buffer::{Buffer, cubes, units},
-        splats::{DeviceSplats, gathered},
         tally::{LOSSES, Tally},
-        work::Size,
     },
+    renderer::gpu::Size,
     score::gpu::{FrameScore, add},
+    splats::{DeviceSplats, gathered},
 };
 
 impl GpuTrainer {

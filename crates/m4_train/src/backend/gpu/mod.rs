@@ -16,8 +16,10 @@ use crate::density::{DensityRound, DensityStats};
 use crate::{ColourDegree, TrainConfig};
 use m4_core::{Exposure, Splats};
 use m4_kernels::adam::cpu::AdamState;
-use m4_kernels::gpu::{Gpu, GpuError, Plan};
+use m4_kernels::gpu::{Gpu, GpuError};
 use m4_kernels::loss::cpu::Target;
+use m4_kernels::plan::Plan;
+use m4_kernels::renderer::gpu::Size;
 use m4_kernels::{StepStats, View};
 
 /// Entries of tiles that a static splat usually has.
@@ -68,7 +70,7 @@ impl GpuBackend {
             let plan = if self.batches { plan.with_batches() } else { plan };
             if self.image_gradients { plan.with_image_gradients() } else { plan }
         };
-        let entries = Plan::first_entries(splats.n());
+        let entries = Size::first_entries(splats.n());
         let least = plan(1, entries);
         least.check_buffers(&self.gpu)?;
         let Some(limit) = self.limit_bytes else {

@@ -2,8 +2,8 @@
 
 use cubecl::prelude::*;
 use m4_kernels::gpu::buffer::{Buffer, cubes, units};
-use m4_kernels::gpu::splats::DeviceSplats;
 use m4_kernels::launch;
+use m4_kernels::splats::DeviceSplats;
 use std::f32::consts::TAU;
 
 /// Does on the device what [`crate::colour_degree::move_phases`] does: `splats` were the rows `sources` of `parents`.

@@ -11,8 +11,8 @@ use m4_kernels::{
     gpu::{
         Gpu, GpuError,
         buffer::{Buffer, cubes, units},
-        splats::{DeviceSplats, parts},
     },
+    splats::{DeviceSplats, parts},
 };
 
 /// The sum so far, or, while the trainer's own memory holds that, the memory of the next frame.

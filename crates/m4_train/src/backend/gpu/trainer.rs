@@ -5,16 +5,14 @@ use super::sum::Batch;
 use crate::density::gpu::ImageGradients;
 use m4_core::{Exposure, ShapeError, Splats, Window};
 use m4_kernels::gpu::buffer::Buffer;
-use m4_kernels::gpu::frames::Frames;
 use m4_kernels::gpu::log::Log;
-use m4_kernels::gpu::morton::morton_order;
-use m4_kernels::gpu::splats::DeviceSplats;
-use m4_kernels::gpu::splats::{gathered, gathered_words};
 use m4_kernels::gpu::tally::Tally;
-use m4_kernels::gpu::work::{Size, Work};
-use m4_kernels::gpu::{Gpu, GpuError, Plan};
+use m4_kernels::gpu::{Gpu, GpuError};
+use m4_kernels::loss::gpu::Frames;
 use m4_kernels::loss::gpu::Loss;
-use m4_kernels::pose::gpu::Bound;
+use m4_kernels::plan::Plan;
+use m4_kernels::renderer::gpu::{Size, Work};
+use m4_kernels::splats::{Bound, DeviceSplats, gathered, gathered_words, morton_order};
 use m4_kernels::{
     CameraGradient, Frame, StepStats, View,
     adam::cpu::AdamState,
@@ -69,7 +67,7 @@ impl GpuTrainer {
             n: splats.n(),
             width: frames.width,
             height: frames.height,
-            entries: Plan::first_entries(splats.n()),
+            entries: Size::first_entries(splats.n()),
             training: true,
         };
         let splats = DeviceSplats::upload(&gpu, splats)?;
@@ -80,7 +78,7 @@ impl GpuTrainer {
             adam: uploaded(&gpu, adam)?,
             gradients: splats.like(&gpu),
             work,
-            loss: Loss::new(&gpu, size),
+            loss: Loss::new(&gpu, size.width, size.height),
             tally,
             batch: None,
             image_gradients: None,

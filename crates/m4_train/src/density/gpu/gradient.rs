@@ -7,9 +7,9 @@ use m4_kernels::{
     gpu::{
         Gpu,
         buffer::{Buffer, cubes, units},
-        splats::gathered_words,
-        work::Work,
     },
+    renderer::gpu::Work,
+    splats::gathered_words,
 };
 
 /// Gradients with respect to the centres of splats in the image, and their sums over frames.

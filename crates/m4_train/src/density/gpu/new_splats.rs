@@ -7,13 +7,13 @@ use crate::density::DensityRound;
 use crate::density::new_splats::child_purpose;
 use cubecl::prelude::*;
 use m4_core::CounterRng;
+use m4_kernels::gpu::buffer::NOTHING;
 use m4_kernels::gpu::buffer::{Buffer, cubes, units};
 use m4_kernels::gpu::random::{Wide, key, normal, wide};
-use m4_kernels::gpu::splats::DeviceSplats;
-use m4_kernels::gpu::splats::NOTHING;
 use m4_kernels::gpu::vector::{V3, dot, v3};
 use m4_kernels::launch;
 use m4_kernels::slice::gpu::{Shape, shape};
+use m4_kernels::splats::DeviceSplats;
 
 /// A clone, or what was cloned; 0 is a row that stays as it is.
 const SHARES: u32 = 1;

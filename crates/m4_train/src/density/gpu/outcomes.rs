@@ -7,8 +7,8 @@ use cubecl::prelude::*;
 use m4_kernels::gpu::GpuError;
 use m4_kernels::gpu::buffer::{Buffer, cubes, units};
 use m4_kernels::gpu::scan::{Scan, scan_cube};
-use m4_kernels::gpu::splats::DeviceSplats;
 use m4_kernels::launch;
+use m4_kernels::splats::DeviceSplats;
 
 /// Rows of the next splats: static that stay, new static, and the same of bound and of free ones.
 pub(crate) struct Outcomes {

@@ -3,7 +3,7 @@
 use crate::config::PruneRule;
 use cubecl::prelude::*;
 use m4_kernels::gpu::buffer::{Buffer, cubes, units};
-use m4_kernels::gpu::morton::{float_of, key_of};
+use m4_kernels::gpu::keys::{float_of, key_of};
 use m4_kernels::gpu::sort::{Pairs, Sort};
 use m4_kernels::gpu::tally::is_finite;
 use m4_kernels::launch;

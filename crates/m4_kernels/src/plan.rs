@@ -1,22 +1,16 @@
 //! Plans the device memory of training or rendering before it starts.
 
-use crate::adam::nodes::PARAMETERS;
+use crate::NODE_PARAMETERS;
 use crate::blend::gpu::backward::SUMS;
 use crate::gpu::scan::Scan;
 use crate::gpu::sort::Sort;
-use crate::gpu::splats::parts;
-use crate::gpu::work::{CHECKPOINT, Size};
 use crate::gpu::{Gpu, GpuError, tally::LOSSES, vector::EYE};
 use crate::loss::gpu as loss;
-use crate::pose::gpu::Bound;
-use crate::project::gpu::RECORD;
-use crate::tile_binning::gpu::{ALLOCATED, REACH, TILE, TOTALS};
+use crate::pose::gpu::Moment;
+use crate::renderer::gpu::{CHECKPOINT, Size};
+use crate::splats::{Bound, parts};
+use crate::tile_binning::gpu::{ALLOCATED, REACH, RECORD, TILE, TOTALS};
 use m4_core::{SplatLayout, Window};
-
-/// Entries of tiles that memory is first made for: this many a splat, and at least as many as [`LEAST_ENTRIES`]. Of a video
-/// most splats are missing at an instant; the first frame says how many entries it takes, and is drawn again.
-const FIRST_ENTRIES: usize = 1;
-const LEAST_ENTRIES: usize = 1 << 16;
 
 const TRAINING: &str = "training";
 
@@ -54,7 +48,7 @@ fn part(what: &'static str, buffers: &[usize]) -> Part {
 
 impl Plan {
     /// Training of `n_static` and `n_dynamic` splats on `frames` images of `size` (columns, rows) that stay on the
-    /// device, eight bits per channel, with room for `entries` entries of tile lists ([`first_entries`](Self::first_entries) at first; a
+    /// device, eight bits per channel, with room for `entries` entries of tile lists ([`Size::first_entries`] at first; a
     /// trainer makes more where a frame has more).
     pub fn training(
         n_static: usize,
@@ -117,8 +111,9 @@ impl Plan {
         if buffers.is_empty() {
             return self;
         }
+        buffers.push(Moment::length(windows));
         if self.doing == TRAINING {
-            let numbers = PARAMETERS * windows.iter().map(|w| w.anchors().len() * w.keys().len()).sum::<usize>();
+            let numbers = NODE_PARAMETERS * windows.iter().map(|w| w.anchors().len() * w.keys().len()).sum::<usize>();
             buffers.extend([numbers, numbers, windows.iter().map(|w| w.keys().len()).sum()]);
             // the lists are made anew where rows change
             buffers.extend([4 * n_bound, 4 * n_bound]);
@@ -140,11 +135,6 @@ impl Plan {
     pub fn with_image_gradients(mut self) -> Self {
         self.parts.push(self.centres);
         self
-    }
-
-    /// Entries of tile lists that memory is first made for; a trainer and a renderer make more where a frame has more.
-    pub fn first_entries(splats: usize) -> usize {
-        (FIRST_ENTRIES * splats).max(LEAST_ENTRIES)
     }
 
     /// The parts: splats, moments, gradients, and so on.
@@ -233,7 +223,7 @@ fn columns(n_static: usize, n_dynamic: usize, layout: SplatLayout) -> [usize; 3]
     [geometry * n, colour * n, time * n_dynamic]
 }
 
-/// What [`Work`](crate::gpu::work::Work) makes.
+/// What [`Work`](crate::renderer::gpu::Work) makes.
 fn work(size: &Size) -> Vec<Part> {
     let (n, entries, tiles, pixels) = (size.n, size.entries, size.tiles(), size.pixels());
     let splats = [RECORD * n, REACH * n, n, n, n, n, n, EYE];
@@ -254,12 +244,13 @@ fn work(size: &Size) -> Vec<Part> {
 mod tests {
     use super::Plan;
     use crate::gpu::GpuError;
+    use crate::renderer::gpu::Size;
     use m4_core::{Pose, SplatLayout, Window};
 
     const LAYOUT: SplatLayout = SplatLayout { isotropic: false, sh_degree: 0, time_degree: 0 };
 
     fn plan(frames: usize) -> Plan {
-        Plan::training(20_000, 80_000, LAYOUT, (480, 360), frames, Plan::first_entries(100_000))
+        Plan::training(20_000, 80_000, LAYOUT, (480, 360), frames, Size::first_entries(100_000))
     }
 
     #[test]

@@ -1,10 +1,11 @@
 //! Turns the sums of the tiles into gradients of the parameters.
 
-use super::{LOW_PASS, Spec, ellipse, offset_of, opacity_logit, row, sight};
+use super::{Spec, opacity_logit, sight};
 use crate::blend::gpu::backward::SUMS;
 use crate::gpu::log::write_parts;
 use crate::gpu::vector::{FOCAL, INVERSE_PERIOD, TIME};
 use crate::gpu::vector::{add_scaled, dot, scaled, times, transposed, v3};
+use crate::project::gpu::{LOW_PASS, ellipse, offset_of, row};
 use crate::shade::gpu::shade_backward;
 use crate::slice::gpu::{carried, drawn_shape, life, quat_backward};
 use crate::tile_binning::gpu::{LARGE, MANY};

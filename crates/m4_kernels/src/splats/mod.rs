@@ -1,14 +1,16 @@
-//! Splats on the device, and the gather of their rows into a new order.
+//! Splats on the device with what carries the bound ones, the gather of their rows into a new order, and the order of memory.
 
+mod bound;
+mod lists;
+mod morton;
+
+pub use bound::Bound;
+pub(crate) use bound::{LIFE, MOTION, NODE, POSE, WEIGHT};
+pub use morton::morton_order;
+
+use crate::gpu::buffer::{Buffer, NOTHING, cubes, units};
+use crate::gpu::{Gpu, GpuError};
 use crate::launch;
-use crate::{
-    gpu::{
-        Gpu, GpuError,
-        buffer::{Buffer, cubes, units},
-    },
-    pose::gpu::Bound,
-    project::gpu::Spec,
-};
 use cubecl::prelude::*;
 use m4_core::{Column, SplatLayout, Splats};
 use std::ops::Range;
@@ -95,17 +97,6 @@ impl DeviceSplats {
         Ok(out)
     }
 
-    /// What the kernels are compiled for.
-    pub(crate) fn spec(&self, mip: bool) -> Spec {
-        Spec {
-            isotropic: self.layout.isotropic,
-            sh_terms: self.layout.sh_terms() as u32,
-            time_terms: self.layout.time_degree as u32 + 1,
-            mip,
-            bound: self.n_still() > self.n_static,
-        }
-    }
-
     /// Splats that are drawn as static ones are: those and the bound ones, which follow.
     pub fn n_still(&self) -> usize {
         self.n_static + self.bound.as_ref().map_or(0, |bound| bound.n)
@@ -116,9 +107,6 @@ impl DeviceSplats {
         self.bound.as_ref().map_or(other, Bound::posed)
     }
 }
-
-/// In place of a row for splats that start from nothing.
-pub const NOTHING: u32 = u32::MAX;
 
 /// The numbers of `from` that `rows` names, one per splat: `n` of them, 0 for [`NOTHING`].
 pub fn gathered_words(gpu: &Gpu, from: &Buffer, rows: &Buffer, n: usize) -> Buffer {

@@ -1,9 +1,29 @@
-//! Renders one view and reads it back: for images, and for tests that compare with the CPU.
+//! The launches of a frame on the GPU.
+//!
+//! ```text
+//! pose -> project -> starts of the tile lists -> entries -> sort of each list -> blend -> loss
+//! adam <- pose backward <- project backward <- blend backward <- gradient of the loss
+//! ```
+//!
+//! Splats, moments, frames and everything between stay on the device while it trains; a step uploads a camera, and what says
+//! where windows are in time, and reads nothing back. There are no floating-point atomics: every tile entry has a slot of its own for its sums, and each
+//! splat adds its slots up in order, so that the same seed gives the same bits on the same device. How many entries
+//! there are is known on the device alone: buffers are sized by capacity, and a peak that is read now and then says
+//! when they must grow.
+//!
+//! [`Renderer`] draws one view and its gradient and reads them back: for images, and for the tests that compare with
+//! the CPU.
+
+mod size;
+mod work;
+
+pub use size::Size;
+pub(crate) use work::CHECKPOINT;
+pub use work::Work;
 
 use crate::gpu::buffer::Buffer;
-use crate::gpu::splats::{DeviceSplats, parts};
-use crate::gpu::work::{Size, Work};
-use crate::gpu::{Gpu, GpuError, Plan};
+use crate::gpu::{Gpu, GpuError};
+use crate::splats::{DeviceSplats, parts};
 use crate::{Frame, Gradients, View};
 use m4_core::Splats;
 
@@ -76,7 +96,7 @@ impl Renderer {
     fn draw(&mut self, view: &View, training: bool) -> Result<(), GpuError> {
         let k = &view.camera.intrinsics;
         let n = self.splats.n;
-        let mut size = Size { n, width: k.width, height: k.height, entries: Plan::first_entries(n), training };
+        let mut size = Size { n, width: k.width, height: k.height, entries: Size::first_entries(n), training };
         if let Some(work) = &self.work {
             size.entries = work.size.entries;
         }

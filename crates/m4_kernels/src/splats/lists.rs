@@ -1,6 +1,6 @@
 //! The splats that each node carries.
 
-use super::NODE;
+use super::bound::NODE;
 use crate::gpu::Gpu;
 use crate::gpu::buffer::{Buffer, cubes, units};
 use crate::gpu::sort::{Pairs, Sort};

@@ -1,13 +1,11 @@
 //! The memory order of splats, computed on the device: the GPU version of [`crate::morton_order`].
 
-#![expect(missing_docs, reason = "`cube` generates items beside those that it is written at")]
-
+use super::{Bound, DeviceSplats, gathered_words, parts};
 use crate::gpu::Gpu;
 use crate::gpu::buffer::{Buffer, cubes, units};
+use crate::gpu::keys::{float_of, key_of};
 use crate::gpu::sort::{Pairs, Sort};
-use crate::gpu::splats::{DeviceSplats, gathered_words, parts};
 use crate::launch;
-use crate::pose::gpu::Bound;
 use cubecl::prelude::*;
 use m4_core::Column;
 
@@ -91,17 +89,6 @@ fn keys_of(column: &[f32], keys: &mut [u32], first: u32, rows: u32) {
     }
 }
 
-/// A number that sorts as `value` does.
-#[cube]
-pub fn key_of(value: f32) -> u32 {
-    let bits = u32::reinterpret(value);
-    let mut key = bits | 0x8000_0000u32;
-    if (bits >> 31u32) == 1u32 {
-        key = !bits;
-    }
-    key
-}
-
 /// The values below which 1 % and 99 % of a column lie; 0 and 1 of none.
 #[cube(launch)]
 fn take_limits(keys: &[u32], limits: &mut [f32], axis: u32, rows: u32) {
@@ -115,16 +102,6 @@ fn take_limits(keys: &[u32], limits: &mut [f32], axis: u32, rows: u32) {
             limits[at + 1] = float_of(keys[(rows - 1u32 - low) as usize]);
         }
     }
-}
-
-/// The float that became `key`.
-#[cube]
-pub fn float_of(key: u32) -> f32 {
-    let mut bits = key & 0x7fff_ffffu32;
-    if (key >> 31u32) == 0u32 {
-        bits = !key;
-    }
-    f32::reinterpret(bits)
 }
 
 /// Which of `last + 1` equal steps between the limits of an axis holds `value`.

@@ -1,22 +1,20 @@
 //! The memory and the kernel launches of one frame.
 
+use super::size::{BUCKET, Size};
 use crate::blend::gpu::{self as blend, backward as blend_backward, backward::SUMS};
 use crate::gpu::buffer::{Buffer, cubes, units};
-use crate::gpu::size::BUCKET;
-pub use crate::gpu::size::Size;
-use crate::gpu::splats::DeviceSplats;
-use crate::gpu::timing::Stopwatch;
-use crate::gpu::vector::eye;
-use crate::gpu::{Gpu, GpuError};
+use crate::gpu::{Gpu, GpuError, Stopwatch};
 use crate::launch;
-use crate::pose::gpu::Moment;
-use crate::project::gpu::{RECORD, project, project_backward, sum_large};
-use crate::tile_binning::gpu::{ALLOCATED, LARGE_CUBES, REACH, TILE, TOTALS, WANTED, entries, sort, starts};
-use crate::{View, bench::Kernel};
+use crate::pose::gpu::{self as pose, Moment};
+use crate::project::gpu::eye;
+use crate::splats::DeviceSplats;
+use crate::stage::gpu::{Spec, project, project_backward, sum_large};
+use crate::tile_binning::gpu::{ALLOCATED, LARGE_CUBES, REACH, RECORD, TILE, TOTALS, WANTED, entries, sort, starts};
+use crate::{Kernel, View};
 use cubecl::prelude::{CubeCount, CubeDim};
 
 /// Numbers of a checkpoint: transmittance, colours.
-pub const CHECKPOINT: usize = 4;
+pub(crate) const CHECKPOINT: usize = 4;
 
 /// Buffers for frames of one size.
 #[derive(Debug)]
@@ -146,7 +144,7 @@ impl Work {
         let (tiles, width, height) = (size.tiles(), size.width as u32, size.height as u32);
         self.eye = gpu.input_floats(&eye(view));
         let bound = splats.bound.as_ref();
-        self.moment = bound.map(|bound| bound.pose(gpu, splats, &self.eye, view.t as f32, &self.node_keys));
+        self.moment = bound.map(|bound| pose::pose(bound, gpu, splats, &self.eye, view.t as f32, &self.node_keys));
         launch!(
             client,
             project::launch,
@@ -166,7 +164,13 @@ impl Work {
                 self.allocated,
                 self.large
             ],
-            [n as u32, splats.n_static as u32, splats.n_still() as u32, size.across() as u32, splats.spec(view.mip)]
+            [
+                n as u32,
+                splats.n_static as u32,
+                splats.n_still() as u32,
+                size.across() as u32,
+                Spec::new(splats, view.mip)
+            ]
         );
         self.stopwatch.lap(gpu, Kernel::Project);
         self.make_lists(gpu);
@@ -338,13 +342,13 @@ impl Work {
                 n as u32,
                 splats.n_static as u32,
                 splats.n_still() as u32,
-                splats.spec(mip),
+                Spec::new(splats, mip),
                 camera.is_some(),
                 centres.is_some()
             ]
         );
         if let (Some(bound), Some(moment)) = (&splats.bound, &self.moment) {
-            bound.backward(gpu, splats, out, &self.touched, &self.eye, moment);
+            pose::backward(bound, gpu, splats, out, &self.touched, &self.eye, moment);
             for &key in &moment.keys {
                 if !self.node_keys.contains(&key) {
                     self.node_keys.push(key);
