@@ -1,13 +1,16 @@
-//! What the checks know: the allowed arrows between crates, the sources of dependencies.
+//! What the checks know: the allowed arrows between crates and between modules, the sources of
+//! dependencies, the widths of prose.
 //!
 //! The program (`cargo xtask check`) runs these with formats, lints and docs, and `cargo xtask test` the tests; CI runs the
 //! program and nothing else.
 #![forbid(unsafe_code)]
 
 pub mod arrows;
+pub mod modules;
 pub mod page;
 pub mod paper;
 pub mod tests;
+pub mod text;
 
 use std::path::{Path, PathBuf};
 

@@ -12,7 +12,7 @@ const USAGE: &str = "usage: cargo xtask <test [--full] [--require NEED,...] [-- 
   test    the tests of the default program, and at the end what could not run here and why; --full: what networks and GPUs add to
           them; --require ffmpeg,chromium,vulkan,...: fail where a test was skipped for want of these (docs/building.md)
   check   fmt, clippy, docs, arrows, lock, deny and tests, as CI does
-  arrows  dependencies between crates against the table of ARCHITECTURE.md
+  arrows  dependencies between crates against the table of ARCHITECTURE.md, and no cycle among the modules of a crate
   lock    no git sources in Cargo.lock
   deny    cargo-deny: licences, sources, duplicate versions, and advisories where their database can be fetched
   page    build the viewer's page from crates/m4_viewer/page (needs npm)
@@ -29,7 +29,7 @@ fn main() -> ExitCode {
         ["test", ref words @ ..] => xtask::tests::Tests::of_arguments(words).and_then(|t| xtask::tests::run(&root, &t)),
         ["check"] => check(&root, true),
         ["check", "--skip-tests"] => check(&root, false),
-        ["arrows"] => step("arrows", || xtask::arrows::check(&root)),
+        ["arrows"] => step("arrows", || arrows(&root)),
         ["lock"] => step("lock", || xtask::arrows::check_lock(&root)),
         ["deny"] => step("deny", || deny(&root)),
         ["page"] => step("page", || xtask::page::build(&root, &root.join("target/page"))),
@@ -52,7 +52,7 @@ fn main() -> ExitCode {
 /// Everything that CI runs. Tests come last, so that a log ends with their summary.
 fn check(root: &Path, tests: bool) -> Result<()> {
     step("fmt", || cargo(root, &["fmt", "--all", "--", "--check"], &[]))?;
-    step("arrows", || xtask::arrows::check(root))?;
+    step("arrows", || arrows(root))?;
     step("lock", || xtask::arrows::check_lock(root))?;
     step("deny", || deny(root))?;
     let lints = ["clippy", "--workspace", "--all-targets"];
@@ -76,6 +76,12 @@ fn check(root: &Path, tests: bool) -> Result<()> {
 fn settings(root: &Path, write: bool) -> Result<()> {
     let env: &[(&str, &str)] = if write { &[("MINUTE4D_WRITE_SETTINGS", "1")] } else { &[] };
     cargo(root, &["test", "--quiet", "-p", "minute4d", "--lib", "settings::page"], env)
+}
+
+/// Between crates, and between the modules of each.
+fn arrows(root: &Path) -> Result<()> {
+    xtask::arrows::check(root)?;
+    xtask::modules::check(root)
 }
 
 fn step(name: &str, run: impl FnOnce() -> Result<()>) -> Result<()> {

@@ -1,6 +1,8 @@
 //! The integration tests of this crate, in one program: the tables of ARCHITECTURE.md and the citations of docs/spec are true and the
-//! checks that say so can fail; what is made of the lines that skipped tests leave; whether the page that is kept is the one that its
+//! checks that say so can fail; cycles among modules; what is made of the lines that skipped tests leave; whether the page that is kept is the one that its
 //! sources build to.
+
+mod modules;
 
 use m4_testkit::{Need, find_chromium, skip};
 use std::collections::{BTreeMap, BTreeSet};
