@@ -13,7 +13,8 @@ pub type Arrows = BTreeMap<String, BTreeSet<String>>;
 pub const TESTKIT: &str = "m4_testkit";
 
 /// Crates whose tests may also use another: to read real data, and to compare what they made with what our own renderer draws of it.
-const FOR_TESTS: [(&str, &str); 3] = [("m4_geometry", "m4_io"), ("m4_train", "m4_io"), ("m4_viewer", "m4_kernels")];
+const FOR_TESTS: [(&str, &str); 4] =
+    [("m4_geometry", "m4_io"), ("m4_train", "m4_io"), ("m4_viewer", "m4_kernels"), ("minute4d_cli", "m4_eval")];
 
 fn for_tests(from: &str, to: &str) -> bool {
     to == TESTKIT || FOR_TESTS.contains(&(from, to))

@@ -91,7 +91,8 @@ mod tests {
     #[test]
     fn prose_is_narrow_and_the_rest_is_free() {
         let long = "word ".repeat(25);
-        let code = format!("let x = \"{long}\"; // {long}\n/// {long}\n///\n/// ```text\n/// {long}\n/// ```\n// {long}\n");
+        let code =
+            format!("let x = \"{long}\"; // {long}\n/// {long}\n///\n/// ```text\n/// {long}\n/// ```\n// {long}\n");
         assert_eq!(wide_lines(&code, false), [2, 7], "code, trailing comments and diagrams are free");
         let page = format!("# {long}\n{long}\n| {long} |\n- `{long}`\n```\n{long}\n```\n{}\n", "x".repeat(130));
         assert_eq!(wide_lines(&page, true), [2]);

@@ -1,6 +1,7 @@
 //! The command line as clap parses it: the commands, and the options that all of them have.
 
 use crate::commands::{
+    self,
     batch::Batch,
     bench::Bench,
     eval::{Eval, Split},
@@ -11,7 +12,11 @@ use crate::commands::{
     view::View,
     weights::Weights,
 };
-use clap::{Args, Parser, Subcommand};
+use crate::failure::Failure;
+use crate::options::Common;
+use crate::output::Output;
+use crate::program::Program;
+use clap::{Parser, Subcommand};
 
 /// Turns one casual video into a 4D Gaussian splatting scene, on a plain CPU.
 ///
@@ -31,23 +36,6 @@ pub struct Cli {
     /// Options of all commands.
     #[command(flatten)]
     pub common: Common,
-}
-
-/// Options that all commands have.
-#[derive(Debug, Args)]
-pub struct Common {
-    /// Print one JSON object per line on stdout; the last is {"event":"end","ok":..,"code":..,"reason":..}
-    #[arg(long, global = true)]
-    pub json: bool,
-    /// Hide progress; warnings and errors are still shown
-    #[arg(long, short, global = true)]
-    pub quiet: bool,
-    /// Number of threads; the result does not depend on it [default: all cores]
-    #[arg(long, global = true, value_name = "T", value_parser = clap::value_parser!(u16).range(1..=1024))]
-    pub threads: Option<u16>,
-    /// Save and stop when standard input is closed, so that a parent process can stop this one.
-    #[arg(long, global = true, hide = true)]
-    pub stop_at_eof: bool,
 }
 
 /// The commands of the program.
@@ -81,6 +69,31 @@ pub enum Command {
     Bench(Bench),
     /// List, download, add and verify pretrained network weights
     Weights(Weights),
+}
+
+impl Program for Cli {
+    fn common(&self) -> &Common {
+        &self.common
+    }
+
+    fn run(&self, output: &Output) -> Result<(), Failure> {
+        match &self.command {
+            Command::Run(args) => commands::run::run(args, output),
+            Command::Geometry(args) => commands::geometry::run(args, output),
+            Command::Enhance(args) => commands::geometry::enhance(args, output),
+            Command::Train(args) => commands::run::train(args, output),
+            Command::Render(args) => commands::render::run(args, output),
+            Command::Export(args) => commands::interchange::export(args, output),
+            Command::Import(args) => commands::interchange::import(args, output),
+            Command::View(args) => commands::view::run(args, output),
+            Command::Eval(args) => commands::eval::run(args, output),
+            Command::Split(args) => commands::eval::split(args, output),
+            Command::Batch(args) => commands::batch::run(args, &self.common, output),
+            Command::Doctor => commands::doctor::run(output),
+            Command::Bench(args) => commands::bench::run(args, &self.common, output),
+            Command::Weights(args) => commands::weights::run(args, output),
+        }
+    }
 }
 
 #[cfg(test)]

@@ -54,8 +54,8 @@ impl Bounds {
 #[cfg(test)]
 #[cfg(unix)]
 mod tests {
-    use m4_core::advice::OUTSIDE;
     use super::{Bounds, Reach};
+    use m4_core::advice::OUTSIDE;
     use std::fs;
     use std::os::unix::fs::symlink;
     use std::path::Path;

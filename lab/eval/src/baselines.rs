@@ -1,9 +1,9 @@
 //! What needs no training, scored like a scene: depth warped into the held-out views, billboards, one colour per object. A scene that
 //! does not beat them is not worth its training.
 
-use super::HeldOut;
 use super::regions::regions;
-use crate::Error;
+use crate::error::Error;
+use crate::held_out::HeldOut;
 use m4_core::{Camera, Capture, CaptureFrame, CompactMask, RgbImage, covering, median};
 use m4_eval::image::{ImageReport, MeanScore, PlanarImage};
 use m4_eval::warp::{Warp, nearest};

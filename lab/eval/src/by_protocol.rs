@@ -1,13 +1,13 @@
 //! Scores a scene on held-out views by the rules of a protocol.
 
-use super::SplitRecord;
 use super::choices::{Choices, FrameChoice, Headline, MaskChoice, PoseChoice, PoseTreatment, ResolutionChoice, poses};
 use super::covisible::{MaskSource, Masks};
 use super::perceptual::Perceptual;
 use super::poses::{Moved, Refiner};
 use super::protocol::{FrameRule, Protocol, Rules, StartPose};
-use super::{EvalOptions, HeldOut};
-use crate::Error;
+use super::split::SplitRecord;
+use crate::error::Error;
+use crate::held_out::{EvalOptions, HeldOut};
 use m4_core::{Camera, CompactMask};
 use m4_eval::image::{ImageReport, MeanScore, Metric, PlanarImage, PsnrKind};
 use m4_kernels::{Frame, SimdLevel};

@@ -6,7 +6,7 @@
 //! top; then each training frame is tested for seeing that point (`m4_eval::image::covisible::seen_by_depth`). Dynamic pixels are valid
 //! only at the time of the test image: they are projected from the training frame that is nearest in time.
 
-use crate::Error;
+use crate::error::Error;
 use m4_core::{Camera, Capture, CaptureFrame, DepthMap, Mask, Plane};
 use m4_eval::image::covisible::{CovisibleCounts, DEPTH_TOLERANCE, DepthView, seen_by_depth};
 use m4_io::capture::Split;

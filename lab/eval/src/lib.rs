@@ -11,6 +11,7 @@ mod by_protocol;
 mod choices;
 mod covisible;
 mod error;
+mod held_out;
 mod motion;
 mod perceptual;
 mod poses;
@@ -18,41 +19,43 @@ pub mod protocol;
 mod regions;
 mod sets;
 mod split;
+mod truth;
 
 pub use aligned::AlignedScore;
 pub use baselines::{BaselineScore, mean_of};
 pub use choices::{Choices, FrameChoice, Headline, MaskChoice, PoseChoice, PoseTreatment, ResolutionChoice};
 pub use covisible::MaskSource;
 pub use error::Error;
+pub use held_out::{EvalOptions, HeldOut};
 pub use motion::{motion, motion_table};
 pub use perceptual::LpipsChoice;
 pub use poses::{Alignment, Moved};
 pub use protocol::{FrameRule, Protocol, Task};
 pub use sets::{SetScore, read as read_views};
 pub use split::{SPLIT_FILE, SplitRecord, split};
+pub use truth::{no_test_list, read_truth};
 
 use aligned::Shifts;
-use m4_core::{Camera, Capture, CaptureFrame, CompactMask, Exposure, RgbImage, Scene};
+use m4_core::{Capture, CompactMask};
 use m4_eval::geometry::{GeometryReport, evaluate};
 use m4_eval::image::{ImageReport, MeanScore, PlanarImage};
 use m4_io::capture::{CaptureOptions, Split};
 use m4_io::reach::Reach;
 use m4_io::results::Kind;
-use m4_io::scene::safetensors;
 use m4_kernels::SimdLevel;
-use minute4d::device::DeviceChoice;
 use minute4d::json::write_json;
-use minute4d::layout::{self, CAPTURE_FOLDER, EVAL_FILE, SCENE_FILE};
+use minute4d::layout::{self, CAPTURE_FOLDER, EVAL_FILE};
 use minute4d::observer::check_stop;
 use minute4d::render::SceneRenderer;
 use minute4d::settings::Settings;
-use minute4d::{Observer, Refusal, hash};
+use minute4d::{Observer, hash};
 use perceptual::Perceptual;
 use protocol::LpipsRule;
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
+use truth::{INSTANCE_FOLDERS, add_instances};
 
 /// Compares the cameras, depth and masks of a capture with a reference for the same video: another
 /// capture. `reach` is which files both may name.
@@ -69,37 +72,6 @@ pub fn geometry(capture: &Path, truth: &Path, reach: Reach, observer: &dyn Obser
     Ok(evaluate(&estimate, &read_truth(truth, &options, observer)?)?)
 }
 
-/// Reads the training frames of a data set, with the instance maps of a benchmark scene.
-pub fn read_truth(truth: &Path, options: &CaptureOptions, observer: &dyn Observer) -> Result<Capture, Error> {
-    let mut read = m4_io::capture::read(truth, Split::Train, options, observer)?;
-    add_instances(&mut read, &truth.join(INSTANCE_FOLDERS[0]))?;
-    Ok(read)
-}
-
-/// Folders of a benchmark scene with an instance map per training image and per held-out image; its lists of frames do not name them, so
-/// that no training reads them.
-const INSTANCE_FOLDERS: [&str; 2] = ["instance", "test_instance"];
-
-/// Adds the instance maps that lie in a folder, by the names of the images, to frames without.
-fn add_instances(truth: &mut Capture, folder: &Path) -> Result<(), Error> {
-    for frame in truth.frames.iter_mut().filter(|frame| frame.instances.is_none()) {
-        let name = Path::new(&frame.name).with_extension("png");
-        let file = name.file_name().map(|name| folder.join(name)).filter(|file| file.is_file());
-        if let Some(file) = file {
-            frame.instances = Some(m4_io::image::read_ids(&file)?);
-        }
-    }
-    Ok(())
-}
-
-/// The refusal of a capture without held-out views.
-pub fn no_test_list(data: &Path) -> Refusal {
-    Refusal::bad_input(format!(
-        "{} has no transforms_test.json, so there are no held-out views to compare with; give a capture that has some",
-        data.display()
-    ))
-}
-
 /// A mean over the views that have a score.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct OtherMean {
@@ -107,23 +79,6 @@ pub struct OtherMean {
     pub mean: f64,
     /// Number of views with it.
     pub views: usize,
-}
-
-/// Options of scoring.
-#[derive(Debug, Clone, PartialEq, Default)]
-pub struct EvalOptions {
-    /// Masks of dynamic regions are grown by this many pixels first.
-    pub grow_mask: usize,
-    /// Where views are drawn and LPIPS is computed.
-    pub device: DeviceChoice,
-    /// The protocol; `None` for joint PSNR and SSIM of what the capture holds out, in 8 bits.
-    pub protocol: Option<Protocol>,
-    /// Masks of co-visibility, for protocols that have some; `None` for those of the capture, or made ones.
-    pub covisible: Option<PathBuf>,
-    /// Refine the poses of test images as the protocol's peers do.
-    pub refine_poses: bool,
-    /// Which files the capture may name.
-    pub reach: Reach,
 }
 
 /// `eval.json`.
@@ -340,57 +295,5 @@ impl EvalReport {
             out += &format!("LPIPS      not scored: {missing}\n");
         }
         out
-    }
-}
-
-/// A scene and the views that it is judged by.
-#[derive(Debug)]
-pub struct HeldOut {
-    /// The file of the scene.
-    path: PathBuf,
-    /// The scene.
-    pub scene: Scene,
-    /// The held-out views.
-    pub test: Capture,
-    /// Alignment of the held-out cameras, if the scene has a world of its own.
-    alignment: Option<Alignment>,
-    stretch: f64,
-}
-
-impl HeldOut {
-    /// The scene of the run `out` and the held-out views of the capture `data`, which may name files within `reach`.
-    /// Refused without held-out views.
-    pub fn read(out: &Path, data: &Path, reach: Reach, observer: &dyn Observer) -> Result<Self, Error> {
-        layout::settle(out)?;
-        let path = out.join(SCENE_FILE);
-        let scene = safetensors::read(&path)?.scene;
-        let options = CaptureOptions { reach, ..Settings::fast().capture };
-        if !data.exists() {
-            return Err(minute4d::Error::Missing { what: "capture", path: data.to_path_buf() }.into());
-        }
-        if data.is_dir() && !data.join(Split::Test.file_name()).is_file() {
-            return Err(no_test_list(data).into());
-        }
-        let test = m4_io::capture::read(data, Split::Test, &options, observer)?;
-        let alignment = poses::between(&scene, data, observer)?;
-        let stretch = (scene.time_frames.max(2) - 1) as f64 / (test.time_frames.max(2) - 1) as f64;
-        Ok(Self { path, scene, test, alignment, stretch })
-    }
-
-    /// When a view was taken, frames of the scene.
-    pub fn moment(&self, frame: &CaptureFrame) -> f64 {
-        frame.t * self.stretch
-    }
-
-    /// The scene as a view's camera sees it.
-    pub fn draw(&self, renderer: &mut SceneRenderer<'_>, frame: &CaptureFrame) -> Result<RgbImage, Error> {
-        Ok(renderer.image(&self.camera(frame), self.moment(frame), &Exposure::IDENTITY)?)
-    }
-
-    /// A view's camera in the world of the scene.
-    pub fn camera(&self, frame: &CaptureFrame) -> Camera {
-        self.alignment
-            .as_ref()
-            .map_or(frame.camera, |a| Camera { c2w: a.similarity().transform_pose(&frame.camera.c2w), ..frame.camera })
     }
 }

@@ -1,7 +1,7 @@
 //! Measures the motion that first splats give to dynamic surfaces.
 
-use super::read_truth;
-use crate::Error;
+use crate::error::Error;
+use crate::truth::read_truth;
 use m4_io::capture::CaptureOptions;
 use m4_io::reach::Reach;
 use m4_train::init::{MotionErrors, motion_errors};

@@ -1,7 +1,7 @@
 //! LPIPS as a protocol defines it, with the networks whose weights are installed, and the reason for missing ones.
 
 use super::protocol::LpipsRule;
-use crate::Error;
+use crate::error::Error;
 use m4_core::Mask;
 use m4_eval::image::{ImageReport, PlanarImage};
 use minute4d::device::DeviceChoice;

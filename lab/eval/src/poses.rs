@@ -11,7 +11,7 @@
 //! result does not depend on the unit of the world. Splats, intrinsics and time are fixed.
 
 use super::protocol::RefineRule;
-use crate::Error;
+use crate::error::Error;
 use m4_core::nalgebra::{Matrix3, Vector6};
 use m4_core::{Camera, Scene, Sim3};
 use m4_eval::geometry::placement;

@@ -7,7 +7,7 @@
 //! transforms_between.json  between: the training camera between two training frames
 //! ```
 
-use crate::Error;
+use crate::error::Error;
 use m4_core::{Camera, Capture, CaptureFrame};
 use m4_eval::image::{ImageReport, MeanScore};
 use m4_io::capture::{CaptureOptions, Split};

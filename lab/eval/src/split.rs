@@ -1,7 +1,7 @@
 //! Splits a capture of a whole video into training and test frames.
 
-use super::{FrameRule, Protocol};
-use crate::Error;
+use crate::error::Error;
+use crate::protocol::{FrameRule, Protocol};
 use m4_core::{Capture, CaptureFrame};
 use m4_io::capture::Split;
 use m4_io::files;
@@ -175,8 +175,8 @@ pub fn split(
 #[cfg(test)]
 mod tests {
     use super::{Parts, parts, split};
-    use crate::Error;
     use crate::Protocol;
+    use crate::error::Error;
     use m4_core::{Capture, Plane, Tracks};
     use m4_io::capture::{self, CaptureOptions, Split};
     use m4_io::reach::Reach;

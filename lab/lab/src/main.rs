@@ -10,6 +10,7 @@
 mod ablate;
 mod commands;
 mod explain;
+mod program;
 mod reproduce;
 mod results;
 
@@ -19,13 +20,11 @@ use minute4d::Category;
 use minute4d_cli::failure::Failure;
 use minute4d_cli::output::Output;
 use minute4d_cli::{Cli, Common, Program, start};
+use program::MINUTE4D;
 use results::Results;
 use std::ffi::OsString;
 use std::path::Path;
 use std::process::ExitCode;
-
-/// The command of this program that is `minute4d`.
-const MINUTE4D: &str = "minute4d";
 
 /// Measures minute4d against published tables, ground truth and itself without parts of the method.
 ///

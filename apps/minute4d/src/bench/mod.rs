@@ -13,8 +13,8 @@ pub use table::{aligned, number, today};
 
 use crate::run::with_threads;
 use cpu_time::ProcessTime;
-use m4_kernels::{Kernel, SimdLevel};
 use m4_kernels::bench::{Bench, Counts, PEAK_EVALUATIONS, Probe, SceneConfig, SceneKind, Times, Work};
+use m4_kernels::{Kernel, SimdLevel};
 use minute4d::device::DeviceChoice;
 use minute4d::observer::check_stop;
 use minute4d::{Error, Observer};

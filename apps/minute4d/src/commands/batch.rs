@@ -4,11 +4,11 @@ use crate::batch::slurm::{Script, largest_array, submit};
 use crate::batch::{
     Arguments, JobEnd, Manifest, Outcome, Plan, Report, Tools, index_of_environment, page, plan, run_job,
 };
-use crate::cli::Common;
-use crate::commands::program;
 use crate::failure::Failure;
+use crate::options::Common;
 use crate::options::{TrainingArgs, VideoArgs, print_config};
 use crate::output::{Output, duration};
+use crate::program::program;
 use clap::{Args, Subcommand};
 use m4_io::atomic;
 use m4_io::results::{Kind, ResultFolder};

@@ -2,8 +2,8 @@
 
 use super::doctor::processor;
 use crate::bench::{self, BenchConfig};
-use crate::cli::Common;
 use crate::failure::Failure;
+use crate::options::Common;
 use crate::options::{choice, image_size, vram_limit};
 use crate::output::Output;
 use clap::Args;

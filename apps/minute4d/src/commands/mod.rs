@@ -30,33 +30,3 @@ pub mod weights {
         Err(Failure { code: Category::NoDevice.exit_code(), reason })
     }
 }
-
-use crate::cli::{Cli, Command, Common};
-use crate::failure::Failure;
-use crate::output::Output;
-use crate::{Program, program};
-
-impl Program for Cli {
-    fn common(&self) -> &Common {
-        &self.common
-    }
-
-    fn run(&self, output: &Output) -> Result<(), Failure> {
-        match &self.command {
-            Command::Run(args) => run::run(args, output),
-            Command::Geometry(args) => geometry::run(args, output),
-            Command::Enhance(args) => geometry::enhance(args, output),
-            Command::Train(args) => run::train(args, output),
-            Command::Render(args) => render::run(args, output),
-            Command::Export(args) => interchange::export(args, output),
-            Command::Import(args) => interchange::import(args, output),
-            Command::View(args) => view::run(args, output),
-            Command::Eval(args) => eval::run(args, output),
-            Command::Split(args) => eval::split(args, output),
-            Command::Batch(args) => batch::run(args, &self.common, output),
-            Command::Doctor => doctor::run(output),
-            Command::Bench(args) => bench::run(args, &self.common, output),
-            Command::Weights(args) => weights::run(args, output),
-        }
-    }
-}

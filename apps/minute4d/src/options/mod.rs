@@ -17,6 +17,23 @@ use minute4d::settings::{Frontend, Segmenter};
 use std::path::PathBuf;
 use values::{degrees, duration, seconds};
 
+/// Options that all commands have.
+#[derive(Debug, Args)]
+pub struct Common {
+    /// Print one JSON object per line on stdout; the last is {"event":"end","ok":..,"code":..,"reason":..}
+    #[arg(long, global = true)]
+    pub json: bool,
+    /// Hide progress; warnings and errors are still shown
+    #[arg(long, short, global = true)]
+    pub quiet: bool,
+    /// Number of threads; the result does not depend on it [default: all cores]
+    #[arg(long, global = true, value_name = "T", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    pub threads: Option<u16>,
+    /// Save and stop when standard input is closed, so that a parent process can stop this one.
+    #[arg(long, global = true, hide = true)]
+    pub stop_at_eof: bool,
+}
+
 /// The device for training.
 #[derive(Debug, Args)]
 pub struct DeviceArgs {

@@ -289,7 +289,7 @@ impl Bench<'_> {
         atomic::write(&config, text.as_bytes())
             .map_err(|source| minute4d::Error::Write { path: config.clone(), source })?;
         let mut command = Command::new(&self.options.program);
-        command.args([crate::MINUTE4D, "run"]).arg(input).arg("-o").arg(folder).arg("--config").arg(&config);
+        command.args([crate::program::MINUTE4D, "run"]).arg(input).arg("-o").arg(folder).arg("--config").arg(&config);
         command.args(["--resume", "--quiet"]);
         command.args(["--threads", &minute4d_cli::run::threads().to_string()]);
         command.args(["--device", &self.job.device.choice.to_string()]);

@@ -108,7 +108,7 @@ pub(super) struct Program(PathBuf);
 impl Program {
     /// What `minute4d` prints with the arguments that `arguments` adds.
     pub(super) fn run(&self, arguments: impl FnOnce(&mut Command) -> &mut Command) -> Result<String> {
-        printed(arguments(Command::new(&self.0).arg(crate::MINUTE4D)))
+        printed(arguments(Command::new(&self.0).arg(crate::program::MINUTE4D)))
     }
 
     /// The result among the events that the laboratory prints with `--json`.
